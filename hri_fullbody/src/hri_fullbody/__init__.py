@@ -1,0 +1,1 @@
+"""Bodies: detection, tracking, skeletons."""

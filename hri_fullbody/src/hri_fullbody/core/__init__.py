@@ -1,0 +1,1 @@
+"""Perception of bodies, free of ROS."""

@@ -1,0 +1,1 @@
+"""Persons: who the faces, bodies and voices belong to, and where they are."""

@@ -1,0 +1,1 @@
+"""Computation without ROS; time is always an argument."""

@@ -1,0 +1,1 @@
+"""The ROS side: messages, topics, parameters and diagnostics."""
