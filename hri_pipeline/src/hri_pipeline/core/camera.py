@@ -1,0 +1,179 @@
+"""Pinhole and fisheye camera models with lens distortion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Sequence
+
+import cv2
+import numpy as np
+
+PLUMB_BOB = "plumb_bob"
+RATIONAL = "rational_polynomial"
+EQUIDISTANT = "equidistant"
+
+# Legal numbers of coefficients; none means no distortion.
+_COEFFICIENTS = {PLUMB_BOB: (0, 4, 5), RATIONAL: (0, 4, 5, 8, 12, 14), EQUIDISTANT: (0, 4)}
+_ALIASES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
+_MEND = "calibrate the camera, or publish an all-zero K to use the field of view parameter"
+_UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
+
+
+class CameraError(ValueError):
+    """A calibration that cannot be true."""
+
+
+class Calibration(Enum):
+    """Where the numbers of a camera model come from."""
+
+    CALIBRATED = "calibrated"
+    UNCALIBRATED = "uncalibrated"   # camera_info came with an all-zero K: field of view parameter
+    MISSING = "missing"             # no camera_info at all: field of view parameter
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """Maps rays of the optical frame (x right, y down, z forward) to pixels and back.
+
+    width, height: px. matrix: (3, 3) px. distortion: (n,) in OpenCV's order; n = 0 for none.
+    """
+
+    width: int
+    height: int
+    matrix: np.ndarray
+    distortion: np.ndarray
+    distortion_model: str
+    calibration: Calibration
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise CameraError("image size of the camera is {}x{}".format(self.width, self.height))
+        matrix = np.asarray(self.matrix, dtype=np.float64).reshape(3, 3)
+        distortion = np.asarray(self.distortion, dtype=np.float64).reshape(-1)
+        model = _ALIASES.get(self.distortion_model, self.distortion_model)
+        _check_matrix(matrix)
+        _check_distortion(model, distortion)
+        object.__setattr__(self, "matrix", matrix)
+        object.__setattr__(self, "distortion", distortion)
+        object.__setattr__(self, "distortion_model", model)
+
+    @classmethod
+    def from_fov(
+        cls,
+        width: int,
+        height: int,
+        horizontal_fov_rad: float,
+        calibration: Calibration = Calibration.MISSING,
+    ) -> "CameraModel":
+        """Make an ideal camera with square pixels of its horizontal field of view, rad, 0 to pi."""
+        if not 0.0 < horizontal_fov_rad < math.pi:
+            raise CameraError("horizontal field of view is {} rad, legal range 0 to pi".format(horizontal_fov_rad))
+        focal = width / (2.0 * math.tan(horizontal_fov_rad / 2.0))
+        matrix = np.array([[focal, 0.0, width / 2.0], [0.0, focal, height / 2.0], [0.0, 0.0, 1.0]])
+        return cls(int(width), int(height), matrix, np.zeros(0), PLUMB_BOB, calibration)
+
+    @classmethod
+    def from_calibration(
+        cls,
+        width: int,
+        height: int,
+        K9: Sequence[float],  # noqa: N803 - the name in sensor_msgs/CameraInfo
+        D: Sequence[float],  # noqa: N803
+        distortion_model: str,
+        fallback_hfov_rad: float,
+        binning_x: int = 0,
+        binning_y: int = 0,
+        roi_x: int = 0,
+        roi_y: int = 0,
+        roi_width: int = 0,
+        roi_height: int = 0,
+    ) -> "CameraModel":
+        """Make the model of the image that a sensor_msgs/CameraInfo goes with.
+
+        width, height, K9 and D are those of the full sensor; the image is its region of interest (0 for all),
+        then binned (0 and 1 for not). An all-zero K means uncalibrated: fallback_hfov_rad is the horizontal
+        field of view instead. Raises CameraError for numbers that cannot be true.
+        """
+        bin_x, bin_y = max(1, int(binning_x)), max(1, int(binning_y))
+        image_width = (int(roi_width) or int(width) - int(roi_x)) // bin_x
+        image_height = (int(roi_height) or int(height) - int(roi_y)) // bin_y
+        matrix = np.asarray(K9, dtype=np.float64).reshape(-1)
+        if matrix.size != 9:
+            raise CameraError("K has {} numbers instead of 9; {}".format(matrix.size, _MEND))
+        if not np.any(matrix):
+            return cls.from_fov(image_width, image_height, fallback_hfov_rad, Calibration.UNCALIBRATED)
+        matrix = matrix.reshape(3, 3).copy()
+        matrix[0, 2] -= roi_x
+        matrix[1, 2] -= roi_y
+        matrix[0] /= bin_x
+        matrix[1] /= bin_y
+        distortion = np.asarray(D, dtype=np.float64).reshape(-1)
+        return cls(image_width, image_height, matrix, distortion, distortion_model, Calibration.CALIBRATED)
+
+    def normalise(self, pixels: np.ndarray) -> np.ndarray:
+        """Map pixels (N, 2) to undistorted rays (N, 2): x/z and y/z in the optical frame."""
+        pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        if not np.any(self.distortion):
+            rays = np.empty_like(pixels)
+            if self.distortion_model != EQUIDISTANT:
+                rays[:, 1] = (pixels[:, 1] - self.matrix[1, 2]) / self.matrix[1, 1]
+                rays[:, 0] = (pixels[:, 0] - self.matrix[0, 2] - self.matrix[0, 1] * rays[:, 1]) / self.matrix[0, 0]
+                return rays
+        if len(pixels) == 0:
+            return np.zeros((0, 2))
+        points = np.ascontiguousarray(pixels[:, None, :])
+        if self.distortion_model == EQUIDISTANT:
+            rays = cv2.fisheye.undistortPoints(points, self.matrix, self._fisheye())
+        else:
+            rays = cv2.undistortPointsIter(
+                points, self.matrix, self.distortion, np.eye(3), np.eye(3), _UNDISTORT_CRITERIA)
+        return rays.reshape(-1, 2)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Map points (N, 3) of the optical frame, m, to pixels (N, 2); NaN for a point with z <= 0."""
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        result = np.full((len(points), 2), np.nan)
+        ahead = np.isfinite(points).all(axis=1) & (points[:, 2] > 0.0)
+        if not ahead.any():
+            return result
+        seen = np.ascontiguousarray(points[ahead][:, None, :])
+        none = np.zeros(3)
+        if self.distortion_model == EQUIDISTANT:
+            pixels, _ = cv2.fisheye.projectPoints(seen, none, none, self.matrix, self._fisheye())
+        else:
+            pixels, _ = cv2.projectPoints(seen, none, none, self.matrix, self.distortion)
+        result[ahead] = pixels.reshape(-1, 2)
+        return result
+
+    def resized(self, width: int, height: int) -> "CameraModel":
+        """Return the model of the same view, scaled to another image size in px."""
+        scale = np.diag([width / self.width, height / self.height, 1.0])
+        return CameraModel(int(width), int(height), scale @ self.matrix, self.distortion,
+                           self.distortion_model, self.calibration)
+
+    def _fisheye(self) -> np.ndarray:
+        return self.distortion if self.distortion.size else np.zeros(4)
+
+
+def _check_matrix(matrix: np.ndarray) -> None:
+    if not np.all(np.isfinite(matrix)):
+        raise CameraError("K holds numbers that are not finite; {}".format(_MEND))
+    if matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0:
+        raise CameraError("focal lengths in K are {:g} and {:g} px and must be positive; {}".format(
+            matrix[0, 0], matrix[1, 1], _MEND))
+    below = (matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2])
+    if not np.allclose(below, (0.0, 0.0, 0.0, 1.0), atol=1e-6):
+        raise CameraError("K is not [fx s cx; 0 fy cy; 0 0 1]; {}".format(_MEND))
+
+
+def _check_distortion(model: str, distortion: np.ndarray) -> None:
+    if model not in _COEFFICIENTS:
+        raise CameraError("unknown distortion model {!r}, known: {}; {}".format(
+            model, ", ".join(_COEFFICIENTS), _MEND))
+    if distortion.size not in _COEFFICIENTS[model]:
+        raise CameraError("{} takes {} coefficients in D, not {}; {}".format(
+            model, " or ".join(str(n) for n in _COEFFICIENTS[model]), distortion.size, _MEND))
+    if not np.all(np.isfinite(distortion)):
+        raise CameraError("D holds numbers that are not finite; {}".format(_MEND))

@@ -1,0 +1,122 @@
+"""Rigid transforms, boxes and rotated crops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Sequence, Tuple
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Rigid transform that maps coordinates of a child frame to its parent frame.
+
+    rotation: (3, 3), its columns are the child's axes seen in the parent.
+    translation: (3,) m, the child's origin seen in the parent.
+    """
+
+    rotation: np.ndarray
+    translation: np.ndarray
+
+    def __post_init__(self) -> None:
+        rotation = np.asarray(self.rotation, dtype=np.float64)
+        translation = np.asarray(self.translation, dtype=np.float64).reshape(-1)
+        if rotation.shape != (3, 3) or translation.shape != (3,):
+            raise ValueError(
+                "a pose needs a (3, 3) rotation and a (3,) translation, not {} and {}".format(
+                    rotation.shape, translation.shape))
+        object.__setattr__(self, "rotation", rotation)
+        object.__setattr__(self, "translation", translation)
+
+    def compose(self, other: "Pose") -> "Pose":
+        """Return self * other: first `other`, then `self`."""
+        return Pose(self.rotation @ other.rotation, self.apply(other.translation[None])[0])
+
+    def inverse(self) -> "Pose":
+        """Return the transform that maps parent coordinates to the child frame."""
+        return Pose(self.rotation.T, -self.rotation.T @ self.translation)
+
+    def apply(self, points: np.ndarray) -> np.ndarray:
+        """Map points (N, 3) in the child frame to (N, 3) in the parent frame, m."""
+        return np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
+
+    @property
+    def quaternion(self) -> Tuple[float, float, float, float]:
+        """Unit quaternion (x, y, z, w)."""
+        x, y, z, w = Rotation.from_matrix(self.rotation).as_quat()
+        return float(x), float(y), float(z), float(w)
+
+    @classmethod
+    def from_quaternion(cls, quaternion: Sequence[float], translation: Sequence[float]) -> "Pose":
+        """Make a pose of a quaternion (x, y, z, w), normalised here, and a translation (3,) m.
+
+        Raises ValueError for a quaternion that is zero or not finite.
+        """
+        values = np.asarray(quaternion, dtype=np.float64)
+        norm = float(np.linalg.norm(values))
+        if values.shape != (4,) or not np.isfinite(norm) or norm < 1e-9:
+            raise ValueError("a quaternion needs 4 finite numbers, not all zero: {}".format(list(values)))
+        rotation = Rotation.from_quat(values / norm).as_matrix()
+        return cls(rotation, np.asarray(translation, dtype=np.float64))
+
+    @classmethod
+    def identity(cls) -> "Pose":
+        """Return the transform that changes nothing."""
+        return cls(np.eye(3), np.zeros(3))
+
+
+def iou_matrix(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Intersection over union of each box of `a` (N, 4) with each of `b` (M, 4): (N, M), 0 to 1.
+
+    Boxes are x0, y0, x1, y1 in pixels; a box without area has no overlap with anything.
+    """
+    a = np.asarray(a, dtype=np.float64).reshape(-1, 4)
+    b = np.asarray(b, dtype=np.float64).reshape(-1, 4)
+    low = np.maximum(a[:, None, :2], b[None, :, :2])
+    high = np.minimum(a[:, None, 2:], b[None, :, 2:])
+    inner = np.prod(np.clip(high - low, 0.0, None), axis=2)
+    area_a = np.prod(np.clip(a[:, 2:] - a[:, :2], 0.0, None), axis=1)
+    area_b = np.prod(np.clip(b[:, 2:] - b[:, :2], 0.0, None), axis=1)
+    union = area_a[:, None] + area_b[None, :] - inner
+    return np.where(union > 0.0, inner / np.where(union > 0.0, union, 1.0), 0.0)
+
+
+def crop_rotated(
+    image: np.ndarray,
+    centre_xy: Sequence[float],
+    size_px: float,
+    angle_rad: float,
+    output_size: int,
+) -> Tuple[np.ndarray, np.ndarray]:
+    """Cut a rotated square out of `image` and scale it to `output_size` pixels a side.
+
+    centre_xy and size_px are in pixels of `image`. angle_rad turns the square's x axis from the
+    image's x towards the image's y (clockwise on the screen). Outside the image its border is repeated.
+    Returns the patch (output_size, output_size, C) and the (2, 3) affine from patch to image pixels.
+    Raises ValueError for a size that is not positive or anything that is not finite.
+    """
+    values = np.array([centre_xy[0], centre_xy[1], size_px, angle_rad], dtype=np.float64)
+    if not np.all(np.isfinite(values)) or size_px <= 0.0 or output_size < 1:
+        raise ValueError("cannot crop centre {}, size {} px, angle {} rad to {} px".format(
+            tuple(centre_xy), size_px, angle_rad, output_size))
+    scale = float(size_px) / output_size
+    cosine, sine = scale * np.cos(angle_rad), scale * np.sin(angle_rad)
+    turn = np.array([[cosine, -sine], [sine, cosine]])
+    # Continuous coordinates have (0, 0) at the corner of the first pixel, OpenCV at its centre.
+    middle = np.full(2, (output_size - 1) / 2.0)
+    offset = np.asarray(centre_xy, dtype=np.float64)[:2] - 0.5 - turn @ middle
+    affine = np.hstack([turn, offset[:, None]])
+    patch = cv2.warpAffine(
+        image, affine, (output_size, output_size),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE)
+    return patch, _to_continuous(affine)
+
+
+def _to_continuous(affine: np.ndarray) -> np.ndarray:
+    """Change a (2, 3) map between pixel centres to one between continuous pixel coordinates."""
+    changed = affine.copy()
+    changed[:, 2] += 0.5 - affine[:, :2] @ np.full(2, 0.5)
+    return changed

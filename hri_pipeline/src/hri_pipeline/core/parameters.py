@@ -1,0 +1,186 @@
+"""Parameters of a node as a table: name, type, unit, range, default and effect, in one place."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+import textwrap
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Dict, Mapping, Optional, Sequence, Tuple, Union
+
+Number = Union[int, float]
+_SCALARS = {bool: "bool", int: "int", float: "float", str: "string"}
+
+
+class ParameterError(ValueError):
+    """A parameter whose name, type or value is not legal."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter; its type is that of `default`: bool, int, float, str, or a list of one of them.
+
+    An empty list is a list of strings. minimum and maximum (both legal values) and choices hold for each
+    item of a list. Raises ValueError when the entry contradicts itself.
+    """
+
+    name: str
+    default: object
+    doc: str
+    unit: str = ""
+    minimum: Optional[Number] = None
+    maximum: Optional[Number] = None
+    choices: Tuple = ()
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier():
+            raise ValueError("parameter name {!r} is not an identifier".format(self.name))
+        if not self.doc.strip():
+            raise ValueError("parameter {} has no text".format(self.name))
+        if isinstance(self.default, tuple):
+            object.__setattr__(self, "default", list(self.default))
+        if self.item_type not in _SCALARS:
+            raise ValueError("parameter {}: a default of type {} is not supported".format(
+                self.name, type(self.default).__name__))
+        object.__setattr__(self, "choices", tuple(self.choices))
+        try:
+            self.check(self.default)
+        except ParameterError as error:
+            raise ValueError("the default is not legal: {}".format(error)) from error
+
+    @property
+    def is_list(self) -> bool:
+        """Tell whether the parameter is a list."""
+        return isinstance(self.default, list)
+
+    @property
+    def item_type(self) -> type:
+        """Type of the value, or of each item of a list."""
+        if not self.is_list:
+            return type(self.default)
+        return type(self.default[0]) if self.default else str
+
+    @property
+    def type_name(self) -> str:
+        """Type in words."""
+        name = _SCALARS[self.item_type]
+        return "list of " + name if self.is_list else name
+
+    @property
+    def range_text(self) -> str:
+        """Legal range in words, empty when there is none."""
+        if self.choices:
+            return "one of " + ", ".join(format_value(choice) for choice in self.choices)
+        if self.minimum is not None and self.maximum is not None:
+            return "{:g} to {:g}".format(self.minimum, self.maximum)
+        if self.minimum is not None:
+            return "{:g} and more".format(self.minimum)
+        if self.maximum is not None:
+            return "{:g} and less".format(self.maximum)
+        return ""
+
+    def check(self, value: object) -> object:
+        """Return `value` in the parameter's type; ParameterError with value and legal range otherwise."""
+        if not self.is_list:
+            return self._check_item(value)
+        if not isinstance(value, (list, tuple)):
+            raise self._refused(value)
+        return [self._check_item(item) for item in value]
+
+    def _check_item(self, value: object) -> object:
+        wanted = self.item_type
+        if wanted is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        # type() and not isinstance(): a bool is an int in Python, but not to whoever wrote the value.
+        if type(value) is not wanted:
+            raise self._refused(value)
+        if self.choices and value not in self.choices:
+            raise self._refused(value)
+        if wanted in (int, float):
+            if not math.isfinite(value):
+                raise self._refused(value)
+            if self.minimum is not None and value < self.minimum:
+                raise self._refused(value)
+            if self.maximum is not None and value > self.maximum:
+                raise self._refused(value)
+        return value
+
+    def _refused(self, value: object) -> ParameterError:
+        legal = self.type_name
+        if self.range_text:
+            legal += ", " + self.range_text
+        if self.unit:
+            legal += " " + self.unit
+        return ParameterError("parameter {} is {!r} ({}); legal: {}; default: {}".format(
+            self.name, value, type(value).__name__, legal, format_value(self.default)))
+
+
+class ParameterTable:
+    """All parameters of a node.
+
+    node: type of the node (`faces`), the name of its files config/<node>.yaml and docs/nodes/<node>.md.
+    """
+
+    def __init__(self, node: str, summary: str, parameters: Sequence[Parameter]) -> None:
+        names = [parameter.name for parameter in parameters]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError("parameters of {} are there twice: {}".format(node, ", ".join(twice)))
+        self.node = node
+        self.summary = summary
+        self.parameters: Tuple[Parameter, ...] = tuple(parameters)
+
+    def resolve(self, given: Mapping[str, object]) -> SimpleNamespace:
+        """Return all parameters as attributes: those of `given`, checked, and the defaults of the others.
+
+        Raises ParameterError that names parameter, value and legal range, or the known names for an unknown one.
+        """
+        known: Dict[str, Parameter] = {parameter.name: parameter for parameter in self.parameters}
+        for name in sorted(given):
+            if name not in known:
+                near = difflib.get_close_matches(name, known, n=1)
+                hint = " (did you mean {}?)".format(near[0]) if near else ""
+                raise ParameterError("{} has no parameter {}{}; known: {}".format(
+                    self.node, name, hint, ", ".join(sorted(known))))
+        return SimpleNamespace(**{
+            name: parameter.check(given.get(name, parameter.default)) for name, parameter in known.items()})
+
+    def to_yaml(self) -> str:
+        """Return an annotated YAML file that holds the defaults."""
+        lines = ["# " + line for line in textwrap.wrap(self.summary, 96)]
+        lines += ["# Written by `rosrun hri_pipeline parameter_docs` from the table of the node."]
+        for parameter in self.parameters:
+            facts = [parameter.type_name]
+            facts += [parameter.range_text] if parameter.range_text else []
+            facts += ["unit " + parameter.unit] if parameter.unit else []
+            facts += ["default " + format_value(parameter.default)]
+            lines += [""]
+            lines += ["# " + line for line in textwrap.wrap(parameter.doc, 96)]
+            lines += ["# " + line for line in textwrap.wrap("; ".join(facts), 96, break_long_words=False)]
+            lines += ["{}: {}".format(parameter.name, format_value(parameter.default))]
+        return "\n".join(lines) + "\n"
+
+    def to_markdown(self) -> str:
+        """Return a Markdown table, without anything around it."""
+        lines = ["| parameter | type | default | unit | range | meaning |", "|---|---|---|---|---|---|"]
+        for parameter in self.parameters:
+            cells = ("`~{}`".format(parameter.name), parameter.type_name,
+                     "`{}`".format(format_value(parameter.default)), parameter.unit,
+                     parameter.range_text, " ".join(parameter.doc.split()))
+            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+        return "\n".join(lines) + "\n"
+
+
+def format_value(value: object) -> str:
+    """Write a value in YAML."""
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(format_value(item) for item in value) + "]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        text = repr(value)
+        # YAML 1.1 reads 1e-05 as a string: it wants a point.
+        return text.replace("e", ".0e") if "e" in text and "." not in text else text
+    return json.dumps(value, ensure_ascii=False)

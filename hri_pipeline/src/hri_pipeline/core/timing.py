@@ -1,0 +1,57 @@
+"""How long the stages of a pipeline take."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from contextlib import contextmanager
+from typing import Callable, Deque, Dict, Iterator, Tuple
+
+import numpy as np
+
+
+class StageTimes:
+    """Wall time of named stages over the last `window` runs of each.
+
+        times = StageTimes()
+        with times("mesh"):
+            ...
+        times.summary()    # {"mesh": (median ms, 95th percentile ms)}
+
+    Safe to read from another thread.
+    """
+
+    def __init__(self, window: int = 100, clock: Callable[[], float] = time.perf_counter) -> None:
+        if window < 1:
+            raise ValueError("window is {}, legal range 1 and more".format(window))
+        self._window = window
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._times: Dict[str, Deque[float]] = {}
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Measure the body of a `with` statement, also when it raises."""
+        start = self._clock()
+        try:
+            yield
+        finally:
+            self.add(stage, self._clock() - start)
+
+    def add(self, stage: str, seconds: float) -> None:
+        """Add one time of `stage`, in seconds."""
+        with self._lock:
+            self._times.setdefault(stage, deque(maxlen=self._window)).append(seconds)
+
+    def summary(self) -> Dict[str, Tuple[float, float]]:
+        """Return {stage: (median, 95th percentile)} in ms, in the order in which the stages first ran."""
+        with self._lock:
+            times = {stage: np.array(values) * 1e3 for stage, values in self._times.items()}
+        return {stage: (float(np.median(values)), float(np.percentile(values, 95)))
+                for stage, values in times.items()}
+
+    def clear(self) -> None:
+        """Forget all times."""
+        with self._lock:
+            self._times.clear()

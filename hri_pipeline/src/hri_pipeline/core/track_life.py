@@ -1,0 +1,35 @@
+"""Birth and death of a track, counted in seconds so that the frame rate does not matter."""
+
+from __future__ import annotations
+
+import math
+
+
+class TrackLife:
+    """Life of one track: a candidate until it has been seen over `birth_delay`, dead after `death_time` unseen.
+
+    All times are seconds of the images' clock. With birth_delay 0 a track is confirmed at once; else it
+    has to be seen again at least birth_delay after its first sight.
+    """
+
+    def __init__(self, stamp: float, birth_delay: float, death_time: float) -> None:
+        if not (math.isfinite(birth_delay) and birth_delay >= 0.0):
+            raise ValueError("birth_delay is {} s, legal range 0 and more".format(birth_delay))
+        if not (math.isfinite(death_time) and death_time > 0.0):
+            raise ValueError("death_time is {} s, legal range more than 0".format(death_time))
+        self.first_seen = float(stamp)
+        self.last_seen = float(stamp)
+        self.confirmed = birth_delay == 0.0
+        self._birth_delay = float(birth_delay)
+        self._death_time = float(death_time)
+
+    def seen(self, stamp: float) -> None:
+        """Note a sight at `stamp`; an older stamp than the last changes nothing."""
+        self.last_seen = max(self.last_seen, float(stamp))
+        # A stamp is a multiple of a nanosecond: allow that much, or 0.1 + 0.2 is not 0.3.
+        if self.last_seen - self.first_seen >= self._birth_delay - 1e-9:
+            self.confirmed = True
+
+    def dead(self, stamp: float) -> bool:
+        """Tell whether the track has been unseen for longer than death_time at `stamp`."""
+        return stamp - self.last_seen > self._death_time

@@ -1,0 +1,159 @@
+"""Between ROS messages and the arrays and values of the core. Pixels in the core, 0 to 1 in messages."""
+
+from __future__ import annotations
+
+from typing import Sequence, Union
+
+import genpy
+import numpy as np
+from geometry_msgs.msg import TransformStamped
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, RegionOfInterest
+from std_msgs.msg import Header
+
+from hri_msgs.msg import FacialLandmarks, IdsList, IdsMatch, NormalizedPointOfInterest2D, Skeleton2D
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.images import ImageError, bgr_from_compressed, bgr_from_raw
+
+Stamp = Union[genpy.Time, float]
+
+LANDMARKS = 70
+KEYPOINTS = 18
+
+
+def to_time(stamp: Stamp) -> genpy.Time:
+    """Return a ROS time of a ROS time or of seconds."""
+    return stamp if isinstance(stamp, genpy.Time) else genpy.Time.from_sec(stamp)
+
+
+def make_header(stamp: Stamp, frame_id: str) -> Header:
+    """Return a header."""
+    return Header(stamp=to_time(stamp), frame_id=frame_id)
+
+
+def image_to_bgr(msg: Image) -> np.ndarray:
+    """Return (H, W, 3) uint8 BGR of a raw image; raises ImageError."""
+    return bgr_from_raw(msg.data, msg.width, msg.height, msg.step, msg.encoding, bool(msg.is_bigendian))
+
+
+def compressed_to_bgr(msg: CompressedImage) -> np.ndarray:
+    """Return (H, W, 3) uint8 BGR of a JPEG or PNG image; raises ImageError."""
+    if "compressedDepth" in msg.format:
+        raise ImageError("format {!r} is a depth image; give the compressed topic of the colour image".format(
+            msg.format))
+    return bgr_from_compressed(msg.data)
+
+
+def bgr_to_image(bgr: np.ndarray, header: Header) -> Image:
+    """Return a bgr8 message of (H, W, 3) uint8 BGR."""
+    if bgr.ndim != 3 or bgr.shape[2] != 3 or bgr.dtype != np.uint8:
+        raise ImageError("an image is (H, W, 3) uint8, not {} {}".format(bgr.shape, bgr.dtype))
+    return Image(header=header, height=bgr.shape[0], width=bgr.shape[1], encoding="bgr8", is_bigendian=0,
+                 step=3 * bgr.shape[1], data=np.ascontiguousarray(bgr).tobytes())
+
+
+def camera_from_info(msg: CameraInfo, fallback_hfov: float, width: int = 0, height: int = 0) -> CameraModel:
+    """Return the camera model of a CameraInfo; raises CameraError for numbers that cannot be true.
+
+    fallback_hfov: horizontal field of view in rad for an all-zero K. width, height: size of the image in px,
+    used when the message does not tell one.
+    """
+    roi = msg.roi
+    return CameraModel.from_calibration(
+        msg.width or width, msg.height or height, msg.K, msg.D, msg.distortion_model, fallback_hfov,
+        binning_x=msg.binning_x, binning_y=msg.binning_y,
+        roi_x=roi.x_offset, roi_y=roi.y_offset, roi_width=roi.width, roi_height=roi.height)
+
+
+def roi_to_msg(box: Sequence[float], width: int, height: int) -> RegionOfInterest:
+    """Return the whole pixels that hold the box x0, y0, x1, y1 (px), clipped to the image."""
+    values = np.asarray(box, dtype=np.float64)
+    _finite(values, "a box")
+    limits = np.array([width, height, width, height])
+    values = np.clip(np.concatenate([np.floor(values[:2]), np.ceil(values[2:])]), 0, limits).astype(int)
+    x0, y0, x1, y1 = (int(value) for value in values)
+    return RegionOfInterest(x_offset=x0, y_offset=y0, width=max(0, x1 - x0), height=max(0, y1 - y0))
+
+
+def landmarks_to_msg(landmarks: np.ndarray, header: Header, width: int, height: int) -> FacialLandmarks:
+    """Return the message of (70, 3) landmarks x px, y px, confidence in an image of width x height px."""
+    return FacialLandmarks(header=header, landmarks=_points(landmarks, LANDMARKS, width, height),
+                           height=height, width=width)
+
+
+def landmarks_from_msg(msg: FacialLandmarks) -> np.ndarray:
+    """Return (70, 3) x, y (0 to 1 of the image's width and height) and confidence.
+
+    Raises ValueError for another number of points or for what is not finite.
+    """
+    return _from_points(msg.landmarks, LANDMARKS, "FacialLandmarks")
+
+
+def skeleton_to_msg(keypoints: np.ndarray, header: Header, width: int, height: int) -> Skeleton2D:
+    """Return the message of (18, 3) key points x px, y px, confidence, in the order of Skeleton2D."""
+    return Skeleton2D(header=header, skeleton=_points(keypoints, KEYPOINTS, width, height))
+
+
+def skeleton_from_msg(msg: Skeleton2D) -> np.ndarray:
+    """Return (18, 3) x, y (0 to 1 of the image's width and height) and confidence.
+
+    Raises ValueError for another number of points or for what is not finite.
+    """
+    return _from_points(msg.skeleton, KEYPOINTS, "Skeleton2D")
+
+
+def transform_to_msg(pose: Pose, stamp: Stamp, parent: str, child: str) -> TransformStamped:
+    """Return the transform of frame `child` in frame `parent`."""
+    msg = TransformStamped(header=make_header(stamp, parent), child_frame_id=child)
+    translation, rotation = msg.transform.translation, msg.transform.rotation
+    translation.x, translation.y, translation.z = (float(value) for value in pose.translation)
+    rotation.x, rotation.y, rotation.z, rotation.w = pose.quaternion
+    return msg
+
+
+def pose_from_transform(msg: TransformStamped) -> Pose:
+    """Return the pose of the child frame in the parent frame.
+
+    Raises ValueError for numbers that are not finite or a quaternion of zeros.
+    """
+    translation, rotation = msg.transform.translation, msg.transform.rotation
+    position = np.array([translation.x, translation.y, translation.z])
+    _finite(position, "a translation")
+    return Pose.from_quaternion((rotation.x, rotation.y, rotation.z, rotation.w), position)
+
+
+def ids_list_to_msg(ids: Sequence[str], stamp: Stamp) -> IdsList:
+    """Return a list of ids."""
+    return IdsList(header=make_header(stamp, ""), ids=list(ids))
+
+
+def match_to_msg(id1: str, type1: int, id2: str, type2: int, confidence: float) -> IdsMatch:
+    """Return a candidate match of two ids; types are IdsMatch.PERSON, FACE, BODY, VOICE; confidence 0 to 1."""
+    return IdsMatch(id1=id1, id1_type=type1, id2=id2, id2_type=type2,
+                    confidence=float(np.clip(confidence, 0.0, 1.0)))
+
+
+def _points(values: np.ndarray, count: int, width: int, height: int) -> list:
+    """Points in 0 to 1; one that is not finite has confidence 0, all are clipped to the image."""
+    values = np.asarray(values, dtype=np.float64)
+    if values.shape != (count, 3):
+        raise ValueError("({}, 3) points are needed, not {}".format(count, values.shape))
+    if width < 1 or height < 1:
+        raise ValueError("points need the size of their image, not {}x{}".format(width, height))
+    known = np.isfinite(values).all(axis=1, keepdims=True)
+    scaled = np.where(known, values, 0.0) / np.array([width, height, 1.0])
+    scaled = np.clip(scaled, 0.0, 1.0)
+    return [NormalizedPointOfInterest2D(x=x, y=y, c=c) for x, y, c in scaled.tolist()]
+
+
+def _from_points(points: Sequence[NormalizedPointOfInterest2D], count: int, kind: str) -> np.ndarray:
+    if len(points) != count:
+        raise ValueError("{} needs {} points, not {}".format(kind, count, len(points)))
+    values = np.array([(point.x, point.y, point.c) for point in points], dtype=np.float64)
+    _finite(values, kind)
+    return values
+
+
+def _finite(values: np.ndarray, what: str) -> None:
+    if not np.all(np.isfinite(values)):
+        raise ValueError("{} holds numbers that are not finite".format(what))

@@ -1,0 +1,119 @@
+"""Start and end of a node."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import sys
+import threading
+import traceback
+from types import FrameType
+from typing import Callable, NoReturn, Optional
+
+import rosgraph
+import rospy
+from rospy.exceptions import ROSInitException
+
+from hri_pipeline.core.onnx_model import ModelError
+from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.ros.master_watch import MasterWatch
+
+_RETRY_S = 1.0
+_SAY_EVERY = 10
+
+# Errors of whoever set the node up: one line says it, a traceback would hide it.
+SETUP_ERRORS = (ParameterError, ModelError)
+
+
+class _Stop(BaseException):
+    """SIGINT or SIGTERM came. No `except Exception` on the way holds it up."""
+
+
+def run_node(name: str, build: Callable[[], object]) -> NoReturn:
+    """Run a node and end the process.
+
+    Waits for the master, initialises rospy as `name`, calls build() and spin() of what it returns. On SIGINT,
+    SIGTERM or any exception its close() is called while ROS still works, then ROS is shut down.
+    Exit code 0, or 1 after an error; ParameterError and ModelError are told in one line.
+    """
+    _install_handlers()
+    code = 0
+    try:
+        wait_for_master(name)
+        rospy.init_node(name, disable_signals=True)
+        code = _run(build)
+    except _Stop:
+        pass
+    except ROSInitException as error:
+        sys.stderr.write("{}: {}\n".format(name, error))
+        code = 1
+    rospy.signal_shutdown("{} has ended".format(name))
+    sys.exit(code)
+
+
+def wait_for_master(name: str) -> None:
+    """Return as soon as the master answers; says every few seconds what is missing."""
+    master = rosgraph.Master("/" + name)
+    tries = 0
+    while True:
+        try:
+            master.getPid()
+            break
+        except (socket.error, OSError, rosgraph.MasterException) as error:
+            if tries % _SAY_EVERY == 0:
+                sys.stderr.write("{}: no ROS master at {} ({}); start roscore or roslaunch. Waiting.\n".format(
+                    name, rosgraph.get_master_uri(), error))
+                sys.stderr.flush()
+        tries += 1
+        threading.Event().wait(_RETRY_S)
+    if tries:
+        sys.stderr.write("{}: the ROS master is there\n".format(name))
+
+
+def _run(build: Callable[[], object]) -> int:
+    """Build, spin and close; return the exit code."""
+    node: Optional[object] = None
+    watch: Optional[MasterWatch] = None
+    code = 0
+    try:
+        watch = MasterWatch()
+        node = build()
+        node.spin()
+    except _Stop:
+        pass
+    except SETUP_ERRORS as error:
+        rospy.logfatal("%s", error)
+        code = 1
+    except Exception:
+        rospy.logfatal("%s ends because of an error:\n%s", rospy.get_name(), traceback.format_exc())
+        code = 1
+    finally:
+        _ignore_signals()
+        for owner in (node, watch):
+            code = max(code, _close(owner))
+    return code
+
+
+def _close(owner: Optional[object]) -> int:
+    if owner is None:
+        return 0
+    try:
+        owner.close()
+        return 0
+    except Exception:
+        rospy.logerr("%s did not close:\n%s", rospy.get_name(), traceback.format_exc())
+        return 1
+
+
+def _install_handlers() -> None:
+    def stop(number: int, frame: Optional[FrameType]) -> None:
+        raise _Stop()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+
+
+def _ignore_signals() -> None:
+    """Closing takes a moment and must not be interrupted by the next Ctrl-C."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)

@@ -1,0 +1,179 @@
+"""Messages to arrays and back."""
+
+import io
+
+import cv2
+import genpy
+import numpy as np
+import pytest
+from geometry_msgs.msg import TransformStamped
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
+
+from hri_msgs.msg import FacialLandmarks, IdsMatch, Skeleton2D
+from hri_pipeline.core.camera import Calibration, CameraError
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.images import ImageError
+from hri_pipeline.ros import conversions
+
+BGR = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+HEADER = Header(stamp=genpy.Time(1700000000, 123456789), frame_id="camera_optical")
+
+# Index of each key point, as other nodes read it.
+NAMES = ("NOSE", "NECK", "RIGHT_SHOULDER", "RIGHT_ELBOW", "RIGHT_WRIST", "LEFT_SHOULDER", "LEFT_ELBOW", "LEFT_WRIST",
+         "RIGHT_HIP", "RIGHT_KNEE", "RIGHT_ANKLE", "LEFT_HIP", "LEFT_KNEE", "LEFT_ANKLE", "LEFT_EYE", "RIGHT_EYE",
+         "LEFT_EAR", "RIGHT_EAR")
+
+
+def over_the_wire(message):
+    """Serialise and deserialise."""
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    return type(message)().deserialize(buffer.getvalue())
+
+
+def test_image_round_trip():
+    message = over_the_wire(conversions.bgr_to_image(BGR, HEADER))
+    np.testing.assert_array_equal(conversions.image_to_bgr(message), BGR)
+    assert (message.header, message.encoding, message.step) == (HEADER, "bgr8", 24)
+    view = conversions.bgr_to_image(BGR[::2, ::-1], HEADER)
+    np.testing.assert_array_equal(conversions.image_to_bgr(view), BGR[::2, ::-1])
+
+
+@pytest.mark.parametrize("image", [BGR[:, :, 0], BGR.astype(np.float32), BGR[:, :, :2]])
+def test_what_is_not_an_image_is_not_published(image):
+    with pytest.raises(ImageError, match="uint8"):
+        conversions.bgr_to_image(image, HEADER)
+
+
+def test_big_endian_flag_and_bad_images():
+    wide = (BGR[:, :, 0].astype(np.uint16) * 256).astype(">u2")
+    message = Image(height=6, width=8, step=16, encoding="mono16", is_bigendian=1, data=wide.tobytes())
+    np.testing.assert_array_equal(conversions.image_to_bgr(over_the_wire(message))[:, :, 0], BGR[:, :, 0])
+    for bad in (Image(), Image(height=6, width=8, step=24, encoding="bgr8"), Image(height=1, width=1, encoding="?")):
+        with pytest.raises(ImageError):
+            conversions.image_to_bgr(over_the_wire(bad))
+
+
+def test_compressed():
+    data = cv2.imencode(".png", BGR)[1].tobytes()
+    np.testing.assert_array_equal(conversions.compressed_to_bgr(CompressedImage(format="png", data=data)), BGR)
+    with pytest.raises(ImageError, match="depth image"):
+        conversions.compressed_to_bgr(CompressedImage(format="16UC1; compressedDepth png", data=data))
+    with pytest.raises(ImageError):
+        conversions.compressed_to_bgr(CompressedImage())
+
+
+def test_camera():
+    info = CameraInfo(width=640, height=480, distortion_model="plumb_bob", D=[0.1, 0, 0, 0, 0],
+                      K=[500, 0, 320, 0, 500, 240, 0, 0, 1], binning_x=2, binning_y=2)
+    info.roi.x_offset, info.roi.width, info.roi.height = 20, 600, 480
+    camera = conversions.camera_from_info(over_the_wire(info), 1.0)
+    assert (camera.width, camera.height, camera.calibration) == (300, 240, Calibration.CALIBRATED)
+    np.testing.assert_allclose(camera.matrix, [[250, 0, 150], [0, 250, 120], [0, 0, 1]])
+    empty = conversions.camera_from_info(CameraInfo(), 1.0, 64, 48)
+    assert (empty.width, empty.calibration) == (64, Calibration.UNCALIBRATED)
+    with pytest.raises(CameraError):
+        conversions.camera_from_info(CameraInfo(), 1.0)
+
+
+@pytest.mark.parametrize("box, expected", [
+    ((10.2, 20.8, 30.1, 40.0), (10, 20, 21, 20)),
+    ((-5.0, -9.0, 5.0, 6.0), (0, 0, 5, 6)),
+    ((90.0, 40.0, 300.0, 300.0), (90, 40, 10, 10)),
+    ((200.0, 200.0, 300.0, 300.0), (100, 50, 0, 0)),
+    ((30.0, 30.0, 10.0, 10.0), (30, 30, 0, 0)),
+])
+def test_roi_is_whole_pixels_inside_the_image(box, expected):
+    roi = over_the_wire(conversions.roi_to_msg(np.array(box), 100, 50))
+    assert (roi.x_offset, roi.y_offset, roi.width, roi.height) == expected
+
+
+def test_roi_that_is_not_finite():
+    with pytest.raises(ValueError, match="finite"):
+        conversions.roi_to_msg([0, 0, np.nan, 1], 100, 50)
+
+
+def test_landmarks_round_trip():
+    landmarks = np.random.default_rng(1).uniform(size=(70, 3)) * [200, 100, 1]
+    message = over_the_wire(conversions.landmarks_to_msg(landmarks, HEADER, 200, 100))
+    assert (message.width, message.height, message.header) == (200, 100, HEADER)
+    np.testing.assert_allclose(conversions.landmarks_from_msg(message) * [200, 100, 1], landmarks, atol=2e-5)
+
+
+def test_skeleton_round_trip_keeps_left_and_right():
+    assert len(NAMES) == 18
+    keypoints = np.array([[10.0 * index, 5.0 * index, index / 18] for index in range(18)])
+    message = over_the_wire(conversions.skeleton_to_msg(keypoints, HEADER, 200, 100))
+    for index, name in enumerate(NAMES):
+        assert getattr(Skeleton2D, name) == index
+        point = message.skeleton[getattr(Skeleton2D, name)]
+        np.testing.assert_allclose([point.x * 200, point.y * 100, point.c], keypoints[index], atol=2e-5)
+    np.testing.assert_allclose(conversions.skeleton_from_msg(message) * [200, 100, 1], keypoints, atol=2e-5)
+
+
+def test_landmark_constants_go_from_0_to_69():
+    constants = [value for name, value in vars(FacialLandmarks).items() if name.isupper() and isinstance(value, int)]
+    assert sorted(constants) == list(range(70))
+    assert (FacialLandmarks.RIGHT_PUPIL, FacialLandmarks.LEFT_PUPIL) == (68, 69)
+
+
+def test_unseen_points_have_no_confidence_and_others_are_clipped():
+    keypoints = np.full((18, 3), 50.0)
+    keypoints[:, 2] = 0.9
+    keypoints[3] = np.nan
+    keypoints[4] = [-10, 500, 1.5]
+    points = conversions.skeleton_to_msg(keypoints, HEADER, 100, 100).skeleton
+    assert (points[3].x, points[3].y, points[3].c) == (0, 0, 0)
+    assert (points[4].x, points[4].y, points[4].c) == (0, 1, 1)
+
+
+@pytest.mark.parametrize("convert, shape", [(conversions.landmarks_to_msg, (68, 3)),
+                                            (conversions.skeleton_to_msg, (17, 3)),
+                                            (conversions.skeleton_to_msg, (18, 2))])
+def test_wrong_number_of_points(convert, shape):
+    with pytest.raises(ValueError, match="points are needed"):
+        convert(np.zeros(shape), HEADER, 10, 10)
+    with pytest.raises(ValueError, match="size of their image"):
+        conversions.skeleton_to_msg(np.zeros((18, 3)), HEADER, 0, 10)
+
+
+def test_hostile_points():
+    message = Skeleton2D()
+    message.skeleton[5].x = float("nan")
+    with pytest.raises(ValueError, match="Skeleton2D holds numbers that are not finite"):
+        conversions.skeleton_from_msg(message)
+    message.skeleton = message.skeleton[:4]
+    with pytest.raises(ValueError, match="needs 18 points, not 4"):
+        conversions.skeleton_from_msg(message)
+    landmarks = FacialLandmarks()
+    landmarks.landmarks[0].c = float("inf")
+    with pytest.raises(ValueError, match="FacialLandmarks"):
+        conversions.landmarks_from_msg(landmarks)
+
+
+def test_transform_round_trip():
+    pose = Pose.from_quaternion((0.1, -0.2, 0.3, 0.9), (1.0, 2.0, 3.0))
+    message = over_the_wire(conversions.transform_to_msg(pose, HEADER.stamp, "camera_optical", "face_abcde"))
+    assert (message.header.stamp, message.header.frame_id, message.child_frame_id) == (
+        HEADER.stamp, "camera_optical", "face_abcde")
+    back = conversions.pose_from_transform(message)
+    np.testing.assert_allclose(back.rotation, pose.rotation, atol=1e-12)
+    np.testing.assert_allclose(back.translation, pose.translation)
+
+
+def test_hostile_transforms():
+    message = TransformStamped()
+    with pytest.raises(ValueError, match="quaternion"):
+        conversions.pose_from_transform(message)
+    message.transform.rotation.w = 1.0
+    message.transform.translation.x = float("inf")
+    with pytest.raises(ValueError, match="translation"):
+        conversions.pose_from_transform(message)
+
+
+def test_ids_list_and_match():
+    message = over_the_wire(conversions.ids_list_to_msg(["abcde", "fghij"], 12.5))
+    assert (message.ids, message.header.stamp) == (["abcde", "fghij"], genpy.Time(12, 500000000))
+    match = over_the_wire(conversions.match_to_msg("abcde", IdsMatch.FACE, "fghij", IdsMatch.BODY, 1.5))
+    assert (match.id1, match.id1_type, match.id2, match.id2_type, match.confidence) == ("abcde", 2, "fghij", 3, 1.0)

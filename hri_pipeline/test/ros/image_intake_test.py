@@ -1,0 +1,330 @@
+#!/usr/bin/env python3
+"""The image intake and the vision loop with images and camera_info of all sorts."""
+
+import os
+import threading
+import unittest
+
+import cv2
+import numpy as np
+import rospy
+import rostest
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from waiting import held_by, wait_for
+
+from hri_pipeline.core.camera import Calibration
+from hri_pipeline.ros import image_intake
+from hri_pipeline.ros.conversions import bgr_to_image, make_header
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.image_intake import ImageIntake
+from hri_pipeline.ros.vision_loop import VisionLoop
+
+BGR = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+K = [100.0, 0, 32, 0, 100.0, 24, 0, 0, 1]
+
+
+def picture(stamp, **changes):
+    message = bgr_to_image(BGR, make_header(stamp, "camera_optical"))
+    for name, value in changes.items():
+        setattr(message, name, value)
+    return message
+
+
+def info(matrix=K, width=64, height=48, distortion=(0,) * 5, model="plumb_bob"):
+    return CameraInfo(K=matrix, D=distortion, width=width, height=height, distortion_model=model)
+
+
+class IntakeCase(unittest.TestCase):
+
+    def setUp(self):
+        self.images = self.advertise("image", Image)
+        self.infos = self.advertise("camera_info", CameraInfo, latch=True)
+
+    def advertise(self, name, kind, **arguments):
+        publisher = rospy.Publisher(name, kind, queue_size=10, **arguments)
+        self.addCleanup(publisher.unregister)
+        return publisher
+
+    def intake(self, **arguments):
+        intake = ImageIntake(**arguments)
+        self.addCleanup(intake.close)
+        return intake
+
+    def send(self, intake, message, publisher=None):
+        """Publish and wait until the callback has stored it."""
+        publisher = publisher or self.images
+        wait_for(publisher.get_num_connections, 10, "the intake listens")
+        count = intake.counts["received"]
+        publisher.publish(message)
+        wait_for(lambda: intake.counts["received"] > count, 10, "the image is received")
+
+    def calibrate(self, intake, message):
+        self.infos.publish(message)
+        wait_for(lambda: intake._camera._info == message, 10, "camera_info is received")
+
+
+class ImageIntakeTest(IntakeCase):
+
+    def test_an_image_with_its_camera(self):
+        intake = self.intake()
+        self.calibrate(intake, info())
+        self.send(intake, picture(10.5))
+        frame = intake.next(5)
+        np.testing.assert_array_equal(frame.bgr, BGR)
+        self.assertEqual((frame.stamp, frame.header.frame_id), (10.5, "camera_optical"))
+        self.assertEqual(frame.header.stamp, rospy.Time(10, 500000000))
+        self.assertEqual(frame.camera.calibration, Calibration.CALIBRATED)
+        self.assertEqual(intake.status()[0], OK)
+        self.assertIsNone(intake.next(0.01))
+
+    def test_only_the_newest_is_kept(self):
+        intake = self.intake()
+        self.calibrate(intake, info())
+        for stamp in (1.0, 2.0, 3.0):
+            self.send(intake, picture(stamp))
+        self.assertEqual(intake.next(5).stamp, 3.0)
+        self.assertIsNone(intake.next(0.01))
+        self.assertEqual((intake.counts["received"], intake.counts["taken"]), (3, 1))
+
+    def test_bad_images_are_told_and_the_next_good_one_is_taken(self):
+        intake = self.intake()
+        self.calibrate(intake, info())
+        bad = [picture(1.0, encoding="32FC1"), picture(2.0, encoding=""), picture(3.0, width=0, height=0, step=0),
+               picture(4.0, data=b""), picture(5.0, step=7), picture(6.0, height=4000000000)]
+        for number, message in enumerate(bad):
+            self.send(intake, message)
+            self.assertIsNone(intake.next(0.01))
+            level, text, values = intake.status()
+            self.assertEqual((level, values["unreadable"]), (ERROR, number + 1))
+            self.assertIn(rospy.resolve_name("image"), text)
+        self.send(intake, picture(7.0))
+        self.assertEqual(intake.next(5).stamp, 7.0)
+        self.assertEqual(intake.status()[0], OK)
+
+    def test_compressed(self):
+        compressed = self.advertise("image/compressed", CompressedImage)
+        intake = self.intake(transport="compressed")
+        self.calibrate(intake, info())
+        png = cv2.imencode(".png", BGR)[1].tobytes()
+
+        def message(stamp, data, form="bgr8; png compressed bgr8"):
+            return CompressedImage(header=make_header(stamp, "c"), format=form, data=data)
+
+        self.send(intake, message(1.0, png), compressed)
+        np.testing.assert_array_equal(intake.next(5).bgr, BGR)
+        for broken in (message(2.0, png[:50]), message(3.0, b""), message(4.0, png, "16UC1; compressedDepth png")):
+            self.send(intake, broken, compressed)
+            self.assertIsNone(intake.next(0.01))
+            self.assertEqual(intake.status()[0], ERROR)
+        self.send(intake, message(5.0, png), compressed)
+        self.assertEqual(intake.next(5).stamp, 5.0)
+
+    def test_zero_k_falls_back_by_name_and_recovers(self):
+        intake = self.intake(fallback_hfov=np.pi / 2, fov_parameter="~fallback_fov")
+        self.calibrate(intake, info(matrix=[0.0] * 9))
+        self.send(intake, picture(1.0))
+        camera = intake.next(5).camera
+        self.assertEqual(camera.calibration, Calibration.UNCALIBRATED)
+        self.assertAlmostEqual(camera.matrix[0, 0], 32.0)
+        level, text, _ = intake.status()
+        self.assertEqual(level, WARN)
+        self.assertIn("K is all zero", text)
+        self.assertIn(rospy.get_name() + "/fallback_fov = 1.571 rad", text)
+        self.calibrate(intake, info())
+        self.send(intake, picture(2.0))
+        self.assertEqual(intake.next(5).camera.calibration, Calibration.CALIBRATED)
+        self.assertEqual(intake.status()[0], OK)
+
+    def test_impossible_camera_infos(self):
+        intake = self.intake()
+        bad = [(info(matrix=[float("nan")] * 9), "not finite"), (info(matrix=[-1.0] + K[1:]), "positive"),
+               (info(model="barrel"), "unknown distortion model"), (info(distortion=(1.0,)), "coefficients"),
+               (info(width=64, height=64), "another shape"), (info(matrix=[0.0] * 9, width=0, height=0), "all zero")]
+        for number, (message, text) in enumerate(bad):
+            self.calibrate_nan_safe(intake, message)
+            self.send(intake, picture(1.0 + number))
+            self.assertEqual(intake.next(5).camera.calibration, Calibration.UNCALIBRATED)
+            self.assertIn(text, intake.status()[1])
+            self.assertEqual(intake.status()[0], WARN)
+        self.calibrate(intake, info(matrix=[200.0, 0, 64, 0, 200.0, 48, 0, 0, 1], width=128, height=96))
+        self.send(intake, picture(100.0))
+        camera = intake.next(5).camera
+        self.assertEqual((camera.width, camera.height, camera.matrix[0, 0]), (64, 48, 100.0))
+        self.assertIn("the calibration is scaled", intake.status()[1])
+
+    def calibrate_nan_safe(self, intake, message):
+        old = intake._camera._info
+        self.infos.publish(message)
+        wait_for(lambda: intake._camera._info is not old, 10, "camera_info is received")
+
+    def test_no_camera_info_at_all(self):
+        self.infos.unregister()
+        intake = self.intake()
+        self.send(intake, picture(1.0))
+        self.assertEqual(intake.next(5).camera.calibration, Calibration.MISSING)
+        level, text, _ = intake.status()
+        self.assertEqual(level, WARN)
+        self.assertIn("no camera_info on " + rospy.resolve_name("camera_info"), text)
+
+    def test_the_first_image_waits_for_its_camera_info(self):
+        self.infos.unregister()
+        intake = self.intake()
+        self.send(intake, picture(1.0))
+        frames = []
+        worker = threading.Thread(target=lambda: frames.append(intake.next(5)))
+        worker.start()
+        late = self.advertise("camera_info", CameraInfo, latch=True)
+        late.publish(info())
+        worker.join(10)
+        self.assertEqual(frames[0].camera.calibration, Calibration.CALIBRATED)
+
+    def test_nobody_publishes(self):
+        self.images.unregister()
+        intake = self.intake()
+        wait_for(lambda: intake.status()[0] == ERROR, 10, "silence is told")
+        self.assertIn("no publisher on " + rospy.resolve_name("image"), intake.status()[1])
+        self.assertIn("start the camera or remap `image`", intake.status()[1])
+        self.images = self.advertise("image", Image)
+        wait_for(lambda: "although it has a publisher" in intake.status()[1], 10, "the publisher is seen")
+        self.send(intake, picture(1.0))
+        self.assertNotEqual(intake.status()[0], ERROR)
+
+    def test_time(self):
+        jumps = []
+        intake = self.intake(on_time_jump=lambda: jumps.append(1))
+        self.calibrate(intake, info())
+        taken = []
+        for stamp in (100.0, 100.0, 99.5, 101.0, 20.0, 20.1):
+            self.send(intake, picture(stamp))
+            frame = intake.next(0.01)
+            taken.append(frame and frame.stamp)
+        self.assertEqual(taken, [100.0, None, None, 101.0, 20.0, 20.1])
+        self.assertEqual(len(jumps), 1)
+        self.assertEqual((intake.counts["late"], intake.counts["time_jumps"]), (2, 1))
+
+    def test_images_without_stamp_get_the_time_of_arrival(self):
+        intake = self.intake()
+        self.calibrate(intake, info())
+        stamps = []
+        for _ in range(3):
+            self.send(intake, picture(0.0))
+            stamps.append(intake.next(5).stamp)
+        self.assertTrue(0 < stamps[0] < stamps[1] < stamps[2])
+
+    def test_close(self):
+        before = held_by(os.getpid()).descriptors
+        for _ in range(20):
+            intake = ImageIntake()
+            intake.close()
+            intake.close()
+            self.assertIsNone(intake.next(5))
+        self.assertLessEqual(held_by(os.getpid()).descriptors, before + 3)
+        with self.assertRaises(ValueError):
+            ImageIntake(transport="theora")
+        with self.assertRaises(ValueError):
+            ImageIntake(fallback_hfov=0.0)
+
+
+class Recorder:
+    """A branch that notes what is asked of it and fails where it is told to."""
+
+    def __init__(self, fail_at=()):
+        self.name = "recorder"
+        self.fail_at = fail_at
+        self.stamps, self.resets, self.closes = [], 0, 0
+
+    def process(self, frame, context):
+        self.stamps.append(frame.stamp)
+        with context["times"]("inner"):
+            context["faces"] = ["a face"]
+        if frame.stamp in self.fail_at:
+            raise ZeroDivisionError("on purpose")
+
+    def status(self):
+        return OK, "recording", {}
+
+    def reset(self):
+        self.resets += 1
+
+    def close(self):
+        self.closes += 1
+
+
+class Second(Recorder):
+    """Stands behind the recorder and needs its result."""
+
+    def process(self, frame, context):
+        self.stamps.append((frame.stamp, context.get("faces")))
+
+
+class VisionLoopTest(IntakeCase):
+
+    def test_a_failing_branch_loses_one_image_only(self):
+        intake = self.intake()
+        self.calibrate(intake, info())
+        first, second = Recorder(fail_at=(2.0, 3.0)), Second()
+        second.name = "second"
+        diagnostics = NodeDiagnostics("loop")
+        loop = VisionLoop(intake, [first, second], diagnostics)
+        thread = threading.Thread(target=loop.spin)
+        thread.start()
+        for stamp in (1.0, 2.0, 3.0, 4.0):
+            self.send(intake, picture(stamp))
+            wait_for(lambda stamp=stamp: second.stamps and second.stamps[-1][0] == stamp, 10, "the image is through")
+        self.assertEqual(first.stamps, [1.0, 2.0, 3.0, 4.0])
+        self.assertEqual(second.stamps[0], (1.0, ["a face"]))
+        level, text, values = loop._pipeline()
+        self.assertEqual((level, values["errors_recorder"], text), (
+            ERROR, 2, "recorder: ZeroDivisionError: on purpose"))
+        self.assertIn("inner_ms_p95", values)
+        self.assertEqual(values["dropped_images"], 0)
+        wait_for(lambda: set(diagnostics._tasks) == {"input", "pipeline", "recorder", "second"}, 5, "all tasks are told")
+        self.send(intake, picture(0.5))
+        wait_for(lambda: first.resets == second.resets == 1, 10, "time went back")
+        loop.close()
+        loop.close()
+        thread.join(10)
+        self.assertFalse(thread.is_alive())
+        self.assertEqual((first.closes, second.closes), (1, 1))
+
+    def test_nobody_stays_tracked_when_the_camera_is_gone(self):
+        intake = self.intake()
+        self.calibrate(intake, info())
+        branch = Recorder()
+        loop = VisionLoop(intake, [branch], NodeDiagnostics("loop"), silence=0.6)
+        thread = threading.Thread(target=loop.spin)
+        thread.start()
+        self.send(intake, picture(1.0))
+        wait_for(lambda: branch.stamps == [1.0] and branch.resets == 1, 10, "the branch is reset")
+        self.send(intake, picture(9.0))
+        wait_for(lambda: branch.stamps == [1.0, 9.0] and branch.resets == 2, 10, "and again, once for each silence")
+        loop.close()
+        thread.join(10)
+
+    def test_max_rate(self):
+        intake = self.intake()
+        self.calibrate(intake, info())
+        branch = Recorder()
+        loop = VisionLoop(intake, [branch], NodeDiagnostics("loop"), max_rate=2.0)
+        thread = threading.Thread(target=loop.spin)
+        thread.start()
+        for number in range(40):
+            self.send(intake, picture(1.0 + 0.025 * number))
+        count = len(branch.stamps)
+        loop.close()
+        thread.join(10)
+        self.assertTrue(1 <= count <= 4, count)
+        with self.assertRaises(ValueError):
+            VisionLoop(intake, [], NodeDiagnostics("loop"), max_rate=-1.0)
+
+
+def suite():
+    """Both cases; the limits for silence and grace are shorter than on a robot."""
+    image_intake.SILENCE_S, image_intake.INFO_GRACE_S = 0.6, 0.5
+    load = unittest.defaultTestLoader.loadTestsFromTestCase
+    return unittest.TestSuite([load(ImageIntakeTest), load(VisionLoopTest)])
+
+
+if __name__ == "__main__":
+    rospy.init_node("image_intake_test")
+    rostest.rosrun("hri_pipeline", "image_intake", "image_intake_test.suite")

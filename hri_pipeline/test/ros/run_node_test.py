@@ -1,0 +1,158 @@
+#!/usr/bin/env python3
+"""Start and end of a node: no master, master comes, goes and comes again; signals; errors of the set-up."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import unittest
+from xmlrpc.client import ServerProxy
+
+import rosgraph
+import rospy
+import rostest
+from waiting import wait_for
+
+from hri_msgs.msg import IdsList
+
+NODE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "small_node.py")
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Process:
+    """A child process and what it has said so far."""
+
+    def __init__(self, command, **environment):
+        self.lines = []
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                                        env=dict(os.environ, PYTHONUNBUFFERED="1", **environment))
+        self.reader = threading.Thread(target=lambda: self.lines.extend(self.process.stdout), daemon=True)
+        self.reader.start()
+
+    def says(self, text, timeout=20):
+        wait_for(lambda: any(text in line for line in list(self.lines)), timeout,
+                 "{!r}; said: {}".format(text, self.lines))
+
+    def end(self, number=signal.SIGINT):
+        self.process.send_signal(number)
+        return self.code()
+
+    def code(self):
+        code = self.process.wait(20)
+        self.reader.join(10)
+        return code
+
+    def kill(self):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        self.process.stdout.close()
+
+
+class RunNodeTest(unittest.TestCase):
+
+    def start(self, command, **environment):
+        process = Process(command, **environment)
+        self.addCleanup(process.kill)
+        return process
+
+    def node(self, *arguments, **environment):
+        return self.start([sys.executable, NODE] + list(arguments), **environment)
+
+    def master(self, port):
+        process = self.start(["rosmaster", "--core", "-p", str(port)])
+        graph = rosgraph.Master("/test", master_uri="http://127.0.0.1:{}".format(port))
+        wait_for(graph.is_online, 20, "the master is online")
+        return process, graph
+
+    def test_without_a_master_it_says_so_and_can_be_stopped(self):
+        uri = "http://127.0.0.1:{}".format(free_port())
+        for number in (signal.SIGINT, signal.SIGTERM):
+            node = self.node(ROS_MASTER_URI=uri)
+            node.says("no ROS master at {}".format(uri))
+            node.says("start roscore or roslaunch")
+            self.assertEqual(node.end(number), 0)
+            self.assertNotIn("Traceback", "".join(node.lines))
+
+    def test_the_master_comes_goes_and_comes_again(self):
+        port = free_port()
+        node = self.node(ROS_MASTER_URI="http://127.0.0.1:{}".format(port))
+        node.says("no ROS master")
+        master, graph = self.master(port)
+        node.says("the ROS master is there")
+        node.says("spinning")
+        first = self.registered(graph)
+        master.kill()
+        node.says("does not answer; running on without it")
+        master, graph = self.master(port)
+        node.says("registering all topics and services anew")
+        wait_for(lambda: self.registered(graph) == first, 20, "the new master knows {}".format(first))
+        self.assertEqual(node.end(), 0)
+        self.assertEqual(self.registered(graph), [[], [], []])
+
+    def registered(self, graph):
+        state = graph.getSystemState()
+        return [sorted(name for name, nodes in part if "/small_node" in nodes and not name.startswith("/rosout"))
+                for part in state]
+
+    def test_signals_close_while_ros_still_works(self):
+        heard = []
+        subscriber = rospy.Subscriber("/humans/faces/tracked", IdsList, lambda message: heard.append(message.ids))
+        self.addCleanup(subscriber.unregister)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            del heard[:]
+            node = self.node()
+            wait_for(lambda: ["abcde"] in heard, 20, "the face is tracked")
+            self.assertEqual(node.end(number), 0)
+            wait_for(lambda: heard[-1] == [], 10, "the empty list at the end")
+            self.assertEqual([line for line in node.lines if "closed" in line], ["closed\n"])
+
+    def test_rosnode_kill_ends_it(self):
+        node = self.node()
+        node.says("spinning")
+        uri = rosgraph.Master("/test").lookupNode("/small_node")
+        ServerProxy(uri).shutdown("/test", "killed by the test")
+        self.assertEqual(node.code(), 0)
+        said = "".join(node.lines)
+        self.assertIn("closed", said)
+        self.assertNotIn("Traceback", said)
+
+    def test_errors_of_the_set_up_are_one_line(self):
+        with tempfile.NamedTemporaryFile(suffix=".onnx") as model:
+            model.write(b"not a model")
+            model.flush()
+            for argument, text in (("_size:=11", "/small_node: parameter size is 11 (int); legal: int, 1 to 10 px"),
+                                   ("_siez:=3", "no parameter siez (did you mean size?)"),
+                                   ("_model:=/nowhere/x.onnx", "/nowhere/x.onnx does not exist"),
+                                   ("_model:=" + model.name, "rosrun hri_pipeline fetch_models")):
+                node = self.node(argument)
+                self.assertEqual(node.code(), 1)
+                said = [line for line in node.lines if line.strip()]
+                self.assertEqual(len(said), 1, said)
+                self.assertIn(text, said[0])
+                rospy.delete_param("/small_node")
+
+    def test_other_errors_close_and_give_a_traceback(self):
+        for where, closed in (("build", 0), ("spin", 1), ("close", 1)):
+            node = self.node("_fail:=" + where)
+            if where == "close":
+                node.says("spinning")
+                node.end()
+            self.assertEqual(node.code(), 1)
+            said = "".join(node.lines)
+            self.assertIn("RuntimeError: fails in " + where, said)
+            self.assertEqual(said.count("closed\n"), closed)
+            rospy.delete_param("/small_node")
+
+
+if __name__ == "__main__":
+    rospy.init_node("run_node_test")
+    rostest.rosrun("hri_pipeline", "run_node", RunNodeTest)

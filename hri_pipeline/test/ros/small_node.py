@@ -1,0 +1,54 @@
+#!/usr/bin/env python3
+"""The smallest node there can be, for run_node_test.py: a list of ids, a parameter, a model."""
+
+import sys
+
+import rospy
+from std_srvs.srv import Trigger, TriggerResponse
+
+from hri_pipeline.core.onnx_model import OnnxModel
+from hri_pipeline.core.parameters import Parameter, ParameterTable
+from hri_pipeline.ros.feature_feed import FeatureFeed
+from hri_pipeline.ros.node import run_node
+from hri_pipeline.ros.parameters_ros import read_parameters
+from hri_pipeline.ros.tracked_list import TrackedList
+
+TABLE = ParameterTable("small_node", "A node for tests.", [
+    Parameter("size", 5, "Any number.", "px", 1, 10),
+    Parameter("model", "", "Path of a model."),
+    Parameter("fail", "", "Where to raise an error.", choices=("", "build", "spin", "close")),
+])
+
+
+class SmallNode:
+    """Tracks one face for ever."""
+
+    def __init__(self):
+        self.parameters = read_parameters(TABLE)
+        if self.parameters.model:
+            OnnxModel(self.parameters.model)
+        self.fail("build")
+        self.service = rospy.Service("~ask", Trigger, lambda request: TriggerResponse(True, "here"))
+        self.feed = FeatureFeed("bodies", {}, lambda *_: None)
+        self.tracked = TrackedList("/humans/faces/tracked")
+        self.tracked.set(["abcde"], 1.0)
+
+    def fail(self, where):
+        if self.parameters.fail == where:
+            raise RuntimeError("fails in " + where)
+
+    def spin(self):
+        print("spinning", flush=True)
+        self.fail("spin")
+        rospy.spin()
+
+    def close(self):
+        self.tracked.close()
+        self.feed.close()
+        self.service.shutdown()
+        print("closed", flush=True)
+        self.fail("close")
+
+
+if __name__ == "__main__":
+    sys.exit(run_node("small_node", SmallNode))

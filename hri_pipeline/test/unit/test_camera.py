@@ -1,0 +1,115 @@
+"""Camera models: distortion, fallback, region of interest and binning, nonsense refused."""
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
+
+K = [500.0, 0, 321.5, 0, 510.0, 238.5, 0, 0, 1]
+MODELS = {
+    "plumb_bob": [0.1, -0.2, 0.001, -0.002, 0.05],
+    "rational_polynomial": [0.1, -0.2, 0.001, -0.002, 0.05, 0.1, 0.02, 0.01],
+    "equidistant": [0.02, -0.01, 0.003, -0.001],
+}
+PIXELS = np.array([[0.0, 0.0], [321.5, 238.5], [639.0, 10.0], [50.0, 470.0]])
+
+
+def camera(model="plumb_bob", distortion=None, **kwargs):
+    distortion = MODELS[model] if distortion is None else distortion
+    return CameraModel.from_calibration(640, 480, K, distortion, model, 1.0, **kwargs)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_round_trip(model):
+    rays = camera(model).normalise(PIXELS)
+    points = np.hstack([rays, np.ones((4, 1))]) * [[1.0], [2.0], [0.3], [7.0]]
+    np.testing.assert_allclose(camera(model).project(points), PIXELS, atol=1e-6)
+
+
+def test_plumb_bob_by_hand():
+    k1, k2, p1, p2, k3 = MODELS["plumb_bob"]
+    x, y = 0.3, -0.2
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2 ** 2 + k3 * r2 ** 3
+    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    np.testing.assert_allclose(camera().project([[x, y, 1.0]]), [[500 * xd + 321.5, 510 * yd + 238.5]])
+
+
+def test_equidistant_by_hand():
+    k1, k2, k3, k4 = MODELS["equidistant"]
+    theta = np.arctan(0.5)
+    turned = theta * (1 + k1 * theta ** 2 + k2 * theta ** 4 + k3 * theta ** 6 + k4 * theta ** 8)
+    np.testing.assert_allclose(camera("equidistant").project([[0.5, 0, 1.0]]), [[500 * turned + 321.5, 238.5]])
+    ideal = camera("equidistant", [])
+    np.testing.assert_allclose(ideal.project([[0.5, 0, 1.0]]), [[500 * theta + 321.5, 238.5]])
+    np.testing.assert_allclose(ideal.normalise([[500 * theta + 321.5, 238.5]]), [[0.5, 0.0]], atol=1e-9)
+
+
+def test_without_distortion_it_is_a_pinhole():
+    for distortion in ([], [0.0] * 5):
+        np.testing.assert_allclose(camera(distortion=distortion).normalise([[821.5, 748.5]]), [[1.0, 1.0]])
+
+
+def test_no_points_and_points_behind():
+    assert camera().normalise(np.zeros((0, 2))).shape == (0, 2)
+    assert camera().project(np.zeros((0, 3))).shape == (0, 2)
+    pixels = camera().project([[0, 0, -1.0], [0, 0, 0.0], [np.nan, 0, 1], [0, 0, 2.0]])
+    assert np.isnan(pixels[:3]).all() and np.isfinite(pixels[3]).all()
+
+
+def test_all_zero_k_is_uncalibrated_and_falls_back():
+    model = CameraModel.from_calibration(640, 480, [0.0] * 9, [], "", np.pi / 2)
+    assert model.calibration is Calibration.UNCALIBRATED
+    np.testing.assert_allclose(model.matrix, [[320, 0, 320], [0, 320, 240], [0, 0, 1]])
+    assert CameraModel.from_fov(640, 480, 1.0).calibration is Calibration.MISSING
+    assert camera().calibration is Calibration.CALIBRATED
+
+
+def test_region_of_interest_and_binning():
+    model = camera(roi_x=100, roi_y=40, roi_width=400, roi_height=200, binning_x=2, binning_y=4)
+    assert (model.width, model.height) == (200, 50)
+    point = np.array([[0.1, -0.1, 2.0]])
+    np.testing.assert_allclose(model.project(point), (camera().project(point) - [100, 40]) / [2, 4])
+
+
+def test_resized():
+    point = np.array([[0.2, 0.1, 1.0]])
+    half = camera().resized(320, 240)
+    assert (half.width, half.height) == (320, 240)
+    np.testing.assert_allclose(half.project(point), camera().project(point) / 2)
+
+
+def changed(index, value):
+    return [value if i == index else number for i, number in enumerate(K)]
+
+
+@pytest.mark.parametrize("matrix, distortion, model, text", [
+    (changed(0, np.nan), [], "plumb_bob", "not finite"),
+    (changed(2, np.inf), [], "plumb_bob", "not finite"),
+    (changed(0, 0.0), [], "plumb_bob", "positive"),
+    (changed(4, -5.0), [], "plumb_bob", "positive"),
+    (changed(8, 0.0), [], "plumb_bob", "0 0 1"),
+    (K[:8], [], "plumb_bob", "instead of 9"),
+    (K, [0.1], "plumb_bob", "coefficients"),
+    (K, [0.1] * 5, "equidistant", "coefficients"),
+    (K, [np.nan] * 5, "plumb_bob", "not finite"),
+    (K, [], "barrel", "unknown distortion model"),
+])
+def test_nonsense_is_refused_with_a_mend(matrix, distortion, model, text):
+    with pytest.raises(CameraError, match=text) as caught:
+        CameraModel.from_calibration(640, 480, matrix, distortion, model, 1.0)
+    assert "calibrate the camera" in str(caught.value)
+    assert isinstance(caught.value, ValueError)
+
+
+@pytest.mark.parametrize("width, height", [(0, 480), (640, 0), (-1, 5)])
+def test_no_size(width, height):
+    with pytest.raises(CameraError, match="image size"):
+        CameraModel.from_calibration(width, height, K, [], "plumb_bob", 1.0)
+
+
+@pytest.mark.parametrize("fov", [0.0, -1.0, np.pi, np.nan])
+def test_bad_field_of_view(fov):
+    with pytest.raises(CameraError, match="field of view"):
+        CameraModel.from_fov(640, 480, fov)

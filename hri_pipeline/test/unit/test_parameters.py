@@ -1,0 +1,145 @@
+"""Parameter tables: types, ranges, messages, YAML and Markdown, and the files that must agree with them."""
+
+import math
+
+import pytest
+
+from hri_pipeline.core import parameter_docs
+from hri_pipeline.core.parameters import Parameter, ParameterError, ParameterTable, format_value
+
+TABLE = ParameterTable("faces", "Finds faces.", [
+    Parameter("birth_delay", 0.2, "Time before a face is published.", "s", 0, 10),
+    Parameter("tiles", 2, "Tiles a side.", minimum=1, maximum=4),
+    Parameter("publish_tf", True, "Send the frames."),
+    Parameter("model", "", "Path of the model; empty for the default."),
+    Parameter("mode", "video", "How images come | go.", choices=("video", "still")),
+    Parameter("providers", ["cpu"], "Execution providers.", choices=("cpu", "cuda")),
+    Parameter("weights", [0.5, 1e-5], "Weights.", maximum=1),
+])
+
+
+def test_defaults():
+    values = TABLE.resolve({})
+    assert vars(values) == {"birth_delay": 0.2, "tiles": 2, "publish_tf": True, "model": "", "mode": "video",
+                            "providers": ["cpu"], "weights": [0.5, 1e-5]}
+
+
+def test_given_values_in_the_type_of_the_default():
+    values = TABLE.resolve({"birth_delay": 1, "providers": ("cuda", "cpu"), "weights": [1, 0.5], "mode": "still"})
+    assert values.birth_delay == 1.0 and isinstance(values.birth_delay, float)
+    assert values.providers == ["cuda", "cpu"] and values.weights == [1.0, 0.5]
+
+
+def test_a_list_is_not_shared_with_the_table():
+    TABLE.resolve({}).providers.append("cuda")
+    assert TABLE.resolve({}).providers == ["cpu"]
+
+
+@pytest.mark.parametrize("name, value, legal", [
+    ("birth_delay", True, "0 to 10 s"),
+    ("birth_delay", "1", "0 to 10 s"),
+    ("birth_delay", -0.1, "0 to 10 s"),
+    ("birth_delay", 10.1, "0 to 10 s"),
+    ("birth_delay", math.nan, "0 to 10 s"),
+    ("birth_delay", math.inf, "0 to 10 s"),
+    ("birth_delay", [1.0], "0 to 10 s"),
+    ("birth_delay", None, "0 to 10 s"),
+    ("tiles", 2.0, "int, 1 to 4"),
+    ("tiles", True, "int, 1 to 4"),
+    ("tiles", 0, "int, 1 to 4"),
+    ("publish_tf", 1, "bool"),
+    ("publish_tf", "true", "bool"),
+    ("model", 7, "string"),
+    ("mode", "picture", 'one of "video", "still"'),
+    ("providers", "cpu", "list of string"),
+    ("providers", ["gpu"], 'one of "cpu", "cuda"'),
+    ("weights", [0.5, 2.0], "1 and less"),
+    ("weights", [True], "list of float"),
+])
+def test_refused_with_name_value_and_range(name, value, legal):
+    with pytest.raises(ParameterError) as caught:
+        TABLE.resolve({name: value})
+    assert name in str(caught.value) and legal in str(caught.value) and "default" in str(caught.value)
+
+
+def test_unknown_name():
+    with pytest.raises(ParameterError, match=r"no parameter brith_delay \(did you mean birth_delay\?\); known: birth"):
+        TABLE.resolve({"brith_delay": 1.0})
+    with pytest.raises(ParameterError, match="faces has no parameter zzz; known"):
+        TABLE.resolve({"zzz": 1.0})
+
+
+@pytest.mark.parametrize("arguments", [
+    dict(name="a b", default=1, doc="x"),
+    dict(name="a", default=1, doc=" "),
+    dict(name="a", default={}, doc="x"),
+    dict(name="a", default=None, doc="x"),
+    dict(name="a", default=5, doc="x", maximum=4),
+    dict(name="a", default="x", doc="x", choices=("y",)),
+    dict(name="a", default=[1, "x"], doc="x"),
+])
+def test_illegal_entries(arguments):
+    with pytest.raises(ValueError):
+        Parameter(**arguments)
+
+
+def test_twice_the_same_name():
+    with pytest.raises(ValueError, match="twice: a"):
+        ParameterTable("n", "s", [Parameter("a", 1, "x"), Parameter("a", 2, "x")])
+
+
+def test_yaml_is_read_back_as_the_defaults():
+    yaml = pytest.importorskip("yaml")      # comes with ROS; the Python 3.8 layer has none
+    values = yaml.safe_load(TABLE.to_yaml())
+    assert values == vars(TABLE.resolve({}))
+    assert vars(TABLE.resolve(values)) == values
+
+
+def test_yaml_tells_text_unit_range_and_default():
+    text = TABLE.to_yaml()
+    assert text.startswith("# Finds faces.\n")
+    assert "# Time before a face is published.\n# float; 0 to 10; unit s; default 0.2\nbirth_delay: 0.2\n" in text
+
+
+@pytest.mark.parametrize("value, text", [
+    (True, "true"), (1, "1"), (1e-5, "1.0e-05"), (1e22, "1.0e+22"), (0.1, "0.1"), ("a: #b", '"a: #b"'), ([], "[]"),
+    ([1, 2], "[1, 2]")])
+def test_format(value, text):
+    assert format_value(value) == text
+
+
+def test_markdown():
+    lines = TABLE.to_markdown().splitlines()
+    assert lines[0].startswith("| parameter | type | default | unit | range | meaning |")
+    assert "| `~birth_delay` | float | `0.2` | s | 0 to 10 | Time before a face is published. |" in lines
+    assert any("come \\| go" in line for line in lines)
+
+
+def test_files_are_written_compared_and_the_page_is_kept(tmp_path):
+    yaml_path, doc_path = parameter_docs.files(tmp_path, "hri_pipeline", TABLE)
+    assert [path.name for path in (yaml_path, doc_path)] == ["faces.yaml", "faces.md"]
+    with pytest.raises(AssertionError, match="missing; run `rosrun hri_pipeline parameter_docs --write`"):
+        parameter_docs.check(TABLE, yaml_path, doc_path)
+    doc_path.parent.mkdir(parents=True)
+    doc_path.write_text("# faces\n\n<!-- parameters:begin -->\nold\n<!-- parameters:end -->\n\n## After\n")
+    assert parameter_docs.write(TABLE, yaml_path, doc_path) == [yaml_path, doc_path]
+    parameter_docs.check(TABLE, yaml_path, doc_path)
+    assert doc_path.read_text().endswith("<!-- parameters:end -->\n\n## After\n")
+    assert parameter_docs.write(TABLE, yaml_path, doc_path) == []
+    yaml_path.write_text(yaml_path.read_text().replace("0.2", "0.3"))
+    doc_path.write_text(doc_path.read_text().replace("Send", "Sends"))
+    assert len(parameter_docs.problems(TABLE, yaml_path, doc_path)) == 2
+
+
+def test_a_page_without_markers_gets_them_at_its_end(tmp_path):
+    page = tmp_path / "faces.md"
+    page.write_text("# faces\n")
+    assert "has no line" in parameter_docs.problems(TABLE, tmp_path / "x.yaml", page)[1]
+    parameter_docs.write(TABLE, tmp_path / "x.yaml", page)
+    assert page.read_text().startswith("# faces\n\n## Parameters\n\n<!-- parameters:begin -->\n| parameter")
+
+
+def test_every_table_of_this_package_is_found_and_has_its_own_node_name():
+    nodes = [table.node for table in parameter_docs.tables("hri_pipeline")]
+    assert len(set(nodes)) == len(nodes)
+    assert parameter_docs.tables("no_such_package") == []
