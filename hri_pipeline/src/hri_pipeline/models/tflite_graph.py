@@ -1,0 +1,215 @@
+"""Reading a TFLite file into plain Python objects, with packed constants unpacked.
+
+The format is the public flatbuffer schema of TensorFlow Lite.  Needs the packages tflite and flatbuffers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Dict, List, Mapping, Optional, Tuple
+
+import numpy as np
+
+from hri_pipeline.models.errors import ConversionError, FetchError
+from hri_pipeline.models.sparse import SparseDimension, densify
+
+_DTYPES = {0: np.float32, 1: np.float16, 2: np.int32, 3: np.uint8, 4: np.int64, 6: np.bool_, 9: np.int8}
+
+# Operator -> (class of its options in the schema, the fields that are used).
+_OPTIONS: Dict[str, Tuple[str, Tuple[str, ...]]] = {
+    "CONV_2D": (
+        "Conv2DOptions",
+        ("Padding", "StrideH", "StrideW", "DilationHFactor", "DilationWFactor", "FusedActivationFunction"),
+    ),
+    "DEPTHWISE_CONV_2D": (
+        "DepthwiseConv2DOptions",
+        ("Padding", "StrideH", "StrideW", "DilationHFactor", "DilationWFactor", "FusedActivationFunction"),
+    ),
+    "MAX_POOL_2D": (
+        "Pool2DOptions",
+        ("Padding", "StrideH", "StrideW", "FilterHeight", "FilterWidth", "FusedActivationFunction"),
+    ),
+    "AVERAGE_POOL_2D": (
+        "Pool2DOptions",
+        ("Padding", "StrideH", "StrideW", "FilterHeight", "FilterWidth", "FusedActivationFunction"),
+    ),
+    "ADD": ("AddOptions", ("FusedActivationFunction",)),
+    "MUL": ("MulOptions", ("FusedActivationFunction",)),
+    "RESIZE_BILINEAR": ("ResizeBilinearOptions", ("AlignCorners", "HalfPixelCenters")),
+    "DEPTH_TO_SPACE": ("DepthToSpaceOptions", ("BlockSize",)),
+    "CONCATENATION": ("ConcatenationOptions", ("Axis", "FusedActivationFunction")),
+    "MEAN": ("ReducerOptions", ("KeepDims",)),
+    "FULLY_CONNECTED": ("FullyConnectedOptions", ("FusedActivationFunction",)),
+    "STRIDED_SLICE": (
+        "StridedSliceOptions",
+        ("BeginMask", "EndMask", "EllipsisMask", "NewAxisMask", "ShrinkAxisMask"),
+    ),
+}
+
+
+@dataclass
+class Tensor:
+    """A tensor: its TFLite shape (N x H x W x C for images) and, for constants, its values."""
+
+    name: str
+    shape: List[int]
+    data: Optional[np.ndarray] = None
+
+
+@dataclass
+class Operator:
+    """One operator: `kind` as in the schema (or the name of a custom operator), tensors by index."""
+
+    kind: str
+    inputs: List[int]
+    outputs: List[int]
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class TfliteGraph:
+    """The only subgraph of a model, in order of execution."""
+
+    tensors: List[Tensor]
+    operators: List[Operator]
+    inputs: List[int]
+    outputs: List[int]
+
+    def constant(self, index: int) -> Optional[np.ndarray]:
+        """The values of a constant tensor, None for one that is computed."""
+        return self.tensors[index].data
+
+
+def read_tflite(content: bytes, model_name: str) -> TfliteGraph:
+    """Read a TFLite model.
+
+    ConversionError when it is no TFLite file or has a data type that is not known; FetchError when the
+    package tflite is not installed.
+    """
+    schema = _import_tflite()
+    if content[4:8] != b"TFL3":
+        raise ConversionError("model %s: the source is not a TFLite file" % model_name)
+    model = schema.Model.GetRootAsModel(content, 0)
+    source = model.Subgraphs(0)
+    tensors: List[Tensor] = []
+    sparse: Dict[int, Any] = {}
+    for index in range(source.TensorsLength()):
+        tensors.append(_read_tensor(model, source.Tensors(index), model_name))
+        if source.Tensors(index).Sparsity() is not None:
+            sparse[index] = source.Tensors(index).Sparsity()
+    operators = [
+        _read_operator(schema, model, source.Operators(index)) for index in range(source.OperatorsLength())
+    ]
+    inputs = [int(i) for i in source.InputsAsNumpy()]
+    outputs = [int(i) for i in source.OutputsAsNumpy()]
+    return TfliteGraph(tensors, _fold_constants(tensors, operators, sparse), inputs, outputs)
+
+
+def _import_tflite() -> Any:
+    try:
+        import flatbuffers  # noqa: F401  (tflite cannot work without it)
+        import tflite
+    except ImportError as error:
+        raise FetchError(
+            "converting TFLite models needs the Python packages tflite and flatbuffers (%s); "
+            "install them: python3 -m pip install onnx tflite flatbuffers" % error
+        ) from error
+    return tflite
+
+
+def _read_tensor(model: Any, tensor: Any, model_name: str) -> Tensor:
+    name = tensor.Name().decode()
+    shape = [int(size) for size in tensor.ShapeAsNumpy()] if tensor.ShapeLength() else []
+    buffer = model.Buffers(tensor.Buffer())
+    if not buffer.DataLength():
+        return Tensor(name, shape)
+    if tensor.Type() not in _DTYPES:
+        raise ConversionError(
+            "model %s: constant %s has data type number %d, which the converter does not know"
+            % (model_name, name, tensor.Type())
+        )
+    data = np.frombuffer(buffer.DataAsNumpy().tobytes(), _DTYPES[tensor.Type()])
+    if tensor.Sparsity() is None:
+        data = data.reshape(shape)
+    return Tensor(name, shape, data)
+
+
+def _read_operator(schema: Any, model: Any, operator: Any) -> Operator:
+    code = model.OperatorCodes(operator.OpcodeIndex())
+    number = max(code.BuiltinCode(), code.DeprecatedBuiltinCode())
+    names = {value: name for name, value in vars(schema.BuiltinOperator).items() if isinstance(value, int)}
+    kind = names.get(number, "number %d" % number)
+    options: Mapping[str, Any] = {}
+    if kind == "CUSTOM":
+        kind = code.CustomCode().decode()
+        options = _custom_options(operator)
+    elif kind in _OPTIONS and operator.BuiltinOptions() is not None:
+        class_name, fields = _OPTIONS[kind]
+        reader = getattr(schema, class_name)()
+        table = operator.BuiltinOptions()
+        reader.Init(table.Bytes, table.Pos)
+        options = {name: getattr(reader, name)() for name in fields}
+    return Operator(
+        kind, [int(i) for i in operator.InputsAsNumpy()], [int(i) for i in operator.OutputsAsNumpy()], options
+    )
+
+
+def _custom_options(operator: Any) -> Mapping[str, Any]:
+    """Options of a custom operator: a flexbuffer map, or the raw bytes under the key "raw"."""
+    from flatbuffers import flexbuffers
+
+    if not operator.CustomOptionsLength():
+        return {}
+    raw = operator.CustomOptionsAsNumpy().tobytes()
+    try:
+        options = flexbuffers.Loads(raw)
+    except Exception:  # noqa: BLE001  (a plain C struct leads flexbuffers to any kind of error)
+        options = None
+    return options if isinstance(options, dict) else {"raw": raw}
+
+
+def _fold_constants(
+    tensors: List[Tensor], operators: List[Operator], sparse: Mapping[int, Any]
+) -> List[Operator]:
+    """Carry out DENSIFY and DEQUANTIZE on constants; returns the operators that remain."""
+    remaining = []
+    for operator in operators:
+        source = tensors[operator.inputs[0]] if operator.inputs and operator.inputs[0] >= 0 else None
+        if source is None or source.data is None or operator.kind not in ("DENSIFY", "DEQUANTIZE"):
+            remaining.append(operator)
+            continue
+        target = tensors[operator.outputs[0]]
+        if operator.kind == "DENSIFY":
+            target.data = _densify(source, sparse[operator.inputs[0]])
+        elif source.data.dtype == np.float16:
+            target.data = source.data.astype(np.float32)
+        else:
+            remaining.append(operator)  # an integer constant with scale: reported as an unknown operator
+    return remaining
+
+
+def _densify(tensor: Tensor, sparsity: Any) -> np.ndarray:
+    order = [int(i) for i in sparsity.TraversalOrderAsNumpy()]
+    blocks = [int(i) for i in sparsity.BlockMapAsNumpy()] if sparsity.BlockMapLength() else []
+    dimensions = [_sparse_dimension(sparsity.DimMetadata(i)) for i in range(sparsity.DimMetadataLength())]
+    assert tensor.data is not None
+    return densify(tensor.data, tensor.shape, order, blocks, dimensions)
+
+
+def _sparse_dimension(metadata: Any) -> SparseDimension:
+    if metadata.Format() == 0:
+        return SparseDimension(size=metadata.DenseSize())
+    return SparseDimension(
+        segments=_index_vector(metadata.ArraySegments(), metadata.ArraySegmentsType()),
+        indices=_index_vector(metadata.ArrayIndices(), metadata.ArrayIndicesType()),
+    )
+
+
+def _index_vector(table: Any, kind: int) -> np.ndarray:
+    from tflite.Int32Vector import Int32Vector
+    from tflite.Uint8Vector import Uint8Vector
+    from tflite.Uint16Vector import Uint16Vector
+
+    vector = {1: Int32Vector, 2: Uint16Vector, 3: Uint8Vector}[kind]()
+    vector.Init(table.Bytes, table.Pos)
+    return np.asarray(vector.ValuesAsNumpy())
