@@ -1,0 +1,152 @@
+"""Anchors, non-maximum suppression, tiles and the schedule of the face detector."""
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core.face_detector import (
+    ANCHOR_STRIDES,
+    ANCHORS_PER_CELL,
+    INPUT_SIZE,
+    DetectionSchedule,
+    FaceDetector,
+    ssd_anchors,
+    tile_regions,
+    weighted_nms,
+)
+
+
+class OneFace:
+    """Stands for the network: it puts one face over the given anchor of each input."""
+
+    def __init__(self, anchor, logit):
+        self.anchor, self.logit = anchor, logit
+        self.inputs = []
+
+    def run(self, feed):
+        batch = feed["input_1"]
+        self.inputs.append(batch.copy())
+        regressors = np.zeros((len(batch), 2304, 16), np.float32)
+        logits = np.full((len(batch), 2304, 1), -20.0, np.float32)
+        regressors[:, self.anchor, 2:4] = 40.0
+        logits[:, self.anchor] = self.logit
+        return {"Identity": regressors, "Identity_1": logits}
+
+
+def test_full_range_anchors_are_the_centres_of_48_by_48_cells():
+    anchors = ssd_anchors(INPUT_SIZE, ANCHOR_STRIDES, ANCHORS_PER_CELL)
+    assert anchors.shape == (2304, 2)
+    assert anchors[0] == pytest.approx((0.5 / 48, 0.5 / 48))
+    assert anchors[1] == pytest.approx((1.5 / 48, 0.5 / 48))
+    assert anchors[-1] == pytest.approx((47.5 / 48, 47.5 / 48))
+
+
+def test_equal_strides_share_a_grid():
+    anchors = ssd_anchors(128, (8, 16, 16, 16), 2)
+    assert anchors.shape == (896, 2)
+    assert (anchors[512:518] == anchors[512]).all()
+
+
+@pytest.mark.parametrize("arguments", [(0, (4,), 1), (192, (0,), 1), (192, (4,), 0)])
+def test_anchors_refuse_nonsense(arguments):
+    with pytest.raises(ValueError):
+        ssd_anchors(*arguments)
+
+
+def detections(*faces):
+    boxes = np.array([(x, y, x + size, y + size) for x, y, size, _ in faces], float).reshape(-1, 4)
+    keypoints = np.repeat(boxes[:, None, :2], 6, axis=1)
+    return boxes, keypoints, np.array([face[3] for face in faces], float)
+
+
+def test_nms_averages_by_score_and_keeps_the_best_score():
+    merged = weighted_nms(*detections((300, 0, 50, 0.7), (0, 0, 100, 0.6), (10, 0, 100, 0.9)))
+    assert [face.score for face in merged] == [0.9, 0.7]
+    assert merged[0].box == pytest.approx((6, 0, 106, 100))
+    assert merged[0].keypoints[3] == pytest.approx((6, 0))
+    assert merged[1].box == pytest.approx((300, 0, 350, 50))
+
+
+def test_nms_of_nothing_and_of_neighbours():
+    assert weighted_nms(*detections()) == []
+    assert len(weighted_nms(*detections((0, 0, 100, 0.9), (80, 0, 100, 0.8)))) == 2
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (639, 481), (193, 1000)])
+def test_tiles_cover_the_image_and_stay_inside(size):
+    width, height = size
+    covered = np.zeros((height, width), int)
+    for x0, y0, x1, y1 in tile_regions(width, height, 3):
+        assert 0 <= x0 < x1 <= width and 0 <= y0 < y1 <= height
+        covered[y0:y1, x0:x1] += 1
+    assert covered.min() >= 1
+
+
+def test_one_tile_is_no_tile_and_a_wrong_overlap_is_refused():
+    assert tile_regions(640, 480, 1) == []
+    with pytest.raises(ValueError, match="overlap"):
+        tile_regions(640, 480, 2, overlap=1.0)
+
+
+def test_schedule_starts_with_everything_then_alternates():
+    schedule = DetectionSchedule(period=0.3, tiles=2)
+    asked = [schedule.due(640, 480, 10.0 + 0.05 * index) for index in range(60)]
+    assert len(asked[0]) == 5
+    later = [regions[0] for regions in asked[1:] if regions]
+    assert all(len(regions) <= 1 for regions in asked[1:])
+    whole = (0, 0, 640, 480)
+    assert 0.35 < np.mean([region == whole for region in later]) < 0.65
+    assert set(later) == {whole} | set(tile_regions(640, 480, 2))
+    schedule.reset()
+    assert len(schedule.due(640, 480, 0.0)) == 5
+
+
+def test_schedule_does_not_depend_on_the_frame_rate():
+    counts = []
+    for rate in (10.0, 30.0):
+        schedule = DetectionSchedule(period=0.4, tiles=1)
+        counts.append(sum(bool(schedule.due(640, 480, index / rate)) for index in range(int(4 * rate))))
+    assert counts == [10, pytest.approx(10, abs=1)]
+
+
+@pytest.mark.parametrize("arguments", [(-0.1, 2), (0.3, 0)])
+def test_schedule_refuses_nonsense(arguments):
+    with pytest.raises(ValueError):
+        DetectionSchedule(*arguments)
+
+
+@pytest.mark.parametrize("score", [0.0, 1.0, -1.0])
+def test_detector_refuses_a_score_that_no_detection_can_have(score):
+    with pytest.raises(ValueError, match="score"):
+        FaceDetector(OneFace(0, 1.0), score)
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (100, 300), (64, 48), (1, 1)])
+def test_a_detection_comes_back_to_the_place_in_the_image(size):
+    width, height = size
+    centre = 24 * 48 + 24
+    detector = FaceDetector(OneFace(centre, 2.0))
+    face, = detector.detect(np.zeros((height, width, 3), np.uint8), [(0, 0, width, height)])
+    scale = max(width, height) / 192.0
+    middle = (face.box[:2] + face.box[2:]) / 2.0
+    assert middle == pytest.approx((width / 2, height / 2), abs=3.0 * scale)
+    assert face.box[2] - face.box[0] == pytest.approx(40.0 * scale)
+    assert face.score == pytest.approx(1 / (1 + np.exp(-2.0)))
+
+
+def test_regions_are_found_at_their_offset_and_below_the_score_nothing_is():
+    image = np.zeros((400, 400, 3), np.uint8)
+    centre = 24 * 48 + 24
+    face, = FaceDetector(OneFace(centre, 2.0)).detect(image, [(200, 100, 392, 292)])
+    assert face.box == pytest.approx((278, 178, 318, 218))
+    assert FaceDetector(OneFace(centre, 0.0)).detect(image, [(0, 0, 400, 400)]) == []
+    assert FaceDetector(OneFace(centre, 2.0)).detect(image, []) == []
+
+
+def test_the_input_is_rgb_from_minus_one_to_one_with_black_borders():
+    network = OneFace(0, -20.0)
+    image = np.zeros((96, 192, 3), np.uint8)
+    image[...] = (255, 0, 51)
+    FaceDetector(network).detect(image, [(0, 0, 192, 96)])
+    batch = network.inputs[0][0]
+    assert batch[96, 96] == pytest.approx((51 / 127.5 - 1, -1.0, 1.0))
+    assert (batch[:48] == -1.0).all() and (batch[144:] == -1.0).all()

@@ -1,0 +1,165 @@
+"""Births, deaths, crossings and duplicates of face tracks, with faces made of numbers."""
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core.face_landmarks import MESH_POINTS
+from hri_pipeline.core.face_tracker import FaceMeasurement, FaceTracker, same_face, without_duplicates
+from hri_pipeline.core.ids import IdGenerator
+
+STEP = 1.0 / 15.0
+
+
+def face(x, y=200.0, size=100.0, detection=True, presence=0.99):
+    """A measurement of a square face about x, y px."""
+    corners = np.random.RandomState(0).uniform(-0.5, 0.5, (MESH_POINTS, 3))
+    corners[:2, :2] = (-0.5, -0.5), (0.5, 0.5)
+    return FaceMeasurement(corners * size + (x, y, 0.0), presence, detection)
+
+
+def tracker(birth=0.0, death=1.0, most=10):
+    return FaceTracker(birth, death, most, IdGenerator(seed=1))
+
+
+def run(faces, *frames):
+    """Feed frames of measurements, STEP apart; returns [{id: centre x} of the faces seen] per frame."""
+    return [{track.id: track.measurement.box[[0, 2]].mean() for track in faces.update(frame, index * STEP)}
+            for index, frame in enumerate(frames)]
+
+
+def test_a_still_face_keeps_its_id_for_ever():
+    faces = tracker()
+    seen = run(faces, *[[face(100.0)]] * 2000)
+    assert {tuple(frame) for frame in seen} == {tuple(faces.ids)}
+
+
+def test_birth_takes_the_birth_delay_whatever_the_rate():
+    for rate in (5.0, 60.0):
+        faces = tracker(birth=0.4)
+        stamps = np.arange(0.0, 1.0, 1.0 / rate)
+        known = []
+        for stamp in stamps:
+            faces.update([face(100.0)], stamp)
+            known.append(bool(faces.ids))
+        assert 0.4 <= stamps[known.index(True)] <= 0.4 + 1.0 / rate + 1e-6
+
+
+def test_a_candidate_that_flickers_is_never_born():
+    faces = tracker(birth=0.2)
+    run(faces, *[[face(100.0)], []] * 20)
+    assert faces.ids == []
+
+
+def test_death_takes_the_death_time_and_the_id_never_comes_again():
+    faces = tracker(death=0.5)
+    faces.update([face(100.0)], 0.0)
+    first, = faces.ids
+    for stamp in np.arange(0.1, 0.55, 0.1):
+        assert faces.update([], stamp) == []
+        assert faces.ids == [first]
+    faces.update([], 0.6)
+    assert faces.ids == []
+    faces.update([face(100.0)], 0.7)
+    assert len(faces.ids) == 1 and faces.ids != [first]
+
+
+def test_a_short_occlusion_is_bridged():
+    faces = tracker()
+    seen = run(faces, *([[face(100.0)]] * 5 + [[]] * 10 + [[face(110.0)]] * 3))
+    assert seen[4].keys() == seen[-1].keys()
+    assert seen[8] == {}
+
+
+def test_a_gap_between_images_longer_than_the_death_time_ends_the_track():
+    faces = tracker(death=1.0)
+    faces.update([face(100.0)], 0.0)
+    first = faces.ids
+    assert faces.expected(60.0) == []
+    faces.update([face(100.0)], 60.0)
+    assert faces.ids != first
+
+
+def test_only_a_detection_starts_a_track():
+    faces = tracker()
+    run(faces, [face(100.0, detection=False)])
+    assert faces.ids == []
+
+
+def test_no_more_than_max_faces():
+    faces = tracker(most=3)
+    run(faces, *[[face(150.0 * index) for index in range(6)]] * 3)
+    assert len(faces.ids) == 3
+
+
+def test_duplicates_are_one_face_and_neighbours_are_two():
+    kept = without_duplicates([face(100.0), face(110.0, size=130.0, presence=0.5), face(180.0)])
+    assert [measurement.box[[0, 2]].mean() for measurement in kept] == [100.0, 180.0]
+
+
+def test_the_surer_duplicate_wins_and_the_tracked_one_of_equals():
+    tracked, fresh = face(100.0, detection=False), face(101.0, presence=1.0)
+    assert without_duplicates([fresh, tracked]) == [tracked]
+    unsure = face(100.0, detection=False, presence=0.4)
+    assert without_duplicates([unsure, fresh]) == [fresh]
+
+
+def test_same_face_by_overlap_and_by_distance():
+    box = np.array([0.0, 0.0, 100.0, 100.0])
+    assert same_face(box, box + 10.0)
+    assert same_face(box, np.array([30.0, 30.0, 70.0, 70.0]))
+    assert not same_face(box, box + (90.0, 0.0, 90.0, 0.0))
+
+
+def crossing(speed, hidden_below):
+    """Two faces that walk past each other; while they overlap only one is measured."""
+    for index in range(80):
+        left, right = 100.0 + speed * index, 100.0 + speed * 79 - speed * index
+        frame = [face(left, size=110.0)]
+        if abs(left - right) > hidden_below:
+            frame.append(face(right, size=90.0))
+        yield frame
+
+
+@pytest.mark.parametrize("speed", [5.0, 8.0, 12.0])
+def test_faces_that_cross_keep_their_ids(speed):
+    faces = tracker(birth=0.1)
+    seen = run(faces, *crossing(speed, hidden_below=60.0))
+    before, after = seen[5], seen[-1]
+    assert before.keys() == after.keys() and len(before) == 2
+    left = min(before, key=before.get)
+    assert max(after, key=after.get) == left
+
+
+def test_ids_do_not_depend_on_the_order_of_measurements():
+    faces = tracker()
+    random = np.random.RandomState(3)
+    frames = []
+    for index in range(100):
+        frame = [face(120.0 * place + 3.0 * index, 200.0 + 20.0 * np.sin(index / 5.0)) for place in range(5)]
+        random.shuffle(frame)
+        frames.append(frame)
+    seen = run(faces, *frames)
+    assert all(sorted(frame, key=frame.get) == sorted(seen[0], key=seen[0].get) for frame in seen)
+
+
+def test_a_moving_face_is_expected_where_it_goes():
+    faces = tracker()
+    run(faces, *[[face(100.0 + 10.0 * index)] for index in range(30)])
+    track, = faces.expected(30 * STEP)
+    assert track.predicted_box(30 * STEP)[[0, 2]].mean() == pytest.approx(400.0, abs=2.0)
+
+
+def test_reset_drops_everybody_and_no_id_comes_again():
+    faces = tracker()
+    run(faces, [face(100.0)])
+    first = faces.ids
+    faces.reset()
+    assert faces.tracks == []
+    run(faces, [face(100.0)])
+    assert faces.ids != first
+
+
+@pytest.mark.parametrize("arguments", [(-1.0, 1.0, 5), (0.1, 0.0, 5), (0.1, float("nan"), 5), (0.1, 1.0, 0)])
+def test_constructor_refuses_nonsense(arguments):
+    with pytest.raises(ValueError):
+        FaceTracker(*arguments)
