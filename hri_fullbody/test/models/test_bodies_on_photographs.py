@@ -1,0 +1,130 @@
+"""Bodies on the six demonstration photographs, shown as a still and as a slowly panned camera."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from hri_fullbody.core.body_parameters import VISION
+from hri_fullbody.core.body_stage import BodyStage
+from hri_fullbody.core.body_track import body_distance
+from hri_fullbody.core.body_windows import FaceBox
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.face_stage import FaceStage
+from hri_pipeline.core.model_store import models_directory
+
+WIDTH = 1280
+RATE = 15.0
+LEAST_BODIES = {1: 3, 2: 3, 3: 3, 4: 3, 5: 4, 6: 4}
+HORIZONTAL_FOV = 1.05
+
+
+@pytest.fixture(scope="module")
+def stages():
+    if not (models_directory() / "pose_landmarks_full.onnx").is_file():
+        pytest.fail("no models in {}: run `rosrun hri_pipeline fetch_models` or set ROS4HRI_MODELS".format(
+            models_directory()))
+    settings = VISION.resolve({})
+    return FaceStage(settings), BodyStage(settings)
+
+
+def photograph(number):
+    folder = Path(os.environ.get("ROS4HRI_DEMO", str(models_directory() / "demo")))
+    image = cv2.imread(str(folder / "sample{}.jpg".format(number)))
+    assert image is not None, "no sample{}.jpg in {}: run `rosrun hri_pipeline fetch_models`".format(number, folder)
+    scale = WIDTH / image.shape[1]
+    return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+
+
+def show(stages, images):
+    """Feed images at RATE through both stages and yield faces and bodies of each."""
+    faces, bodies = stages
+    faces.reset()
+    bodies.reset()
+    for index, image in enumerate(images):
+        stamp = index / RATE
+        camera = CameraModel.from_fov(image.shape[1], image.shape[0], HORIZONTAL_FOV)
+        seen = [FaceBox.from_landmarks(face.id, face.landmarks) for face in faces.update(image, camera, stamp)]
+        yield seen, bodies.update(image, camera, stamp, seen)
+
+
+def owners(face, bodies):
+    return [body for body in bodies if face.distance(body.keypoints[0, :2]) < 0.6]
+
+
+def assert_one_body_for_each_human(stages, faces, bodies):
+    for face in faces:
+        assert len(owners(face, bodies)) <= 1
+    estimates = [track.estimate for track in stages[1]._tracker.tracks if track.seen]
+    for index, one in enumerate(estimates):
+        assert all(body_distance(one, other) > 0.1 for other in estimates[:index])
+
+
+@pytest.mark.parametrize("number", sorted(LEAST_BODIES))
+def test_every_person_of_a_still_keeps_one_body(stages, number):
+    image = photograph(number)
+    history = list(show(stages, [image] * 30))
+    for faces, bodies in history[12:]:
+        assert len(bodies) >= LEAST_BODIES[number]
+        assert_one_body_for_each_human(stages, faces, bodies)
+    assert len({body.id for _, bodies in history[12:] for body in bodies}) == len(history[-1][1])
+    faces, bodies = history[-1]
+    assert sum(len(owners(face, bodies)) for face in faces) >= min(len(faces), LEAST_BODIES[number])
+    for face in faces:
+        inside = [body for body in bodies if body.box[0] < face.centre[0] < body.box[2]
+                  and body.box[1] < face.centre[1] < body.box[3]]
+        assert not inside or len(owners(face, bodies)) == 1
+
+
+@pytest.mark.parametrize("number", [1, 6])
+def test_ids_stay_under_a_panned_camera(stages, number):
+    image = photograph(number)
+    top = (image.shape[0] - 720) // 2
+    wide = cv2.copyMakeBorder(image[top:top + 720], 0, 0, 60, 60, cv2.BORDER_REPLICATE)
+    offsets = [int(60 + 55 * np.sin(index / RATE)) for index in range(60)]
+    history = list(show(stages, (wide[:, offset:offset + WIDTH] for offset in offsets)))
+    counts = [len(bodies) for _, bodies in history[12:]]
+    assert np.mean([count >= LEAST_BODIES[number] for count in counts]) > 0.9
+    assert len({body.id for _, bodies in history[12:] for body in bodies}) <= LEAST_BODIES[number] + 1
+    for faces, bodies in history[12:]:
+        assert_one_body_for_each_human(stages, faces, bodies)
+
+
+def test_bodies_are_at_the_depth_of_their_faces(stages):
+    faces, bodies = FaceStage(VISION.resolve({})), stages[1]
+    ratios = []
+    for number in LEAST_BODIES:
+        image = photograph(number)
+        bodies.reset()
+        camera = CameraModel.from_fov(image.shape[1], image.shape[0], HORIZONTAL_FOV)
+        for index in range(15):
+            stamp = number * 100.0 + index / RATE
+            seen = faces.update(image, camera, stamp)
+            boxes = [FaceBox.from_landmarks(face.id, face.landmarks) for face in seen]
+            found = bodies.update(image, camera, stamp, boxes)
+        for face, box in zip(seen, boxes):
+            ratios += [body.keypoints_3d[0, 2] / face.pose.translation[2] for body in owners(box, found)
+                       if face.pose is not None]
+    assert len(ratios) >= 18
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.12)
+    assert np.mean(np.abs(np.array(ratios) - 1.0) < 0.3) > 0.8
+
+
+def test_black_images_hold_nobody(stages):
+    for _, bodies in show(stages, [np.zeros((480, 640, 3), np.uint8)] * 12):
+        assert bodies == []
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_people_without_faces_are_found_too(stages, number):
+    image = photograph(number)
+    stage = stages[1]
+    stage.reset()
+    camera = CameraModel.from_fov(image.shape[1], image.shape[0], HORIZONTAL_FOV)
+    for index in range(20):
+        bodies = stage.update(image, camera, index / RATE)
+    assert len(bodies) == 3

@@ -1,0 +1,54 @@
+#!/usr/bin/env python3
+"""The nodes faces and bodies apart: the bodies find by the published faces whom they would miss without."""
+
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+from demo_camera import DemoCamera, Newest, photograph, wait_for
+
+from hri_msgs.msg import FacialLandmarks, IdsList, Skeleton2D
+
+START_S = 60.0
+
+
+class TwoProcessesTest(unittest.TestCase):
+
+    def setUp(self):
+        self.camera = DemoCamera(photograph(6))
+        self.addCleanup(self.camera.close)
+        self.lists = {kind: Newest("/humans/{}/tracked".format(kind), IdsList) for kind in ("faces", "bodies")}
+        self.topics = {}
+
+    def newest(self, kind, name, message):
+        """Follow the tracked ids of a kind and return what they last published."""
+        ids = self.lists[kind].last.ids if self.lists[kind].last else []
+        for identity in ids:
+            if identity not in self.topics:
+                self.topics[identity] = Newest("/humans/{}/{}/{}".format(kind, identity, name), message)
+        return [self.topics[identity].last for identity in ids if self.topics[identity].last]
+
+    def noses_per_face(self):
+        """Number of noses inside each face."""
+        faces = self.newest("faces", "landmarks", FacialLandmarks)
+        bodies = self.newest("bodies", "skeleton2d", Skeleton2D)
+        noses = np.array([(body.skeleton[0].x, body.skeleton[0].y) for body in bodies]).reshape(-1, 2)
+        counts = []
+        for face in faces:
+            points = np.array([(point.x, point.y) for point in face.landmarks])
+            counts.append(int(np.all((noses > points.min(axis=0)) & (noses < points.max(axis=0)), axis=1).sum()))
+        return counts
+
+    def test_every_face_gets_its_own_body(self):
+        wait_for(lambda: self.noses_per_face() == [1, 1, 1, 1], START_S, "one nose in each of four faces")
+        ids = list(self.lists["bodies"].last.ids)
+        seen = len(self.camera.stamps)
+        wait_for(lambda: len(self.camera.stamps) > seen + 12, START_S, "two more seconds of images")
+        self.assertEqual(self.lists["bodies"].last.ids, ids)
+        self.assertEqual(self.noses_per_face(), [1, 1, 1, 1])
+
+
+if __name__ == "__main__":
+    rospy.init_node("two_processes_test")
+    rostest.rosrun("hri_fullbody", "two_processes", TwoProcessesTest)

@@ -1,0 +1,64 @@
+#!/usr/bin/env python3
+"""The node vision: faces and bodies out of one process, each body with the nose in its own face."""
+
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+from demo_camera import DemoCamera, Newest, photograph, wait_for
+
+from hri_msgs.msg import FacialLandmarks, IdsList, NormalizedRegionOfInterest2D, Skeleton2D
+
+START_S, WAIT_S = 60.0, 30.0
+
+
+class VisionTest(unittest.TestCase):
+
+    @classmethod
+    def setUpClass(cls):
+        cls.camera = DemoCamera(photograph(3))
+        cls.faces = Newest("/humans/faces/tracked", IdsList)
+        cls.bodies = Newest("/humans/bodies/tracked", IdsList)
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.camera.close()
+
+    def setUp(self):
+        wait_for(lambda: self.faces.last and len(self.faces.last.ids) == 3, START_S, "three faces")
+        wait_for(lambda: self.bodies.last and len(self.bodies.last.ids) >= 3, START_S, "three bodies")
+
+    def listen(self, kind, ids, name, message):
+        topics = {identity: Newest("/humans/{}/{}/{}".format(kind, identity, name), message) for identity in ids}
+        for newest in topics.values():
+            self.addCleanup(newest.close)
+        wait_for(lambda: all(newest.last for newest in topics.values()), WAIT_S, "{} of all {}".format(name, kind))
+        return topics
+
+    def test_every_face_has_one_nose(self):
+        landmarks = self.listen("faces", self.faces.last.ids, "landmarks", FacialLandmarks)
+        skeletons = self.listen("bodies", self.bodies.last.ids, "skeleton2d", Skeleton2D)
+        noses = np.array([(newest.last.skeleton[0].x, newest.last.skeleton[0].y) for newest in skeletons.values()])
+        for newest in landmarks.values():
+            points = np.array([(point.x, point.y) for point in newest.last.landmarks])
+            inside = np.all((noses > points.min(axis=0)) & (noses < points.max(axis=0)), axis=1)
+            self.assertEqual(inside.sum(), 1)
+
+    def test_interface_rep155_changes_the_type_of_roi(self):
+        rois = self.listen("bodies", self.bodies.last.ids, "roi", NormalizedRegionOfInterest2D)
+        for newest in rois.values():
+            self.assertTrue(0.0 <= newest.last.xmin < newest.last.xmax <= 1.0)
+            self.assertIn(newest.last.header.stamp, self.camera.stamps)
+
+    def test_faces_and_bodies_have_the_same_process(self):
+        connections = [rospy.Subscriber("/humans/{}/tracked".format(kind), IdsList) for kind in ("faces", "bodies")]
+        self.addCleanup(lambda: [subscriber.unregister() for subscriber in connections])
+        wait_for(lambda: all(subscriber.get_num_connections() for subscriber in connections), WAIT_S, "connections")
+        publishers = {connection[1] for subscriber in connections for connection in subscriber.impl.get_stats_info()}
+        self.assertEqual(len(publishers), 1)
+
+
+if __name__ == "__main__":
+    rospy.init_node("vision_test")
+    rostest.rosrun("hri_fullbody", "vision", VisionTest)

@@ -1,0 +1,67 @@
+"""Synthetic people for the tests: landmarks of a standing body, and a pose estimator that knows where they are."""
+
+from __future__ import annotations
+
+from typing import List, Optional, Sequence, Tuple
+
+import numpy as np
+
+from hri_fullbody.core.body_windows import FaceBox, Window
+from hri_fullbody.core.pose_model import PoseEstimate
+
+# Metres around the middle of the hips, in the axes of an image: a person who stands and faces the camera.
+STANDING = np.zeros((33, 3))
+STANDING[0:11] = [
+    (0.0, -0.62, -0.14), (0.02, -0.66, -0.12), (0.03, -0.66, -0.11), (0.05, -0.66, -0.10),
+    (-0.02, -0.66, -0.12), (-0.03, -0.66, -0.11), (-0.05, -0.66, -0.10),
+    (0.08, -0.64, 0.0), (-0.08, -0.64, 0.0), (0.03, -0.58, -0.12), (-0.03, -0.58, -0.12)]
+STANDING[11:23] = [
+    (0.17, -0.48, 0.0), (-0.17, -0.48, 0.0), (0.22, -0.2, 0.02), (-0.22, -0.2, 0.02),
+    (0.2, 0.04, -0.06), (-0.2, 0.04, -0.06),
+    (0.2, 0.1, -0.07), (-0.2, 0.1, -0.07), (0.2, 0.12, -0.07), (-0.2, 0.12, -0.07),
+    (0.19, 0.1, -0.05), (-0.19, 0.1, -0.05)]
+STANDING[23:33] = [
+    (0.1, 0.0, 0.0), (-0.1, 0.0, 0.0), (0.11, 0.42, -0.02), (-0.11, 0.42, -0.02),
+    (0.11, 0.82, 0.04), (-0.11, 0.82, 0.04),
+    (0.11, 0.86, 0.07), (-0.11, 0.86, 0.07), (0.12, 0.87, -0.08), (-0.12, 0.87, -0.08)]
+
+
+def standing_at(x: float, y: float, scale: float = 200.0, score: float = 0.95) -> PoseEstimate:
+    """Estimate of a standing person whose hips are at (x, y) px, `scale` px per metre."""
+    landmarks = np.zeros((39, 3))
+    landmarks[:33] = STANDING * scale + np.array([x, y, 0.0])
+    landmarks[33] = (x, y, 0.0)
+    landmarks[34] = (x, y - 0.9 * scale, 0.0)
+    return PoseEstimate(score, landmarks, np.full(39, 0.95), STANDING.copy())
+
+
+def face_of(estimate: PoseEstimate, face_id: str) -> FaceBox:
+    """The box of the face of a synthetic person."""
+    x, y = estimate.nose
+    half = 0.08 * float(np.hypot(*(estimate.landmarks[34, :2] - estimate.landmarks[33, :2]))) / 0.9
+    return FaceBox(face_id, np.array([x - half, y - half, x + half, y + half]))
+
+
+class Scene:
+    """A pose estimator that gives the person nearest to the middle of the window whose head is not hidden."""
+
+    def __init__(self, people: Sequence[Tuple[float, float]]) -> None:
+        self.people: List[Tuple[float, float]] = list(people)
+        self.windows: List[Window] = []
+        self.favourite: Optional[int] = None
+
+    def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
+                 shown: Optional[np.ndarray] = None) -> PoseEstimate:
+        self.windows.append(window)
+        best, least = None, window.size / 2.0
+        for index, (x, y) in enumerate(self.people):
+            candidate = standing_at(x, y)
+            nose = candidate.nose
+            if any(box[0] < nose[0] < box[2] and box[1] < nose[1] < box[3] for box in hidden):
+                continue
+            distance = max(abs(x - window.centre[0]), abs(y - window.centre[1]))
+            if index == self.favourite and distance < window.size:
+                return candidate
+            if distance < least:
+                best, least = candidate, distance
+        return best if best is not None else standing_at(*window.centre, score=0.01)

@@ -1,0 +1,87 @@
+import itertools
+
+import numpy as np
+import pytest
+from synthetic_people import Scene, face_of, standing_at
+
+from hri_fullbody.core.body_parameters import BODIES, VISION
+from hri_fullbody.core.body_stage import BodyStage
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.parameters import ParameterError
+
+IMAGE = np.zeros((720, 1280, 3), np.uint8)
+CAMERA = CameraModel.from_fov(1280, 720, 1.05)
+
+
+class Boxes:
+    """A person detector that knows the scene."""
+
+    def __init__(self, scene):
+        self.scene, self.calls = scene, 0
+
+    def detect(self, image):
+        self.calls += 1
+        boxes = np.array([standing_at(x, y).box() for x, y in self.scene.people]).reshape(-1, 4)
+        return boxes, np.ones(len(boxes))
+
+
+def make(people, **given):
+    scene = Scene(people)
+    detector = Boxes(scene)
+    return BodyStage(BODIES.resolve(given), pose=scene, detector=detector), scene, detector
+
+
+def test_bodies_come_with_everything():
+    stage, _, _ = make([(400, 400), (800, 380)])
+    for index in range(10):
+        bodies = stage.update(IMAGE, CAMERA, index / 20.0)
+    assert len(bodies) == 2 and sorted(stage.tracked_ids) == sorted(body.id for body in bodies)
+    body = min(bodies, key=lambda body: body.keypoints[0, 0])
+    assert body.keypoints.shape == (18, 3) and body.keypoints_3d.shape == (18, 3)
+    assert body.keypoints[0, :2] == pytest.approx(standing_at(400, 400).nose, abs=0.1)
+    depth = CAMERA.matrix[0, 0] / 200.0
+    assert body.pose.translation[2] == pytest.approx(depth, rel=0.15)
+    assert CAMERA.project(body.pose.translation[None])[0] == pytest.approx([400.0, 400.0], abs=15.0)
+    x0, y0, x1, y1 = body.box
+    assert 0 <= x0 < 370 and 430 < x1 <= 1280 and 0 <= y0 < y1 <= 720
+
+
+def test_the_detector_runs_by_time_and_not_with_new_windows():
+    stage, scene, detector = make([(400, 400)], person_detection_period=0.5)
+    stage.update(IMAGE, CAMERA, 0.0)
+    assert (detector.calls, len(scene.windows)) == (1, 0)
+    for index in range(1, 40):
+        stage.update(IMAGE, CAMERA, index * 0.05)
+    assert detector.calls == 4
+
+
+def test_time_that_goes_back_starts_afresh():
+    stage, _, _ = make([(400, 400)])
+    stamps = itertools.count(100)
+    for _ in range(8):
+        stage.update(IMAGE, CAMERA, next(stamps) * 0.1)
+    assert len(stage.tracked_ids) == 1
+    assert stage.update(IMAGE, CAMERA, 1.0) == []
+    assert stage.tracked_ids == []
+
+
+def test_camera_of_another_size_is_scaled():
+    stage, _, _ = make([(400, 400)])
+    for index in range(10):
+        bodies = stage.update(IMAGE, CameraModel.from_fov(640, 360, 1.05), index / 20.0,
+                              [face_of(standing_at(400, 400), "f0")])
+    assert bodies[0].pose.translation[2] == pytest.approx(CAMERA.matrix[0, 0] / 200.0, rel=0.15)
+
+
+@pytest.mark.parametrize("name, value", [
+    ("max_bodies", 0), ("min_body_score", 1.5), ("body_death_time", 0.0), ("providers", ["abacus"]),
+    ("body_birth_dely", 1.0)])
+def test_illegal_parameters_are_named(name, value):
+    with pytest.raises(ParameterError, match=name):
+        BODIES.resolve({name: value})
+
+
+def test_vision_has_the_parameters_of_both():
+    names = {parameter.name for parameter in VISION.parameters}
+    assert {parameter.name for parameter in BODIES.parameters} < names
+    assert "face_detection_period" in names
