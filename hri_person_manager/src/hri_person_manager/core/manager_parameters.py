@@ -1,0 +1,43 @@
+"""Parameters of the person manager."""
+
+from __future__ import annotations
+
+from hri_person_manager.core.location import DECAY_KINDS
+from hri_pipeline.core.parameters import Parameter, ParameterTable
+
+SHARED = ("match_threshold", "reference_frame")
+
+PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodies and voices into persons and locates them.", (
+    Parameter("match_threshold", 0.5,
+              "Likelihood from which on a candidate match counts. Higher: fewer wrong unions, more persons "
+              "in two halves. /humans/match_threshold has precedence where it is set.",
+              minimum=0.01, maximum=1.0),
+    Parameter("reference_frame", "map",
+              "Parent of the frames person_ID. Where no transform leads to it, the frame of the sensor takes "
+              "its place, with one warning. /humans/reference_frame has precedence where it is set."),
+    Parameter("anonymous_persons", True,
+              "Give features that nobody has identified a person of their own. False: a person exists only "
+              "once a recogniser has named it."),
+    Parameter("new_person_delay", 0.5,
+              "Time that a feature waits for a match before it becomes an anonymous person. Longer: fewer "
+              "short-lived persons, later frames.", unit="s", minimum=0.0, maximum=60.0),
+    Parameter("decay", "exponential",
+              "How the location confidence falls once a person is not seen or heard: exponential (half after "
+              "each half_life), linear (0 after two half_life), step (0.5 at once, 0 after two half_life).",
+              choices=DECAY_KINDS),
+    Parameter("half_life", 5.0,
+              "Time in which the confidence of a person who is not seen falls to one half. Longer: frames "
+              "stay longer at the last place.", unit="s", minimum=0.01, maximum=3600.0),
+    Parameter("confidence_floor", 0.05,
+              "Exponential decay: below this the confidence is 0, the frame stops, and an anonymous person "
+              "is forgotten.", minimum=0.001, maximum=0.9),
+    Parameter("source_timeout", 0.5,
+              "Silence of the face frame after which the body frame places the person, and of all frames "
+              "after which the last place is sent again.", unit="s", minimum=0.02, maximum=10.0),
+    Parameter("max_matches_per_second", 2000.0,
+              "Candidate matches accepted per second; more are dropped and counted in the diagnostics.",
+              unit="1/s", minimum=1.0, maximum=100000.0),
+    Parameter("interface", "paper",
+              "Taken by every node of the stack, so that one launch argument sets all; the topics of this "
+              "node are the same in both.", choices=("paper", "rep155")),
+))

@@ -1,0 +1,273 @@
+#!/usr/bin/env python3
+"""The person manager from outside: lists, matches and transforms in; lists, latched topics and frames out."""
+
+import os
+import sys
+import threading
+import time
+import unittest
+from xmlrpc.client import ServerProxy
+
+import rosgraph
+import rospy
+import rostest
+from geometry_msgs.msg import TransformStamped
+from std_msgs.msg import Bool, Float32, String
+from std_srvs.srv import Empty
+from tf2_msgs.msg import TFMessage
+
+from hri_msgs.msg import IdsList, IdsMatch
+
+CAMERA = "camera_optical_frame"
+WAIT_S = 10.0
+
+
+class Latest:
+    """Keeps the latest message of a topic and, on request, all of them."""
+
+    def __init__(self, topic, kind):
+        self.messages = []
+        self.subscriber = rospy.Subscriber(topic, kind, self.messages.append)
+
+    @property
+    def value(self):
+        return self.messages[-1] if self.messages else None
+
+    def close(self):
+        self.subscriber.unregister()
+
+
+def transform(parent, child, x, stamp=None):
+    message = TransformStamped(child_frame_id=child)
+    message.header.frame_id = parent
+    message.header.stamp = stamp or rospy.Time.now()
+    message.transform.translation.x = x
+    message.transform.rotation.w = 1.0
+    return message
+
+
+class TestPersonManager(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.reference = rospy.get_param("/humans/reference_frame", "map")
+        cls.connected = rospy.get_param("~connected", True)
+        cls.lists = {kind: rospy.Publisher("/humans/%s/tracked" % kind, IdsList, latch=True, queue_size=10)
+                     for kind in ("faces", "bodies", "voices")}
+        cls.matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=5000)
+        cls.tf = rospy.Publisher("/tf", TFMessage, queue_size=1000)
+        cls.static = rospy.Publisher("/tf_static", TFMessage, latch=True, queue_size=10)
+        if cls.connected:
+            cls.static.publish(TFMessage([transform(cls.reference, "base_link", 10.0),
+                                          transform("base_link", CAMERA, 1.0)]))
+        cls.frames = {}
+        cls.arrivals = {}
+        cls.lock = threading.Lock()
+        rospy.Subscriber("/tf", TFMessage, cls._on_tf, tcp_nodelay=True)
+        cls.tracked = Latest("/humans/persons/tracked", IdsList)
+        cls.known = Latest("/humans/persons/known", IdsList)
+
+    @classmethod
+    def _on_tf(cls, message):
+        now = time.monotonic()
+        with cls.lock:
+            for item in message.transforms:
+                if item.child_frame_id.startswith("person_"):
+                    cls.frames.setdefault(item.child_frame_id[7:], []).append(item)
+                    cls.arrivals.setdefault((item.child_frame_id[7:], item.header.stamp.to_nsec()), now)
+
+    def setUp(self):
+        self.opened = []
+        self.wait_for(lambda: self.matches.get_num_connections() and self.tf.get_num_connections() > 1
+                      and self.lists["voices"].get_num_connections(), "the person manager")
+        self.announce()
+        rospy.wait_for_service("/hri_person_manager/reset", WAIT_S)
+        rospy.ServiceProxy("/hri_person_manager/reset", Empty)()
+        self.wait_for(lambda: self.tracked.value is not None and not self.tracked.value.ids, "an empty list")
+        with self.lock:
+            self.frames.clear()
+
+    def tearDown(self):
+        for latest in self.opened:
+            latest.close()
+
+    # -- helpers
+
+    def wait_for(self, condition, what, seconds=WAIT_S, act=None):
+        """Wait until the condition holds and return its value; `act` is done again and again meanwhile."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            if act is not None:
+                act()
+            value = condition()
+            if value:
+                return value
+            threading.Event().wait(0.03)
+        self.fail("waited %.0f s in vain for %s" % (seconds, what))
+
+    def announce(self, faces=(), bodies=(), voices=()):
+        for kind, ids in (("faces", faces), ("bodies", bodies), ("voices", voices)):
+            self.lists[kind].publish(IdsList(ids=list(ids)))
+
+    def match(self, id1, type1, id2, type2, confidence):
+        self.matches.publish(IdsMatch(id1, type1, id2, type2, confidence))
+
+    def latest(self, person, name, kind):
+        latest = Latest("/humans/persons/%s/%s" % (person, name), kind)
+        self.opened.append(latest)
+        return latest
+
+    def show(self, *frames):
+        """Publish transforms in the camera's frame: pairs of frame and x; return their stamp."""
+        stamp = rospy.Time.now()
+        self.tf.publish(TFMessage([transform(CAMERA, frame, x, stamp) for frame, x in frames]))
+        return stamp
+
+    def last_frame(self, person):
+        with self.lock:
+            return self.frames.get(person, [None])[-1]
+
+    def one_person(self):
+        return self.wait_for(lambda: len(self.tracked.value.ids) == 1 and self.tracked.value.ids[0],
+                             "one person")
+
+    def expected_x(self, x):
+        return (self.reference, x + 11.0) if self.connected else (CAMERA, x)
+
+    # -- tests
+
+    def test_a_face_becomes_a_person_with_a_frame_of_the_same_stamp(self):
+        self.announce(faces=["faaaa"])
+        person = self.one_person()
+        self.assertTrue(person.startswith("anonymous_person_"))
+        self.assertEqual(self.wait_for(lambda: self.known.value.ids, "known persons"), [person])
+        stamp = self.show(("face_faaaa", 2.0))
+        published = self.wait_for(lambda: self.last_frame(person), "its frame")
+        self.assertEqual(published.header.stamp, stamp)
+        frame, x = self.expected_x(2.0)
+        self.assertEqual(published.header.frame_id, frame)
+        self.assertAlmostEqual(published.transform.translation.x, x)
+        for name, kind, value in (("face_id", String, "faaaa"), ("body_id", String, ""), ("voice_id", String, ""),
+                                  ("anonymous", Bool, True), ("alias", String, ""),
+                                  ("location_confidence", Float32, 1.0)):
+            latest = self.latest(person, name, kind)    # a late subscriber: all of them are latched
+            self.wait_for(lambda wanted=value, got=latest: got.value is not None and got.value.data == wanted, name)
+
+    def test_the_face_places_the_person_before_the_body_and_frames_follow_at_once(self):
+        self.announce(faces=["fbbbb"], bodies=["bbbbb"])
+        self.match("fbbbb", IdsMatch.FACE, "bbbbb", IdsMatch.BODY, 0.9)
+        person = self.one_person()
+        body_id = self.latest(person, "body_id", String)
+        self.wait_for(lambda: body_id.value and body_id.value.data == "bbbbb", "body_id")
+        delays = []
+        for _ in range(40):
+            sent = time.monotonic()
+            stamp = self.show(("face_fbbbb", 2.0), ("body_bbbbb", 3.0))
+            delays.append(self.wait_for(lambda s=stamp: self.arrivals.get((person, s.to_nsec())), "a frame") - sent)
+        with self.lock:
+            received = list(self.frames[person])
+        self.assertAlmostEqual(received[-1].transform.translation.x, self.expected_x(2.0)[1])
+        stamps = [item.header.stamp for item in received]
+        self.assertEqual(len(stamps), len(set(stamps)), "a stamp was published twice")
+        delays.sort()
+        print("face TF -> person TF, there and back: median %.1f ms, max %.1f ms"
+              % (1e3 * delays[len(delays) // 2], 1e3 * delays[-1]))
+        self.assertLess(delays[len(delays) // 2], 0.05)
+        self.announce(bodies=["bbbbb"])
+        self.wait_for(lambda: self.last_frame(person).transform.translation.x == self.expected_x(3.0)[1],
+                      "the place of the body", act=lambda: self.show(("body_bbbbb", 3.0)))
+
+    def test_the_confidence_decays_and_the_frame_ends(self):
+        self.announce(faces=["fcccc"])
+        person = self.one_person()
+        confidence = self.latest(person, "location_confidence", Float32)
+        self.wait_for(lambda: confidence.value and confidence.value.data == 1.0, "confidence 1",
+                      act=lambda: self.show(("face_fcccc", 2.0)))
+        del confidence.messages[:-1]
+        self.announce()
+        self.wait_for(lambda: person not in self.tracked.value.ids, "the end of tracking")
+        self.wait_for(lambda: confidence.value.data == 0.0 or person not in self.known.value.ids, "confidence 0")
+        values = [message.data for message in confidence.messages]
+        self.assertEqual(values, sorted(values, reverse=True))
+        self.assertTrue(any(0.0 < value < 1.0 for value in values), values)
+        with self.lock:
+            frames = list(self.frames[person])
+        self.assertGreater(len(frames), 3)
+        self.assertAlmostEqual(frames[-1].transform.translation.x, self.expected_x(2.0)[1])
+        self.assertEqual(len({item.header.stamp for item in frames}), len(frames))
+
+    def test_a_recognised_person_and_its_alias(self):
+        self.announce(faces=["fdddd"])
+        anonymous = self.one_person()
+        alias = self.latest(anonymous, "alias", String)
+        self.match("fdddd", IdsMatch.FACE, "ann", IdsMatch.PERSON, 0.9)
+        self.wait_for(lambda: list(self.tracked.value.ids) == ["ann"], "the recognised person")
+        self.wait_for(lambda: alias.value and alias.value.data == "ann", "the alias")
+        known = self.latest("ann", "anonymous", Bool)
+        self.wait_for(lambda: known.value is not None and known.value.data is False, "anonymous to be false")
+        self.announce()
+        self.wait_for(lambda: not self.tracked.value.ids, "the end of tracking")
+        self.assertIn("ann", self.known.value.ids)
+
+    def test_a_withdrawn_match_parts_face_and_body(self):
+        self.announce(faces=["feeee"], bodies=["beeee"])
+        self.match("feeee", IdsMatch.FACE, "beeee", IdsMatch.BODY, 0.9)
+        self.one_person()
+        self.match("feeee", IdsMatch.FACE, "beeee", IdsMatch.BODY, 0.0)
+        self.wait_for(lambda: len(self.tracked.value.ids) == 2, "two persons")
+
+    def test_hostile_matches_and_ids_do_no_harm(self):
+        for value in (float("nan"), float("inf"), -1.0, 1.2, 5.0):
+            self.match("fffff", IdsMatch.FACE, "bffff", IdsMatch.BODY, value)
+        for text in ("", " ", "a/b", "a b", "a'b", "1a", "x" * 100, "\u00e9"):
+            self.match(text, IdsMatch.FACE, text, IdsMatch.PERSON, 0.9)
+        self.match("fffff", 77, "bffff", IdsMatch.BODY, 0.9)
+        self.match("fffff", IdsMatch.FACE, "fffff", IdsMatch.FACE, 0.9)
+        bad = transform("", "", float("nan"))
+        self.tf.publish(TFMessage([bad, transform(CAMERA, "face_fffff", float("nan"))]))
+        self.announce(faces=["fffff", "a b", "", "a/b"])
+        person = self.one_person()
+        self.wait_for(lambda: self.last_frame(person), "its frame", act=lambda: self.show(("face_fffff", 1.0)))
+
+    def test_a_flood_of_frames_leaves_no_trace(self):
+        self.announce(faces=["fgggg"])
+        person = self.one_person()
+
+        def flood(start, count):
+            for number in range(start, start + count):
+                name = "x%05d" % number
+                # Each lives for 40 rounds, long enough to become a person.
+                living = ["x%05d" % other for other in range(max(start, number - 40), number + 1)]
+                self.announce(faces=["fgggg"] + living, bodies=living)
+                self.show(("face_" + name, 1.0), ("body_" + name, 1.0), ("head_" + name, 1.0), ("l_arm_" + name, 1.0))
+                threading.Event().wait(0.008)
+            self.announce(faces=["fgggg"])
+            self.wait_for(lambda: list(self.tracked.value.ids) == [person], "the flood to end")
+            seen = self.show(("face_fgggg", 2.0))
+            self.wait_for(lambda: self.arrivals.get((person, seen.to_nsec())), "a frame")
+
+        flood(0, 150)
+        self.wait_for(lambda: list(self.known.value.ids) == [person], "the flood to be forgotten", 30.0)
+        before = self.resources()
+        flood(1000, 500)
+        self.wait_for(lambda: list(self.known.value.ids) == [person], "the flood to be forgotten", 30.0)
+        self.wait_for(lambda: self.resources()[0] <= before[0] + 5, "closed topics", 30.0)
+        after = self.resources()
+        print("descriptors, threads, RSS in MB: before %s, after %s" % (before, after))
+        self.assertLessEqual(after[0], before[0] + 5)
+        self.assertLessEqual(after[1], before[1] + 3)
+        self.assertLess(after[2], before[2] + 8.0)
+
+    @staticmethod
+    def resources():
+        """Return open descriptors, threads and resident memory (MB) of the node."""
+        uri = rosgraph.Master("/test").lookupNode("/hri_person_manager")
+        process = ServerProxy(uri).getPid("/test")[2]
+        with open("/proc/%d/status" % process) as status:
+            lines = dict(line.split(":", 1) for line in status)
+        return (len(os.listdir("/proc/%d/fd" % process)), int(lines["Threads"]),
+                int(lines["VmRSS"].split()[0]) / 1024.0)
+
+
+if __name__ == "__main__":
+    rospy.init_node("test_person_manager")
+    rostest.rosrun("hri_person_manager", "test_person_manager", TestPersonManager, sys.argv)

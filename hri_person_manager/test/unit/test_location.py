@@ -1,0 +1,74 @@
+"""Decay of the location confidence and the choice among sources of a place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hri_person_manager.core.location import Decay, Location, Place, Source
+from hri_pipeline.core.geometry import Pose
+
+
+def place(x, stamp, frame="map"):
+    return Place(frame, Pose(np.eye(3), np.array([x, 0.0, 0.0])), stamp)
+
+
+@pytest.mark.parametrize("arguments", [
+    {"kind": "sudden"}, {"half_life": 0.0}, {"half_life": -1.0}, {"half_life": float("nan")},
+    {"floor": 0.0}, {"floor": 1.0}])
+def test_illegal_decays_are_refused(arguments):
+    with pytest.raises(ValueError):
+        Decay(**arguments)
+
+
+@pytest.mark.parametrize("kind, elapsed, expected", [
+    ("exponential", 2.0, 0.5), ("exponential", 4.0, 0.25), ("exponential", 9.0, 0.0),
+    ("linear", 2.0, 0.5), ("linear", 3.0, 0.25), ("linear", 4.0, 0.0),
+    ("step", 0.0, 0.5), ("step", 3.9, 0.5), ("step", 4.0, 0.0)])
+def test_decay_kinds(kind, elapsed, expected):
+    assert Decay(kind, half_life=2.0, floor=0.05).confidence(elapsed) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("kind", ["exponential", "linear", "step"])
+def test_confidence_is_below_one_at_once_and_only_falls(kind):
+    values = [Decay(kind).confidence(0.1 * step) for step in range(-5, 400)]
+    assert values[0] < 1.0 and values[-1] == 0.0
+    assert all(later <= earlier for earlier, later in zip(values, values[1:]))
+
+
+def test_face_over_head_over_body_over_voice():
+    for better in Source:
+        for worse in Source:
+            location = Location(0.5)
+            assert location.offer(better, place(1.0, 10.0), 10.0)
+            taken = location.offer(worse, place(2.0, 10.1), 10.1)
+            assert taken == (worse <= better)
+            assert location.place.pose.translation[0] == (2.0 if taken else 1.0)
+
+
+def test_a_worse_source_speaks_once_the_better_one_is_silent_or_gone():
+    location = Location(0.5)
+    location.offer(Source.FACE, place(1.0, 10.0), 10.0)
+    assert not location.offer(Source.BODY, place(2.0, 10.4), 10.4)
+    assert location.offer(Source.BODY, place(2.0, 10.6), 10.6)
+    assert location.offer(Source.FACE, place(1.0, 10.7), 10.7)
+    location.forget_source(Source.FACE)
+    assert location.offer(Source.BODY, place(2.0, 10.8), 10.8)
+
+
+def test_silence():
+    location = Location(0.5)
+    assert location.is_silent(0.0)
+    location.offer(Source.FACE, place(1.0, 10.0), 10.1)
+    assert not location.is_silent(10.5)
+    assert location.is_silent(10.7)
+
+
+def test_the_newer_place_is_inherited():
+    older, newer = Location(0.5), Location(0.5)
+    older.offer(Source.BODY, place(1.0, 10.0), 10.0)
+    newer.offer(Source.FACE, place(2.0, 11.0), 11.0)
+    newer.inherit(older)
+    assert newer.place.pose.translation[0] == 2.0
+    older.inherit(newer)
+    assert older.place.pose.translation[0] == 2.0

@@ -1,0 +1,37 @@
+"""What the guard of candidate matches lets through."""
+
+from __future__ import annotations
+
+import pytest
+
+from hri_person_manager.core.association import Kind, Node
+from hri_person_manager.core.match_guard import Match, MatchGuard, RateLimit
+
+
+def test_a_sound_match_passes():
+    guard = MatchGuard(10.0)
+    assert guard.check("f1", 2, "b1", 3, 0.5, 0.0) == Match(Node(Kind.FACE, "f1"), Node(Kind.BODY, "b1"), 0.5)
+
+
+@pytest.mark.parametrize("fields", [
+    ("f1", 2, "b1", 3, float("nan")), ("f1", 2, "b1", 3, float("inf")), ("f1", 2, "b1", 3, -0.1),
+    ("f1", 2, "b1", 3, 1.2), ("", 2, "b1", 3, 0.5), ("f 1", 2, "b1", 3, 0.5), ("f1", 2, "b/1", 3, 0.5),
+    ("f1", 2, "b'1", 3, 0.5), ("f1", 0, "b1", 3, 0.5), ("f1", 9, "b1", 3, 0.5), ("f1", 2, "f1", 2, 0.5),
+    ("f1", 2, "f2", 2, 0.5)])
+def test_unsound_matches_are_refused_and_counted(fields):
+    guard = MatchGuard(10.0)
+    assert guard.check(*fields, 0.0) is None
+    assert sum(guard.refused.values()) == 1
+
+
+def test_the_rate_is_limited_and_recovers():
+    guard = MatchGuard(10.0)
+    taken = [guard.check("f1", 2, "b1", 3, 0.5, 0.0) is not None for _ in range(100)]
+    assert sum(taken) == 10
+    assert guard.check("f1", 2, "b1", 3, 0.5, 1.0) is not None
+    assert guard.check("f1", 2, "b1", 3, 0.5, -100.0) is not None   # time jumped back
+
+
+def test_illegal_rate():
+    with pytest.raises(ValueError):
+        RateLimit(0.0)

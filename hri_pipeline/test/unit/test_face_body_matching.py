@@ -1,0 +1,172 @@
+"""Likelihood of face-body pairs, their matching over time, and what is said about it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core.face_body_matching import (
+    FaceBodyMatcher,
+    MatchAnnouncer,
+    PairMatch,
+    body_points,
+    face_points,
+    likelihoods,
+)
+from hri_pipeline.core.matcher_parameters import MATCHER_PARAMETERS
+
+ASPECT = 16.0 / 9.0
+
+
+def human(x, y=0.3, size=0.1):
+    """Return landmarks (70, 3) and skeleton (18, 3) of a human whose nose is at x, y; face `size` high."""
+    width = size / ASPECT
+    landmarks = np.zeros((70, 3))
+    landmarks[:, 2] = 1.0
+    landmarks[:, 0] = x + width * np.linspace(-0.5, 0.5, 70)
+    landmarks[:, 1] = y + size * 0.5 * np.sin(np.arange(70))
+    landmarks[36:42, :2] = x - 0.2 * width, y - 0.2 * size
+    landmarks[42:48, :2] = x + 0.2 * width, y - 0.2 * size
+    landmarks[30, :2] = x, y
+    landmarks[0, :2], landmarks[16, :2] = (x - 0.5 * width, y - 0.2 * size), (x + 0.5 * width, y - 0.2 * size)
+    skeleton = np.zeros((18, 3))
+    for joint, point in ((0, 30), (14, 42), (15, 36), (16, 16), (17, 0)):
+        skeleton[joint] = landmarks[point]
+    return landmarks, skeleton
+
+
+def make(**given):
+    return FaceBodyMatcher(MATCHER_PARAMETERS.resolve(given))
+
+
+def feed(matcher, stamp, faces, bodies):
+    """Feed {id: x} of faces and bodies; every id is tracked."""
+    matcher.set_tracked("faces", faces)
+    matcher.set_tracked("bodies", bodies)
+    for name, x in faces.items():
+        matcher.add_face(name, stamp, human(x)[0], ASPECT)
+    for name, x in bodies.items():
+        matcher.add_body(name, stamp, human(x)[1])
+    return {(match.face, match.body): match.confidence for match in matcher.matches()}
+
+
+def likelihood(landmarks, skeleton):
+    faces, bodies = face_points(landmarks, ASPECT)[None], body_points(skeleton, ASPECT)[None]
+    value = float(likelihoods(faces, bodies, 0.3, 0.3)[0, 0])
+    return None if np.isnan(value) else value
+
+
+def test_a_face_on_its_own_body_is_certain_and_falls_with_distance():
+    landmarks, skeleton = human(0.5)
+    values = [likelihood(landmarks, skeleton + [shift, 0.0, 0.0]) for shift in (0.0, 0.01, 0.02, 0.05, 0.2)]
+    assert values[0] == pytest.approx(1.0)
+    assert all(later < earlier for earlier, later in zip(values, values[1:]))
+    assert values[-1] < 0.01
+
+
+def test_distances_are_the_same_across_and_along_the_image():
+    landmarks, skeleton = human(0.5)
+    across = likelihood(landmarks, skeleton + [0.03 / ASPECT, 0.0, 0.0])
+    along = likelihood(landmarks, skeleton + [0.0, 0.03, 0.0])
+    assert across == pytest.approx(along)
+
+
+def test_distances_count_in_sizes_of_the_face():
+    near, far = human(0.5, size=0.3), human(0.5, size=0.05)
+    shift = [0.02, 0.0, 0.0]
+    assert likelihood(near[0], near[1] + shift) > 0.9 > 0.3 > likelihood(far[0], far[1] + shift)
+
+
+@pytest.mark.parametrize("unseen", [[0, 14, 15, 16, 17], [0, 14, 15], [14, 15, 16, 17]])
+def test_too_few_points_say_nothing(unseen):
+    landmarks, skeleton = human(0.5)
+    skeleton[unseen, 2] = 0.0
+    assert likelihood(landmarks, skeleton) is None
+
+
+def test_a_face_without_extent_says_nothing():
+    landmarks, skeleton = human(0.5)
+    landmarks[:, :2] = 0.5
+    assert likelihood(landmarks, skeleton) is None
+    assert likelihood(np.zeros((70, 3)), skeleton) is None
+
+
+def test_five_faces_find_their_five_bodies():
+    places = [0.1, 0.25, 0.4, 0.55, 0.7]
+    matched = feed(make(), 1.0, {"f%d" % i: x for i, x in enumerate(places)},
+                   {"b%d" % i: x + 0.005 for i, x in enumerate(places)})
+    assert set(matched) == {("f%d" % i, "b%d" % i) for i in range(5)}
+    assert min(matched.values()) > 0.8
+
+
+def test_two_faces_do_not_share_a_body():
+    assert set(feed(make(), 1.0, {"f1": 0.5, "f2": 0.51}, {"b1": 0.511})) == {("f2", "b1")}
+
+
+def test_a_match_does_not_flicker_between_nearly_equal_bodies():
+    matcher = make()
+    assert set(feed(matcher, 1.0, {"f1": 0.5}, {"b1": 0.5, "b2": 0.52})) == {("f1", "b1")}
+    for step in range(1, 40):
+        swap = 0.002 * (-1) ** step
+        matched = feed(matcher, 1.0 + step / 15.0, {"f1": 0.51}, {"b1": 0.5 + swap, "b2": 0.52 + swap})
+        assert set(matched) == {("f1", "b1")}
+
+
+def test_a_match_does_not_stick_to_the_wrong_body():
+    matcher = make()
+    feed(matcher, 1.0, {"f1": 0.5}, {"b1": 0.5, "b2": 0.6})
+    for step in range(1, 16):
+        matched = feed(matcher, 1.0 + step / 15.0, {"f1": 0.6}, {"b1": 0.5, "b2": 0.6})
+    assert set(matched) == {("f1", "b2")}
+
+
+def test_images_too_far_apart_are_not_compared():
+    matcher = make()
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    matcher.add_face("f1", 1.0, human(0.5)[0], ASPECT)
+    matcher.add_body("b1", 1.3, human(0.5)[1])
+    assert matcher.matches() == []
+    matcher.add_face("f1", 1.31, human(0.5)[0], ASPECT)
+    assert [(match.face, match.body) for match in matcher.matches()] == [("f1", "b1")]
+
+
+def test_a_slow_skeleton_is_compared_with_the_face_of_its_time():
+    matcher = make()
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    for step in range(10):
+        matcher.add_face("f1", 1.0 + step / 30.0, human(0.3 + 0.02 * step)[0], ASPECT)
+    matcher.add_body("b1", 1.0, human(0.3)[1])
+    assert matcher.matches()[0].confidence == pytest.approx(1.0)
+
+
+def test_a_pair_ends_with_either_side_and_when_it_cannot_be_compared():
+    matcher = make()
+    assert feed(matcher, 1.0, {"f1": 0.5}, {"b1": 0.5})
+    matcher.set_tracked("faces", [])
+    assert matcher.matches() == []
+    assert feed(matcher, 2.0, {"f1": 0.5}, {"b1": 0.5})
+    matcher.add_body("b1", 2.9, human(0.5)[1])
+    assert matcher.matches()
+    matcher.add_body("b1", 3.1, human(0.5)[1])
+    assert matcher.matches() == []
+
+
+def test_time_may_jump_back():
+    matcher = make()
+    assert feed(matcher, 100.0, {"f1": 0.5}, {"b1": 0.5, "b2": 0.8})
+    assert set(feed(matcher, 5.0, {"f1": 0.8}, {"b1": 0.5, "b2": 0.8})) == {("f1", "b2")}
+
+
+def test_what_is_said():
+    announcer = MatchAnnouncer()
+    match = PairMatch("f1", "b1", 0.8)
+    assert announcer.to_say([match], 0.0) == [match]
+    assert announcer.to_say([match._replace(confidence=0.84)], 0.1) == []
+    assert announcer.to_say([match._replace(confidence=0.7)], 0.2) == [match._replace(confidence=0.7)]
+    assert announcer.to_say([match._replace(confidence=0.7)], 1.3) == [match._replace(confidence=0.7)]
+    other = PairMatch("f1", "b2", 0.9)
+    assert announcer.to_say([other], 1.4) == [match._replace(confidence=0.0), other]
+    assert announcer.withdraw_all() == [other._replace(confidence=0.0)]
+    assert announcer.to_say([], 2.0) == []
