@@ -42,7 +42,7 @@ class PersonMarkers:
             for kind, where, size in ((Marker.SPHERE, position, 2.0 * RADIUS),
                                       (Marker.TEXT_VIEW_FACING, above, TEXT_HEIGHT)):
                 marker = Marker(ns="persons", id=2 * number + (kind != Marker.SPHERE), type=kind, color=colour,
-                                pose=PoseMsg(where, Quaternion(0.0, 0.0, 0.0, 1.0)), text=_label(state.id),
+                                pose=PoseMsg(where, Quaternion(0.0, 0.0, 0.0, 1.0)), text=_label(state.id) if kind == Marker.TEXT_VIEW_FACING else "",
                                 lifetime=rospy.Duration(LIFETIME_S))
                 marker.header.frame_id = state.place.frame
                 marker.scale.x = marker.scale.y = marker.scale.z = size

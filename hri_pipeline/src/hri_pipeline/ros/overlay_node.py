@@ -1,0 +1,173 @@
+"""The overlay node: what the stack sees, drawn on the camera image.
+
+Threads: callbacks of rospy only store (under a lock); pairing, drawing and publishing happen in the caller
+of spin(). While nobody subscribes to the overlay, this node subscribes to nothing.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from types import SimpleNamespace
+from typing import Deque, Dict, List, Optional, Tuple, Union
+
+import numpy as np
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import Float32, String
+
+from hri_msgs.msg import FacialLandmarks, Skeleton2D
+from hri_pipeline.core.images import ImageError
+from hri_pipeline.core.overlay import PersonMark, draw_overlay
+from hri_pipeline.core.overlay_pairing import FeatureHistory
+from hri_pipeline.core.pacing import Pacer
+from hri_pipeline.ros.conversions import (
+    bgr_to_image,
+    compressed_to_bgr,
+    image_to_bgr,
+    landmarks_from_msg,
+    skeleton_from_msg,
+)
+from hri_pipeline.ros.diagnostics import NodeDiagnostics
+from hri_pipeline.ros.feature_feed import FeatureFeed
+from hri_pipeline.ros.topic_release import release
+
+AnyImage = Union[Image, CompressedImage]
+PERSON_TOPICS = {"face_id": String, "body_id": String, "location_confidence": Float32}
+
+
+class OverlayInputs:
+    """All subscriptions of the overlay, with what has come in lately."""
+
+    def __init__(self, settings: SimpleNamespace) -> None:
+        self._lock = threading.Lock()
+        self._images: Deque[Tuple[float, AnyImage]] = deque(maxlen=settings.history)
+        self._history = FeatureHistory()
+        self._persons: Dict[str, Dict[str, object]] = {}
+        self._tolerance = settings.pair_tolerance
+        self._feeds = [
+            FeatureFeed("faces", {"landmarks": FacialLandmarks}, self._on_face, self._on_faces),
+            FeatureFeed("bodies", {"skeleton2d": Skeleton2D}, self._on_body, self._on_bodies),
+            FeatureFeed("persons", PERSON_TOPICS, self._on_person, self._on_persons)]
+        compressed = settings.image_transport == "compressed"
+        self._subscriber = rospy.Subscriber(
+            "image/compressed" if compressed else "image", CompressedImage if compressed else Image,
+            self._on_image, queue_size=1, buff_size=2**24)
+
+    def _on_image(self, message: AnyImage) -> None:
+        stamp = message.header.stamp.to_sec()
+        with self._lock:
+            if self._images and stamp < self._images[-1][0]:
+                # A bag has started again.
+                self._images.clear()
+                self._history.clear()
+            self._images.append((stamp, message))
+
+    def _on_face(self, name: str, topic: str, message: FacialLandmarks) -> None:
+        with self._lock:
+            self._history.add("faces", name, message.header.stamp.to_sec(), landmarks_from_msg(message))
+
+    def _on_body(self, name: str, topic: str, message: Skeleton2D) -> None:
+        with self._lock:
+            self._history.add("bodies", name, message.header.stamp.to_sec(), skeleton_from_msg(message))
+
+    def _on_person(self, name: str, topic: str, message: Union[String, Float32]) -> None:
+        with self._lock:
+            self._persons.setdefault(name, {})[topic] = message.data
+
+    def _on_faces(self, names: List[str]) -> None:
+        with self._lock:
+            self._history.keep_only("faces", names)
+
+    def _on_bodies(self, names: List[str]) -> None:
+        with self._lock:
+            self._history.keep_only("bodies", names)
+
+    def _on_persons(self, names: List[str]) -> None:
+        with self._lock:
+            for name in set(self._persons) - set(names):
+                del self._persons[name]
+
+    def take(self, drawn: float) -> "Optional[Tuple[AnyImage, dict, dict, List[PersonMark]]]":
+        """Return the image to draw on with its faces, bodies (normalised points) and persons.
+
+        None when there is no image, or only the one with the stamp `drawn`.
+        """
+        with self._lock:
+            stamp = self._history.choose([one for one, _ in self._images], self._tolerance)
+            if stamp is None or stamp == drawn:
+                return None
+            image = next(message for one, message in self._images if one == stamp)
+            persons = [PersonMark(name, str(known.get("face_id", "")), str(known.get("body_id", "")),
+                                  float(known.get("location_confidence", 0.0)))
+                       for name, known in sorted(self._persons.items())]
+            return (image, self._history.at("faces", stamp, self._tolerance),
+                    self._history.at("bodies", stamp, self._tolerance), persons)
+
+    def close(self) -> None:
+        """End all subscriptions. May be called again."""
+        release(self._subscriber)
+        for feed in self._feeds:
+            feed.close()
+
+
+class OverlayNode:
+    """Publishes `visualization/overlay` with the stamp of the image that it is drawn on."""
+
+    def __init__(self, settings: SimpleNamespace) -> None:
+        self._settings = settings
+        self._stop = threading.Event()
+        self._inputs: Optional[OverlayInputs] = None
+        self._drawn = -1.0
+        self._output = rospy.Publisher("visualization/overlay", Image, queue_size=1)
+        self._diagnostics = NodeDiagnostics(rospy.get_name())
+        rospy.on_shutdown(self._stop.set)
+
+    def spin(self) -> None:
+        """Draw until the end of ROS."""
+        pacer = Pacer(self._settings.max_rate)
+        while not (self._stop.wait(pacer.wait(time.monotonic())) or rospy.is_shutdown()):
+            pacer.done(time.monotonic())
+            if not self._output.get_num_connections():
+                self._let_go()
+                self._diagnostics.set("overlay", DiagnosticStatus.OK, "nobody looks")
+                continue
+            if self._inputs is None:
+                self._inputs = OverlayInputs(self._settings)
+            self._draw(self._inputs)
+
+    def _draw(self, inputs: OverlayInputs) -> None:
+        taken = inputs.take(self._drawn)
+        if taken is None:
+            if self._drawn < 0.0:
+                self._diagnostics.set("overlay", DiagnosticStatus.WARN, "no image on {} yet; is the camera on, and "
+                                      "remapped to it?".format(rospy.resolve_name("image")))
+            return
+        message, faces, bodies, persons = taken
+        self._drawn = message.header.stamp.to_sec()
+        try:
+            image = compressed_to_bgr(message) if isinstance(message, CompressedImage) else image_to_bgr(message)
+        except ImageError as error:
+            self._diagnostics.set("overlay", DiagnosticStatus.ERROR, str(error))
+            return
+        scale = np.array([image.shape[1], image.shape[0], 1.0])
+        picture = draw_overlay(image, {name: points * scale for name, points in faces.items()},
+                               {name: points * scale for name, points in bodies.items()},
+                               persons, self._settings.min_confidence)
+        self._output.publish(bgr_to_image(picture, message.header))
+        self._diagnostics.set("overlay", DiagnosticStatus.OK, "drawing", {
+            "faces": len(faces), "bodies": len(bodies), "persons": len(persons)})
+
+    def _let_go(self) -> None:
+        if self._inputs is not None:
+            self._inputs.close()
+            self._inputs, self._drawn = None, -1.0
+
+    def close(self) -> None:
+        """End all subscriptions and publishers. May be called again."""
+        self._stop.set()
+        self._let_go()
+        self._diagnostics.close()
+        release(self._output)

@@ -1,0 +1,97 @@
+#!/usr/bin/env python3
+"""The face-body matcher from outside: landmarks and skeletons in, candidate matches out."""
+
+import sys
+import threading
+import time
+import unittest
+
+import rospy
+import rostest
+from std_msgs.msg import Header
+
+from hri_msgs.msg import FacialLandmarks, IdsList, IdsMatch, NormalizedPointOfInterest2D, Skeleton2D
+
+WAIT_S = 10.0
+
+
+def point(x, y, c=1.0):
+    return NormalizedPointOfInterest2D(x=x, y=y, c=c)
+
+
+def face(x):
+    """Landmarks of a face with the nose at x, in the upper third of the image."""
+    points = [point(x + 0.03 * (k / 69.0 - 0.5), 0.3 + 0.03 * ((k % 5) / 4.0 - 0.5)) for k in range(70)]
+    points[30] = point(x, 0.3)
+    for index in range(36, 48):
+        points[index] = point(x + (-0.006 if index < 42 else 0.006), 0.29)
+    return points
+
+
+def skeleton(x):
+    """Key points of a skeleton of which only nose and eyes are seen."""
+    points = [point(0.0, 0.0, 0.0)] * 18
+    points[0], points[14], points[15] = point(x, 0.3), point(x + 0.006, 0.29), point(x - 0.006, 0.29)
+    return points
+
+
+class TestFaceBodyMatcher(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.faces = {name: rospy.Publisher("/humans/faces/%s/landmarks" % name, FacialLandmarks, queue_size=1)
+                     for name in ("fa", "fb")}
+        cls.bodies = {name: rospy.Publisher("/humans/bodies/%s/skeleton2d" % name, Skeleton2D, queue_size=1)
+                      for name in ("ba", "bb")}
+        cls.lists = {kind: rospy.Publisher("/humans/%s/tracked" % kind, IdsList, latch=True, queue_size=10)
+                     for kind in ("faces", "bodies")}
+        cls.received = []
+        rospy.Subscriber("/humans/candidate_matches", IdsMatch, cls.received.append, queue_size=100)
+
+    def current(self):
+        """Return the last confidence said of each pair."""
+        return {(item.id1, item.id2): item.confidence for item in list(self.received)}
+
+    def show(self, places):
+        """Publish one image of {id: x}."""
+        header = Header(stamp=rospy.Time.now(), frame_id="camera")
+        for name, x in places.items():
+            if name in self.faces:
+                self.faces[name].publish(FacialLandmarks(header=header, landmarks=face(x), height=720, width=1280))
+            else:
+                self.bodies[name].publish(Skeleton2D(header=header, skeleton=skeleton(x)))
+
+    def wait_for(self, condition, what, places):
+        end = time.monotonic() + WAIT_S
+        while time.monotonic() < end:
+            self.show(places)
+            if condition():
+                return
+            threading.Event().wait(0.05)
+        self.fail("waited %.0f s in vain for %s; matches: %s" % (WAIT_S, what, self.current()))
+
+    def test_matches_follow_people_and_are_withdrawn(self):
+        self.lists["faces"].publish(IdsList(ids=["fa", "fb"]))
+        self.lists["bodies"].publish(IdsList(ids=["ba", "bb"]))
+        places = {"fa": 0.3, "fb": 0.7, "ba": 0.301, "bb": 0.699}
+        self.wait_for(lambda: self.current().get(("fa", "ba"), 0.0) > 0.8
+                      and self.current().get(("fb", "bb"), 0.0) > 0.8, "two matches", places)
+        self.assertEqual({(item.id1_type, item.id2_type) for item in self.received},
+                         {(IdsMatch.FACE, IdsMatch.BODY)})
+        self.assertNotIn(("fa", "bb"), self.current())
+
+        del self.received[:]
+        self.wait_for(lambda: len(self.current()) == 2, "the matches to be said again", places)
+
+        swapped = dict(places, fa=0.7, fb=0.3)
+        self.wait_for(lambda: self.current().get(("fa", "bb"), 0.0) > 0.5
+                      and self.current().get(("fa", "ba")) == 0.0, "the new pairs", swapped)
+
+        self.lists["bodies"].publish(IdsList(ids=["ba"]))
+        self.wait_for(lambda: self.current().get(("fa", "bb")) == 0.0, "the withdrawal", swapped)
+        self.lists["faces"].publish(IdsList(ids=[]))
+        self.wait_for(lambda: self.current().get(("fb", "ba")) == 0.0, "the withdrawal", {})
+
+
+if __name__ == "__main__":
+    rospy.init_node("test_face_body_matcher")
+    rostest.rosrun("hri_pipeline", "test_face_body_matcher", TestFaceBodyMatcher, sys.argv)

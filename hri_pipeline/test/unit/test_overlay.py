@@ -1,0 +1,122 @@
+import numpy as np
+import pytest
+
+from hri_pipeline.core.overlay import PersonMark, colour_of, draw_overlay, short_name
+from hri_pipeline.core.overlay_pairing import FeatureHistory
+
+
+def body(x=200.0, confidence=1.0):
+    points = np.zeros((18, 3))
+    points[:, 0] = x + np.linspace(-40.0, 40.0, 18)
+    points[:, 1] = np.linspace(150.0, 400.0, 18)
+    points[:, 2] = confidence
+    return points
+
+
+def face(x=200.0, y=100.0):
+    angle = np.linspace(0.0, 6.0, 70)
+    return np.stack([x + 30.0 * np.cos(angle), y + 30.0 * np.sin(angle), np.ones(70)], axis=1)
+
+
+@pytest.fixture
+def image():
+    return np.zeros((480, 640, 3), np.uint8)
+
+
+def pixels_of(picture, colour):
+    return int((picture == np.array(colour, np.uint8)).all(axis=2).sum())
+
+
+def test_draws_on_a_copy_in_the_colour_of_the_person(image):
+    mark = PersonMark("wxyza", face_id="faaaa", body_id="baaaa")
+    picture = draw_overlay(image, {"faaaa": face()}, {"baaaa": body()}, [mark])
+    assert not image.any()
+    assert pixels_of(picture, colour_of("wxyza")) > 1000
+
+
+def test_features_of_nobody_are_grey(image):
+    picture = draw_overlay(image, {"faaaa": face()}, {"baaaa": body()}, [])
+    assert pixels_of(picture, (190, 190, 190)) > 500
+    hues = picture.reshape(-1, 3).astype(int)
+    assert (hues.max(axis=1) - hues.min(axis=1)).max() < 12
+
+
+def test_uncertain_and_hostile_points_are_left_out(image):
+    empty = draw_overlay(image, {}, {}, [])
+    lower = slice(0, 400)
+    assert (draw_overlay(image, {}, {"b": body(confidence=0.1)}, [])[lower] == empty[lower]).all()
+    hostile = body()
+    hostile[:, 0] = np.nan
+    hostile[::2, 0] = 1e300
+    draw_overlay(image, {"f": np.full((70, 3), np.inf)}, {"b": hostile}, [PersonMark("p", "f", "b")])
+
+
+def test_a_person_without_features_and_a_tiny_image():
+    draw_overlay(np.zeros((4, 4, 3), np.uint8), {"f": face()}, {"b": body()}, [PersonMark("p", "f"), PersonMark("q")])
+
+
+def test_plates_of_neighbours_do_not_cover_each_other(image):
+    marks = [PersonMark("person{}".format(number), face_id="f{}".format(number)) for number in range(4)]
+    faces = {"f{}".format(number): face(300.0 + 5.0 * number, 200.0) for number in range(4)}
+    picture = draw_overlay(image, faces, {}, marks)
+    areas = [pixels_of(picture, colour_of(mark.id)) for mark in marks]
+    assert min(areas) > 0.6 * max(areas)
+
+
+def test_colours_are_stable_bright_and_different():
+    assert colour_of("abcde") == colour_of("abcde")
+    colours = {colour_of("id{}".format(number)) for number in range(50)}
+    assert len(colours) == 50
+    assert all(max(colour) == 255 for colour in colours)
+
+
+def test_short_name():
+    assert short_name("anonymous_person_abcde") == "anon abcde"
+    assert short_name("abcde") == "abcde"
+
+
+def test_choose_prefers_the_image_where_all_is_known():
+    history = FeatureHistory()
+    images = [1.0, 1.1, 1.2, 1.3]
+    assert history.choose([], 0.1) is None
+    assert history.choose(images, 0.1) == 1.3
+    history.add("faces", "f", 1.2, face())
+    assert history.choose(images, 0.1) == 1.2
+    history.add("bodies", "b", 1.1, body())
+    assert history.choose(images, 0.15) == 1.2
+    assert history.choose(images, 0.05) == 1.2
+    history.add("faces", "f", 1.1, face())
+    assert history.choose(images, 0.05) == 1.1
+    history.add("faces", "f", 1.9, face())
+    assert history.choose(images + [1.9], 0.05) == 1.1
+    history.add("faces", "f", 2.4, face())
+    assert history.choose(images + [1.9, 2.4], 0.05) == 2.4
+
+
+def test_old_features_do_not_hold_the_picture_back():
+    history = FeatureHistory()
+    history.add("faces", "f", 1.0, face())
+    assert history.choose([1.0, 1.1, 3.0], 0.15) == 3.0
+
+
+def test_at_takes_the_nearest_within_tolerance():
+    history = FeatureHistory()
+    history.add("faces", "f", 1.0, face(100.0))
+    history.add("faces", "f", 1.1, face(200.0))
+    assert history.at("faces", 1.09, 0.05)["f"][:, 0].mean() > 150.0
+    assert history.at("faces", 1.3, 0.05) == {}
+    assert history.at("bodies", 1.0, 0.05) == {}
+
+
+def test_who_left_is_forgotten_and_so_is_the_past():
+    history = FeatureHistory(keep=1.0)
+    history.add("faces", "f", 1.0, face())
+    history.add("bodies", "b", 1.0, body())
+    history.keep_only("faces", [])
+    assert history.stamps("faces") == set() and history.stamps("bodies") == {1.0}
+    history.add("bodies", "b", 2.5, body())
+    assert history.stamps("bodies") == {2.5}
+    history.add("bodies", "b", 0.5, body())
+    assert history.stamps("bodies") == {0.5}
+    with pytest.raises(ValueError):
+        FeatureHistory(keep=0.0)

@@ -1,0 +1,111 @@
+"""Runs the stack on one scene and measures it from outside."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+import uuid
+from pathlib import Path
+from typing import Dict, List, Optional
+
+import processes
+
+LIB = Path(__file__).resolve().parent
+PATIENCE_S = 60.0
+TICKS = os.sysconf("SC_CLK_TCK")
+
+
+class BenchmarkError(RuntimeError):
+    """The stack could not be measured; the text says why and where its log is."""
+
+
+def _ticks(pid: int) -> int:
+    """Processor time of a process so far, clock ticks; 0 when it has gone."""
+    try:
+        fields = Path("/proc/{}/stat".format(pid)).read_bytes().rsplit(b")", 1)[1].split()
+        return int(fields[11]) + int(fields[12])
+    except (OSError, IndexError):
+        return 0
+
+
+def _name(pid: int) -> str:
+    """Name of the node, or of the program, that a process runs."""
+    try:
+        words = Path("/proc/{}/cmdline".format(pid)).read_bytes().decode(errors="replace").split("\0")
+    except OSError:
+        return "?"
+    for word in words:
+        if word.startswith("__name:="):
+            return word[len("__name:="):]
+    programs = [Path(word).name for word in words if word and not word.startswith("-")]
+    if programs and programs[0].startswith("python") and len(programs) > 1:
+        programs = programs[1:]
+    return programs[0].replace(".py", "") if programs else "?"
+
+
+class Run:
+    """One roscore, the stack and the probe, all with one mark, so that all of them are ended."""
+
+    def __init__(self, scene: Path, logs: Path, arguments: List[str]) -> None:
+        self._mark = "benchmark-" + uuid.uuid4().hex
+        self._logs = logs
+        port = processes.free_port()
+        self._environment = dict(os.environ, ROS_MASTER_URI="http://127.0.0.1:{}".format(port), ROS_IP="127.0.0.1",
+                                 ROS_LOG_DIR=str(logs / "ros"))
+        self._environment.pop("ROS_HOSTNAME", None)
+        self._environment[processes.MARK_NAME] = self._mark
+        self._start("roscore", ["roscore", "-p", str(port)])
+        if not processes.wait_until(lambda: _listens(port), 30.0):
+            self.close()
+            raise BenchmarkError("roscore does not answer; its log: {}".format(logs / "roscore.log"))
+        self._stack = self._start("roslaunch", ["roslaunch", "ros4hri", "demo.launch", "rviz:=false",
+                                                "source:={}".format(scene)] + arguments)
+
+    def _start(self, name: str, command: List[str], output: Optional[int] = None) -> subprocess.Popen:
+        with open(str(self._logs / (name + ".log")), "wb") as log:
+            return subprocess.Popen(command, env=self._environment, stdin=subprocess.DEVNULL,
+                                    stdout=log if output is None else output, stderr=log)
+
+    def measure(self, people: int, seconds: float) -> dict:
+        """Return what the probe saw, and the use of the processor by name of process, % of one core."""
+        result = self._logs / "probe.json"
+        probe = self._start("probe", [sys.executable, str(LIB / "benchmark_probe.py"), str(people), str(seconds),
+                                      str(PATIENCE_S), str(result)], subprocess.PIPE)
+        assert probe.stdout is not None
+        self._expect(probe, b"begin\n")
+        before, began = self._processor_times(), time.monotonic()
+        self._expect(probe, b"end\n")
+        after, passed = self._processor_times(), time.monotonic() - began
+        probe.wait(timeout=30.0)
+        seen = json.loads(result.read_text(encoding="utf-8"))
+        seen["cpu_percent"] = {name: round(100.0 * (ticks - before.get(name, 0)) / TICKS / passed, 1)
+                               for name, ticks in sorted(after.items(), key=lambda item: -item[1])}
+        return seen
+
+    def _expect(self, probe: subprocess.Popen, line: bytes) -> None:
+        assert probe.stdout is not None
+        if probe.stdout.readline() != line or self._stack.poll() is not None:
+            raise BenchmarkError("the stack or the probe has ended; logs: {}".format(self._logs))
+
+    def _processor_times(self) -> Dict[str, int]:
+        times: Dict[str, int] = {}
+        for pid in processes.marked(self._mark, {os.getpid()}):
+            name = _name(pid)
+            times[name] = times.get(name, 0) + _ticks(pid)
+        return times
+
+    def close(self) -> None:
+        """End everything that was started. May be called again."""
+        processes.end(self._mark, {os.getpid()})
+
+
+def _listens(port: int) -> bool:
+    try:
+        with socket.create_connection(("127.0.0.1", port), timeout=1.0):
+            return True
+    except OSError:
+        return False

@@ -1,0 +1,204 @@
+# shellcheck shell=bash disable=SC2034,SC2153
+# The layers of scripts/test. Each layer_NAME adds to R4H_PASSED, R4H_FAILED and R4H_SKIPPED.
+
+R4H_PACKAGES=(hri_msgs hri_pipeline hri_fullbody hri_person_manager)
+R4H_ROSTEST_LIMIT=300  # seconds for one .test file
+R4H_PYTEST_LIMIT=1200  # seconds for one run of pytest
+
+run_layer() {
+    local began
+    began=$(now)
+    R4H_PASSED=0 R4H_FAILED=0 R4H_SKIPPED=0 R4H_REMARK=
+    printf '\n--- %s\n' "$1"
+    "layer_$1"
+    printf '%s\t%d\t%d\t%d\t%s\t%s\n' "$1" "$R4H_PASSED" "$R4H_FAILED" "$R4H_SKIPPED" "$(seconds_since "$began")" "$R4H_REMARK" >>"$R4H_TABLE"
+    note "$1: $R4H_PASSED passed, $R4H_FAILED failed, $R4H_SKIPPED skipped ($(seconds_since "$began") s)"
+}
+
+add_counts() { # add_counts "PASSED<tab>FAILED<tab>SKIPPED"
+    local passed failed skipped
+    IFS=$'\t' read -r passed failed skipped <<<"$1"
+    R4H_PASSED=$((R4H_PASSED + passed)) R4H_FAILED=$((R4H_FAILED + failed)) R4H_SKIPPED=$((R4H_SKIPPED + skipped))
+}
+
+show_log() { # show_log NAME LINES
+    tail -n "$2" "$R4H_LOGS/$1.log" | sed 's/^/      | /'
+}
+
+check() { # check TITLE COMMAND...: one check of a layer, passed when the exit code is 0
+    local title=$1 log=check-${1//[^A-Za-z0-9]/_} began
+    shift
+    began=$(now)
+    if run_logged "$log" "$@"; then
+        R4H_PASSED=$((R4H_PASSED + 1))
+        note "ok      $title ($(seconds_since "$began") s)"
+    else
+        R4H_FAILED=$((R4H_FAILED + 1))
+        note "FAILED  $title ($(seconds_since "$began") s)"
+        show_log "$log" 40
+    fi
+}
+
+check_counting() { # the same, for a command whose log holds a line 'N passed, N failed'
+    local title=$1 log=check-${1//[^A-Za-z0-9]/_} began code=0 counts passed failed
+    shift
+    began=$(now)
+    run_logged "$log" "$@" || code=$?
+    counts=$(sed -n 's/^\([0-9]*\) passed, \([0-9]*\) failed.*$/\1 \2/p' "$R4H_LOGS/$log.log" | tail -n 1)
+    read -r passed failed <<<"${counts:-0 0}"
+    ((code == 0 || failed > 0)) || failed=1
+    R4H_PASSED=$((R4H_PASSED + passed)) R4H_FAILED=$((R4H_FAILED + failed))
+    note "$( ((failed)) && echo FAILED || echo 'ok    ')  $title: $passed passed, $failed failed ($(seconds_since "$began") s)"
+    ((failed == 0)) || show_log "$log" 60
+}
+
+find_python38() { # a 3.8 interpreter, with the lock in an environment of its own
+    local candidate root
+    root=${PYENV_ROOT:-${HOME:-/root}/.pyenv}
+    for candidate in /usr/bin/python3.8 /usr/local/bin/python3.8 "$root"/versions/3.8*/bin/python3.8 "$(command -v python3.8 || true)"; do
+        if [ -x "$candidate" ] && "$candidate" -c 'import sys, venv; sys.exit(sys.version_info[:2] != (3, 8))' 2>/dev/null; then
+            readlink -f "$candidate"
+            return 0
+        fi
+    done
+    return 1
+}
+
+make_venv38() { # make_venv38 INTERPRETER DIRECTORY
+    "$1" -m venv "$2" || return 1
+    twice "$2/bin/pip" install 'pip>=20.3,<25.1' || return 1
+    twice "$2/bin/pip" install --only-binary :all: -r "$R4H_ROOT/scripts/requirements-test.txt" -c "$R4H_ROOT/scripts/constraints.txt" || return 1
+    touch "$2/.complete"
+}
+
+venv38() { # sets R4H_VENV38; false where there is no 3.8 or its environment cannot be made
+    local interpreter
+    R4H_VENV38=
+    interpreter=$(find_python38) || return 1
+    R4H_VENV38=$R4H_CACHE/venv-pure-3.8-$(lock_hash)
+    [ -e "$R4H_VENV38/.complete" ] && return 0
+    note "making an environment for $interpreter"
+    rm -rf -- "$R4H_VENV38"
+    run_or_fail venv38 "see that the Python package index can be reached." make_venv38 "$interpreter" "$R4H_VENV38"
+}
+
+python_sources() { # NUL separated: every Python file of ours
+    find scripts/lib hri_* rosbag_tests -type f -name '*.py' -print0
+    find hri_*/nodes rosbag_tests scripts -maxdepth 1 -type f ! -name '*.*' -print0 2>/dev/null |
+        xargs -0 -r grep -lZE '^#!.*python3' || true
+}
+
+compile_sources() { # compile_sources INTERPRETER: syntax only, nothing is written
+    python_sources | xargs -0 "$1" -c '
+import sys
+for name in sys.argv[1:]:
+    with open(name, "rb") as source:
+        compile(source.read(), name, "exec", dont_inherit=True)
+print(len(sys.argv) - 1, "files")'
+}
+
+shell_syntax() {
+    local file code=0
+    for file in scripts/lib/*.sh .ci/run $(grep -lE '^#!.*bash' scripts/* 2>/dev/null); do
+        bash -n "$file" || code=1
+    done
+    return "$code"
+}
+
+lint_catkin() {
+    if [ -x scripts/catkin_lint ]; then scripts/catkin_lint; else
+        catkin_lint -q -W1 --explain "${R4H_PACKAGES[@]}"
+    fi
+}
+
+layer_static() {
+    local interpreter
+    check "ruff" ruff check --config scripts/ruff.toml --no-cache .
+    check "syntax, $(python3 -c 'import sys; print("Python %d.%d" % sys.version_info[:2])')" compile_sources python3
+    if interpreter=$(find_python38); then check "syntax, Python 3.8" compile_sources "$interpreter"; fi
+    check "shell syntax" shell_syntax
+    check "catkin_lint" lint_catkin
+    check_counting "contents" python3 "$R4H_LIB/contents.py" "$R4H_ROOT"
+}
+
+existing_dirs() { # existing_dirs SUBDIRECTORY...: those of every package that hold tests
+    local package name
+    for package in "${R4H_PACKAGES[@]}"; do
+        for name in "$@"; do
+            compgen -G "$package/$name/test_*.py" >/dev/null && printf '%s\n' "$package/$name"
+        done
+    done
+    return 0
+}
+
+run_pytest() { # run_pytest NAME INTERPRETER DIRECTORY...
+    local name=$1 interpreter=$2 code=0 counts
+    shift 2
+    if (($# == 0)); then
+        note "no test found"
+        return 0
+    fi
+    run_logged "$name" timeout -k 20 "$R4H_PYTEST_LIMIT" "$interpreter" -m pytest -q -c scripts/pytest.ini --rootdir .. \
+        -n "$(nproc)" --dist worksteal --durations=5 "--junitxml=$R4H_LOGS/$name.xml" "$@" || code=$?
+    counts=$("$R4H_SYSTEM_PYTHON" "$R4H_LIB/results.py" pytest "$R4H_LOGS/$name.xml" "$R4H_DATA_REQUIRED" 2>"$R4H_TMP/problems")
+    add_counts "$counts"
+    show_log "$name" "$( ((code == 0)) && echo 8 || echo 120)"
+    grep -E 'skipped' "$R4H_TMP/problems" | cut -c1-200 | head -n 6 | sed 's/^/      /' || true
+    # An interrupted or broken run without a failed case.
+    if ((code != 0 && code != 1 && R4H_FAILED == 0)); then
+        note "pytest ended with exit code $code"
+        R4H_FAILED=$((R4H_FAILED + 1))
+    fi
+}
+
+layer_pytest() {
+    local -a dirs
+    mapfile -t dirs < <(existing_dirs test/unit test/models test/msgs)
+    compgen -G 'scripts/lib/tests/test_*.py' >/dev/null && dirs+=(scripts/lib/tests)
+    run_pytest pytest python3 ${dirs[@]+"${dirs[@]}"}
+}
+
+layer_pytest38() {
+    local -a dirs
+    local package path=''
+    if ! venv38; then
+        R4H_REMARK="no Python 3.8 here"
+        note "$R4H_REMARK: not run"
+        return 0
+    fi
+    mapfile -t dirs < <(existing_dirs test/unit test/models)
+    for package in "${R4H_PACKAGES[@]}"; do path=${path:+$path:}$R4H_ROOT/$package/src; done
+    # Without ROS: the pure layer must not need it.
+    PYTHONPATH=$path run_pytest pytest38 "$R4H_VENV38/bin/python" ${dirs[@]+"${dirs[@]}"}
+}
+
+run_rostest() { # run_rostest FILE
+    local file=$1 code=0 began counts name
+    name=rostest-${file//\//_}
+    began=$(now)
+    mkdir -p "$R4H_LOGS/results/$name"
+    ROS_TEST_RESULTS_DIR=$R4H_LOGS/results/$name ROS_LOG_DIR=$R4H_LOGS/results/$name/ros ROS4HRI_RUN_MARK=$R4H_MARK-$name \
+        run_logged "$name" timeout -k 20 -s INT "$R4H_ROSTEST_LIMIT" rostest "$R4H_WS/src/ros4hri/$file" || code=$?
+    env -u ROS4HRI_RUN_MARK "$R4H_SYSTEM_PYTHON" "$R4H_LIB/processes.py" end "$R4H_MARK-$name" || true
+    counts=$("$R4H_SYSTEM_PYTHON" "$R4H_LIB/results.py" rostest "$R4H_LOGS/results/$name" "$code" "$R4H_DATA_REQUIRED" 2>"$R4H_TMP/problems")
+    add_counts "$counts"
+    if [[ $counts == *$'\t0\t'* ]]; then
+        note "ok      $file: ${counts%%$'\t'*} passed ($(seconds_since "$began") s)"
+        sed 's/^/              /' "$R4H_TMP/problems"
+    else
+        note "FAILED  $file ($(seconds_since "$began") s)"
+        sed 's/^/              /' "$R4H_TMP/problems"
+        show_log "$name" 60
+    fi
+}
+
+layer_rostest() {
+    local file
+    while IFS= read -r file; do
+        run_rostest "$file"
+    done < <(find hri_*/test/ros rosbag_tests -name '*.test' | LC_ALL=C sort)
+}
+
+layer_layout() {
+    check_counting "scripts/check_layout" scripts/check_layout
+}

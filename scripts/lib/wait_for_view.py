@@ -1,0 +1,83 @@
+"""Wait until persons are there and rviz shows them: exit code 0 then, 1 after the time given.
+
+rviz counts as showing when it has been subscribed to the visualisation topics for a while; its own
+drawing cannot be asked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from typing import List, Sequence
+
+import rosgraph
+import rospy
+
+from hri_msgs.msg import IdsList
+
+SETTLING_SECONDS = 6.0  # the first rendering in software takes a few seconds
+
+
+class TrackedCount:
+    """How many humans of one kind ("persons", "faces", "bodies") are tracked now."""
+
+    def __init__(self, kind: str) -> None:
+        self._lock = threading.Lock()
+        self._count = 0
+        self._subscriber = rospy.Subscriber("/humans/%s/tracked" % kind, IdsList, self._receive, queue_size=1)
+
+    def _receive(self, message: IdsList) -> None:
+        with self._lock:
+            self._count = len(message.ids)
+
+    @property
+    def count(self) -> int:
+        """Number of ids in the last list."""
+        with self._lock:
+            return self._count
+
+
+def viewed_topics(viewer: str) -> List[str]:
+    """Topics that a node whose name begins with the given one is subscribed to."""
+    _, subscribers, _ = rosgraph.Master(rospy.get_name()).getSystemState()
+    return [topic for topic, nodes in subscribers if any(node.startswith(viewer) for node in nodes)]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Command line entry; see the module text."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=60.0, help="give up after this time")
+    parser.add_argument("--people", type=int, default=1, help="persons that must be there")
+    parser.add_argument("--viewer", default="/rviz", help="beginning of the name of the viewing node; empty for none")
+    options = parser.parse_args(list(arguments))
+    deadline = time.monotonic() + options.seconds
+    while not rosgraph.is_master_online():
+        if time.monotonic() > deadline:
+            print("no ROS master at %s" % rosgraph.get_master_uri(), file=sys.stderr)
+            return 1
+        time.sleep(0.2)
+    rospy.init_node("wait_for_view", anonymous=True, disable_signals=True)
+    persons, bodies = TrackedCount("persons"), TrackedCount("bodies")
+    began, viewed_since = time.monotonic(), None
+    while time.monotonic() < deadline:
+        topics = viewed_topics(options.viewer) if options.viewer else []
+        if options.viewer and viewed_since is None and any("visualization" in topic for topic in topics):
+            viewed_since = time.monotonic()
+        settled = not options.viewer or (viewed_since is not None and time.monotonic() - viewed_since > SETTLING_SECONDS)
+        # A picture with skeletons is the better one, but there are sources that show faces only.
+        wanted_bodies = max(options.people, 2) if options.viewer and time.monotonic() - began < 0.6 * options.seconds else 0
+        if settled and persons.count >= options.people and bodies.count >= wanted_bodies:
+            print("%d persons, %d bodies; %s shows %s" % (
+                persons.count, bodies.count, options.viewer or "(no viewer)", ", ".join(sorted(topics))))
+            return 0
+        time.sleep(0.25)
+    topics = viewed_topics(options.viewer) if options.viewer else []
+    print("after %.0f s: %d persons; %s shows %s" % (
+        options.seconds, persons.count, options.viewer or "(no viewer)", ", ".join(topics) or "nothing"), file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
