@@ -18,7 +18,7 @@ BODY_STAGE_PARAMETERS = (
               " fainter people and more things that are none.", minimum=0.05, maximum=0.99),
     Parameter("person_detection_size", 512, "Longer side of the person detector's input. Larger finds people farther"
               " away; the time grows with its square (17 ms at 512).", unit="px", minimum=128, maximum=1920),
-    Parameter("person_detection_period", 0.33, "Time between two runs of the person detector; between them the pose"
+    Parameter("person_detection_period", 0.7, "Time between two runs of the person detector; between them the pose"
               " network follows the known bodies. Smaller finds new people sooner and costs more. 0: every image.",
               unit="s", minimum=0.0, maximum=10.0),
     Parameter("new_windows_per_image", 3, "Most places per image that are searched for new bodies, about 6 ms each."

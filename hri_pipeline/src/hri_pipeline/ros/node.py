@@ -14,6 +14,7 @@ import rosgraph
 import rospy
 from rospy.exceptions import ROSInitException
 
+from hri_pipeline.core.memory import keep_large_blocks
 from hri_pipeline.core.onnx_model import ModelError
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.ros.master_watch import MasterWatch
@@ -37,6 +38,7 @@ def run_node(name: str, build: Callable[[], object]) -> NoReturn:
     Exit code 0, or 1 after an error; ParameterError and ModelError are told in one line.
     """
     _install_handlers()
+    keep_large_blocks()
     code = 0
     try:
         wait_for_master(name)
