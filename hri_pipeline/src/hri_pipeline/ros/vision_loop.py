@@ -65,12 +65,17 @@ class VisionLoop:
 
     def spin(self) -> None:
         """Work until ROS shuts down or close() is called."""
+        heard, quiet = rospy.get_time(), True
         while not self._closed.is_set() and not rospy.is_shutdown():
             started = time.monotonic()
             frame = self._next()
             if frame is not None:
                 self.process(frame)
+                heard, quiet = rospy.get_time(), False
                 self._closed.wait(max(0.0, self._period - (time.monotonic() - started)))
+            elif not quiet and rospy.get_time() - heard > self._silence:
+                quiet = True
+                self.reset()
             if time.monotonic() - self._reported >= _REPORT_S:
                 self._reported = time.monotonic()
                 self._report()
