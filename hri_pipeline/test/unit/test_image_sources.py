@@ -7,11 +7,11 @@ import pytest
 from hri_pipeline.core.image_sources import PictureSource, SourceError, is_live, open_source, pictures_in
 from hri_pipeline.core.source_parameters import SOURCE_PARAMETERS
 
-RED, GREEN, BLUE = (0, 0, 255), (0, 255, 0), (255, 0, 0)
+RED, GREEN, BLUE, BLACK = (0, 0, 255), (0, 255, 0), (255, 0, 0), (0, 0, 0)
 
 
 def settings(source, **others) -> SimpleNamespace:
-    small = {"width": 64, "height": 48, "source": str(source)}
+    small = {"width": 64, "height": 48, "source": str(source), "dark_between_pictures": 0.0}
     small.update(others)
     return SOURCE_PARAMETERS.resolve(small)
 
@@ -88,6 +88,18 @@ def test_pictures_loop(tmp_path):
     for elapsed, colour in ((0.5, RED), (1.5, GREEN), (2.5, RED), (101.5, GREEN)):
         assert source.advance(elapsed)
         assert tuple(source.image()[24, 32]) == colour
+
+
+def test_it_is_dark_between_pictures(tmp_path):
+    for name, colour in (("1.png", RED), ("2.png", GREEN)):
+        write_picture(tmp_path / name, colour)
+    source, _ = open_and_note(settings(tmp_path, seconds_per_picture=4.0, dark_between_pictures=1.0, fit="crop"))
+    for elapsed, colour in ((2.9, RED), (3.1, BLACK), (3.9, BLACK), (4.0, GREEN), (7.5, BLACK), (8.0, RED)):
+        assert source.advance(elapsed)
+        assert tuple(source.image()[24, 32]) == colour
+    alone, _ = open_and_note(settings(tmp_path / "1.png", seconds_per_picture=4.0, dark_between_pictures=1.0, fit="crop"))
+    assert alone.advance(3.9)
+    assert tuple(alone.image()[24, 32]) == RED
 
 
 def test_a_damaged_picture_is_skipped_and_named_once(tmp_path):

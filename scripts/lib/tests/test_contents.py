@@ -17,7 +17,7 @@ def _tree(root: Path, name: str, text: str, mode: int = 0o644) -> Path:
 
 def test_paths_of_one_machine_are_found(tmp_path: Path) -> None:
     bad = _tree(tmp_path, "a.py", "x = '/%s/someone/data'\n" % "home")
-    good = _tree(tmp_path, "b.sh", "cat /etc/os-release; ls ~/.cache/x ${X}/root/y http://h/home/x\n")
+    good = _tree(tmp_path, "b.sh", "cat /etc/os-release; ls ~/.cache/x ${X}/ro" "ot/y http://h/home/x\n")
     assert contents.machine_paths(tmp_path, [bad, good]) == ["a.py:1: /%s/someone" % "home"]
 
 

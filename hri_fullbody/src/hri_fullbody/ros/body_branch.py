@@ -56,11 +56,8 @@ class BodyBranch:
         bodies = self._stage.update(frame.bgr, frame.camera, frame.stamp, self._face_boxes(frame, context))
         context["bodies"] = bodies
         ids = self._stage.tracked_ids
-        for identity in ids:
-            self._leases.open(identity)
+        self._leases.keep(ids)
         self._tracked.set(ids, frame.header.stamp)
-        for identity in set(self._leases.ids) - set(ids):
-            self._leases.close(identity)
         for body in bodies:
             self._leases.publish(body.id, "roi", roi_message(
                 body.box, width, height, self._interface, frame.header, body.score))
@@ -78,9 +75,7 @@ class BodyBranch:
     def status(self) -> Tuple[int, str, Dict[str, object]]:
         """Return level, message and values for diagnostics."""
         values: Dict[str, object] = {"tracked": len(self._stage.tracked_ids)}
-        for stage, (median, high) in self._stage.times.summary().items():
-            values["{}_ms_median".format(stage.replace(" ", "_"))] = median
-            values["{}_ms_p95".format(stage.replace(" ", "_"))] = high
+        values.update(self._stage.times.values())
         if self._no_frame:
             return WARN, "images have no frame_id, so bodies have no TF frame; set the camera driver's frame_id", values
         return OK, "{} bodies".format(values["tracked"]), values

@@ -142,6 +142,8 @@ class LiveSource(ImageSource):
 class PictureSource(ImageSource):
     """Pictures one after the other, each for the same time, seen by a slowly moving camera.
 
+    Between two pictures the image is black for a while, so that trackers let go: other people are seen next, and no
+    camera cuts from one place to another.
     A picture that cannot be read is skipped and reported once through `notify`.
     Raises SourceError when none can be read.
     """
@@ -182,8 +184,12 @@ class PictureSource(ImageSource):
         return True
 
     def image(self) -> Optional[np.ndarray]:
-        """Return the present view."""
-        return None if self._motion is None else self._motion.view(self._elapsed)
+        """Return the present view, black at the end of the time of a picture that others follow."""
+        if self._motion is None:
+            return None
+        view = self._motion.view(self._elapsed)
+        left = self._settings.seconds_per_picture - self._elapsed % self._settings.seconds_per_picture
+        return np.zeros_like(view) if len(self._paths) > 1 and left <= self._settings.dark_between_pictures else view
 
 
 def _no_camera(device: str) -> str:

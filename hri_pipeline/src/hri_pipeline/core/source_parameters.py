@@ -33,6 +33,9 @@ SOURCE_PARAMETERS = ParameterTable(
         Parameter("jpeg_quality", 80, "Quality of image/compressed, which is made only while somebody listens.",
                   minimum=1, maximum=100),
         Parameter("seconds_per_picture", 8.0, "How long each picture is shown.", unit="s", minimum=0.1, maximum=3600.0),
+        Parameter("dark_between_pictures", 1.5, "How long the image is black before the next picture, part of the time "
+                  "of the picture. Longer than the trackers' death times, so that nobody becomes somebody else.",
+                  unit="s", minimum=0.0, maximum=60.0),
         Parameter("pan", 0.03, "Swing of the slow pan over a picture, to each side, as a fraction of the image. 0: still.",
                   minimum=0.0, maximum=0.25),
         Parameter("pan_period", 12.0, "Time of one swing there and back.", unit="s", minimum=0.5, maximum=600.0),

@@ -51,6 +51,14 @@ class StageTimes:
         return {stage: (float(np.median(values)), float(np.percentile(values, 95)))
                 for stage, values in times.items()}
 
+    def values(self) -> Dict[str, float]:
+        """Return the summary as {"<stage>_ms_median": ms, "<stage>_ms_p95": ms}, for diagnostics."""
+        values: Dict[str, float] = {}
+        for stage, (median, high) in self.summary().items():
+            name = stage.replace(" ", "_")
+            values[name + "_ms_median"], values[name + "_ms_p95"] = median, high
+        return values
+
     def clear(self) -> None:
         """Forget all times."""
         with self._lock:

@@ -49,11 +49,8 @@ class FaceBranch:
         faces = self._stage.update(frame.bgr, frame.camera, frame.stamp)
         context["faces"] = faces
         ids = self._stage.tracked_ids
-        for identity in ids:
-            self._leases.open(identity)
+        self._leases.keep(ids)
         self._tracked.set(ids, frame.header.stamp)
-        for identity in set(self._leases.ids) - set(ids):
-            self._leases.close(identity)
         for face in faces:
             self._publish(face, frame)
         self._publish_poses(faces, frame)
@@ -67,9 +64,7 @@ class FaceBranch:
     def status(self) -> Tuple[int, str, Dict[str, object]]:
         """Return level, message and values for diagnostics."""
         values: Dict[str, object] = {"tracked": len(self._stage.tracked_ids), "without_pose": self._poseless}
-        for stage, (median, high) in self._stage.times.summary().items():
-            values["{}_ms_median".format(stage)] = median
-            values["{}_ms_p95".format(stage)] = high
+        values.update(self._stage.times.values())
         if self._no_frame:
             return WARN, _NO_FRAME, values
         return OK, "{} faces".format(values["tracked"]), values

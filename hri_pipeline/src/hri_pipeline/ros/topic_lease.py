@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Dict, List, Mapping, NamedTuple, Type
+from typing import Dict, Iterable, List, Mapping, NamedTuple, Type
 
 import genpy
 import rospy
@@ -57,6 +57,14 @@ class TopicLeases:
                 publishers[name] = rospy.Publisher(
                     "{}/{}/{}".format(self._namespace, identity, name), spec.type,
                     latch=spec.latch, queue_size=spec.queue_size)
+
+    def keep(self, identities: Iterable[str]) -> None:
+        """Open what is new in `identities` and close what is not in it."""
+        wanted = list(identities)
+        for identity in wanted:
+            self.open(identity)
+        for identity in set(self.ids) - set(wanted):
+            self.close(identity)
 
     def publish(self, identity: str, name: str, message: genpy.Message) -> bool:
         """Publish on a topic of an open id; False when the id is not open (it may just have gone).

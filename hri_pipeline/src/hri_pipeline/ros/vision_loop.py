@@ -155,9 +155,7 @@ class VisionLoop:
             values["age_ms_p95"] = 1e3 * ages[int(0.95 * (len(ages) - 1))]
         counts = self._intake.counts
         values["dropped_images"] = counts["received"] - counts["taken"]
-        for stage, (median, high) in self.times.summary().items():
-            values["{}_ms_median".format(stage)] = median
-            values["{}_ms_p95".format(stage)] = high
+        values.update(self.times.values())
         for name, count in self._errors.items():
             values["errors_{}".format(name)] = count
         if time.monotonic() - self._error_at < _LOG_PERIOD_S:
