@@ -6,7 +6,7 @@ from hri_pipeline.core.parameters import Parameter, ParameterTable
 
 MATCHER_PARAMETERS = ParameterTable(
     "face_body_matcher", "Finds out which face belongs to which body, from their positions in the image.", (
-        Parameter("distance_scale", 0.3,
+        Parameter("distance_scale", 0.6,
                   "Mean distance between the eyes and nose of a face and those of a skeleton, in sizes of the "
                   "face, at which the likelihood has fallen to 0.61. Higher: more tolerant of inexact "
                   "skeletons, less certain among faces close together.", unit="face sizes", minimum=0.05,
