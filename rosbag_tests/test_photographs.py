@@ -11,7 +11,7 @@ import rostest
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header, String
 
-from hri_msgs.msg import FacialLandmarks, IdsList, Skeleton2D
+from hri_msgs.msg import FacialLandmarks, Skeleton2D
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.image_sources import open_source
 from hri_pipeline.core.model_store import models_directory

@@ -163,3 +163,31 @@ def test_reset_drops_everybody_and_no_id_comes_again():
 def test_constructor_refuses_nonsense(arguments):
     with pytest.raises(ValueError):
         FaceTracker(*arguments)
+
+
+def test_a_pattern_detected_once_never_becomes_a_face():
+    faces = FaceTracker(0.1, 1.0, 10, min_detections=2, support_time=2.0)
+    for step in range(20):
+        faces.update([face(100.0, detection=step == 0)], 0.1 * step)
+        assert faces.ids == []
+    faces.update([face(100.0, detection=False)], 2.1)
+    assert faces.tracks == []
+
+
+def test_a_face_lives_as_long_as_it_is_detected_now_and_then():
+    faces = FaceTracker(0.1, 1.0, 10, min_detections=2, support_time=2.0)
+    ids = set()
+    for step in range(100):
+        stamp = 0.1 * step
+        if step % 15 == 1:
+            faces.support([face(102.0).box, face(900.0).box], stamp)
+        faces.update([face(100.0, detection=step == 0)], stamp)
+        ids.update(faces.ids)
+        assert len(faces.ids) == (1 if step >= 1 else 0)
+    assert len(ids) == 1
+
+
+@pytest.mark.parametrize("wrong", [dict(min_detections=0), dict(support_time=0.0), dict(support_time=-1.0)])
+def test_illegal_support(wrong):
+    with pytest.raises(ValueError):
+        FaceTracker(0.1, 1.0, 10, **wrong)

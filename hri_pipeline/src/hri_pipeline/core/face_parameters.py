@@ -27,6 +27,12 @@ FACE_STAGE_PARAMETERS = (
               " more flickering false faces.", unit="s", minimum=0.0, maximum=10.0),
     Parameter("face_death_time", 1.0, "Time after which a face that is not seen any more is dropped with its id."
               " Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0),
+    Parameter("face_min_detections", 2, "How many runs of the detector must have seen a face before it gets its topics."
+              " 1 finds faces one detection period sooner, and takes a badge or a pattern for a face more often.",
+              minimum=1, maximum=20),
+    Parameter("face_support_time", 4.0, "Time after which a face that only its mesh still sees, and the detector does"
+              " not, is dropped: it is a pattern that looked like a face for a moment.",
+              unit="s", minimum=0.5, maximum=600.0),
 )
 """What FaceStage needs."""
 

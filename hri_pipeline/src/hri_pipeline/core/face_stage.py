@@ -53,7 +53,8 @@ class FaceStage:
         self._mesh = FaceMesh(mesh)
         self._head_pose = HeadPoseEstimator(canonical)
         self._tracker = FaceTracker(
-            settings.face_birth_delay, settings.face_death_time, settings.max_faces, ids)
+            settings.face_birth_delay, settings.face_death_time, settings.max_faces, ids,
+            settings.face_min_detections, settings.face_support_time)
         self._min_presence = settings.min_face_presence
         self._smoothers: Dict[str, PoseSmoother] = {}
         self._last_stamp = -np.inf
@@ -81,7 +82,7 @@ class FaceStage:
         living = {track.id for track in self._tracker.tracks}
         self._smoothers = {key: value for key, value in self._smoothers.items() if key in living}
         with self.times("face_pose"):
-            return [self._observe(track, camera, stamp) for track in seen if track.life.confirmed]
+            return [self._observe(track, camera, stamp) for track in seen if self._tracker.is_confirmed(track)]
 
     def reset(self) -> None:
         """Drop every face, as after a jump in time; ids are not given again."""
@@ -104,6 +105,7 @@ class FaceStage:
             return found
         with self.times("face_detection"):
             detections = self._detector.detect(bgr, regions)
+        self._tracker.support([detection.box for detection in detections], stamp)
         with self.times("face_birth"):
             return found + self._look_closer(bgr, self._unexplained(detections, found, stamp))
 

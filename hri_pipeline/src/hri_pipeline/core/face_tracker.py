@@ -56,6 +56,8 @@ class FaceTrack:
         self.life = life
         self.measurement = measurement
         self.visible = True
+        self.detections = 1
+        self.detected_at = stamp
         self._velocity = np.zeros(2)
         self._stamp = stamp
         self._centre, self._size = _place(measurement.box)
@@ -87,6 +89,11 @@ class FaceTrack:
         self.visible = True
         self.life.seen(stamp)
 
+    def support(self, stamp: float) -> None:
+        """Note that the detector sees a face here, too."""
+        self.detections += 1
+        self.detected_at = stamp
+
     def miss(self) -> None:
         """Note that the face was not found in this frame."""
         self.visible = False
@@ -95,15 +102,24 @@ class FaceTrack:
 class FaceTracker:
     """Assigns measurements to tracks; knows nothing of images."""
 
-    def __init__(self, birth_delay: float, death_time: float, max_faces: int,
-                 ids: Optional[IdGenerator] = None) -> None:
-        """birth_delay, death_time: s. Raises ValueError for a negative time or less than one face."""
-        if max_faces < 1:
-            raise ValueError("max_faces must be at least 1, got %r" % (max_faces,))
+    def __init__(self, birth_delay: float, death_time: float, max_faces: int, ids: Optional[IdGenerator] = None,
+                 min_detections: int = 1, support_time: float = np.inf) -> None:
+        """birth_delay, death_time: s. min_detections: how often the detector must have seen a face before it counts.
+        support_time: s after which a face that only its mesh sees is dropped.
+
+        Raises ValueError for a negative time, or less than one face or detection.
+        """
+        if max_faces < 1 or min_detections < 1:
+            raise ValueError("max_faces and min_detections must be at least 1, got %r and %r" % (
+                max_faces, min_detections))
+        if not support_time > 0.0:
+            raise ValueError("support_time must be above 0 s, got %r" % (support_time,))
         TrackLife(0.0, birth_delay, death_time)
         self._birth_delay = birth_delay
         self._death_time = death_time
         self._max_faces = max_faces
+        self._min_detections = min_detections
+        self._support_time = support_time
         self._ids = ids if ids is not None else IdGenerator()
         self._tracks: List[FaceTrack] = []
 
@@ -115,7 +131,11 @@ class FaceTracker:
     @property
     def ids(self) -> List[str]:
         """Ids of the confirmed living tracks, oldest first."""
-        return [track.id for track in self._tracks if track.life.confirmed]
+        return [track.id for track in self._tracks if self.is_confirmed(track)]
+
+    def is_confirmed(self, track: FaceTrack) -> bool:
+        """Tell whether a track has lived long enough and been detected often enough to be a face."""
+        return track.life.confirmed and track.detections >= self._min_detections
 
     def reset(self) -> None:
         """Drop every track. Their ids are not given again."""
@@ -126,16 +146,26 @@ class FaceTracker:
         return [track for track in self._tracks if not track.life.dead(stamp)
                 and (track.visible or stamp - track.life.last_seen <= COAST_TIME)]
 
+    def support(self, boxes: Sequence[np.ndarray], stamp: float) -> None:
+        """Take the boxes (4,) px of the detector's faces at `stamp` (s): a pattern that looked like a face once is
+        followed by the mesh as long as it stays, but is detected in few images only.
+        """
+        for track in self._tracks:
+            expected = track.predicted_box(stamp)
+            if any(same_face(box, expected) for box in boxes):
+                track.support(stamp)
+
     def update(self, measurements: Sequence[FaceMeasurement], stamp: float) -> List[FaceTrack]:
         """Take the measurements of the frame at `stamp` (s) in; returns the tracks seen in it, oldest first.
 
         A face unseen for longer than the death time is dropped, a candidate that is missed once as well.
         """
         # Whoever was not looked for during a long gap between images is somebody else afterwards.
-        self._tracks = [track for track in self._tracks if not track.life.dead(stamp)]
+        self._tracks = [track for track in self._tracks if not track.life.dead(stamp)
+                        and stamp - track.detected_at <= self._support_time]
         measurements = without_duplicates(measurements)
         rest = self._assign(measurements, stamp)
-        self._tracks = [track for track in self._tracks if track.visible or track.life.confirmed]
+        self._tracks = [track for track in self._tracks if track.visible or self.is_confirmed(track)]
         for measurement in rest:
             if measurement.may_start and len(self._tracks) < self._max_faces:
                 life = TrackLife(stamp, self._birth_delay, self._death_time)
