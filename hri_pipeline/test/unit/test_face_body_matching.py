@@ -142,7 +142,7 @@ def test_a_slow_skeleton_is_compared_with_the_face_of_its_time():
 
 
 def test_a_pair_ends_with_either_side_and_when_it_cannot_be_compared():
-    matcher = make()
+    matcher = make(hold_time=1.0)
     assert feed(matcher, 1.0, {"f1": 0.5}, {"b1": 0.5})
     matcher.set_tracked("faces", [])
     assert matcher.matches() == []
@@ -151,6 +151,13 @@ def test_a_pair_ends_with_either_side_and_when_it_cannot_be_compared():
     assert matcher.matches()
     matcher.add_body("b1", 3.1, human(0.5)[1])
     assert matcher.matches() == []
+
+
+def test_a_pair_outlives_a_node_that_dies_and_comes_back():
+    matcher = make()
+    assert feed(matcher, 1.0, {"f1": 0.5}, {"b1": 0.5})
+    matcher.add_body("b1", 7.0, human(0.5)[1])
+    assert matcher.matches(), "the face is still listed"
 
 
 def test_time_may_jump_back():

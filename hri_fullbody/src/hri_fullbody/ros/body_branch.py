@@ -69,7 +69,7 @@ class BodyBranch:
     def reset(self) -> None:
         """Forget all bodies: time has jumped back."""
         self._stage.reset()
-        self._tracked.set([], rospy.Time())
+        self._tracked.set([], rospy.Time.now())
         self._leases.close_all()
 
     def status(self) -> Tuple[int, str, Dict[str, object]]:

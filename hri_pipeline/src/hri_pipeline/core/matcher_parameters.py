@@ -24,7 +24,7 @@ MATCHER_PARAMETERS = ParameterTable(
         Parameter("max_stamp_difference", 0.15,
                   "Face and skeleton are compared when their images are at most this far apart.", unit="s",
                   minimum=0.0, maximum=1.0),
-        Parameter("hold_time", 1.0,
+        Parameter("hold_time", 10.0,
                   "A pair that cannot be compared for so long, because one side is tracked without being "
-                  "seen, is withdrawn.", unit="s", minimum=0.1, maximum=30.0),
+                  "seen, is withdrawn. Long enough for a node that died to come back: its faces stay listed until then.", unit="s", minimum=0.1, maximum=30.0),
     ))

@@ -58,7 +58,7 @@ class FaceBranch:
     def reset(self) -> None:
         """Forget all faces: time has jumped back."""
         self._stage.reset()
-        self._tracked.set([], rospy.Time())
+        self._tracked.set([], rospy.Time.now())
         self._leases.close_all()
 
     def status(self) -> Tuple[int, str, Dict[str, object]]:

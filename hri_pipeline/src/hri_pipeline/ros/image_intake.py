@@ -27,6 +27,7 @@ JUMP_S = 1.0
 INFO_GRACE_S = 1.0
 SILENCE_S = 3.0
 _LOG_PERIOD_S = 10.0
+_NEW_PROBLEM_S = 1.0
 
 ImageMessage = Union[Image, CompressedImage]
 
@@ -69,6 +70,7 @@ class ImageIntake:
         self._message: Optional[ImageMessage] = None
         self._last_stamp: Optional[float] = None
         self._problem: Tuple[int, str] = (OK, "")
+        self._told: Tuple[str, float] = ("", float("-inf"))
         self._heard = self._started = time.monotonic()
         self._first = 0.0
         self._closed = False
@@ -139,18 +141,21 @@ class ImageIntake:
             bgr = self._decode(message)
         except ImageError as error:
             self.counts["unreadable"] += 1
-            problem = (ERROR, "{}: {}".format(self.topic, error))
-            if problem != self._problem:
-                rospy.logerr("%s; this image is skipped", problem[1])
-            else:
-                rospy.logerr_throttle(_LOG_PERIOD_S, "%s; images are skipped", problem[1])
-            self._problem = problem
+            self._problem = (ERROR, "{}: {}".format(self.topic, error))
+            self._tell(self._problem[1])
             return None
         self._problem = (OK, "")
         camera = self._camera.model(bgr.shape[1], bgr.shape[0])
         self._last_stamp = header.stamp.to_sec()
         self.counts["taken"] += 1
         return Frame(bgr, camera, self._last_stamp, header)
+
+    def _tell(self, problem: str) -> None:
+        """Log a problem with an image: a new one soon, the same one now and then."""
+        told, at = self._told
+        if time.monotonic() - at > (_LOG_PERIOD_S if problem == told else _NEW_PROBLEM_S):
+            rospy.logerr("%s; such images are skipped", problem)
+            self._told = (problem, time.monotonic())
 
     def _stamped(self, header: Header) -> Optional[Header]:
         """Return the header with a stamp, or None for an image that is not newer than the last one."""

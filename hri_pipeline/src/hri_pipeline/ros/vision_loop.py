@@ -17,7 +17,7 @@ from hri_pipeline.ros.image_intake import Frame, ImageIntake
 _WAIT_S = 0.5
 _REPORT_S = 1.0
 # Time without an image after which nobody can be said to be tracked any more.
-_SILENCE_S = 5.0
+_SILENCE_S = 2.0
 _LOG_PERIOD_S = 10.0
 
 
