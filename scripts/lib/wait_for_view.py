@@ -10,7 +10,7 @@ import argparse
 import sys
 import threading
 import time
-from typing import List, Sequence
+from typing import FrozenSet, List, Sequence
 
 import rosgraph
 import rospy
@@ -18,6 +18,9 @@ import rospy
 from hri_msgs.msg import IdsList
 
 SETTLING_SECONDS = 6.0  # the first rendering in software takes a few seconds
+# A picture is good soon after new people came; later it may be dark already, before the next of a directory of
+# pictures. Where the same people have been there for longer than such a picture lasts, there is no next one.
+GOOD_AGES = ((2.0, 3.5), (10.0, float("inf")))
 
 
 class TrackedCount:
@@ -25,18 +28,26 @@ class TrackedCount:
 
     def __init__(self, kind: str) -> None:
         self._lock = threading.Lock()
-        self._count = 0
+        self._ids: FrozenSet[str] = frozenset()
+        self._changed = time.monotonic()
         self._subscriber = rospy.Subscriber("/humans/%s/tracked" % kind, IdsList, self._receive, queue_size=1)
 
     def _receive(self, message: IdsList) -> None:
         with self._lock:
-            self._count = len(message.ids)
+            if frozenset(message.ids) != self._ids:
+                self._ids, self._changed = frozenset(message.ids), time.monotonic()
 
     @property
     def count(self) -> int:
         """Number of ids in the last list."""
         with self._lock:
-            return self._count
+            return len(self._ids)
+
+    @property
+    def age(self) -> float:
+        """Seconds since the list last changed."""
+        with self._lock:
+            return time.monotonic() - self._changed
 
 
 def viewed_topics(viewer: str) -> List[str]:
@@ -68,7 +79,8 @@ def main(arguments: Sequence[str]) -> int:
         settled = not options.viewer or (viewed_since is not None and time.monotonic() - viewed_since > SETTLING_SECONDS)
         # A picture with skeletons is the better one, but there are sources that show faces only.
         wanted_bodies = max(options.people, 2) if options.viewer and time.monotonic() - began < 0.6 * options.seconds else 0
-        if settled and persons.count >= options.people and bodies.count >= wanted_bodies:
+        good = not options.viewer or any(low <= persons.age <= high for low, high in GOOD_AGES)
+        if settled and good and persons.count >= options.people and bodies.count >= wanted_bodies:
             print("%d persons, %d bodies; %s shows %s" % (
                 persons.count, bodies.count, options.viewer or "(no viewer)", ", ".join(sorted(topics))))
             return 0
