@@ -70,8 +70,7 @@ class BodyStage:
             self.reset()
         self._last_stamp = stamp
         height, width = bgr.shape[:2]
-        if (camera.width, camera.height) != (width, height):
-            camera = camera.resized(width, height)
+        camera = camera.resized(width, height)
         with self.times("poses"):
             self._tracker.follow(bgr, stamp, faces)
         if stamp - self._last_detection >= self._detection_period:

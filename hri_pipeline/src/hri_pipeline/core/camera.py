@@ -148,7 +148,9 @@ class CameraModel:
         return result
 
     def resized(self, width: int, height: int) -> "CameraModel":
-        """Return the model of the same view, scaled to another image size in px."""
+        """Return the model of the same view, scaled to another image size in px; itself when it has that size."""
+        if (self.width, self.height) == (width, height):
+            return self
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return CameraModel(int(width), int(height), scale @ self.matrix, self.distortion,
                            self.distortion_model, self.calibration)

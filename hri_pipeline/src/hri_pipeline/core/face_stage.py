@@ -75,8 +75,7 @@ class FaceStage:
             self.reset()
         self._last_stamp = stamp
         height, width = bgr.shape[:2]
-        if (camera.width, camera.height) != (width, height):
-            camera = camera.resized(width, height)
+        camera = camera.resized(width, height)
         measurements = self._measure(bgr, stamp)
         seen = self._tracker.update(measurements, stamp)
         living = {track.id for track in self._tracker.tracks}

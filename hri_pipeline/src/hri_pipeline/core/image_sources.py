@@ -7,6 +7,7 @@ nothing is drawn while nobody looks. Time is an argument: seconds since the sour
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Callable, Optional, Sequence
@@ -29,22 +30,22 @@ class SourceError(ParameterError):
     """What the parameter `source` names cannot be opened or read; the text names it and says what to do."""
 
 
-class ImageSource:
+class ImageSource(ABC):
     """What every source offers. `live`: a camera or stream, worth trying again after an error."""
 
     live = False
     rate = PICTURE_RATE
     description = ""
 
+    @abstractmethod
     def advance(self, elapsed: float) -> bool:
         """Go to the image due `elapsed` s after opening; False at the end. Raises SourceError."""
-        raise NotImplementedError
 
+    @abstractmethod
     def image(self) -> Optional[np.ndarray]:
         """Return the present image, (height, width, 3) BGR uint8, or None where it cannot be decoded."""
-        raise NotImplementedError
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - pictures hold nothing open
         """Let go of file or device. May be called again."""
 
 
