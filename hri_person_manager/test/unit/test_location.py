@@ -72,3 +72,35 @@ def test_the_newer_place_is_inherited():
     assert newer.place.pose.translation[0] == 2.0
     older.inherit(newer)
     assert older.place.pose.translation[0] == 2.0
+
+
+def moving(coast_time, velocity=1.0, steps=20, step=0.1):
+    location = Location(0.5, coast_time)
+    for number in range(steps):
+        stamp = number * step
+        location.offer(Source.FACE, Place("map", Pose(np.eye(3), np.array([velocity * stamp, 0.0, 2.0])), stamp), stamp)
+    return location, (steps - 1) * step
+
+
+def test_without_coasting_a_lost_person_stands_still():
+    location, last = moving(0.0)
+    assert location.expected(last + 5.0).pose.translation[0] == pytest.approx(last)
+
+
+def test_a_lost_person_goes_on_and_comes_to_rest():
+    location, last = moving(2.0)
+    way = [location.expected(last + elapsed).pose.translation[0] - last for elapsed in (0.0, 0.1, 1.0, 2.0, 60.0)]
+    assert way[0] == 0.0 and 0.07 < way[1] < 0.1 and 0.6 < way[2] < 0.75 and 0.8 < way[3] <= 1.0 and way[4] == way[3]
+
+
+def test_a_jump_of_the_measurement_is_no_velocity():
+    location, last = moving(2.0, velocity=0.0)
+    location.offer(Source.FACE, Place("map", Pose(np.eye(3), np.array([9.0, 0.0, 2.0])), last + 0.1), last + 0.1)
+    assert location.expected(last + 3.0).pose.translation[0] < 10.0
+    location.offer(Source.FACE, Place("odom", Pose(np.eye(3), np.array([0.0, 0.0, 2.0])), last + 0.2), last + 0.2)
+    assert location.expected(last + 3.0).pose.translation[0] == 0.0
+
+
+def test_negative_coasting_is_refused():
+    with pytest.raises(ValueError):
+        Location(0.5, -1.0)

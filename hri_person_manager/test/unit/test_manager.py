@@ -262,7 +262,7 @@ def test_a_person_keeps_its_face_when_the_body_in_between_leaves():
 
 
 def test_a_match_may_come_before_the_tracked_list():
-    manager = make()
+    manager = make(features_from_matches=False)
     assert not match(manager, "f:f1", "p:ann", 0.9, 0.0)
     manager.on_tracked(Kind.FACE, ["f1"], 0.1)
     assert people(manager, 0.1)["ann"][0] == "f1"
@@ -288,6 +288,118 @@ def test_reset_forgets_persons_and_keeps_tracked_features():
     assert people(manager, 10.3) == {A1: ("f1", "", "", 0.0)}
 
 
+# -- features that a match names first
+
+def test_a_feature_named_in_a_match_is_present_until_its_list_says_otherwise():
+    manager = make()
+    assert match(manager, "f:f1", "p:ann", 0.9, 0.0)
+    assert people(manager, 0.0)["ann"][0] == "f1"
+    manager.on_tracked(Kind.FACE, ["f2"], 0.5)
+    assert people(manager, 0.5)["ann"][0] == ""
+    manager.on_tracked(Kind.FACE, ["f1", "f2"], 0.6)
+    assert people(manager, 0.6)["ann"][0] == "f1"       # the match was kept
+
+
+def test_a_late_match_does_not_bring_back_a_feature_that_has_left():
+    manager = make()
+    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager.on_tracked(Kind.FACE, [], 1.0)
+    assert not match(manager, "f:f1", "p:ann", 0.9, 1.1)
+    assert people(manager, 1.1) == {}
+
+
+def test_a_presumed_feature_goes_with_the_match_that_named_it_or_when_nobody_speaks_of_it():
+    manager = make()
+    match(manager, "v:v1", "p:ann", 0.9, 0.0)
+    match(manager, "v:v1", "p:ann", 0.0, 1.0)
+    assert people(manager, 1.0) == {"ann": ("", "", "", 0.0)} and manager.groups == ()
+    match(manager, "v:v2", "p:ann", 0.9, 2.0)
+    match(manager, "v:v2", "p:ann", 0.8, 9.0)
+    manager.tick(18.0)
+    assert people(manager, 18.0)["ann"][2] == "v2"
+    manager.tick(19.1)
+    assert people(manager, 19.1)["ann"][2] == ""
+
+
+# -- persons that are one human
+
+def test_a_match_between_persons_joins_them_and_can_be_undone():
+    manager = make()
+    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    match(manager, "f:f1", "p:ann", 0.9, 0.0)
+    match(manager, "b:b1", "p:bob", 0.9, 0.0)
+    assert match(manager, "p:ann", "p:bob", 0.8, 0.1)
+    assert people(manager, 0.1) == {"ann": ("f1", "b1", "", 0.0)}
+    states = {state.id: state for state in manager.snapshot(0.1).persons}
+    assert states["bob"].alias == "ann" and not states["bob"].tracked
+    assert not match(manager, "p:ann", "p:bob", 0.7, 0.2)
+    assert match(manager, "p:ann", "p:bob", 0.4, 0.3)
+    assert people(manager, 0.3) == {"ann": ("f1", "", "", 0.0), "bob": ("", "b1", "", 0.0)}
+    assert match(manager, "p:ann", "p:bob", 0.9, 0.4)
+    manager.split("bob", 0.5)
+    assert set(people(manager, 0.5)) == {"ann", "bob"}
+    with pytest.raises(ValueError):
+        manager.split("bob", 0.6)
+
+
+def test_a_person_seen_by_two_cameras_keeps_id_and_place_when_one_loses_it():
+    manager = make(new_person_delay=0.0)
+    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager.on_tracked(Kind.FACE, ["f1", "g1"], 1.0)
+    manager.merge(A2, A1, 1.0)
+    assert manager.on_place(Source.FACE, "f1", place(1.0, 1.0), 1.0) == A1
+    assert manager.on_place(Source.FACE, "g1", place(1.1, 1.1), 1.1) is None    # one face is enough
+    assert people(manager, 1.1) == {A1: ("f1", "", "", 1.0)}
+    manager.on_tracked(Kind.FACE, ["g1"], 2.0)
+    assert manager.on_place(Source.FACE, "g1", place(2.0, 2.5), 2.5) == A1
+    assert people(manager, 2.5) == {A1: ("g1", "", "", 1.0)}
+    manager.on_tracked(Kind.FACE, [], 3.0)
+    assert 0.0 < people(manager, 3.5)[A1][3] < 1.0
+    manager.tick(60.0)
+    assert manager.snapshot(60.0).persons == ()
+
+
+def test_an_anonymous_person_joined_with_a_permanent_one_is_its_alias():
+    manager = make(new_person_delay=0.0)
+    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    match(manager, "b:b1", "p:ann", 0.9, 1.0)
+    manager.merge(A1, "ann", 1.0)
+    assert people(manager, 1.0) == {"ann": ("f1", "b1", "", 0.0)}
+    with pytest.raises(ValueError):
+        manager.merge("ann", "nobody", 1.0)
+    with pytest.raises(ValueError):
+        manager.merge("ann", "ann", 1.0)
+
+
+def test_persons_joined_again_though_one_was_not_seen_for_long():
+    manager = make()
+    for name in ("ann", "bob"):
+        match(manager, "f:f" + name, "p:" + name, 0.9, 0.0)
+    match(manager, "p:ann", "p:bob", 1.0, 0.0)
+    manager.on_tracked(Kind.FACE, [], 1.0)
+    for number in range(2 * MAX_UNSEEN_PERSONS):
+        match(manager, "f:x%d" % number, "p:x%d" % number, 0.9, 2.0)
+        manager.on_tracked(Kind.FACE, [], 3.0 + number)
+    manager.tick(500.0)
+    match(manager, "f:fagain", "p:bob", 0.9, 501.0)
+    assert [state.id for state in manager.snapshot(501.0).persons if state.tracked] == ["ann"]
+
+
+# -- another run
+
+def test_anonymous_persons_have_the_same_ids_after_a_restart():
+    first = make(new_person_delay=0.0)
+    first.on_tracked(Kind.FACE, ["f1", "f2"], 0.0)
+    memory = first.anonymous()
+    second = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({}), new_id=lambda: "other")
+    second.expect(memory)
+    second.on_tracked(Kind.FACE, ["f2", "f3", "f1"], 10.0)
+    assert {state.id: state.face for state in second.snapshot(10.0).persons} == {A1: "f1", A2: "f2"}
+    second.tick(11.0)
+    assert second.snapshot(11.0).tracked[-1] == "anonymous_person_other"
+
+
 # -- hostile input and bounds
 
 def test_hostile_ids_are_left_out_and_counted():
@@ -307,7 +419,8 @@ def test_state_is_bounded_over_thousands_of_ids():
         manager.on_place(Source.FACE, "f%d" % number, place(1.0, now), now)
         manager.tick(now)
     manager.on_tracked(Kind.FACE, [], 3000.0)
-    manager.tick(3010.0)
+    manager.tick(3011.0)
+    manager.tick(3020.0)
     assert len(manager.snapshot(3010.0).persons) == MAX_UNSEEN_PERSONS
     assert len(manager.snapshot(3010.0).known) == 2000
     assert manager.groups == ()

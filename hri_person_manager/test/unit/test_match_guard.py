@@ -13,7 +13,13 @@ def test_a_sound_match_passes():
     assert guard.check("f1", 2, "b1", 3, 0.5, 0.0) == Match(Node(Kind.FACE, "f1"), Node(Kind.BODY, "b1"), 0.5)
 
 
+def test_two_persons_may_match_each_other():
+    guard = MatchGuard(10.0)
+    assert guard.check("ann", 1, "bob", 1, 0.5, 0.0) == Match(Node(Kind.PERSON, "ann"), Node(Kind.PERSON, "bob"), 0.5)
+
+
 @pytest.mark.parametrize("fields", [
+    ("ann", 1, "ann", 1, 0.5),
     ("f1", 2, "b1", 3, float("nan")), ("f1", 2, "b1", 3, float("inf")), ("f1", 2, "b1", 3, -0.1),
     ("f1", 2, "b1", 3, 1.2), ("", 2, "b1", 3, 0.5), ("f 1", 2, "b1", 3, 0.5), ("f1", 2, "b/1", 3, 0.5),
     ("f1", 2, "b'1", 3, 0.5), ("f1", 0, "b1", 3, 0.5), ("f1", 9, "b1", 3, 0.5), ("f1", 2, "f1", 2, 0.5),

@@ -2,6 +2,7 @@
 """The feature feed with honest and with hostile lists of ids."""
 
 import os
+import subprocess
 import unittest
 
 import rospy
@@ -77,6 +78,8 @@ class FeatureFeedTest(unittest.TestCase):
         self.say("ccccc")
         wait_for(speaker.get_num_connections, 10, "the feed subscribes")
         speaker.publish("raise")
+        # the feed keeps the newest message only: one at a time
+        wait_for(lambda: feed.status()[2]["errors"] == 1, 10, "the first message has failed")
         speaker.publish("fine")
         wait_for(lambda: self.heard == [("ccccc", "speech", "fine")], 10, "the next message is used")
         self.assertEqual((feed.status()[0], feed.status()[2]["errors"]), (WARN, 1))
@@ -86,6 +89,18 @@ class FeatureFeedTest(unittest.TestCase):
         self.say("aaaaa")
         wait_for(lambda: feed.ids == ["aaaaa"], 10, "followed")
         wait_for(lambda: feed.ids == [] and self.lists[-1] == [], 10, "let go after the silence")
+
+    def test_the_lists_of_two_cameras_are_joined(self):
+        feed = self.feed()
+        self.say("aaaaa", "bbbbb")
+        wait_for(lambda: feed.ids == ["aaaaa", "bbbbb"], 10, "the first camera's are followed")
+        other = subprocess.Popen(["rostopic", "pub", "--once", "/humans/voices/tracked", "hri_msgs/IdsList",
+                                  "{ids: [ccccc, bbbbb]}"])
+        self.addCleanup(other.wait)
+        wait_for(lambda: feed.ids == ["aaaaa", "bbbbb", "ccccc"], 20, "the second camera's are followed as well")
+        self.say("bbbbb")
+        wait_for(lambda: feed.ids == ["bbbbb", "ccccc"], 10, "what the first camera lets go of goes")
+        self.assertEqual(self.lists[-1], ["bbbbb", "ccccc"])
 
     def test_churn_leaves_no_descriptors(self):
         feed = self.feed()

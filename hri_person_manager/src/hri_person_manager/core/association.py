@@ -82,6 +82,14 @@ class MatchGraph:
         """Return the likelihood kept for a pair, None if there is none."""
         return self._edges.get(frozenset((first, second)))
 
+    def edges(self) -> List[Tuple[Node, Node, float]]:
+        """Return all edges as (node, node, likelihood)."""
+        return [(*sorted(pair), likelihood) for pair, likelihood in self._edges.items()]
+
+    def matches(self, node: Node) -> List[Tuple[Node, Node, float]]:
+        """Return the edges of a node as (node, other, likelihood)."""
+        return [(node, other, self._edges[frozenset((node, other))]) for other in sorted(self._neighbours.get(node, ()))]
+
     def neighbours(self, node: Node) -> FrozenSet[Node]:
         """Return the nodes that share an edge with this one."""
         return frozenset(self._neighbours.get(node, ()))

@@ -7,15 +7,21 @@ the head, else at the best guess. 3. Not seen, but located before: the last plac
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Dict, Optional
+from typing import Dict, Hashable, Optional, Tuple
+
+import numpy as np
 
 from hri_pipeline.core.geometry import Pose
 
 DECAY_KINDS = ("exponential", "linear", "step")
 UNSEEN_CEILING = 0.99      # a person who is not seen is never at 1, not even in the first instant
 STEP_CONFIDENCE = 0.5
+SMOOTHING = 0.5            # s, of the velocity
+LONGEST_STEP = 1.0         # s between two places that tell a velocity
+HIGHEST_SPEED = 3.0        # m/s, a person who runs; more is a jump of the measurement
 
 
 class Source(IntEnum):
@@ -70,28 +76,81 @@ class Decay:
         return min(value, UNSEEN_CEILING)
 
 
+class Motion:
+    """Velocity of one person, for going on a little after it was lost (constant velocity, coming to rest)."""
+
+    def __init__(self, coast_time: float) -> None:
+        """Coast for `coast_time` seconds at most; ValueError if that is negative."""
+        if not coast_time >= 0.0:
+            raise ValueError("coast_time is %s s, must not be negative" % coast_time)
+        self._coast_time = coast_time
+        self._last: Optional[Place] = None
+        self._velocity = np.zeros(3)
+
+    def see(self, place: Place) -> None:
+        """Take a measured place: the velocity is smoothed over about half a second."""
+        last, self._last = self._last, place
+        if last is None or last.frame != place.frame:
+            self._velocity = np.zeros(3)
+            return
+        step = place.stamp - last.stamp
+        if not 0.0 < step <= LONGEST_STEP:
+            self._velocity = np.zeros(3) if step else self._velocity
+            return
+        measured = (place.pose.translation - last.pose.translation) / step
+        speed = float(np.linalg.norm(measured))
+        measured = measured * min(1.0, HIGHEST_SPEED / speed) if speed > 0.0 else measured
+        self._velocity = self._velocity + (1.0 - math.exp(-step / SMOOTHING)) * (measured - self._velocity)
+
+    def coast(self, place: Place, elapsed: float) -> Place:
+        """Return the place `elapsed` seconds later: at first with the last velocity, at the end of the time at rest."""
+        if self._coast_time <= 0.0 or elapsed <= 0.0:
+            return place
+        time = min(elapsed, self._coast_time)
+        way = self._velocity * (time - 0.5 * time * time / self._coast_time)
+        return Place(place.frame, Pose(place.pose.rotation, place.pose.translation + way), place.stamp)
+
+    def clear(self) -> None:
+        """Forget the velocity."""
+        self._last = None
+        self._velocity = np.zeros(3)
+
+
 class Location:
     """Last known place of one person, fed by transforms of its face, head, body and voice frames."""
 
-    def __init__(self, source_timeout: float) -> None:
-        """Let a worse source speak once the better ones are silent for `source_timeout` seconds."""
+    def __init__(self, source_timeout: float, coast_time: float = 0.0) -> None:
+        """Let a worse source speak once the better ones are silent for `source_timeout` seconds.
+
+        coast_time: s, for which a person that is not seen any more goes on as it went; 0 lets it stand.
+        """
         self._source_timeout = source_timeout
-        self._heard: Dict[Source, float] = {}
+        self._motion = Motion(coast_time)
+        self._heard: Dict[Source, Tuple[float, Hashable]] = {}
         self._updated = float("-inf")
         self.place: Optional[Place] = None
 
-    def offer(self, source: Source, place: Place, now: float) -> bool:
+    def offer(self, source: Source, place: Place, now: float, feature: Hashable = None) -> bool:
         """Take a new place unless a better source spoke recently; return whether it was taken.
 
-        The stamps of the sources are compared with each other, `now` only dates the arrival.
+        The stamps of the sources are compared with each other, `now` only dates the arrival. Of two features that
+        are equally good, such as the faces that two cameras see of one person, the one that spoke first goes on.
         """
-        self._heard[source] = place.stamp
-        for better, stamp in self._heard.items():
-            if better < source and abs(place.stamp - stamp) <= self._source_timeout:
+        for better, (stamp, speaker) in self._heard.items():
+            preferred = better < source or (better == source and speaker != feature)
+            if preferred and abs(place.stamp - stamp) <= self._source_timeout:
+                if better < source:
+                    self._heard.setdefault(source, (place.stamp, feature))
                 return False
+        self._heard[source] = (place.stamp, feature)
+        self._motion.see(place)
         self.place = place
         self._updated = now
         return True
+
+    def expected(self, now: float) -> Optional[Place]:
+        """Return where the person is now when nobody has seen it since its last place; None without one."""
+        return None if self.place is None else self._motion.coast(self.place, now - self._updated)
 
     def forget_source(self, source: Source) -> None:
         """Stop waiting for a source whose feature is gone."""
@@ -110,5 +169,6 @@ class Location:
     def clear(self) -> None:
         """Forget the place."""
         self.place = None
+        self._motion.clear()
         self._heard.clear()
         self._updated = float("-inf")

@@ -18,6 +18,9 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
     Parameter("anonymous_persons", True,
               "Give features that nobody has identified a person of their own. False: a person exists only "
               "once a recogniser has named it."),
+    Parameter("features_from_matches", True,
+              "A feature that a match names counts as present before its tracked list says so. False: it has to "
+              "be listed first."),
     Parameter("new_person_delay", 0.5,
               "Time that a feature waits for a match before it becomes an anonymous person. Longer: fewer "
               "short-lived persons, later frames.", unit="s", minimum=0.0, maximum=60.0),
@@ -31,6 +34,17 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
     Parameter("confidence_floor", 0.05,
               "Exponential decay: below this the confidence is 0, the frame stops, and an anonymous person "
               "is forgotten.", minimum=0.001, maximum=0.9),
+    Parameter("coast_time", 0.0,
+              "Time for which the frame of a person who is not seen any more goes on with the last velocity, "
+              "slowing down. 0: it stays at the last place.", unit="s", minimum=0.0, maximum=10.0),
+    Parameter("robot_frame", "",
+              "Frame from which the distances of the persons are measured, such as base_link, for the lists "
+              "in_personal_space, in_social_space and in_public_space. Empty: the sensor that sees them."),
+    Parameter("personal_distance", 1.2,
+              "Outer border of the personal space.", unit="m", minimum=0.1, maximum=10.0),
+    Parameter("social_distance", 3.6,
+              "Outer border of the social space; what is farther away is public.", unit="m", minimum=0.2,
+              maximum=50.0),
     Parameter("source_timeout", 0.5,
               "Silence of the face frame after which the body frame places the person, and of all frames "
               "after which the last place is sent again.", unit="s", minimum=0.02, maximum=10.0),

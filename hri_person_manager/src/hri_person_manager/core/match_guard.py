@@ -63,8 +63,10 @@ class MatchGuard:
             return self._refuse("unknown type")
         if not (is_valid_id(id1) and is_valid_id(id2)):
             return self._refuse("malformed id")
-        if kinds[0] == kinds[1]:
+        if kinds[0] == kinds[1] != Kind.PERSON:
             return self._refuse("two ids of one kind")
+        if (id1, type1) == (id2, type2):
+            return self._refuse("an id and itself")
         value = float(likelihood)
         if not (math.isfinite(value) and 0.0 <= value <= 1.0):
             return self._refuse("likelihood outside 0..1")

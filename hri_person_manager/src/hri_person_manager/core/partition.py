@@ -25,7 +25,8 @@ def path_products(members: Sequence, edges: Edges) -> Dict[FrozenSet, float]:
 
     Floyd-Warshall on the products; pairs that no path connects are left out.
     """
-    best = {key: value for key, value in edges.items() if all(node in members for node in key)}
+    pairs = (frozenset(pair) for pair in combinations(members, 2))
+    best = {pair: edges[pair] for pair in pairs if pair in edges}
     for middle in members:
         for first, second in combinations([node for node in members if node != middle], 2):
             left = best.get(frozenset((first, middle)), 0.0)

@@ -8,7 +8,7 @@ alias of it; when they turn out to be two again, the alias comes back as the per
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Callable, Dict, FrozenSet, Iterable, List, Optional, Tuple
+from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Tuple
 
 from hri_person_manager.core.association import Kind, Node
 from hri_person_manager.core.location import Location, Source
@@ -58,6 +58,7 @@ class PersonBook:
         self._count = 0
         self._unclaimed: Dict[Node, float] = {}
         self._of_feature: Dict[Node, Person] = {}
+        self._expected: Dict[Node, str] = {}
         self.persons: Dict[str, Person] = {}
         self.aliases: Dict[str, Alias] = {}
 
@@ -70,6 +71,10 @@ class PersonBook:
             self.persons[person_id] = person
         person.anonymous = False
         return person
+
+    def expect(self, anonymous: Mapping[str, Iterable[Node]]) -> None:
+        """Take these ids for the anonymous persons that are made of these features (those of an earlier run)."""
+        self._expected = {node: person_id for person_id, nodes in anonymous.items() for node in nodes}
 
     def owner(self, feature: Node) -> Optional[Person]:
         """Return the person that a feature belongs to, None if nobody has claimed it."""
@@ -142,12 +147,20 @@ class PersonBook:
             if group in owners:
                 continue
             since = min(self._unclaimed.get(node, now) for node in group)
-            if self._anonymous_persons and now - since >= self._delay - 1e-9:
-                person = self._make(ANONYMOUS_PREFIX + self._new_id())
+            expected = self._expected_id(group)
+            if self._anonymous_persons and (expected or now - since >= self._delay - 1e-9):
+                person = self._make(expected or ANONYMOUS_PREFIX + self._new_id())
                 self.persons[person.id] = owners[group] = person
             else:
                 unclaimed.update((node, self._unclaimed.get(node, now)) for node in group)
         self._unclaimed = unclaimed
+
+    def _expected_id(self, group: Group) -> str:
+        """Id that an earlier run gave to the features of a group, empty if none; it is given once."""
+        found = next((self._expected[node] for node in sorted(group) if node in self._expected), "")
+        if found:
+            self._expected = {node: id for node, id in self._expected.items() if id != found}
+        return "" if found in self.persons or found in self.aliases else found
 
     def _write_features(self, owners: Dict[Group, Person], now: float) -> None:
         features = {person.id: {node for node in group if node.kind != Kind.PERSON}

@@ -13,12 +13,17 @@ from std_srvs.srv import Empty, EmptyRequest, EmptyResponse
 
 from hri_msgs.msg import IdsMatch
 from hri_person_manager.core.association import Kind
-from hri_person_manager.core.manager import MAX_FEATURES, PersonManager
+from hri_person_manager.core.graph_text import graph_text
+from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.manager_parameters import PERSON_MANAGER_PARAMETERS, SHARED
 from hri_person_manager.core.match_guard import MatchGuard
+from hri_person_manager.core.presence import MAX_FEATURES
+from hri_person_manager.ros.graph_topic import GraphTopic
 from hri_person_manager.ros.person_markers import PersonMarkers
+from hri_person_manager.ros.person_spaces import PersonSpaces
 from hri_person_manager.ros.person_topics import PersonTopics
 from hri_person_manager.ros.reference import ReferenceFrame
+from hri_person_manager.ros.restart_memory import RestartMemory
 from hri_person_manager.ros.tf_intake import StampedSighting, TfIntake
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.ros.conversions import transform_to_msg
@@ -53,16 +58,21 @@ class PersonManagerNode:
         self._lock = threading.RLock()
         self._stop = threading.Event()
         self._manager = PersonManager(settings)
+        self._threshold = settings.match_threshold
+        self._memory = RestartMemory()
+        self._manager.expect(self._memory.read())
         self._guard = MatchGuard(settings.max_matches_per_second)
         self._last_now = rospy.get_time()
         self._last_diagnostics = 0.0
         self._jumps = 0
         self._topics = PersonTopics()
         self._markers = PersonMarkers()
+        self._graph = GraphTopic()
         self._tf = TfPublisher()
         self._diagnostics = NodeDiagnostics(rospy.get_name())
         self._intake = TfIntake(settings.reference_frame, settings.source_timeout, self._on_sightings)
         self._reference = ReferenceFrame(settings.reference_frame, self._intake)
+        self._spaces = PersonSpaces(settings, self._intake)
         self._matches = rospy.Subscriber("/humans/candidate_matches", IdsMatch, self._on_match,
                                          queue_size=1000, tcp_nodelay=True)
         self._feeds: Dict[str, FeatureFeed] = {
@@ -86,7 +96,8 @@ class PersonManagerNode:
         release(self._matches)
         self._intake.close()
         with self._lock:
-            for owner in (self._topics, self._markers, self._tf, self._diagnostics):
+            for owner in (self._topics, self._spaces, self._graph, self._markers, self._tf, self._diagnostics,
+                          self._memory):
                 owner.close()
 
     def _tracked_callback(self, kind: Kind):
@@ -114,6 +125,7 @@ class PersonManagerNode:
                 place = self._reference.place(stamped)
                 person_id = self._manager.on_place(stamped.sighting.source, stamped.sighting.id, place, now)
                 if person_id is not None:
+                    self._spaces.saw(person_id, stamped.sighting.sensor)
                     moved[person_id] = transform_to_msg(place.pose, stamped.stamp, place.frame,
                                                         "person_" + person_id)
             self._tf.send(list(moved.values()))
@@ -141,7 +153,11 @@ class PersonManagerNode:
             self._tf.send([transform_to_msg(place.pose, stamp, place.frame, "person_" + person_id)
                            for person_id, place in self._manager.silent(now)])
         self._publish_state()
-        self._markers.publish(self._manager.snapshot(now))
+        snapshot = self._manager.snapshot(now)
+        self._markers.publish(snapshot)
+        self._spaces.update(snapshot, stamp)
+        self._graph.update(lambda: graph_text(snapshot, self._manager.matches, self._manager.unions, self._threshold))
+        self._memory.update(self._manager.anonymous())
         if time.monotonic() - self._last_diagnostics >= DIAGNOSTICS_S:
             self._last_diagnostics = time.monotonic()
             self._report(now)

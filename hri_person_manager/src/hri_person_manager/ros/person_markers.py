@@ -10,7 +10,7 @@ from geometry_msgs.msg import Pose as PoseMsg
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from hri_person_manager.core.manager import Snapshot
+from hri_person_manager.core.person_state import Snapshot
 from hri_pipeline.ros.topic_release import release
 
 RADIUS = 0.06           # m

@@ -7,7 +7,7 @@ from typing import Dict
 import genpy
 from std_msgs.msg import Bool, Float32, String
 
-from hri_person_manager.core.manager import PersonState, Snapshot
+from hri_person_manager.core.person_state import PersonState, Snapshot
 from hri_pipeline.ros.topic_lease import TopicLeases, TopicSpec
 from hri_pipeline.ros.tracked_list import TrackedList
 

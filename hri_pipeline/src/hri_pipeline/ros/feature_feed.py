@@ -27,9 +27,10 @@ _REMEMBERED_S = 30.0
 class FeatureFeed:
     """Subscribes to topics of every id in /humans/<kind>/tracked and lets go of those that have left.
 
+    Several nodes may publish the list, one for each camera: everybody whom one of them lists is followed.
     on_message(id, name, message) and on_tracked(ids) run in rospy's threads; what they raise is logged and
     counted. Ids from the graph are checked: those that may not stand in a topic name, and those beyond
-    max_ids, are refused and counted. Without a list for SILENCE_S, all are let go.
+    max_ids, are refused and counted. The ids of a node whose list does not come for SILENCE_S are let go.
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class FeatureFeed:
         self._counts = {"refused": 0, "beyond_limit": 0, "errors": 0}
         self._problem = ""
         self._problem_at = float("-inf")
-        self._heard = time.monotonic()
+        self._lists: Dict[str, Tuple[float, List[str]]] = {}
         self._closed = threading.Event()
         self.topic = "/humans/{}/tracked".format(kind)
         self._tracked = rospy.Subscriber(self.topic, IdsList, self._on_list, queue_size=10)
@@ -91,9 +92,10 @@ class FeatureFeed:
     def _on_list(self, message: IdsList) -> None:
         if self._closed.is_set():
             return
+        publisher = message._connection_header.get("callerid", "")
         with self._lock:
-            self._heard = time.monotonic()
-            ids = self._checked(message.ids)
+            self._lists[publisher] = (time.monotonic(), self._checked(message.ids))
+            ids = self._listed()
         self._follow(ids)
         self._tell(ids)
 
@@ -112,6 +114,11 @@ class FeatureFeed:
             self._note("beyond_limit", len(ids) - self._max_ids, "{}: {} ids, only the first {} are followed".format(
                 self.topic, len(ids), self._max_ids))
         return ids[:self._max_ids]
+
+    def _listed(self) -> List[str]:
+        """Return the ids that any publisher lists, each once; no more than max_ids."""
+        ids = dict.fromkeys(identity for _, listed in self._lists.values() for identity in listed)
+        return list(ids)[:self._max_ids]
 
     def _follow(self, ids: List[str]) -> None:
         with self._lock:
@@ -159,7 +166,14 @@ class FeatureFeed:
 
     def _watch(self) -> None:
         while not self._closed.wait(min(1.0, self._silence)):
-            if time.monotonic() - self._heard > self._silence and self.ids:
-                rospy.logwarn("%s: nothing for %.0f s; letting go of %d ids", self.topic, self._silence, len(self.ids))
-                self._follow([])
-                self._tell([])
+            with self._lock:
+                silent = [publisher for publisher, (heard, listed) in self._lists.items()
+                          if listed and time.monotonic() - heard > self._silence]
+                for publisher in silent:
+                    del self._lists[publisher]
+                ids = self._listed()
+            if silent:
+                rospy.logwarn("%s: nothing from %s for %.0f s; letting go of its ids", self.topic,
+                              ", ".join(sorted(silent)), self._silence)
+                self._follow(ids)
+                self._tell(ids)

@@ -1,0 +1,32 @@
+"""Who is how near."""
+
+from __future__ import annotations
+
+import pytest
+
+from hri_person_manager.core.proxemics import Proxemics, Space
+
+
+def test_every_person_is_in_exactly_one_space():
+    found = Proxemics().update({"near": 0.5, "mid": 2.0, "far": 8.0})
+    assert found == {Space.PERSONAL: ["near"], Space.SOCIAL: ["mid"], Space.PUBLIC: ["far"]}
+
+
+def test_somebody_on_a_border_does_not_go_to_and_fro():
+    proxemics = Proxemics(1.2, 3.6)
+    for distance, space in ((1.1, Space.PERSONAL), (1.25, Space.PERSONAL), (1.31, Space.SOCIAL), (1.15, Space.SOCIAL),
+                            (1.05, Space.PERSONAL), (3.75, Space.PUBLIC), (3.55, Space.PUBLIC), (3.45, Space.SOCIAL)):
+        assert proxemics.update({"ann": distance})[space] == ["ann"], distance
+
+
+def test_who_is_gone_is_in_no_space_and_starts_anew():
+    proxemics = Proxemics(1.2, 3.6)
+    proxemics.update({"ann": 1.1})
+    assert not any(proxemics.update({}).values())
+    assert proxemics.update({"ann": 1.25})[Space.SOCIAL] == ["ann"]
+
+
+@pytest.mark.parametrize("borders", [(0.0, 1.0), (2.0, 1.0), (1.0, 1.0)])
+def test_illegal_borders(borders):
+    with pytest.raises(ValueError):
+        Proxemics(*borders)
