@@ -8,8 +8,6 @@ import subprocess
 from pathlib import Path
 from typing import Dict, List, Sequence
 
-import numpy as np
-
 NOT_STACK = ("benchmark_probe", "image_source")
 
 
@@ -44,6 +42,8 @@ def figures(people: int, seen: dict) -> dict:
     A rate is the number of different image stamps per second at the frame of a person (face, body), averaged
     over the people of the scene; one who is not found counts with 0, one too many does not count.
     """
+    import numpy as np  # not above: the command line is read before the environment with numpy is entered
+
     rates = {kind: round(sum(found[:people]) / people, 2) for kind, found in seen["rates"].items()}
     ages = 1e3 * np.array(seen["ages"] or [np.nan])
     middle, high = (None if np.isnan(value) else round(float(value), 1) for value in np.percentile(ages, [50, 95]))

@@ -22,7 +22,7 @@ lib=$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")
     take_setup_lock
     ensure_packages build run
     ensure_venv
-    ensure_models
+    ensure_models --models default,evaluation
     ensure_workspace
     release_setup_lock
     use_workspace

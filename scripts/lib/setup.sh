@@ -52,11 +52,11 @@ fetch_models() {
     PYTHONPATH=$R4H_ROOT/hri_pipeline/src "$R4H_VENV/bin/python3" -m hri_pipeline.models "$@"
 }
 
-ensure_models() {
+ensure_models() { # groups of fetch_models, without any those that the nodes need
     step "Models"
     R4H_MODELS=${ROS4HRI_MODELS:-${HOME:-/root}/.cache/ros4hri/models}
     export ROS4HRI_MODELS=$R4H_MODELS
-    run_or_fail models "the last line above names what is wrong. '$R4H_MODELS' may also be filled by hand with ready ONNX files (docs/install.md)." fetch_models
+    run_or_fail models "the last line above names what is wrong. '$R4H_MODELS' may also be filled by hand with ready ONNX files (docs/install.md)." fetch_models "$@"
     step_done "ready in $R4H_MODELS"
 }
 

@@ -10,10 +10,11 @@ from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
-from hri_msgs.msg import FacialLandmarks, IdsMatch, Skeleton2D
+from hri_msgs.msg import Expression, FacialLandmarks, IdsMatch, Skeleton2D, SoftBiometrics
 from hri_pipeline.core.camera import Calibration, CameraError
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.images import ImageError
+from hri_pipeline.core.observations import SoftBiometrics as FaceBiometrics
 from hri_pipeline.ros import conversions
 
 BGR = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
@@ -177,3 +178,36 @@ def test_ids_list_and_match():
     assert (message.ids, message.header.stamp) == (["abcde", "fghij"], genpy.Time(12, 500000000))
     match = over_the_wire(conversions.match_to_msg("abcde", IdsMatch.FACE, "fghij", IdsMatch.BODY, 1.5))
     assert (match.id1, match.id1_type, match.id2, match.id2_type, match.confidence) == ("abcde", 2, "fghij", 3, 1.0)
+
+
+def test_action_units_are_99_pairs_in_range():
+    intensity, confidence = np.linspace(-0.5, 1.5, 99), np.full(99, 0.5)
+    intensity[7] = np.nan
+    msg = conversions.action_units_to_msg(intensity, confidence, conversions.make_header(3.5, "camera"))
+    assert len(msg.intensity) == len(msg.confidence) == 99 and msg.header.frame_id == "camera"
+    assert (min(msg.intensity), max(msg.intensity)) == (0.0, 1.0)
+    assert (msg.intensity[7], msg.confidence[7]) == (0.0, 0.0), "what is not finite is not known"
+    with pytest.raises(ValueError, match="99"):
+        conversions.action_units_to_msg(np.zeros(98), np.zeros(99), conversions.make_header(0.0, ""))
+
+
+def test_expression_is_clipped_and_must_be_finite():
+    msg = conversions.expression_to_msg("happy", 1.5, -2.0, 0.4, conversions.make_header(1.0, "camera"))
+    # genmsg takes the quotation marks of a string constant for a part of it; the topic carries the bare word.
+    assert (msg.expression, msg.valence, msg.arousal) == (Expression.HAPPY.strip('"'), 1.0, -1.0)
+    with pytest.raises(ValueError, match="finite"):
+        conversions.expression_to_msg("happy", float("nan"), 0.0, 0.4, conversions.make_header(1.0, "camera"))
+
+
+@pytest.mark.parametrize("p_male, certain, gender", [
+    (0.9, 0.9, SoftBiometrics.MALE), (0.1, 0.9, SoftBiometrics.FEMALE), (0.9, 0.0, SoftBiometrics.UNDEFINED)])
+def test_age_and_gender(p_male, certain, gender):
+    msg = conversions.soft_biometrics_to_msg(FaceBiometrics(33.6, 0.7, p_male, certain), conversions.make_header(1.0, "camera"))
+    assert (msg.age, msg.gender) == (34, gender)
+    assert msg.age_confidence == pytest.approx(0.7) and msg.gender_confidence == pytest.approx(certain)
+
+
+def test_an_age_out_of_range_fits_the_message():
+    assert conversions.soft_biometrics_to_msg(FaceBiometrics(400.0, 1.0, 0.5, 0.5), conversions.make_header(1.0, "")).age == 255
+    with pytest.raises(ValueError, match="finite"):
+        conversions.soft_biometrics_to_msg(FaceBiometrics(float("nan"), 1.0, 0.5, 0.5), conversions.make_header(1.0, ""))

@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """The node faces from images to topics and frames, through a real master."""
 
+import json
 import threading
 import unittest
 
@@ -14,9 +15,10 @@ from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
 from tf2_msgs.msg import TFMessage
 from waiting import wait_for
 
-from hri_msgs.msg import FacialLandmarks, IdsList
+from hri_msgs.msg import Expression, FacialActionUnits, FacialLandmarks, IdsList, IdsMatch, SoftBiometrics
 from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.ros.conversions import bgr_to_image, make_header
+from hri_pipeline.ros.conversions import bgr_to_image, make_header, pose_from_transform
+from hri_pipeline.srv import Gallery, GalleryRequest
 
 PHOTOGRAPH, FACES = "sample1.jpg", 3
 FRAME = "test_camera_optical"
@@ -95,6 +97,8 @@ class FacesTest(unittest.TestCase):
             self.check_frame(identity)
         self.assertEqual(list(self.tracked()), ids)
         self.check_list_is_latched(ids)
+        wait_for(lambda: any("gaze_" + identity in self.transforms for identity in ids), 15, "somebody's eyes are open")
+        self.check_gaze([identity for identity in ids if "gaze_" + identity in self.transforms][0])
         self.camera.show(np.zeros_like(self.photograph))
         wait_for(lambda: not self.tracked(), 15, "the list is empty in the dark")
         wait_for(lambda: not self.topics_of(ids), 15, "the topics of the faces are gone")
@@ -126,6 +130,80 @@ class FacesTest(unittest.TestCase):
         latched = rospy.wait_for_message("/humans/faces/tracked", IdsList, 5)
         self.assertEqual(list(latched.ids), ids)
         self.assertEqual(rostopic.get_topic_type("/humans/faces/tracked")[0], "hri_msgs/IdsList")
+
+    def test_what_is_known_of_a_face_and_whose_it_is(self):
+        matches = []
+        self.addCleanup(rospy.Subscriber("/humans/candidate_matches", IdsMatch, matches.append, queue_size=100).unregister)
+        ids = self.see_everybody()
+        name = "/humans/faces/" + ids[0]
+        facs = rospy.wait_for_message(name + "/facs", FacialActionUnits, 15)
+        self.assertEqual((len(facs.intensity), len(facs.confidence)), (99, 99))
+        self.assertGreater(max(facs.confidence), 0.1)
+        self.assertTrue(all(0.0 <= value <= 1.0 for value in list(facs.intensity) + list(facs.confidence)))
+        expression = rospy.wait_for_message(name + "/expression", Expression, 15)
+        self.assertIn(expression.expression, ("neutral", "angry", "sad", "happy", "surprised", "disgusted", "scared"))
+        self.assertTrue(0.0 < expression.confidence <= 1.0)
+        self.check_biometrics(ids)
+        for message in (facs, expression):
+            self.assertEqual(message.header.frame_id, FRAME)
+            self.assertIn(message.header.stamp, self.camera.stamps)
+        wait_for(lambda: {match.id1 for match in matches if match.confidence > 0.5} >= set(ids), 30,
+                 "everybody has a person id")
+        said = {match.id1: match.id2 for match in matches if match.confidence > 0.5}
+        self.assertEqual(len(set(said.values())), FACES, "three people are three persons")
+        self.check_forgetting(said, matches)
+
+    def check_biometrics(self, ids):
+        kinds = {}
+        subscribers = [rospy.Subscriber("/humans/faces/{}/softbiometrics".format(identity), SoftBiometrics,
+                                        lambda message, identity=identity: kinds.update({identity: message}))
+                       for identity in ids]
+        wait_for(lambda: len(kinds) == FACES, 30, "apparent age and gender of everybody")
+        for subscriber in subscribers:
+            subscriber.unregister()
+        for message in kinds.values():
+            self.assertTrue(10 <= message.age <= 60, "three young women, {} years".format(message.age))
+            self.assertIn(message.gender, (SoftBiometrics.FEMALE, SoftBiometrics.UNDEFINED))
+
+    def check_forgetting(self, said, matches):
+        rospy.wait_for_service("/hri_faces/gallery", 10)
+        gallery = rospy.ServiceProxy("/hri_faces/gallery", Gallery)
+        known = gallery(GalleryRequest(command=GalleryRequest.LIST))
+        self.assertTrue(known.success, known)
+        self.assertLessEqual(set(said.values()), set(json.loads(known.data)))
+        face, person = sorted(said.items())[0]
+        self.assertTrue(gallery(GalleryRequest(command=GalleryRequest.FORGET, id=person)).success)
+        wait_for(lambda: any(match.id1 == face and match.id2 == person and match.confidence == 0.0 for match in matches),
+                 10, "the match of the forgotten person is withdrawn")
+        self.assertFalse(gallery(GalleryRequest(command=GalleryRequest.FORGET, id=person)).success)
+        for request in (GalleryRequest(command="no such command"), GalleryRequest(command="forget", id="/etc/passwd"),
+                        GalleryRequest(command="merge", id="aaaaa", other="bbbbb")):
+            answer = gallery(request)
+            self.assertFalse(answer.success)
+            self.assertTrue(answer.message)
+
+    def test_pictures_come_on_demand_in_the_size_of_the_parameters(self):
+        ids = self.see_everybody()
+        for parameter, value in (("width", 96), ("height", "tall")):
+            rospy.set_param("/humans/faces/" + parameter, value)
+            self.addCleanup(rospy.delete_param, "/humans/faces/" + parameter)
+        for name in ("cropped", "aligned"):
+            picture = rospy.wait_for_message("/humans/faces/{}/{}".format(ids[0], name), Image, 15)
+            self.assertEqual((picture.width, picture.height, picture.encoding), (96, 128, "bgr8"))
+            self.assertIn(picture.header.stamp, self.camera.stamps)
+            self.assertGreater(np.frombuffer(picture.data, np.uint8).std(), 10.0)
+
+    def check_gaze(self, identity):
+        child = "gaze_" + identity
+        wait_for(lambda: child in self.transforms, 15, "{} is on /tf".format(child))
+        with self.lock:
+            transform = self.transforms[child]
+        self.assertEqual(transform.header.frame_id, "face_" + identity)
+        self.assertIn(transform.header.stamp, self.camera.stamps)
+        pose = pose_from_transform(transform)
+        self.assertEqual(list(pose.translation), [0.0, 0.0, 0.0])
+        self.assertGreater(pose.rotation[0, 2], 0.5, "the gaze goes out of the face")
+        self.assertLess(pose.rotation[2, 1], -0.5, "y of the gaze frame points down")
 
     @staticmethod
     def topics_of(ids):

@@ -48,6 +48,29 @@ class TopicLeaseTest(unittest.TestCase):
             self.assertLess(now.rss_mb - old.rss_mb, 8.0)
         self.assertEqual(len([name for name in received if name.endswith("/name")]), IDS + 400)
 
+    def test_who_comes_late_is_greeted_once(self):
+        leases = TopicLeases("/humans/bodies", {"name": TopicSpec(String, greet=True)})
+        self.addCleanup(leases.close_all)
+        leases.open("abcde")
+        leases.publish("abcde", "name", String("early"))
+        heard = []
+
+        def listen():
+            subscriber = rospy.Subscriber("/humans/bodies/abcde/name", String, lambda message: heard.append(
+                (message.data, message._connection_header.get("latching"))))
+            wait_for(lambda: leases.has_subscribers("abcde", "name"), 20, "a subscriber")
+            return subscriber
+
+        first = listen()
+        wait_for(lambda: heard == [("early", "0")], 20, "the greeting")
+        first.unregister()
+        wait_for(lambda: not leases.has_subscribers("abcde", "name"), 20, "nobody")
+        again = listen()
+        leases.publish("abcde", "name", String("new"))
+        wait_for(lambda: heard[1:], 20, "the next message")
+        self.assertEqual(heard[1:], [("new", "0")])
+        again.unregister()
+
     def churn(self, generator, tracked, received, count):
         """Open, publish, be heard, and close `count` ids, TOGETHER at a time."""
         peak = 0

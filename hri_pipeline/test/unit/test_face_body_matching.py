@@ -10,8 +10,10 @@ from hri_pipeline.core.face_body_matching import (
     MatchAnnouncer,
     PairMatch,
     body_points,
+    combined,
     face_points,
     likelihoods,
+    place_likelihoods,
 )
 from hri_pipeline.core.matcher_parameters import MATCHER_PARAMETERS
 
@@ -177,3 +179,61 @@ def test_what_is_said():
     assert announcer.to_say([other], 1.4) == [match._replace(confidence=0.0), other]
     assert announcer.withdraw_all() == [other._replace(confidence=0.0)]
     assert announcer.to_say([], 2.0) == []
+
+
+def test_heads_at_one_place_are_likely_and_the_line_of_sight_is_inexact():
+    face = np.array([[0.0, 0.0, 2.0]])
+    across, along = (place_likelihoods(face, face + [shift])[0, 0] for shift in ((0.4, 0.0, 0.0), (0.0, 0.0, 0.4)))
+    assert place_likelihoods(face, face)[0, 0] == pytest.approx(1.0)
+    assert across < 0.2 < 0.7 < along
+    assert place_likelihoods(face, face + [[0.0, 0.0, 2.0]])[0, 0] < 0.05
+    far = np.array([[0.0, 0.0, 8.0]])
+    assert place_likelihoods(far, far + [[0.0, 0.0, 1.0]])[0, 0] > place_likelihoods(face, face + [[0.0, 0.0, 1.0]])[0, 0]
+    assert np.isnan(place_likelihoods(face, np.full((1, 3), np.nan))[0, 0])
+
+
+def test_places_alone_count_where_the_image_tells_nothing_and_the_image_where_there_are_none():
+    nothing = np.nan
+    fused = combined(np.array([[0.8, 0.8, nothing, nothing]]), np.array([[0.25, nothing, 1.0, nothing]]))
+    np.testing.assert_allclose(fused, [[0.4, 0.8, 0.9, nothing]])
+
+
+def test_of_two_heads_behind_each_other_the_one_at_the_distance_of_the_face_is_its_own():
+    matcher = make()
+    matcher.set_tracked("faces", ["face"])
+    matcher.set_tracked("bodies", ["near", "away"])
+    matcher.add_face("face", 1.0, human(0.5)[0], ASPECT, "camera")
+    matcher.add_place("faces", "face", 1.0, (0.0, 0.0, 2.0), "camera")
+    for name, shift, depth in (("near", 0.01, 2.2), ("away", 0.0, 5.0)):
+        matcher.add_body(name, 1.0, human(0.5 + shift)[1], "camera")
+        matcher.add_place("bodies", name, 1.0, (0.05, 0.0, depth), "camera")
+    assert [(match.face, match.body) for match in matcher.matches()] == [("face", "near")]
+
+
+def test_a_body_of_which_the_image_shows_no_face_is_found_by_its_head():
+    matcher = make()
+    matcher.set_tracked("faces", ["face"])
+    matcher.set_tracked("bodies", ["body"])
+    landmarks, skeleton = human(0.5)
+    skeleton[[0, 14, 15], 2] = 0.0
+    matcher.add_face("face", 1.0, landmarks, ASPECT, "camera")
+    matcher.add_body("body", 1.0, skeleton, "camera")
+    assert matcher.matches() == []
+    matcher.add_place("faces", "face", 1.1, (0.0, 0.0, 2.0), "camera")
+    matcher.add_place("bodies", "body", 1.1, (0.1, 0.0, 2.1), "camera")
+    matcher.add_face("face", 1.1, landmarks, ASPECT, "camera")
+    matcher.add_body("body", 1.1, skeleton, "camera")
+    assert [(match.face, match.body) for match in matcher.matches()] == [("face", "body")]
+
+
+def test_images_of_different_cameras_are_not_compared():
+    matcher = make()
+    matcher.set_tracked("faces", ["face"])
+    matcher.set_tracked("bodies", ["here", "there"])
+    matcher.add_face("face", 1.0, human(0.5)[0], ASPECT, "left")
+    matcher.add_body("there", 1.0, human(0.5)[1], "right")
+    assert matcher.matches() == []
+    matcher.add_body("here", 1.1, human(0.52)[1], "left")
+    matcher.add_face("face", 1.1, human(0.5)[0], ASPECT, "left")
+    matcher.add_body("there", 1.1, human(0.5)[1], "right")
+    assert [(match.face, match.body) for match in matcher.matches()] == [("face", "here")]

@@ -7,11 +7,11 @@ from hri_pipeline.core.face_detector import (
     ANCHOR_STRIDES,
     ANCHORS_PER_CELL,
     INPUT_SIZE,
-    DetectionSchedule,
     FaceDetector,
     ssd_anchors,
     tile_regions,
     weighted_nms,
+    wide_region,
 )
 
 
@@ -87,33 +87,6 @@ def test_one_tile_is_no_tile_and_a_wrong_overlap_is_refused():
         tile_regions(640, 480, 2, overlap=1.0)
 
 
-def test_schedule_starts_with_everything_then_alternates():
-    schedule = DetectionSchedule(period=0.3, tiles=2)
-    asked = [schedule.due(640, 480, 10.0 + 0.05 * index) for index in range(60)]
-    assert len(asked[0]) == 5
-    later = [regions[0] for regions in asked[1:] if regions]
-    assert all(len(regions) <= 1 for regions in asked[1:])
-    whole = (0, 0, 640, 480)
-    assert 0.35 < np.mean([region == whole for region in later]) < 0.65
-    assert set(later) == {whole} | set(tile_regions(640, 480, 2))
-    schedule.reset()
-    assert len(schedule.due(640, 480, 0.0)) == 5
-
-
-def test_schedule_does_not_depend_on_the_frame_rate():
-    counts = []
-    for rate in (10.0, 30.0):
-        schedule = DetectionSchedule(period=0.4, tiles=1)
-        counts.append(sum(bool(schedule.due(640, 480, index / rate)) for index in range(int(4 * rate))))
-    assert counts == [10, pytest.approx(10, abs=1)]
-
-
-@pytest.mark.parametrize("arguments", [(-0.1, 2), (0.3, 0)])
-def test_schedule_refuses_nonsense(arguments):
-    with pytest.raises(ValueError):
-        DetectionSchedule(*arguments)
-
-
 @pytest.mark.parametrize("score", [0.0, 1.0, -1.0])
 def test_detector_refuses_a_score_that_no_detection_can_have(score):
     with pytest.raises(ValueError, match="score"):
@@ -140,6 +113,18 @@ def test_regions_are_found_at_their_offset_and_below_the_score_nothing_is():
     assert face.box == pytest.approx((278, 178, 318, 218))
     assert FaceDetector(OneFace(centre, 0.0)).detect(image, [(0, 0, 400, 400)]) == []
     assert FaceDetector(OneFace(centre, 2.0)).detect(image, []) == []
+
+
+def test_a_region_that_is_larger_than_the_image_has_a_black_border():
+    network = OneFace(24 * 48 + 24, 2.0)
+    image = np.full((100, 200, 3), 255, np.uint8)
+    region = wide_region(200, 100)
+    assert region == (-50, -50, 250, 150)
+    face, = FaceDetector(network).detect(image, [region])
+    assert (face.box[:2] + face.box[2:]) / 2.0 == pytest.approx((100, 50), abs=5.0)
+    batch = network.inputs[0][0]
+    assert (batch[70:120, 40:150] == 1.0).all()
+    assert (batch[:60] == -1.0).all() and (batch[135:] == -1.0).all() and (batch[:, :28] == -1.0).all()
 
 
 def test_the_input_is_rgb_from_minus_one_to_one_with_black_borders():

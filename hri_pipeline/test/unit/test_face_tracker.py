@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.face_landmarks import MESH_POINTS
-from hri_pipeline.core.face_tracker import FaceMeasurement, FaceTracker, same_face, without_duplicates
+from hri_pipeline.core.face_tracker import FaceMeasurement, FaceTracker, face_colours, same_face, without_duplicates
 from hri_pipeline.core.ids import IdGenerator
 
 STEP = 1.0 / 15.0
@@ -191,3 +191,57 @@ def test_a_face_lives_as_long_as_it_is_detected_now_and_then():
 def test_illegal_support(wrong):
     with pytest.raises(ValueError):
         FaceTracker(0.1, 1.0, 10, **wrong)
+
+
+RED, BLUE = np.full((5, 4, 3), 0.2), np.full((5, 4, 3), 0.5)
+
+
+def coloured(x, colours):
+    plain = face(x)
+    return FaceMeasurement(plain.mesh, plain.presence, plain.may_start, colours)
+
+
+def test_faces_that_turn_back_where_they_meet_are_told_apart_by_their_colours():
+    """Motion alone takes them for people who walk on: only what they look like says that they turned back."""
+    faces = tracker()
+    frames = []
+    for step in range(30):
+        away = abs(step - 15) * 9.0
+        left, right = coloured(300.0 - away, RED), coloured(315.0 + away, BLUE)
+        frames.append([left, right] if abs(step - 15) > 2 else [left])
+    seen = run(faces, *frames)
+    assert len(set(faces.ids)) == 2
+    before, after = seen[5], seen[-1]
+    assert before.keys() == after.keys()
+    assert min(before, key=before.get) == min(after, key=after.get)
+
+
+def test_a_skipped_face_stays_where_it_was_going_and_is_not_lost():
+    faces = tracker()
+    for index in range(10):
+        faces.update([face(100.0 + 3.0 * index), face(400.0)], index * STEP)
+    moving, still = faces.ids
+    seen = faces.update([face(400.0)], 10 * STEP, skipped=[moving])
+    assert {track.id for track in seen} == {moving, still}
+    track = [track for track in seen if track.id == moving][0]
+    box = track.predicted_box(10 * STEP)
+    assert box[[0, 2]].mean() == pytest.approx(face(130.0).box[[0, 2]].mean(), abs=1.5)
+    assert [track.id for track in faces.update([face(400.0)], 11 * STEP)] == [still], "looked for and not found"
+
+
+def test_a_skipped_face_dies_when_it_is_never_looked_at():
+    faces = tracker(death=0.5)
+    faces.update([face(100.0)], 0.0)
+    only = faces.ids
+    for index in range(1, 12):
+        faces.update([], 0.1 * index, skipped=only)
+    assert faces.ids == []
+
+
+def test_colours_of_a_face():
+    image = np.zeros((100, 200, 3), np.uint8)
+    image[:, 100:] = 255
+    assert face_colours(image, np.array([50.0, 0.0, 150.0, 100.0])).shape == (5, 4, 3)
+    assert face_colours(image, np.array([110.0, 10.0, 190.0, 90.0])) == pytest.approx(1.0)
+    assert face_colours(image, np.array([-500.0, 0.0, -300.0, 50.0])) is None
+    assert face_colours(image, np.array([-50.0, -50.0, 90.0, 500.0])) == pytest.approx(0.0)

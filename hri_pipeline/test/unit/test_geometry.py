@@ -32,6 +32,15 @@ def test_quaternion_round_trip_and_normalisation():
     assert Pose.identity().quaternion == (0.0, 0.0, 0.0, 1.0)
 
 
+def test_quaternions_are_those_of_scipy_also_at_half_turns():
+    turns = list(Rotation.random(200, random_state=3)) + [
+        Rotation.from_rotvec(np.pi * np.array(axis)) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.6, 0.8))]
+    for turn in turns:
+        pose = Pose.from_quaternion(turn.as_quat(), (0.0, 0.0, 0.0))
+        np.testing.assert_allclose(pose.rotation, turn.as_matrix(), atol=1e-12)
+        assert abs(np.dot(pose.quaternion, turn.as_quat())) == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (np.nan, 0, 0, 1), (np.inf, 0, 0, 1), (0, 0, 1)])
 def test_bad_quaternion(quaternion):
     with pytest.raises(ValueError, match="quaternion"):

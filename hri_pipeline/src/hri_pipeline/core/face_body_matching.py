@@ -1,11 +1,11 @@
-"""Which face belongs to which body, from the eyes, nose and ears of both in the image."""
+"""Which face belongs to which body: from the eyes, nose and ears of both in the image, and from where both heads are."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
+from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ RESEND_PERIOD_S = 1.0
 CONFIDENCE_STEP = 0.05
 _HISTORY_S = 1.0
 _JUMP_BACK_S = 0.5
+_NOWHERE = np.full(3, np.nan)
 
 # Point of the skeleton (hri_msgs/Skeleton2D), landmarks of which the mean is the same point (dlib's 68
 # points), weight. The ears count less: the jaw line ends in front of them.
@@ -27,6 +28,9 @@ _SAME_POINTS: Tuple[Tuple[int, Tuple[int, ...], float], ...] = (
     (17, (0,), 0.3),
 )
 _MIN_WEIGHT = 1.3       # at least two points, one of them an eye or the nose
+# Two estimates of one head: across the line of sight (m), and along it, where both are inexact and more so far away.
+ACROSS_M, ALONG_M, ALONG_SHARE = 0.2, 0.3, 0.15
+PLACES_ALONE = 0.9      # likelihood of two heads at one place of which the image tells nothing
 
 Pair = Tuple[str, str]
 
@@ -78,6 +82,26 @@ def likelihoods(faces: np.ndarray, bodies: np.ndarray, distance_scale: float,
     return np.where(known, np.exp(-0.5 * (distance / distance_scale) ** 2), np.nan)
 
 
+def place_likelihoods(faces: np.ndarray, bodies: np.ndarray) -> np.ndarray:
+    """Return (F, B) likelihoods that faces (F, 3) and heads of skeletons (B, 3) are at one place; NaN where one is NaN.
+
+    Positions in m in the optical frame of one camera, which sees directions exactly and distances less so.
+    """
+    faces, bodies = faces[:, None], bodies[None]
+    apart = faces - bodies
+    distance = np.linalg.norm(faces, axis=2)
+    sight = faces / np.maximum(distance, 1e-6)[..., None]
+    along = np.abs((apart * sight).sum(axis=2))
+    across = np.linalg.norm(apart - (apart * sight).sum(axis=2)[..., None] * sight, axis=2)
+    return np.exp(-0.5 * ((across / ACROSS_M) ** 2 + (along / (ALONG_M + ALONG_SHARE * distance)) ** 2))
+
+
+def combined(image: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Fuse the likelihoods (F, B) of image and places, either of which may be NaN; the image is the more exact one."""
+    both = image * np.sqrt(places)
+    return np.where(np.isnan(places), image, np.where(np.isnan(image), PLACES_ALONE * places, both))
+
+
 @dataclass
 class _PairState:
     likelihood: float
@@ -95,6 +119,7 @@ class FaceBodyMatcher:
         """Take the settings of `matcher_parameters.MATCHER_PARAMETERS`."""
         self._settings = settings
         self._tracked: Dict[str, Set[str]] = {"faces": set(), "bodies": set()}
+        self._frames: Dict[Tuple[str, str], str] = {}
         self._aspect = 1.0
         self._start_afresh()
 
@@ -109,22 +134,29 @@ class FaceBodyMatcher:
         """Take the ids of "faces" or "bodies" that are tracked; what is known of the others is dropped."""
         self._tracked[kind] = set(ids)
         self._history.keep_only(kind, self._tracked[kind])
+        self._history.keep_only("places of " + kind, self._tracked[kind])
+        self._frames = {key: frame for key, frame in self._frames.items() if key[0] != kind or key[1] in self._tracked[kind]}
         side = 0 if kind == "faces" else 1
         for pair in [pair for pair in self._states if pair[side] not in self._tracked[kind]]:
             del self._states[pair]
 
-    def add_face(self, face: str, stamp: float, landmarks: np.ndarray, aspect: float) -> None:
+    def add_face(self, face: str, stamp: float, landmarks: np.ndarray, aspect: float, frame: str = "") -> None:
         """Take the landmarks (70, 3) of a face in the image of time `stamp` (s).
 
-        aspect: width over height of the image, 0 where it is not known.
+        aspect: width over height of the image, 0 where it is not known. frame: the camera's, empty when not known.
         """
         if aspect > 0.0:
             self._aspect = aspect
-        self._add("faces", face, stamp, face_points(landmarks, self._aspect))
+        self._add("faces", face, stamp, face_points(landmarks, self._aspect), frame)
 
-    def add_body(self, body: str, stamp: float, skeleton: np.ndarray) -> None:
-        """Take the skeleton (18, 3) of a body in the image of time `stamp` (s)."""
-        self._add("bodies", body, stamp, body_points(skeleton, self._aspect))
+    def add_body(self, body: str, stamp: float, skeleton: np.ndarray, frame: str = "") -> None:
+        """Take the skeleton (18, 3) of a body in the image of time `stamp` (s); frame: as in add_face."""
+        self._add("bodies", body, stamp, body_points(skeleton, self._aspect), frame)
+
+    def add_place(self, kind: str, name: str, stamp: float, position: Sequence[float], frame: str = "") -> None:
+        """Take the position (3,) m of one of the "faces", or of the head of one of the "bodies", in its camera's frame."""
+        if name in self._tracked[kind] and self._frames.setdefault((kind, name), frame) in ("", frame):
+            self._history.add("places of " + kind, name, stamp, np.array(position))
 
     def matches(self) -> List[PairMatch]:
         """Compare what has come in; return all pairs that match now, best first."""
@@ -136,11 +168,12 @@ class FaceBodyMatcher:
         return [PairMatch(face, body, value) for (face, body), value in
                 sorted(self._matched.items(), key=lambda item: -item[1])]
 
-    def _add(self, kind: str, name: str, stamp: float, points: np.ndarray) -> None:
+    def _add(self, kind: str, name: str, stamp: float, points: np.ndarray, frame: str) -> None:
         if stamp < self._newest - _JUMP_BACK_S:
             self._start_afresh()
         if name in self._tracked[kind]:
             self._newest = max(self._newest, stamp)
+            self._frames[kind, name] = frame
             self._history.add(kind, name, stamp, points)
 
     def _stamp_to_compare(self) -> Optional[float]:
@@ -154,13 +187,25 @@ class FaceBodyMatcher:
         tolerance = settings.max_stamp_difference
         faces = self._history.at("faces", stamp, tolerance)
         bodies = self._history.at("bodies", stamp, tolerance)
-        values = likelihoods(np.array(list(faces.values())), np.array(list(bodies.values())),
-                             settings.distance_scale, settings.min_point_confidence)
+        values = combined(
+            likelihoods(np.array(list(faces.values())), np.array(list(bodies.values())),
+                        settings.distance_scale, settings.min_point_confidence),
+            place_likelihoods(self._places("faces", faces, stamp), self._places("bodies", bodies, stamp)))
         for row, face in enumerate(faces):
             for column, body in enumerate(bodies):
-                if not math.isnan(values[row, column]):
+                if not math.isnan(values[row, column]) and self._may_be_one(face, body):
                     self._follow((face, body), float(values[row, column]), stamp)
         self._compared = stamp
+
+    def _places(self, kind: str, names: Iterable[str], stamp: float) -> np.ndarray:
+        """Positions (N, 3) m at a time, NaN where they are not known."""
+        known = self._history.at("places of " + kind, stamp, self._settings.max_stamp_difference)
+        return np.array([known.get(name, _NOWHERE) for name in names])
+
+    def _may_be_one(self, face: str, body: str) -> bool:
+        """Tell whether one camera sees both: two images cannot be compared."""
+        frames = {self._frames.get(("faces", face), ""), self._frames.get(("bodies", body), "")} - {""}
+        return len(frames) < 2
 
     def _follow(self, pair: Pair, value: float, stamp: float) -> None:
         state = self._states.get(pair)

@@ -104,43 +104,10 @@ def tile_regions(width: int, height: int, tiles: int, overlap: float = 0.25) -> 
     return regions
 
 
-class DetectionSchedule:
-    """Says which regions of the image the detector looks at now, spreading the cost over frames.
-
-    The whole image is looked at once per `period` (s); half-way between, one tile, round robin, finds
-    the small faces that the whole image is too coarse for. The first call asks for everything.
-    """
-
-    def __init__(self, period: float, tiles: int) -> None:
-        """Raises ValueError for a negative period or less than one tile."""
-        if period < 0.0:
-            raise ValueError("detection period must not be negative, got %r s" % (period,))
-        if tiles < 1:
-            raise ValueError("tiles must be at least 1, got %r" % (tiles,))
-        self._period = period
-        self._tiles = tiles
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the past: the next call asks for every region."""
-        self._next = -np.inf
-        self._slot = -1
-        self._tile = 0
-
-    def due(self, width: int, height: int, stamp: float) -> List[Region]:
-        """Regions (x0, y0, x1, y1 px) for the image of this stamp (s); often the empty list."""
-        if stamp < self._next:
-            return []
-        whole = (0, 0, width, height)
-        tiles = tile_regions(width, height, self._tiles)
-        self._next = stamp + self._period / (2.0 if tiles else 1.0)
-        self._slot += 1
-        if self._slot == 0:
-            return [whole] + tiles
-        if not tiles or self._slot % 2 == 0:
-            return [whole]
-        self._tile = (self._tile + 1) % len(tiles)
-        return [tiles[self._tile]]
+def wide_region(width: int, height: int) -> Region:
+    """The image with a border of a quarter of its longer side: the network does not see a face that fills its input."""
+    border = max(1, max(width, height) // 4)
+    return -border, -border, width + border, height + border
 
 
 class FaceDetector:
@@ -158,7 +125,7 @@ class FaceDetector:
         self._anchors = ssd_anchors(INPUT_SIZE, ANCHOR_STRIDES, ANCHORS_PER_CELL)
 
     def detect(self, bgr: np.ndarray, regions: Sequence[Region]) -> List[FaceDetection]:
-        """Faces in the regions (x0, y0, x1, y1 px, inside the image) of a (H, W, 3) uint8 image."""
+        """Faces in the regions (x0, y0, x1, y1 px, which overlap the image) of a (H, W, 3) uint8 image."""
         if not regions:
             return []
         batch = np.empty((len(regions), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
@@ -185,14 +152,19 @@ class FaceDetector:
 def _letterbox(bgr: np.ndarray, region: Region, out: np.ndarray) -> Tuple[float, np.ndarray]:
     """Fit a region into `out` (S, S, 3) as RGB in [-1, 1]; returns image px per input px, and offset px."""
     x0, y0, x1, y1 = region
-    patch = bgr[y0:y1, x0:x1]
+    scale = max(x1 - x0, y1 - y0) / float(INPUT_SIZE)
+    # What lies outside the image stays black.
+    inner_x, inner_y = max(x0, 0), max(y0, 0)
+    patch = bgr[inner_y:min(y1, bgr.shape[0]), inner_x:min(x1, bgr.shape[1])]
     height, width = patch.shape[:2]
-    scale = max(width, height) / float(INPUT_SIZE)
     new_width, new_height = max(1, round(width / scale)), max(1, round(height / scale))
-    left, top = (INPUT_SIZE - new_width) // 2, (INPUT_SIZE - new_height) // 2
+    margin_x = (INPUT_SIZE - (x1 - x0) / scale) / 2.0 + (inner_x - x0) / scale
+    margin_y = (INPUT_SIZE - (y1 - y0) / scale) / 2.0 + (inner_y - y0) / scale
+    left, top = min(int(margin_x), INPUT_SIZE - new_width), min(int(margin_y), INPUT_SIZE - new_height)
     if scale >= 4.0:
         # Every second pixel is enough when the area filter averages the rest, and four times as quick.
-        patch = cv2.resize(patch, (width // 2, height // 2), interpolation=cv2.INTER_NEAREST)
+        half = (max(1, width // 2), max(1, height // 2))
+        patch = cv2.resize(patch, half, interpolation=cv2.INTER_NEAREST)
     method = cv2.INTER_AREA if scale > 1.0 else cv2.INTER_LINEAR
     small = cv2.resize(patch, (new_width, new_height), interpolation=method)
     out.fill(-1.0)
@@ -200,4 +172,4 @@ def _letterbox(bgr: np.ndarray, region: Region, out: np.ndarray) -> Tuple[float,
     inside[...] = cv2.cvtColor(small, cv2.COLOR_BGR2RGB)
     inside *= 1.0 / 127.5
     inside -= 1.0
-    return scale, np.array([x0 - left * scale, y0 - top * scale])
+    return scale, np.array([inner_x - left * scale, inner_y - top * scale])

@@ -50,8 +50,9 @@ def landmarks_from_mesh(
         raise ValueError("expected a mesh of (%d, 3), got %r" % (MESH_POINTS, mesh.shape))
     points = np.empty((LANDMARKS, 3))
     points[:, :2] = mesh[LANDMARK_TO_MESH, :2]
-    inside = (points[:, :2] >= 0.0).all(axis=1) & (points[:, :2] < (width, height)).all(axis=1)
-    points[:, 2] = np.clip(presence, 0.0, 1.0) * np.clip(visibility, 0.0, 1.0) * inside
+    x, y = points[:, 0], points[:, 1]
+    inside = (x >= 0.0) & (y >= 0.0) & (x < width) & (y < height)
+    points[:, 2] = min(1.0, max(0.0, presence)) * np.minimum(np.maximum(visibility, 0.0), 1.0) * inside
     return points
 
 

@@ -116,7 +116,7 @@ class FaceMesh:
             points = _assemble({name: values[i] for name, values in out.items()})
             points[:, :2] = points[:, :2] @ affine[:, :2].T + affine[:, 2]
             points[:, 2] *= roi.size / INPUT_SIZE
-            logit = float(np.clip(out["conv_faceflag"][i, 0], -50.0, 50.0))
+            logit = min(50.0, max(-50.0, float(out["conv_faceflag"][i, 0])))
             results.append(FaceMeshResult(1.0 / (1.0 + np.exp(-logit)), points))
         return results
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Sequence, Tuple
+from typing import List, Sequence, Tuple
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Pose:
 
     def compose(self, other: "Pose") -> "Pose":
         """Return self * other: first `other`, then `self`."""
-        return Pose(self.rotation @ other.rotation, self.apply(other.translation[None])[0])
+        return Pose(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
 
     def inverse(self) -> "Pose":
         """Return the transform that maps parent coordinates to the child frame."""
@@ -46,8 +46,7 @@ class Pose:
     @property
     def quaternion(self) -> Tuple[float, float, float, float]:
         """Unit quaternion (x, y, z, w)."""
-        x, y, z, w = Rotation.from_matrix(self.rotation).as_quat()
-        return float(x), float(y), float(z), float(w)
+        return _quaternion(self.rotation.tolist())
 
     @classmethod
     def from_quaternion(cls, quaternion: Sequence[float], translation: Sequence[float]) -> "Pose":
@@ -55,17 +54,39 @@ class Pose:
 
         Raises ValueError for a quaternion that is zero or not finite.
         """
-        values = np.asarray(quaternion, dtype=np.float64)
-        norm = float(np.linalg.norm(values))
-        if values.shape != (4,) or not np.isfinite(norm) or norm < 1e-9:
-            raise ValueError("a quaternion needs 4 finite numbers, not all zero: {}".format(list(values)))
-        rotation = Rotation.from_quat(values / norm).as_matrix()
+        values = [float(value) for value in quaternion]
+        square = sum(value * value for value in values)
+        if len(values) != 4 or not math.isfinite(square) or square < 1e-18:
+            raise ValueError("a quaternion needs 4 finite numbers, not all zero: {}".format(values))
+        # Thousands a second pass here; scipy's Rotation takes ten times as long for a single one.
+        x, y, z, w = values
+        s = 2.0 / square
+        rotation = np.array((
+            (1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)),
+            (s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)),
+            (s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y))))
         return cls(rotation, np.asarray(translation, dtype=np.float64))
 
     @classmethod
     def identity(cls) -> "Pose":
         """Return the transform that changes nothing."""
         return cls(np.eye(3), np.zeros(3))
+
+
+def _quaternion(matrix: List[List[float]]) -> Tuple[float, float, float, float]:
+    """Unit quaternion (x, y, z, w) of a rotation matrix, as rows: S. W. Shepperd, J. Guidance and Control 1 (1978) 223."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix
+    largest = max(a, e, i, a + e + i)
+    if largest == a:
+        x, y, z, w = 1.0 + a - e - i, b + d, c + g, h - f
+    elif largest == e:
+        x, y, z, w = b + d, 1.0 - a + e - i, f + h, c - g
+    elif largest == i:
+        x, y, z, w = c + g, f + h, 1.0 - a - e + i, d - b
+    else:
+        x, y, z, w = h - f, c - g, d - b, 1.0 + a + e + i
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    return x / norm, y / norm, z / norm, w / norm
 
 
 def iou_matrix(a: np.ndarray, b: np.ndarray) -> np.ndarray:

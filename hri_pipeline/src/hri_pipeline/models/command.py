@@ -41,7 +41,7 @@ def build_parser() -> argparse.ArgumentParser:
         "--models",
         default="default",
         metavar="A,B",
-        help="comma separated names or groups (default, demo, all); see --list",
+        help="comma separated names or groups (default, demo, evaluation, all); see --list",
     )
     parser.add_argument(
         "--directory",

@@ -10,6 +10,7 @@ from hri_pipeline.models.catalogue import Product
 from hri_pipeline.models.errors import FetchError
 
 JPEG_START = b"\xff\xd8\xff"
+MP4_MARK = b"ftyp"
 
 
 def convert(product: Product, contents: Mapping[str, bytes]) -> bytes:
@@ -90,6 +91,9 @@ def describe(path: Path, output: str) -> Dict[str, List[Dict[str, Any]]]:
         return _describe_onnx(path, output)
     if output.endswith(".npz"):
         _check_canonical_face(path)
+    elif output.endswith(".mp4"):
+        if path.read_bytes()[4:8] != MP4_MARK:
+            raise FetchError("%s is not an MP4 film" % path)
     elif not path.read_bytes().startswith(JPEG_START):
         raise FetchError("%s is not a JPEG picture" % path)
     return {"inputs": [], "outputs": []}

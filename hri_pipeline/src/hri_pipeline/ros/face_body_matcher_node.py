@@ -1,4 +1,4 @@
-"""The face_body_matcher node: landmarks and skeletons in, candidate matches out."""
+"""The face_body_matcher node: landmarks, skeletons and transforms in, candidate matches out."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ import rospy
 
 from hri_msgs.msg import FacialLandmarks, IdsMatch, Skeleton2D
 from hri_pipeline.core.face_body_matching import FaceBodyMatcher, MatchAnnouncer, PairMatch
+from hri_pipeline.core.head_places import HeadPlaces
+from hri_pipeline.core.tf_scan import read
 from hri_pipeline.ros.conversions import landmarks_from_msg, match_to_msg, skeleton_from_msg
 from hri_pipeline.ros.diagnostics import OK, NodeDiagnostics
 from hri_pipeline.ros.feature_feed import FeatureFeed
+from hri_pipeline.ros.tf_feed import Frames, TfFeed
 from hri_pipeline.ros.topic_release import release
 
 GATHER_S = 0.04         # skeletons of one image come one by one; also the shortest time between comparisons
@@ -33,6 +36,7 @@ class FaceBodyMatcherNode:
         self._news = threading.Event()
         self._stop = threading.Event()
         self._matcher = FaceBodyMatcher(settings)
+        self._places = HeadPlaces()
         self._announcer = MatchAnnouncer()
         self._last_diagnostics = 0.0
         self._publisher = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=100)
@@ -40,6 +44,7 @@ class FaceBodyMatcherNode:
         self._feeds = [
             FeatureFeed("faces", {"landmarks": FacialLandmarks}, self._on_landmarks, self._tracked("faces")),
             FeatureFeed("bodies", {"skeleton2d": Skeleton2D}, self._on_skeleton, self._tracked("bodies"))]
+        self._transforms = TfFeed(self._on_frames)
         rospy.on_shutdown(self._end)
 
     def spin(self) -> None:
@@ -58,6 +63,7 @@ class FaceBodyMatcherNode:
         self._end()
         for feed in self._feeds:
             feed.close()
+        self._transforms.close()
         with self._lock:
             self._publish(self._announcer.withdraw_all())
         self._diagnostics.close()
@@ -71,6 +77,7 @@ class FaceBodyMatcherNode:
         def on_tracked(ids: List[str]) -> None:
             with self._lock:
                 self._matcher.set_tracked(kind, ids)
+                self._places.set_tracked(kind, ids)
             self._news.set()
         return on_tracked
 
@@ -78,14 +85,27 @@ class FaceBodyMatcherNode:
         points = landmarks_from_msg(message)
         aspect = message.width / message.height if message.height else 0.0
         with self._lock:
-            self._matcher.add_face(identity, message.header.stamp.to_sec(), points, aspect)
+            self._matcher.add_face(identity, message.header.stamp.to_sec(), points, aspect, message.header.frame_id)
         self._news.set()
 
     def _on_skeleton(self, identity: str, name: str, message: genpy.Message) -> None:
         points = skeleton_from_msg(message)
         with self._lock:
-            self._matcher.add_body(identity, message.header.stamp.to_sec(), points)
+            self._matcher.add_body(identity, message.header.stamp.to_sec(), points, message.header.frame_id)
         self._news.set()
+
+    def _on_frames(self, data: bytes, frames: Frames, fixed: bool) -> None:
+        """Take the places of faces and heads; they are compared with the images that they belong to."""
+        with self._lock:
+            before = -1
+            while before != self._places.wanted:
+                # A link tells which one above it is wanted too; that may stand earlier in the same message.
+                before = self._places.wanted
+                for child, offset in frames:
+                    if self._places.wants(child):
+                        place = self._places.put(read(data, offset), fixed)
+                        if place is not None:
+                            self._matcher.add_place(place.kind, place.id, place.stamp, place.position, place.frame)
 
     def _publish(self, matches: List[PairMatch]) -> None:
         for match in matches:

@@ -16,6 +16,7 @@ from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.images import ImageError
 from hri_pipeline.ros.camera_feed import CameraFeed
 from hri_pipeline.ros.conversions import compressed_to_bgr, image_to_bgr
+from hri_pipeline.ros.depth_intake import DepthIntake
 from hri_pipeline.ros.diagnostics import ERROR, OK
 from hri_pipeline.ros.topic_release import release
 
@@ -37,12 +38,14 @@ class Frame:
     """One image to work on.
 
     bgr: (H, W, 3) uint8. stamp: s, that of header. header: goes with every output that is made of this image.
+    depth: (h, w) float32 m, registered to bgr, NaN where unknown; None without one.
     """
 
     bgr: np.ndarray
     camera: CameraModel
     stamp: float
     header: Header
+    depth: Optional[np.ndarray] = None
 
 
 class ImageIntake:
@@ -51,7 +54,8 @@ class ImageIntake:
     The callback only stores; `next` decodes in the thread of the worker. An image that is not newer than the
     last one is skipped; stamps that go back by more than JUMP_S call on_time_jump and go on from there. An
     image without stamp gets the time of its arrival, as equal stamps would stop every track.
-    fallback_hfov: rad, used without a calibration; fov_parameter: its name, for the messages.
+    fallback_hfov: rad, used without a calibration; fov_parameter: its name, for the messages. depth: where the depth
+    images come from, None for none; it is closed with the intake.
     """
 
     def __init__(
@@ -60,11 +64,13 @@ class ImageIntake:
         fallback_hfov: float = 1.047,
         fov_parameter: str = "~fallback_fov",
         on_time_jump: Optional[Callable[[], None]] = None,
+        depth: Optional[DepthIntake] = None,
     ) -> None:
         kinds = {"raw": ("image", Image), "compressed": ("image/compressed", CompressedImage)}
         if transport not in kinds:
             raise ValueError("image transport is {!r}, known: {}".format(transport, ", ".join(kinds)))
         self.on_time_jump = on_time_jump
+        self._depth = depth
         self._decode = image_to_bgr if transport == "raw" else compressed_to_bgr
         self._condition = threading.Condition()
         self._message: Optional[ImageMessage] = None
@@ -105,6 +111,10 @@ class ImageIntake:
         level, text = self._problem
         if level == OK:
             level, text = self._camera.problem
+        if self._depth is not None:
+            depth_level, depth_text, depth_values = self._depth.status()
+            values.update(depth_values)
+            level, text = (level, text) if level != OK else (depth_level, depth_text)
         return level, text or "images come in", values
 
     def close(self) -> None:
@@ -117,6 +127,8 @@ class ImageIntake:
             self._condition.notify_all()
         release(self._subscriber)
         self._camera.close()
+        if self._depth is not None:
+            self._depth.close()
 
     def _store(self, message: ImageMessage) -> None:
         with self._condition:
@@ -148,7 +160,10 @@ class ImageIntake:
         camera = self._camera.model(bgr.shape[1], bgr.shape[0])
         self._last_stamp = header.stamp.to_sec()
         self.counts["taken"] += 1
-        return Frame(bgr, camera, self._last_stamp, header)
+        depth = None
+        if self._depth is not None:
+            depth = self._depth.match(self._last_stamp, bgr.shape[1], bgr.shape[0])
+        return Frame(bgr, camera, self._last_stamp, header, depth)
 
     def _tell(self, problem: str) -> None:
         """Log a problem with an image: a new one soon, the same one now and then."""
@@ -171,6 +186,8 @@ class ImageIntake:
             self.counts["time_jumps"] += 1
             rospy.logwarn("%s: time has gone back by %.1f s (a bag that loops?); tracks start anew", self.topic, -step)
             self._last_stamp = None
+            if self._depth is not None:
+                self._depth.reset()
             if self.on_time_jump is not None:
                 self.on_time_jump()
             return header

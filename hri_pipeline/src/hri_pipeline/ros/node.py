@@ -17,13 +17,14 @@ from rospy.exceptions import ROSInitException
 from hri_pipeline.core.memory import keep_large_blocks
 from hri_pipeline.core.onnx_model import ModelError
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.ros.master_watch import MasterWatch
 
 _RETRY_S = 1.0
 _SAY_EVERY = 10
 
 # Errors of whoever set the node up: one line says it, a traceback would hide it.
-SETUP_ERRORS = (ParameterError, ModelError)
+SETUP_ERRORS = (ParameterError, ModelError, StoreError)
 
 
 class _Stop(BaseException):
@@ -35,7 +36,7 @@ def run_node(name: str, build: Callable[[], object]) -> NoReturn:
 
     Waits for the master, initialises rospy as `name`, calls build() and spin() of what it returns. On SIGINT,
     SIGTERM or any exception its close() is called while ROS still works, then ROS is shut down.
-    Exit code 0, or 1 after an error; ParameterError and ModelError are told in one line.
+    Exit code 0, or 1 after an error; SETUP_ERRORS are told in one line.
     """
     _install_handlers()
     keep_large_blocks()

@@ -44,6 +44,7 @@ class OverlayInputs:
     def __init__(self, settings: SimpleNamespace) -> None:
         self._lock = threading.Lock()
         self._images: Deque[Tuple[float, AnyImage]] = deque(maxlen=settings.history)
+        self._frame = ""
         self._history = FeatureHistory()
         self._persons: Dict[str, Dict[str, object]] = {}
         self._tolerance = settings.pair_tolerance
@@ -64,14 +65,19 @@ class OverlayInputs:
                 self._images.clear()
                 self._history.clear()
             self._images.append((stamp, message))
+            self._frame = message.header.frame_id
 
     def _on_face(self, name: str, topic: str, message: FacialLandmarks) -> None:
-        with self._lock:
-            self._history.add("faces", name, message.header.stamp.to_sec(), landmarks_from_msg(message))
+        self._keep("faces", name, message, landmarks_from_msg(message))
 
     def _on_body(self, name: str, topic: str, message: Skeleton2D) -> None:
+        self._keep("bodies", name, message, skeleton_from_msg(message))
+
+    def _keep(self, kind: str, name: str, message: Union[FacialLandmarks, Skeleton2D], points: np.ndarray) -> None:
+        """Keep what this camera has seen, not what another one has."""
         with self._lock:
-            self._history.add("bodies", name, message.header.stamp.to_sec(), skeleton_from_msg(message))
+            if not self._frame or message.header.frame_id in ("", self._frame):
+                self._history.add(kind, name, message.header.stamp.to_sec(), points)
 
     def _on_person(self, name: str, topic: str, message: Union[String, Float32]) -> None:
         with self._lock:

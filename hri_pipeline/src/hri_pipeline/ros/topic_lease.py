@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Dict, Iterable, List, Mapping, NamedTuple, Type
+from typing import Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Set, Type
 
 import genpy
 import rospy
@@ -11,13 +11,48 @@ import rospy
 from hri_pipeline.core.ids import ID_PATTERN, is_valid_id
 from hri_pipeline.ros.topic_release import release
 
+_MOST_MET = 100
+
 
 class TopicSpec(NamedTuple):
-    """Type of a topic, whether it is latched, and how many messages wait for a slow subscriber."""
+    """Type of a topic, whether it is latched, and how many messages wait for a slow subscriber.
+
+    greet: a node that subscribes for the first time gets the last message at once, without the topic being a latched
+    one: it need not wait for the next of a slow topic. One that comes again may have had that message.
+    """
 
     type: Type[genpy.Message]
     latch: bool = False
     queue_size: int = 1
+    greet: bool = False
+
+
+class _Greeter(rospy.SubscribeListener):
+    """Gives each node that subscribes for the first time the last message."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._met: Set[str] = set()
+        self.message: Optional[genpy.Message] = None
+        self.publisher: Optional[rospy.Publisher] = None
+
+    def peer_subscribe(self, topic_name: str, topic_publish: Callable, peer_publish: Callable) -> None:
+        """Called by rospy, in the thread of the new connection."""
+        implementation = self.publisher.impl if self.publisher is not None else None
+        if implementation is None or not implementation.connections or len(self._met) >= _MOST_MET:
+            return
+        # rospy does not say who it is: the connection that it has added last.
+        node = str(implementation.connections[-1].endpoint_id)
+        known = node in self._met
+        self._met.add(node)
+        if known or self.message is None:
+            return
+        # rospy calls this without the lock that guards the buffer of the topic.
+        implementation.acquire()
+        try:
+            peer_publish(self.message)
+        finally:
+            implementation.release()
 
 
 class TopicLeases:
@@ -33,6 +68,7 @@ class TopicLeases:
         self._namespace = namespace.rstrip("/")
         self._topics = {name: TopicSpec(*spec) for name, spec in topics.items()}
         self._open: Dict[str, Dict[str, rospy.Publisher]] = {}
+        self._greeters: Dict[str, Dict[str, Optional[_Greeter]]] = {}
         self._lock = threading.RLock()
 
     @property
@@ -53,10 +89,14 @@ class TopicLeases:
             if identity in self._open:
                 return
             publishers = self._open[identity] = {}
+            greeters = self._greeters[identity] = {}
             for name, spec in self._topics.items():
+                greeter = greeters[name] = _Greeter() if spec.greet else None
                 publishers[name] = rospy.Publisher(
-                    "{}/{}/{}".format(self._namespace, identity, name), spec.type,
+                    "{}/{}/{}".format(self._namespace, identity, name), spec.type, subscriber_listener=greeter,
                     latch=spec.latch, queue_size=spec.queue_size)
+                if greeter is not None:
+                    greeter.publisher = publishers[name]
 
     def keep(self, identities: Iterable[str]) -> None:
         """Open what is new in `identities` and close what is not in it."""
@@ -78,6 +118,9 @@ class TopicLeases:
             publisher = self._open.get(identity, {}).get(name)
             if publisher is None:
                 return False
+            greeter = self._greeters[identity][name]
+            if greeter is not None:
+                greeter.message = message
             publisher.publish(message)
             return True
 
@@ -90,6 +133,7 @@ class TopicLeases:
     def close(self, identity: str) -> None:
         """Take the topics of an id back; nothing happens when it is not open."""
         with self._lock:
+            self._greeters.pop(identity, None)
             for publisher in self._open.pop(identity, {}).values():
                 release(publisher)
 

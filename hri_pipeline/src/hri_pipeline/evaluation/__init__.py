@@ -1,0 +1,1 @@
+"""Evaluation on real pictures: labels, and the figures made of them. No node imports it."""

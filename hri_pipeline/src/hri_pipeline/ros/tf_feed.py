@@ -1,0 +1,47 @@
+"""Listens to /tf and /tf_static without making message objects of what nobody here needs."""
+
+from __future__ import annotations
+
+from typing import Callable, List, Optional, Tuple
+
+import rospy
+
+from hri_pipeline.core.tf_scan import scan
+from hri_pipeline.ros.topic_release import release
+
+_LOG_PERIOD_S = 10.0
+
+Frames = List[Tuple[bytes, int]]
+
+
+class TfFeed:
+    """Calls on_frames(data, frames, fixed) in rospy's thread for each message of another node.
+
+    frames: (child frame, offset) of each transform; tf_scan.read(data, offset) gives the transform itself.
+    fixed: it came on /tf_static. A message that is no TFMessage, or of which on_frames says so by a ValueError, is told and
+    counted in `refused`. skip: messages of nodes whose name starts so are not even looked at.
+    """
+
+    def __init__(self, on_frames: Callable[[bytes, Frames, bool], None], skip: Optional[str] = None) -> None:
+        self._on_frames = on_frames
+        self._skip = skip
+        self._name = rospy.get_name()
+        self.refused = 0
+        self._moving = rospy.Subscriber("/tf", rospy.AnyMsg, self._take, callback_args=False,
+                                        queue_size=100, buff_size=2 ** 20, tcp_nodelay=True)
+        self._static = rospy.Subscriber("/tf_static", rospy.AnyMsg, self._take, callback_args=True, queue_size=100)
+
+    def close(self) -> None:
+        """Let go of both topics. Idempotent."""
+        release(self._moving)
+        release(self._static)
+
+    def _take(self, message: rospy.AnyMsg, fixed: bool) -> None:
+        caller = message._connection_header.get("callerid", "")
+        if caller == self._name or (self._skip is not None and caller.startswith(self._skip)):
+            return
+        try:
+            self._on_frames(message._buff, scan(message._buff), fixed)
+        except ValueError as error:
+            self.refused += 1
+            rospy.logwarn_throttle(_LOG_PERIOD_S, "/tf: a message of %s is not used: %s", caller, error)

@@ -1,0 +1,118 @@
+"""All stages of the faces together, on photographs: who is asked for what, and what it costs nobody."""
+
+import cv2
+import numpy as np
+import pytest
+
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.face_analysis import STAGES, FaceDemand
+from hri_pipeline.core.face_parameters import FACES
+from hri_pipeline.core.face_stage import FaceStage
+from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.onnx_model import ModelError
+
+SIZE = (960, 640)
+NETWORKS = ("expression", "age_gender", "recognition")
+CAMERA = CameraModel.from_fov(SIZE[0], SIZE[1], 0.925)
+
+
+def photograph(name):
+    image = cv2.imread(str(models_directory() / "demo" / (name + ".jpg")))
+    assert image is not None, "no picture {}; get it with `rosrun hri_pipeline fetch_models`".format(name)
+    return cv2.resize(image, SIZE, interpolation=cv2.INTER_AREA)
+
+
+def watch(stage, image, count, demand, start=1000.0):
+    """Feed an image again and again, 0.1 s apart; returns the last faces and all matches."""
+    matches, faces = [], []
+    for index in range(count):
+        faces = stage.update(image, CAMERA, start + 0.1 * index, None, demand(stage.tracked_ids))
+        matches += stage.matches
+    return faces, matches
+
+
+def networks_run(stage):
+    return {name for name in stage.times.summary() if name in NETWORKS}
+
+
+def test_what_nobody_wants_is_not_done():
+    stage = FaceStage(FACES.resolve({}))
+    faces, matches = watch(stage, photograph("sample3"), 15, lambda ids: FaceDemand())
+    assert len(faces) == 3 and not matches
+    assert not networks_run(stage) and "action_units" not in stage.times.summary()
+    for face in faces:
+        assert face.action_units is face.expression is face.soft_biometrics is None
+        assert face.pose is not None and face.gaze is not None
+
+
+def test_everything_of_three_people():
+    stage = FaceStage(FACES.resolve({"face_mesh_rate": 0.0}))
+    faces, matches = watch(stage, photograph("sample3"), 50, FaceDemand.everything)
+    assert networks_run(stage) == set(NETWORKS)
+    assert len(faces) == 3
+    for face in faces:
+        assert face.action_units.intensity.shape == (99,) and face.action_units.confidence.max() > 0.2
+        assert face.expression.category in ("happy", "neutral", "surprised")
+        assert 15.0 < face.soft_biometrics.age < 50.0 and face.soft_biometrics.p_male < 0.3
+    said = {match.face_id: match.person_id for match in matches if match.likelihood > 0.5}
+    assert set(said) == {face.id for face in faces} and len(set(said.values())) == 3
+    again, later = watch(stage, np.zeros((640, 960, 3), np.uint8), 15, FaceDemand.everything, 1010.0)
+    assert again == [] and all(match.likelihood > 0.0 for match in later), "who has gone was still that person"
+    faces, matches = watch(stage, photograph("sample3"), 40, FaceDemand.everything, 1020.0)
+    known = {match.person_id for match in matches if match.likelihood > 0.5}
+    assert known == set(said.values()) and not {face.id for face in faces} & set(said)
+
+
+def test_one_face_of_three_is_asked_for():
+    stage = FaceStage(FACES.resolve({"face_mesh_rate": 0.0}))
+    faces, _ = watch(stage, photograph("sample3"), 25, lambda ids: FaceDemand(
+        action_units=set(ids[:1]), soft_biometrics=set(ids[1:2])))
+    assert [face.action_units is not None for face in faces] == [True, False, False]
+    assert [face.soft_biometrics is not None for face in faces] == [False, True, False]
+    assert networks_run(stage) == {"age_gender"}
+
+
+def test_at_most_one_network_runs_per_image():
+    stage = FaceStage(FACES.resolve({"face_mesh_rate": 0.0}))
+    image = photograph("sample5")
+    for index in range(40):
+        before = {name: len(stage.times._times.get(name, ())) for name in NETWORKS}
+        stage.update(image, CAMERA, 1000.0 + 0.1 * index, None, FaceDemand.everything(stage.tracked_ids))
+        assert sum(len(stage.times._times.get(name, ())) - before[name] for name in NETWORKS) <= 1
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_each_stage_can_be_switched_off_alone(name):
+    models = {"expression": "expression_model", "age_gender": "age_gender_model", "recognition": "recognition_model"}
+    settings = {name: False}
+    if name in models:
+        settings[models[name]] = "/nowhere/absent.onnx"
+        with pytest.raises(ModelError, match="absent.onnx"):
+            FaceStage(FACES.resolve(dict(settings, **{name: True})))
+    stage = FaceStage(FACES.resolve(settings))
+    assert name not in stage.status()["stages"].split()
+    faces, matches = watch(stage, photograph("sample3"), 30, FaceDemand.everything)
+    result = {"age_gender": "soft_biometrics", "recognition": None}.get(name, name)
+    assert len(faces) == 3 and (result is None or all(getattr(face, result) is None for face in faces))
+    assert bool(matches) == (name != "recognition")
+
+
+def test_the_strict_profile_switches_everything_off():
+    from pathlib import Path
+
+    import yaml
+    profile = yaml.safe_load((Path(__file__).parents[2] / "config" / "privacy_strict.yaml").read_text())
+    settings = FACES.resolve(profile)
+    assert not any(getattr(settings, name) for name in STAGES)
+    stage = FaceStage(settings)
+    assert stage.recognition is None and stage.status()["stages"] == "none"
+
+
+def test_time_that_goes_back_forgets_faces_and_keeps_persons():
+    stage = FaceStage(FACES.resolve({"face_mesh_rate": 0.0}))
+    image = photograph("sample3")
+    _, matches = watch(stage, image, 45, FaceDemand.everything)
+    faces, again = watch(stage, image, 30, FaceDemand.everything, 10.0)
+    persons = [{match.person_id for match in found if match.likelihood > 0.5} for found in (matches, again)]
+    assert len(persons[0]) == 3 and persons[0] == persons[1]
+    assert len(faces) == 3

@@ -1,0 +1,196 @@
+"""Action units, expression, age and gender on real pictures and films: the demonstration's, and the evaluation's where
+they were fetched (`fetch_models --models evaluation`)."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from hri_pipeline.core.action_units import ActionUnitEstimator
+from hri_pipeline.core.action_units_table import MIRROR
+from hri_pipeline.core.age_gender import AgeGenderFusion, load_age_gender
+from hri_pipeline.core.canonical_face import load_canonical_face
+from hri_pipeline.core.expression import ExpressionModel, ExpressionTracker
+from hri_pipeline.core.expression_table import CATEGORIES
+from hri_pipeline.core.face_detector import FaceDetector
+from hri_pipeline.core.face_measures import FaceMeasures
+from hri_pipeline.core.face_mesh import FaceMesh, roi_from_detection, roi_from_mesh
+from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.onnx_model import ModelError, OnnxModel
+from hri_pipeline.evaluation import eyes
+from hri_pipeline.evaluation.labels import images, nearest_face, read_labels
+
+LARGEST = 1600
+"""Larger pictures are halved, small ones get a rim: the detector is made for faces that do not fill the image."""
+
+
+class Finder:
+    """Meshes of the faces of a picture."""
+
+    def __init__(self):
+        directory = models_directory()
+        self.detector = FaceDetector(
+            OnnxModel(directory / "face_detection_full_range.onnx", outputs=tuple(FaceDetector.OUTPUTS)), 0.5)
+        self.mesh = FaceMesh(OnnxModel(directory / "face_landmarks_attention.onnx", outputs=tuple(FaceMesh.OUTPUTS)))
+
+    def __call__(self, image):
+        """[(presence, mesh (478, 3) px of the picture)]."""
+        rim = max(image.shape) // 4 if max(image.shape) < 700 else 0
+        framed = cv2.copyMakeBorder(image, rim, rim, rim, rim, cv2.BORDER_CONSTANT)
+        scale = max(1.0, max(framed.shape) / LARGEST)
+        small = cv2.resize(framed, None, fx=1.0 / scale, fy=1.0 / scale, interpolation=cv2.INTER_AREA)
+        found = self.detector.detect(small, [(0, 0, small.shape[1], small.shape[0])])
+        first = self.mesh.run(small, [roi_from_detection(detection) for detection in found])
+        second = self.mesh.run(small, [roi_from_mesh(result.points) for result in first])
+        faces = []
+        for result in second:
+            points = result.points * scale
+            points[:, :2] -= rim
+            if result.presence > 0.5:
+                faces.append((result.presence, points))
+        return faces
+
+
+@pytest.fixture(scope="module")
+def finder():
+    return Finder()
+
+
+@pytest.fixture(scope="module")
+def measures():
+    return FaceMeasures(load_canonical_face(models_directory() / "canonical_face.npz"))
+
+
+def needs_evaluation_pictures():
+    if not (models_directory() / "evaluation").is_dir():
+        pytest.skip("the evaluation's pictures are absent; get them with `rosrun hri_pipeline fetch_models --models"
+                    " evaluation`")
+
+
+def labelled_faces(finder, labels):
+    """Yield (label, image, presence, mesh); every labelled face must be found."""
+    for wanted, image in images(labels, models_directory()):
+        faces = finder(image)
+        boxes = np.array([np.concatenate([mesh[:, :2].min(axis=0), mesh[:, :2].max(axis=0)]) for _, mesh in faces])
+        for label in wanted:
+            index = nearest_face(label, boxes, image.shape)
+            assert index is not None, "no face found at {}".format(label)
+            yield label, image, faces[index][0], faces[index][1]
+
+
+def units_of(measures, image, presence, mesh):
+    return ActionUnitEstimator(measures).update(mesh, None, 0.0, presence, (image.shape[1], image.shape[0]))
+
+
+def test_the_mirror_table_mirrors_the_canonical_face():
+    vertices = load_canonical_face(models_directory() / "canonical_face.npz").vertices
+    for right, left in MIRROR.items():
+        if right < len(vertices):
+            assert np.linalg.norm(vertices[right] * (-1, 1, 1) - vertices[left]) < 0.001, (right, left)
+            assert vertices[right, 0] < 0.0
+
+
+def test_open_and_closed_eyes(finder, measures):
+    needs_evaluation_pictures()
+    labels, answers = [], []
+    for label, image, presence, mesh in labelled_faces(finder, eyes.labelled_eyes()):
+        labels.append(label)
+        answers.append(bool(units_of(measures, image, presence, mesh).intensity[45] > 0.5))
+    table = eyes.confusion(labels, answers)
+    assert table["fn"] <= 2 and table["fp"] <= 2, table
+
+
+@pytest.fixture(scope="module")
+def evident(finder, measures):
+    """(label, image, mesh, action units) of the faces with an evident expression."""
+    needs_evaluation_pictures()
+    labels = read_labels(Path(eyes.TABLE).with_name("expressions.txt"), CATEGORIES)
+    return [(label.label, image, mesh, units_of(measures, image, presence, mesh))
+            for label, image, presence, mesh in labelled_faces(finder, labels)]
+
+
+def test_smiles_have_their_units(evident):
+    smiling = np.array([units.intensity for label, _, _, units in evident if label == "happy"])
+    neutral = np.array([units.intensity for label, _, _, units in evident if label == "neutral"])
+    assert np.median(smiling[:, 12]) > 0.7 and np.median(neutral[:, 12]) < 0.1
+    assert (neutral[:, 12] < 0.3).mean() > 0.9 and (smiling[:, 12] > 0.3).mean() > 0.8
+    assert smiling[:, 6].mean() > neutral[:, 6].mean() + 0.05
+
+
+def test_evident_expressions(evident):
+    model = ExpressionModel(models_directory() / "face_expression.onnx")
+    right, confidences = [], []
+    for label, image, mesh, units in evident:
+        probabilities = model.probabilities([model.crop(image, mesh)])[0]
+        estimate = ExpressionTracker().update(probabilities, units, 0.0)
+        right.append(estimate.category == label)
+        confidences.append(estimate.confidence)
+        if label == "happy" and estimate.category == label:
+            assert estimate.valence > 0.2
+    assert np.mean(right) >= 0.8
+    assert abs(np.mean(confidences) - np.mean(right)) < 0.12, "the confidence is honest on average"
+
+
+def test_a_face_that_smiles_for_a_second_and_blinks(finder, measures):
+    needs_evaluation_pictures()
+    film = cv2.VideoCapture(str(models_directory() / "evaluation" / "smile.mp4"))
+    rate, told = film.get(cv2.CAP_PROP_FPS), []
+    estimator, tracker = ActionUnitEstimator(measures), ExpressionTracker()
+    while True:
+        found, image = film.read()
+        if not found:
+            break
+        presence, mesh = finder(image)[0]
+        stamp = len(told) / rate
+        units = estimator.update(mesh, None, stamp, presence)
+        told.append((units.intensity, tracker.update(None, units, stamp)))
+    film.release()
+    smile = np.array([intensity[12] for intensity, _ in told])
+    assert smile[:15].max() < 0.2 and smile[35:69].min() > 0.7 and smile[-1] < 0.2
+    blink = np.array([intensity[45] for intensity, _ in told])
+    assert blink[26:31].max() > 0.5 and blink[:20].max() < 0.3 and blink[40:].max() < 0.3
+    assert all(intensity[43] == 0.0 for intensity, _ in told), "a blink is no sleep"
+    assert told[65][1].category == "happy" and told[10][1].category == "neutral"
+
+
+def test_somebody_who_talks_for_a_minute_is_no_grimacer(finder, measures):
+    """Quiet talk of 40 s: the running neutral must settle, and the brows stay where they are."""
+    needs_evaluation_pictures()
+    path = models_directory() / "evaluation" / "talking.mp4"
+    estimator, told, mesh = ActionUnitEstimator(measures), [], None
+    for frame, image in eyes.frames(path, range(0, 960, 4)):
+        result = [] if mesh is None else finder.mesh.run(image, [roi_from_mesh(mesh)])
+        presence, mesh = (result[0].presence, result[0].points) if result else finder(image)[0]
+        told.append(estimator.update(mesh, None, frame / 24.0, presence))
+    settled = np.array([units.intensity for units in told[60:]])
+    assert told[-1].neutral_known > 0.8
+    open_eyes = settled[settled[:, 45] < 0.3]
+    assert np.percentile(open_eyes[:, [1, 2, 4, 9]], 90, axis=0).max() < 0.2
+    assert 2 <= int((np.diff((settled[:, 45] > 0.5).astype(int)) == 1).sum()) <= 20, "he blinks now and then"
+
+
+def test_the_people_of_the_demonstration_are_grown_women(finder):
+    """Twenty-two faces: what a visitor would say of them."""
+    model = load_age_gender(models_directory() / "age_gender.onnx")
+    told = []
+    for number in range(1, 7):
+        image = cv2.imread(str(models_directory() / "demo" / "sample{}.jpg".format(number)))
+        assert image is not None, "no demonstration pictures; get them with `rosrun hri_pipeline fetch_models`"
+        for _, mesh in finder(image):
+            fusion = AgeGenderFusion()
+            fusion.add(model.estimate([model.crop(image, mesh)])[0], 1.0, 0.0)
+            told.append(fusion.estimate())
+    assert len(told) >= 20
+    assert np.mean([look.p_female > 0.5 for look in told]) >= 0.9
+    ages = np.array([look.age for look in told])
+    assert 18.0 <= np.median(ages) <= 35.0 and ages.min() > 12.0 and ages.max() < 55.0
+    assert all(5.0 <= look.age_sd < 12.0 and 0.5 < look.age_confidence < 0.97 for look in told)
+
+
+def test_another_network_is_refused():
+    for wrong in ("age_gender.onnx", "face_recognition.onnx"):
+        with pytest.raises(ModelError, match=wrong):
+            ExpressionModel(models_directory() / wrong)
+    with pytest.raises(ModelError, match="face_expression.onnx"):
+        load_age_gender(models_directory() / "face_expression.onnx")

@@ -1,0 +1,149 @@
+"""Recognition with the real networks, on the labelled pictures that fetch_models gets."""
+
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from hri_pipeline.core.face_embedding import FaceEmbedder, face_chip, load_face_embedder, similarity
+from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.onnx_model import ModelError
+from hri_pipeline.evaluation.recognition_figures import (
+    Encounters,
+    identities,
+    images,
+    recognise_twice,
+    recognising_stage,
+)
+
+
+@pytest.fixture(scope="module")
+def embedder():
+    return load_face_embedder()
+
+
+def pictures_of(*people):
+    wanted = [label for label in identities(asked_only=True) if label.label in people]
+    missing = {label.file for label in wanted if not (models_directory() / label.file).is_file()}
+    if missing:
+        pytest.skip("no {}; get them with `rosrun hri_pipeline fetch_models --models evaluation`".format(
+            ", ".join(sorted(missing))))
+    return wanted
+
+
+def test_two_men_are_told_apart_and_found_again_in_another_run():
+    wanted = pictures_of("one", "other")
+    assert len(wanted) == 6
+    encounters = recognise_twice(wanted, models_directory())
+    assert encounters.counts == {"right": 12, "wrong": 0, "unknown": 0}, encounters.mistakes
+
+
+def test_nobody_of_the_groups_is_taken_for_somebody_else():
+    wanted = [label for label in identities(asked_only=True) if label.file in ("demo/sample1.jpg", "demo/sample3.jpg")]
+    encounters = Encounters(recognising_stage())
+    for of_image, image in images(wanted, models_directory()):
+        encounters.show(of_image, image)
+    assert encounters.counts == {"right": 6, "wrong": 0, "unknown": 0}, encounters.mistakes
+
+
+def portrait():
+    image = cv2.imread(str(models_directory() / "demo" / "sample3.jpg"))
+    assert image is not None, "get the pictures with `rosrun hri_pipeline fetch_models`"
+    return image
+
+
+def mesh_like(centre, eyes, turn=0.0):
+    """A mesh whose five points that count are those of dlib's mean face; eyes: distance of the outer corners, px."""
+    shape = np.array([[0.1206, 0.2137], [0.3341, 0.2291], [0.6461, 0.2290], [0.8596, 0.2135], [0.4901, 0.6278]])
+    cosine, sine = np.cos(turn), np.sin(turn)
+    points = (shape - shape.mean(axis=0)) * eyes / 0.739 @ np.array([[cosine, sine], [-sine, cosine]]) + centre
+    mesh = np.tile(np.asarray(centre, dtype=float), (478, 1))
+    mesh[[33, 133, 362, 263, 2]] = points
+    return mesh
+
+
+def test_a_template_survives_size_turn_and_light(embedder):
+    image = portrait()
+    mesh = mesh_like((680, 470), 140.0)
+    template = embedder.embed([embedder.crop(image, mesh)])[0]
+    assert template.shape == (128,) and template.dtype == np.float32
+    assert np.linalg.norm(template) == pytest.approx(1.0, abs=1e-5)
+    half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    turned = cv2.warpAffine(image, cv2.getRotationMatrix2D((680, 470), 30.0, 1.0), image.shape[1::-1])
+    others = [embedder.crop(half, mesh / 2.0), embedder.crop(turned, mesh_like((680, 470), 140.0, np.deg2rad(-30.0))),
+              np.clip(embedder.crop(image, mesh) * 0.7, 0, 255).astype(np.uint8)]
+    distances = np.linalg.norm(embedder.embed(others) - template, axis=1)
+    assert distances.max() < 0.15, distances
+
+
+def test_a_batch_gives_what_one_by_one_gives(embedder):
+    image = portrait()
+    crops = [embedder.crop(image, mesh_like((680 + 7 * number, 470), 140.0)) for number in range(20)]
+    together = embedder.embed(crops)
+    assert together.shape == (20, 128)
+    assert np.allclose(together, np.concatenate([embedder.embed([crop]) for crop in crops]), atol=1e-4)
+    assert embedder.embed([]).shape == (0, 128)
+
+
+@pytest.mark.parametrize("mesh", [np.full((478, 3), np.nan), np.zeros((478, 3)), np.full((478, 3), np.inf)])
+def test_points_that_are_no_face_are_refused(embedder, mesh):
+    with pytest.raises(ValueError, match="one place"):
+        embedder.crop(np.zeros((100, 100, 3), np.uint8), mesh)
+
+
+def test_faces_at_the_border_and_far_outside_do_no_harm(embedder):
+    image = np.full((100, 100, 3), 128, np.uint8)
+    for centre in ((0, 50), (99, 99), (-500, -500)):
+        crop = embedder.crop(image, mesh_like(centre, 60.0))
+        assert crop.shape == (150, 150, 3) and np.isfinite(embedder.embed([crop])).all()
+
+
+@pytest.mark.parametrize("crop", [np.zeros((150, 150), np.uint8), np.zeros((150, 150, 3)), np.zeros((0, 0, 3), np.uint8)])
+def test_what_is_no_crop_is_refused(embedder, crop):
+    with pytest.raises(ValueError, match="crop"):
+        embedder.embed([crop])
+
+
+def test_the_similarity_is_the_best_one():
+    source = np.random.RandomState(0).randn(5, 2)
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    affine = similarity(source, 3.0 * source @ turn.T + (5.0, -2.0))
+    assert np.allclose(affine, np.column_stack([3.0 * turn, (5.0, -2.0)]))
+
+
+def test_the_chip_holds_the_face_where_it_belongs():
+    image = np.zeros((400, 400, 3), np.uint8)
+    mesh = mesh_like((200, 200), 100.0, 0.4)
+    for point in mesh[[33, 263]]:
+        cv2.circle(image, tuple(int(round(value)) for value in point[:2]), 4, (255, 255, 255), -1)
+    chip = face_chip(image, mesh, 150)
+    expected = (np.array([[0.1206, 0.2137], [0.8596, 0.2135]]) + 0.2) / 1.4 * 150
+    for x, y in expected:
+        assert chip[int(round(y)), int(round(x))].min() > 200
+
+
+@pytest.mark.parametrize("wrong", ["age_gender.onnx", "face_landmarks_attention.onnx"])
+def test_another_model_and_a_damaged_one_are_told_by_name(tmp_path, wrong):
+    target = tmp_path / "recognition.onnx"
+    shutil.copy(str(models_directory() / wrong), str(target))
+    with pytest.raises(ModelError, match="recognition.onnx"):
+        FaceEmbedder(target)
+    target.write_bytes(b"\x08\x07 this is no model")
+    with pytest.raises(ModelError, match="recognition.onnx"):
+        FaceEmbedder(target)
+    with pytest.raises(ModelError, match="absent.onnx"):
+        load_face_embedder(str(tmp_path / "absent.onnx"))
+
+
+def test_the_other_network_is_known_by_its_outputs(embedder):
+    path = models_directory() / "faceres.onnx"
+    if not path.is_file():
+        pytest.skip("no {}; get it with `rosrun hri_pipeline fetch_models --models faceres`".format(path))
+    other = FaceEmbedder(path)
+    assert (other.kind, other.dimension) == ("faceres", 1024) and other.calibration != embedder.calibration
+    image = portrait()
+    crops = [other.crop(image, mesh_like((680, 470), 140.0)), other.crop(image, mesh_like((683, 471), 141.0))]
+    first, second = other.embed(crops)
+    assert np.linalg.norm(first) == pytest.approx(1.0, abs=1e-5)
+    assert np.linalg.norm(first - second) < other.calibration.near

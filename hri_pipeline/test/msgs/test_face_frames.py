@@ -1,0 +1,55 @@
+"""Transforms of a face, and what the node says about people's privacy at its start."""
+
+import genpy
+import numpy as np
+import pytest
+from std_msgs.msg import Header
+
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.face_parameters import FACES
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.observations import FaceObservation, GazeEstimate
+from hri_pipeline.ros.conversions import pose_from_transform
+from hri_pipeline.ros.face_branch import face_transforms, privacy_line
+from hri_pipeline.ros.image_intake import Frame
+
+UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+
+
+def frame():
+    header = Header(stamp=genpy.Time(12, 5), frame_id="camera")
+    return Frame(np.zeros((48, 64, 3), np.uint8), CameraModel.from_fov(64, 48, 1.0), 12.0, header)
+
+
+def face(pose, gaze):
+    return FaceObservation("abcde", np.array([1.0, 2, 3, 4]), 1.0, np.zeros((70, 3)), np.zeros((478, 3)), pose, gaze)
+
+
+def test_face_and_gaze_frames():
+    pose = Pose(UPRIGHT, np.array([0.1, 0.2, 1.5]))
+    direction = np.array([0.6, 0.0, -0.8])
+    head, gaze = face_transforms(face(pose, GazeEstimate(direction, 0.9, 0.0)), frame())
+    assert (head.header.frame_id, head.child_frame_id) == ("camera", "face_abcde")
+    assert (gaze.header.frame_id, gaze.child_frame_id) == ("face_abcde", "gaze_abcde")
+    assert head.header.stamp == gaze.header.stamp == genpy.Time(12, 5)
+    whole = pose_from_transform(head).compose(pose_from_transform(gaze))
+    assert whole.translation == pytest.approx(pose.translation), "collocated"
+    assert whole.rotation[:, 2] == pytest.approx(direction)
+    assert whole.rotation[1, 1] == pytest.approx(1.0), "y is down for a level gaze"
+
+
+def test_no_gaze_frame_while_the_eyes_are_closed_and_none_at_all_without_a_pose():
+    pose = Pose(UPRIGHT, np.array([0.1, 0.2, 1.5]))
+    assert len(face_transforms(face(pose, GazeEstimate(None, 0.0, 1.0)), frame())) == 1
+    assert len(face_transforms(face(pose, None), frame())) == 1
+    assert face_transforms(face(None, None), frame()) == []
+
+
+def test_privacy_line():
+    stock = privacy_line(FACES.resolve({}))
+    assert "inferred about people: action_units, expression, age_gender, recognition; switched off: nothing" in stock
+    assert "in memory only" in stock
+    assert "/data/people.npz" in privacy_line(FACES.resolve({"gallery": "/data/people.npz"}))
+    strict = privacy_line(FACES.resolve(
+        {"action_units": False, "expression": False, "age_gender": False, "recognition": False}))
+    assert strict.startswith("inferred about people: nothing; switched off: action_units") and "templates" not in strict

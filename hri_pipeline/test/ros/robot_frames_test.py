@@ -1,0 +1,109 @@
+#!/usr/bin/env python3
+"""A frame of the robot is looked up narrowly, whatever else is on /tf."""
+
+import struct
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+from geometry_msgs.msg import TransformStamped
+from tf2_msgs.msg import TFMessage
+from waiting import wait_for
+
+from hri_pipeline.ros.robot_frames import RobotFrameFeed
+from hri_pipeline.ros.tf_feed import TfFeed
+
+WAIT_S = 15.0
+
+
+def transform(parent, child, z, stamp):
+    message = TransformStamped(child_frame_id=child)
+    message.header.frame_id, message.header.stamp = parent, stamp
+    message.transform.translation.z = z
+    message.transform.rotation.w = 1.0
+    return message
+
+
+class Forger(rospy.Message):
+    """Bytes that claim to be a TFMessage and are none."""
+
+    __slots__ = ["data"]
+    _type, _md5sum, _has_header = TFMessage._type, TFMessage._md5sum, False
+    _full_text, _slot_types = TFMessage._full_text, []
+
+    def serialize(self, buffer):
+        buffer.write(self.data)
+
+
+class RobotFramesTest(unittest.TestCase):
+
+    @classmethod
+    def setUpClass(cls):
+        # rospy gives the messages of a process to itself too, but its own frames are passed over: another name sends.
+        cls.static = rospy.Publisher("/tf_static", TFMessage, latch=True, queue_size=10)
+        cls.moving = rospy.Publisher("/tf", TFMessage, queue_size=100)
+
+    def feed(self):
+        frames = RobotFrameFeed("map")
+        frames._ears._name = "/nobody"      # hear this process too
+        self.addCleanup(frames.close)
+        wait_for(lambda: self.moving.get_num_connections() and self.static.get_num_connections(), WAIT_S, "listeners")
+        return frames
+
+    def test_fixed_and_moving_frames_make_the_way_and_skeletons_are_not_kept(self):
+        frames = self.feed()
+        self.static.publish(TFMessage([transform("map", "base", 1.0, rospy.Time.now())]))
+
+        def seen():
+            stamp = rospy.Time.now()
+            self.moving.publish(TFMessage(
+                [transform("base", "camera", 0.5, stamp), transform("camera", "body_abcde", 3.0, stamp),
+                 transform("camera", "face_abcde", 3.0, stamp)]))
+            return frames.lookup("camera", stamp)
+
+        pose = wait_for(seen, WAIT_S, "the camera in map")
+        self.assertTrue(np.allclose(pose.translation, (0.0, 0.0, 1.5)))
+        self.assertEqual(frames.relevant, {"map", "base", "camera"})
+        self.assertEqual(frames.known, 2)
+        self.assertIsNone(frames.lookup("nowhere", rospy.Time()))
+        frames.reset()
+        self.assertIsNone(frames.lookup("camera", rospy.Time()))
+        wait_for(seen, WAIT_S, "the camera again; the fixed frame has been kept")
+
+    def test_garbage_is_counted_and_the_next_message_is_read(self):
+        heard = []
+        feed = TfFeed(lambda data, frames, fixed: heard.append([name for name, _ in frames]))
+        feed._name = "/nobody"
+        self.addCleanup(feed.close)
+        early = TFMessage([transform("map", "early", 1.0, rospy.Time.now())])
+        wait_for(lambda: self.moving.publish(early) or [b"early"] in heard, WAIT_S, "a listener")
+        for data in (b"", b"\x00", struct.pack("<I", 2 ** 31), b"\xff" * 50):
+            forged = Forger()
+            forged.data = data
+            self.moving.impl.acquire()
+            self.moving.impl.publish(forged)
+            self.moving.impl.release()
+        self.moving.publish(TFMessage([transform("map", "late", 1.0, rospy.Time.now())]))
+        wait_for(lambda: [b"late"] in heard, WAIT_S, "the good one")
+        self.assertEqual(feed.refused, 4)
+
+    def test_messages_of_skeletons_are_not_even_looked_at(self):
+        heard = []
+        feed = TfFeed(lambda data, frames, fixed: heard.append(frames), skip=rospy.get_name())
+        feed._name = "/nobody"
+        other = TfFeed(lambda data, frames, fixed: heard.append(frames))
+        self.addCleanup(feed.close)
+        self.addCleanup(other.close)
+        wait_for(lambda: self.moving.get_num_connections(), WAIT_S, "a listener")
+        self.moving.publish(TFMessage([transform("map", "base", 1.0, rospy.Time.now())]))
+        marker = TfFeed(lambda data, frames, fixed: heard.append("marker"))
+        marker._name = "/nobody"
+        self.addCleanup(marker.close)
+        wait_for(lambda: self.moving.publish(TFMessage()) or "marker" in heard, WAIT_S, "a message that is looked at")
+        self.assertEqual([item for item in heard if item != "marker"], [])
+
+
+if __name__ == "__main__":
+    rospy.init_node("robot_frames_test")
+    rostest.rosrun("hri_pipeline", "robot_frames", RobotFramesTest)

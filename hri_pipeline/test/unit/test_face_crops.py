@@ -1,0 +1,128 @@
+"""Upright crops of faces and what they are worth."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hri_pipeline.core.face_crops import (
+    MAX_SIZE,
+    aligned_crop,
+    box_crop,
+    crop_quality,
+    cut,
+    turned_away,
+    upright_roi,
+)
+from hri_pipeline.core.face_mesh import FaceRoi
+from hri_pipeline.core.geometry import Pose
+
+UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+
+
+def points_at(centre, size, roll_deg=0.0, count=478):
+    """Points of a face: the corners of a box and, at a third of its height, the outer corners of the eyes."""
+    xy = np.zeros((count, 2))
+    xy[0], xy[1], xy[2], xy[3] = (-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)
+    right, left = (36, 45) if count == 70 else (33, 263)
+    xy[right], xy[left] = (-0.3, -0.15), (0.3, -0.15)
+    turn = np.radians(roll_deg)
+    matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    return np.concatenate([xy @ matrix.T * size + centre, np.ones((count, 1))], axis=1)
+
+
+def picture(points, count=478):
+    """A picture with a white right eye and a grey left eye at the points."""
+    image = np.zeros((400, 600, 3), np.uint8)
+    for index, colour in ((36 if count == 70 else 33, (255, 255, 255)), (45 if count == 70 else 263, (120, 120, 120))):
+        cv2.circle(image, tuple(int(value) for value in points[index, :2]), 6, colour, -1)
+    return image
+
+
+@pytest.mark.parametrize("count", [478, 70])
+@pytest.mark.parametrize("roll", [0, 30, -75, 170])
+@pytest.mark.parametrize("size", [40, 112, 256])
+def test_a_crop_is_upright_with_level_eyes(count, roll, size):
+    points = points_at((300, 200), 120, roll, count)
+    crop = aligned_crop(picture(points, count), points, size, margin=1.5)
+    assert crop.shape == (size, size, 3) and crop.dtype == np.uint8
+    grey = cv2.resize(crop, (150, 150))[..., 0].astype(int)
+    white, dim = (np.argwhere(mask).mean(axis=0) for mask in (grey > 180, (grey > 60) & (grey < 140)))
+    assert white == pytest.approx((75 - 0.1 * 150, 75 - 0.2 * 150), abs=6), "row, column of the subject's right eye"
+    assert dim[1] > white[1]
+
+
+def test_a_large_face_is_averaged_and_not_sampled():
+    image = np.zeros((400, 600, 3), np.uint8)
+    image[::2] = 255
+    crop = cut(image, FaceRoi(np.array([300.0, 200.0]), 320.0, 0.0), 32)
+    assert 100 < crop[4:-4].min() and crop[4:-4].max() < 155
+
+
+def test_a_crop_at_the_border_repeats_the_border():
+    image = np.full((100, 100, 3), 77, np.uint8)
+    for size in (16, 200):
+        crop = aligned_crop(image, points_at((2, 2), 60), size)
+        assert (crop == 77).all()
+
+
+@pytest.mark.parametrize("size", [0, -1, MAX_SIZE + 1])
+def test_a_size_that_is_not_legal_is_refused(size):
+    with pytest.raises(ValueError, match="size of a crop"):
+        aligned_crop(np.zeros((50, 50, 3), np.uint8), points_at((20, 20), 20), size)
+
+
+@pytest.mark.parametrize("points", [np.zeros((478, 3)), np.full((478, 3), np.nan), np.ones((12, 3)) * np.arange(12)[:, None]])
+def test_points_that_are_no_face_are_refused(points):
+    with pytest.raises(ValueError):
+        upright_roi(points)
+
+
+def test_box_crop_keeps_the_proportions_and_is_black_outside():
+    image = np.full((200, 300, 3), 200, np.uint8)
+    cv2.circle(image, (150, 100), 20, (0, 0, 255), -1)
+    crop = box_crop(image, (100, 50, 200, 150), 64, 128)
+    assert crop.shape == (128, 64, 3)
+    red = np.argwhere((crop[..., 2] > 200) & (crop[..., 0] < 60))
+    assert np.ptp(red, axis=0) == pytest.approx((25, 25), abs=3), "a circle stays a circle"
+    outside = box_crop(image, (-100, -50, 50, 100), 64, 64)
+    assert (outside[:10, :10] == 0).all() and (outside[-5:, -5:] == 200).all()
+    for box, width in (((0, 0, 0, 10), 64), ((0, 0, 10, np.nan), 64), ((0, 0, 10, 10), 0)):
+        with pytest.raises(ValueError):
+            box_crop(image, box, width, 64)
+
+
+def texture(seed=0):
+    noise = np.random.RandomState(seed).randint(0, 255, (128, 128), np.uint8)
+    smooth = cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 3.0), None, 0, 255, cv2.NORM_MINMAX)
+    return cv2.cvtColor(smooth, cv2.COLOR_GRAY2BGR)
+
+
+def facing(yaw_deg):
+    turn = Rotation.from_euler("y", -yaw_deg, degrees=True).as_matrix()
+    return Pose(turn @ UPRIGHT, np.array([0.0, 0.0, 1.0]))
+
+
+def test_quality_falls_with_every_fault():
+    points = points_at((300, 200), 150)
+    crop = texture()
+    good = crop_quality(points, facing(0), crop)
+    assert 0.8 < good <= 1.0
+    faults = {
+        "blurred": crop_quality(points, facing(0), cv2.GaussianBlur(crop, (0, 0), 9)),
+        "flat": crop_quality(points, facing(0), (120 + 0.02 * crop).astype(np.uint8)),
+        "turned": crop_quality(points, facing(55), crop),
+        "small": crop_quality(points_at((300, 200), 30), facing(0), crop),
+        "doubtful": crop_quality(points, facing(0), crop, presence=0.3),
+        "cut off": crop_quality(points_at((-5, 200), 150), facing(0), crop, image_size=(600, 400)),
+        "without pose": crop_quality(points, None, crop)}
+    for name, quality in faults.items():
+        assert 0.0 <= quality < good - 0.1, name
+    assert crop_quality(points, facing(80), crop) == 0.0
+    assert crop_quality(np.full((478, 3), np.nan), facing(0), crop) == 0.0
+    assert crop_quality(points, facing(0), np.zeros((64, 64, 3), np.uint8)) == 0.0
+
+
+def test_turned_away():
+    assert turned_away(facing(0)) == pytest.approx(0.0, abs=1e-6)
+    assert np.degrees(turned_away(facing(-40))) == pytest.approx(40.0)

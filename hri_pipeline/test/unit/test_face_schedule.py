@@ -1,0 +1,84 @@
+"""When and where the detector looks."""
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core.face_detector import tile_regions, wide_region
+from hri_pipeline.core.face_schedule import STILL_FACTOR, DetectionSchedule
+
+WHOLE = (0, 0, 640, 480)
+PARTS = tile_regions(640, 480, 2) + [wide_region(640, 480)]
+GREY = np.full((480, 640, 3), 90, np.uint8)
+
+
+def noise(index):
+    return np.random.RandomState(index).randint(0, 255, (480, 640, 3), np.uint8)
+
+
+def test_starts_with_everything_then_alternates_while_the_picture_changes():
+    schedule = DetectionSchedule(period=0.3, tiles=2)
+    asked = [schedule.due(noise(index), 10.0 + 0.05 * index) for index in range(60)]
+    assert len(asked[0]) == 6
+    later = [regions[0] for regions in asked[1:] if regions]
+    assert all(len(regions) <= 1 for regions in asked[1:])
+    assert 0.35 < np.mean([region == WHOLE for region in later]) < 0.65
+    assert set(later) == {WHOLE} | set(PARTS)
+    schedule.reset()
+    assert len(schedule.due(GREY, 0.0)) == 6
+
+
+def tiles_asked(schedule, images, **about):
+    asked = [schedule.due(image, 0.05 * index, **about) for index, image in enumerate(images)]
+    return [region for regions in asked[1:] for region in regions if region != WHOLE]
+
+
+def test_a_still_picture_is_searched_in_parts_now_and_then_only():
+    still = len(tiles_asked(DetectionSchedule(0.3, 2), [GREY] * 100))
+    lively = len(tiles_asked(DetectionSchedule(0.3, 2), [noise(index) for index in range(100)]))
+    assert 5 <= still <= 10 and lively >= 14, "5 s: each of five parts once in {:g} s".format(0.3 * STILL_FACTOR)
+
+
+def test_the_part_that_changes_is_searched():
+    images = []
+    for index in range(60):
+        image = GREY.copy()
+        image[300:400, 450:600] = 4 * index
+        images.append(image)
+    asked = tiles_asked(DetectionSchedule(0.3, 2), images[:50])
+    assert asked and set(asked) == {PARTS[3], PARTS[4]}, "the last tile, and the whole with a border"
+
+
+def test_the_part_where_a_face_waits_is_searched():
+    asked = tiles_asked(DetectionSchedule(0.3, 2), [GREY] * 40, waiting=[np.array([100.0, 50.0])])
+    assert set(asked) == {PARTS[0], PARTS[4]} and len(asked) >= 5
+
+
+def test_quiet_halves_the_looks_and_hurry_ends_it():
+    counts = [sum(bool(schedule.due(GREY, 0.05 * index, quiet=quiet)) for index in range(120))
+              for schedule, quiet in ((DetectionSchedule(0.3, 1), False), (DetectionSchedule(0.3, 1), True))]
+    assert counts[0] == pytest.approx(2 * counts[1], abs=1)
+    schedule = DetectionSchedule(0.4, 1)
+    schedule.due(GREY, 0.0, quiet=True)
+    schedule.hurry(0.1)
+    assert not schedule.due(GREY, 0.45) and schedule.due(GREY, 0.5) == [WHOLE]
+
+
+def test_does_not_depend_on_the_frame_rate():
+    counts = []
+    for rate in (10.0, 30.0):
+        schedule = DetectionSchedule(period=0.4, tiles=1)
+        counts.append(sum(bool(schedule.due(GREY, index / rate)) for index in range(int(4 * rate))))
+    assert counts == [10, pytest.approx(10, abs=1)]
+
+
+def test_another_size_of_image_starts_anew():
+    schedule = DetectionSchedule(0.3, 2)
+    schedule.due(GREY, 0.0)
+    assert len(schedule.due(GREY[:240, :320], 1.0)) == 6
+    assert schedule.due(np.zeros((1, 1, 3), np.uint8), 2.0)
+
+
+@pytest.mark.parametrize("arguments", [(-0.1, 2), (0.3, 0)])
+def test_refuses_nonsense(arguments):
+    with pytest.raises(ValueError):
+        DetectionSchedule(*arguments)

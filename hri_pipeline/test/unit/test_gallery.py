@@ -1,0 +1,175 @@
+"""The gallery on synthetic templates: who is like whom, what is kept, what is forgotten, how fast it is."""
+
+import time
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core.gallery import GalleryError, MemoryGallery
+from hri_pipeline.core.likelihood import Calibration
+from hri_pipeline.evaluation.synthetic_templates import SIZE
+from hri_pipeline.evaluation.synthetic_templates import template as face
+
+CALIBRATION = Calibration(midpoint=0.36, fair_midpoint=0.40, scale=0.018, near=0.15)
+
+
+@pytest.fixture
+def gallery():
+    return MemoryGallery("synthetic", SIZE, CALIBRATION)
+
+
+def fill(gallery, count):
+    for seed in range(count):
+        gallery.add_person("p{:04d}".format(seed), face(seed)[None])
+
+
+def test_distances_and_likelihoods(gallery):
+    fill(gallery, 3)
+    result = gallery.match(face(1, 0.2)[None])[0]
+    assert [one.person_id for one in result.candidates][0] == "p0001"
+    assert result.candidates[0].distance == pytest.approx(0.2, abs=1e-3)
+    assert result.candidates[0].likelihood > 0.95
+    assert sum(one.likelihood for one in result.candidates) <= 1.0
+    assert result.population == 3
+
+
+def test_unknown_is_an_answer(gallery):
+    fill(gallery, 20)
+    for seed in range(100, 150):
+        result = gallery.match(face(seed)[None])[0]
+        assert max(one.likelihood for one in result.candidates) < 0.01
+    assert gallery.match(face(0, 0.45)[None])[0].candidates[0].likelihood < 0.05
+
+
+def test_an_empty_gallery_knows_nobody(gallery):
+    assert gallery.match(face(0)[None])[0].candidates == ()
+
+
+@pytest.mark.parametrize("persons", [1, 10, 100, 1000])
+def test_the_more_are_known_the_closer_a_match_must_be(persons):
+    likelihood = [CALIBRATION.likelihoods(np.array([distance] + [1.0] * (persons - 1)), persons)[0]
+                  for distance in (0.1, 0.2, 0.3, 0.36, 0.5)]
+    assert likelihood == sorted(likelihood, reverse=True)
+    assert likelihood[3] == pytest.approx(1.0 / (5 + persons), rel=0.01)
+
+
+def test_two_alike_persons_share_the_likelihood():
+    likelihoods = CALIBRATION.likelihoods(np.array([0.2, 0.2, 1.0]), 3)
+    assert likelihoods[0] == pytest.approx(likelihoods[1]) and likelihoods[0] < 0.51
+
+
+@pytest.mark.parametrize("values", [(0.36, 0.30, 0.02, 0.1), (0.36, 0.4, 0.0, 0.1), (0.36, 0.4, 0.02, 0.5),
+                                    (float("nan"), 0.4, 0.02, 0.1)])
+def test_a_calibration_is_checked(values):
+    with pytest.raises(ValueError, match="midpoint"):
+        Calibration(*values)
+
+
+def test_any_template_of_a_person_will_do(gallery):
+    gallery.add_person("anna", np.stack([face(1), face(1, 0.38, 1)]))
+    assert gallery.match(face(1, 0.38, 1)[None])[0].candidates[0].distance < 0.01
+
+
+def test_only_what_differs_is_kept_and_the_cap_holds(gallery):
+    gallery.add_person("anna", face(1)[None])
+    assert not gallery.add_template("anna", face(1, 0.05)), "tells nothing new"
+    kept = [gallery.add_template("anna", face(1, 0.3, view)) for view in range(4)]
+    assert kept == [True] * 4
+    assert len(gallery.export("anna").templates) == 5
+    for view in range(4, 40):
+        gallery.add_template("anna", face(1, 0.16 + 0.005 * view, view))
+    templates = gallery.export("anna").templates
+    assert len(templates) == 5
+    assert np.array_equal(templates[0], face(1)), "the first one stays"
+
+
+def test_no_chain_of_small_changes_leads_to_somebody_else(gallery):
+    gallery.add_person("anna", face(1)[None])
+    assert gallery.add_template("anna", face(1, 0.3))
+    assert not gallery.add_template("anna", face(1, 0.55)), "near to the last one, far from the first"
+
+
+def test_forget(gallery):
+    fill(gallery, 40)
+    assert gallery.remove("p0007") and not gallery.remove("p0007")
+    assert "p0007" not in gallery.ids() and len(gallery) == 39
+    assert gallery.match(face(7)[None])[0].candidates[0].distance > 1.0
+    assert gallery.match(face(8)[None])[0].candidates[0].person_id == "p0008"
+    held = gallery._templates.reshape(-1, SIZE)
+    assert not (held @ face(7) > 0.99).any(), "not even in the array"
+    gallery.clear()
+    assert gallery.ids() == [] and not gallery._templates.any()
+
+
+def test_merge_and_rename(gallery):
+    fill(gallery, 3)
+    gallery.enrol("p0001")
+    gallery.merge("p0001", "p0002")
+    assert gallery.ids() == ["p0000", "p0002"]
+    assert gallery.match(face(1)[None])[0].candidates[0].person_id == "p0002"
+    assert gallery.export("p0002").enrolled
+    gallery.rename("p0002", "bert")
+    assert gallery.match(face(2)[None])[0].candidates[0].person_id == "bert"
+
+
+def test_only_those_who_are_enrolled(gallery):
+    fill(gallery, 3)
+    assert gallery.match(face(1)[None], enrolled_only=True)[0].candidates == ()
+    gallery.enrol("p0001")
+    assert [one.person_id for one in gallery.match(face(1)[None], enrolled_only=True)[0].candidates] == ["p0001"]
+    gallery.enrol("p0001", False)
+    assert gallery.match(face(1)[None], enrolled_only=True)[0].candidates == ()
+
+
+@pytest.mark.parametrize("act, text", [
+    (lambda g: g.add_person("p0000", face(0)[None]), "there already"),
+    (lambda g: g.add_person("a b", face(0)[None]), "no identifier"),
+    (lambda g: g.add_person("anna", face(0)), "shape"),
+    (lambda g: g.add_person("anna", 2.0 * face(0)[None]), "unit"),
+    (lambda g: g.add_person("anna", np.full((1, SIZE), np.nan)), "unit"),
+    (lambda g: g.add_person("anna", np.empty((0, SIZE))), "shape"),
+    (lambda g: g.match(face(0)[None, :5]), "shape"),
+    (lambda g: g.add_template("nobody", face(0)), "nobody"),
+    (lambda g: g.export("nobody"), "nobody"),
+    (lambda g: g.merge("p0000", "p0000"), "itself"),
+    (lambda g: g.merge("nobody", "p0000"), "nobody"),
+    (lambda g: g.rename("p0000", "p0001"), "there already"),
+    (lambda g: g.rename("p0000", "../x"), "no identifier"),
+])
+def test_what_cannot_be_done_is_said_and_changes_nothing(gallery, act, text):
+    fill(gallery, 2)
+    before = gallery.revision
+    with pytest.raises(GalleryError, match=text):
+        act(gallery)
+    assert gallery.revision == before and gallery.ids() == ["p0000", "p0001"]
+
+
+def test_a_full_gallery_says_so():
+    small = MemoryGallery("synthetic", SIZE, CALIBRATION, max_persons=2)
+    fill(small, 2)
+    with pytest.raises(GalleryError, match="full"):
+        small.add_person("anna", face(9)[None])
+
+
+def best_of(action, repeats):
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        action()
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def test_a_thousand_persons_with_five_templates_cost_less_than_reading_them_a_few_times():
+    gallery = MemoryGallery("synthetic", SIZE, CALIBRATION)
+    templates = np.random.RandomState(1).randn(1000, 5, SIZE)
+    templates /= np.linalg.norm(templates, axis=2, keepdims=True)
+    for number, five in enumerate(templates):
+        gallery.add_person("p{:04d}".format(number), five)
+    assert all(len(gallery.export(person_id).templates) == 5 for person_id in gallery.ids())
+    query = templates[500, 3:4].astype(np.float32)
+    assert gallery.match(query)[0].candidates[0].person_id == "p0500"
+    plain = np.random.RandomState(0).randn(5000, SIZE).astype(np.float32)
+    # A ratio, as the machine may be slow or busy: the comparison with plain sums over as many numbers.
+    reference = best_of(lambda: (plain * query).sum(axis=1), 20)
+    assert best_of(lambda: gallery.match(query), 20) < 5.0 * reference

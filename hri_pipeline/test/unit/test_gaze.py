@@ -1,0 +1,198 @@
+"""Gaze and eyelids of a made-up head whose eyes look where we want."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.canonical_face import CanonicalFace
+from hri_pipeline.core.eyes import EYE_BACK, EYE_OUT, EYE_RADIUS, EYE_UP, EyeGeometry
+from hri_pipeline.core.gaze import (
+    EYES_CONFIDENCE,
+    HEAD_CONFIDENCE,
+    GazeEstimator,
+    GazeFilter,
+    gaze_frame,
+)
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.observations import GazeEstimate
+
+CAMERA = CameraModel.from_fov(1280, 720, 1.0)
+UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+CORNERS = {33: (-0.0445, -0.0266, -0.0317), 133: (-0.0186, -0.0259, -0.0376),
+           263: (0.0445, -0.0266, -0.0317), 362: (0.0186, -0.0259, -0.0376)}
+PAIRS = {(160, 144): (33, 133, 0.33), (158, 153): (33, 133, 0.67), (387, 373): (263, 362, 0.33),
+         (385, 380): (263, 362, 0.67)}
+
+
+def head(opening=0.3):
+    """Vertices of a face of which only sellion and eyes matter; opening: aspect ratio of the lids."""
+    vertices = np.tile([0.0, 0.0, 0.02], (468, 1))
+    vertices[168] = (0.0, -0.024, -0.045)
+    for index, place in CORNERS.items():
+        vertices[index] = place
+    for (upper, lower), (outer, inner, part) in PAIRS.items():
+        outer, inner = np.array(CORNERS[outer]), np.array(CORNERS[inner])
+        middle, half = outer + part * (inner - outer), 0.5 * opening * np.linalg.norm(inner - outer)
+        vertices[upper], vertices[lower] = middle - (0, half, 0), middle + (0, half, 0)
+    return CanonicalFace(vertices, np.arange(6))
+
+
+def pose_of(yaw=0.0, pitch=0.0, roll=0.0, place=(0.0, 0.0, 0.7)):
+    turn = Rotation.from_euler("zyx", [roll, -yaw, -pitch], degrees=True).as_matrix()
+    return Pose(turn @ UPRIGHT, np.array(place))
+
+
+def mesh_of(pose, direction, opening=0.3, scale=1.0):
+    """Mesh (478, 3) px of that head whose eyes look in `direction` of the optical frame; scale: of the irises' size."""
+    face = head(opening)
+    model = pose.compose(face.face_frame().inverse())
+    mesh = np.zeros((478, 3))
+    mesh[:468, :2] = CAMERA.project(model.apply(face.vertices))
+    corners = np.array([[CORNERS[33], CORNERS[133]], [CORNERS[263], CORNERS[362]]]).mean(axis=1)
+    centres = model.apply(corners + [[-EYE_OUT, -EYE_UP, EYE_BACK], [EYE_OUT, -EYE_UP, EYE_BACK]])
+    for first, centre in zip((468, 473), centres):
+        iris = CAMERA.project((centre + EYE_RADIUS * direction)[None])[0]
+        radius = scale * 0.5 * 0.0117 * CAMERA.matrix[0, 0] / centre[2]
+        mesh[first:first + 5, :2] = iris + radius * np.array([(0, 0), (1, 0), (0, -1), (-1, 0), (0, 1)])
+    return mesh
+
+
+def estimator(opening=0.3):
+    return GazeEstimator(EyeGeometry(head(opening)))
+
+
+def degrees(a, b):
+    return np.degrees(np.arccos(np.clip(a @ b, -1.0, 1.0)))
+
+
+def towards(yaw, pitch):
+    """Unit direction, degrees to the right of the image and up, from one that looks at the camera."""
+    yaw, pitch = np.radians([yaw, pitch])
+    return np.array([np.sin(yaw) * np.cos(pitch), -np.sin(pitch), -np.cos(yaw) * np.cos(pitch)])
+
+
+@pytest.mark.parametrize("head_turn", [(0, 0, 0), (25, 0, 0), (-20, 10, 15), (0, -15, -30)])
+@pytest.mark.parametrize("look", [(0, 0), (15, 5), (-12, -8)])
+def test_eyes_tell_the_direction_whatever_the_head_does(head_turn, look):
+    pose, direction = pose_of(*head_turn), towards(*look)
+    gaze = estimator().estimate(mesh_of(pose, direction), pose, CAMERA)
+    assert gaze.from_eyes == pytest.approx(1.0)
+    assert degrees(gaze.direction, direction) < 1.0
+    assert gaze.confidence == pytest.approx(EYES_CONFIDENCE)
+    assert np.linalg.norm(gaze.direction) == pytest.approx(1.0)
+
+
+def test_small_irises_leave_it_to_the_head_and_say_so():
+    pose, direction = pose_of(20, 0, 0, (0, 0, 0.7)), towards(-5, 0)
+    gaze = estimator().estimate(mesh_of(pose, direction, scale=0.2), pose, CAMERA, presence=0.5)
+    assert gaze.from_eyes == 0.0
+    assert degrees(gaze.direction, pose.rotation[:, 0]) < 1e-3
+    assert gaze.confidence == pytest.approx(0.5 * HEAD_CONFIDENCE)
+    half = estimator().estimate(mesh_of(pose, direction, scale=0.4), pose, CAMERA)
+    assert 0.0 < half.from_eyes < 1.0
+    assert degrees(half.direction, direction) < degrees(pose.rotation[:, 0], direction)
+
+
+def test_eyes_that_disagree_are_not_believed():
+    pose = pose_of()
+    mesh = mesh_of(pose, towards(0, 0))
+    mesh[468:473] = mesh_of(pose, towards(35, 0))[468:473]
+    assert estimator().estimate(mesh, pose, CAMERA).from_eyes < 0.1
+
+
+def test_eyes_turn_only_so_far_in_their_head():
+    pose = pose_of()
+    gaze = estimator().estimate(mesh_of(pose, towards(75, 0)), pose, CAMERA)
+    assert degrees(gaze.direction, pose.rotation[:, 0]) < 41.0
+
+
+def test_several_faces_at_once_are_the_same_as_one_by_one():
+    poses = [pose_of(10, 5, 0), pose_of(-30, 0, 20, (0.3, 0.1, 1.2)), pose_of(60, 0, 0)]
+    meshes = [mesh_of(pose, towards(5, 3)) for pose in poses]
+    together, irises = estimator().estimate_all(meshes, poses, CAMERA, [1.0, 0.9, 0.8])
+    assert irises.shape == (3, 2)
+    for gaze, mesh, pose, presence in zip(together, meshes, poses, [1.0, 0.9, 0.8]):
+        alone = estimator().estimate(mesh, pose, CAMERA, presence)
+        assert gaze.direction == pytest.approx(alone.direction)
+        assert (gaze.confidence, gaze.eyes_closed) == pytest.approx((alone.confidence, alone.eyes_closed))
+    assert estimator().estimate_all([], [], CAMERA, [])[0] == []
+
+
+@pytest.mark.parametrize("turn", [(0, 0, 0), (35, 0, 0), (-35, 0, 0), (0, 25, 0), (0, -25, 0), (20, 10, 40)])
+def test_lids_are_judged_alike_however_the_head_is_turned(turn):
+    pose = pose_of(*turn)
+    opened, closed = (estimator(ratio).estimate(mesh_of(pose, towards(0, 0), ratio), pose, CAMERA).eyes_closed
+                      for ratio in (0.25, 0.10))
+    assert opened < 0.2 and closed > 0.8
+
+
+def test_the_far_eye_of_a_profile_does_not_count():
+    pose = pose_of(70)
+    mesh = mesh_of(pose, towards(60, 0), 0.1)
+    other = mesh_of(pose, towards(60, 0), 0.6)
+    near = [33, 133, 160, 144, 158, 153] if EyeGeometry(head()).measure(
+        mesh[None], pose.rotation[None], pose.translation[None], CAMERA).visibility[0].argmax() == 0 else [
+            263, 362, 387, 373, 385, 380]
+    other[near] = mesh[near]
+    assert estimator(0.1).estimate(other, pose, CAMERA).eyes_closed > 0.8
+
+
+def test_tiny_faces_tell_nothing_of_the_lids():
+    pose = pose_of(place=(0.0, 0.0, 12.0))
+    assert estimator(0.05).estimate(mesh_of(pose, towards(0, 0), 0.05), pose, CAMERA).eyes_closed == pytest.approx(0.5)
+
+
+def run(closedness, rate=30.0):
+    filtered = GazeFilter()
+    return [filtered(GazeEstimate(towards(0, 0), 0.9, value), 10.0 + index / rate)
+            for index, value in enumerate(closedness)]
+
+
+def test_gaze_is_withheld_while_the_eyes_are_closed():
+    seen = run([0.0] * 10 + [1.0] * 12 + [0.0] * 12)
+    assert seen[9].direction is not None
+    assert seen[16].direction is None and seen[16].confidence == 0.0 and seen[16].eyes_closed > 0.8
+    assert seen[-1].direction is not None and seen[-1].eyes_closed < 0.1
+
+
+def test_one_doubtful_image_closes_no_eye():
+    seen = run([0.0] * 10 + [0.7] + [0.0] * 5)
+    assert all(gaze.direction is not None for gaze in seen)
+
+
+def test_a_closedness_about_one_half_does_not_flicker():
+    random = np.random.RandomState(0)
+    states = [gaze.direction is None for gaze in run(np.clip(0.5 + 0.1 * random.normal(size=300), 0, 1))]
+    assert np.abs(np.diff(np.array(states, int))).sum() <= 2
+
+
+def test_filter_is_steady_at_rest_and_follows_a_saccade():
+    random = np.random.RandomState(1)
+    filtered, rest = GazeFilter(), []
+    for index in range(90):
+        noisy = towards(*random.normal(0.0, 3.0, 2))
+        rest.append(filtered(GazeEstimate(noisy, 0.9, 0.0), index / 30.0).direction)
+    assert np.mean([degrees(direction, towards(0, 0)) for direction in rest[15:]]) < 2.5
+    for index in range(90, 99):
+        last = filtered(GazeEstimate(towards(25, 0), 0.9, 0.0), index / 30.0).direction
+    assert degrees(last, towards(25, 0)) < 3.0, "0.3 s after it"
+
+
+@pytest.mark.parametrize("turn", [(0, 0, 0), (30, -20, 40), (-60, 10, 0)])
+@pytest.mark.parametrize("look", [(0, 0), (20, 10), (-35, -25)])
+def test_gaze_frame_is_an_optical_one_at_the_face(turn, look):
+    face, direction = pose_of(*turn), towards(*look)
+    frame = gaze_frame(face, direction)
+    assert np.linalg.det(frame.rotation) == pytest.approx(1.0)
+    assert frame.rotation.T @ frame.rotation == pytest.approx(np.eye(3), abs=1e-9)
+    assert frame.translation == pytest.approx((0, 0, 0))
+    assert face.rotation @ frame.rotation[:, 2] == pytest.approx(direction), "z along the gaze"
+    assert frame.rotation[2, 1] < 0.0, "y down"
+
+
+def test_gaze_frame_of_a_look_straight_up():
+    face = pose_of()
+    frame = gaze_frame(face, face.rotation[:, 2])
+    assert np.linalg.det(frame.rotation) == pytest.approx(1.0)
+    assert frame.rotation[:, 2] == pytest.approx((0, 0, 1))

@@ -1,0 +1,281 @@
+"""The store of people: private, whole, forgetting without a trace, shared by two processes."""
+
+import os
+import signal
+import sqlite3
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core import person_store
+from hri_pipeline.core.gallery import KnownPerson
+from hri_pipeline.core.person_store import PersonStore, StoredPerson
+from hri_pipeline.core.private_file import StoreError, Transform
+from hri_pipeline.evaluation.synthetic_templates import SIZE
+from hri_pipeline.evaluation.synthetic_templates import template as face
+
+ANNA = StoredPerson("anna", "Anna Example", "pt-BR", True, "", 10.0, 20.0, {"age": 33.5, "gender": 1})
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "private" / "people.sqlite"
+
+
+def filled(path, count=3, **options):
+    store = PersonStore(path, **options)
+    store.put_record(ANNA)
+    for number in range(count):
+        name = "person{}".format(number)
+        store.put_templates(KnownPerson(name, np.stack([face(number), face(number, 0.3)]), number == 1), "net", 100.0)
+    return store
+
+
+def everything(directory):
+    return b"".join(file.read_bytes() for file in directory.iterdir())
+
+
+def test_what_is_written_is_read_in_another_run(path):
+    filled(path).close()
+    store = PersonStore(path)
+    records = {record.id: record for record in store.load_records()}
+    assert records["anna"] == ANNA
+    assert records["person0"] == StoredPerson("person0", first_seen=100.0, last_seen=100.0)
+    known = store.load_templates("net", SIZE)
+    assert [(one.id, one.enrolled) for one in known] == [("person0", False), ("person1", True), ("person2", False)]
+    assert np.array_equal(known[2].templates, np.stack([face(2), face(2, 0.3)]))
+    assert store.load_templates("other", SIZE) == []
+    store.close()
+    store.close()
+    with pytest.raises(StoreError, match="closed"):
+        store.load_records()
+
+
+def test_records_and_templates_do_not_overwrite_each_other(path):
+    store = filled(path)
+    store.put_record(StoredPerson("person1", "Bert", enrolled=True, last_seen=300.0))
+    assert len(store.load_templates("net", SIZE)) == 3
+    store.put_templates(KnownPerson("person1", face(9)[None], True), "net", 999.0)
+    record = {one.id: one for one in store.load_records()}["person1"]
+    assert (record.name, record.last_seen) == ("Bert", 300.0)
+    assert store.load_templates("net", SIZE)[0].id == "person1"
+    store.close()
+
+
+def test_nobody_else_can_read_it(path):
+    mask = os.umask(0)
+    try:
+        store = filled(path)
+        modes = {file.name: stat.S_IMODE(file.stat().st_mode) for file in path.parent.iterdir()}
+    finally:
+        os.umask(mask)
+    store.close()
+    assert "people.sqlite-wal" in modes and set(modes.values()) == {0o600}
+    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+
+
+def test_forgetting_leaves_no_trace_in_file_or_journal(path):
+    store = filled(path, 40)
+    names = [b"Anna Example", b"pt-BR", b"anna", b"person7", face(7).tobytes()[:12], face(7, 0.3).tobytes()[:12]]
+    assert all(name in everything(path.parent) for name in names)
+    store.remove_record("anna")
+    store.remove_record("person7")
+    store.remove_record("nobody")
+    left = everything(path.parent)
+    assert not [name for name in names if name in left]
+    assert b"person8" in left and face(8).tobytes()[:12] in left and len(store.load_records()) == 39
+    store.remove_all()
+    left = everything(path.parent)
+    assert b"person" + b"8" not in left and face(8).tobytes()[:12] not in left and store.load_records() == []
+    store.close()
+
+
+def test_retention_by_age_and_number(path):
+    store = PersonStore(path)
+    for number in range(10):
+        store.put_record(StoredPerson("p{}".format(number), last_seen=100.0 * number))
+    assert store.expire(900.0, 0.0, 0) == []
+    assert sorted(store.expire(900.0, 750.0, 0)) == ["p0", "p1"]
+    assert sorted(store.expire(900.0, 0.0, 5)) == ["p2", "p3", "p4"]
+    assert [record.id for record in store.load_records()] == ["p5", "p6", "p7", "p8", "p9"]
+    assert b"p3" not in path.read_bytes()
+    store.close()
+
+
+@pytest.mark.parametrize("damage", [
+    lambda data: b"", lambda data: data[:1], lambda data: data[:50], lambda data: data[:100], lambda data: data[:4096],
+    lambda data: data[:5000], lambda data: data[:-1], lambda data: data[:-4096],
+    lambda data: b"x" * len(data), lambda data: data[:4096] + b"\xff" * 4096 + data[8192:]])
+def test_a_damaged_store_is_set_aside_and_said(path, damage):
+    filled(path, 30).close()
+    broken = damage(path.read_bytes())
+    path.write_bytes(broken)
+    said = []
+    store = PersonStore(path, notify=said.append, clock=lambda: 1.7e9)
+    assert store.load_records() == []
+    aside = path.parent / "people.sqlite.damaged-20231114T221320Z"
+    assert aside.read_bytes() == broken
+    assert len(said) == 1 and str(path) in said[0] and str(aside) in said[0]
+    store.put_record(ANNA)
+    store.close()
+    assert [record.id for record in PersonStore(path).load_records()] == ["anna"]
+
+
+def test_who_is_forgotten_is_not_kept_in_a_damaged_file(path):
+    filled(path).close()
+    path.write_bytes(path.read_bytes()[:-1])
+    store = PersonStore(path)
+    assert b"person1" in everything(path.parent)
+    store.remove_record("person1")
+    assert b"person1" not in everything(path.parent) and store.damaged_files() == []
+    store.close()
+
+
+def test_cut_off_anywhere_it_is_whole_or_set_aside(path):
+    filled(path, 5).close()
+    whole = path.read_bytes()
+    for length in range(0, len(whole), 2039):
+        path.write_bytes(whole[:length])
+        said = []
+        store = PersonStore(path, notify=said.append)
+        assert len(said) == 1 and store.load_records() == []
+        store.close()
+        for file in path.parent.iterdir():
+            file.unlink()
+
+
+def test_a_damaged_store_that_another_one_holds_is_left_alone(path):
+    first = filled(path)
+    first.remove_record("nobody")
+    path.write_bytes(b"x" * 8192)
+    with pytest.raises(StoreError, match="another process"):
+        PersonStore(path)
+    assert path.read_bytes() == b"x" * 8192
+    first.close()
+
+
+def test_a_newer_schema_is_refused_and_left_alone(path, monkeypatch):
+    newer = person_store.MIGRATIONS + (("ALTER TABLE persons ADD COLUMN shoe_size REAL",),)
+    filled(path).close()
+    with monkeypatch.context() as patched:
+        patched.setattr(person_store, "MIGRATIONS", newer)
+        store = PersonStore(path)
+        assert len(store.load_records()) == 4, "an older one is brought to the newer schema, with all that is in it"
+        store.close()
+    with pytest.raises(StoreError, match="newer"):
+        PersonStore(path)
+    assert not list(path.parent.glob("*.damaged-*"))
+
+
+def test_a_database_of_another_program_is_left_alone(path):
+    path.parent.mkdir(mode=0o700)
+    other = sqlite3.connect(str(path))
+    other.execute("PRAGMA application_id = 77")
+    other.execute("CREATE TABLE letters (text TEXT)")
+    other.commit()
+    other.close()
+    before = path.read_bytes()
+    with pytest.raises(StoreError, match="another program"):
+        PersonStore(path)
+    assert b"letters" in path.read_bytes() and len(before) == len(path.read_bytes())
+
+
+def test_two_processes_share_it(path):
+    first, second = filled(path), PersonStore(path)
+    before = second.version()
+    assert second.version() == before
+    first.put_record(StoredPerson("bert"))
+    assert second.version() != before
+    assert "bert" in [record.id for record in second.load_records()]
+    second.remove_record("anna")
+    assert "anna" not in [record.id for record in first.load_records()]
+    assert b"Anna Example" not in everything(path.parent)
+    first.close()
+    second.close()
+
+
+class Masked(Transform):
+    """Stands for encryption."""
+
+    name = "masked"
+
+    def pack(self, content):
+        return bytes(255 - value for value in content)
+
+    unpack = pack
+
+
+def test_templates_can_be_encrypted(path):
+    filled(path, transform=Masked()).close()
+    assert face(1).tobytes()[:8] not in path.read_bytes()
+    store = PersonStore(path, transform=Masked())
+    assert np.array_equal(store.load_templates("net", SIZE)[1].templates[0], face(1))
+    store.close()
+    plain = PersonStore(path)
+    assert "anna" in [record.id for record in plain.load_records()], "the records need no key"
+    with pytest.raises(StoreError, match="give the key"):
+        plain.load_templates("net", SIZE)
+    with pytest.raises(StoreError, match="give the key"):
+        plain.put_templates(KnownPerson("bert", face(2)[None]), "net", 1.0)
+    plain.close()
+
+
+@pytest.mark.parametrize("record", [StoredPerson("../x"), StoredPerson(""), StoredPerson("anna", alias="a b")])
+def test_ids_are_checked(path, record):
+    store = PersonStore(path)
+    with pytest.raises(ValueError, match="identifier"):
+        store.put_record(record)
+    store.close()
+
+
+def test_a_link_in_its_place_is_refused(path, tmp_path):
+    filled(path).close()
+    os.rename(str(path), str(tmp_path / "elsewhere"))
+    os.symlink(str(tmp_path / "elsewhere"), str(path))
+    with pytest.raises(StoreError, match="link"):
+        PersonStore(path)
+
+
+WRITER = """
+import sys
+import numpy as np
+from hri_pipeline.core.gallery import KnownPerson
+from hri_pipeline.core.person_store import PersonStore, StoredPerson
+store = PersonStore(sys.argv[1])
+vectors = np.eye(128, dtype=np.float32)
+print("ready", flush=True)
+while True:
+    for count in range(40):
+        store.put_templates(KnownPerson("p{}".format(count), vectors[count:count + 2]), "net", 1.0)
+        store.put_record(StoredPerson("p{}".format(count), name="name {}".format(count)))
+        print(count, flush=True)
+    store.remove_all()
+"""
+
+
+def test_killed_while_writing(path):
+    """Never damaged, never half a person."""
+    random = np.random.RandomState(0)
+    source = Path(person_store.__file__).resolve().parents[2]
+    environment = dict(os.environ, PYTHONPATH=str(source), OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+    for _ in range(3):
+        writer = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, env=environment)
+        try:
+            assert writer.stdout.readline() == b"ready\n"
+            for _ in range(random.randint(1, 50)):
+                writer.stdout.readline()
+        finally:
+            writer.send_signal(signal.SIGKILL)
+            writer.wait()
+            writer.stdout.close()
+        said = []
+        store = PersonStore(path, notify=said.append)
+        assert said == []
+        for person in store.load_templates("net", 128):
+            assert np.array_equal(person.templates, np.eye(128)[int(person.id[1:]):int(person.id[1:]) + 2])
+        assert all(record.name in ("", "name " + record.id[1:]) for record in store.load_records())
+        store.close()

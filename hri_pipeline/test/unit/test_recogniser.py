@@ -1,0 +1,387 @@
+"""Recognition of tracked faces, on synthetic templates: who is known, who is new, who is nobody twice."""
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core.face_evidence import FaceEvidence, Sight
+from hri_pipeline.core.face_identity import SamePersons
+from hri_pipeline.core.gallery import GalleryError, MemoryGallery
+from hri_pipeline.core.gallery_file import FileGallery
+from hri_pipeline.core.ids import IdGenerator, is_valid_id
+from hri_pipeline.core.likelihood import Calibration
+from hri_pipeline.core.recogniser import SAME, Recogniser
+from hri_pipeline.evaluation.synthetic_templates import SIZE, template
+
+CALIBRATION = Calibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)
+STEP = 0.1
+
+
+class Scene:
+    """Shows faces to a recogniser, and keeps what a listener would know."""
+
+    def __init__(self, gallery=None, **options):
+        self.gallery = gallery if gallery is not None else MemoryGallery("synthetic", SIZE, CALIBRATION)
+        self.recogniser = Recogniser(self.gallery, ids=IdGenerator(seed=1), **options)
+        self.stamp = 100.0
+        self.matches = {}
+        self.messages = []
+        self.looks = 0
+
+    def show(self, faces, seconds, quality=0.8):
+        """faces: {face id: (person, distance)}; every crop is in another direction around the person."""
+        for _ in range(int(round(seconds / STEP))):
+            self.stamp += STEP
+            qualities = {face: quality[face] if isinstance(quality, dict) else quality for face in faces}
+            due = self.recogniser.seen(qualities, self.stamp, limit=1)
+            self.recogniser.keep(faces)
+            templates = [template(*faces[face], view=self.looks + index) for index, face in enumerate(due)]
+            self.looks += len(due)
+            if due:
+                news = self.recogniser.update(due, np.array(templates), [qualities[face] for face in due], self.stamp)
+            else:
+                news = self.recogniser.changes()
+            self.listen(news)
+
+    def listen(self, news):
+        self.messages += news
+        for match in news:
+            assert 0.0 <= match.likelihood <= 1.0
+            self.matches[match.face_id, match.person_id] = match.likelihood
+            sure = [person for (face, person), likelihood in self.matches.items()
+                    if likelihood >= 0.5 and face in self.recogniser._faces]
+            assert len(sure) == len(set(sure)), "one person, two faces"
+
+    def known(self, face):
+        return {person: likelihood for (key, person), likelihood in self.matches.items()
+                if key == face and likelihood > 0.0}
+
+    def person(self, face):
+        (person, likelihood), = self.known(face).items()
+        assert likelihood >= 0.6 and self.recogniser.person_of(face) in (person, "")
+        return person
+
+
+def test_somebody_new_gets_an_id_after_a_while_and_keeps_it():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2)}, 1.0)
+    assert scene.messages == [], "not seen for long enough"
+    scene.show({"f1": (1, 0.2)}, 3.0)
+    person = scene.person("f1")
+    assert is_valid_id(person) and scene.gallery.ids() == [person]
+    scene.show({"f1": (1, 0.2)}, 30.0)
+    assert scene.person("f1") == person and len(scene.messages) == 1, "told once"
+
+
+def test_the_same_person_under_another_face_id():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2)}, 4.0)
+    scene.show({}, 2.0)
+    scene.show({"f2": (1, 0.25)}, 1.0)
+    assert scene.person("f2") == scene.person("f1")
+    assert len(scene.gallery) == 1
+    assert not any(match.likelihood == 0.0 for match in scene.messages), "who left was still that person"
+
+
+def test_the_same_person_in_another_run(tmp_path):
+    path = tmp_path / "private" / "faces.gallery"
+    first = Scene(FileGallery(path, "synthetic", SIZE, CALIBRATION))
+    first.show({"f1": (1, 0.2), "f2": (2, 0.2)}, 6.0)
+    first.gallery.close()
+    second = Scene(FileGallery(path, "synthetic", SIZE, CALIBRATION))
+    second.show({"a": (2, 0.2), "b": (1, 0.2)}, 3.0)
+    assert (second.person("a"), second.person("b")) == (first.person("f2"), first.person("f1"))
+    assert len(second.gallery) == 2
+
+
+def test_many_people_are_told_apart():
+    scene = Scene()
+    faces = {"f{}".format(number): (number, 0.2) for number in range(10)}
+    scene.show(faces, 20.0)
+    persons = {scene.person(face) for face in faces}
+    assert len(persons) == 10 == len(scene.gallery)
+
+
+def test_work_per_image_is_bounded_and_fades():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2)}, 5.0)
+    early = scene.looks
+    assert 8 <= early <= 21
+    scene.show({"f1": (1, 0.2)}, 60.0)
+    assert scene.looks - early <= 20, "about every five seconds"
+    assert scene.recogniser.seen({"a": 0.9, "b": 0.9, "c": 0.9}, scene.stamp + 1.0, limit=2) in (
+        ["a", "b"], ["a", "c"], ["b", "c"])
+
+
+def test_poor_crops_are_not_looked_at_and_make_no_person():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2)}, 10.0, quality=0.3)
+    assert scene.looks == 0 and scene.messages == []
+    scene.show({"f1": (1, 0.2)}, 10.0, quality=0.4)
+    assert scene.looks > 0 and scene.gallery.ids() == []
+    scene.show({"f1": (1, 0.2)}, 10.0, quality=float("nan"))
+    assert scene.gallery.ids() == []
+
+
+def test_a_poor_crop_is_enough_to_be_recognised():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2)}, 4.0)
+    scene.show({"f2": (1, 0.25)}, 2.0, quality=0.4)
+    assert scene.person("f2") == scene.person("f1")
+
+
+def test_an_ambiguous_face_gets_a_candidate_and_no_id():
+    scene = Scene()
+    scene.gallery.add_person("anna", template(1)[None])
+    scene.recogniser.seen({"f1": 0.9}, 1.0)
+    for number in range(60):
+        stamp = 1.0 + STEP * number
+        due = scene.recogniser.seen({"f1": 0.9}, stamp)
+        if due:
+            scene.listen(scene.recogniser.update(due, template(1, 0.37)[None], [0.9], stamp))
+    assert 0.1 < scene.known("f1")["anna"] < 0.5
+    assert scene.recogniser.person_of("f1") == "" and scene.gallery.ids() == ["anna"]
+
+
+def test_two_faces_of_one_person_only_one_gets_it_and_the_other_is_nobody_new():
+    """A portrait on the wall, a mirror: like somebody in view, who cannot be there twice."""
+    scene = Scene()
+    scene.show({"f1": (1, 0.1)}, 4.0)
+    person = scene.person("f1")
+    scene.show({"f1": (1, 0.1), "f2": (1, 0.2)}, 20.0)
+    assert scene.person("f1") == person and scene.known("f2") == {}
+    assert scene.gallery.ids() == [person]
+
+
+def test_a_face_that_is_not_looked_at_in_every_image_keeps_its_person():
+    """With many faces they take turns: who is not measured in this image is there all the same."""
+    scene = Scene()
+    scene.show({"f1": (1, 0.1)}, 4.0)
+    person = scene.person("f1")
+    scene.messages = []
+    for number in range(100):
+        face = ("f1", "f2")[number % 2]
+        scene.stamp += STEP
+        due = scene.recogniser.seen({face: 0.8}, scene.stamp)
+        scene.recogniser.keep(["f1", "f2"])
+        scene.listen(scene.recogniser.update(due, template(1, 0.1, number)[None], [0.8], scene.stamp)
+                     if due else scene.recogniser.changes())
+    assert scene.messages == [] and scene.person("f1") == person and scene.gallery.ids() == [person]
+
+
+def test_two_faces_of_one_person_from_the_start():
+    scene = Scene()
+    scene.show({"f1": (1, 0.1), "f2": (1, 0.1)}, 20.0)
+    assert len(scene.gallery) == 1
+    assert sorted(len(scene.known(face)) for face in ("f1", "f2")) == [0, 1]
+
+
+def test_a_face_that_is_followed_on_to_somebody_else_is_withdrawn():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2)}, 4.0)
+    scene.show({"f2": (2, 0.2)}, 4.0)
+    first, second = scene.person("f1"), scene.person("f2")
+    scene.messages = []
+    scene.show({"f2": (1, 0.2)}, 10.0)
+    assert scene.person("f2") == first
+    assert [(match.person_id, match.likelihood > 0.0) for match in scene.messages] == [(second, False), (first, True)]
+    assert len(scene.gallery) == 2
+
+
+def test_a_new_face_takes_over_from_one_that_is_hidden():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2)}, 4.0)
+    person = scene.person("f1")
+    for number in range(10):
+        scene.stamp += STEP
+        due = scene.recogniser.seen({"f2": 0.8}, scene.stamp)
+        scene.recogniser.keep(["f1", "f2"])
+        scene.listen(scene.recogniser.update(due, template(1, 0.2, number)[None], [0.8], scene.stamp)
+                     if due else scene.recogniser.changes())
+    assert scene.known("f1") == {} and scene.person("f2") == person
+    handover = [(match.face_id, match.likelihood == 0.0) for match in scene.messages[-2:]]
+    assert handover == [("f1", True), ("f2", False)], "withdrawn before it is given"
+
+
+def test_one_strange_crop_changes_nothing():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2)}, 4.0)
+    before = len(scene.messages)
+    scene.recogniser.update(["f1"], template(9)[None], [0.9], scene.stamp)
+    scene.show({"f1": (1, 0.2)}, 4.0)
+    assert len(scene.messages) == before and len(scene.gallery) == 1
+
+
+def test_new_views_are_learnt_only_when_sure():
+    scene = Scene()
+    scene.gallery.add_person("anna", template(1)[None])
+    scene.show({"f1": (1, 0.05)}, 4.0)
+    assert len(scene.gallery.export("anna").templates) == 1, "tells nothing new"
+    for number in range(40):
+        stamp = scene.stamp + 1.0 + number * 0.5
+        due = scene.recogniser.seen({"f2": 0.9}, stamp)
+        scene.recogniser.keep(["f2"])
+        if due:
+            scene.recogniser.update(due, template(1, 0.25, 5)[None], [0.9], stamp)
+    assert len(scene.gallery.export("anna").templates) == 2
+
+
+def test_consent_only_enrolled_people_are_recognised():
+    scene = Scene(policy="enrolled")
+    scene.gallery.add_person("anna", template(1)[None])
+    scene.gallery.add_person("bert", template(2)[None], enrolled=True)
+    scene.show({"f1": (1, 0.2), "f2": (2, 0.2), "f3": (3, 0.2)}, 10.0)
+    assert scene.person("f2") == "bert"
+    assert scene.known("f1") == {} == scene.known("f3")
+    assert scene.gallery.ids() == ["anna", "bert"], "and nobody is learnt"
+
+
+def test_enrolling_is_an_act():
+    scene = Scene(policy="enrolled")
+    scene.show({"f1": (1, 0.2)}, 3.0)
+    person = scene.recogniser.enrol("f1")
+    scene.show({"f1": (1, 0.2)}, 1.0)
+    assert scene.person("f1") == person and scene.gallery.export(person).enrolled
+    assert scene.recogniser.enrol("f1") == person, "the same one, not somebody new"
+    assert scene.recogniser.enrol("f1", "anna") == "anna"
+    with pytest.raises(GalleryError, match="f9"):
+        scene.recogniser.enrol("f9")
+
+
+def test_forget_withdraws_and_is_not_learnt_again_while_in_view():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2)}, 4.0)
+    person = scene.person("f1")
+    assert scene.recogniser.forget(person) and not scene.recogniser.forget(person)
+    scene.show({"f1": (1, 0.2)}, 20.0)
+    assert scene.known("f1") == {} and scene.gallery.ids() == []
+    assert scene.recogniser.enrol("f1") in scene.gallery, "but when asked to"
+
+
+def test_forget_all():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2), "f2": (2, 0.2)}, 6.0)
+    scene.recogniser.forget_all()
+    scene.show({"f1": (1, 0.2), "f2": (2, 0.2)}, 6.0)
+    assert scene.known("f1") == {} == scene.known("f2") and scene.recogniser.list_known() == []
+
+
+def test_merge_moves_the_face_to_the_other_id():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2)}, 4.0)
+    person = scene.person("f1")
+    scene.gallery.add_person("anna", template(5)[None])
+    scene.recogniser.merge(person, "anna")
+    scene.show({"f1": (1, 0.2)}, 1.0)
+    assert scene.person("f1") == "anna" and scene.recogniser.list_known() == ["anna"]
+    assert len(scene.recogniser.export("anna").templates) == 2
+
+
+def test_a_human_with_two_ids_is_recognised_under_the_older_one():
+    scene = Scene()
+    scene.gallery.add_person("old", template(1, 0.05, 1)[None])
+    scene.gallery.add_person("young", template(1, 0.05, 2)[None])
+    scene.gallery.add_person("other", template(2)[None])
+    scene.show({"f1": (1, 0.1)}, 2.0)
+    assert scene.person("f1") == "old" and scene.recogniser.same_persons() == [("old", "young")]
+    scene.recogniser.merge("young", "old")
+    scene.show({"f1": (1, 0.1)}, 2.0)
+    assert scene.person("f1") == "old" and scene.recogniser.same_persons() == []
+
+
+def test_two_ids_of_one_human_are_told_once_and_withdrawn_when_that_is_over():
+    scene = Scene()
+    scene.gallery.add_person("old", template(1, 0.05, 1)[None])
+    scene.gallery.add_person("young", template(1, 0.05, 2)[None])
+    assert scene.recogniser.same_changes() == []
+    scene.show({"f1": (1, 0.1)}, 2.0)
+    assert scene.recogniser.same_changes() == [SamePersons("old", "young", SAME)]
+    scene.show({"f1": (1, 0.1)}, 2.0)
+    assert scene.recogniser.same_changes() == []
+    scene.gallery.enrol("old")
+    assert scene.recogniser.same_changes() == []
+    scene.gallery.enrol("young")
+    assert scene.recogniser.same_changes() == [SamePersons("old", "young", 0.0)], "two who agreed are two"
+
+
+def test_a_forgotten_person_is_nobody_else_any_more():
+    scene = Scene()
+    scene.gallery.add_person("old", template(1, 0.05, 1)[None])
+    scene.gallery.add_person("young", template(1, 0.05, 2)[None])
+    scene.show({"f1": (1, 0.1)}, 2.0)
+    assert scene.recogniser.same_changes()
+    scene.recogniser.forget("young")
+    assert scene.recogniser.same_changes() == [SamePersons("old", "young", 0.0)]
+    assert scene.recogniser.same_persons() == [] == scene.recogniser.same_changes()
+
+
+def test_twins_who_were_both_enrolled_stay_two():
+    scene = Scene()
+    scene.gallery.add_person("anna", template(1, 0.05, 1)[None], enrolled=True)
+    scene.gallery.add_person("beth", template(1, 0.05, 2)[None], enrolled=True)
+    scene.show({"f1": (1, 0.1)}, 2.0)
+    assert set(scene.known("f1")) <= {"anna", "beth"} and scene.recogniser.same_persons() == []
+    result, = scene.gallery.match(template(1)[None])
+    assert [one.likelihood > 0.2 for one in result.candidates] == [True, True], "they share the likelihood"
+
+
+def test_everything_that_holds_can_be_told_again():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2)}, 4.0)
+    assert [(match.face_id, match.person_id) for match in scene.recogniser.current()] == [("f1", scene.person("f1"))]
+
+
+def test_ids_are_not_those_of_known_people():
+    taken = IdGenerator(seed=1).new()
+    scene = Scene()
+    scene.gallery.add_person(taken, template(9)[None])
+    scene.show({"f1": (1, 0.2)}, 4.0)
+    assert scene.person("f1") != taken and len(scene.gallery) == 2
+
+
+def test_time_that_goes_back_is_a_new_start():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2)}, 4.0)
+    person = scene.person("f1")
+    scene.stamp = 5.0
+    scene.show({"f1": (1, 0.2)}, 2.0)
+    assert scene.person("f1") == person
+
+
+@pytest.mark.parametrize("bad", [np.zeros((1, SIZE)), np.full((1, SIZE), np.nan), np.ones((1, 3)),
+                                 2.0 * template(1)[None]])
+def test_what_is_no_template_is_refused_and_counted(bad):
+    scene = Scene()
+    scene.recogniser.seen({"f1": 0.9}, 1.0)
+    assert scene.recogniser.update(["f1"], bad, [0.9], 1.0) == []
+    assert scene.recogniser.status()["refused_templates"] == 1
+    with pytest.raises(ValueError, match="2 faces"):
+        scene.recogniser.update(["f1", "f2"], bad, [0.9], 1.0)
+
+
+def test_a_full_gallery_makes_nobody_new_and_goes_on():
+    scene = Scene(MemoryGallery("synthetic", SIZE, CALIBRATION, max_persons=1))
+    scene.show({"f1": (1, 0.2), "f2": (2, 0.2)}, 10.0)
+    assert len(scene.gallery) == 1
+
+
+def test_state_stays_bounded_over_thousands_of_faces():
+    scene = Scene(MemoryGallery("synthetic", SIZE, CALIBRATION, max_persons=20))
+    for number in range(400):
+        scene.show({"f{}".format(number): (number % 50, 0.2)}, 0.3)
+    assert len(scene.recogniser._faces) == 1
+
+
+@pytest.mark.parametrize("options", [{"policy": "yes"}, {"learn_delay": -1.0}, {"learn_delay": float("inf")},
+                                     {"min_quality": 1.5}, {"min_quality": float("nan")}])
+def test_options_are_checked(options):
+    with pytest.raises(ValueError):
+        Scene(**options)
+
+
+def test_the_middle_of_the_crops_is_nearer_than_each_of_them():
+    evidence = FaceEvidence(contradiction=0.4)
+    assert evidence.mean() is None and evidence.duration == 0.0
+    for number in range(6):
+        evidence.add(Sight(template(1, 0.3, number), 0.8, 0.5 * number))
+    assert np.linalg.norm(evidence.mean() - template(1)) < 0.2
+    assert evidence.duration == pytest.approx(2.5) and evidence.good(0.7) == 6 and evidence.good(0.9) == 0

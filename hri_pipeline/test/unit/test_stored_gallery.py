@@ -1,0 +1,148 @@
+"""The gallery in the store of people: two recognisers and a person manager on one file."""
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core.gallery import MemoryGallery
+from hri_pipeline.core.gallery_file import FileGallery
+from hri_pipeline.core.likelihood import Calibration
+from hri_pipeline.core.person_store import PersonStore, StoredPerson
+from hri_pipeline.core.stored_gallery import StoredGallery, open_gallery
+from hri_pipeline.evaluation.synthetic_templates import SIZE
+from hri_pipeline.evaluation.synthetic_templates import template as face
+
+CALIBRATION = Calibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)
+
+
+@pytest.fixture
+def store(tmp_path):
+    store = PersonStore(tmp_path / "private" / "people.sqlite")
+    yield store
+    store.close()
+
+
+@pytest.fixture
+def other(store):
+    other = PersonStore(store.path)
+    yield other
+    other.close()
+
+
+def gallery(store):
+    return StoredGallery(store, "net", SIZE, CALIBRATION, clock=lambda: 100.0)
+
+
+def nearest(gallery, number):
+    return gallery.match(face(number)[None])[0].candidates[0].person_id
+
+
+def test_the_same_people_in_another_run(store, other):
+    first = gallery(store)
+    first.add_person("anna", np.stack([face(1), face(1, 0.3)]), enrolled=True)
+    first.add_person("bert", face(2)[None])
+    first.flush()
+    second = gallery(other)
+    assert second.ids() == ["anna", "bert"] and nearest(second, 2) == "bert"
+    assert np.array_equal(second.export("anna").templates, first.export("anna").templates)
+    assert second.export("anna").enrolled and not second.export("bert").enrolled
+
+
+def test_one_learns_what_the_other_has_learnt(store, other):
+    first, second = gallery(store), gallery(other)
+    first.add_person("anna", face(1)[None])
+    first.flush()
+    assert second.ids() == []
+    second.flush()
+    assert nearest(second, 1) == "anna"
+    second.add_template("anna", face(1, 0.3))
+    second.add_person("bert", face(2)[None])
+    second.flush()
+    first.flush()
+    assert len(first.export("anna").templates) == 2 and nearest(first, 2) == "bert"
+
+
+def test_who_is_forgotten_by_one_is_forgotten_by_all(store, other):
+    first, second = gallery(store), gallery(other)
+    for number, name in enumerate(("anna", "bert", "carl")):
+        first.add_person(name, face(number)[None])
+    first.flush()
+    second.flush()
+    first.remove("anna")
+    other.remove_record("bert")
+    second.flush()
+    first.flush()
+    assert first.ids() == second.ids() == ["carl"]
+    held = b"".join(file.read_bytes() for file in store.path.parent.iterdir())
+    assert b"anna" not in held and b"bert" not in held and face(1).tobytes()[:12] not in held
+    second.clear()
+    first.flush()
+    assert first.ids() == [] and store.load_records() == []
+
+
+def test_names_stay_when_templates_are_written(store, other):
+    first = gallery(store)
+    first.add_person("anna", face(1)[None])
+    first.flush()
+    other.put_record(StoredPerson("anna", "Anna", enrolled=True, first_seen=1.0, last_seen=2.0))
+    first.flush()
+    assert first.export("anna").enrolled, "what the manager says of consent holds"
+    first.add_template("anna", face(1, 0.3))
+    first.flush()
+    record, = store.load_records()
+    assert record == StoredPerson("anna", "Anna", enrolled=True, first_seen=1.0, last_seen=2.0)
+
+
+def test_merging_moves_the_templates_and_leaves_the_record(store, other):
+    first = gallery(store)
+    first.add_person("anna", face(1)[None])
+    first.add_person("bert", face(2)[None])
+    first.flush()
+    first.merge("anna", "bert")
+    assert [(person.id, len(person.templates)) for person in store.load_templates("net", SIZE)] == [("bert", 2)]
+    assert [record.id for record in store.load_records()] == ["anna", "bert"], "the alias is the manager's to note"
+    second = gallery(other)
+    assert second.ids() == ["bert"]
+
+
+def test_nothing_is_written_when_nothing_has_changed(store, other):
+    first = gallery(store)
+    first.add_person("anna", face(1)[None])
+    first.flush()
+    before = other.version()
+    first.flush()
+    first.flush()
+    assert other.version() == before
+
+
+def test_what_was_changed_here_is_not_lost_when_others_change_something(store, other):
+    first, second = gallery(store), gallery(other)
+    first.add_person("anna", face(1)[None])
+    second.add_person("bert", face(2)[None])
+    second.flush()
+    first.flush()
+    second.flush()
+    assert sorted(first.ids()) == sorted(second.ids()) == ["anna", "bert"]
+
+
+def test_consent_is_not_lost_when_a_template_is_learnt_at_the_same_time(store, other):
+    first = gallery(store)
+    first.add_person("anna", face(1)[None])
+    first.flush()
+    other.put_record(StoredPerson("anna", "Anna", enrolled=True))
+    first.add_template("anna", face(1, 0.3))
+    first.flush()
+    record, = other.load_records()
+    assert record.enrolled and len(other.load_templates("net", SIZE)[0].templates) == 2
+
+
+@pytest.mark.parametrize("name, kind", [("", MemoryGallery), ("faces.gallery", FileGallery),
+                                        ("people.sqlite", StoredGallery)])
+def test_the_ending_tells_the_kind_of_file(tmp_path, name, kind):
+    path = str(tmp_path / "private" / name) if name else ""
+    for known in ([], ["anna"] if name else []):
+        opened = open_gallery(path, "net", SIZE, CALIBRATION)
+        assert type(opened) is kind and opened.ids() == known
+        if not known:
+            opened.add_person("anna", face(1)[None])
+        opened.close()
+        opened.close()
