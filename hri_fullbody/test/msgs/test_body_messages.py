@@ -1,13 +1,19 @@
-"""What the body branch makes of observations: transforms and markers. Needs the message packages, no master."""
+"""What the body branch makes of models: transforms, joint states, crops. Needs the message packages, no master."""
+
+from dataclasses import replace
 
 import genpy
 import numpy as np
 import pytest
 from std_msgs.msg import Header
-from visualization_msgs.msg import Marker
 
-from hri_fullbody.ros.body_branch import body_transforms
-from hri_fullbody.ros.skeleton_markers import skeleton_markers
+from hri_fullbody.core.body_modeller import BodyInput, BodyModeller
+from hri_fullbody.core.forward_kinematics import forward
+from hri_fullbody.core.human_model import Dimensions, layout_for
+from hri_fullbody.core.segment_table import SegmentTable
+from hri_fullbody.ros.body_branch import body_transform, drawn
+from hri_fullbody.ros.body_topics import crop, joint_state
+from hri_fullbody.ros.up_frame import up_and_height
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import BodyObservation
@@ -17,48 +23,63 @@ from hri_pipeline.ros.image_intake import Frame
 HEADER = Header(stamp=genpy.Time(12, 345), frame_id="camera")
 FRAME = Frame(np.zeros((4, 4, 3), np.uint8), CameraModel.from_fov(4, 4, 1.0), 12.000000345, HEADER)
 FACING = np.array([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]])
+UP = np.array([0.0, -1.0, 0.0])
 
 
-def body(points, pose=None, name="abcde"):
-    return BodyObservation(name, np.array([0.0, 0, 4, 4]), 0.9, np.zeros((18, 3)), points, pose)
+def model_of(interface):
+    """A person of 1.7 m, 3 m before the camera, as the modeller sees it."""
+    modeller = BodyModeller(interface)
+    layout = layout_for(interface)
+    dimensions = Dimensions.from_stature(1.7, SegmentTable.load())
+    points, _, _ = forward(FACING[None], np.array([[0.1, 0.2, 3.0]]), np.zeros((1, len(layout))), [dimensions], layout)
+    model, = modeller.update([BodyInput("abcde", points[0])], 1.0, UP)
+    return model, layout
 
 
-def standing():
-    points = np.full((18, 3), np.nan)
-    points[[1, 2, 5]] = [(0.0, -0.5, 3.0), (-0.2, -0.5, 3.0), (0.2, -0.5, 3.0)]
-    points[[0, 14, 15, 16, 17]] = [(0, -0.66, 2.86), (0.03, -0.7, 2.9), (-0.03, -0.7, 2.9),
-                                      (0.08, -0.68, 3.0), (-0.08, -0.68, 3.0)]
-    return points
+@pytest.mark.parametrize("interface, joints", [("paper", 18), ("rep155", 20)])
+def test_joints_are_suffixed_and_have_the_stamp_of_the_image(interface, joints):
+    model, layout = model_of(interface)
+    message = joint_state(model, layout.joint_names, FRAME)
+    assert len(message.name) == len(message.position) == joints
+    assert all(name.endswith("_abcde") for name in message.name) and len(set(message.name)) == joints
+    assert "waist_abcde" in message.name and "l_elbow_abcde" in message.name
+    assert message.header == HEADER and np.all(np.isfinite(message.position))
 
 
-def test_body_and_head_have_the_stamp_and_frame_of_the_image():
-    transforms = body_transforms(body(standing(), Pose(FACING, np.array([0.0, 0.0, 3.0]))), FRAME)
-    assert [(item.header.frame_id, item.child_frame_id) for item in transforms] == [
-        ("camera", "body_abcde"), ("body_abcde", "head_abcde")]
-    assert all(item.header.stamp == HEADER.stamp for item in transforms)
-    head = pose_from_transform(transforms[0]).compose(pose_from_transform(transforms[1]))
-    assert head.translation == pytest.approx([0.0, -0.7, 2.9])
+def test_joints_that_are_no_numbers_are_not_published():
+    model, layout = model_of("paper")
+    for bad in (np.full(18, np.nan), np.zeros(17), np.concatenate([np.zeros(17), [np.inf]])):
+        assert joint_state(replace(model, joints=bad), layout.joint_names, FRAME) is None
 
 
-def test_what_is_not_known_has_no_frame():
-    assert body_transforms(body(standing()), FRAME) == []
-    headless = np.full((18, 3), np.nan)
-    transforms = body_transforms(body(headless, Pose(FACING, np.array([0.0, 0.0, 3.0]))), FRAME)
-    assert [item.child_frame_id for item in transforms] == ["body_abcde"]
+def test_the_body_has_the_stamp_and_frame_of_the_image():
+    model, _ = model_of("paper")
+    transform = body_transform(model, FRAME)
+    assert (transform.header.frame_id, transform.child_frame_id) == ("camera", "body_abcde")
+    assert transform.header.stamp == HEADER.stamp
+    pose = pose_from_transform(transform)
+    assert pose.translation == pytest.approx([0.1, 0.2, 3.0], abs=0.02)
+    assert np.allclose(pose.rotation, FACING, atol=0.05)
 
 
-def test_markers_join_known_points_only_and_expire():
-    markers = skeleton_markers([body(standing())], HEADER).markers
-    lines, joints = markers
-    assert (lines.type, joints.type) == (Marker.LINE_LIST, Marker.SPHERE_LIST)
-    assert len(lines.points) % 2 == 0 and len(joints.points) == 8
-    assert all(marker.header == HEADER and marker.ns == "abcde" for marker in markers)
-    assert all(0.0 < marker.lifetime.to_sec() <= 1.0 and marker.pose.orientation.w == 1.0 for marker in markers)
-    assert all(np.isfinite([point.x, point.y, point.z]).all() for marker in markers for point in marker.points)
+def test_filtered_points_are_drawn_and_observed_ones_where_there_is_no_model():
+    model, _ = model_of("paper")
+    body = BodyObservation("abcde", np.array([0.0, 0, 4, 4]), 0.9, np.zeros((18, 3)), np.full((18, 3), 7.0))
+    assert drawn(body, model).keypoints_3d is model.points
+    assert drawn(body, None) is body
+    assert drawn(replace(body, measured=False), model).keypoints_3d is body.keypoints_3d
 
 
-def test_colour_hangs_on_the_id_and_unknown_bodies_have_no_markers():
-    first, again, other = (skeleton_markers([body(standing(), name=name)], HEADER).markers[0].color
-                           for name in ("abcde", "abcde", "fghij"))
-    assert first == again != other
-    assert skeleton_markers([body(np.full((18, 3), np.nan))], HEADER).markers == []
+def test_a_crop_is_the_part_of_the_box_that_is_in_the_image():
+    image = np.arange(10 * 20 * 3, dtype=np.uint8).reshape(10, 20, 3)
+    assert np.array_equal(crop(image, np.array([2.2, 3.0, 5.5, 6.0])), image[3:6, 2:6])
+    assert crop(image, np.array([-5.0, -5, 50, 50])).shape == (10, 20, 3)
+    for outside in ([30.0, 0, 40, 5], [5.0, 5, 5, 5], [0.0, -9, 5, -1], [np.nan, 0, 1, 1]):
+        assert crop(image, np.array(outside)) is None
+
+
+def test_up_is_the_z_axis_of_the_other_frame_and_a_height_must_be_one():
+    upright = Pose(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([4.0, 5.0, 1.4]))
+    up, height = up_and_height(upright)
+    assert up == pytest.approx([0, -1, 0]) and height == pytest.approx(1.4)
+    assert up_and_height(Pose(upright.rotation, np.array([0.0, 0, -3.0])))[1] is None

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The node bodies on a photograph of three people: topics, types, frames, stamps, and nobody in black images."""
+"""The node bodies on a photograph of three people: topics, types, frames, stamps, and nothing left in black images."""
 
 import unittest
 
@@ -8,11 +8,15 @@ import rosgraph
 import rospy
 import rostest
 from demo_camera import FRAME, DemoCamera, Newest, photograph, wait_for
-from sensor_msgs.msg import RegionOfInterest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped, TwistStamped
+from sensor_msgs.msg import Image, JointState, RegionOfInterest
+from skeleton_graph import TfTree, left_of, processes
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
-from hri_msgs.msg import IdsList, Skeleton2D
+from hri_fullbody.core.human_model import PAPER
+from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, IdsList, Skeleton2D
 
 START_S, WAIT_S = 60.0, 30.0
 MARKERS = "visualization/skeletons"
@@ -25,11 +29,12 @@ class BodiesTest(unittest.TestCase):
         cls.picture = photograph(1)
         cls.camera = DemoCamera(cls.picture)
         cls.tracked = Newest("/humans/bodies/tracked", IdsList)
-        cls.transforms = Newest("/tf", TFMessage)
+        cls.tree = TfTree()
 
     @classmethod
     def tearDownClass(cls):
         cls.camera.close()
+        cls.tree.close()
 
     def setUp(self):
         self.camera.show(self.picture)
@@ -63,30 +68,82 @@ class BodiesTest(unittest.TestCase):
         late = self.listen("/humans/bodies/tracked", IdsList)
         wait_for(lambda: late.last, 0.8, "the latched list, before the next one is due")
 
-    def test_frames_stand_in_front_of_the_camera_with_the_stamp_of_an_image(self):
-        frames = {}
-
-        def all_there():
-            for message in list(self.transforms.messages):
-                frames.update((transform.child_frame_id, transform) for transform in message.transforms)
-            return all("body_" + identity in frames and "head_" + identity in frames
-                       for identity in self.tracked.last.ids)
-
-        wait_for(all_there, WAIT_S, "body_ID and head_ID of all")
+    def test_whole_skeletons_stand_in_front_of_the_camera_with_the_stamp_of_an_image(self):
         for identity in self.tracked.last.ids:
-            body, head = frames["body_" + identity], frames["head_" + identity]
-            self.assertEqual(body.header.frame_id, FRAME)
-            self.assertEqual(head.header.frame_id, "body_" + identity)
-            self.assertIn(body.header.stamp, self.camera.stamps)
-            self.assertTrue(0.5 < body.transform.translation.z < 4.0)
-            # The head is above the hips, in the body's own frame.
-            self.assertTrue(0.2 < head.transform.translation.z < 1.0)
+            stamp = wait_for(lambda wanted=identity: self.tree.complete(wanted), WAIT_S, "all frames of " + identity)[-1]
+            self.assertIn(stamp, self.camera.stamps)
+            body, head = (self.tree.pose(link, identity, stamp, FRAME) for link in ("body", "head"))
+            self.assertTrue(0.5 < body.translation[2] < 4.0)
+            # The head is above the hips, in the body's own frame, and some way below the top of a tall person.
+            above = body.inverse().compose(head).translation[2]
+            self.assertTrue(0.4 < above < 0.9, above)
+            # Nobody hangs upside down: z of the body points against y of the camera.
+            self.assertLess(body.rotation[1, 2], -0.5)
+            self.assertEqual(len(processes(identity)), 1)
+            self.assertTrue(rospy.get_param("/human_description_" + identity).startswith("<?xml"))
+        self.assertEqual(self.tree.repeated, [])
 
-    def test_one_tf_message_for_all_bodies_of_an_image(self):
-        self.transforms.messages.clear()
-        wait_for(lambda: len(self.transforms.messages) >= 3, WAIT_S, "transforms")
-        stamps = [message.transforms[0].header.stamp for message in list(self.transforms.messages)]
+    def test_joints_and_roots_go_out_together(self):
+        identity = self.tracked.last.ids[0]
+        joints = self.listen("/humans/bodies/{}/joint_states".format(identity), JointState)
+        transforms = self.listen("/tf", TFMessage)
+        wait_for(lambda: len(joints.messages) >= 6, WAIT_S, "joint states")
+        stamps = [message.header.stamp for message in list(joints.messages)]
         self.assertEqual(len(set(stamps)), len(stamps))
+        for message in list(joints.messages):
+            self.assertEqual(message.name, ["{}_{}".format(name, identity) for name in PAPER.joint_names])
+            self.assertTrue(np.all(np.array(message.position) >= PAPER.lower - 1e-6))
+            self.assertTrue(np.all(np.array(message.position) <= PAPER.upper + 1e-6))
+            self.assertIn(message.header.stamp, self.camera.stamps)
+
+        def roots():
+            return [message for message in list(transforms.messages)
+                    if message._connection_header["callerid"] == "/hri_bodies"]
+
+        wait_for(lambda: {message.transforms[0].header.stamp for message in roots()} >= set(stamps[2:5]), WAIT_S, "roots")
+        # One message for all bodies of an image, and nothing in it but the roots.
+        sent = [message.transforms[0].header.stamp for message in roots()]
+        self.assertEqual(len(set(sent)), len(sent))
+        self.assertTrue(all(item.child_frame_id.startswith("body_") and item.header.frame_id == FRAME
+                            for message in roots() for item in message.transforms))
+
+    def test_place_and_expression_of_a_body(self):
+        identity = self.tracked.last.ids[0]
+        place = "/humans/bodies/{}/".format(identity)
+        expected = {"position": PointStamped, "velocity": TwistStamped, "attitude": BodyAttitude,
+                    "posture": BodyPosture, "gesture": Gesture}
+        for name, kind in expected.items():
+            message = self.first(place + name, kind)
+            self.assertIn(message.header.stamp, self.camera.stamps)
+            self.assertEqual(message.header.frame_id, FRAME)
+        point = self.first(place + "position", PointStamped).point
+        stamp = wait_for(lambda: self.tree.complete(identity), WAIT_S, "frames")[-1]
+        body = self.tree.pose("body", identity, stamp, FRAME)
+        self.assertLess(np.abs(body.translation - (point.x, point.y, point.z)).max(), 0.3)
+
+    def test_a_crop_is_sent_to_whom_it_may_concern(self):
+        identity = self.tracked.last.ids[0]
+        cropped = self.first("/humans/bodies/{}/cropped".format(identity), Image)
+        self.assertIn(cropped.header.stamp, self.camera.stamps)
+        self.assertEqual((cropped.encoding, len(cropped.data)), ("bgr8", cropped.height * cropped.step))
+        self.assertTrue(50 < cropped.width <= self.picture.shape[1])
+        self.assertGreater(np.frombuffer(cropped.data, np.uint8).std(), 10.0)
+
+    def test_diagnostics_tell_of_models_and_processes(self):
+        diagnostics = self.listen("/diagnostics", DiagnosticArray)
+
+        def values():
+            for message in list(diagnostics.messages):
+                for status in message.status:
+                    found = {item.key: item.value for item in status.values}
+                    if status.name == "hri_bodies: bodies" and found.get("robot_state_publishers_alive", "0") >= "3":
+                        return found
+            return None
+
+        found = wait_for(values, WAIT_S, "diagnostics")
+        self.assertIn("models_ms_median", found)
+        self.assertEqual(found["robot_state_publishers_restarted"], "0")
+        self.assertEqual(sum(name.startswith("stature_m_") for name in found), len(self.tracked.last.ids))
 
     def test_markers_come_only_while_somebody_listens(self):
         def tracked_by_node():
@@ -99,9 +156,10 @@ class BodiesTest(unittest.TestCase):
         for marker in markers.last.markers:
             self.assertEqual(marker.header.frame_id, FRAME)
             self.assertIn(marker.header.stamp, self.camera.stamps)
-            self.assertIn(marker.type, (Marker.LINE_LIST, Marker.SPHERE_LIST))
-            self.assertTrue(0.0 < marker.lifetime.to_sec() <= 1.0)
-        self.assertEqual({marker.ns for marker in markers.last.markers}, set(self.tracked.last.ids))
+            self.assertIn(marker.action, (Marker.ADD, Marker.DELETE))
+            self.assertTrue(marker.action == Marker.DELETE or 0.0 < marker.lifetime.to_sec() <= 1.0)
+        self.assertEqual({marker.ns for marker in markers.last.markers if marker.action == Marker.ADD},
+                         set(self.tracked.last.ids))
         markers.close()
         # Whoever comes later gets no old markers: nothing is made or kept while nobody listens.
         heard = len(self.camera.stamps)
@@ -111,16 +169,13 @@ class BodiesTest(unittest.TestCase):
         wait_for(lambda: late.messages, WAIT_S, "markers again")
         self.assertGreaterEqual(late.messages[0].markers[0].header.stamp, newest - rospy.Duration(1.0))
 
-    def test_black_images_empty_the_list_and_free_the_topics(self):
+    def test_black_images_empty_the_list_and_leave_nothing(self):
         gone = list(self.tracked.last.ids)
         self.camera.show_black()
         wait_for(lambda: self.tracked.last.ids == [], WAIT_S, "an empty list")
 
-        def freed():
-            published = rosgraph.Master("/test").getSystemState()[0]
-            return not any("/" + identity + "/" in topic for topic, _ in published for identity in gone)
-
-        wait_for(freed, WAIT_S, "the topics of those who have gone to be taken back")
+        for identity in gone:
+            wait_for(lambda wanted=identity: not left_of(wanted), WAIT_S, "nothing of " + identity)
         self.camera.show(self.picture)
         wait_for(lambda: len(self.tracked.last.ids) >= 3, WAIT_S, "the bodies again")
         self.assertFalse(set(gone) & set(self.tracked.last.ids))

@@ -65,3 +65,40 @@ class Scene:
             if distance < least:
                 best, least = candidate, distance
         return best if best is not None else standing_at(*window.centre, score=0.01)
+
+
+class Walkers(Scene):
+    """People of different colours who hide those behind them: the last one of `people` stands in front."""
+
+    def __init__(self, people: Sequence[Tuple[float, float]], colours: Sequence[Tuple[int, int, int]],
+                 reach: float = 60.0) -> None:
+        """reach: px; a person whose hips are nearer than this to those of somebody before them is not seen."""
+        super().__init__(people)
+        self.colours = list(colours)
+        self.reach = reach
+        self._painted: tuple = (None, None)
+
+    def visible(self) -> List[int]:
+        """Numbers of the people who are not hidden."""
+        return [index for index, (x, _) in enumerate(self.people)
+                if not any(abs(x - other) < self.reach for other, _ in self.people[index + 1:])]
+
+    def image(self) -> np.ndarray:
+        """The picture (720, 1280, 3) of the people: each a coloured rectangle from the shoulders to the knees."""
+        now = (tuple(self.people), tuple(self.colours))
+        if now != self._painted[0]:
+            picture = np.full((720, 1280, 3), 90, np.uint8)
+            for (x, y), colour in zip(self.people, self.colours):
+                left, right = int(max(0, x - 45)), int(max(0, x + 45))
+                picture[int(max(0, y - 110)):int(y + 90), left:right] = colour
+            self._painted = (now, picture)
+        return self._painted[1]
+
+    def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
+                 shown: Optional[np.ndarray] = None) -> PoseEstimate:
+        everybody = self.people
+        self.people = [everybody[index] for index in self.visible()]
+        try:
+            return super().estimate(image, window, hidden, shown)
+        finally:
+            self.people = everybody

@@ -5,8 +5,9 @@ import pytest
 from synthetic_people import Scene, face_of, standing_at
 
 from hri_fullbody.core.body_parameters import BODIES, VISION
-from hri_fullbody.core.body_stage import BodyStage
+from hri_fullbody.core.body_stage import BodyStage, pose_model_path
 from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.onnx_model import ModelError
 from hri_pipeline.core.parameters import ParameterError
 
 IMAGE = np.zeros((720, 1280, 3), np.uint8)
@@ -21,7 +22,7 @@ class Boxes:
 
     def detect(self, image):
         self.calls += 1
-        boxes = np.array([standing_at(x, y).box() for x, y in self.scene.people]).reshape(-1, 4)
+        boxes = np.array([standing_at(x, y).box for x, y in self.scene.people]).reshape(-1, 4)
         return boxes, np.ones(len(boxes))
 
 
@@ -85,3 +86,72 @@ def test_vision_has_the_parameters_of_both():
     names = {parameter.name for parameter in VISION.parameters}
     assert {parameter.name for parameter in BODIES.parameters} < names
     assert "face_detection_period" in names
+
+
+def test_bodies_are_published_in_every_image_but_looked_at_at_their_rate():
+    stage, scene, _ = make([(400, 400), (800, 380)], pose_rate=5.0, person_detection_period=10.0)
+    measured, published = 0, 0
+    for index in range(100):
+        if index == 40:
+            scene.windows.clear()
+        bodies = stage.update(IMAGE, CAMERA, index / 20.0)
+        if index >= 40:
+            published += len(bodies)
+            measured += sum(body.measured for body in bodies)
+    assert published == 120
+    assert measured == pytest.approx(30, abs=1)
+    assert len(scene.windows) == pytest.approx(30, abs=1)
+
+
+def test_a_hidden_body_is_tracked_and_not_published():
+    stage, scene, _ = make([(400, 400)], body_death_time=0.8, pose_rate=10.0)
+    for index in range(20):
+        stage.update(IMAGE, CAMERA, index / 20.0)
+    scene.people = []
+    shown = [len(stage.update(IMAGE, CAMERA, 1.0 + index / 20.0)) for index in range(10)]
+    assert sum(shown) <= 1                  # until the next look
+    assert len(stage.tracked_ids) == 1
+    for index in range(10):
+        stage.update(IMAGE, CAMERA, 1.5 + index / 20.0)
+    assert stage.tracked_ids == []
+
+
+def test_no_windows_are_spent_on_more_people_than_allowed():
+    people = [(150 + 150 * index, 400) for index in range(6)]
+    stage, scene, _ = make(people, max_bodies=3, pose_rate=0.0, person_detection_period=0.0)
+    faces = [face_of(standing_at(*person), "f{}".format(index)) for index, person in enumerate(people)]
+    for index in range(40):
+        if index == 20:
+            scene.windows.clear()
+        stage.update(IMAGE, CAMERA, index / 20.0, faces)
+    assert len(stage.tracked_ids) <= 3
+    assert len(scene.windows) <= 20 * 3
+
+
+def test_the_budget_is_kept_with_many_people():
+    people = [(100 + 110 * index, 400) for index in range(10)]
+    stage, scene, _ = make(people, pose_rate=0.0, pose_budget=4, new_windows_per_image=3)
+    for index in range(60):
+        scene.windows.clear()
+        bodies = stage.update(IMAGE, CAMERA, index / 20.0)
+        assert len(scene.windows) <= 5
+    assert len(bodies) == 10
+
+
+@pytest.mark.parametrize("name, model", [("lite", "pose_landmarks_lite"), ("heavy", "pose_landmarks_heavy"),
+                                         ("", "pose_landmarks_full")])
+def test_a_pose_model_that_was_not_fetched_names_the_command(name, model, tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS4HRI_MODELS", str(tmp_path))
+    with pytest.raises(ModelError, match="fetch_models --models {}`".format(model)):
+        pose_model_path(name)
+    (tmp_path / (model + ".onnx")).write_bytes(b"")
+    assert pose_model_path(name) == tmp_path / (model + ".onnx")
+
+
+def test_a_pose_model_is_a_name_or_a_path(tmp_path):
+    with pytest.raises(ModelError, match="lite, full, heavy"):
+        pose_model_path("ful")
+    with pytest.raises(ModelError, match="nowhere"):
+        pose_model_path("/nowhere/model.onnx")
+    (tmp_path / "own.onnx").write_bytes(b"")
+    assert pose_model_path(str(tmp_path / "own.onnx")) == tmp_path / "own.onnx"

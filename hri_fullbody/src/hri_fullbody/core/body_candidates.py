@@ -8,7 +8,8 @@ from typing import Deque, Dict, Optional, Sequence
 
 import numpy as np
 
-from hri_fullbody.core.body_track import NOSE_IN_FACE, is_sound
+from hri_fullbody.core.body_association import NOSE_IN_FACE
+from hri_fullbody.core.body_sight import is_sound
 from hri_fullbody.core.body_windows import FACE_WINDOW_SIZES, FaceBox, Window, window_from_face, window_from_person_box
 from hri_fullbody.core.pose_model import PoseEstimate
 

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Tuple
+
+from hri_fullbody.core.body_modeller_parameters import MODELLER_PARAMETERS
 from hri_pipeline.core.face_parameters import CAMERA_PARAMETERS, FACE_STAGE_PARAMETERS
 from hri_pipeline.core.parameters import Parameter, ParameterTable
 
 BODY_STAGE_PARAMETERS = (
     Parameter("person_detector_model", "", "ONNX file of the person detector. Empty: person_centernet.onnx in the"
               " models directory ($ROS4HRI_MODELS, or ~/.cache/ros4hri/models)."),
-    Parameter("pose_model", "", "ONNX file of the pose network. Empty: pose_landmarks_full.onnx in the models"
-              " directory. pose_landmarks_lite.onnx is faster, pose_landmarks_heavy.onnx more exact."),
-    Parameter("max_bodies", 10, "Most bodies tracked at the same time. Each costs 6 to 15 ms per image on one core.",
+    Parameter("pose_model", "full", "Pose network: `lite` (about 30 % faster, less exact), `full`, `heavy` (three times the"
+              " time), or the path of an ONNX file. Get lite and heavy with `rosrun hri_pipeline fetch_models --models"
+              " pose_landmarks_lite` (or `pose_landmarks_heavy`)."),
+    Parameter("pose_rate", 10.0, "How often the pose network looks at each body; in the images between, the body moves"
+              " on by its own motion, with a lower confidence. Each look costs 11 to 15 ms on one core with the network"
+              " `full`. Larger follows fast movements better. 0: every image.",
+              unit="Hz", minimum=0.0, maximum=120.0),
+    Parameter("pose_budget", 6, "Most windows per image that the pose network looks at for known bodies; what is left"
+              " (one at least) goes to new ones. With more people than that the fast, the new, and those who have"
+              " waited longest come first. 0: no limit.", minimum=0, maximum=64),
+    Parameter("max_bodies", 10, "Most bodies tracked at the same time. Each costs 11 to 15 ms of one core `pose_rate`"
+              " times a second.",
               minimum=1, maximum=64),
     Parameter("min_body_score", 0.5, "Probability from which the pose network is believed that it sees a body. Higher"
               " lets go of hidden bodies sooner.", minimum=0.05, maximum=0.99),
@@ -18,7 +30,7 @@ BODY_STAGE_PARAMETERS = (
               " fainter people and more things that are none.", minimum=0.05, maximum=0.99),
     Parameter("person_detection_size", 512, "Longer side of the person detector's input. Larger finds people farther"
               " away; the time grows with its square (17 to 40 ms at 512).", unit="px", minimum=128, maximum=1920),
-    Parameter("person_detection_period", 0.7, "Time between two runs of the person detector; between them the pose"
+    Parameter("person_detection_period", 1.0, "Time between two runs of the person detector; between them the pose"
               " network follows the known bodies. Smaller finds new people sooner and costs more. 0: every image.",
               unit="s", minimum=0.0, maximum=10.0),
     Parameter("new_windows_per_image", 3, "Most places per image that are searched for new bodies, 6 to 15 ms each."
@@ -27,17 +39,51 @@ BODY_STAGE_PARAMETERS = (
               " more flickering false bodies.", unit="s", minimum=0.0, maximum=10.0),
     Parameter("body_death_time", 1.0, "Time after which a body that is not seen any more is dropped with its id."
               " Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0),
+    Parameter("body_memory", 10.0, "Time for which a lost body is remembered by the colours of its clothes and its place: a new"
+              " body that fits is told to be the same person (the id is a new one all the same). 0: never.", unit="s",
+              minimum=0.0, maximum=300.0),
+    Parameter("use_depth", False, "Subscribe to `depth`, a depth image registered to the colour image, and place the"
+              " bodies by it. Without depth for an image the place follows from face, floor and size of the body."),
+    Parameter("depth_slop", 0.03, "Largest difference of the stamps of an image and its depth image. Larger takes more"
+              " pairs of cameras that are not synchronised, and puts moving people where they were.",
+              unit="s", minimum=0.0, maximum=1.0),
 )
 """What BodyStage needs, besides `providers`."""
 
+BODY_OUTPUT_PARAMETERS = (
+    Parameter("joint_state_rate", 15.0, "Most joint states, and with them frames, per second and body. Higher moves the"
+              " skeletons more evenly; robot_state_publisher asks the master three times for each: ten bodies at 30 Hz"
+              " cost the master alone 12 % of a core. 0: for every image.", unit="Hz", minimum=0.0, maximum=120.0),
+    Parameter("state_publishers", True, "Put a URDF for each body on the parameter server and run a"
+              " robot_state_publisher for it, which makes the frames of its links. false: joint states and body_ID only."),
+    Parameter("up_frame", "", "TF frame whose z axis points up and whose z = 0 is the floor, such as `map` or"
+              " `base_footprint`: people are placed, and their posture told, with the tilt and height of the camera."
+              " Empty: the image is taken for upright, and the floor is not used."),
+)
+"""What becomes of the bodies, besides `interface` and what BodyModeller needs."""
+
+_INTERFACE = (
+    Parameter("interface", "paper", "`paper`: `roi` is sensor_msgs/RegionOfInterest in pixels, and bodies have the paper's"
+              " 18 joints. `rep155`: `roi` is hri_msgs/NormalizedRegionOfInterest2D, and bodies have the 20 joints of"
+              " REP-155, three in each hip.", choices=("paper", "rep155")),
+)
+
+
+def _but_interface(parameters: Tuple[Parameter, ...]) -> Tuple[Parameter, ...]:
+    """Camera and modeller both have `interface`; here it is one parameter."""
+    return tuple(parameter for parameter in parameters if parameter.name != "interface")
+
+
+_BODY_PARAMETERS = BODY_STAGE_PARAMETERS + _but_interface(MODELLER_PARAMETERS) + BODY_OUTPUT_PARAMETERS
+
 BODIES = ParameterTable(
     "bodies",
-    "Node bodies: finds and follows bodies, their 18 key points and their place in front of the camera.",
-    BODY_STAGE_PARAMETERS + CAMERA_PARAMETERS,
+    "Node bodies: finds and follows bodies, their 18 key points, their place in front of the camera, and their joints.",
+    _BODY_PARAMETERS + _but_interface(CAMERA_PARAMETERS) + _INTERFACE,
 )
 
 VISION = ParameterTable(
     "vision",
     "Node vision: the nodes faces and bodies in one process; an image is received and decoded once.",
-    FACE_STAGE_PARAMETERS + BODY_STAGE_PARAMETERS + CAMERA_PARAMETERS,
+    FACE_STAGE_PARAMETERS + _BODY_PARAMETERS + _but_interface(CAMERA_PARAMETERS) + _INTERFACE,
 )

@@ -2,54 +2,62 @@
 
 from __future__ import annotations
 
-from typing import Optional
+from dataclasses import replace
+from typing import Optional, Tuple
 
 import numpy as np
 
+from hri_fullbody.core.body_appearance import blend
+from hri_fullbody.core.body_motion import BodyMotion
+from hri_fullbody.core.body_sight import Sight
 from hri_fullbody.core.body_windows import FACE_WINDOW_SIZES, FaceBox, Window, window_from_face
-from hri_fullbody.core.pose_model import BODY_LANDMARKS, PoseEstimate
-from hri_pipeline.core.geometry import iou_matrix
+from hri_fullbody.core.pose_model import PoseEstimate
 from hri_pipeline.core.track_life import TrackLife
 
-# A nose further than this from the middle of its face (in face sizes, 0.5 is the rim) belongs to somebody else.
-NOSE_IN_FACE = 0.5
-NOSE_IN_OWN_FACE = 0.65
-SAME_BODY = 0.1
-_LARGEST_STEP = 0.6
 _FACE_HOLD = 0.5
 _ANCHOR_HOLD = 2.0
-
-
-def body_size(estimate: PoseEstimate) -> float:
-    """Longer side of the box of the landmarks that are seen, px."""
-    box = estimate.box()
-    return float(max(box[2] - box[0], box[3] - box[1], 1.0))
-
-
-def body_distance(a: PoseEstimate, b: PoseEstimate) -> float:
-    """Median distance of the landmarks that both see, in units of the larger body."""
-    both = (a.confidence[:BODY_LANDMARKS] > 0.3) & (b.confidence[:BODY_LANDMARKS] > 0.3)
-    both = both if both.sum() > 4 else np.ones(BODY_LANDMARKS, bool)
-    offset = (a.landmarks[:BODY_LANDMARKS, :2] - b.landmarks[:BODY_LANDMARKS, :2])[both]
-    return float(np.median(np.hypot(*offset.T))) / max(body_size(a), body_size(b))
+_FADE_S = 0.4
+_OCCLUDED_NOISE = 4.0     # times as much, while somebody else is in the same place
+_LOOKS_LEARN_S = 1.5
+# A body slower than this (sizes per second) stays where it was: what seems to move a little is the network's noise, and
+# a window that follows it would drift away.
+_STILL = 0.25
 
 
 class BodyTrack:
-    """One body over time. All stamps are seconds of the images' clock."""
+    """One body over time. All stamps are seconds of the images' clock.
 
-    def __init__(self, body_id: str, estimate: PoseEstimate, stamp: float, life: TrackLife,
+    visible: the last look found it. looked_at: stamp of that look. misses: looks in a row that did not find it.
+    turn: for the schedule, rising with every look. looks: its appearance, learnt while unoccluded.
+    """
+
+    def __init__(self, body_id: str, sight: Sight, stamp: float, life: TrackLife,
                  face: Optional[FaceBox] = None, anchor: Optional[float] = None) -> None:
         """anchor: side (in face sizes) of the face's window that found the body; None when its own landmarks did."""
         self.id = body_id
         self.life = life
-        self.estimate = estimate
-        self.seen = True
+        self.sight = sight
+        self.stamp = stamp
+        self.visible = True
+        self.looked_at = stamp
+        self.misses = 0
+        self.turn = 0
+        self.supported_at = stamp
+        self.looks: Optional[np.ndarray] = sight.looks
+        self.described_at = stamp
+        self.motion = BodyMotion(sight.estimate.centre, sight.estimate.extent, sight.root, stamp)
         self.face_id: Optional[str] = None
+        self._expected: Optional[Tuple[float, PoseEstimate]] = None
         self._face_stamp = stamp
         self._anchor_side = FACE_WINDOW_SIZES[0] if anchor is None else anchor
         self._anchored_until = -np.inf if anchor is None else stamp + _ANCHOR_HOLD
         if face is not None:
             self.link(face, stamp)
+
+    @property
+    def estimate(self) -> PoseEstimate:
+        """The body as it was last seen."""
+        return self.sight.estimate
 
     def link(self, face: FaceBox, stamp: float) -> None:
         """Note that `face` is this body's own."""
@@ -62,10 +70,12 @@ class BodyTrack:
             self.face_id = None
 
     def window(self, face: Optional[FaceBox], stamp: float) -> Window:
-        """Where to look in the next image: along the landmarks, or below the face while it is the anchor."""
+        """Where to look at `stamp`: where the landmarks will be, or below the face while it is the anchor."""
         if face is not None and stamp < self._anchored_until:
             return window_from_face(face, self._anchor_side)
-        return self.estimate.next_window()
+        window = self.estimate.next_window()
+        x, y = np.asarray(window.centre) + self.moved(stamp)
+        return Window((float(x), float(y)), window.size, window.angle)
 
     def next_anchor(self, attempt: int) -> float:
         """Side, in face sizes, of the face's window to try in attempt 0, 1, ...: first the one that last worked."""
@@ -77,35 +87,43 @@ class BodyTrack:
         self._anchor_side = side
         self._anchored_until = stamp + _ANCHOR_HOLD
 
-    def accepts(self, estimate: PoseEstimate, face: Optional[FaceBox], min_score: float) -> bool:
-        """Tell whether an estimate can be this body: sure enough, nose in its own face, else near its last place."""
-        if not is_sound(estimate, min_score):
-            return False
-        if face is not None:
-            return face.distance(estimate.nose) <= NOSE_IN_OWN_FACE
-        before, now = self.estimate.box(), estimate.box()
-        step = np.abs((before[:2] + before[2:]) - (now[:2] + now[2:])).max() / 2.0
-        return step <= _LARGEST_STEP * body_size(self.estimate)
+    def moved(self, stamp: float) -> np.ndarray:
+        """Way (2,) px in the image since the body was last seen, as its motion tells; 0 at rest."""
+        if self.motion.speed() < _STILL:
+            return np.zeros(2)
+        return self.motion.predicted_centre(stamp) - self.sight.estimate.centre
 
-    def update(self, estimate: PoseEstimate, stamp: float) -> None:
-        """Take over an estimate that was accepted."""
-        self.estimate = estimate
-        self.seen = True
+    def expected(self, stamp: float) -> PoseEstimate:
+        """The body at `stamp` where its motion takes it; the longer it was not seen the lower the confidence."""
+        age = max(0.0, stamp - self.stamp)
+        if age == 0.0:
+            return self.estimate
+        if self._expected is None or self._expected[0] != stamp:
+            self._expected = (stamp, self._moved_on(age, stamp))
+        return self._expected[1]
+
+    def _moved_on(self, age: float, stamp: float) -> PoseEstimate:
+        landmarks = self.estimate.landmarks.copy()
+        landmarks[:, :2] += self.moved(stamp)
+        fade = float(np.exp(-age / _FADE_S))
+        return replace(self.estimate, score=self.estimate.score * fade, landmarks=landmarks,
+                       confidence=self.estimate.confidence * fade)
+
+    def update(self, sight: Sight, stamp: float, unhidden: bool) -> None:
+        """Take over a sight of this body. unhidden: nobody stands before it, so that its appearance may be learnt."""
+        step = max(0.0, stamp - self.stamp)
+        self.sight, self.stamp, self._expected = sight, stamp, None
+        self.described_at = self.described_at if sight.looks is None else stamp
+        self.visible, self.looked_at, self.misses = True, stamp, 0
+        self.motion.update(sight.estimate.centre, sight.estimate.extent, sight.root, stamp,
+                           1.0 if unhidden else _OCCLUDED_NOISE)
+        if unhidden:
+            self.looks = blend(self.looks, sight.looks, float(1.0 - np.exp(-step / _LOOKS_LEARN_S)))
         self.life.seen(stamp)
 
-
-def is_sound(estimate: PoseEstimate, min_score: float) -> bool:
-    """Tell whether an estimate is sure enough, finite, and has a window to follow it."""
-    finite = np.all(np.isfinite(estimate.landmarks)) and np.all(np.isfinite(estimate.world))
-    if not (finite and estimate.score >= min_score):
-        return False
-    try:
-        window = estimate.next_window()
-    except ValueError:
-        return False
-    return window.size >= 16.0 and int((estimate.confidence[:BODY_LANDMARKS] > 0.3).sum()) >= 4
+    def missed(self, stamp: float) -> None:
+        """Note that a look did not find the body."""
+        self.visible, self.looked_at = False, stamp
+        self.misses += 1
 
 
-def covers(estimate: PoseEstimate, box: np.ndarray, min_iou: float = 0.35) -> bool:
-    """Tell whether a person's box (4,) px is that of this body."""
-    return bool(iou_matrix(estimate.box()[None], np.asarray(box)[None])[0, 0] > min_iou)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Tuple
+from functools import cached_property
+from typing import Optional, Tuple
 
 import numpy as np
+
+from hri_pipeline.core.geometry import Pose
 
 PERSON_BOX_MARGIN = 1.25
 LANDMARK_MARGIN = 1.25
@@ -38,33 +41,38 @@ class Window:
 
 @dataclass(frozen=True)
 class FaceBox:
-    """A face that somebody else tracks. box: (4,) x0, y0, x1, y1 px, the bounding box of its 70 landmarks."""
+    """A face that somebody else tracks. box: (4,) x0, y0, x1, y1 px, the bounding box of its 70 landmarks.
+
+    pose: face frame (origin at the sellion) in the optical frame, m; None when it is not known.
+    """
 
     id: str
     box: np.ndarray
+    pose: Optional[Pose] = None
 
-    @property
+    @cached_property
     def centre(self) -> np.ndarray:
         """Middle of the box (2,) px."""
         return (self.box[:2] + self.box[2:]) / 2.0
 
-    @property
+    @cached_property
     def size(self) -> float:
         """Side of the square of the same area, px: depends less on the view than height or width."""
         return float(math.sqrt(max(float(np.prod(self.box[2:] - self.box[:2])), 1.0)))
 
     @classmethod
-    def from_landmarks(cls, face_id: str, landmarks: np.ndarray) -> "FaceBox":
+    def from_landmarks(cls, face_id: str, landmarks: np.ndarray, pose: Optional[Pose] = None) -> "FaceBox":
         """Make the box of landmarks (N, 2 or more) px. Raises ValueError when they are not finite or all one point."""
         points = np.asarray(landmarks, dtype=np.float64)[:, :2]
         box = np.concatenate([points.min(axis=0), points.max(axis=0)])
         if not np.all(np.isfinite(box)) or np.any(box[2:] - box[:2] < 1.0):
             raise ValueError("landmarks of face {} span no box: {}".format(face_id, box))
-        return cls(face_id, box)
+        return cls(face_id, box, pose)
 
     def distance(self, point: np.ndarray) -> float:
         """How far a point (2,) px lies from the middle, larger of x and y, in face sizes: about 0.5 on the rim."""
-        return float(np.abs(np.asarray(point)[:2] - self.centre).max() / self.size)
+        x, y = self.centre
+        return float(max(abs(point[0] - x), abs(point[1] - y)) / self.size)
 
 
 def window_from_person_box(box: np.ndarray) -> Window:
@@ -90,3 +98,9 @@ def window_from_landmarks(landmarks: np.ndarray) -> Window:
     distance = float(np.hypot(*offset))
     angle = math.atan2(float(offset[0]), -float(offset[1]))
     return Window((float(centre[0]), float(centre[1])), 2.0 * LANDMARK_MARGIN * distance, angle)
+
+
+def head_box(face: FaceBox) -> np.ndarray:
+    """Box (4,) px of the head around the box of a face's landmarks, which ends at the brows."""
+    width, height = face.box[2:] - face.box[:2]
+    return face.box + np.array([-0.1 * width, -0.3 * height, 0.1 * width, 0.05 * height])

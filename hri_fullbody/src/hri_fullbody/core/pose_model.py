@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Callable, Optional, Sequence, Union
 
 import cv2
 import numpy as np
 
-from hri_fullbody.core.body_windows import Window, window_from_landmarks
-from hri_fullbody.core.skeleton import BLAZE_NOSE
+from hri_fullbody.core.body_windows import CENTRE_LANDMARK, REACH_LANDMARK, Window, window_from_landmarks
+from hri_fullbody.core.skeleton import (
+    BLAZE_LEFT_HIP,
+    BLAZE_LEFT_SHOULDER,
+    BLAZE_NOSE,
+    BLAZE_RIGHT_HIP,
+    BLAZE_RIGHT_SHOULDER,
+)
 from hri_pipeline.core.geometry import crop_rotated
 from hri_pipeline.core.onnx_model import OnnxModel
 
@@ -18,6 +26,7 @@ INPUT_SIZE = 256
 LANDMARKS = 39
 BODY_LANDMARKS = 33
 _HEAD_LANDMARKS = 11
+_KNOWN = 0.3
 _LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT = "Identity", "Identity_1", "Identity_4"
 _GREY = (128, 128, 128)
 
@@ -41,10 +50,24 @@ class PoseEstimate:
         """The nose (2,) px."""
         return self.landmarks[BLAZE_NOSE, :2]
 
-    def box(self, least_confidence: float = 0.3) -> np.ndarray:
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """Middle of the trunk (2,) px."""
+        points = self.landmarks
+        return (points[BLAZE_LEFT_SHOULDER, :2] + points[BLAZE_RIGHT_SHOULDER, :2]
+                + points[BLAZE_LEFT_HIP, :2] + points[BLAZE_RIGHT_HIP, :2]) / 4.0
+
+    @cached_property
+    def extent(self) -> float:
+        """Size of the body as the network reports it for the next window, px: does not depend on what is hidden."""
+        x, y = self.landmarks[REACH_LANDMARK, :2] - self.landmarks[CENTRE_LANDMARK, :2]
+        return max(2.0 * math.hypot(x, y), 1.0)
+
+    @cached_property
+    def box(self) -> np.ndarray:
         """Bounding box (4,) px of the landmarks that are seen, of all when fewer than four are."""
         points = self.landmarks[:BODY_LANDMARKS, :2]
-        seen = self.confidence[:BODY_LANDMARKS] > least_confidence
+        seen = self.confidence[:BODY_LANDMARKS] > _KNOWN
         points = points[seen] if seen.sum() >= 4 else points
         return np.concatenate([points.min(axis=0), points.max(axis=0)])
 
@@ -80,7 +103,7 @@ def decode(landmarks: np.ndarray, score: float, world: np.ndarray, affine: np.nd
 
 
 class PoseModel:
-    """The pose network. One window at a time: batches are no faster on a CPU (measured)."""
+    """The pose network. One window at a time: batches are no faster on a CPU (measured). Not for several threads."""
 
     def __init__(
         self,
@@ -91,6 +114,7 @@ class PoseModel:
     ) -> None:
         self._model = OnnxModel(path, providers, threads, inputs=("input_1",),
                                 outputs=(_LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT), notify=notify)
+        self._feed = np.empty((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)
 
     def estimate(
         self,
@@ -106,8 +130,8 @@ class PoseModel:
         """
         patch, affine = crop_rotated(image, window.centre, window.size, window.angle, INPUT_SIZE)
         _hide(patch, affine, hidden, shown)
-        feed = cv2.cvtColor(patch, cv2.COLOR_BGR2RGB).astype(np.float32) * np.float32(1.0 / 255.0)
-        output = self._model.run({"input_1": feed[None]})
+        np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB), np.float32(1.0 / 255.0), out=self._feed[0])
+        output = self._model.run({"input_1": self._feed})
         return decode(output[_LANDMARK_OUTPUT][0], float(np.ravel(output[_SCORE_OUTPUT])[0]),
                       output[_WORLD_OUTPUT][0], affine, window.angle)
 
@@ -117,15 +141,19 @@ def _hide(patch: np.ndarray, affine: np.ndarray, hidden: Sequence[np.ndarray], s
     if not len(hidden):
         return
     inverse = cv2.invertAffineTransform(affine)
+    corners = _corners(np.asarray(hidden), inverse)
+    outside = np.any((corners.max(axis=1) < 0) | (corners.min(axis=1) > max(patch.shape[:2])), axis=1)
+    if outside.all():
+        return
     cover = np.zeros(patch.shape[:2], np.uint8)
-    for box in hidden:
-        cv2.fillConvexPoly(cover, _corners(box, inverse), 1)
+    for corner in corners[~outside]:
+        cv2.fillConvexPoly(cover, corner, 1)
     if shown is not None:
-        cv2.fillConvexPoly(cover, _corners(shown, inverse), 0)
+        cv2.fillConvexPoly(cover, _corners(shown[None], inverse)[0], 0)
     patch[cover > 0] = _GREY
 
 
-def _corners(box: np.ndarray, affine: np.ndarray) -> np.ndarray:
-    x0, y0, x1, y1 = (float(value) for value in box)
-    corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]) @ affine[:, :2].T + affine[:, 2]
+def _corners(boxes: np.ndarray, affine: np.ndarray) -> np.ndarray:
+    """Corners (N, 4, 2) in whole px of the patch of boxes (N, 4) px in the image."""
+    corners = boxes[:, [[0, 1], [2, 1], [2, 3], [0, 3]]] @ affine[:, :2].T + affine[:, 2]
     return np.clip(np.rint(corners), -4096, 4096).astype(np.int32)

@@ -21,6 +21,9 @@ POINT_NAMES: Tuple[str, ...] = (
 # BlazePose's own numbers (left and right are the subject's).
 BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER = 11, 12
 BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP = 23, 24
+BLAZE_LEFT_KNEE, BLAZE_RIGHT_KNEE = 25, 26
+BLAZE_LEFT_ANKLE, BLAZE_RIGHT_ANKLE = 27, 28
+BLAZE_INNER_EYES = (1, 4)
 BLAZE_NOSE = 0
 
 # Pairs of BlazePose landmarks whose mean is the key point; equal numbers where it is one landmark.

@@ -1,0 +1,98 @@
+"""Ids of people cut out of the photographs who walk past each other, without any face tracker."""
+
+import functools
+
+import crossing_people
+import numpy as np
+import pytest
+from crossing_people import HEIGHT, WIDTH, film
+
+from hri_fullbody.core.body_parameters import BODIES
+from hri_fullbody.core.body_stage import BodyStage
+from hri_pipeline.core.camera import CameraModel
+
+CAMERA = CameraModel.from_fov(WIDTH, HEIGHT, 1.05)
+APART = 220.0           # px between the middles of two people who do not hide each other
+
+
+@pytest.fixture(scope="module")
+def stage():
+    return BodyStage(BODIES.resolve({}))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cut_once():
+    original = crossing_people.cut_out
+    crossing_people.cut_out = functools.lru_cache(None)(original)
+    yield
+    crossing_people.cut_out = original
+
+
+def owner(body, places):
+    """Who of the people in the film a body is, None when it is nobody."""
+    x = body.keypoints[[2, 5], 0].mean()
+    name, distance = min(((name, abs(x - place)) for name, place in places.items() if place is not None),
+                         key=lambda pair: pair[1])
+    return name if distance < 90.0 else None
+
+
+def watch(stage, names, tracks, seconds, rate, heights):
+    """Show a film: [stamp, {name: id} where people are apart, number of bodies]."""
+    stage.reset()
+    history, doubles = [], 0
+    for stamp, image, places in film(names, tracks, rate, heights):
+        if stamp > seconds:
+            assert doubles <= 2, "two bodies on one human in {} images".format(doubles)
+            return history
+        bodies = stage.update(image, CAMERA, stamp)
+        columns = [place for place in places.values() if place is not None]
+        apart = len(columns) < 2 or abs(columns[0] - columns[1]) > APART
+        found = {}
+        for body in bodies if apart else []:
+            name = owner(body, places)
+            doubles += name in found
+            if name is not None:
+                found[name] = body.id
+        history.append((stamp, found, len(bodies)))
+
+
+def ids_of(history, name):
+    """Ids that a person had, in the order of their first use."""
+    return list(dict.fromkeys(found[name] for stamp, found, _ in history if stamp > 0.8 and name in found))
+
+
+@pytest.mark.parametrize("behind, before", [
+    ("green", "burgundy"), ("burgundy", "green"), ("burgundy", "blue"), ("blue", "green"), ("green", "twin"),
+    ("twin", "green")])
+def test_two_who_cross_keep_their_ids(stage, behind, before):
+    history = watch(stage, (behind, before), (lambda time: 300.0 + 260.0 * time, lambda time: 980.0 - 260.0 * time),
+                    3.1, 15.0, (560, 600))
+    assert all(len(ids_of(history, name)) == 1 for name in (behind, before))
+    assert ids_of(history, behind) != ids_of(history, before)
+    assert history[-1][2] == 2
+    assert max(count for _, _, count in history) == 2
+    assert np.mean([count == 2 for stamp, _, count in history if stamp > 0.8]) > 0.5
+
+
+def test_two_who_cross_at_a_low_frame_rate_keep_their_ids(stage):
+    history = watch(stage, ("green", "burgundy"), (lambda time: 300.0 + 200.0 * time, lambda time: 980.0 - 200.0 * time),
+                    3.9, 5.0, (560, 600))
+    assert all(len(ids_of(history, name)) == 1 for name in ("green", "burgundy"))
+
+
+def test_one_who_waits_behind_another_keeps_the_id():
+    stage = BodyStage(BODIES.resolve({"body_death_time": 2.0}))
+
+    def passing(time):
+        return 980.0 - 340.0 * min(time, 1.0) if time < 1.4 else 640.0 - 340.0 * (time - 1.4)
+
+    history = watch(stage, ("burgundy", "green"), (lambda time: 600.0, passing), 2.8, 15.0, (560, 600))
+    assert len(history[-1][1]) == 2
+    assert all(len(ids_of(history, name)) == 1 for name in ("green", "burgundy"))
+
+
+def test_who_comes_after_somebody_has_gone_is_somebody_else(stage):
+    history = watch(stage, ("green", "blue"), (lambda time: 400.0 if time < 1.5 else None,
+                                               lambda time: 480.0 if time > 1.8 else None), 4.0, 15.0, (600, 600))
+    assert len(ids_of(history, "green")) == len(ids_of(history, "blue")) == 1
+    assert ids_of(history, "green") != ids_of(history, "blue")

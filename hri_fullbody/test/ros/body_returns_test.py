@@ -1,0 +1,63 @@
+#!/usr/bin/env python3
+"""Bodies that come back under new ids are told to be the persons of the earlier ones, by their clothes and places."""
+
+import unittest
+
+import rospy
+import rostest
+from demo_camera import DemoCamera, Newest, photograph, wait_for
+from std_msgs.msg import String
+
+from hri_msgs.msg import IdsList, IdsMatch, Skeleton2D
+
+START_S, WAIT_S = 60.0, 30.0
+NOSE = 0
+
+
+class BodyReturnsTest(unittest.TestCase):
+
+    def setUp(self):
+        self.picture = photograph(1)
+        self.camera = DemoCamera(self.picture)
+        self.addCleanup(self.camera.close)
+        self.tracked = Newest("/humans/bodies/tracked", IdsList)
+        self.addCleanup(self.tracked.close)
+        self.matches = []
+        self.listener = rospy.Subscriber("/humans/candidate_matches", IdsMatch, self.matches.append, queue_size=50)
+        self.addCleanup(self.listener.unregister)
+
+    def see_three(self):
+        """{id: x of the nose} of the three bodies."""
+        wait_for(lambda: self.tracked.last and len(self.tracked.last.ids) == 3, START_S, "three bodies in tracked")
+        noses = {}
+        for body in self.tracked.last.ids:
+            skeleton = Newest("/humans/bodies/%s/skeleton2d" % body, Skeleton2D)
+            noses[body] = wait_for(lambda heard=skeleton: heard.last, WAIT_S, "a skeleton").skeleton[NOSE].x
+            skeleton.close()
+        return noses
+
+    def test_new_bodies_are_matched_with_the_persons_of_the_earlier_ones(self):
+        before = self.see_three()
+        persons = {"p" + body: body for body in before}
+        publishers = [rospy.Publisher("/humans/persons/%s/body_id" % person, String, latch=True, queue_size=1)
+                      for person in persons]
+        for publisher, body in zip(publishers, persons.values()):
+            publisher.publish(String(body))
+        known = rospy.Publisher("/humans/persons/tracked", IdsList, latch=True, queue_size=1)
+        known.publish(IdsList(ids=list(persons)))
+        wait_for(lambda: all(publisher.get_num_connections() for publisher in publishers), WAIT_S, "the node's interest")
+        self.camera.show_black()
+        wait_for(lambda: not self.tracked.last.ids, WAIT_S, "an empty list")
+        self.camera.show(self.picture)
+        after = self.see_three()
+        self.assertTrue(set(after).isdisjoint(before), "an id came back")
+        wait_for(lambda: len(self.matches) >= 2, WAIT_S, "matches of bodies with persons")
+        for match in self.matches:
+            self.assertEqual((match.id1_type, match.id2_type), (IdsMatch.BODY, IdsMatch.PERSON))
+            self.assertGreater(match.confidence, 0.5)
+            self.assertAlmostEqual(after[match.id1], before[persons[match.id2]], delta=0.05, msg="somebody else's body")
+
+
+if __name__ == "__main__":
+    rospy.init_node("body_returns_test")
+    rostest.rosrun("hri_fullbody", "body_returns", BodyReturnsTest)

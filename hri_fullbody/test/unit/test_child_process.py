@@ -1,0 +1,145 @@
+"""Child processes: their last words, their end with the parent, and how a process is known again."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from hri_fullbody.core.child_process import ChildProcess, ends_with_parent, identity_of, is_alive
+from hri_fullbody.core.child_watch import ChildWatch
+
+SOURCE = str(Path(__file__).resolve().parents[2] / "src")
+
+
+def until(condition, seconds=10.0):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def start():
+    children = []
+
+    def make(*arguments):
+        children.append(ChildProcess(arguments))
+        return children[-1]
+
+    yield make
+    for child in children:
+        child.close()
+
+
+def test_last_words_without_colours(start):
+    child = start("/bin/sh", "-c", "echo one; printf '\\033[31mtwo\\033[0m\\n\\n' >&2; exit 3")
+    assert child.wait(10.0) == 3
+    assert child.drain() and child.last_words == "two"
+
+
+def test_a_talkative_child_is_never_stopped_by_its_pipe(start):
+    child = start("/bin/sh", "-c", "i=0; while [ $i -lt 5000 ]; do echo 0123456789012345678901234567890123456789; "
+                                   "i=$((i+1)); done; echo done")
+    until(lambda: child.drain())
+    assert child.wait(10.0) == 0 and child.last_words == "done"
+
+
+def test_no_shell_sees_the_arguments(start):
+    child = start("/bin/echo", "$(id); `id` <a> & b")
+    assert child.wait(10.0) == 0
+    child.drain()
+    assert child.last_words == "$(id); `id` <a> & b"
+
+
+def test_signals_and_codes(start):
+    child = start("/bin/sleep", "60")
+    assert child.poll() is None and child.wait(0.01) is None
+    child.send(signal.SIGINT)
+    assert child.wait(10.0) == -signal.SIGINT
+    child.send(signal.SIGINT)
+    child.close()
+    child.close()
+
+
+def test_what_cannot_be_started_says_so():
+    with pytest.raises(OSError):
+        subprocess.Popen(["/nowhere/robot_state_publisher"])
+    child = ChildProcess(["/nowhere/robot_state_publisher"]) if len(ends_with_parent(["x"])) > 1 else None
+    if child is not None:       # setpriv starts, and says that the command is not there
+        assert child.wait(10.0) == 127
+        child.drain()
+        assert "/nowhere/robot_state_publisher" in child.last_words
+        child.close()
+
+
+def test_a_child_has_its_own_session(start):
+    child = start("/bin/sleep", "60")
+    assert os.getsid(child.pid) == child.pid != os.getsid(0)
+
+
+@pytest.mark.skipif(len(ends_with_parent(["x"])) == 1, reason="setpriv is not installed")
+def test_a_child_ends_when_its_parent_is_killed():
+    code = ("import sys, time; sys.path.insert(0, {!r}); from hri_fullbody.core.child_process import ChildProcess; "
+            "print(ChildProcess(['/bin/sleep', '60']).pid, flush=True); time.sleep(60)").format(SOURCE)
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    try:
+        child = int(parent.stdout.readline())
+        identity = identity_of(child)
+        assert is_alive(identity)
+        # setpriv asks for the signal, then becomes the command.
+        until(lambda: Path("/proc/{}/cmdline".format(child)).read_bytes().startswith(b"/bin/sleep"))
+    finally:
+        parent.kill()
+        parent.wait()
+        parent.stdout.close()
+    until(lambda: not is_alive(identity))
+
+
+def test_a_process_is_known_again():
+    own = identity_of()
+    assert is_alive(own) is True and all(isinstance(value, str) for value in own.values())
+    assert is_alive(dict(own, start="1")) is False            # another process with the same number
+    assert is_alive(dict(own, host="elsewhere")) is None
+    assert is_alive(dict(own, space="another container")) is None
+    for hostile in ({}, {"pid": "../1"}, {"pid": None}, dict(own, pid="x")):
+        assert is_alive(hostile) is False
+    gone = subprocess.Popen(["/bin/true"])
+    identity = identity_of(gone.pid)
+    gone.wait()
+    assert is_alive(identity) is False
+
+
+def test_waiting_ends_when_a_child_ends_and_when_it_is_woken(start):
+    watch = ChildWatch()
+    child = start("/bin/sh", "-c", "read x; exit 2")
+    watch.add(child)
+    began = time.monotonic()
+    until(lambda: watch.wait(30.0) is None and child.poll() is not None)    # its input is empty: it ends at once
+    assert child.poll() == 2
+    watch.remove(child)
+    threading.Timer(0.05, watch.wake).start()
+    watch.wait(30.0)
+    assert time.monotonic() - began < 10.0
+    for _ in range(100000):
+        watch.wake()        # must not block when nobody waits
+    watch.close()
+    watch.close()
+
+
+def test_descriptors_are_given_back(start):
+    watch = ChildWatch()
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(20):
+        child = ChildProcess(["/bin/true"])
+        watch.add(child)
+        until(lambda child=child: watch.wait(0.05) is None and child.poll() is not None)
+        watch.remove(child)
+    assert len(os.listdir("/proc/self/fd")) == before
+    watch.close()
