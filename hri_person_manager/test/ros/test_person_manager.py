@@ -53,6 +53,8 @@ class TestPersonManager(unittest.TestCase):
         cls.connected = rospy.get_param("~connected", True)
         cls.lists = {kind: rospy.Publisher("/humans/%s/tracked" % kind, IdsList, latch=True, queue_size=10)
                      for kind in ("faces", "bodies", "voices")}
+        cls.announced = {}
+        rospy.Timer(rospy.Duration(1), lambda event: cls.repeat())      # as a tracker does
         cls.matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=5000)
         cls.tf = rospy.Publisher("/tf", TFMessage, queue_size=1000)
         cls.static = rospy.Publisher("/tf_static", TFMessage, latch=True, queue_size=10)
@@ -80,9 +82,11 @@ class TestPersonManager(unittest.TestCase):
         self.wait_for(lambda: self.matches.get_num_connections() and self.tf.get_num_connections() > 1
                       and self.lists["voices"].get_num_connections(), "the person manager")
         self.announce()
+        # Features that are tracked survive a reset: first everybody leaves.
+        self.wait_for(lambda: self.tracked.value is not None and not self.tracked.value.ids, "an empty list")
         rospy.wait_for_service("/hri_person_manager/reset", WAIT_S)
         rospy.ServiceProxy("/hri_person_manager/reset", Empty)()
-        self.wait_for(lambda: self.tracked.value is not None and not self.tracked.value.ids, "an empty list")
+        self.wait_for(lambda: self.known.value is not None and not self.known.value.ids, "nobody known")
         with self.lock:
             self.frames.clear()
 
@@ -104,9 +108,15 @@ class TestPersonManager(unittest.TestCase):
             threading.Event().wait(0.03)
         self.fail("waited %.0f s in vain for %s" % (seconds, what))
 
-    def announce(self, faces=(), bodies=(), voices=()):
-        for kind, ids in (("faces", faces), ("bodies", bodies), ("voices", voices)):
-            self.lists[kind].publish(IdsList(ids=list(ids)))
+    @classmethod
+    def announce(cls, faces=(), bodies=(), voices=()):
+        cls.announced = {"faces": list(faces), "bodies": list(bodies), "voices": list(voices)}
+        cls.repeat()
+
+    @classmethod
+    def repeat(cls):
+        for kind, ids in cls.announced.items():
+            cls.lists[kind].publish(IdsList(ids=ids))
 
     def match(self, id1, type1, id2, type2, confidence):
         self.matches.publish(IdsMatch(id1, type1, id2, type2, confidence))
@@ -175,6 +185,24 @@ class TestPersonManager(unittest.TestCase):
         self.announce(bodies=["bbbbb"])
         self.wait_for(lambda: self.last_frame(person).transform.translation.x == self.expected_x(3.0)[1],
                       "the place of the body", act=lambda: self.show(("body_bbbbb", 3.0)))
+
+    def test_without_a_face_the_person_stands_at_the_head_of_its_skeleton(self):
+        # As robot_state_publisher sends it: fixed links once, before or after the body is told of, the others together.
+        self.static.publish(TFMessage([transform("y_head_bhhhh", "head_bhhhh", 0.05),
+                                       transform("waist_bhhhh", "torso_bhhhh", 0.5)]))
+        self.announce(bodies=["bhhhh"])
+        person = self.one_person()
+
+        def move():
+            stamp = rospy.Time.now()
+            self.tf.publish(TFMessage([transform(CAMERA, "body_bhhhh", 3.0, stamp)]))
+            self.tf.publish(TFMessage([transform(parent, child + "_bhhhh", x, stamp) for parent, child, x in (
+                ("body_bhhhh", "waist", 0.0), ("torso_bhhhh", "l_y_shoulder", 9.0), ("torso_bhhhh", "y_head", 0.1),
+                ("l_y_shoulder_bhhhh", "l_elbow", 9.0))]))
+
+        self.wait_for(lambda: self.last_frame(person)
+                      and abs(self.last_frame(person).transform.translation.x - self.expected_x(3.65)[1]) < 1e-9,
+                      "the place of the head", act=move)
 
     def test_the_confidence_decays_and_the_frame_ends(self):
         self.announce(faces=["fcccc"])

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hri_person_manager.core.association import Kind
-from hri_person_manager.core.frame_tree import FrameTree
 from hri_person_manager.core.human_frames import MAX_LINKS, HumanFrames, Link
 from hri_person_manager.core.location import Source
+from hri_pipeline.core.frame_tree import FrameTree
 from hri_pipeline.core.geometry import Pose
 
 
 def link(parent, z, stamp=1.0):
-    return Link(parent, Pose(np.eye(3), np.array([0.0, 0.0, z])), stamp)
+    return Link(parent, (0.0, 0.0, z), (0.0, 0.0, 0.0, 1.0), stamp)
 
 
 def put(frames, name, parent, z, stamp=1.0):
@@ -41,6 +42,54 @@ def test_a_body_is_placed_by_its_head_when_the_chain_is_complete():
     assert (sighting.source, sighting.sensor) == (Source.HEAD, "camera")
     assert np.isclose(sighting.pose.translation[2], 3.7)
     assert put(frames, "body_abcde", "camera", 3.0, stamp=9.0).source == Source.BODY     # the head is old
+
+
+def test_the_chain_to_the_head_is_composed_exactly_and_fixed_links_never_grow_old():
+    rng = np.random.default_rng(4)
+    poses = [Pose.from_quaternion(rng.normal(size=4), rng.normal(size=3)) for _ in range(6)]
+    names = ["body_abcde", "waist_abcde", "torso_abcde", "y_head_abcde", "p_head_abcde", "head_abcde"]
+    frames = HumanFrames(0.5)
+    frames.set_tracked(Kind.BODY, ["abcde"])
+    stamps = [20.0, 20.0, float("inf"), 20.0, 20.0, float("inf")]
+    for index in (5, 4, 3, 2, 1):
+        assert frames.wanted(names[index]) == (Kind.BODY, "abcde"), names[index]
+        pose = poses[index]
+        frames.put((Kind.BODY, "abcde"), names[index], Link(
+            names[index - 1], tuple(pose.translation), tuple(2.0 * value for value in pose.quaternion), stamps[index]))
+    root = Link("camera", tuple(poses[0].translation), poses[0].quaternion, 20.1)
+    sighting = frames.put((Kind.BODY, "abcde"), names[0], root)
+    expected = poses[0]
+    for pose in poses[1:]:
+        expected = expected.compose(pose)
+    assert sighting.source == Source.HEAD and sighting.sensor == "camera"
+    assert np.allclose(sighting.pose.translation, expected.translation)
+    assert np.allclose(sighting.pose.rotation, expected.rotation)
+    frames.clear()
+    assert len(frames) == 2 and frames.put((Kind.BODY, "abcde"), names[0], root).source == Source.BODY
+
+
+def test_only_frames_between_head_and_root_are_wanted():
+    frames = HumanFrames(0.5)
+    frames.set_tracked(Kind.BODY, ["abcde"])
+    assert frames.wanted("l_elbow_abcde") is None and frames.wanted("torso_abcde") is None
+    put(frames, "head_abcde", "torso_abcde", 0.2)
+    assert frames.wanted("torso_abcde") == (Kind.BODY, "abcde")
+    frames.set_tracked(Kind.BODY, [])
+    assert frames.wanted("torso_abcde") is None and frames.wanted("body_abcde") is None
+
+
+@pytest.mark.parametrize("bad", [
+    Link("camera", (float("nan"), 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 1.0),
+    Link("camera", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 0.0), 1.0),
+    Link("camera", (0.0, 0.0, 1.0), (0.0, float("inf"), 0.0, 1.0), 1.0)])
+@pytest.mark.parametrize("name", ["face_abcde", "body_abcde", "head_abcde"])
+def test_numbers_that_are_none_are_refused(bad, name):
+    frames = HumanFrames(0.5)
+    frames.set_tracked(Kind.BODY, ["abcde"])
+    frames.set_tracked(Kind.FACE, ["abcde"])
+    with pytest.raises(ValueError):
+        frames.put(frames.owner(name), name, bad)
+    assert len(frames) == 0
 
 
 def test_links_in_a_circle_end():

@@ -288,6 +288,32 @@ def test_reset_forgets_persons_and_keeps_tracked_features():
     assert people(manager, 10.3) == {A1: ("f1", "", "", 0.0)}
 
 
+def test_the_same_persons_after_time_has_jumped_back():
+    manager = make(new_person_delay=0.2)
+    manager.on_tracked(Kind.FACE, ["f1", "f2", "f3"], 100.0)
+    manager.on_tracked(Kind.BODY, ["b2"], 100.0)
+    match(manager, "f:f1", "p:ann", 0.9, 100.0)
+    match(manager, "f:f2", "b:b2", 0.9, 100.0)
+    match(manager, "p:ann", "p:bea", 0.9, 100.0)
+    match(manager, "v:v1", "f:f3", 0.9, 100.0)
+    manager.tick(100.3)
+    manager.on_place(Source.FACE, "f1", place(1.0, 100.3), 100.3)
+    before = people(manager, 100.3)
+    assert set(before) == {"ann", A1, A2} and before["ann"][3] == 1.0
+    manager.rewind(40.0)
+    after = people(manager, 40.0)
+    assert {key: value[:3] for key, value in after.items()} == {key: value[:3] for key, value in before.items()}
+    assert all(value[3] == 0.0 for value in after.values()), "places are of another time"
+    assert {"ann", "bea"} <= set(manager.snapshot(40.0).known)
+    assert next(state.alias for state in manager.snapshot(40.0).persons if state.id == "bea") == "ann"
+    assert manager.on_place(Source.FACE, "f1", place(2.0, 40.1), 40.1) == "ann"
+    assert people(manager, 40.2)["ann"][3] == 1.0
+    manager.tick(51.0)      # nobody has spoken of the voice since the jump
+    assert {value[2] for value in people(manager, 51.0).values()} == {""}
+    manager.on_tracked(Kind.FACE, [], 51.0)
+    assert people(manager, 56.0)["ann"][3] == pytest.approx(0.5)
+
+
 # -- features that a match names first
 
 def test_a_feature_named_in_a_match_is_present_until_its_list_says_otherwise():
@@ -347,7 +373,7 @@ def test_a_person_seen_by_two_cameras_keeps_id_and_place_when_one_loses_it():
     manager = make(new_person_delay=0.0)
     manager.on_tracked(Kind.FACE, ["f1"], 0.0)
     manager.on_tracked(Kind.FACE, ["f1", "g1"], 1.0)
-    manager.merge(A2, A1, 1.0)
+    assert manager.merge(A1, A2, 1.0) == (A1, A2)
     assert manager.on_place(Source.FACE, "f1", place(1.0, 1.0), 1.0) == A1
     assert manager.on_place(Source.FACE, "g1", place(1.1, 1.1), 1.1) is None    # one face is enough
     assert people(manager, 1.1) == {A1: ("f1", "", "", 1.0)}
@@ -384,6 +410,35 @@ def test_persons_joined_again_though_one_was_not_seen_for_long():
     manager.tick(500.0)
     match(manager, "f:fagain", "p:bob", 0.9, 501.0)
     assert [state.id for state in manager.snapshot(501.0).persons if state.tracked] == ["ann"]
+
+
+# -- forgetting
+
+def test_a_forgotten_person_is_a_stranger_again():
+    manager = make(new_person_delay=0.0)
+    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    match(manager, "f:f1", "p:ann", 0.9, 0.1)
+    match(manager, "p:ann", "p:bob", 0.9, 0.1)
+    manager.on_place(Source.FACE, "f1", place(1.0, 0.2), 0.2)
+    assert manager.forget("ann", 0.3) and not manager.forget("ann", 0.3)
+    assert "ann" not in manager.snapshot(0.3).known and not [edge for edge in manager.unions if "ann" in edge]
+    (state,) = [state for state in manager.snapshot(0.3).persons if state.tracked]
+    assert state.anonymous and state.face == "f1"
+
+
+def test_forgetting_one_of_a_union_leaves_the_other():
+    manager = make()
+    match(manager, "f:f1", "p:ann", 0.9, 0.0)
+    match(manager, "b:b1", "p:bob", 0.9, 0.0)
+    match(manager, "p:ann", "p:bob", 0.9, 0.0)
+    assert manager.forget("ann", 1.0)
+    assert people(manager, 1.0)["bob"][1] == "b1"
+
+
+def test_people_of_a_store_are_known_from_the_start():
+    manager = make()
+    manager.know(["ann", "bob"])
+    assert manager.snapshot(0.0).known == ("ann", "bob") and manager.snapshot(0.0).tracked == ()
 
 
 # -- another run
@@ -424,3 +479,61 @@ def test_state_is_bounded_over_thousands_of_ids():
     assert len(manager.snapshot(3010.0).persons) == MAX_UNSEEN_PERSONS
     assert len(manager.snapshot(3010.0).known) == 2000
     assert manager.groups == ()
+
+
+# -- Matches with an anonymous person, as of a body that comes back in the same clothes.
+
+def test_a_lost_anonymous_person_goes_on_with_a_feature_that_a_match_gives_it():
+    manager = make()
+    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager.tick(1.0)
+    manager.on_tracked(Kind.BODY, [], 1.0)
+    manager.on_tracked(Kind.BODY, ["b2"], 3.0)
+    assert match(manager, "b:b2", "p:" + A1, 0.7, 3.1)
+    assert people(manager, 3.1) == {A1: ("", "b2", "", 0.0)}
+    manager.tick(9.0)
+    assert manager.snapshot(9.0).known == (A1,)
+
+
+def test_a_feature_that_is_a_person_already_is_joined_with_the_anonymous_one_and_can_be_parted():
+    manager = make(new_person_delay=0.0)
+    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager.on_tracked(Kind.BODY, [], 1.0)
+    manager.on_tracked(Kind.BODY, ["b2"], 3.0)
+    assert manager.snapshot(3.0).tracked == (A2,)
+    match(manager, "b:b2", "p:" + A1, 0.7, 3.1)
+    assert manager.snapshot(3.1).tracked == (A1,)
+    match(manager, "b:b2", "p:" + A1, 0.0, 3.2)
+    assert manager.snapshot(3.2).tracked == (A2,)
+
+
+def test_an_anonymous_person_that_is_seen_is_joined_with_the_new_feature():
+    manager = make()
+    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager.tick(1.0)
+    manager.on_tracked(Kind.BODY, ["b2"], 1.0)
+    match(manager, "b:b2", "p:" + A1, 0.7, 1.1)
+    assert people(manager, 1.1) == {A1: ("f1", "b2", "", 0.0)}
+
+
+@pytest.mark.parametrize("likelihood, person", [(0.4, A1), (0.9, "anonymous_person_zzzzz")])
+def test_a_claim_that_is_unlikely_or_of_somebody_who_never_was_changes_nothing(likelihood, person):
+    manager = make()
+    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager.tick(1.0)
+    manager.on_tracked(Kind.BODY, [], 1.0)
+    manager.on_tracked(Kind.BODY, ["b2"], 3.0)
+    assert not match(manager, "b:b2", "p:" + person, likelihood, 3.1)
+    manager.tick(4.0)
+    assert manager.snapshot(4.0).tracked == (A2,)
+
+
+def test_a_claim_brings_nobody_back_who_is_forgotten():
+    manager = make(half_life=0.1)
+    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager.tick(1.0)
+    manager.on_tracked(Kind.BODY, [], 1.0)
+    manager.tick(5.0)
+    assert manager.snapshot(5.0).known == ()
+    manager.on_tracked(Kind.BODY, ["b2"], 5.0)
+    assert not match(manager, "b:b2", "p:" + A1, 0.9, 5.1)

@@ -38,6 +38,15 @@ def test_the_rate_is_limited_and_recovers():
     assert guard.check("f1", 2, "b1", 3, 0.5, -100.0) is not None   # time jumped back
 
 
+def test_what_was_said_before_somebody_was_forgotten_and_comes_later_is_dropped():
+    guard = MatchGuard(10.0)
+    guard.forget("ann", 100.0)
+    assert guard.check("f1", 2, "ann", 1, 0.9, 101.0) is None and guard.late == 1
+    assert guard.check("f1", 2, "bob", 1, 0.9, 101.0) is not None
+    assert guard.check("f1", 2, "ann", 1, 0.9, 103.0) is not None, "a recogniser that knows her still"
+    assert not sum(guard.refused.values())
+
+
 def test_illegal_rate():
     with pytest.raises(ValueError):
         RateLimit(0.0)

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from hri_person_manager.core.persons_table import PersonRow, RateMeter, as_data, format_table, redraw
+from hri_person_manager.core.persons_table import PersonRow, RateMeter, as_data, format_columns, format_table, redraw
 
 ROW = PersonRow("anonymous_person_abcde", "fabcd", "", "", 1.0, (1.0, -2.5, 0.25), "map", 63.2)
 
@@ -19,6 +19,10 @@ def test_the_table_has_one_line_per_person():
     assert lines[2].split() == ["ann", "-", "-", "-", "0.00", "-", "-", "-"]
     assert lines[3] == "faces 15.0 images/s, bodies 7.0 images/s"
     assert "nobody yet" in format_table([], 0.0, 0.0)
+
+
+def test_columns_are_as_wide_as_their_longest_cell():
+    assert format_columns([("id", "name"), ("longer", "x"), ("a", "")]) == "id      name\nlonger  x\na"
 
 
 def test_redrawing_goes_up_by_the_lines_that_are_there():

@@ -16,6 +16,7 @@ import numpy as np
 
 from hri_pipeline.core.geometry import Pose
 
+_OPTICAL = "_optical_frame"
 DECAY_KINDS = ("exponential", "linear", "step")
 UNSEEN_CEILING = 0.99      # a person who is not seen is never at 1, not even in the first instant
 STEP_CONFIDENCE = 0.5
@@ -40,6 +41,12 @@ class Place:
     frame: str
     pose: Pose
     stamp: float
+
+    @property
+    def horizontal(self) -> Tuple[float, float]:
+        """The two horizontal coordinates, m; in a frame of a camera y points down, REP-103."""
+        x, y, z = self.pose.translation.tolist()
+        return (x, z) if self.frame.endswith(_OPTICAL) else (x, y)
 
 
 @dataclass(frozen=True)
@@ -89,6 +96,8 @@ class Motion:
 
     def see(self, place: Place) -> None:
         """Take a measured place: the velocity is smoothed over about half a second."""
+        if self._coast_time <= 0.0:
+            return
         last, self._last = self._last, place
         if last is None or last.frame != place.frame:
             self._velocity = np.zeros(3)

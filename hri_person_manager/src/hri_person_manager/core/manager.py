@@ -5,22 +5,23 @@ All times are seconds of one clock and are given by the caller. Not thread-safe:
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from types import SimpleNamespace
-from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Set, Tuple
+from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Tuple
 
-from hri_person_manager.core.association import FEATURES, Kind, MatchGraph, Node
+from hri_person_manager.core.association import Kind, Node
+from hri_person_manager.core.camera_unions import CameraUnions
+from hri_person_manager.core.known_ids import KnownIds
+from hri_person_manager.core.live_association import LiveAssociation
 from hri_person_manager.core.location import Decay, Location, Place, Source
 from hri_person_manager.core.match_guard import Match
-from hri_person_manager.core.person_book import ANONYMOUS_PREFIX, Person, PersonBook
-from hri_person_manager.core.person_state import PersonState, Snapshot
+from hri_person_manager.core.person_book import ANONYMOUS_PREFIX, PersonBook
+from hri_person_manager.core.person_state import Snapshot
+from hri_person_manager.core.person_view import PersonView
 from hri_person_manager.core.presence import Presence
 from hri_person_manager.core.unions import Unions
 from hri_pipeline.core.ids import IdGenerator
 
-MAX_KNOWN_IDS = 10000         # permanent ids that are remembered in all
 MAX_UNSEEN_PERSONS = 32       # permanent persons kept with their topics although nobody sees them
-MAX_STRAY_MATCHES = 1000      # matches kept for features that are not tracked (yet)
 _KIND_OF_SOURCE = {Source.FACE: Kind.FACE, Source.HEAD: Kind.BODY, Source.BODY: Kind.BODY,
                    Source.VOICE: Kind.VOICE}
 
@@ -35,18 +36,15 @@ class PersonManager:
         self._decay = Decay(settings.decay, settings.half_life, settings.confidence_floor)
         self._new_id = new_id or IdGenerator().new
         self._presence = Presence()
-        self._start_afresh()
+        self._start_afresh(KnownIds(), Unions(self._threshold))
 
-    def _start_afresh(self) -> None:
-        self._graph = MatchGraph()
-        self._groups: Dict[Node, FrozenSet[Node]] = {}
-        self._strays: "OrderedDict[FrozenSet[Node], Match]" = OrderedDict()
-        self._known: "OrderedDict[str, int]" = OrderedDict()     # with a number that says who was known first
-        self._number = 0
-        self._unions = Unions(self._threshold)
+    def _start_afresh(self, known: KnownIds, unions: Unions) -> None:
+        self._known, self._unions = known, unions
         self._book = PersonBook(self._new_id, lambda: Location(self._settings.source_timeout, self._settings.coast_time),
                                 self._settings.new_person_delay, self._settings.anonymous_persons)
-        self.exact = True
+        self._view = PersonView(self._book, self._unions, self._decay)
+        self._association = LiveAssociation(self._threshold, self._is_present, self._make_permanent)
+        self._cameras = CameraUnions(self._settings, self._book, self._association, self._unions)
 
     @property
     def refused_ids(self) -> int:
@@ -56,12 +54,28 @@ class PersonManager:
     @property
     def groups(self) -> Tuple[FrozenSet[Node], ...]:
         """Return the current association: every living feature and known person in exactly one group."""
-        return tuple(sorted(set(self._groups.values()), key=min))
+        return self._association.groups
+
+    @property
+    def exact(self) -> bool:
+        """Tell whether the last association was proved to be the best."""
+        return self._association.exact
 
     def reset(self, now: float) -> None:
         """Start afresh with the features that are tracked; persons and matches are forgotten."""
-        self._start_afresh()
-        self._solve(self._presence.features())
+        self._start_afresh(KnownIds(), Unions(self._threshold))
+        self._association.solve(self._presence.features())
+        self._settle(now)
+
+    def rewind(self, now: float) -> None:
+        """Go on after time has jumped back to `now` (s): the same persons and matches; places and delays start anew."""
+        anonymous, matches = self.anonymous(), self.matches
+        self._start_afresh(self._known, self._unions)
+        self._presence.rewind(now)
+        self.expect(anonymous)
+        for edge in matches:
+            self._association.keep(Match(*edge))
+        self._association.solve(self._presence.features())
         self._settle(now)
 
     def on_tracked(self, kind: Kind, ids: Iterable[str], now: float) -> None:
@@ -69,13 +83,12 @@ class PersonManager:
         gone, new, presumed = self._presence.tracked(kind, ids)
         if not gone and not new:
             return
-        kept = [match for node in presumed for match in self._graph.matches(node)]
-        touched = [node for gone_node in gone for node in self._remove_feature(gone_node)]
-        for first, second, likelihood in kept:
-            self._keep(Match(first, second, likelihood))
-        for match in [self._strays.pop(key) for key in list(self._strays) if key & set(new)]:
-            self._keep(match)
-        self._solve([node for node in touched + new if self._is_present(node)])
+        kept = self._association.set_aside(presumed)
+        touched = [node for gone_node in gone for node in self._association.leave(gone_node)]
+        for match in kept:
+            self._association.keep(match)
+        self._association.arrive(new)
+        self._association.solve(touched + new)
         self._settle(now)
 
     def on_match(self, match: Match, now: float) -> bool:
@@ -88,34 +101,50 @@ class PersonManager:
         if nodes[0].kind == nodes[1].kind == Kind.PERSON:
             changed = self._unions.set(nodes[0].id, nodes[1].id, match.likelihood)
             return self._settle_unions(now) and changed
+        for feature, person in (nodes, nodes[::-1]):
+            if person.kind == Kind.PERSON and person.id.startswith(ANONYMOUS_PREFIX):
+                return self._claim(feature, person.id, match.likelihood, now)
         arrived = self._presume(nodes, now) if match.likelihood > 0.0 else []
-        if not self._keep(match):
-            return False
-        before = set(self._groups.values())
-        self._solve(node for node in nodes if self._is_present(node))
-        left = self._end_presumptions(nodes)
-        if not arrived and not left and set(self._groups.values()) == before:
-            return False
-        self._settle(now)
-        return True
+        worth = self._association.keep(match)
+        changed = self._association.solve(nodes) if worth or arrived else False
+        if self._end_presumptions(nodes) or arrived or changed:
+            self._settle(now)
+            return True
+        return False
 
     @property
     def matches(self) -> List[Tuple[Node, Node, float]]:
         """All candidate matches that are kept between features and persons."""
-        return self._graph.edges()
+        return self._association.matches
 
     @property
     def unions(self) -> Tuple[Tuple[str, str, float], ...]:
-        """All candidate matches that are kept between persons."""
-        return self._unions.pairs
+        """All candidate matches that are kept between persons, and those whom several cameras see at one place."""
+        return self._unions.pairs + self._unions.seen
 
-    def merge(self, person_id: str, other: str, now: float) -> None:
-        """Make `other` an alias of `person_id` or the other way round. ValueError when one of them does not exist."""
+    def merge(self, person_id: str, other: str, now: float) -> Tuple[str, str]:
+        """Join two persons for good, until they are split; returns the one that stays and its alias.
+
+        `person_id` stays, unless it is anonymous and the other is not. ValueError when one of them does not exist.
+        """
         for name in (person_id, other):
             if name not in self._book.persons and name not in self._known:
                 raise ValueError("there is no person {!r}".format(name))
+        if not self.is_permanent(person_id) and self.is_permanent(other):
+            person_id, other = other, person_id
         self._unions.set(person_id, other, 1.0)
+        self._unions.prefer(person_id, other)
         self._settle_unions(now)
+        return person_id, other
+
+    def is_permanent(self, person_id: str) -> bool:
+        """Tell whether a person is known by more than its present features."""
+        return person_id in self._known
+
+    def person_of(self, feature: Node) -> Optional[str]:
+        """Return the id of the person that a feature is published for, None if nobody has claimed it."""
+        owner = self._book.owner(feature)
+        return self._view.standing_for(owner).id if owner is not None else None
 
     def split(self, person_id: str, now: float) -> None:
         """Undo the unions of a person. ValueError when it is joined with nobody."""
@@ -123,17 +152,38 @@ class PersonManager:
             raise ValueError("person {!r} is joined with nobody".format(person_id))
         self._settle_unions(now)
 
+    def forget(self, person_id: str, now: float) -> bool:
+        """Forget a person with all its matches; its features, while they are tracked, are strangers again.
+
+        Returns False for somebody who does not exist.
+        """
+        node = Node(Kind.PERSON, person_id)
+        members = {person_id} | {id for id, alias in self._book.aliases.items() if alias.target == person_id}
+        if not members & (set(self._book.persons) | set(self._known) | set(self._book.aliases)):
+            return False
+        touched = self._association.forget(node)
+        self._known.remove(person_id)
+        self._unions.remove(person_id)
+        self._book.remove(person_id)
+        self._association.solve(touched)
+        self._settle(now)
+        return True
+
+    def know(self, person_ids: Iterable[str]) -> None:
+        """Take over the permanent persons that a store remembers, those known first first."""
+        for person_id in person_ids:
+            self._remember(person_id)
+
     def expect(self, anonymous: Mapping[str, Iterable[Node]]) -> None:
         """Give anonymous persons of an earlier run their ids again when their features are tracked still."""
         self._book.expect(anonymous)
 
     def anonymous(self) -> Dict[str, List[Node]]:
         """The anonymous persons with their features, for `expect` after a restart."""
-        return {person.id: sorted(person.features) for person in self._book.persons.values()
-                if person.anonymous and person.features}
+        return self._view.anonymous()
 
-    def on_place(self, source: Source, feature_id: str, place: Place, now: float) -> Optional[str]:
-        """Take the pose of a feature's frame in the reference frame.
+    def on_place(self, source: Source, feature_id: str, place: Place, now: float, sensor: str = "") -> Optional[str]:
+        """Take the pose of a feature's frame in the reference frame; sensor: the frame of the camera that sees it.
 
         Returns the id of the person whose frame moves to that place, None if no person does.
         """
@@ -141,7 +191,8 @@ class PersonManager:
         owner = self._book.owner(feature)
         if owner is None:
             return None
-        person = self._standing_for(owner)
+        self._cameras.saw(owner, source, place, sensor)
+        person = self._view.standing_for(owner)
         if person is not owner:
             owner.location.offer(source, place, now, feature)
         return person.id if person.location.offer(source, place, now, feature) else None
@@ -151,13 +202,13 @@ class PersonManager:
         lapsed = self._presence.lapsed(now)
         for node in lapsed:
             self._presence.drop(node)
-        self._solve([other for node in lapsed for other in self._remove_feature(node) if self._is_present(other)])
+        self._association.solve([other for node in lapsed for other in self._association.leave(node)])
         waiting = self._book.waiting_until()
         if lapsed or (waiting is not None and now >= waiting):
             self._settle(now)
         gone = []
         for person in list(self._book.persons.values()):
-            if self._features(person) or person.features or self._confidence(person, now) > 0.0:
+            if self._view.features(person) or person.features or self._view.confidence(person, now) > 0.0:
                 continue
             person.location.clear()
             if person.anonymous:
@@ -167,57 +218,16 @@ class PersonManager:
             if self._book.persons[person_id].anonymous:
                 self._unions.remove(person_id)
             self._book.remove(person_id)
-        if gone:
+        if self._cameras.update() or gone:
             self._settle_unions(now)
 
     def silent(self, now: float) -> List[Tuple[str, Place]]:
         """Return id and place of the persons that have a frame although no source speaks now."""
-        return [(person.id, person.location.expected(now)) for person in self._book.persons.values()
-                if self._standing_for(person) is person
-                and person.location.place is not None and self._confidence(person, now) > 0.0
-                and (not self._features(person) or person.location.is_silent(now))]
+        return self._view.silent(now)
 
     def snapshot(self, now: float) -> Snapshot:
         """Return the state of all persons at time `now`."""
-        persons = [self._state(person, now) for person in self._book.persons.values()]
-        persons += [PersonState(id, "", "", "", alias.person.anonymous, 0.0, self._unions.target(alias.target))
-                    for id, alias in self._book.aliases.items()]
-        tracked = tuple(sorted(state.id for state in persons if state.tracked))
-        present = {person.id for person in self._book.persons.values()}
-        return Snapshot(tuple(persons), tracked, tuple(sorted(present | set(self._known))))
-
-    def _state(self, person: Person, now: float) -> PersonState:
-        target = self._unions.target(person.id)
-        if target != person.id:
-            return PersonState(person.id, "", "", "", person.anonymous, 0.0, target)
-        features = self._features(person)
-        return PersonState(person.id, *(features.get(kind, "") for kind in FEATURES), person.anonymous,
-                           self._confidence(person, now), "", person.location.place)
-
-    def _members(self, person: Person) -> List[Person]:
-        """The persons of a union that this one stands for, itself first; nobody when it is an alias."""
-        if self._unions.target(person.id) != person.id:
-            return []
-        return [self._book.persons[id] for id in self._unions.members(person.id) if id in self._book.persons]
-
-    def _features(self, person: Person) -> Dict[Kind, str]:
-        """Ids of the features that are published for a person: its own, else those of the persons joined with it."""
-        found: Dict[Kind, str] = {}
-        for member in self._members(person):
-            for node in sorted(member.features):
-                found.setdefault(node.kind, node.id)
-        return found
-
-    def _standing_for(self, person: Person) -> Person:
-        return self._book.persons.get(self._unions.target(person.id), person)
-
-    def _confidence(self, person: Person, now: float) -> float:
-        if person.location.place is None:
-            return 0.0
-        members = self._members(person) or [person]
-        if any(member.features for member in members):
-            return 1.0
-        return self._decay.confidence(now - max(member.lost_at or 0.0 for member in members))
+        return self._view.snapshot(self._known, now)
 
     def _is_present(self, node: Node) -> bool:
         if node.kind == Kind.PERSON:
@@ -229,18 +239,37 @@ class PersonManager:
         if not self._settings.features_from_matches:
             return []
         arrived = [node for node in nodes if node.kind != Kind.PERSON and self._presence.presume(node, now)]
-        for match in [self._strays.pop(key) for key in list(self._strays) if key & set(arrived)]:
-            self._keep(match)
+        if arrived:
+            self._association.arrive(arrived)
         return arrived
 
     def _end_presumptions(self, nodes: Iterable[Node]) -> bool:
         """Drop features for which only matches spoke that are withdrawn; returns whether there was one."""
         over = [node for node in nodes if node.kind != Kind.PERSON and self._presence.is_presumed(node)
-                and not self._graph.neighbours(node)]
+                and not self._association.neighbours(node)]
         for node in over:
             self._presence.drop(node)
-            self._groups.pop(node, None)
+            self._association.drop(node)
         return bool(over)
+
+    def _claim(self, feature: Node, person_id: str, likelihood: float, now: float) -> bool:
+        """Take a match with an anonymous person: one without features gets this one, else its person is joined with it."""
+        if person_id not in self._book.persons:
+            return False
+        if self._book.owner(feature) is None and likelihood >= self._threshold:
+            self._presume((feature,), now)
+            if not self._is_present(feature):
+                return False
+            self._association.solve((feature,))
+            self._book.claim(feature, person_id)
+            self._settle(now)
+        owner = self._book.owner(feature)
+        if owner is None:
+            return False
+        if owner.id != person_id:
+            self._unions.set(owner.id, person_id, likelihood)
+        self._settle_unions(now)
+        return True
 
     def _settle(self, now: float) -> None:
         self._book.settle(self.groups, now)
@@ -254,65 +283,27 @@ class PersonManager:
                 if likelihood >= self._threshold and present in persons and other in self._known:
                     self._book.permanent(other)
         changed = self._unions.settle(
-            persons, lambda id: (persons[id].anonymous, self._known.get(id, persons[id].number), id))
-        for person in persons.values():
-            target = self._standing_for(person)
-            if changed and target is not person:
-                target.location.inherit(person.location)
+            persons, lambda id: (persons[id].anonymous, not self._unions.is_preferred(id),
+                                 self._known.number(id, persons[id].number), id))
+        self._view.stale()
+        if changed:
+            for person in persons.values():
+                target = self._view.standing_for(person)
+                if target is not person:
+                    target.location.inherit(person.location)
         return changed
 
+    def _make_permanent(self, person_id: str) -> None:
+        self._book.permanent(person_id)
+        self._view.stale()
+
     def _remember(self, person_id: str) -> None:
-        self._number += 1
-        self._known.setdefault(person_id, self._number)
-        self._known.move_to_end(person_id)
-        while len(self._known) > MAX_KNOWN_IDS:
-            self._known.popitem(last=False)
-
-    def _keep(self, match: Match) -> bool:
-        """Put a match into the graph, or aside while one of its features is not tracked."""
-        nodes = frozenset((match.first, match.second))
-        if all(node.kind == Kind.PERSON or self._is_present(node) for node in nodes):
-            return self._graph.set(match.first, match.second, match.likelihood)
-        self._strays.pop(nodes, None)
-        if match.likelihood > 0.0:
-            self._strays[nodes] = match
-            while len(self._strays) > MAX_STRAY_MATCHES:
-                self._strays.popitem(last=False)
-        return False
-
-    def _remove_feature(self, node: Node) -> List[Node]:
-        """Take a feature out of the graph; returns the nodes that have to be solved again."""
-        group = self._groups.get(node, frozenset((node,)))
-        touched = set(self._graph.neighbours(node)) | set(group)
-        self._graph.carry(node, group, self._threshold)
-        self._graph.remove(node)
-        self._groups.pop(node, None)
-        return sorted(touched - {node})
-
-    def _solve(self, nodes: Iterable[Node]) -> None:
-        """Solve the components of these nodes again; the rest of the graph is as it was."""
-        nodes = list(nodes)
-        touched: Set[Node] = set()
-        for node in nodes:
-            if node not in touched:
-                touched.update(self._graph.component(node, self._threshold, self._is_present))
-        solution = self._graph.solve(touched, self._threshold)
-        self.exact = solution.exact
-        for group in solution.groups:
-            for node in group:
-                self._groups[node] = group
-        self._forget_lonely_persons(touched)
-
-    def _forget_lonely_persons(self, nodes: Iterable[Node]) -> None:
-        """A person with no feature at all is known, yet no part of the association."""
-        for node in nodes:
-            if node.kind == Kind.PERSON and self._groups.get(node) == frozenset((node,)):
-                self._book.permanent(node.id)
-                del self._groups[node]
+        if self._known.add(person_id):
+            self._view.stale()
 
     def _unseen_too_many(self) -> List[str]:
         """Ids of the permanent persons that have been unseen for longest, beyond those that keep their topics."""
         unseen = [person for person in self._book.persons.values()
                   if not person.anonymous and not person.features and person.location.place is None
-                  and not self._features(person)]
+                  and not self._view.features(person)]
         return [person.id for person in sorted(unseen, key=lambda item: item.lost_at or 0.0)[:-MAX_UNSEEN_PERSONS]]

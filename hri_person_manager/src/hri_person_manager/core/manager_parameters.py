@@ -45,9 +45,31 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
     Parameter("social_distance", 3.6,
               "Outer border of the social space; what is farther away is public.", unit="m", minimum=0.2,
               maximum=50.0),
+    Parameter("cross_camera", True,
+              "Join the persons that several cameras see at one place of the reference frame, and keep the id of one who "
+              "walks from one view to another. Nothing happens with one camera, or without transforms to the reference frame."),
+    Parameter("cross_camera_distance", 0.5,
+              "Horizontal distance up to which two cameras see the same person; twice as far they see two again. Larger: "
+              "for inexact places or calibration; people who stand closer together may be taken for one.", unit="m",
+              minimum=0.05, maximum=3.0),
+    Parameter("cross_camera_time", 1.0,
+              "Time for which two places agree before the persons are joined; after twice as long apart they are parted.",
+              unit="s", minimum=0.1, maximum=30.0),
+    Parameter("cross_camera_handover", 4.0,
+              "Time after which somebody who left the view of one camera may come up in that of another, where the last "
+              "velocity leads, and be the same person still. 0: never.", unit="s", minimum=0.0, maximum=60.0),
     Parameter("source_timeout", 0.5,
               "Silence of the face frame after which the body frame places the person, and of all frames "
               "after which the last place is sent again.", unit="s", minimum=0.02, maximum=10.0),
+    Parameter("store", "",
+              "File (SQLite) in which permanent persons are kept across runs: ids, names, languages, demographics, "
+              "times; the recognisers keep their templates in the same file. Empty: in memory only."),
+    Parameter("store_max_age", 0.0,
+              "Persons not seen for longer are removed from the store without a trace. 0: never.", unit="days",
+              minimum=0.0, maximum=36500.0),
+    Parameter("store_max_persons", 1000,
+              "Most persons in the store; those unseen for longest are removed. 0: no limit.", minimum=0,
+              maximum=1000000),
     Parameter("max_matches_per_second", 2000.0,
               "Candidate matches accepted per second; more are dropped and counted in the diagnostics.",
               unit="1/s", minimum=1.0, maximum=100000.0),

@@ -6,10 +6,12 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 from typing import Counter as CounterType
-from typing import Optional
+from typing import Dict, Optional
 
 from hri_person_manager.core.association import Kind, Node
 from hri_pipeline.core.ids import is_valid_id
+
+UNDER_WAY_S = 2.0     # what was said of a person just before it was forgotten has arrived after so long
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,13 @@ class MatchGuard:
         """Accept at most `max_per_second` matches on average."""
         self._limit = RateLimit(max_per_second)
         self.refused: CounterType[str] = Counter()
-        self.accepted = 0
+        self.accepted = self.late = 0
+        self._forgotten: Dict[str, float] = {}
+
+    def forget(self, person_id: str, now: float) -> None:
+        """Take no match that names a person for 2 s from `now` (s): it would bring back who has just been forgotten."""
+        self._forgotten = {name: since for name, since in self._forgotten.items() if now - since <= UNDER_WAY_S}
+        self._forgotten[person_id] = now
 
     def check(self, id1: object, type1: object, id2: object, type2: object,
               likelihood: object, now: float) -> Optional[Match]:
@@ -70,8 +78,14 @@ class MatchGuard:
         value = float(likelihood)
         if not (math.isfinite(value) and 0.0 <= value <= 1.0):
             return self._refuse("likelihood outside 0..1")
+        if self._forgotten and self._is_late(id1, id2, now):
+            self.late += 1
+            return None
         self.accepted += 1
         return Match(Node(kinds[0], id1), Node(kinds[1], id2), value)
+
+    def _is_late(self, id1: str, id2: str, now: float) -> bool:
+        return any(now - self._forgotten[name] <= UNDER_WAY_S for name in (id1, id2) if name in self._forgotten)
 
     def _refuse(self, reason: str) -> None:
         self.refused[reason] += 1

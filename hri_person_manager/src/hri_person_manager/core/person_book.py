@@ -76,6 +76,10 @@ class PersonBook:
         """Take these ids for the anonymous persons that are made of these features (those of an earlier run)."""
         self._expected = {node: person_id for person_id, nodes in anonymous.items() for node in nodes}
 
+    def claim(self, feature: Node, person_id: str) -> None:
+        """Let a feature without a person be, at the next settle(), that of an anonymous person who has lost all features."""
+        self._expected[feature] = person_id
+
     def owner(self, feature: Node) -> Optional[Person]:
         """Return the person that a feature belongs to, None if nobody has claimed it."""
         return self._of_feature.get(feature)
@@ -148,19 +152,23 @@ class PersonBook:
                 continue
             since = min(self._unclaimed.get(node, now) for node in group)
             expected = self._expected_id(group)
-            if self._anonymous_persons and (expected or now - since >= self._delay - 1e-9):
-                person = self._make(expected or ANONYMOUS_PREFIX + self._new_id())
+            lost = self.persons.get(expected)
+            if lost is not None and lost.anonymous and all(owner is not lost for owner in owners.values()):
+                owners[group] = lost
+            elif self._anonymous_persons and (expected or now - since >= self._delay - 1e-9):
+                free = expected and expected not in self.persons and expected not in self.aliases
+                person = self._make(expected if free else ANONYMOUS_PREFIX + self._new_id())
                 self.persons[person.id] = owners[group] = person
             else:
                 unclaimed.update((node, self._unclaimed.get(node, now)) for node in group)
         self._unclaimed = unclaimed
 
     def _expected_id(self, group: Group) -> str:
-        """Id that an earlier run gave to the features of a group, empty if none; it is given once."""
+        """Id that an earlier run or a claim gave to the features of a group, empty if none; it is given once."""
         found = next((self._expected[node] for node in sorted(group) if node in self._expected), "")
         if found:
             self._expected = {node: id for node, id in self._expected.items() if id != found}
-        return "" if found in self.persons or found in self.aliases else found
+        return found
 
     def _write_features(self, owners: Dict[Group, Person], now: float) -> None:
         features = {person.id: {node for node in group if node.kind != Kind.PERSON}

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Optional, Tuple
+from typing import NamedTuple, Optional, Tuple
 
 from hri_person_manager.core.location import Place
 
 
-@dataclass(frozen=True)
-class PersonState:
+class PersonState(NamedTuple):
     """What is published about one person; `alias` names the person that this one was merged into."""
 
     id: str
@@ -27,8 +25,7 @@ class PersonState:
         return bool(self.face or self.body or self.voice)
 
 
-@dataclass(frozen=True)
-class Snapshot:
+class Snapshot(NamedTuple):
     """All persons at one time: those with topics, and the ids of the tracked and the known ones."""
 
     persons: Tuple[PersonState, ...]

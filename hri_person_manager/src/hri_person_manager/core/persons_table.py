@@ -64,6 +64,12 @@ def format_table(rows: Sequence[PersonRow], face_rate: float, body_rate: float) 
     return "\n".join(lines)
 
 
+def format_columns(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of text in columns as wide as they need to be, without a newline at the end."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows)]
+    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows)
+
+
 def redraw(text: str, lines_above: int) -> str:
     """Return what a terminal needs to show `text` in place of the last `lines_above` lines."""
     up = "\x1b[%dA" % lines_above if lines_above else ""

@@ -70,6 +70,10 @@ class Presence:
         self._presumed[node] = now
         return True
 
+    def rewind(self, now: float) -> None:
+        """Let all presumptions start at `now` (s), as time has jumped back."""
+        self._presumed = dict.fromkeys(self._presumed, now)
+
     def lapsed(self, now: float) -> List[Node]:
         """The presumed features of which nobody has spoken for 10 s, neither match nor list."""
         return sorted(node for node, since in self._presumed.items() if now - since > PRESUMED_S)

@@ -2,40 +2,50 @@
 
 from __future__ import annotations
 
+import gc
+import sys
 import threading
 import time
 from types import SimpleNamespace
-from typing import Dict, List
+from typing import Dict, Iterable, List
 
 import genpy
 import rospy
 from std_srvs.srv import Empty, EmptyRequest, EmptyResponse
 
-from hri_msgs.msg import IdsMatch
-from hri_person_manager.core.association import Kind
+from hri_msgs.msg import IdsMatch, SoftBiometrics
+from hri_person_manager.core.association import Kind, Node
 from hri_person_manager.core.graph_text import graph_text
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.manager_parameters import PERSON_MANAGER_PARAMETERS, SHARED
 from hri_person_manager.core.match_guard import MatchGuard
+from hri_person_manager.core.person_register import PersonRegister
 from hri_person_manager.core.presence import MAX_FEATURES
 from hri_person_manager.ros.graph_topic import GraphTopic
+from hri_person_manager.ros.manager_report import ManagerReport
+from hri_person_manager.ros.people_store import open_store
 from hri_person_manager.ros.person_markers import PersonMarkers
+from hri_person_manager.ros.person_services import PersonServices
 from hri_person_manager.ros.person_spaces import PersonSpaces
 from hri_person_manager.ros.person_topics import PersonTopics
 from hri_person_manager.ros.reference import ReferenceFrame
 from hri_person_manager.ros.restart_memory import RestartMemory
 from hri_person_manager.ros.tf_intake import StampedSighting, TfIntake
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.ros.conversions import transform_to_msg
-from hri_pipeline.ros.diagnostics import OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.feature_feed import FeatureFeed
 from hri_pipeline.ros.tf_publisher import TfPublisher
 from hri_pipeline.ros.topic_release import release
 
 TICK_S = 0.1
+SWITCH_S = 0.001     # a callback waits no longer than so for a thread that computes; the default of Python is 5 ms
 DIAGNOSTICS_S = 1.0
+EXPIRY_S = 3600.0
+_LOG_PERIOD_S = 30.0
 JUMP_BACK_S = 0.5
-_FEEDS = (("faces", Kind.FACE), ("bodies", Kind.BODY), ("voices", Kind.VOICE))
+_FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", Kind.BODY, {}),
+          ("voices", Kind.VOICE, {}))
 
 
 def read_manager_parameters() -> SimpleNamespace:
@@ -55,31 +65,54 @@ class PersonManagerNode:
     """
 
     def __init__(self, settings: SimpleNamespace) -> None:
+        sys.setswitchinterval(SWITCH_S)
         self._lock = threading.RLock()
         self._stop = threading.Event()
         self._manager = PersonManager(settings)
         self._threshold = settings.match_threshold
         self._memory = RestartMemory()
-        self._manager.expect(self._memory.read())
         self._guard = MatchGuard(settings.max_matches_per_second)
         self._last_now = rospy.get_time()
-        self._last_diagnostics = 0.0
+        self._next_report = self._next_expiry = 0.0
         self._jumps = 0
-        self._topics = PersonTopics()
+        self._store = open_store(settings)
+        self._register = PersonRegister(self._store)
+        self._remember_earlier_runs()
+        self._topics = PersonTopics(self._register)
         self._markers = PersonMarkers()
         self._graph = GraphTopic()
         self._tf = TfPublisher()
-        self._diagnostics = NodeDiagnostics(rospy.get_name())
         self._intake = TfIntake(settings.reference_frame, settings.source_timeout, self._on_sightings)
         self._reference = ReferenceFrame(settings.reference_frame, self._intake)
         self._spaces = PersonSpaces(settings, self._intake)
         self._matches = rospy.Subscriber("/humans/candidate_matches", IdsMatch, self._on_match,
                                          queue_size=1000, tcp_nodelay=True)
         self._feeds: Dict[str, FeatureFeed] = {
-            plural: FeatureFeed(plural, {}, _ignore, self._tracked_callback(kind), max_ids=MAX_FEATURES)
-            for plural, kind in _FEEDS}
-        self._service = rospy.Service("~reset", Empty, self._on_reset)
+            plural: FeatureFeed(plural, topics, self._on_feature, self._tracked_callback(kind), max_ids=MAX_FEATURES)
+            for plural, kind, topics in _FEEDS}
+        self._report = ManagerReport(self._manager, self._guard, self._reference, self._intake, self._feeds, self._tf)
+        self._reset = rospy.Service("~reset", Empty, self._on_reset)
+        self._services = PersonServices(self._manager, self._register, self._guard, self._lock, self._publish_state)
         rospy.on_shutdown(self._stop.set)
+        # To go through everything that was imported takes the garbage collector 30 ms, in which nobody is served.
+        gc.collect()
+        gc.freeze()
+
+    def _expire(self) -> None:
+        """Forget who has not been seen for too long."""
+        self._next_expiry = time.monotonic() + EXPIRY_S
+        for person_id in self._store.expire(time.time()) if self._store is not None else ():
+            self._register.drop(person_id)
+            self._manager.forget(person_id, rospy.get_time())
+
+    def _remember_earlier_runs(self) -> None:
+        self._expire()
+        self._manager.expect(self._memory.read())
+        records = sorted(self._register.records, key=lambda record: record.first_seen)
+        self._manager.know(record.id for record in records)
+        for record in records:
+            if record.alias and record.alias in self._register:
+                self._manager.merge(record.alias, record.id, self._last_now)
 
     def spin(self) -> None:
         """Let time pass until ROS shuts down."""
@@ -90,15 +123,18 @@ class PersonManagerNode:
     def close(self) -> None:
         """Take everything back. Idempotent."""
         self._stop.set()
-        self._service.shutdown("closing")
+        self._reset.shutdown("closing")
+        self._services.close()
         for feed in self._feeds.values():
             feed.close()
         release(self._matches)
         self._intake.close()
         with self._lock:
-            for owner in (self._topics, self._spaces, self._graph, self._markers, self._tf, self._diagnostics,
+            for owner in (self._topics, self._spaces, self._graph, self._markers, self._tf, self._report,
                           self._memory):
                 owner.close()
+            if self._store is not None:
+                self._store.close()
 
     def _tracked_callback(self, kind: Kind):
         def on_tracked(ids: List[str]) -> None:
@@ -107,6 +143,13 @@ class PersonManagerNode:
                 self._manager.on_tracked(kind, ids, rospy.get_time())
                 self._publish_state()
         return on_tracked
+
+    def _on_feature(self, face_id: str, name: str, message: SoftBiometrics) -> None:
+        with self._lock:
+            person_id = self._manager.person_of(Node(Kind.FACE, face_id))
+            if person_id is not None:
+                self._register.observe(person_id, face_id, message.age, message.age_confidence, message.gender,
+                                       message.gender_confidence, message.header.stamp.to_sec())
 
     def _on_match(self, message: IdsMatch) -> None:
         with self._lock:
@@ -123,7 +166,8 @@ class PersonManagerNode:
             moved: Dict[str, object] = {}
             for stamped in sightings:
                 place = self._reference.place(stamped)
-                person_id = self._manager.on_place(stamped.sighting.source, stamped.sighting.id, place, now)
+                person_id = self._manager.on_place(stamped.sighting.source, stamped.sighting.id, place, now,
+                                                   stamped.sighting.sensor)
                 if person_id is not None:
                     self._spaces.saw(person_id, stamped.sighting.sensor)
                     moved[person_id] = transform_to_msg(place.pose, stamped.stamp, place.frame,
@@ -143,10 +187,10 @@ class PersonManagerNode:
         stamp = rospy.Time.now()
         now = stamp.to_sec()
         if now < self._last_now - JUMP_BACK_S:
-            rospy.logwarn("time went back by %.1f s: starting afresh", self._last_now - now)
+            rospy.logwarn("time went back by %.1f s: places start anew, persons stay", self._last_now - now)
             self._jumps += 1
             self._intake.reset()
-            self._manager.reset(now)
+            self._manager.rewind(now)
         self._last_now = now
         self._manager.tick(now)
         if now > 0.0:
@@ -157,39 +201,24 @@ class PersonManagerNode:
         self._markers.publish(snapshot)
         self._spaces.update(snapshot, stamp)
         self._graph.update(lambda: graph_text(snapshot, self._manager.matches, self._manager.unions, self._threshold))
-        self._memory.update(self._manager.anonymous())
-        if time.monotonic() - self._last_diagnostics >= DIAGNOSTICS_S:
-            self._last_diagnostics = time.monotonic()
-            self._report(now)
+        self._memory.update(self._manager.anonymous)
+        self._note_seen(filter(self._manager.is_permanent, snapshot.tracked))
+        if time.monotonic() >= self._next_report:
+            self._next_report = time.monotonic() + DIAGNOSTICS_S
+            self._report.update(snapshot, self._jumps)
+            if time.monotonic() >= self._next_expiry:
+                self._expire()
+            self._register.keep_demographics(state.id for state in snapshot.persons)
+
+    def _note_seen(self, person_ids: Iterable[str]) -> None:
+        """Note that permanent persons are there, in wall time: that is what runs, bags and simulations have in common."""
+        try:
+            self._register.seen(person_ids, time.time())
+        except StoreError as error:
+            rospy.logerr_throttle(_LOG_PERIOD_S, "~store: %s", error)
 
     def _publish_state(self) -> None:
         if self._stop.is_set():
             return
         stamp: genpy.Time = rospy.Time.now()
         self._topics.update(self._manager.snapshot(stamp.to_sec()), stamp)
-
-    def _report(self, now: float) -> None:
-        snapshot = self._manager.snapshot(now)
-        values = {"tracked": len(snapshot.tracked), "known": len(snapshot.known), "time jumps": self._jumps,
-                  "frames not sent twice": self._tf.dropped}
-        if self._manager.exact:
-            self._diagnostics.set("persons", OK, "%d tracked" % len(snapshot.tracked), values)
-        else:
-            self._diagnostics.set("persons", WARN, "many ids match each other; association is approximate", values)
-        refused = self._guard.refused
-        counts = {"accepted": self._guard.accepted, **{"refused, " + why: refused[why] for why in sorted(refused)}}
-        self._diagnostics.set("candidate matches", WARN if refused else OK,
-                              "%d refused" % sum(refused.values()) if refused else "all accepted", counts)
-        unconnected = sorted(self._reference.unconnected)
-        self._diagnostics.set(
-            "location", WARN if unconnected else OK,
-            "no transform from %s to %s, see /humans/reference_frame" % (", ".join(unconnected), self._reference.frame)
-            if unconnected else "persons are placed in %s" % self._reference.frame, self._intake.status())
-        for plural, feed in self._feeds.items():
-            level, text, values = feed.status()
-            # A stack without a microphone or without a body tracker is a legal one.
-            self._diagnostics.set(plural, OK if text.startswith("no publisher") else level, text, values)
-
-
-def _ignore(identity: str, name: str, message: genpy.Message) -> None:
-    """Stand in for the topics of the features: only the lists of them are followed."""

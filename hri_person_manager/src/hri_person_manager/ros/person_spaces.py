@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
-from typing import Dict, Optional
+from typing import Dict, Optional, Tuple
 
 import genpy
-import numpy as np
 
 from hri_person_manager.core.location import Place
 from hri_person_manager.core.person_state import Snapshot
@@ -14,6 +14,9 @@ from hri_person_manager.core.proxemics import Proxemics, Space
 from hri_person_manager.ros.person_topics import NAMESPACE
 from hri_person_manager.ros.tf_intake import TfIntake
 from hri_pipeline.ros.tracked_list import TrackedList
+
+Point = Tuple[float, ...]
+_ORIGIN = (0.0, 0.0, 0.0)
 
 
 class PersonSpaces:
@@ -34,15 +37,15 @@ class PersonSpaces:
 
     def update(self, snapshot: Snapshot, stamp: genpy.Time) -> None:
         """Sort all persons whose place is known, and publish the lists that changed."""
-        origins: Dict[str, Optional[np.ndarray]] = {}
+        origins: Dict[str, Optional[Point]] = {}
         distances = {}
         for state in snapshot.persons:
             if state.place is None or state.confidence <= 0.0:
                 continue
             origin = self._robot_frame or self._sensors.get(state.id, state.place.frame)
-            if origin not in origins:
+            if origin not in origins and state.place.frame != origin:
                 origins[origin] = self._position(origin)
-            distance = _distance(state.place, origin, self._reference, origins[origin])
+            distance = _distance(state.place, origin, self._reference, origins.get(origin))
             if distance is not None:
                 distances[state.id] = distance
         listed = {state.id for state in snapshot.persons}
@@ -55,16 +58,16 @@ class PersonSpaces:
         for tracked in self._lists.values():
             tracked.close()
 
-    def _position(self, frame: str) -> Optional[np.ndarray]:
-        """Where a frame is in the reference frame (3,) m, None when nothing leads there."""
+    def _position(self, frame: str) -> Optional[Point]:
+        """Where a frame is in the reference frame, m; None when nothing leads there."""
         pose = self._intake.lookup(frame, genpy.Time())
-        return None if pose is None else pose.translation
+        return None if pose is None else tuple(pose.translation.tolist())
 
 
-def _distance(place: Place, origin: str, reference: str, position: Optional[np.ndarray]) -> Optional[float]:
-    """Distance (m) of a place from `origin`, whose `position` (3,) m is given in the reference frame."""
+def _distance(place: Place, origin: str, reference: str, position: Optional[Point]) -> Optional[float]:
+    """Distance (m) of a place from `origin`, whose `position` (m) is given in the reference frame."""
     if place.frame == origin:
-        return float(np.linalg.norm(place.pose.translation))
+        return math.dist(place.pose.translation.tolist(), _ORIGIN)
     if place.frame == reference and position is not None:
-        return float(np.linalg.norm(place.pose.translation - position))
+        return math.dist(place.pose.translation.tolist(), position)
     return None

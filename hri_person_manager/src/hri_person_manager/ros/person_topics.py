@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Dict
+import queue
+import threading
+import time
+from typing import Dict, Optional, Tuple
 
 import genpy
-from std_msgs.msg import Bool, Float32, String
+import rospy
+from std_msgs.msg import Bool, Float32, Header, String
 
+from hri_msgs.msg import AgeAndGender
+from hri_person_manager.core.demographics import DemographicsEstimate
+from hri_person_manager.core.person_register import PersonRegister
 from hri_person_manager.core.person_state import PersonState, Snapshot
+from hri_pipeline.ros.conversions import to_time
 from hri_pipeline.ros.topic_lease import TopicLeases, TopicSpec
 from hri_pipeline.ros.tracked_list import TrackedList
 
 NAMESPACE = "/humans/persons"
 CONFIDENCE_STEP = 0.005     # a change of the confidence by less is not published
+STAMP_S = 0.5               # age of the stamp of the lists that are repeated once a second
+_STATE = ("face_id", "body_id", "voice_id", "anonymous", "location_confidence", "alias")      # PersonState[1:7]
 _TOPICS = {
     "face_id": TopicSpec(String, True, 10),
     "body_id": TopicSpec(String, True, 10),
@@ -20,51 +30,138 @@ _TOPICS = {
     "location_confidence": TopicSpec(Float32, True, 10),
     "anonymous": TopicSpec(Bool, True, 10),
     "alias": TopicSpec(String, True, 10),
+    "name": TopicSpec(String, True, 10),
+    "native_language": TopicSpec(String, True, 10),
+    "demographics": TopicSpec(AgeAndGender, True, 10),
 }
 
 
-class PersonTopics:
-    """Publishes what changed from one snapshot to the next; topics go away with their person."""
+class _Person:
+    """Topics of one person, and what was published on them last."""
 
-    def __init__(self) -> None:
-        self._leases = TopicLeases(NAMESPACE, _TOPICS)
+    def __init__(self, state: PersonState) -> None:
+        self.state = state
+        self.leases = TopicLeases(NAMESPACE, _TOPICS)
+        self.published: Dict[str, object] = {}
+        self.ready = self.gone = False
+
+    def publish(self, name: str, message: genpy.Message, value: object) -> None:
+        self.leases.publish(self.state.id, name, message)
+        self.published[name] = value
+
+
+class PersonTopics:
+    """Publishes what changed from one snapshot to the next; topics go away with their person.
+
+    To open and close topics takes the master many milliseconds: a thread does that, so that nobody else waits. A person
+    is listed once its topics are there.
+    register: names, languages and demographics; they are published once they are known.
+    """
+
+    def __init__(self, register: PersonRegister) -> None:
+        self._register = register
+        self._lock = threading.Lock()
         self._tracked = TrackedList(NAMESPACE + "/tracked")
         self._known = TrackedList(NAMESPACE + "/known")
-        self._published: Dict[str, Dict[str, object]] = {}
+        self._persons: Dict[str, _Person] = {}
+        self._opening = 0
+        self._latest = Snapshot((), (), ())
+        self._stamp = genpy.Time()
+        self._listed: Optional[Tuple[Tuple[str, ...], Tuple[str, ...]]] = None
+        self._listed_at = 0.0
+        self._work: "queue.Queue[Optional[_Person]]" = queue.Queue()
+        self._worker = threading.Thread(target=self._open_and_close, name="person topics", daemon=True)
+        self._worker.start()
 
     def confidence(self, person_id: str) -> float:
-        """Return the location confidence last published for a person, 0 if there is none."""
-        return float(self._published.get(person_id, {}).get("location_confidence", 0.0))
+        """Return the location confidence last said of a person, 0 if there is none."""
+        person = self._persons.get(person_id)
+        return float(person.published.get("location_confidence", person.state.confidence)) if person else 0.0
 
     def update(self, snapshot: Snapshot, stamp: genpy.Time) -> None:
         """Publish the differences to the last snapshot."""
-        listed = {state.id for state in snapshot.persons}
-        for state in snapshot.persons:
-            self._publish_person(state)
-        self._tracked.set(snapshot.tracked, stamp)
-        self._known.set(snapshot.known, stamp)
-        for gone in [person_id for person_id in self._published if person_id not in listed]:
-            del self._published[gone]
-            self._leases.close(gone)
+        with self._lock:
+            self._latest, self._stamp = snapshot, stamp
+            for state in snapshot.persons:
+                person = self._persons.get(state.id)
+                if person is None:
+                    person = self._persons[state.id] = _Person(state)
+                    self._opening += 1
+                    self._work.put(person)
+                self._publish(person, state)
+            if len(self._persons) > len(snapshot.persons):
+                listed = {state.id for state in snapshot.persons}
+                for gone in [person_id for person_id in self._persons if person_id not in listed]:
+                    self._close(self._persons.pop(gone))
+            self._publish_lists()
 
     def close(self) -> None:
         """Take all topics back; the lists end with the empty list. Idempotent."""
         self._tracked.close()
         self._known.close()
-        self._leases.close_all()
-        self._published.clear()
+        with self._lock:
+            for person in self._persons.values():
+                self._close(person)
+            self._persons.clear()
+        self._work.put(None)
+        self._worker.join()
 
-    def _publish_person(self, state: PersonState) -> None:
-        values = {"face_id": state.face, "body_id": state.body, "voice_id": state.voice,
-                  "location_confidence": state.confidence, "anonymous": state.anonymous, "alias": state.alias}
-        if state.id not in self._published:
-            self._leases.open(state.id)
-            self._published[state.id] = {}
-        last = self._published[state.id]
-        for name, value in values.items():
+    def _close(self, person: _Person) -> None:
+        person.gone = True
+        self._opening -= not person.ready
+        self._work.put(person)
+
+    def _open_and_close(self) -> None:
+        """Each person comes twice out of the queue: when it is new and when it has gone."""
+        for person in iter(self._work.get, None):
+            if person.gone:
+                person.leases.close_all()
+                continue
+            try:
+                person.leases.open(person.state.id)
+            except rospy.ROSException:
+                continue        # ROS shuts down
+            with self._lock:
+                if not person.gone:
+                    person.ready = True
+                    self._opening -= 1
+                    self._publish(person, person.state)
+                    self._publish_lists()
+
+    def _publish_lists(self) -> None:
+        """Publish both lists, without those whose topics are not there yet."""
+        lists = (self._latest.tracked, self._latest.known)
+        if self._opening:
+            hidden = {person.state.id for person in self._persons.values() if not person.ready}
+            lists = tuple(tuple(id for id in ids if id not in hidden) for ids in lists)
+        now = time.monotonic()
+        if lists != self._listed or now - self._listed_at > STAMP_S:
+            self._listed, self._listed_at = lists, now
+            self._tracked.set(lists[0], self._stamp)
+            self._known.set(lists[1], self._stamp)
+
+    def _publish(self, person: _Person, state: PersonState) -> None:
+        person.state = state
+        if not person.ready:
+            return
+        last = person.published
+        for name, value in zip(_STATE, state[1:7]):
             if name not in last or _differs(last[name], value):
-                self._leases.publish(state.id, name, _TOPICS[name].type(value))
-                last[name] = value
+                person.publish(name, _TOPICS[name].type(value), value)
+        record, demographics = self._register.get(state.id), self._register.demographics(state.id)
+        if record is not None or "name" in last:
+            for name in ("name", "native_language"):
+                text = getattr(record, name) if record is not None else ""
+                if text != last.get(name, ""):
+                    person.publish(name, String(text), text)
+        if demographics is not None and demographics is not last.get("demographics"):
+            person.publish("demographics", _age_and_gender(demographics), demographics)
+
+
+def _age_and_gender(estimate: DemographicsEstimate) -> AgeAndGender:
+    return AgeAndGender(header=Header(stamp=to_time(estimate.stamp)), age=estimate.age,
+                        age_deviation=estimate.age_deviation, age_confidence=estimate.age_confidence,
+                        gender=estimate.gender, gender_confidence=estimate.gender_confidence)
 
 
 def _differs(old: object, new: object) -> bool:

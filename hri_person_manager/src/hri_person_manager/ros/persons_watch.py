@@ -8,13 +8,13 @@ from typing import Dict, List, Set, Tuple
 
 import genpy
 import rospy
-from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import Float32, String
-from tf2_msgs.msg import TFMessage
 
 from hri_person_manager.core.persons_table import PersonRow, RateMeter
+from hri_pipeline.core.tf_scan import RawTransform, read
 from hri_pipeline.ros.feature_feed import FeatureFeed
-from hri_pipeline.ros.topic_release import release
+from hri_pipeline.ros.robot_frames import SKELETONS
+from hri_pipeline.ros.tf_feed import Frames, TfFeed
 
 _TOPICS = {"face_id": String, "body_id": String, "voice_id": String, "location_confidence": Float32}
 
@@ -26,11 +26,11 @@ class PersonsWatch:
         self._lock = threading.Lock()
         self._ids: List[str] = []
         self._values: Dict[str, Dict[str, object]] = {}
-        self._frames: Dict[str, Tuple[TransformStamped, float]] = {}
+        self._frames: Dict[str, Tuple[RawTransform, float]] = {}
         self._rates = {"face_": RateMeter(), "body_": RateMeter()}
         self.seen: Set[str] = set()
         self._feed = FeatureFeed("persons", _TOPICS, self._on_value, self._on_tracked)
-        self._tf = rospy.Subscriber("/tf", TFMessage, self._on_tf, queue_size=100, tcp_nodelay=True)
+        self._ears = TfFeed(self._on_frames, skip=SKELETONS)
 
     def rows(self) -> List[PersonRow]:
         """Return one row per tracked person, by id."""
@@ -46,15 +46,14 @@ class PersonsWatch:
     def close(self) -> None:
         """Let go of all topics. Idempotent."""
         self._feed.close()
-        release(self._tf)
+        self._ears.close()
 
     def _row(self, person_id: str) -> PersonRow:
         values = self._values.get(person_id, {})
         position, frame, age = None, "", None
         if person_id in self._frames:
             transform, age_at_arrival = self._frames[person_id]
-            origin = transform.transform.translation
-            position, frame, age = (origin.x, origin.y, origin.z), transform.header.frame_id, age_at_arrival
+            position, frame, age = transform.translation, transform.parent, age_at_arrival
         return PersonRow(person_id, str(values.get("face_id", "")), str(values.get("body_id", "")),
                          str(values.get("voice_id", "")), float(values.get("location_confidence", 0.0)),
                          position, frame, age)
@@ -71,14 +70,15 @@ class PersonsWatch:
         with self._lock:
             self._values.setdefault(identity, {})[name] = message.data
 
-    def _on_tf(self, message: TFMessage) -> None:
+    def _on_frames(self, data: bytes, frames: Frames, fixed: bool) -> None:
+        if fixed:
+            return
         now, arrival = rospy.get_time(), time.monotonic()
         with self._lock:
-            for transform in message.transforms:
-                child = transform.child_frame_id.lstrip("/")
-                stamp = transform.header.stamp.to_sec()
-                if child[:5] in self._rates:
-                    self._rates[child[:5]].add(stamp, arrival)
-                elif child.startswith("person_") and child[7:] in self._ids:
-                    self._frames[child[7:]] = (transform, 1e3 * (now - stamp))
-
+            for child, offset in frames:
+                name = child.decode("utf-8", "replace").lstrip("/")
+                if name[:5] in self._rates:
+                    self._rates[name[:5]].add(read(data, offset).stamp, arrival)
+                elif name.startswith("person_") and name[7:] in self._ids:
+                    transform = read(data, offset)
+                    self._frames[name[7:]] = (transform, 1e3 * (now - transform.stamp))

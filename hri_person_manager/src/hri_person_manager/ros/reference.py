@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Dict, Set, Tuple
+from typing import Dict, Optional, Set, Tuple
 
 import genpy
 import rospy
@@ -25,7 +25,7 @@ class ReferenceFrame:
         self._intake = intake
         self._missing_since: Dict[str, float] = {}
         self._warned = False
-        self._last: Tuple[str, genpy.Time, Pose] = ("", genpy.Time(), Pose.identity())
+        self._last: Tuple[str, genpy.Time, Optional[Pose]] = ("", genpy.Time(), None)
 
     @property
     def unconnected(self) -> Set[str]:
@@ -40,14 +40,16 @@ class ReferenceFrame:
     def place(self, stamped: StampedSighting) -> Place:
         """Return the place of a sighting in the reference frame, else in the frame of its sensor."""
         sighting = stamped.sighting
-        if self._last[:2] == (sighting.sensor, stamped.stamp):
-            return Place(self._frame, self._last[2].compose(sighting.pose), sighting.stamp)
-        sensor = self._intake.lookup(sighting.sensor, stamped.stamp)
+        if self._last[0] != sighting.sensor or self._last[1] != stamped.stamp:
+            # All features of one image have its stamp: one look-up for all of them.
+            self._last = (sighting.sensor, stamped.stamp, self._intake.lookup(sighting.sensor, stamped.stamp))
+            if self._last[2] is None:
+                self._miss(sighting.sensor)
+            else:
+                self._missing_since.pop(sighting.sensor, None)
+        sensor = self._last[2]
         if sensor is None:
-            self._miss(sighting.sensor)
             return Place(sighting.sensor, sighting.pose, sighting.stamp)
-        self._missing_since.pop(sighting.sensor, None)
-        self._last = (sighting.sensor, stamped.stamp, sensor)
         return Place(self._frame, sensor.compose(sighting.pose), sighting.stamp)
 
     def _miss(self, sensor: str) -> None:

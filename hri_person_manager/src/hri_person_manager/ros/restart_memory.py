@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from typing import Dict, List, Mapping
+import xmlrpc.client
+from typing import Callable, Dict, List, Mapping
 
 import rospy
 
@@ -11,22 +12,24 @@ from hri_person_manager.core.association import FEATURES, Kind, Node
 from hri_person_manager.core.person_book import ANONYMOUS_PREFIX
 from hri_pipeline.core.ids import is_valid_id
 
-PARAMETER = "~memory/anonymous"
-PERIOD_S = 0.5
+PERIOD_S, AGAIN_S = 0.5, 10.0
 _MOST = 500
 
 
 class RestartMemory:
-    """Writes who is made of which features whenever that changes; ids only, nothing about the human."""
+    """Writes who is made of which features whenever that changes; ids only, nothing about the human.
+
+    The parameter stands beside the node's own ones, NODE_memory: those are checked, and cleared by roslaunch.
+    """
 
     def __init__(self) -> None:
+        self._name = rospy.get_name() + "_memory"
         self._written: Dict[str, List[str]] = {}
-        self._next = 0.0
+        self._next = self._again = 0.0
 
-    @staticmethod
-    def read() -> Dict[str, List[Node]]:
+    def read(self) -> Dict[str, List[Node]]:
         """What an earlier run has left: {person id: features}. What is not of that form is left out."""
-        given = rospy.get_param(PARAMETER, {})
+        given = rospy.get_param(self._name, {})
         if not isinstance(given, dict):
             return {}
         found: Dict[str, List[Node]] = {}
@@ -35,22 +38,29 @@ class RestartMemory:
                 found[person_id] = [node for name in names for node in _nodes(name)]
         return found
 
-    def update(self, anonymous: Mapping[str, List[Node]]) -> None:
-        """Write the anonymous persons with their features, twice a second at most."""
+    def update(self, anonymous: Callable[[], Mapping[str, List[Node]]]) -> None:
+        """Write the anonymous persons with their features, which are asked for, twice a second at most."""
         now = time.monotonic()
         if now < self._next:
             return
         self._next = now + PERIOD_S
         wanted = {person_id: ["%s %s" % (node.kind.name, node.id) for node in nodes]
-                  for person_id, nodes in anonymous.items()}
-        if wanted != self._written:
-            self._written = wanted
-            rospy.set_param(PARAMETER, wanted)
+                  for person_id, nodes in anonymous().items()}
+        # Again and again: a master that was started anew has no parameters.
+        if wanted != self._written or (wanted and now >= self._again):
+            try:
+                rospy.set_param(self._name, wanted)
+            except (OSError, rospy.ROSException, xmlrpc.client.Error):
+                return      # the master is away; the next time may be better
+            self._written, self._again = wanted, now + AGAIN_S
 
     def close(self) -> None:
         """Take the parameter back: an orderly end is no crash. Idempotent."""
-        if rospy.has_param(PARAMETER):
-            rospy.delete_param(PARAMETER)
+        try:
+            if rospy.has_param(self._name):
+                rospy.delete_param(self._name)
+        except (OSError, rospy.ROSException, xmlrpc.client.Error):
+            pass            # it went with the master
 
 
 def _nodes(name: object) -> List[Node]:

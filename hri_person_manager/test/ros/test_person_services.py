@@ -1,0 +1,230 @@
+#!/usr/bin/env python3
+"""Names, unions, forgetting, distances, and the same people after the manager was killed."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import unittest
+from pathlib import Path
+
+import rosnode
+import rospy
+import rostest
+from geometry_msgs.msg import TransformStamped
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+
+from hri_msgs.msg import AgeAndGender, IdsList, IdsMatch, SoftBiometrics
+from hri_person_manager.srv import Enrol, Export, Forget, ListKnown, Merge, SetName, SetNativeLanguage, Split
+
+NODE = "/hri_person_manager"
+WAIT_S = 15.0
+
+
+class Latest:
+    """The newest message of a topic."""
+
+    def __init__(self, topic, kind):
+        self.value = None
+        self.subscriber = rospy.Subscriber(topic, kind, self._store)
+
+    def _store(self, message):
+        self.value = message
+
+    @property
+    def text(self):
+        return None if self.value is None else self.value.data
+
+
+class TestPersonServices(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.lists = {kind: rospy.Publisher("/humans/%s/tracked" % kind, IdsList, latch=True, queue_size=10)
+                     for kind in ("faces", "bodies")}
+        cls.shown = {kind: [] for kind in cls.lists}
+        rospy.Timer(rospy.Duration(1), lambda event: [cls.show(kind, *ids) for kind, ids in cls.shown.items()])
+        cls.matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=100)
+        cls.tf = rospy.Publisher("/tf", TFMessage, queue_size=100)
+        cls.tracked = Latest("/humans/persons/tracked", IdsList)
+        cls.spaces = {name: Latest("/humans/persons/in_%s_space" % name, IdsList)
+                      for name in ("personal", "social", "public")}
+
+    def setUp(self):
+        self.wait_for(lambda: self.matches.get_num_connections() and self.tf.get_num_connections() > 0, "the manager")
+        rospy.wait_for_service(NODE + "/list_known", WAIT_S)
+
+    def tearDown(self):
+        self.show("faces")
+        self.show("bodies")
+        self.wait_for(lambda: self.tracked.value is not None and not self.tracked.value.ids, "everybody has left")
+
+    def wait_for(self, condition, what, seconds=WAIT_S):
+        end = time.monotonic() + seconds
+        while not condition():
+            self.assertLess(time.monotonic(), end, "waited in vain for " + what)
+            time.sleep(0.02)
+
+    @classmethod
+    def show(cls, kind, *ids):
+        cls.shown[kind] = list(ids)
+        cls.lists[kind].publish(IdsList(ids=list(ids)))
+
+    def recognise(self, face, person, likelihood=0.9, kind=IdsMatch.FACE):
+        self.matches.publish(IdsMatch(id1=face, id1_type=kind, id2=person, id2_type=IdsMatch.PERSON,
+                                      confidence=likelihood))
+
+    def call(self, service, kind, *arguments):
+        return rospy.ServiceProxy(NODE + "/" + service, kind)(*arguments)
+
+    def known(self):
+        return self.call("list_known", ListKnown)
+
+    def someone(self, face, person):
+        self.show("faces", face)
+        self.recognise(face, person)
+        self.wait_for(lambda: person in self.tracked.value.ids, person)
+
+    def test_name_language_and_demographics_are_latched_on_the_person(self):
+        self.someone("f1", "ann")
+        self.assertTrue(self.call("set_name", SetName, "ann", "Ann Ø").success)
+        self.assertTrue(self.call("set_native_language", SetNativeLanguage, "ann", "pt-BR").success)
+        softbiometrics = rospy.Publisher("/humans/faces/f1/softbiometrics", SoftBiometrics, queue_size=10)
+        self.wait_for(softbiometrics.get_num_connections, "the manager listens to softbiometrics")
+        softbiometrics.publish(SoftBiometrics(age=33, age_confidence=0.8, gender=1, gender_confidence=0.9))
+        topics = {name: Latest("/humans/persons/ann/" + name, kind)
+                  for name, kind in (("name", String), ("native_language", String), ("demographics", AgeAndGender))}
+        self.wait_for(lambda: all(topic.value is not None for topic in topics.values()), "the latched topics")
+        self.assertEqual(topics["name"].text, "Ann Ø")
+        self.assertEqual(topics["native_language"].text, "pt-BR")
+        found = topics["demographics"].value
+        self.assertEqual((found.age, found.gender), (33.0, AgeAndGender.FEMALE))
+        self.assertTrue(self.call("set_name", SetName, "ann", "").success)
+        self.wait_for(lambda: topics["name"].text == "", "the name is taken away")
+        for topic in topics.values():
+            topic.subscriber.unregister()
+        softbiometrics.unregister()
+
+    def test_what_cannot_be_done_is_answered_not_done(self):
+        self.someone("f1", "bea")
+        for answer, words in (
+                (self.call("set_name", SetName, "nobody", "x"), "nobody"),
+                (self.call("set_name", SetName, "bea", "x" * 65), "64"),
+                (self.call("set_native_language", SetNativeLanguage, "bea", "Klingon!"), "IETF"),
+                (self.call("merge", Merge, "bea", "a b;c"), "no person"),
+                (self.call("split", Split, "bea"), "joined with nobody"),
+                (self.call("forget", Forget, "nobody"), "nobody"),
+                (self.call("export", Export, "nobody"), "nobody"),
+                (self.call("enrol", Enrol, "bea", ""), "no recogniser"),
+                (self.call("enrol", Enrol, "nobody", ""), "no face")):
+            self.assertFalse(answer.success)
+            self.assertIn(words, answer.message)
+
+    def test_merged_persons_are_one_until_they_are_split(self):
+        self.show("faces", "f1")
+        self.show("bodies", "b1")
+        self.recognise("f1", "cat")
+        self.recognise("b1", "dan", kind=IdsMatch.BODY)
+        self.wait_for(lambda: {"cat", "dan"} <= set(self.tracked.value.ids), "two persons")
+        alias = Latest("/humans/persons/cat/alias", String)
+        body = Latest("/humans/persons/dan/body_id", String)
+        face = Latest("/humans/persons/dan/face_id", String)
+        self.assertTrue(self.call("merge", Merge, "dan", "cat").success)
+        self.wait_for(lambda: self.tracked.value.ids == ["dan"], "one person")
+        self.wait_for(lambda: alias.text == "dan" and face.text == "f1" and body.text == "b1",
+                      "everything is dan's")
+        self.assertTrue(self.call("split", Split, "cat").success)
+        self.wait_for(lambda: sorted(self.tracked.value.ids) == ["cat", "dan"] and alias.text == "", "two again")
+        for topic in (alias, body, face):
+            topic.subscriber.unregister()
+
+    def test_a_forgotten_person_is_nowhere(self):
+        self.someone("f1", "eve")
+        self.call("set_name", SetName, "eve", "Eve Secret")
+        exported = self.call("export", Export, "eve")
+        self.assertEqual(json.loads(exported.data)["persons"][0]["name"], "Eve Secret")
+        self.assertTrue(self.call("forget", Forget, "eve").success)
+        self.wait_for(lambda: all(not identity.startswith("eve") for identity in self.tracked.value.ids), "eve has gone")
+        self.assertNotIn("eve", self.known().ids)
+        self.assertNotIn("Secret", self.call("export", Export, "").data)
+        self.wait_for(lambda: not [topic for topic, _ in rospy.get_published_topics() if "/eve/" in topic],
+                      "her topics are closed")
+        self.assertFalse([name for name in rospy.get_param_names() if "eve" in str(rospy.get_param(name, ""))])
+        self.assertTrue(rospy.ServiceProxy(NODE + "/forget_all", Trigger)().success)
+        self.assertEqual([identity for identity in self.known().ids if not identity.startswith("anonymous")], [])
+
+    def test_persons_are_sorted_by_distance(self):
+        self.show("faces", "n1", "m1", "p1")
+        for face in ("n1", "m1", "p1"):
+            self.recognise(face, "who" + face)
+
+        def listed(name):
+            self.place({"n1": 0.8, "m1": 2.5, "p1": 6.0})
+            return self.spaces[name].value.ids if self.spaces[name].value else []
+        self.wait_for(lambda: listed("personal") == ["whon1"] and listed("social") == ["whom1"]
+                      and listed("public") == ["whop1"], "the three lists")
+
+    def place(self, distances):
+        message = TFMessage()
+        for face, distance in distances.items():
+            item = TransformStamped(child_frame_id="face_" + face)
+            item.header.frame_id, item.header.stamp = "camera", rospy.Time.now()
+            item.transform.translation.z, item.transform.rotation.w = distance, 1.0
+            message.transforms.append(item)
+        self.tf.publish(message)
+
+    def test_the_graph_is_text_for_graphviz(self):
+        self.someone("f1", "gus")
+        graph = rospy.wait_for_message("/humans/graph", String, WAIT_S).data
+        self.assertTrue(graph.startswith("graph humans {"))
+        self.assertIn("person_gus -- face_f1 [style=bold];", graph)
+
+    def test_the_command_line_twin(self):
+        self.someone("f1", "hal")
+
+        def people(*words):
+            return subprocess.run(["rosrun", "hri_person_manager", "people"] + list(words), stdout=subprocess.PIPE,
+                                  stderr=subprocess.STDOUT, timeout=30, check=False)
+        self.assertEqual(people("name", "hal", "Hal O.").returncode, 0)
+        listed = people("list").stdout.decode()
+        self.assertRegex(listed, r"hal\s+Hal O\.\s+-\s+here\s+known")
+        refused = people("name", "nobody", "x")
+        self.assertEqual((refused.returncode, b"no known person nobody" in refused.stdout), (1, True))
+        self.assertEqual(people("forget-all").returncode, 2)
+        self.assertIn(b"Is the person manager running?", people("--node", "/none", "reset").stdout)
+
+    def test_the_same_people_after_the_manager_was_killed(self):
+        self.show("faces", "x1", "x2")
+        self.show("bodies", "y1")
+        match = IdsMatch(id1="x1", id1_type=IdsMatch.FACE, id2="y1", id2_type=IdsMatch.BODY, confidence=0.9)
+        self.matches.publish(match)
+        self.wait_for(lambda: len(self.tracked.value.ids) == 2, "two anonymous persons")
+        before = set(self.tracked.value.ids)
+        # what is remembered is written twice a second
+        self.wait_for(lambda: set(rospy.get_param(NODE + "_memory", {})) >= before, "they are remembered")
+        self.tracked.value = IdsList()
+        os.kill(self.process(), signal.SIGKILL)
+        self.wait_for(lambda: set(self.tracked.value.ids) == before, "the same persons again")
+        self.matches.publish(match)
+        self.assertEqual(set(self.tracked.value.ids), before)
+
+    def process(self):
+        self.assertIn(NODE, rosnode.get_node_names())
+        for directory in Path("/proc").glob("[0-9]*"):
+            try:
+                words = (directory / "cmdline").read_bytes().split(b"\0")
+                environment = (directory / "environ").read_bytes().split(b"\0")
+            except OSError:
+                continue
+            if b"__name:=hri_person_manager" in words and \
+                    ("ROS_MASTER_URI=" + os.environ["ROS_MASTER_URI"]).encode() in environment:
+                return int(directory.name)
+        self.fail("no process of the manager")
+
+
+if __name__ == "__main__":
+    rospy.init_node("test_person_services")
+    rostest.rosrun("hri_person_manager", "person_services", TestPersonServices, sys.argv)

@@ -1,0 +1,305 @@
+"""People in the views of several cameras: one human is one person, two humans never are."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from hri_person_manager.core.association import Kind, Node
+from hri_person_manager.core.location import Place, Source
+from hri_person_manager.core.manager import PersonManager
+from hri_person_manager.core.manager_parameters import PERSON_MANAGER_PARAMETERS
+from hri_person_manager.core.match_guard import Match
+from hri_pipeline.core.geometry import Pose
+
+RATE = 15.0
+
+
+class Room:
+    """Cameras that each see the people between two x, as faces, with noise and an error of the calibration."""
+
+    def __init__(self, views, noise=0.03, seed=1, frame="map", **given):
+        """views: {camera: (x from, x to, error of x)}, m."""
+        numbers = itertools.count(1)
+        self.manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve(given), lambda: "a%04d" % next(numbers))
+        self.views, self.frame = views, frame
+        self._chance, self._noise = np.random.default_rng(seed), noise
+        self._faces, self._visits = {}, itertools.count()
+        self.now, self.most, self.ids = 0.0, 0, []
+
+    def run(self, seconds, *people, say=()):
+        """Let time pass with people given as functions of time that return x, y (or None, who is not there)."""
+        for _ in range(int(round(seconds * RATE))):
+            self.now += 1.0 / RATE
+            self._see({number: person(self.now) for number, person in enumerate(people)})
+            self.manager.tick(self.now)
+            self.ids.append(self.tracked)
+            self.most = max(self.most, len(self.tracked))
+        return self.tracked
+
+    @property
+    def tracked(self):
+        return self.manager.snapshot(self.now).tracked
+
+    def face(self, camera, person):
+        return self._faces[camera, person]
+
+    def say(self, feature, person_id, likelihood=0.9):
+        self.manager.on_match(Match(Node(Kind.FACE, feature), Node(Kind.PERSON, person_id), likelihood), self.now)
+
+    def _see(self, people):
+        seen = {}
+        for camera, (low, high, error) in self.views.items():
+            for number, point in people.items():
+                if point is not None and low <= point[0] <= high:
+                    seen[camera, number] = (point[0] + error, point[1])
+        for key in [key for key in self._faces if key not in seen]:
+            del self._faces[key]
+        for key in seen:
+            self._faces.setdefault(key, "f%03d" % next(self._visits) if key not in self._faces else "")
+        self.manager.on_tracked(Kind.FACE, sorted(self._faces.values()), self.now)
+        for key, point in seen.items():
+            position = np.array([*point, 1.6]) + self._chance.normal(0.0, self._noise, 3)
+            self.manager.on_place(Source.FACE, self._faces[key], Place(self.frame, Pose(np.eye(3), position), self.now),
+                                  self.now, key[0])
+
+
+OVERLAPPING = {"left": (0.0, 4.0, 0.0), "right": (2.0, 6.0, 0.15)}
+APART = {"left": (0.0, 3.0, 0.0), "right": (5.0, 8.0, 0.1)}
+
+
+def standing(x, y=0.0):
+    return lambda time: (x, y)
+
+
+def walking(start, speed, y=0.0, since=0.0, stop=None):
+    """From x = start on, as far as x = stop."""
+    def where(time):
+        x = start + speed * max(0.0, time - since)
+        return (x if stop is None else min(x, stop) if speed > 0.0 else max(x, stop)), y
+    return where
+
+
+def test_one_human_in_two_views_is_one_person():
+    room = Room(OVERLAPPING)
+    room.run(4.0, standing(3.0))
+    assert len(room.tracked) == 1
+    aliases = [state.alias for state in room.manager.snapshot(room.now).persons if state.alias]
+    assert aliases == list(room.tracked)
+    room.run(20.0, standing(3.0))
+    assert len(room.tracked) == 1 and len(set(room.ids[60:])) == 1
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03, 0.1])
+def test_who_walks_through_overlapping_views_and_back_keeps_the_id(noise):
+    room = Room(OVERLAPPING, noise)
+    first = room.run(2.0, standing(0.5))
+    room.run(8.0, walking(0.5, 0.7, since=2.0, stop=5.5))
+    assert room.tracked == first
+    room.run(8.0, walking(5.5, -0.7, since=10.0, stop=1.0))
+    assert room.tracked == first
+    # Later all is forgotten but the id and the person of the face that is seen now.
+    room.run(40.0, standing(1.0))
+    assert room.tracked == first
+    owner = room.manager.person_of(Node(Kind.FACE, room.face("left", 0)))
+    assert [owner] == list(first) and len(room.manager.snapshot(room.now).persons) == 2
+
+
+@pytest.mark.parametrize("speed", [0.8, 1.4])
+def test_who_walks_through_views_with_a_gap_keeps_the_id(speed):
+    room = Room(APART)
+    way = walking(1.0, speed, since=1.0, stop=7.5)
+    first = room.run(1.5, way)
+    assert len(first) == 1
+    room.run(2.0 + 6.5 / speed, way)
+    assert room.tracked == first
+    room.run(2.0 + 6.5 / speed, walking(7.5, -speed, since=room.now, stop=1.0))
+    assert room.tracked == first
+
+
+def test_the_id_stays_when_the_first_name_comes_in_the_second_view():
+    room = Room(APART)
+    way = walking(1.0, 1.0, since=1.0, stop=7.5)
+    first = room.run(1.5, way)
+    room.run(7.0, way)
+    assert room.tracked == first
+    room.say(room.face("right", 0), "ann")
+    room.run(1.0, way)
+    assert room.tracked == ("ann",)
+    aliases = {state.id: state.alias for state in room.manager.snapshot(room.now).persons}
+    assert aliases[first[0]] == "ann"
+
+
+def test_somebody_else_who_comes_up_elsewhere_or_much_later_is_somebody_else():
+    room = Room(APART)
+    first = room.run(2.0, standing(2.5))
+    room.run(1.0, lambda time: None)
+    room.run(3.0, standing(7.5))
+    assert len(room.tracked) == 1 and room.tracked != first
+    room = Room({"left": (0.0, 3.0, 0.0), "right": (3.1, 8.0, 0.0)})
+    first = room.run(2.0, standing(2.9))
+    room.run(6.0, lambda time: None)
+    room.run(3.0, standing(3.2))
+    assert len(room.tracked) == 1 and room.tracked != first
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("gap", [0.5, 0.7, 1.0])
+def test_two_side_by_side_are_two_persons(gap, seed):
+    room = Room(OVERLAPPING, 0.05, seed)
+    room.run(10.0, standing(3.0), standing(3.0, gap))
+    assert len(room.tracked) == 2
+    owners = [{room.manager.person_of(Node(Kind.FACE, room.face(camera, person))) for camera in room.views}
+              for person in (0, 1)]
+    assert owners[0].isdisjoint(owners[1])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_of_whom_each_camera_sees_another_are_two_persons(seed):
+    room = Room({"left": (0.0, 3.0, 0.0), "right": (3.0, 6.0, 0.0)}, 0.05, seed)
+    room.run(10.0, standing(2.6), standing(3.4))
+    assert len(room.tracked) == 2
+
+
+@pytest.mark.parametrize("speed", [0.6, 1.2])
+def test_people_who_cross_stay_who_they_are(speed):
+    room = Room({"left": (0.0, 6.0, 0.0), "right": (0.0, 6.0, 0.1)}, 0.05)
+    there, back = walking(0.5, speed, since=3.0), walking(5.5, -speed, 0.3, since=3.0)
+    first = room.run(3.0, there, back)
+    assert len(first) == 2
+    room.run(3.0 / speed, there, back)
+    owners = [room.manager.person_of(Node(Kind.FACE, room.face("left", person))) for person in (0, 1)]
+    room.run(1.5, there, back)
+    assert room.tracked == first and max(len(ids) for ids in room.ids[40:]) == 2
+    assert owners == [room.manager.person_of(Node(Kind.FACE, room.face("left", person))) for person in (0, 1)]
+
+
+def test_people_who_pass_before_different_cameras_are_not_joined():
+    """Each camera sees only one of them, as the other one is hidden."""
+    room = Room({"left": (0.0, 6.0, 0.0)}, 0.05)
+    there, back = walking(0.5, 1.0), walking(5.5, -1.0)
+    room.views = {"left": (0.0, 6.0, 0.0), "right": (0.0, 6.0, 0.0)}
+    see = room._see
+    hidden = {("left", 1), ("right", 0)}
+
+    def half(people):
+        faces = {}
+        for camera, number in itertools.product(room.views, people):
+            if (camera, number) not in hidden:
+                faces[camera, number] = people[number]
+        room.manager.on_tracked(Kind.FACE, ["f%s%d" % key for key in faces], room.now)
+        for key, point in faces.items():
+            room.manager.on_place(Source.FACE, "f%s%d" % key, Place("map", Pose(np.eye(3), np.array([*point, 1.6])), room.now),
+                                  room.now, key[0])
+
+    room._see = half
+    room.run(5.0, there, back)
+    assert len(room.tracked) == 2 and {len(ids) for ids in room.ids[15:]} == {2} and see is not None
+
+
+def test_who_was_taken_for_one_and_parts_is_two_again():
+    room = Room({"left": (0.0, 3.05, 0.0), "right": (3.0, 9.0, 0.0)})
+    room.run(4.0, standing(2.95), standing(3.1))       # nothing tells them apart
+    assert len(room.tracked) == 1
+    room.run(5.0, standing(2.95), walking(3.1, 0.8, since=room.now))
+    assert len(room.tracked) == 2
+
+
+def test_recognisers_that_do_not_know_each_other_may_give_two_names_to_one_human():
+    room = Room(OVERLAPPING)
+    room.run(4.0, standing(3.0))
+    room.say(room.face("left", 0), "ann")
+    room.run(1.0, standing(3.0))
+    assert room.tracked == ("ann",)
+    room.say(room.face("right", 0), "zoe")
+    room.run(3.0, standing(3.0))
+    assert room.tracked == ("ann",)
+    # Later only the camera that says "zoe" sees her.
+    room.run(3.0, lambda time: None)
+    room.run(1.0, standing(5.0))
+    room.say(room.face("right", 0), "zoe")
+    room.run(1.0, standing(5.0))
+    assert room.tracked == ("ann",)
+
+
+def test_names_of_one_recogniser_are_two_persons_at_one_place():
+    room = Room(OVERLAPPING)
+    room.run(1.0, standing(3.5), standing(5.5))
+    room.say(room.face("right", 0), "ann")
+    room.say(room.face("right", 1), "bob")
+    room.run(1.0, standing(3.5), standing(5.5))
+    room.run(1.0, lambda time: None, lambda time: None)
+    room.run(0.2, standing(3.0))
+    room.say(room.face("left", 0), "ann")
+    room.say(room.face("right", 0), "bob")
+    room.run(4.0, standing(3.0))
+    assert room.tracked == ("ann", "bob")
+    room.say(room.face("right", 0), "bob", 0.0)
+    room.say(room.face("right", 0), "ann")
+    room.run(4.0, standing(3.0))
+    assert room.tracked == ("ann",)
+
+
+def test_a_face_that_two_cameras_know_may_stand_farther_apart():
+    views = {"left": (0.0, 4.0, 0.0), "right": (2.0, 6.0, 0.8)}
+    room = Room(views)
+    room.run(4.0, standing(3.0))
+    assert len(room.tracked) == 2
+    room.say(room.face("left", 0), "ann")
+    room.say(room.face("right", 0), "ann", 0.8)
+    room.run(3.0, standing(3.0))
+    assert room.tracked == ("ann",)
+
+
+def test_a_user_who_parts_or_joins_goes_before_what_is_seen():
+    room = Room(OVERLAPPING)
+    room.run(4.0, standing(3.0))
+    (person,) = room.tracked
+    room.manager.split(person, room.now)
+    room.run(5.0, standing(3.0))
+    assert len(room.tracked) == 2
+    room.manager.merge(*room.tracked, room.now)
+    room.run(2.0, standing(3.0))
+    assert len(room.tracked) == 1
+    room = Room(APART)
+    room.run(2.0, standing(1.0), standing(6.0))
+    room.manager.merge(*room.tracked, room.now)
+    room.run(6.0, standing(1.0), standing(6.0))
+    assert len(room.tracked) == 1
+
+
+def test_three_cameras():
+    room = Room({"a": (0.0, 4.0, 0.0), "b": (1.0, 5.0, 0.1), "c": (2.0, 6.0, -0.1)}, 0.05)
+    room.run(5.0, standing(3.0), standing(3.0, 1.2))
+    assert len(room.tracked) == 2
+    owners = [{room.manager.person_of(Node(Kind.FACE, room.face(camera, person))) for camera in room.views}
+              for person in (0, 1)]
+    assert [len(found) for found in owners] == [1, 1]
+
+
+def test_nothing_happens_with_one_camera_without_reference_frame_or_when_switched_off():
+    for room in (Room({"left": (0.0, 6.0, 0.0)}), Room(OVERLAPPING, frame="left"), Room(OVERLAPPING, cross_camera=False)):
+        room.run(5.0, standing(3.0))
+        assert len(room.tracked) == len(room.views)
+        assert room.manager.unions == ()
+
+
+def test_the_ids_of_a_union_survive_a_restart():
+    room = Room(APART)
+    way = walking(1.0, 1.0, since=1.0)
+    first = room.run(1.5, way)
+    room.run(6.0, way)
+    assert list(room.manager.anonymous()) == list(first)
+
+
+def test_what_is_kept_is_bounded():
+    room = Room(OVERLAPPING, half_life=0.1)
+    for _ in range(12):
+        start = room.now
+        room.run(4.0, walking(1.5, 1.0, since=start))
+        room.run(1.0, lambda time: None)
+    cross = room.manager._cameras._cross
+    assert len(cross._tracks) <= 2 and len(cross._near) <= 2 and len(cross.links) <= 2
+    assert len(room.manager.unions) <= 2

@@ -1,0 +1,78 @@
+"""The register across runs, in a real file."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hri_person_manager.core.demographics import FEMALE
+from hri_person_manager.core.person_register import PersonRegister
+from hri_person_manager.core.record_store import DAY_S, StoreOfRecords
+from hri_pipeline.core.gallery import KnownPerson
+from hri_pipeline.core.person_store import PersonStore
+
+
+def opened(path, **limits):
+    return StoreOfRecords(PersonStore(path), **limits)
+
+
+def test_what_is_known_comes_back_in_the_next_run(tmp_path):
+    path = tmp_path / "people" / "store.sqlite"
+    store = opened(path)
+    first = PersonRegister(store)
+    first.seen(["ann", "bob"], 100.0)
+    first.set_name("ann", "Ann Ø")
+    first.set_native_language("ann", "da")
+    first.set_enrolled("ann", True, 101.0)
+    first.set_alias("bob", "ann")
+    first.observe("ann", "f1", 33.0, 0.8, FEMALE, 0.9, 102.0)
+    store.close()
+    store = opened(path)
+    second = PersonRegister(store)
+    assert second.records == first.records
+    assert second.demographics("ann").age == 33.0
+    store.close()
+
+
+def test_a_forgotten_person_is_in_no_byte_of_the_file_or_its_journal(tmp_path):
+    path = tmp_path / "people" / "store.sqlite"
+    people = PersonStore(path)
+    store = StoreOfRecords(people)
+    register = PersonRegister(store)
+    register.seen(["annsecretid", "bob"], 100.0)
+    register.set_name("annsecretid", "Wilhelmina Unforgettable")
+    template = np.random.default_rng(1).normal(size=(1, 16)).astype(np.float32)
+    template /= np.linalg.norm(template)
+    people.put_templates(KnownPerson("annsecretid", template, True), "net", 100.0)
+
+    def traces():
+        content = b"".join(file.read_bytes() for file in path.parent.iterdir())
+        return [trace for trace in (b"annsecretid", b"Wilhelmina", template.astype("<f4").tobytes()) if trace in content]
+
+    assert len(traces()) == 3
+    assert register.forget("annsecretid")
+    assert traces() == []
+    store.close()
+    assert traces() == []
+
+
+def test_the_unseen_and_the_surplus_expire(tmp_path):
+    store = opened(tmp_path / "people" / "store.sqlite", max_age_days=10.0, max_persons=2)
+    register = PersonRegister(store)
+    for number, name in enumerate(("old", "one", "two", "three")):
+        register.seen([name], 20.0 * DAY_S + number)
+    register.seen(["old"], 1.0)
+    assert sorted(store.expire(20.0 * DAY_S + 60.0)) == ["old", "one"]
+    assert [record.id for record in store.load_records()] == ["three", "two"]
+    store.close()
+
+
+def test_a_writer_in_the_other_process_keeps_its_templates(tmp_path):
+    path = tmp_path / "people" / "store.sqlite"
+    recogniser, store = PersonStore(path), opened(path)
+    template = np.eye(1, 8, dtype=np.float32)
+    recogniser.put_templates(KnownPerson("ann", template, False), "net", 5.0)
+    register = PersonRegister(store)
+    register.set_name("ann", "Ann")
+    assert len(recogniser.load_templates("net", 8)) == 1
+    recogniser.close()
+    store.close()
