@@ -25,6 +25,7 @@ from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import AgeAndGender, IdsList
 from hri_person_manager.srv import Enrol, Export, Forget, ListKnown, SetNativeLanguage
+from hri_pipeline.core.encryption import make_key_file
 from hri_pipeline.core.model_store import models_directory
 from hri_pipeline.ros.conversions import bgr_to_image, make_header
 from hri_pipeline.srv import Gallery, GalleryRequest
@@ -158,7 +159,8 @@ class MemoryTest(unittest.TestCase):
 
     def first_run(self):
         """Nobody is recognised without consent; who gives it has an id, also under another face id."""
-        stack = self.start(store=self.store, recognition="enrolled")
+        self.key = make_key_file(self.directory / "key")
+        stack = self.start(store=self.store, store_key=self.key, recognition="enrolled")
         stack.wait()
         self.assertIn("persons are kept across runs in {}".format(self.store), stack.said)
         self.assertIn("templates of faces are kept across runs in {}".format(self.store), stack.said)
@@ -205,7 +207,7 @@ class MemoryTest(unittest.TestCase):
 
     def second_run(self, person):
         """Known at the start, the same id when seen; then forgotten."""
-        stack = self.start(store=self.store, recognition="learn")
+        stack = self.start(store=self.store, store_key=self.key, recognition="learn")
         stack.wait()
         wait_for(lambda: person in self.lists.get("known", []), "known before anybody is seen")
         self.assertEqual(self.tracked(), [])
@@ -218,6 +220,7 @@ class MemoryTest(unittest.TestCase):
         self.check_export(person)
         templates = self.templates(person)
         self.assertTrue(templates and all(template in self.bytes_on_disk() for template in templates))
+        self.assertTrue(all(template.startswith(b"gAAAA") for template in templates), "encrypted")
         self.assertTrue(self.call("forget", Forget, person).success)
         self.check_forgotten(person, templates)
         stack.close()

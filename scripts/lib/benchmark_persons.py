@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
@@ -53,7 +54,8 @@ class Stage:
         self._environment[processes.MARK_NAME] = self._mark
         # A master of its own, not roslaunch's: one scenario kills it.
         self._start("rosmaster", ["rosmaster", "--core", "-p", str(port)])
-        self._start("roslaunch", ["roslaunch", "--wait", "hri_person_manager", "person_manager.launch"])
+        processes.wait_until(lambda: _listens(port), 10.0)
+        self._start("roslaunch", ["roslaunch", "hri_person_manager", "person_manager.launch"])
 
     def begin(self, name: str, *numbers: float) -> Callable[[], dict]:
         """Start a scenario; the returned call waits for its end and returns what it found."""
@@ -75,6 +77,11 @@ class Stage:
     def _start(self, name: str, command: List[str]) -> subprocess.Popen:
         with open(str(self._logs / (name + ".log")), "wb") as log:
             return subprocess.Popen(command, env=self._environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+
+
+def _listens(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def _measure(part: str, logs: Path, soak: float) -> dict:

@@ -12,7 +12,7 @@ from hri_fullbody.core import skeleton as kp
 from hri_fullbody.core.attitude import Attitude, Latch, Rule
 from hri_fullbody.core.body_language import BodyExpression, BodyLanguage
 from hri_fullbody.core.gesture import Gesture, turns
-from hri_fullbody.core.posture import Posture
+from hri_fullbody.core.posture import Posture, without_guessed_legs
 
 RATES = (5.0, 15.0, 60.0)
 LEGS = (kp.LEFT_KNEE, kp.RIGHT_KNEE, kp.LEFT_ANKLE, kp.RIGHT_ANKLE)
@@ -205,6 +205,17 @@ POSTURES = [
 def test_each_posture_in_each_heading(name, pose, posture):
     for heading in (0.0, 1.6, 3.1, 4.7):
         assert last(pose.seen(heading)).posture == posture
+
+
+@pytest.mark.parametrize("width, height, posture", [
+    (1280, 2000, Posture.STANDING), (1280, 950, Posture.STANDING), (1280, 720, Posture.OTHER), (500, 2000, Posture.OTHER)])
+def test_legs_outside_the_image_are_no_legs(width, height, posture):
+    """A network that goes on with hanging legs below the image says nothing about a person at a table."""
+    points = people.standing().seen()
+    pixels = 400.0 * points[:, :2] + (640.0, 760.0 - 400.0 * points[list(LEGS), 1].min())  # the knees are at y = 760
+    given = points.copy()
+    assert last(without_guessed_legs(points, pixels, width, height)).posture == posture
+    assert np.array_equal(given, points)
 
 
 def test_posture_waits_and_outlasts_a_short_loss():

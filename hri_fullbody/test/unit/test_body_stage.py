@@ -56,6 +56,14 @@ def test_the_detector_runs_by_time_and_not_with_new_windows():
     assert detector.calls == 4
 
 
+@pytest.mark.parametrize("period, interval", [(0.0, 0.05), (1.0, 1.4)])
+def test_bodies_come_also_when_the_detector_is_due_in_every_image(period, interval):
+    stage, _, detector = make([(400, 400), (800, 380)], person_detection_period=period)
+    ids = [sorted(body.id for body in stage.update(IMAGE, CAMERA, index * interval)) for index in range(12)]
+    assert len(ids[-1]) == 2 and ids[-1] == ids[-6]
+    assert detector.calls >= 11
+
+
 def test_time_that_goes_back_starts_afresh():
     stage, _, _ = make([(400, 400)])
     stamps = itertools.count(100)

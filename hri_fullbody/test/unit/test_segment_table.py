@@ -91,3 +91,11 @@ def test_a_file_that_is_no_table_is_told(tmp_path, text):
 def test_a_file_that_is_not_there_is_told():
     with pytest.raises(ValueError, match="/nowhere/t.yaml cannot be read"):
         SegmentTable.load("/nowhere/t.yaml")
+
+
+def test_a_file_that_is_something_else_is_not_quoted_as_a_whole(tmp_path):
+    path = tmp_path / "long.txt"
+    path.write_text("not a table " * 1000, encoding="utf-8")
+    with pytest.raises(ValueError, match="long.txt.*a mapping with the keys segments") as error:
+        SegmentTable.load(str(path))
+    assert len(str(error.value)) < 600

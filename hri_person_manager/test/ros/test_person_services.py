@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import unittest
 from pathlib import Path
@@ -46,7 +47,8 @@ class TestPersonServices(unittest.TestCase):
         cls.lists = {kind: rospy.Publisher("/humans/%s/tracked" % kind, IdsList, latch=True, queue_size=10)
                      for kind in ("faces", "bodies")}
         cls.shown = {kind: [] for kind in cls.lists}
-        rospy.Timer(rospy.Duration(1), lambda event: [cls.show(kind, *ids) for kind, ids in cls.shown.items()])
+        cls.lock = threading.Lock()
+        rospy.Timer(rospy.Duration(1), lambda event: cls.repeat())
         cls.matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=100)
         cls.tf = rospy.Publisher("/tf", TFMessage, queue_size=100)
         cls.tracked = Latest("/humans/persons/tracked", IdsList)
@@ -56,6 +58,7 @@ class TestPersonServices(unittest.TestCase):
     def setUp(self):
         self.wait_for(lambda: self.matches.get_num_connections() and self.tf.get_num_connections() > 0, "the manager")
         rospy.wait_for_service(NODE + "/list_known", WAIT_S)
+        self.wait_for(lambda: self.tracked.value is not None, "the list of persons")
 
     def tearDown(self):
         self.show("faces")
@@ -70,8 +73,16 @@ class TestPersonServices(unittest.TestCase):
 
     @classmethod
     def show(cls, kind, *ids):
-        cls.shown[kind] = list(ids)
-        cls.lists[kind].publish(IdsList(ids=list(ids)))
+        with cls.lock:
+            cls.shown[kind] = list(ids)
+            cls.lists[kind].publish(IdsList(ids=list(ids)))
+
+    @classmethod
+    def repeat(cls):
+        """Publish the lists again, as trackers do; never an older one after a newer one."""
+        with cls.lock:
+            for kind, ids in cls.shown.items():
+                cls.lists[kind].publish(IdsList(ids=list(ids)))
 
     def recognise(self, face, person, likelihood=0.9, kind=IdsMatch.FACE):
         self.matches.publish(IdsMatch(id1=face, id1_type=kind, id2=person, id2_type=IdsMatch.PERSON,
@@ -140,6 +151,19 @@ class TestPersonServices(unittest.TestCase):
         self.wait_for(lambda: sorted(self.tracked.value.ids) == ["cat", "dan"] and alias.text == "", "two again")
         for topic in (alias, body, face):
             topic.subscriber.unregister()
+
+    def test_with_a_person_go_the_other_ids_of_that_human(self):
+        self.someone("f1", "ina")
+        self.matches.publish(IdsMatch(id1="inatwo", id1_type=IdsMatch.PERSON, id2="ina", id2_type=IdsMatch.PERSON,
+                                      confidence=0.95))
+        self.wait_for(lambda: "inatwo" in self.known().ids, "the second id")
+        self.assertTrue(self.call("forget", Forget, "ina").success)
+        self.assertFalse({"ina", "inatwo"} & set(self.known().ids))
+        # What was under way when she was forgotten does not bring her back.
+        self.recognise("f1", "ina")
+        self.recognise("f1", "jon")
+        self.wait_for(lambda: "jon" in self.tracked.value.ids, "jon")
+        self.assertFalse({"ina", "inatwo"} & set(self.known().ids))
 
     def test_a_forgotten_person_is_nowhere(self):
         self.someone("f1", "eve")

@@ -2,6 +2,7 @@
 """The paper's Table I on the graph, the hand-over between two cameras, and a flood of candidate matches."""
 
 import sys
+import threading
 import time
 import unittest
 
@@ -48,6 +49,7 @@ class TestPersonTable(unittest.TestCase):
         cls.lists = {kind: rospy.Publisher("/humans/%s/tracked" % kind, IdsList, latch=True, queue_size=10)
                      for kind in ("faces", "bodies", "voices")}
         cls.shown = {kind: [] for kind in cls.lists}
+        cls.lock = threading.Lock()
         rospy.Timer(rospy.Duration(1), lambda event: cls.repeat())      # as a tracker does
         cls.matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=FLOOD)
         cls.tf = rospy.Publisher("/tf", TFMessage, queue_size=100)
@@ -64,8 +66,9 @@ class TestPersonTable(unittest.TestCase):
 
     @classmethod
     def repeat(cls):
-        for kind, ids in cls.shown.items():
-            cls.lists[kind].publish(IdsList(ids=ids))
+        with cls.lock:      # never an older list after a newer one
+            for kind, ids in cls.shown.items():
+                cls.lists[kind].publish(IdsList(ids=ids))
 
     def setUp(self):
         self.wait_for(lambda: self.matches.get_num_connections() and self.tf.get_num_connections() > 0

@@ -79,6 +79,28 @@ def test_a_gap_between_images_longer_than_the_death_time_ends_the_track():
     assert faces.ids != first
 
 
+def test_images_that_come_more_slowly_than_the_death_time_keep_the_ids():
+    """A busy machine, or a low max_rate: every image is looked at, so nobody was away."""
+    faces = tracker(birth=0.1, death=1.0)
+    ids = []
+    for stamp in np.cumsum([0.0, 1.8, 2.2, 1.5, 0.4, 1.9, 2.5]):
+        faces.expected(stamp)
+        faces.update([face(100.0)], stamp)
+        ids += faces.ids
+    assert len(ids) >= 4 and len(set(ids)) == 1
+
+
+def test_a_slow_phase_does_not_make_the_later_deaths_late():
+    faces = tracker(death=0.5)
+    for stamp in (0.0, 2.0, 4.0):
+        faces.update([face(100.0)], stamp)
+    for stamp in 4.0 + np.arange(1, 61) / 20.0:
+        faces.update([face(100.0)], stamp)
+    for stamp in 7.0 + np.arange(1, 13) / 20.0:
+        faces.update([], stamp)
+    assert faces.ids == []
+
+
 def test_only_a_detection_starts_a_track():
     faces = tracker()
     run(faces, [face(100.0, detection=False)])

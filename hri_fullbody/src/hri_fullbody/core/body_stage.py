@@ -78,6 +78,7 @@ class BodyStage:
         """Bodies that are confirmed since the last image and were there before under another id."""
         self._last_stamp = -np.inf
         self._last_detection = -np.inf
+        self._detected_before = False
         self.times = StageTimes()
 
     def reset(self) -> None:
@@ -86,6 +87,7 @@ class BodyStage:
         self._continuity.reset()
         self._shapes.clear()
         self._last_stamp = self._last_detection = -np.inf
+        self._detected_before = False
 
     @property
     def tracked_ids(self) -> List[str]:
@@ -122,13 +124,19 @@ class BodyStage:
             return self._observe(camera, stamp, faces, Surroundings(depth, up, camera_height))
 
     def _search(self, bgr: np.ndarray, stamp: float, faces: Sequence[FaceBox]) -> None:
-        """Look for new bodies: with the detector when it is due, else in a few of the places where they may be."""
-        if stamp - self._last_detection >= self._detection_period:
+        """Look for new bodies: with the detector when it is due, else in a few of the places where they may be.
+
+        When the detector is due in every image, both are done in each.
+        """
+        due = stamp - self._last_detection >= self._detection_period
+        detected_before, self._detected_before = self._detected_before, due
+        if due:
             self._last_detection = stamp
             with self.times("person detector"):
                 boxes, _ = self._detector.detect(bgr)
             self._tracker.propose(boxes, faces, stamp)
-            return
+            if not detected_before:
+                return
         windows = self._new_windows
         if self._budget:
             windows = min(windows, max(1, self._budget - self._tracker.windows))

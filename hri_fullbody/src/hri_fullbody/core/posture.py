@@ -75,6 +75,20 @@ class PostureEstimator:
         return self.posture
 
 
+def without_guessed_legs(points: np.ndarray, keypoints: np.ndarray, width: float, height: float) -> np.ndarray:
+    """Return the key points (18, 3) m without the knees and ankles outside the image of width x height px.
+
+    keypoints: (18, 2 or more) px. A pose network places what lies below the image, too, mostly hanging down: that is
+    its habit and no sight of a leg.
+    """
+    legs = np.array([LEFT_KNEE, RIGHT_KNEE, LEFT_ANKLE, RIGHT_ANKLE])
+    x, y = keypoints[legs, 0], keypoints[legs, 1]
+    inside = (x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)
+    seen = np.array(points, dtype=np.float64)
+    seen[legs[~inside]] = np.nan
+    return seen
+
+
 def posture_now(points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray) -> Optional[Posture]:
     """Return the posture of one frame, None when too little is seen to say anything.
 

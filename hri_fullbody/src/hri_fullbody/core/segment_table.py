@@ -19,6 +19,7 @@ FACE_POINTS: Tuple[str, ...] = ("nose", "left_eye", "right_eye", "left_ear", "ri
 HEAD_POINTS: Tuple[str, ...] = ("sellion",) + FACE_POINTS
 
 _FILE = "segments.yaml"
+_LONGEST_QUOTE = 200
 _RATIO_RANGE = (0.005, 0.6)
 _CV_RANGE = (0.001, 0.5)
 _HEAD_POINT_RANGE = (-0.5, 0.5)
@@ -141,4 +142,7 @@ class _Reader:
         return row
 
     def _wrong(self, key: str, value: object, legal: str) -> ValueError:
-        return ValueError("segment table {}: {} is {!r}; legal: {}".format(self._file, key, value, legal))
+        text = repr(value)
+        if len(text) > _LONGEST_QUOTE:
+            text = text[:_LONGEST_QUOTE] + " ..."
+        return ValueError("segment table {}: {} is {}; legal: {}".format(self._file, key, text, legal))

@@ -73,7 +73,7 @@ class BodyBranch:
         if self._persons is not None:
             self._persons.tell(self._stage.returned)
         self._models.keep(ids)
-        self._models.update(bodies, frame.stamp, up)
+        self._models.update(bodies, frame.stamp, up, (frame.bgr.shape[1], frame.bgr.shape[0]))
         self._publish_models(bodies, frame)
         if self._markers.get_num_connections() and not self._no_frame:
             self._draw(bodies, frame, up)

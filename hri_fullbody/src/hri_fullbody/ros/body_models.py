@@ -14,7 +14,8 @@ from hri_fullbody.core.body_language import BodyExpression, BodyLanguage
 from hri_fullbody.core.body_modeller import BodyInput, BodyModeller, ModelledBody
 from hri_fullbody.core.gesture import Gesture
 from hri_fullbody.core.human_urdf import make_urdf
-from hri_fullbody.core.posture import Posture
+from hri_fullbody.core.posture import Posture, without_guessed_legs
+from hri_fullbody.core.stature import MONOCULAR
 from hri_fullbody.ros.state_publishers import StatePublishers
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import BodyObservation
@@ -70,19 +71,23 @@ class BodyModels:
         if self._publishers is not None:
             self._publishers.keep(ids)
 
-    def update(self, bodies: Sequence[BodyObservation], stamp: float, up: np.ndarray) -> None:
-        """Fit the models to the bodies that were looked at in the image of `stamp` (s). up: (3,), optical frame."""
+    def update(self, bodies: Sequence[BodyObservation], stamp: float, up: np.ndarray, size: Tuple[int, int]) -> None:
+        """Fit the models to the bodies that were looked at in the image of `stamp` (s).
+
+        up: (3,), optical frame. size: width and height of the image, px.
+        """
         seen = {body.id: body for body in bodies if body.measured}
         with self.times("models"):
             models = self._modeller.update(
-                [BodyInput(body.id, body.keypoints_3d, body.keypoints[:, 2], body.head) for body in seen.values()],
-                stamp, up)
+                [BodyInput(body.id, body.keypoints_3d, body.keypoints[:, 2], body.head, 0.0 if body.by_depth else MONOCULAR)
+                 for body in seen.values()], stamp, up)
         self._failures = dict(self._modeller.failures)
         with self.times("attitude"):
             for model in models:
                 body = seen[model.id]
                 origin = None if body.pose is None else body.pose.translation
-                self._known[model.id] = _Known(model, origin, self._express(model, stamp, up))
+                self._known[model.id] = _Known(model, origin, self._express(
+                    model, without_guessed_legs(model.points, body.keypoints, *size), stamp, up))
                 if body.head is not None:
                     self._heads.append(float(np.linalg.norm(model.head.translation - body.head.translation)))
         for model in models:
@@ -141,10 +146,11 @@ class BodyModels:
         if self._publishers is not None:
             self._publishers.close()
 
-    def _express(self, model: ModelledBody, stamp: float, up: np.ndarray) -> Optional[BodyExpression]:
+    def _express(self, model: ModelledBody, points: np.ndarray, stamp: float,
+                 up: np.ndarray) -> Optional[BodyExpression]:
         try:
             return self._languages.setdefault(model.id, BodyLanguage()).update(
-                model.points, model.stature, stamp, up)
+                points, model.stature, stamp, up)
         except ValueError as error:
             rospy.logwarn_throttle(_LOG_PERIOD_S, "body %s: its attitude is not known: %s", model.id, error)
             return None

@@ -213,7 +213,7 @@ class PersonManager:
             person.location.clear()
             if person.anonymous:
                 gone.append(person.id)
-        gone += self._unseen_too_many()
+        gone += self._view.long_unseen()[:-MAX_UNSEEN_PERSONS]
         for person_id in gone:
             if self._book.persons[person_id].anonymous:
                 self._unions.remove(person_id)
@@ -287,10 +287,7 @@ class PersonManager:
                                  self._known.number(id, persons[id].number), id))
         self._view.stale()
         if changed:
-            for person in persons.values():
-                target = self._view.standing_for(person)
-                if target is not person:
-                    target.location.inherit(person.location)
+            self._view.inherit_places()
         return changed
 
     def _make_permanent(self, person_id: str) -> None:
@@ -300,10 +297,3 @@ class PersonManager:
     def _remember(self, person_id: str) -> None:
         if self._known.add(person_id):
             self._view.stale()
-
-    def _unseen_too_many(self) -> List[str]:
-        """Ids of the permanent persons that have been unseen for longest, beyond those that keep their topics."""
-        unseen = [person for person in self._book.persons.values()
-                  if not person.anonymous and not person.features and person.location.place is None
-                  and not self._view.features(person)]
-        return [person.id for person in sorted(unseen, key=lambda item: item.lost_at or 0.0)[:-MAX_UNSEEN_PERSONS]]

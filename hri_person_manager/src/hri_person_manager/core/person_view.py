@@ -21,7 +21,7 @@ class _Shown(NamedTuple):
 
 
 class PersonView:
-    """Reads book and unions; changes neither. Whoever changes them calls stale()."""
+    """Reads book and unions. Whoever changes them calls stale()."""
 
     def __init__(self, book: PersonBook, unions: Unions, decay: Decay) -> None:
         self._book = book
@@ -60,6 +60,19 @@ class PersonView:
             if named.anonymous and person.features:
                 found.setdefault(named.id, []).extend(sorted(person.features))
         return found
+
+    def long_unseen(self) -> List[str]:
+        """Ids of the permanent persons without features and place, who was lost first first."""
+        unseen = [shown.person for shown in self._all().values() if not shown.person.anonymous and not shown.features
+                  and not shown.person.features and shown.person.location.place is None]
+        return [person.id for person in sorted(unseen, key=lambda item: item.lost_at or 0.0)]
+
+    def inherit_places(self) -> None:
+        """Give whoever stands for others the newest place that one of them has."""
+        for person in self._book.persons.values():
+            target = self.standing_for(person)
+            if target is not person:
+                target.location.inherit(person.location)
 
     def members(self, person: Person) -> Tuple[Person, ...]:
         """The persons of a union that this one stands for, itself first; nobody when it is an alias."""

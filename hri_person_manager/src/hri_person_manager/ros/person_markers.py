@@ -15,6 +15,7 @@ from hri_pipeline.ros.topic_release import release
 
 RADIUS = 0.06           # m
 TEXT_HEIGHT = 0.12      # m
+TEXT_ABOVE = 0.55       # m, above the two lines that the body's own label has there
 LIFETIME_S = 0.5
 
 
@@ -34,10 +35,10 @@ class PersonMarkers:
                 continue
             position = Point(*(float(value) for value in state.place.pose.translation))
             above = Point(position.x, position.y, position.z)
-            if state.place.frame.endswith("_optical_frame"):
-                above.y -= 2.0 * TEXT_HEIGHT        # y of an optical frame points down
+            if "optical" in state.place.frame:
+                above.y -= TEXT_ABOVE        # y of an optical frame points down
             else:
-                above.z += 2.0 * TEXT_HEIGHT
+                above.z += TEXT_ABOVE
             colour = ColorRGBA(0.1, 0.7, 1.0, 0.3 + 0.7 * state.confidence)
             for kind, where, size in ((Marker.SPHERE, position, 2.0 * RADIUS),
                                       (Marker.TEXT_VIEW_FACING, above, TEXT_HEIGHT)):

@@ -109,21 +109,28 @@ class PersonServices:
 
     def _forget(self, request: ForgetRequest) -> ForgetResponse:
         with self._lock:
-            ids = [request.id] + [record.id for record in self._register.records if record.alias == request.id]
+            ids = self._one_human(request.id)
         # The recognisers first: otherwise they would name the person again at once.
         refused = [answer for person_id in ids for answer in self._galleries.call(GalleryRequest.FORGET, person_id)
-                   if "does not answer" in answer.response.message]
+                   if not answer.response.success and "is not known" not in answer.response.message]
         with self._lock:
             for person_id in ids:
                 self._guard.forget(person_id, time.monotonic())
             found = [self._manager.forget(person_id, rospy.get_time()) for person_id in ids]
-            found.append(self._register.forget(request.id))
+            found += [self._register.forget(person_id) for person_id in ids]
             self._changed()
         if not any(found):
             raise RegisterError("there is no known person {!r}".format(request.id[:40]))
         if refused:
             raise RegisterError("forgotten here, but {}".format(_first_lines(refused)))
         return ForgetResponse(True, "{} is forgotten".format(request.id))
+
+    def _one_human(self, person_id: str) -> List[str]:
+        """The id and its aliases, those of the store and those that recognisers have found; not the anonymous ones."""
+        aliases = {record.id for record in self._register.records if record.alias == person_id}
+        aliases |= {state.id for state in self._manager.snapshot(rospy.get_time()).persons
+                    if state.alias == person_id and not state.anonymous}
+        return [person_id] + sorted(aliases - {person_id})
 
     def _forget_all(self, request: TriggerRequest) -> TriggerResponse:
         refused = [answer for answer in self._galleries.call(GalleryRequest.FORGET_ALL) if not answer.response.success]

@@ -30,6 +30,9 @@ _TOPICS = {
     "location_confidence": TopicSpec(Float32, True, 10),
     "anonymous": TopicSpec(Bool, True, 10),
     "alias": TopicSpec(String, True, 10),
+}
+# Most people have none of these; each topic costs a file descriptor and a call of the master.
+_KNOWN_TOPICS = {
     "name": TopicSpec(String, True, 10),
     "native_language": TopicSpec(String, True, 10),
     "demographics": TopicSpec(AgeAndGender, True, 10),
@@ -42,11 +45,12 @@ class _Person:
     def __init__(self, state: PersonState) -> None:
         self.state = state
         self.leases = TopicLeases(NAMESPACE, _TOPICS)
+        self.known_leases = TopicLeases(NAMESPACE, _KNOWN_TOPICS)
         self.published: Dict[str, object] = {}
-        self.ready = self.gone = False
+        self.ready = self.is_known = self.known_ready = self.gone = False
 
     def publish(self, name: str, message: genpy.Message, value: object) -> None:
-        self.leases.publish(self.state.id, name, message)
+        (self.leases if name in _TOPICS else self.known_leases).publish(self.state.id, name, message)
         self.published[name] = value
 
 
@@ -112,21 +116,27 @@ class PersonTopics:
         self._work.put(person)
 
     def _open_and_close(self) -> None:
-        """Each person comes twice out of the queue: when it is new and when it has gone."""
+        """Each person comes out of the queue when it is new, when something is known of it, and when it has gone."""
         for person in iter(self._work.get, None):
-            if person.gone:
-                person.leases.close_all()
-                continue
             try:
-                person.leases.open(person.state.id)
-            except rospy.ROSException:
-                continue        # ROS shuts down
-            with self._lock:
-                if not person.gone:
-                    person.ready = True
-                    self._opening -= 1
-                    self._publish(person, person.state)
-                    self._publish_lists()
+                self._attend(person)
+            except Exception as error:  # the topics of one person never cost those of the others
+                if not rospy.is_shutdown():
+                    rospy.logerr("topics of person %s: %s: %s", person.state.id, type(error).__name__, error)
+
+    def _attend(self, person: _Person) -> None:
+        if person.gone:
+            person.leases.close_all()
+            person.known_leases.close_all()
+            return
+        again = person.ready
+        (person.known_leases if again else person.leases).open(person.state.id)
+        with self._lock:
+            if not person.gone:
+                self._opening -= not again
+                person.ready, person.known_ready = True, again
+                self._publish(person, person.state)
+                self._publish_lists()
 
     def _publish_lists(self) -> None:
         """Publish both lists, without those whose topics are not there yet."""
@@ -149,11 +159,17 @@ class PersonTopics:
             if name not in last or _differs(last[name], value):
                 person.publish(name, _TOPICS[name].type(value), value)
         record, demographics = self._register.get(state.id), self._register.demographics(state.id)
-        if record is not None or "name" in last:
-            for name in ("name", "native_language"):
-                text = getattr(record, name) if record is not None else ""
-                if text != last.get(name, ""):
-                    person.publish(name, String(text), text)
+        name, language = (record.name, record.native_language) if record is not None else ("", "")
+        if not person.is_known:
+            if not name and not language and demographics is None:
+                return
+            person.is_known = True
+            self._work.put(person)
+        if not person.known_ready:
+            return      # their topics are on their way
+        for topic, text in (("name", name), ("native_language", language)):
+            if text != last.get(topic, ""):
+                person.publish(topic, String(text), text)
         if demographics is not None and demographics is not last.get("demographics"):
             person.publish("demographics", _age_and_gender(demographics), demographics)
 

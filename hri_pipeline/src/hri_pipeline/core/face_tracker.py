@@ -31,6 +31,9 @@ DUPLICATE_IOU, DUPLICATE_DISTANCE = 0.45, 0.4
 """Two measurements are of the same face above this overlap, or below this distance over the larger size."""
 PRESENCE_MARGIN = 0.05
 """A fresh mesh replaces a tracked one of the same face when it is surer by this presence."""
+SLOW_IMAGES, SLOWEST = 2.0, 3.0
+"""A face lives for so many intervals of the images, when that is more than the death time; longest interval (s) that counts."""
+_INTERVAL_MEMORY = 0.8
 VELOCITY_TIME = 0.15
 """Time constant (s) of the velocity estimate."""
 COLOUR_WEIGHT = 0.5
@@ -159,6 +162,8 @@ class FaceTracker:
         self._support_time = support_time
         self._ids = ids if ids is not None else IdGenerator()
         self._tracks: List[FaceTrack] = []
+        self._stamp: Optional[float] = None
+        self._interval = 0.0
 
     @property
     def tracks(self) -> List[FaceTrack]:
@@ -177,10 +182,11 @@ class FaceTracker:
     def reset(self) -> None:
         """Drop every track. Their ids are not given again."""
         self._tracks = []
+        self._stamp, self._interval = None, 0.0
 
     def expected(self, stamp: float) -> List[FaceTrack]:
         """The tracks worth a look at their predicted place: those just seen, and those lost a moment ago."""
-        return [track for track in self._tracks if not track.life.dead(stamp)
+        return [track for track in self._tracks if not self._dead(track, stamp)
                 and (track.visible or stamp - track.life.last_seen <= COAST_TIME)]
 
     def support(self, boxes: Sequence[np.ndarray], stamp: float) -> None:
@@ -200,9 +206,10 @@ class FaceTracker:
         skipped: ids of tracks that were not looked for in this frame: they are taken to be where they are expected,
         and belong to those seen when they were before.
         """
-        # Whoever was not looked for during a long gap between images is somebody else afterwards.
-        self._tracks = [track for track in self._tracks if not track.life.dead(stamp)
+        # Whoever was not looked for during a gap that is long for these images is somebody else afterwards.
+        self._tracks = [track for track in self._tracks if not self._dead(track, stamp)
                         and stamp - track.detected_at <= self._support_time]
+        self._note_interval(stamp)
         measurements = without_duplicates(measurements)
         rest = self._assign(measurements, stamp, skipped)
         self._tracks = [track for track in self._tracks if track.visible or self.is_confirmed(track)]
@@ -211,6 +218,17 @@ class FaceTracker:
                 life = TrackLife(stamp, self._birth_delay, self._death_time)
                 self._tracks.append(FaceTrack(self._ids.new(), measurement, life, stamp))
         return [track for track in self._tracks if track.visible]
+
+    def _dead(self, track: FaceTrack, stamp: float) -> bool:
+        """Tell whether a track was not seen for longer than the death time, and than images as slow as these explain."""
+        return track.life.dead(stamp) and stamp - track.life.last_seen > SLOW_IMAGES * self._interval
+
+    def _note_interval(self, stamp: float) -> None:
+        """Follow the time between images: up at once, down within some of them."""
+        if self._stamp is not None:
+            last = min(SLOWEST, max(0.0, stamp - self._stamp))
+            self._interval = max(last, _INTERVAL_MEMORY * self._interval)
+        self._stamp = stamp
 
     def _assign(self, measurements: List[FaceMeasurement], stamp: float,
                 skipped: Collection[str]) -> List[FaceMeasurement]:

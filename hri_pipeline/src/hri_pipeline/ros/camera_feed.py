@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from typing import Dict, Optional, Tuple
 
 import rospy
@@ -36,6 +37,7 @@ class CameraFeed:
         self._info: Optional[CameraInfo] = None
         self._key: Optional[tuple] = None
         self._model: Optional[CameraModel] = None
+        self._say_at = 0.0
         self._heard = threading.Event()
         self._closed = False
         self.problem: Tuple[int, str] = (OK, "")
@@ -53,12 +55,13 @@ class CameraFeed:
         key = (width, height) + (_key(info) if info is not None else ())
         if key != self._key or self._model is None:
             self._model, text = self._build(info, width, height)
-            if text and text != self.problem[1]:
-                rospy.logwarn("%s", text)
+            if text != self.problem[1]:
+                self._say_at = 0.0
             self.problem = (WARN, text) if text else (OK, "")
             self._key = key
-        elif self.problem[1]:
-            rospy.logwarn_throttle(_LOG_PERIOD_S, "%s", self.problem[1])
+        if self.problem[1] and time.monotonic() >= self._say_at:
+            self._say_at = time.monotonic() + _LOG_PERIOD_S
+            rospy.logwarn("%s", self.problem[1])
         return self._model
 
     def values(self) -> Dict[str, object]:
