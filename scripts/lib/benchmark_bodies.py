@@ -105,7 +105,7 @@ def make_report(values: Dict[str, object], reasons: Dict[str, str], details: Dic
         "motion": "CMU Graphics Lab motion capture, subjects 02 and 03, at most 20 s each at 30 Hz, {} virtual"
                   " people of the ANSUR II statistics and random cameras for each, seeded".format(VIEWS),
         "error": "mean of shoulders, elbows, wrists, hips, knees, ankles; gate, filter, stature, joints; images from the first settled model on",
-        "tuned_on": "filter, gate and weights of the points on subject 02", "photographs": "the six of the demonstration"}
+        "tuned_on": "filter, gate and weights of the points on subject 02, with 03 in view", "photographs": "the six of the demonstration"}
     return report
 
 

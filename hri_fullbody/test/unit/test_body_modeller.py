@@ -160,3 +160,22 @@ def test_nobody_is_nothing() -> None:
 def test_only_the_stature_gives_mean_proportions() -> None:
     body = run(BodyModeller(table=TABLE, limb_lengths=False), [[BodyInput("a", person(stature=1.8))]] * 15)[-1]["a"]
     assert body.dimensions.thigh == pytest.approx(body.dimensions.stature * TABLE.ratio("thigh"))
+
+
+def test_unsure_points_of_a_guess_say_nothing_about_the_stature() -> None:
+    short = person(stature=1.7)
+    short[[9, 10, 12, 13]] = short[[8, 8, 11, 11]] + 0.3 * (short[[9, 10, 12, 13]] - short[[8, 8, 11, 11]])
+    confidence = np.ones(18)
+    confidence[[9, 10, 12, 13]] = 0.5
+    found = {}
+    for name, systematic in (("measured", 0.0), ("guessed", 0.09)):
+        body = run(BodyModeller(table=TABLE), [[BodyInput("a", short, confidence, None, systematic)]] * 15)[-1]["a"]
+        found[name] = body.dimensions.shank / TABLE.ratio("shank")
+    assert found["guessed"] == pytest.approx(1.7, abs=0.1) and found["measured"] < 1.5
+
+
+@pytest.mark.parametrize("systematic", [-0.1, 2.0, float("nan")])
+def test_an_illegal_systematic_error_is_told(systematic: float) -> None:
+    modeller = BodyModeller(table=TABLE)
+    assert modeller.update([BodyInput("a", person(), systematic=systematic)], 0.0) == []
+    assert "systematic" in modeller.failures["a"]

@@ -9,7 +9,7 @@ from hri_fullbody.core.forward_kinematics import forward
 from hri_fullbody.core.human_model import PAPER, Dimensions
 from hri_fullbody.core.person_dimensions import DimensionSettings, PersonDimensions
 from hri_fullbody.core.segment_table import SEGMENTS, SegmentTable
-from hri_fullbody.core.stature import StatureEstimator, robust_lengths
+from hri_fullbody.core.stature import MONOCULAR, StatureEstimator, robust_lengths
 
 TABLE = SegmentTable.load()
 LEGS = [9, 10, 12, 13]
@@ -136,3 +136,40 @@ def test_someone_of_whom_little_is_seen_settles_after_a_second() -> None:
     points[:, [3, 4, 6, 7, 9, 10, 12, 13, 8, 11]] = np.nan
     found = revisions(points)
     assert found[20] == 0 and found[40] == 1
+
+
+def before_the_camera(stature: float) -> np.ndarray:
+    """Key points (18, 3) m of one who stands upright 3 m before the camera, in the optical frame."""
+    facing = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+    points, _, _ = forward(facing[None], np.array([[0.0, 0.2, 3.0]]), np.zeros((1, len(PAPER.joint_names))),
+                           [Dimensions.from_stature(stature, TABLE)], PAPER)
+    return points[0]
+
+
+def test_a_guessed_size_moves_the_stature_little_and_the_lengths_as_they_are() -> None:
+    estimates = []
+    for systematic in (0.0, MONOCULAR):
+        estimator = StatureEstimator(TABLE)
+        for n in range(30):
+            estimator.add(before_the_camera(1.45), n / 30.0, systematic)
+        estimates.append(estimator.estimate())
+    measured, guessed = estimates
+    assert measured.stature == pytest.approx(1.45, abs=0.03) and 1.60 < guessed.stature < 1.75
+    assert guessed.stature_sd > 0.06 and guessed.stature_sd > 1.5 * measured.stature_sd
+    assert guessed.lengths["thigh"] == pytest.approx(measured.lengths["thigh"], rel=0.05)
+
+
+def test_a_guessed_segment_along_the_ray_is_not_believed() -> None:
+    points = before_the_camera(1.7)
+    ray = points[8] / np.linalg.norm(points[8])
+    points[9] = points[8] - 0.15 * ray  # a thigh that points at the camera, and is guessed much too short
+    points[12] = points[11] - 0.15 * ray
+    points[[10, 13]] = np.nan
+    thighs = []
+    for systematic in (0.0, MONOCULAR):
+        estimator = StatureEstimator(TABLE)
+        for n in range(90):
+            estimator.add(points, n / 30.0, systematic)
+        thighs.append(estimator.estimate().lengths["thigh"])
+    usual = 1.7 * TABLE.ratio("thigh")
+    assert thighs[0] < 0.85 * usual and thighs[1] == pytest.approx(usual, rel=0.05)

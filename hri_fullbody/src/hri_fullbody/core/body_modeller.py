@@ -18,6 +18,7 @@ from hri_pipeline.core.geometry import Pose
 
 _LEAST_POINTS = 4
 _WORST_RESIDUAL_M = 0.5
+_SURELY_SEEN = 0.65  # confidence from which a guessed point counts for the lengths
 
 
 @dataclass(frozen=True)
@@ -25,13 +26,16 @@ class BodyInput:
     """Key points of one body in one image.
 
     points: (18, 3) m in the optical frame, NaN where unknown. confidence: (18,) 0 to 1. head: the face frame in
-    the optical frame when this human's face is tracked.
+    the optical frame when this human's face is tracked. systematic: relative error of the lengths between the points
+    that does not go away with time: 0 for points measured in space, stature.MONOCULAR for those that are guessed from
+    a colour image; points of less than 0.65 confidence then say nothing about the stature.
     """
 
     id: str
     points: np.ndarray
     confidence: Optional[np.ndarray] = None
     head: Optional[Pose] = None
+    systematic: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -87,8 +91,7 @@ class BodyModeller:
         return cls(values.interface, values.ik_solver, SegmentTable.load(values.segments or None),
                    values.stature_tolerance, values.limb_lengths, values.min_keypoint_confidence,
                    values.model_delay, values.stature_window,
-                   FilterSettings(min_cutoff=values.keypoint_min_cutoff, beta=values.keypoint_beta,
-                                  gate=values.keypoint_gate))
+                   FilterSettings(agility=values.keypoint_agility, gate=values.keypoint_gate))
 
     def reset(self) -> None:
         """Forget all bodies."""
@@ -126,10 +129,12 @@ class BodyModeller:
             return []
         ids = [body.id for body, _ in known]
         filtered = self._filter.update(ids, np.stack([points for _, points in known]), stamp)
-        for name, gated in zip(ids, filtered.gated):
-            if name not in self._people:
-                self._people[name] = PersonDimensions(self._table, self._settings)
-            self._people[name].update(gated, stamp)
+        for (body, _), gated in zip(known, filtered.gated):
+            if body.id not in self._people:
+                self._people[body.id] = PersonDimensions(self._table, self._settings)
+            if body.systematic > 0.0 and body.confidence is not None:
+                gated = np.where((np.asarray(body.confidence) >= _SURELY_SEEN)[:, None], gated, np.nan)
+            self._people[body.id].update(gated, stamp, body.systematic)
         return self._solve([body for body, _ in known], filtered, step, up)
 
     def _start_anew(self) -> None:
@@ -141,6 +146,9 @@ class BodyModeller:
     def _checked(self, body: BodyInput) -> Optional[np.ndarray]:
         """Points (18, 3) with NaN for all that is not to be used; None, with the reason noted, without any."""
         points = np.asarray(body.points, dtype=np.float64)
+        if not 0.0 <= body.systematic <= 1.0:
+            self.failures[body.id] = "its systematic error is {}, not 0 to 1".format(body.systematic)
+            return None
         if points.shape != (18, 3):
             self.failures[body.id] = "its key points have the shape {}, not (18, 3)".format(points.shape)
             return None

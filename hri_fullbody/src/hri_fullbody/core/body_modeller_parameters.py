@@ -22,11 +22,9 @@ MODELLER_PARAMETERS = (
               " stature, and later first frames: robot_state_publisher takes 0.3 s as well.", unit="s", minimum=0.0, maximum=10.0),
     Parameter("min_keypoint_confidence", 0.3, "Confidence from which a key point is used for the model. Lower uses"
               " guessed points of hidden limbs.", minimum=0.0, maximum=1.0),
-    Parameter("keypoint_min_cutoff", 1.5, "Cutoff of the key points' low pass at rest. Smaller trembles less and lags"
-              " more.", unit="Hz", minimum=0.05, maximum=30.0),
-    Parameter("keypoint_beta", 7.0, "How much the cutoff grows with the square of the speed, Hz at 1 m/s and a noise of"
-              " 30 mm; at less noise in proportion more. Larger lags less in motion.",
-              minimum=0.0, maximum=100.0),
+    Parameter("keypoint_agility", 1.0, "Factor of the accelerations that the key points' low pass expects: 1 is what"
+              " was measured of people who walk, wash, punch and fence. Smaller trembles less and follows sudden motion"
+              " later.", minimum=0.05, maximum=20.0),
     Parameter("keypoint_gate", 0.10, "Distance from where it is expected at which a key point of a resting limb is"
               " taken for an outlier. Smaller keeps out more wrong depths and holds back sudden motion.",
               unit="m", minimum=0.01, maximum=10.0),

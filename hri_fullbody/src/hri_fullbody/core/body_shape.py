@@ -81,7 +81,7 @@ class BodyShape:
             pose = body_pose(points)
         box = visible_box(pixels, track.estimate.confidence[:BODY_LANDMARKS], camera.width, camera.height)
         return BodyObservation(track.id, box, estimate.score, np.column_stack([to_18_points(pixels), sure]), in_space,
-                               pose, face, velocity, measured)
+                               pose, face, velocity, measured, self.by_depth)
 
     def _measure(self, track: BodyTrack, camera: CameraModel, face: Optional[Pose], around: Surroundings) -> None:
         estimate = track.estimate

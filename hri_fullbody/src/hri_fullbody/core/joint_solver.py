@@ -41,12 +41,12 @@ _LEAST_NOISE, _LEAST_TRUST = 1e-3, 0.4  # m; the slow part of a depth's error is
 _Y = np.array([0.0, 1.0, 0.0])
 _IDENTITY = np.eye(3)
 # Face points weigh less than joints; those of a face's own pose more: head and face are one thing. A key point is
-# doubted from 9 cm, a face's pose from 30 cm: then it is another's.
+# doubted from 11 cm, a face's pose from 30 cm: then it is another's.
 _WEIGHTS = np.ones(TARGETS)
-_WEIGHTS[HEAD_TARGETS] = 0.25  # of five face points; they are a template on a neck that bends in one place only
+_WEIGHTS[HEAD_TARGETS] = 0.15  # of five face points; they are a template on a neck that bends in one place only
 _POSE_WEIGHT = 15.0
 _HEAD_TO_SHOULDER = 0.8  # m: a third of it is the distance; the rest is left to errors of depth
-_DOUBT = np.full(TARGETS, 0.09 ** -2)
+_DOUBT = np.full(TARGETS, 0.11 ** -2)
 _DOUBT_WITH_POSE = _DOUBT.copy()
 _DOUBT_WITH_POSE[HEAD_TARGETS] = 0.3 ** -2
 

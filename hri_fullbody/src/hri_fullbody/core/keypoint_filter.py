@@ -1,10 +1,9 @@
 """Gate against outliers, then a low pass, for the key points in space of all bodies at once.
 
-The low pass is a 1 euro filter (Casiez, Roussel, Vogel, CHI 2012) with one cutoff for the three coordinates of a
-point, and two changes that were measured on motion capture (less lag at the same calm): the cutoff grows with the
-square of the speed, and the more the less noise there is. The noise of a body is told by the second difference
-of its points over time, of which motion makes little at 15 Hz and more. The gate compares a point with where it was expected: what the whole body moved since the last image
-is no news, so that a body whose distance is corrected keeps all its points.
+The low pass is a mixture of models of motion, see `motion_modes`: next to no lag in fast motion, calm at rest, and all
+of it by the noise that there is. The noise of a body is told by the second difference of its points over time, of which
+motion makes little at 15 Hz and more. The gate compares a point with where it was expected: what the whole body moved
+since the last image is no news, so that a body whose distance is corrected keeps all its points.
 """
 
 from __future__ import annotations
@@ -15,16 +14,14 @@ from typing import Dict, List, Sequence
 
 import numpy as np
 
+from hri_fullbody.core.motion_modes import advance, begin
+
 POINTS = 18
 _RANGE_M = 1000.0
-_VELOCITY_CUTOFF_HZ = 4.0
 _PREDICTION_S = 0.07
 _GATE_GROWS_S = 0.1
-# Noise per axis at which `beta` holds, and how much it may grow at less.
-_NOISE_M = 0.030
-_MOST_GAIN = 10.0
-# Of the square of the speed that noise alone would show, so much is taken off.
-_NOISE_SPEED = 2.0
+# Noise per axis that is supposed before it was measured, and the least that there is.
+_NOISE_M, _LEAST_NOISE_M = 0.030, 1e-4
 # The gate is never closer than so many standard deviations of the noise.
 _GATE_SIGMAS = 5.0
 # The noise is the mean over so many images.
@@ -40,18 +37,15 @@ _AGILITY = np.array([.5, .4, .4, .7, 1., .4, .7, 1., .4, .7, 1., .4, .7, 1., .5,
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """Units m, s, Hz.
+    """Units m, s.
 
-    min_cutoff, beta, d_cutoff: of the 1 euro filter; the cutoff is min_cutoff + beta (1 m/s) (speed / 1 m/s)^2 at a
-    noise of 30 mm per axis, and beta is larger in proportion at less noise, at most ten times. gate: how far a point may be from where it is
+    agility: factor of the accelerations that are expected of the points. gate: how far a point may be from where it is
     expected; gate_speed: how much the fastest points' gate grows with the time since they were seen, m/s.
     gate_recovery: a point that stays for so long at another place is believed. memory: a point not seen for so
     long, or a body, starts anew. Raises ValueError naming the setting and its legal range.
     """
 
-    min_cutoff: float = 1.5
-    beta: float = 7.0
-    d_cutoff: float = 1.5
+    agility: float = 1.0
     gate: float = 0.10
     gate_speed: float = 3.0
     gate_recovery: float = 0.15
@@ -59,7 +53,7 @@ class FilterSettings:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not math.isfinite(value) or value < 0.0 or (value == 0.0 and name not in ("beta", "gate_recovery")):
+            if not math.isfinite(value) or value < 0.0 or (value == 0.0 and name != "gate_recovery"):
                 raise ValueError("filter setting {} is {}, it must be above 0".format(name, value))
 
 
@@ -96,7 +90,7 @@ class KeypointFilter:
         self._last = np.full((rows, POINTS, 3), np.nan)
         self._gated = np.full((rows, POINTS, 3), np.nan)
         self._smooth = np.full((rows, POINTS, 3), np.nan)
-        self._slow_velocity = np.zeros((rows, POINTS, 3))
+        self._places, self._speeds, self._shares = begin(self._smooth)
         self._velocity = np.zeros((rows, POINTS, 3))
         self._raw = np.full((rows, 2, POINTS, 3), np.nan)
         self._variance = np.full((rows, 3), _NOISE_M ** 2)
@@ -165,13 +159,14 @@ class KeypointFilter:
             fresh = rows[anew]
             self._last[fresh] = self._elsewhere[fresh] = np.nan
             self._seen[fresh], self._elsewhere_since[fresh] = -np.inf, np.inf
-            self._slow_velocity[fresh] = self._velocity[fresh] = 0.0
+            self._velocity[fresh] = 0.0
             self._raw[fresh] = np.nan
             step = np.where(anew, 1.0, step)
         points, restart = self._gate(rows, points, step, stamp)
         self._gated[rows], self._stamp[rows] = points, stamp
         self._measure_noise(rows, points)
-        self._low_pass(rows, points, restart, step[:, None, None])
+        since = np.where(restart, step[:, None], stamp - self._seen[rows])
+        self._low_pass(rows, points, restart, since)
         self._seen[rows] = np.where(np.isnan(points[..., 0]), self._seen[rows], stamp)
 
     def _gate(self, rows: np.ndarray, points: np.ndarray, step: np.ndarray, stamp: float) -> tuple:
@@ -217,25 +212,23 @@ class KeypointFilter:
         self._variance[rows] = old + weight * (np.where(enough[:, None], middle, 0.0) - old)
         self._raw[rows, 0], self._raw[rows, 1] = before[:, 1], points
 
-    def _low_pass(self, rows: np.ndarray, points: np.ndarray, restart: np.ndarray, step: np.ndarray) -> None:
-        settings = self._settings
-        seen = ~np.isnan(points)
-        restart = restart[..., None] & seen
-        last = np.where(restart, points, self._last[rows])
-        difference = np.where(seen, points - last, 0.0)
-        slow, fast = self._slow_velocity[rows], self._velocity[rows]
-        slow = np.where(restart, 0.0, slow + _weight(settings.d_cutoff, step) * (difference / step - slow))
-        fast = np.where(restart, 0.0, fast + _weight(_VELOCITY_CUTOFF_HZ, step) * (difference / step - fast))
-        variance = np.maximum(self._variance[rows], 1e-12)
-        # Noise looks like speed: as much of it as the filter of the speed lets through is taken off.
-        through = _weight(settings.d_cutoff, step)[..., 0]
-        noise = _NOISE_SPEED * variance.sum(axis=1)[:, None] * through / (2.0 - through) / step[..., 0] ** 2
-        speed = np.maximum(np.einsum("nki,nki->nk", slow, slow) - noise, 0.0)[..., None]
-        gain = np.minimum(_NOISE_M / np.sqrt(variance), _MOST_GAIN)
-        cutoff = settings.min_cutoff + settings.beta * gain[:, None] * speed
-        smooth = last + _weight(cutoff, step) * difference
-        self._slow_velocity[rows], self._velocity[rows], self._last[rows] = slow, fast, smooth
-        self._smooth[rows] = np.where(seen, smooth, np.nan)
+    def _low_pass(self, rows: np.ndarray, points: np.ndarray, restart: np.ndarray, since: np.ndarray) -> None:
+        """since: (N, 18) s since the points were last seen."""
+        seen = ~np.isnan(points[..., 0])
+        restart = (restart & seen)[:, None]
+        places, speeds, shares = self._places[rows], self._speeds[rows], self._shares[rows]
+        if restart.any():
+            at, still, alike = begin(points)
+            places = np.where(restart[..., None], at, places)
+            speeds = np.where(restart[..., None], still, speeds)
+            shares = np.where(restart, alike, shares)
+            points = np.where(restart[:, 0, :, None], np.nan, points)
+        noise = np.maximum(np.sqrt(self._variance[rows]), _LEAST_NOISE_M)
+        places, speeds, shares = advance(places, speeds, shares, points, since, noise, self._settings.agility)
+        self._places[rows], self._speeds[rows], self._shares[rows] = places, speeds, shares
+        last = np.einsum("nmk,nmki->nki", shares, places)
+        self._last[rows], self._velocity[rows] = last, np.einsum("nmk,nmki->nki", shares, speeds)
+        self._smooth[rows] = np.where(seen[..., None], last, np.nan)
 
 
 def _common(news: np.ndarray) -> np.ndarray:
@@ -250,9 +243,3 @@ def _common(news: np.ndarray) -> np.ndarray:
 
 def _length(vectors: np.ndarray) -> np.ndarray:
     return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
-
-
-def _weight(cutoff: object, step: np.ndarray) -> np.ndarray:
-    """Weight of the new value, 0 to 1, of a first-order low pass with this cutoff (Hz) after `step` (s)."""
-    ratio = 2.0 * math.pi * step * cutoff
-    return ratio / (ratio + 1.0)

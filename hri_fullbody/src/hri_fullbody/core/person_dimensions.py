@@ -72,9 +72,11 @@ class PersonDimensions:
         self._due, self._agreeing = -math.inf, 0
         self._allowed = -math.inf if self._settled is None else math.inf
 
-    def update(self, points: np.ndarray, stamp: float) -> None:
-        """Take the key points (18, 3) m, without outliers and unfiltered, NaN missing, at `stamp` (s)."""
-        self._estimator.add(points, stamp)
+    def update(self, points: np.ndarray, stamp: float, systematic: float = 0.0) -> None:
+        """Take the key points (18, 3) m, without outliers and unfiltered, NaN missing, at `stamp` (s).
+
+        systematic: relative error of their source's lengths, see StatureEstimator.add."""
+        self._estimator.add(points, stamp, systematic)
         if stamp < self._due:
             return
         if self._allowed == math.inf:

@@ -35,6 +35,10 @@ _EARS_ABOVE_BASE = 0.025 / 1.70
 # trunk bends, the head nods. Together they are those of the comparison of trackers with motion capture.
 _DEFINITION = np.array([0.0, 0.025, 0.025, 0.025, 0.025, 0.03, 0.06, 0.12, 0.0])
 _POSTURE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.02, 0.0, 0.0, 0.12])
+MONOCULAR = 0.09
+"""Relative standard deviation of a length that a network guesses from one colour image, see `StatureEstimator.add`."""
+# Sine of the angle to the ray below which such a guess is not believed: it is mostly depth.
+_FORESHORTENED = 0.6
 _OUTLIER_MADS = 3.5
 _LEAST_SPREAD_M = 0.004
 # Successive images share their error: ten of them tell as much as one.
@@ -61,7 +65,7 @@ class StatureEstimator:
     """Lengths of one body over the last seconds.
 
     window: s, how long a measured length counts. scale_sd: relative spread of size that is added to the table's
-    adults; 0.1 lets children be as small as they are. Raises ValueError for values that are not above 0.
+    adults where lengths are measured; 0.1 lets children be as small as they are. Raises ValueError for values that are not above 0.
     """
 
     def __init__(self, table: SegmentTable, window: float = 5.0, scale_sd: float = 0.10,
@@ -71,13 +75,14 @@ class StatureEstimator:
                 raise ValueError("{} is {}, it must be above 0".format(name, value))
         self._mean = np.asarray(table.log_mean, dtype=np.float64)[:9]
         covariance = np.asarray(table.log_covariance, dtype=np.float64)[:9, :9]
-        self._covariance = covariance + scale_sd ** 2
+        self._covariance, self._scale_sd = covariance, scale_sd
         self._factors = _FACTORS.copy()
         neck = float(np.exp(self._mean[8] - self._mean[0]))
         self._factors[7] = neck / (neck + _EARS_ABOVE_BASE)
         self._window, self._period = window, 1.0 / max_rate
         self._stamps = np.zeros(int(math.ceil(window * max_rate)) + 1)
         self._distances = np.zeros((len(self._stamps), len(_PAIRS)))
+        self._systematic = np.zeros(len(self._stamps))
         self.reset()
 
     def reset(self) -> None:
@@ -85,9 +90,14 @@ class StatureEstimator:
         self._stamps[:] = -np.inf
         self._next, self._newest = 0, -math.inf
 
-    def add(self, points: np.ndarray, stamp: float) -> None:
-        """Take the key points (18, 3) m, NaN missing, at `stamp` (s). They should be free of outliers, and not
-        filtered. A stamp that goes back forgets the past; images faster than max_rate are left out."""
+    def add(self, points: np.ndarray, stamp: float, systematic: float = 0.0) -> None:
+        """Take the key points (18, 3) m in the optical frame, NaN missing, at `stamp` (s). They should be free of
+        outliers, and not filtered. A stamp that goes back forgets the past; images faster than max_rate are left out.
+
+        systematic: relative error of the lengths that stays, of each and as much of all of them together; 0 for
+        points measured in space, `MONOCULAR` for those guessed from a colour image. Segments that are seen along the
+        ray are then left out, and who is small is more likely to be a wrongly scaled adult than a child.
+        """
         if stamp < self._newest:
             self.reset()
         if stamp - self._newest < self._period:
@@ -99,6 +109,12 @@ class StatureEstimator:
         more[_EARS] = (more[kp.LEFT_EAR] + more[kp.RIGHT_EAR]) / 2.0
         across = more[_PAIRS[:, 0]] - more[_PAIRS[:, 1]]
         self._distances[self._next] = np.sqrt(np.einsum("ij,ij->i", across, across))
+        if systematic > 0.0:
+            ray = (more[_PAIRS[:, 0]] + more[_PAIRS[:, 1]]) / 2.0
+            along = np.einsum("ij,ij->i", across, ray) ** 2
+            whole = np.einsum("ij,ij->i", across, across) * np.einsum("ij,ij->i", ray, ray)
+            self._distances[self._next, along > (1.0 - _FORESHORTENED ** 2) * whole] = np.nan
+        self._systematic[self._next] = systematic
         self._stamps[self._next] = self._newest = stamp
         self._next = (self._next + 1) % len(self._stamps)
 
@@ -122,7 +138,7 @@ class StatureEstimator:
         logarithms, noise = self._observed(self._distances[recent])
         seen = np.flatnonzero(np.isfinite(logarithms))
         # The person's lengths as this source of key points defines them.
-        mean, covariance = self._mean, self._covariance + np.diag(_DEFINITION ** 2)
+        mean, covariance = self._mean, self._prior(float(self._systematic[recent].mean()) if recent.any() else 0.0)
         if len(seen):
             index = seen + 1
             variances = noise[seen] + _POSTURE[index] ** 2
@@ -134,6 +150,13 @@ class StatureEstimator:
         return StatureEstimate(
             float(values[0]), float(spread[0]), dict(zip(SEGMENTS, values[1:].tolist())),
             dict(zip(SEGMENTS, spread[1:].tolist())), int(recent.sum()), len(seen))
+
+    def _prior(self, systematic: float) -> np.ndarray:
+        """Covariance (9, 9) of the logarithms of stature and lengths as a source with this error shows them."""
+        guessed = min(systematic / MONOCULAR, 1.0) ** 2
+        covariance = self._covariance + (1.0 - guessed) * self._scale_sd ** 2 + np.diag(_DEFINITION ** 2)
+        covariance[1:, 1:] += guessed * self._scale_sd ** 2 + systematic ** 2 * (1.0 + np.eye(len(SEGMENTS)))
+        return covariance
 
     def _observed(self, distances: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
         """Logarithms (8,) of the lengths seen, NaN for others, and the variances of their noise."""

@@ -24,7 +24,7 @@ from hri_fullbody.evaluation.noise import LEVELS, Level, add_noise
 from hri_fullbody.evaluation.virtual_people import virtual_people
 
 TUNED_ON = "02"
-"""Subject on whose recordings filter and gate were tuned; the others were only measured."""
+"""Subject on whose recordings filter, gate and weights were tuned; the others were in view when models were compared."""
 HEADINGS_DEG = tuple(range(0, 360, 45))
 _LONGEST = 600
 _LEGS = [kp.LEFT_KNEE, kp.LEFT_ANKLE, kp.RIGHT_KNEE, kp.RIGHT_ANKLE]

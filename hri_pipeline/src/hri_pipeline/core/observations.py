@@ -75,6 +75,7 @@ class BodyObservation:
     head: face frame in the optical frame, m, of the tracked face that is this body's; None without one.
     velocity: (3,) m/s of the body in the optical frame; None while it is not known.
     measured: False when the body was not looked at in this image and is where its motion takes it.
+    by_depth: True when a depth image gave its distance and its joints, not the size of an average person.
     """
 
     id: str
@@ -86,3 +87,4 @@ class BodyObservation:
     head: Optional[Pose] = None
     velocity: Optional[np.ndarray] = None
     measured: bool = True
+    by_depth: bool = False
