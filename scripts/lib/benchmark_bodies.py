@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
-import traceback
 from typing import Callable, Dict, List, Sequence, Tuple
+
+from benchmark_parts import chosen, measure_all
 
 MPJPE_HEIGHT_ONLY = {"10": 22.0, "20": 25.0, "30": 30.0, "rgbd": 40.0}
 MPJPE_LIMBS = {"10": 19.0, "20": 23.0, "30": 28.0, "rgbd": 38.0}
@@ -69,29 +69,18 @@ def register(commands: argparse._SubParsersAction) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Measure and print; 1 when something could not be measured."""
-    wanted = [name for name in options.only.split(",") if name] or list(PARTS)
-    unknown = sorted(set(wanted) - set(PARTS))
-    if unknown:
-        print("scripts/benchmark bodies: --only knows {}, not {}".format(", ".join(PARTS), ", ".join(unknown)),
-              file=sys.stderr)
+    wanted = chosen("bodies", options.only, PARTS)
+    if wanted is None:
         return 2
     # One thread for each product of small matrices: more only wait for each other. Before numpy is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from benchmark_report import machine
     before = machine()
-    values: Dict[str, object] = {}
     details: Dict[str, object] = {}
-    reasons = {key: "not asked for (--only)" for name, keys in PARTS.items() if name not in wanted for key in keys}
-    for name in [name for name in PARTS if name in wanted]:
-        print("{} ...".format(name), file=sys.stderr, flush=True)
-        try:
-            values.update(_measure(name, details))
-        except Exception as error:  # one part that fails does not hide the others
-            traceback.print_exc(file=sys.stderr)
-            reasons.update({key: "{}: {}".format(type(error).__name__, error) for key in PARTS[name]})
+    values, reasons, failed = measure_all(wanted, PARTS, lambda name: _measure(name, details))
     report = make_report(values, reasons, details, before)
     print(json.dumps(report) if options.json else as_table(report))
-    return 1 if any(name in wanted and key in reasons for name, keys in PARTS.items() for key in keys) else 0
+    return 1 if failed else 0
 
 
 def make_report(values: Dict[str, object], reasons: Dict[str, str], details: Dict[str, object], before: dict) -> dict:

@@ -6,10 +6,10 @@ import argparse
 import json
 import os
 import sys
-import traceback
 from pathlib import Path
 from typing import Callable, Dict, List, Sequence, Tuple
 
+from benchmark_parts import chosen, measure_all
 from benchmark_report import machine
 
 CHURN_FACES = 2000
@@ -60,25 +60,14 @@ def register(commands: argparse._SubParsersAction) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Measure and print; 1 when something could not be measured."""
-    wanted = [name for name in options.only.split(",") if name] or list(PARTS)
-    unknown = sorted(set(wanted) - set(PARTS))
-    if unknown:
-        print("scripts/benchmark faces: --only knows {}, not {}".format(", ".join(PARTS), ", ".join(unknown)),
-              file=sys.stderr)
+    wanted = chosen("faces", options.only, PARTS)
+    if wanted is None:
         return 2
     before, models = machine(), models_directory()
-    values: Dict[str, object] = {}
-    reasons = {key: "not asked for (--only)" for name, keys in PARTS.items() if name not in wanted for key in keys}
-    for name in [name for name in PARTS if name in wanted]:
-        print("{} ...".format(name), file=sys.stderr, flush=True)
-        try:
-            values.update(_measure(name, models))
-        except Exception as error:  # one part that fails does not hide the others
-            traceback.print_exc(file=sys.stderr)
-            reasons.update({key: "{}: {}".format(type(error).__name__, error) for key in PARTS[name]})
+    values, reasons, failed = measure_all(wanted, PARTS, lambda name: _measure(name, models))
     report = make_report(values, reasons, before, models)
     print(json.dumps(report) if options.json else as_table(report))
-    return 1 if any(name in wanted and key in reasons for name, keys in PARTS.items() for key in keys) else 0
+    return 1 if failed else 0
 
 
 def models_directory() -> Path:

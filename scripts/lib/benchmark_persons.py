@@ -10,12 +10,12 @@ import socket
 import subprocess
 import sys
 import tempfile
-import traceback
 import uuid
 from pathlib import Path
 from typing import Callable, Dict, List, Sequence, Tuple
 
 import processes
+from benchmark_parts import chosen, measure_all
 
 LIB = Path(__file__).resolve().parent
 
@@ -38,7 +38,12 @@ def register(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 
-PARTS = ("latency", "crowd", "hard", "confidence", "recover", "kill", "soak")
+PARTS: Dict[str, Sequence[str]] = {
+    "latency": ("latency_p50_ms", "latency_p99_ms", "latency_p50_ms_300", "latency_p99_ms_300", "latency_p50_ms_1800",
+                "latency_p99_ms_1800"),
+    "crowd": ("persons_10", "persons_30", "dropped", "cpu_percent_10", "cpu_percent_30"),
+    "hard": ("linked_7x7_ms", "chain_12_ms"), "confidence": ("confidence_curve",), "recover": ("recover_s",),
+    "kill": ("kill_damaged",), "soak": ("churn_rss_mb", "rest_rss_mb")}
 
 
 class Stage:
@@ -121,35 +126,26 @@ def _recover(logs: Path) -> dict:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure and print."""
-    wanted = [name for name in options.only.split(",") if name] or list(PARTS)
-    unknown = sorted(set(wanted) - set(PARTS))
-    if unknown or not options.soak > 0.0:
-        print("scripts/benchmark persons: --only knows {}; --soak must be above 0".format(", ".join(PARTS)),
-              file=sys.stderr)
+    """Measure and print; 1 when something could not be measured."""
+    wanted = chosen("persons", options.only, PARTS)
+    if not options.soak > 0.0:
+        print("scripts/benchmark persons: --soak must be above 0", file=sys.stderr)
+    if wanted is None or not options.soak > 0.0:
         return 2
     from benchmark_report import machine
     before = machine()
-    values: Dict[str, object] = {}
-    reasons: Dict[str, str] = {}
     logs = Path(tempfile.mkdtemp(prefix="ros4hri-benchmark-"))
-    for name in wanted:
-        print("{} ...".format(name), file=sys.stderr, flush=True)
-        try:
-            values.update(_measure(name, logs, options.soak))
-        except Exception as error:  # one part that fails does not hide the others
-            traceback.print_exc(file=sys.stderr)
-            reasons[name] = "{}: {} (logs: {})".format(type(error).__name__, error, logs)
-    report = {key: values.get(key) for key, _ in KEYS}
-    missing = [key for key, _ in KEYS if report[key] is None]
-    skipped = "not measured: --only" if options.only else ""
-    report["reasons"] = {**{key: skipped for key in missing if skipped}, **reasons}
+    values, reasons, failed = measure_all(wanted, PARTS, lambda name: _measure(name, logs, options.soak))
+    report: Dict[str, object] = {key: values.get(key) for key, _ in KEYS}
+    report["reasons"] = {key: reasons.get(key, "not measured") for key, _ in KEYS if report[key] is None}
     report["details"] = {key: value for key, value in values.items() if key not in report}
     report["machine"] = before
     print(json.dumps(report) if options.json else _table(report))
-    if not reasons:
+    if failed:
+        print("logs: {}".format(logs), file=sys.stderr)
+    else:
         shutil.rmtree(str(logs), ignore_errors=True)
-    return 1 if reasons else 0
+    return 1 if failed else 0
 
 
 def _table(report: dict) -> str:
