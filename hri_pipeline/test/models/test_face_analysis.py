@@ -13,6 +13,8 @@ from hri_pipeline.core.onnx_model import ModelError
 
 SIZE = (960, 640)
 NETWORKS = ("expression", "age_gender", "recognition")
+# Every face in every image, however busy the machine is.
+UNHURRIED = {"face_mesh_rate": 0.0, "face_budget": 1000.0}
 CAMERA = CameraModel.from_fov(SIZE[0], SIZE[1], 0.925)
 
 
@@ -46,7 +48,7 @@ def test_what_nobody_wants_is_not_done():
 
 
 def test_everything_of_three_people():
-    stage = FaceStage(FACES.resolve({"face_mesh_rate": 0.0}))
+    stage = FaceStage(FACES.resolve(UNHURRIED))
     faces, matches = watch(stage, photograph("sample3"), 50, FaceDemand.everything)
     assert networks_run(stage) == set(NETWORKS)
     assert len(faces) == 3
@@ -64,7 +66,7 @@ def test_everything_of_three_people():
 
 
 def test_one_face_of_three_is_asked_for():
-    stage = FaceStage(FACES.resolve({"face_mesh_rate": 0.0}))
+    stage = FaceStage(FACES.resolve(UNHURRIED))
     faces, _ = watch(stage, photograph("sample3"), 25, lambda ids: FaceDemand(
         action_units=set(ids[:1]), soft_biometrics=set(ids[1:2])))
     assert [face.action_units is not None for face in faces] == [True, False, False]
@@ -73,7 +75,7 @@ def test_one_face_of_three_is_asked_for():
 
 
 def test_at_most_one_network_runs_per_image():
-    stage = FaceStage(FACES.resolve({"face_mesh_rate": 0.0}))
+    stage = FaceStage(FACES.resolve(UNHURRIED))
     image = photograph("sample5")
     for index in range(40):
         before = {name: len(stage.times._times.get(name, ())) for name in NETWORKS}
@@ -109,7 +111,7 @@ def test_the_strict_profile_switches_everything_off():
 
 
 def test_time_that_goes_back_forgets_faces_and_keeps_persons():
-    stage = FaceStage(FACES.resolve({"face_mesh_rate": 0.0}))
+    stage = FaceStage(FACES.resolve(UNHURRIED))
     image = photograph("sample3")
     _, matches = watch(stage, image, 45, FaceDemand.everything)
     faces, again = watch(stage, image, 30, FaceDemand.everything, 10.0)
