@@ -18,7 +18,7 @@ BODY_STAGE_PARAMETERS = (
               " on by its own motion, with a lower confidence. Each look costs 11 to 15 ms on one core with the network"
               " `full`. Larger follows fast movements better. 0: every image.",
               unit="Hz", minimum=0.0, maximum=120.0),
-    Parameter("pose_budget", 6, "Most windows per image that the pose network looks at for known bodies; what is left"
+    Parameter("pose_budget", 3, "Most windows per image that the pose network looks at for known bodies; what is left"
               " (one at least) goes to new ones. With more people than that the fast, the new, and those who have"
               " waited longest come first. 0: no limit.", minimum=0, maximum=64),
     Parameter("max_bodies", 10, "Most bodies tracked at the same time. Each costs 11 to 15 ms of one core `pose_rate`"

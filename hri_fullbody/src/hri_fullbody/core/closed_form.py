@@ -55,10 +55,10 @@ def solve_closed_form(seen: Observation, dims: BodyDimensions, memory: BodyMemor
     head, branch_seen[:, HEAD] = _head(seen, dims, trunk)
     middle_seen, end_seen = seen.known[:, MIDDLES], seen.known[:, ENDS]
     angles, bends = _limbs(seen, dims, memory, layout, trunk, branches, dt)
-    branches[:, HEAD, :3] = np.where(branch_seen[:, :1], head, branches[:, HEAD, :3])
+    np.copyto(branches[:, HEAD, :3], head, where=branch_seen[:, :1])
     branch_seen[:, 1:] = middle_seen | end_seen
-    branches[:, 1:, :3] = np.where(branch_seen[:, 1:, None], angles[..., :3], branches[:, 1:, :3])
-    branches[:, 1:, 3] = np.where(end_seen, angles[..., 3], branches[:, 1:, 3])
+    np.copyto(branches[:, 1:, :3], angles[..., :3], where=branch_seen[:, 1:, None])
+    np.copyto(branches[:, 1:, 3], angles[..., 3], where=end_seen)
     out = np.empty((count, SLOTS))
     out[:, WAIST_SLOT] = trunk.waist
     out[:, 1:] = branches.reshape(count, -1)
@@ -72,7 +72,7 @@ def _head(seen: Observation, dims: BodyDimensions, trunk: TrunkPose) -> Tuple[np
     rotation = seen.head_rotation
     if by_points.any():
         fitted = head_rotation(seen.targets[:, 13:18], known, dims.head[:, 1:])
-        rotation = np.where(by_points[:, None, None], fitted, rotation)
+        rotation = fitted if by_points.all() else np.where(by_points[:, None, None], fitted, rotation)
     return head_angles(trunk.torso.transpose(0, 2, 1) @ rotation), by_points | seen.head_known
 
 
@@ -83,23 +83,33 @@ def _limbs(seen: Observation, dims: BodyDimensions, memory: BodyMemory, layout: 
     bases = np.empty((count, 4, 3, 3))
     bases[:, :2] = trunk.torso[:, None]
     bases[:, 2:] = trunk.rotation[:, None]
-    origins = (bases @ dims.pivots[:, 1:, :, None])[..., 0]
-    origins[:, :2] += (trunk.position + trunk.torso[:, :, 2] * dims.trunk)[:, None]
-    origins[:, 2:] += trunk.position[:, None]
-    origins = np.where(seen.known[:, ORIGINS, None], seen.targets[:, ORIGINS], origins)
+    origins = _origins(seen, dims, trunk, bases)
     middle_known, end_known = seen.known[:, MIDDLES], seen.known[:, ENDS]
+    complete = bool(seen.known[:, MIDDLES.start:ENDS.stop].all())
     # rows times a matrix: the inverse rotation
     middles = ((seen.targets[:, MIDDLES] - origins)[:, :, None] @ bases)[:, :, 0]
     ends = ((seen.targets[:, ENDS] - origins)[:, :, None] @ bases)[:, :, 0]
     partial = end_known & ~middle_known
-    if partial.any():
+    if not complete and partial.any():
         middles = np.where(partial[..., None], middle_joints(ends, dims.proximal, dims.distal, memory.bends), middles)
     proximal, distal = unit(middles), unit(ends - middles)
-    distal = np.where(end_known[..., None], distal, proximal)
+    if not complete:
+        distal = np.where(end_known[..., None], distal, proximal)
     bends = bend_directions(proximal, distal, memory.bends)
     frames = proximal_frames(proximal, bends)
     angles = np.empty((count, 4, 4))
     angles[:, :2, :3] = shoulder_angles(frames[:, :2], branches[:, 1:3, 0], dt)
     angles[:, 2:, :3], bends[:, 2:] = hip_angles(proximal[:, 2:], frames[:, 2:], layout)
     angles[..., 3] = middle_angles(proximal, distal, bends)
-    return angles, np.where(middle_known[..., None], bends, memory.bends)
+    return angles, bends if complete else np.where(middle_known[..., None], bends, memory.bends)
+
+
+def _origins(seen: Observation, dims: BodyDimensions, trunk: TrunkPose, bases: np.ndarray) -> np.ndarray:
+    """Origins (N, 4, 3) m of the limbs: where they are seen, else where the trunk, with axes bases, has them."""
+    known = seen.known[:, ORIGINS]
+    if known.all():
+        return seen.targets[:, ORIGINS]
+    origins = (bases @ dims.pivots[:, 1:, :, None])[..., 0]
+    origins[:, :2] += (trunk.position + trunk.torso[:, :, 2] * dims.trunk)[:, None]
+    origins[:, 2:] += trunk.position[:, None]
+    return np.where(known[..., None], seen.targets[:, ORIGINS], origins)

@@ -24,7 +24,7 @@ from hri_fullbody.core.human_model import (
     Layout,
     branch_slot,
 )
-from hri_fullbody.core.rotations import about_axes, cross_matrix, dot, smooth_step
+from hri_fullbody.core.rotations import about_vector, cross_matrix, smooth_step
 
 _IDENTITY = np.eye(3)
 _DAMPING = 1e-3
@@ -33,6 +33,7 @@ _SHOULDER_DAMPING = 4e-3  # yaw and roll: with the arm hanging only their differ
 _TWIST_DAMPING = np.array([0.1, 0.03, 0.1, 0.03])
 _BRANCH_JOINTS = 20
 _TWISTS = np.array([branch_slot(arm, level) for arm in (LEFT_ARM, RIGHT_ARM) for level in (0, 2)])
+_TWIST_ROWS = 5 + _TWISTS
 _MAX_TURN = 0.5  # rad per step
 _MAX_JOINT_STEP = 0.6  # rad per step
 
@@ -77,7 +78,7 @@ def _structure(layout: Layout) -> _Structure:
             mask[row, 0, 7 + branch] = 1.0  # the limb's end
             mask[row, 0, 3 + branch] = float(level < 3)  # its middle, unless it turns only the distal segment
     damping = np.full(6 + _BRANCH_JOINTS, _DAMPING)
-    damping[5 + _TWISTS] = _SHOULDER_DAMPING
+    damping[_TWIST_ROWS] = _SHOULDER_DAMPING
     return _Structure(mask, np.diag(damping), layout.slot_lower[1:], layout.slot_upper[1:],
                       layout.slot_axes[1:].reshape(5, JOINTS_PER_BRANCH, 3, 1))
 
@@ -88,11 +89,11 @@ def _jacobian(frames: Frames, position: np.ndarray, structure: _Structure) -> np
     turning = np.empty((count, 3 + _BRANCH_JOINTS, 3))
     turning[:, :3] = _IDENTITY
     turning[:, 3:] = (frames.chain @ structure.axes).reshape(count, _BRANCH_JOINTS, 3)
-    origin = np.empty((count, 3 + _BRANCH_JOINTS, 3))
-    origin[:, :3] = position[:, None]
-    centres = origin[:, 3:].reshape(count, 5, JOINTS_PER_BRANCH, 3)
+    centres = np.empty((count, 5, JOINTS_PER_BRANCH, 3))
     centres[:] = frames.pivots[:, :, None]
     centres[:, 1:, 3] = frames.targets[:, MIDDLES]
+    origin = np.empty((count, 3 + _BRANCH_JOINTS, 3))
+    origin[:, :3] = position[:, None]
     origin[:, 3:] = centres.reshape(count, _BRANCH_JOINTS, 3)
     # axis x (target - centre), for all axes and targets: one product with the matrices of the axes
     skew = cross_matrix(turning)
@@ -104,22 +105,20 @@ def _jacobian(frames: Frames, position: np.ndarray, structure: _Structure) -> np
     return jacobian
 
 
-def _step(frames: Frames, position: np.ndarray, aims: Aims, twist_damping: np.ndarray,
-          structure: _Structure) -> np.ndarray:
-    """Step (N, 26) of the unknowns. twist_damping: (N, 4) what the shoulders' yaw and roll are damped more by."""
+def _step(frames: Frames, position: np.ndarray, aims: Aims, damping: np.ndarray, structure: _Structure) -> np.ndarray:
+    """Step (N, 26) of the unknowns. damping: (N, 26, 26) diagonal."""
     count = len(position)
     residual = (aims.targets - frames.targets).transpose(0, 2, 1)
     if aims.trust is not None:
         residual = residual * aims.trust[:, :, None]
-    squared = np.einsum("nik,nik->nk", residual, residual)
+    squared = np.add.reduce(residual * residual, axis=1)
     root_weight = np.sqrt(aims.weights / (1.0 + squared * aims.doubt))[:, None]
     jacobian = _jacobian(frames, position, structure)
     jacobian *= (root_weight if aims.trust is None else root_weight * aims.trust[:, :, None])[:, None]
     jacobian = jacobian.reshape(count, -1, 3 * TARGETS)
     residual = (residual * root_weight).reshape(count, -1, 1)
     normal = jacobian @ jacobian.transpose(0, 2, 1)
-    normal += structure.damping
-    normal[:, 5 + _TWISTS, 5 + _TWISTS] += twist_damping
+    normal += damping
     return _solve(normal, jacobian @ residual)
 
 
@@ -145,10 +144,13 @@ def refine(rotation: np.ndarray, position: np.ndarray, slots: np.ndarray, aims: 
     slots = slots.copy()
     joints = slots[:, 1:]
     # the joint below a twist gives it its lever: pitch for yaw, elbow for roll
-    twist_damping = _TWIST_DAMPING * (1.0 - smooth_step(np.abs(np.sin(slots[:, _TWISTS + 1])), 0.1, 0.3))
+    lever = smooth_step(np.abs(np.sin(slots[:, _TWISTS + 1])), 0.1, 0.3)
+    damping = np.empty((len(slots),) + structure.damping.shape)
+    damping[:] = structure.damping
+    damping[:, _TWIST_ROWS, _TWIST_ROWS] += _TWIST_DAMPING * (1.0 - lever)
     for _ in range(steps):
         frames = compute_frames(rotation, position, slots, dims, layout)
-        step = _step(frames, position, aims, twist_damping, structure)
+        step = _step(frames, position, aims, damping, structure)
         position = position + step[:, :3]
         rotation = _turn(step[:, 3:6]) @ rotation
         joints += np.minimum(np.maximum(step[:, 6:], -_MAX_JOINT_STEP), _MAX_JOINT_STEP)
@@ -159,5 +161,4 @@ def refine(rotation: np.ndarray, position: np.ndarray, slots: np.ndarray, aims: 
 
 def _turn(vectors: np.ndarray) -> np.ndarray:
     """Rotations (N, 3, 3) of rotation vectors (N, 3) rad, cut at `_MAX_TURN`."""
-    angles = np.sqrt(dot(vectors, vectors))
-    return about_axes(vectors / np.maximum(angles, 1e-12), np.minimum(angles, _MAX_TURN)[:, 0])
+    return np.array([about_vector(x, y, z, _MAX_TURN) for x, y, z in vectors.tolist()])

@@ -198,7 +198,8 @@ class JointSolver:
             unseen[keep] = memory.unseen[keep] + dt
             frames = compute_frames(rotation, position, slots, dims, self.layout)
         q = self.layout.from_slots(slots)
-        q[np.isnan(position[:, 0])] = np.nan
+        if not solved.all():
+            q[np.isnan(position[:, 0])] = np.nan
         states = BodyMemory(solved, rotation, position, slots, bends, unseen).split()
         return Solution(rotation, position, q, solved, frames.keypoints(), frames.head_rotation.copy(),
                         frames.head_position.copy(), states)

@@ -2,13 +2,14 @@
 
 Limbs are in the order of `BRANCHES` without the head: left arm, right arm, left leg, right leg. Directions are in the
 axes of what the limb hangs on: the torso for arms, the body for legs. A segment's frame has z against the segment and
-x to where the middle joint bends the distal segment (knees: away from it).
+x to where the middle joint bends the distal segment (knees: away from it). Angles are worked out in plain numbers, one
+limb after another: for the few bodies in a picture that is quicker than some fifty operations on small arrays.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Tuple
+from typing import Sequence, Tuple
 
 import numpy as np
 
@@ -16,25 +17,24 @@ from hri_fullbody.core.human_model import LEFT_LEG, REP155, Layout, branch_slot
 from hri_fullbody.core.rotations import columns, cross, dot, perpendicular, smooth_step, unit, wrap
 
 _BEND_SIGN = np.array([1.0, 1.0, -1.0, -1.0])[:, None]
-_MIRROR = np.array([1.0, -1.0])
-_ZERO = np.zeros(2)
+_MIRROR = (1.0, -1.0)
 _RESTING_POLES = np.array([[-0.5, 0.2, -1.0], [-0.5, -0.2, -1.0], [1.0, 0.0, 0.1], [1.0, 0.0, 0.1]])
 _STRAIGHT, _BENT = 0.10, 0.30
 """Sine of a middle joint below which the plane of the limb is the remembered one, above which it is the seen one."""
 _HANGING, _RAISED = 0.10, 0.25
 """Sine of the shoulder's pitch below which its yaw is the remembered one, above which it is the seen one."""
-_SWING = np.cos(0.8)
+_SWING = math.cos(0.8)
 """Cosine of the shoulder's pitch up to which it may be negative."""
 _NATURAL_YAW = 0.7  # rad: to the side and to the front
 _NATURALNESS = 0.3  # what a radian from there weighs against one from the yaw before
 _YAW_DRIFT = 2.0  # s
-_YAW_LOWER, _YAW_UPPER = (limits[branch_slot(LEFT_LEG, 0)] for limits in (REP155.slot_lower, REP155.slot_upper))
+_YAW_LOWER, _YAW_UPPER = (float(limits[branch_slot(LEFT_LEG, 0)]) for limits in (REP155.slot_lower, REP155.slot_upper))
 _FACE_WEIGHTS = np.array([1.0, 0.8, 0.8, 1.2, 1.2])
 
 
-def _arcsin(sines: np.ndarray) -> np.ndarray:
-    """Angles (rad) of sines that rounding may have put beyond 1."""
-    return np.arcsin(np.minimum(np.maximum(sines, -1.0), 1.0))
+def _arcsin(sine: float) -> float:
+    """Angle (rad) of a sine that rounding may have put beyond 1."""
+    return math.asin(min(max(sine, -1.0), 1.0))
 
 
 def bend_directions(proximal: np.ndarray, distal: np.ndarray, remembered: np.ndarray) -> np.ndarray:
@@ -46,15 +46,18 @@ def bend_directions(proximal: np.ndarray, distal: np.ndarray, remembered: np.nda
     aside = perpendicular(distal, proximal) * _BEND_SIGN
     sine = np.sqrt(dot(aside, aside))
     carried = perpendicular(remembered, proximal)
-    weak = dot(carried, carried) < 0.04
+    length = np.sqrt(dot(carried, carried))
+    weak = length < 0.2
     if weak.any():
         carried = np.where(weak, perpendicular(_resting_bend(proximal), proximal), carried)
+        length = np.sqrt(dot(carried, carried))
     share = smooth_step(sine, _STRAIGHT, _BENT)
-    blend = share * aside / np.maximum(sine, 1e-9) + (1.0 - share) * unit(carried)
-    cancelled = dot(blend, blend) < 0.01  # opposite directions, half way: what is seen wins
+    blend = aside * (share / np.maximum(sine, 1e-9)) + carried * ((1.0 - share) / np.maximum(length, 1e-9))
+    length = np.sqrt(dot(blend, blend))
+    cancelled = length < 0.1  # opposite directions, half way: what is seen wins
     if cancelled.any():
-        blend = np.where(cancelled, aside, blend)
-    return unit(blend)
+        return unit(np.where(cancelled, aside, blend))
+    return blend / length
 
 
 def _resting_bend(proximal: np.ndarray) -> np.ndarray:
@@ -99,23 +102,29 @@ def shoulder_angles(frames: np.ndarray, yaw_before: np.ndarray, dt: float) -> np
     frames: (N, 2, 3, 3). yaw_before: (N, 2) rad, dt (s) ago. With the arm hanging or straight up only yaw - roll is
     seen: the yaw is carried on, drifts to the middle of its range, and the roll follows.
     """
-    yaw_before = yaw_before + (1.0 - math.exp(-dt / _YAW_DRIFT)) * wrap(_NATURAL_YAW - yaw_before)
-    sine = np.hypot(frames[..., 0, 2], frames[..., 1, 2])
-    seen = -_MIRROR * np.arctan2(_MIRROR * frames[..., 0, 2], -_MIRROR * frames[..., 1, 2])
+    drift = 1.0 - math.exp(-dt / _YAW_DRIFT)
+    return np.array([[_shoulder(frame, yaw, drift, mirror) for frame, yaw, mirror in zip(arms, yaws, _MIRROR)]
+                     for arms, yaws in zip(frames.tolist(), yaw_before.tolist())])
+
+
+def _shoulder(frame: Sequence[Sequence[float]], yaw_before: float, drift: float, mirror: float) -> Sequence[float]:
+    """Yaw, pitch, roll (rad) of one shoulder; drift: share of the way to the natural yaw."""
+    (xx, xy, xz), (yx, yy, yz), (_, _, zz) = frame
+    yaw_before += drift * wrap(_NATURAL_YAW - yaw_before)
+    seen = -mirror * math.atan2(mirror * xz, -mirror * yz)
     turn = wrap(seen - yaw_before)
     # The same arm has an opposite yaw with negative pitch. Taken is what is nearer to the yaw before, and to the middle
     # of its natural range: an arm that swings past the body keeps its yaw.
-    far = np.abs(turn) + _NATURALNESS * np.abs(wrap(seen - _NATURAL_YAW)) > 0.5 * np.pi * (1.0 + _NATURALNESS)
-    turn -= (far & (frames[..., 2, 2] > _SWING)) * np.copysign(np.pi, turn)
-    yaw = wrap(yaw_before + smooth_step(sine, _HANGING, _RAISED) * turn)
-    # Rz(g yaw) frames = Rx(g pitch) Rz(g roll), as far as the yaw allows
-    sin, cos = np.sin(_MIRROR * yaw), np.cos(_MIRROR * yaw)
-    first = cos[..., None] * frames[..., 0, :] - sin[..., None] * frames[..., 1, :]
-    tilt = sin * frames[..., 0, 2] + cos * frames[..., 1, 2]
-    pitch = _MIRROR * np.arctan2(-tilt, frames[..., 2, 2])
-    pitch = np.where(pitch < -2.0, pitch + 2.0 * np.pi, pitch)
-    roll = _MIRROR * np.arctan2(-first[..., 1], first[..., 0])
-    return columns(yaw, pitch, roll)
+    far = abs(turn) + _NATURALNESS * abs(wrap(seen - _NATURAL_YAW)) > 0.5 * math.pi * (1.0 + _NATURALNESS)
+    if far and zz > _SWING:
+        turn -= math.copysign(math.pi, turn)
+    share = (math.hypot(xz, yz) - _HANGING) / (_RAISED - _HANGING)
+    yaw = wrap(yaw_before + min(max(share, 0.0), 1.0) * turn)
+    # Rz(g yaw) frame = Rx(g pitch) Rz(g roll), as far as the yaw allows
+    sin, cos = math.sin(mirror * yaw), math.cos(mirror * yaw)
+    pitch = mirror * math.atan2(-sin * xz - cos * yz, zz)
+    roll = mirror * math.atan2(sin * yy - cos * xy, cos * xx - sin * yx)
+    return yaw, pitch + 2.0 * math.pi if pitch < -2.0 else pitch, roll
 
 
 def hip_angles(proximal: np.ndarray, frames: np.ndarray, layout: Layout) -> Tuple[np.ndarray, np.ndarray]:
@@ -125,41 +134,47 @@ def hip_angles(proximal: np.ndarray, frames: np.ndarray, layout: Layout) -> Tupl
     two joints cannot twist the thigh: its x axis follows from its direction.
     """
     if layout is REP155:
-        return _hip_angles_of_three(frames), frames[..., 0]
-    flexion = np.arctan2(proximal[..., 0], -proximal[..., 2])
-    abduction = _MIRROR * _arcsin(proximal[..., 1])
-    axes = columns(np.cos(flexion), _ZERO, np.sin(flexion))
-    return columns(flexion, abduction, _ZERO), axes
+        return np.array([[_hip_of_three(frame, mirror) for frame, mirror in zip(legs, _MIRROR)]
+                         for legs in frames.tolist()]), frames[..., 0]
+    hips = np.array([[_hip_of_two(direction, mirror) for direction, mirror in zip(legs, _MIRROR)]
+                     for legs in proximal.tolist()])
+    return hips[:, :, 0], hips[:, :, 1]
 
 
-def _hip_angles_of_three(frames: np.ndarray) -> np.ndarray:
-    """Yaw, abduction, flexion (N, 2, 3) rad with frames = Rz(-yaw) Rx(g abduction) Ry(-flexion).
+def _hip_of_two(direction: Sequence[float], mirror: float) -> Sequence[Sequence[float]]:
+    """Flexion, abduction, 0 (rad) and x axis of a thigh with a direction (3,)."""
+    x, y, z = direction
+    flexion = math.atan2(x, -z)
+    return (flexion, mirror * _arcsin(y), 0.0), (math.cos(flexion), 0.0, math.sin(flexion))
+
+
+def _hip_of_three(frame: Sequence[Sequence[float]], mirror: float) -> Sequence[float]:
+    """Yaw, abduction, flexion (rad) with frame = Rz(-yaw) Rx(g abduction) Ry(-flexion).
 
     A yaw beyond its limit is cut first, so that the thigh's direction stays right and only its twist is lost.
     """
-    yaw = np.arctan2(frames[..., 0, 1], frames[..., 1, 1])
-    yaw = np.minimum(np.maximum(yaw, _YAW_LOWER), _YAW_UPPER)
-    sin, cos = np.sin(yaw), np.cos(yaw)
-    # Rz(yaw) frames = Rx(g abduction) Ry(-flexion), as far as the yaw allows
-    second = sin[..., None] * frames[..., 0, :] + cos[..., None] * frames[..., 1, :]
-    tilt = np.arctan2(frames[..., 2, 1], second[..., 1])
-    ahead = cos * frames[..., 0, 2] - sin * frames[..., 1, 2]
-    upwards = np.cos(tilt) * frames[..., 2, 2] - np.sin(tilt) * second[..., 2]
-    return columns(yaw, _MIRROR * tilt, np.arctan2(-ahead, upwards))
+    (_, xy, xz), (_, yy, yz), (_, zy, zz) = frame
+    yaw = min(max(math.atan2(xy, yy), _YAW_LOWER), _YAW_UPPER)
+    sin, cos = math.sin(yaw), math.cos(yaw)
+    # Rz(yaw) frame = Rx(g abduction) Ry(-flexion), as far as the yaw allows
+    tilt = math.atan2(zy, sin * xy + cos * yy)
+    upwards = math.cos(tilt) * zz - math.sin(tilt) * (sin * xz + cos * yz)
+    return yaw, mirror * tilt, math.atan2(sin * yz - cos * xz, upwards)
 
 
 def head_angles(rotation: np.ndarray) -> np.ndarray:
     """Roll, yaw, pitch (N, 3) rad of the head with rotation (N, 3, 3) = Rx(roll) Rz(yaw) Ry(-pitch) in the torso."""
-    yaw = -_arcsin(rotation[:, 0, 1])
-    roll = np.arctan2(rotation[:, 2, 1], rotation[:, 1, 1])
-    pitch = -np.arctan2(rotation[:, 0, 2], rotation[:, 0, 0])
-    angles = columns(roll, yaw, pitch)
-    # a roll beyond 90 degrees is a head turned backwards: the other triple of angles says so
-    backwards = np.abs(roll) > 0.5 * np.pi
-    if backwards.any():
-        other = wrap(np.array([np.pi, np.pi, np.pi]) + angles * np.array([1.0, -1.0, 1.0]))
-        angles[backwards] = other[backwards]
-    return angles
+    return np.array([_head(matrix) for matrix in rotation.tolist()])
+
+
+def _head(matrix: Sequence[Sequence[float]]) -> Sequence[float]:
+    """Roll, yaw, pitch (rad) of one head."""
+    (xx, xy, xz), (_, yy, _), (_, zy, _) = matrix
+    roll, yaw, pitch = math.atan2(zy, yy), -_arcsin(xy), -math.atan2(xz, xx)
+    if abs(roll) > 0.5 * math.pi:
+        # a roll beyond 90 degrees is a head turned backwards: the other triple of angles says so
+        return wrap(math.pi + roll), wrap(math.pi - yaw), wrap(math.pi + pitch)
+    return roll, yaw, pitch
 
 
 def head_rotation(points: np.ndarray, known: np.ndarray, template: np.ndarray) -> np.ndarray:
@@ -168,15 +183,13 @@ def head_rotation(points: np.ndarray, known: np.ndarray, template: np.ndarray) -
     points: (N, 5, 3) m, 0 where not known (N, 5). Kabsch's solution by singular values; meaningless with fewer than
     three points.
     """
-    weights = (known * _FACE_WEIGHTS)[..., None]
-    total = np.maximum(np.add.reduce(weights, axis=1, keepdims=True), 1e-9)
-    weights = weights / total
-    seen = points - np.add.reduce(weights * points, axis=1, keepdims=True)
-    model = template - np.add.reduce(weights * template, axis=1, keepdims=True)
-    left, _, right = np.linalg.svd((weights * model).transpose(0, 2, 1) @ seen)
-    rotation = right.transpose(0, 2, 1) @ left.transpose(0, 2, 1)
+    weights = (known * _FACE_WEIGHTS)[:, None]
+    model = template - weights @ template / np.maximum(np.add.reduce(weights, axis=2, keepdims=True), 1e-9)
+    # the points need no centre: the weighted template's is 0
+    left, _, right = np.linalg.svd((model.transpose(0, 2, 1) * weights) @ points)
+    rotation = (left @ right).transpose(0, 2, 1)
     mirrored = np.linalg.det(rotation) < 0.0
     if mirrored.any():
         right[mirrored, 2] *= -1.0
-        rotation = right.transpose(0, 2, 1) @ left.transpose(0, 2, 1)
+        rotation = (left @ right).transpose(0, 2, 1)
     return rotation

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import List
+
 import numpy as np
 
 CROSS = np.zeros((3, 3, 3))
@@ -10,6 +13,8 @@ CROSS[0, 1, 2] = CROSS[1, 2, 0] = CROSS[2, 0, 1] = -1.0
 CROSS[0, 2, 1] = CROSS[1, 0, 2] = CROSS[2, 1, 0] = 1.0
 _CROSS_FLAT = CROSS.reshape(3, 9)
 _IDENTITY = np.eye(3)
+_NEXT, _AFTER_NEXT = np.array([1, 2, 0]), np.array([2, 0, 1])
+_SUM = np.ones((3, 1))
 
 
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
@@ -18,13 +23,15 @@ def cross_matrix(vectors: np.ndarray) -> np.ndarray:
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a x b of vectors (..., 3) and (..., 3); several times as fast as np.cross on small arrays."""
-    return (cross_matrix(a) @ b[..., None])[..., 0]
+    """a x b of vectors (..., 3) and (..., 3) of the same shape; several times as fast as np.cross on small arrays."""
+    product = a * b.take(_NEXT, -1)
+    product -= a.take(_NEXT, -1) * b
+    return product.take(_NEXT, -1)
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Scalar products (..., 1) of vectors (..., 3)."""
-    return np.einsum("...i,...i->...", a, b)[..., None]
+    return (a * b) @ _SUM  # a third of einsum's time
 
 
 def columns(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -62,9 +69,26 @@ def about_fixed_axes(skew: np.ndarray, squared: np.ndarray, angles: np.ndarray) 
     return rotation
 
 
-def wrap(angles: np.ndarray) -> np.ndarray:
-    """Angles (rad) in -pi to pi."""
-    return angles - 2.0 * np.pi * np.rint(angles * (0.5 / np.pi))
+def about_vector(x: float, y: float, z: float, most: float) -> List[List[float]]:
+    """Rows of the rotation by the rotation vector (x, y, z) rad, cut at the angle `most`.
+
+    In plain numbers: for a few bodies quicker than in arrays.
+    """
+    length = math.sqrt(x * x + y * y + z * z)
+    angle = min(length, most)
+    scale = 1.0 / max(length, 1e-12)
+    x, y, z = x * scale, y * scale, z * scale
+    sin, rest = math.sin(angle), 1.0 - math.cos(angle)
+    xy, yz, zx = rest * x * y, rest * y * z, rest * z * x
+    xx, yy, zz = x * x, y * y, z * z
+    return [[1.0 - rest * (yy + zz), xy - sin * z, zx + sin * y],
+            [xy + sin * z, 1.0 - rest * (zz + xx), yz - sin * x],
+            [zx - sin * y, yz + sin * x, 1.0 - rest * (xx + yy)]]
+
+
+def wrap(angle: float) -> float:
+    """An angle (rad) in -pi to pi."""
+    return math.remainder(angle, 2.0 * math.pi)
 
 
 def smooth_step(values: np.ndarray, low: float, high: float) -> np.ndarray:

@@ -66,8 +66,9 @@ def trunk_pose(seen: Observation, dims: BodyDimensions, memory: BodyMemory, layo
     if not sure.all():
         lateral = np.where(sure, lateral, _facing_sensor(spine, hips))
     across = perpendicular(spine, lateral)
-    upright = np.sqrt(dot(across, across))[:, 0] > _WEAKEST_ANGLE
-    z_axis = unit(across)
+    sine = np.sqrt(dot(across, across))
+    upright = sine[:, 0] > _WEAKEST_ANGLE
+    z_axis = across / np.maximum(sine, 1e-9)
     torso = columns(cross(lateral, z_axis), lateral, z_axis)
     if up is None:
         waist = np.zeros(len(torso))
@@ -90,9 +91,10 @@ def _lateral(seen: Observation, memory: BodyMemory) -> Tuple[np.ndarray, np.ndar
     lines = seen.targets[:, 0:4:2] - seen.targets[:, 1:4:2]
     pairs = seen.known[:, 0:4:2] & seen.known[:, 1:4:2]
     total = np.add.reduce(unit(lines) * pairs[..., None], axis=1)
-    strong = dot(total, total) > _WEAKEST_LINE ** 2
+    length = np.sqrt(dot(total, total))
+    strong = length > _WEAKEST_LINE
     if strong.all():
-        return unit(total), strong
+        return total / length, strong
     instead = np.where(memory.known[:, None], memory.rotation[:, :, 1], seen.head_rotation[:, :, 1])
     sure = strong[:, 0] | memory.known | seen.head_known
     return unit(np.where(strong, total, instead)), sure[:, None]
@@ -103,8 +105,10 @@ def _middles(seen: Observation, lateral: np.ndarray, dims: BodyDimensions) -> Tu
 
     One of a pair gives the middle by the model's width.
     """
-    half = dims.pivots[:, LEFT_ARM:RIGHT_LEG:2, 1, None] * lateral[:, None]
     left, right = seen.known[:, 0:4:2, None], seen.known[:, 1:4:2, None]
+    if seen.known[:, :4].all():
+        return 0.5 * (seen.targets[:, 0:4:2] + seen.targets[:, 1:4:2]), left[..., 0]
+    half = dims.pivots[:, LEFT_ARM:RIGHT_LEG:2, 1, None] * lateral[:, None]
     total = (seen.targets[:, 0:4:2] - half) * left + (seen.targets[:, 1:4:2] + half) * right
     middles = total / np.maximum(left.astype(np.float64) + right, 1.0)
     have = (left | right)[..., 0]
