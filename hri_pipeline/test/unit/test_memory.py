@@ -28,3 +28,36 @@ def faults(mode):
 
 def test_large_blocks_are_used_again():
     assert 3 * faults("keep") < faults("default")
+
+
+def test_free_memory_goes_back_to_the_system():
+    result = subprocess.run([sys.executable, "-c", GIVING], capture_output=True, text=True)
+    if "not glibc" in result.stderr:
+        pytest.skip("this C library has no malloc_trim")
+    before, after = (int(number) for number in result.stdout.split())
+    assert after < before - 20_000
+
+
+GIVING = """
+import sys
+from hri_pipeline.core.memory import give_back, share_arenas
+if not share_arenas():
+    sys.stderr.write("not glibc")
+    sys.exit()
+
+def resident():
+    return int([line for line in open("/proc/self/status") if line.startswith("VmRSS")][0].split()[1])
+
+import ctypes
+library = ctypes.CDLL(None)
+library.malloc.restype, library.malloc.argtypes, library.free.argtypes = ctypes.c_void_p, [ctypes.c_size_t], [ctypes.c_void_p]
+library.memset.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t]
+blocks = [library.malloc(50_000) for _ in range(1000)]
+for block in blocks:
+    library.memset(block, 1, 50_000)
+for block in blocks[:-1]:
+    library.free(block)       # the last one stays: the heap does not shrink by itself
+before = resident()
+give_back()
+print(before, resident())
+"""

@@ -31,6 +31,7 @@ from hri_person_manager.ros.person_topics import PersonTopics
 from hri_person_manager.ros.reference import ReferenceFrame
 from hri_person_manager.ros.restart_memory import RestartMemory
 from hri_person_manager.ros.tf_intake import StampedSighting, TfIntake
+from hri_pipeline.core.memory import give_back, share_arenas
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.ros.conversions import transform_to_msg
@@ -42,6 +43,7 @@ TICK_S = 0.1
 SWITCH_S = 0.001     # a callback waits no longer than so for a thread that computes; the default of Python is 5 ms
 DIAGNOSTICS_S = 1.0
 EXPIRY_S = 3600.0
+GIVE_BACK_S = 20.0       # between two times at which memory that is free goes back to the system
 _LOG_PERIOD_S = 30.0
 JUMP_BACK_S = 0.5
 _FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", Kind.BODY, {}),
@@ -73,7 +75,7 @@ class PersonManagerNode:
         self._memory = RestartMemory()
         self._guard = MatchGuard(settings.max_matches_per_second)
         self._last_now = rospy.get_time()
-        self._next_report = self._next_expiry = 0.0
+        self._next_report = self._next_expiry = self._next_giving = 0.0
         self._jumps = 0
         self._store = open_store(settings)
         self._register = PersonRegister(self._store)
@@ -94,6 +96,7 @@ class PersonManagerNode:
         self._reset = rospy.Service("~reset", Empty, self._on_reset)
         self._services = PersonServices(self._manager, self._register, self._guard, self._lock, self._publish_state)
         rospy.on_shutdown(self._stop.set)
+        share_arenas()
         # To go through everything that was imported takes the garbage collector 30 ms, in which nobody is served.
         gc.collect()
         gc.freeze()
@@ -208,6 +211,9 @@ class PersonManagerNode:
             self._report.update(snapshot, self._jumps)
             if time.monotonic() >= self._next_expiry:
                 self._expire()
+            if time.monotonic() >= self._next_giving:
+                self._next_giving = time.monotonic() + GIVE_BACK_S
+                give_back()
             self._register.keep_demographics(state.id for state in snapshot.persons)
 
     def _note_seen(self, person_ids: Iterable[str]) -> None:

@@ -7,8 +7,31 @@ import ctypes
 # Parameters of mallopt in glibc's malloc.h.
 _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
+_M_ARENA_MAX = -8
 # Larger than any image, or the tensor made of it.
 _KEEP_BYTES = 2 ** 28
+
+
+def share_arenas(count: int = 2) -> bool:
+    """Let all threads allocate from `count` arenas; tell whether the C library can. For nodes whose threads come and go.
+
+    By default each new thread may get an arena of its own, up to eight per core, and what is freed in one is of no use
+    to the others: with topics that open and close all the time the process grows for minutes.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError):
+        return False
+    mallopt.argtypes = (ctypes.c_int, ctypes.c_int)
+    return bool(mallopt(_M_ARENA_MAX, count))
+
+
+def give_back() -> bool:
+    """Give memory that is free to the kernel; tell whether there was any. Takes a few milliseconds."""
+    try:
+        return bool(ctypes.CDLL(None).malloc_trim(ctypes.c_size_t(0)))
+    except (OSError, AttributeError):
+        return False
 
 
 def keep_large_blocks() -> bool:
