@@ -6,6 +6,7 @@ An estimate of how somebody looks, trained on pictures of famous people; no stat
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Callable, Dict, List, Optional, Protocol, Sequence, Tuple, Type, Union
@@ -38,7 +39,7 @@ class AgeGenderModel(Protocol):
         """Return one answer per crop, in order."""
 
 
-class _OnnxAgeGender:
+class _OnnxAgeGender(ABC):
     """What the adapters share: a network that is checked by a trial run."""
 
     INPUTS: Tuple[str, ...] = ()
@@ -68,11 +69,13 @@ class _OnnxAgeGender:
         """Return one answer per crop, in order; an age that is not finite is told as NaN with an infinite deviation."""
         return [self._answer(self._run(crop[None].astype(np.float32))) for crop in crops]
 
+    @abstractmethod
     def _run(self, batch: np.ndarray) -> Dict[str, np.ndarray]:
-        raise NotImplementedError
+        """Outputs of the network for crops (N, S, S, 3) float32 BGR."""
 
+    @abstractmethod
     def _answer(self, out: Dict[str, np.ndarray]) -> AgeGender:
-        raise NotImplementedError
+        """What the outputs for one face say."""
 
     def _checked(self, age: float, p_female: float) -> AgeGender:
         if not (MIN_AGE <= age <= MAX_AGE and 0.0 <= p_female <= 1.0):
