@@ -18,6 +18,7 @@ from hri_pipeline.core.memory import keep_large_blocks
 from hri_pipeline.core.onnx_model import ModelError
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.threads import one_thread_each
 from hri_pipeline.ros.master_watch import MasterWatch
 
 _RETRY_S = 1.0
@@ -40,6 +41,7 @@ def run_node(name: str, build: Callable[[], object]) -> NoReturn:
     """
     _install_handlers()
     keep_large_blocks()
+    one_thread_each()
     code = 0
     try:
         wait_for_master(name)
@@ -81,6 +83,7 @@ def _run(build: Callable[[], object]) -> int:
     try:
         watch = MasterWatch()
         node = build()
+        one_thread_each()     # for libraries that came with the node
         node.spin()
     except _Stop:
         pass
