@@ -20,7 +20,7 @@ HISTORY_S = 10.0
 SKELETONS = "/rsp_"
 """Names of the robot_state_publishers of bodies start so."""
 # Frames of humans come and go by the thousand, and no way of the robot leads over one.
-_OF_HUMANS = (b"body_", b"head_", b"face_", b"gaze_", b"voice_", b"person_")
+OF_HUMANS = (b"body_", b"head_", b"face_", b"gaze_", b"voice_", b"person_")
 
 
 class RobotFrames:
@@ -53,14 +53,18 @@ class RobotFrames:
         Where the history does not cover the stamp, the latest transform is taken. None if no chain of
         transforms connects the two.
         """
-        if frame == self._reference:
+        return self.between(self._reference, frame, stamp)
+
+    def between(self, target: str, frame: str, stamp: genpy.Time) -> Optional[Pose]:
+        """Return the pose of a frame in another one than the reference, as lookup() does."""
+        if frame == target:
             return Pose.identity()
         with self._lock:
-            for needed in self._tree.follow(frame):
+            for needed in self._tree.follow(target) + self._tree.follow(frame):
                 self._feed(*needed)
             for time in (stamp, genpy.Time()):
                 try:
-                    return pose_from_transform(self._buffer.lookup_transform_core(self._reference, frame, time))
+                    return pose_from_transform(self._buffer.lookup_transform_core(target, frame, time))
                 except tf2_py.ExtrapolationException:
                     continue
                 except (tf2_py.TransformException, ValueError):
@@ -100,11 +104,14 @@ class RobotFrames:
 
 
 class RobotFrameFeed(RobotFrames):
-    """The same with its own ears: listens to /tf and /tf_static, and passes over the frames of humans."""
+    """The same with its own ears: listens to /tf and /tf_static, and passes over the frames of humans.
 
-    def __init__(self, reference: str) -> None:
+    own: take the transforms that this node sends itself, too.
+    """
+
+    def __init__(self, reference: str, own: bool = False) -> None:
         super().__init__(reference)
-        self._ears = TfFeed(self._take, skip=SKELETONS)
+        self._ears = TfFeed(self._take, skip=SKELETONS, own=own)
 
     def close(self) -> None:
         """Stop listening. Idempotent."""
@@ -112,5 +119,5 @@ class RobotFrameFeed(RobotFrames):
 
     def _take(self, data: bytes, frames: Frames, fixed: bool) -> None:
         for child, offset in frames:
-            if not child.lstrip(b"/").startswith(_OF_HUMANS):
+            if not child.lstrip(b"/").startswith(OF_HUMANS):
                 self.put(read(data, offset), fixed)

@@ -19,13 +19,15 @@ class TfFeed:
 
     frames: (child frame, offset) of each transform; tf_scan.read(data, offset) gives the transform itself.
     fixed: it came on /tf_static. A message that is no TFMessage, or of which on_frames says so by a ValueError, is told and
-    counted in `refused`. skip: messages of nodes whose name starts so are not even looked at.
+    counted in `refused`. skip: messages of nodes whose name starts so are not even looked at. own: take those of this
+    node as well.
     """
 
-    def __init__(self, on_frames: Callable[[bytes, Frames, bool], None], skip: Optional[str] = None) -> None:
+    def __init__(self, on_frames: Callable[[bytes, Frames, bool], None], skip: Optional[str] = None,
+                 own: bool = False) -> None:
         self._on_frames = on_frames
         self._skip = skip
-        self._name = rospy.get_name()
+        self._name = "" if own else rospy.get_name()
         self.refused = 0
         self._moving = rospy.Subscriber("/tf", rospy.AnyMsg, self._take, callback_args=False,
                                         queue_size=100, buff_size=2 ** 20, tcp_nodelay=True)
