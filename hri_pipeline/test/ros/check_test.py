@@ -1,0 +1,139 @@
+#!/usr/bin/env python3
+"""The check of a running set-up, with real faults: it names each, ends with 1, and finds none where there is none."""
+
+import os
+import subprocess
+import threading
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
+from waiting import wait_for
+
+from hri_pipeline.ros.conversions import bgr_to_image
+from hri_pipeline.ros.topic_release import release
+
+PICTURE = np.random.default_rng(0).integers(60, 200, (120, 160, 3)).astype(np.uint8)
+
+
+class Camera:
+    """Publishes pictures at 20 Hz on topics of its own until it is closed."""
+
+    def __init__(self, name, picture=PICTURE, focal=150.0, frame="optical_check", behind=0.0, kind=Image):
+        self.topics = ["image:=/{}/image".format(name), "camera_info:=/{}/camera_info".format(name)]
+        self.image = rospy.Publisher("/{}/image".format(name), kind, queue_size=1)
+        self.info = rospy.Publisher("/{}/camera_info".format(name), CameraInfo, queue_size=1)
+        self.make = lambda: self.publish(picture, focal, frame, behind, kind)
+        self.stop = threading.Event()
+        self.thread = threading.Thread(target=self.run, daemon=True)
+        self.thread.start()
+
+    def run(self):
+        while not self.stop.wait(0.05):
+            self.make()
+
+    def publish(self, picture, focal, frame, behind, kind):
+        header = Header(frame_id=frame, stamp=rospy.Time.from_sec(rospy.get_time() - behind))
+        if kind is CompressedImage:
+            self.image.publish(CompressedImage(header=header, format="jpeg"))
+        else:
+            message = bgr_to_image(picture, header)
+            self.image.publish(message)
+        self.info.publish(CameraInfo(header=header, width=160, height=120, K=[focal, 0, 80, 0, focal, 60, 0, 0, float(focal > 0)]))
+
+    def close(self):
+        self.stop.set()
+        self.thread.join()
+        release(self.image)
+        release(self.info)
+
+
+class CheckTest(unittest.TestCase):
+
+    def check(self, *topics, nodes="[face_body_matcher]", code=1, **environment):
+        """Run the check and return what it prints."""
+        command = ["rosrun", "hri_pipeline", "check", "_watch_time:=1.0", "_nodes:=" + nodes] + list(topics)
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True, timeout=60,
+                              env=dict(os.environ, **environment))
+        self.assertEqual(done.returncode, code, done.stdout)
+        return done.stdout
+
+    def camera(self, name, **arguments):
+        camera = Camera(name, **arguments)
+        self.addCleanup(camera.close)
+        return camera.topics
+
+    def faults(self, text):
+        return [line for line in text.splitlines() if line.startswith("FAULT")]
+
+    def names(self, words, *topics, **arguments):
+        """The check finds one fault, in these words."""
+        text = self.check(*topics, **arguments)
+        self.assertEqual(len(self.faults(text)), 1, text)
+        self.assertIn(words, self.faults(text)[0])
+
+    def test_nothing_is_wrong(self):
+        text = self.check(*self.camera("well"), code=0)
+        self.assertIn("no faults found", text)
+        self.assertIn("transforms lead from optical_check to map", text)
+
+    def test_nobody_publishes(self):
+        self.names("nobody publishes /none/image", "image:=/none/image")
+
+    def test_wrong_type(self):
+        self.names("is a sensor_msgs/CompressedImage", *self.camera("packed", kind=CompressedImage))
+
+    def test_not_calibrated(self):
+        self.names("K on /blind/camera_info is all zero", *self.camera("blind", focal=0.0))
+
+    def test_no_transform(self):
+        self.names("no transform leads from the camera (nowhere)", *self.camera("lost", frame="nowhere"))
+
+    def test_no_frame(self):
+        self.names("no frame_id", *self.camera("nameless", frame=""))
+
+    def test_dark(self):
+        self.names("too dark", *self.camera("night", picture=PICTURE // 30))
+
+    def test_covered(self):
+        self.names("shows nothing", *self.camera("covered", picture=np.full_like(PICTURE, 90)))
+
+    def test_old_images(self):
+        self.names("s old when they arrive", *self.camera("late", behind=30.0))
+
+    def test_no_models(self):
+        self.names("models are missing in /nonexistent", *self.camera("untaught"), ROS4HRI_MODELS="/nonexistent")
+
+    def test_a_node_that_does_not_run(self):
+        self.names("the node hri_faces does not run", *self.camera("alone"), nodes="[face_body_matcher, hri_faces]")
+
+    def test_a_node_that_was_killed(self):
+        victim = subprocess.Popen(["rosrun", "hri_pipeline", "face_body_matcher", "__name:=victim"])
+        self.addCleanup(victim.wait)
+        master = rospy.get_master()
+        wait_for(lambda: master.lookupNode("/victim")[0] == 1, 20, "the node is there")
+        wait_for(lambda: any("/victim" in nodes for _, nodes in master.getSystemState()[2][0]), 20, "it publishes")
+        subprocess.run(["pkill", "-9", "-f", "__name:=victim"], check=True)
+        victim.wait(10)
+        self.names("victim is registered, but does not answer", *self.camera("mourning"), nodes="[victim]")
+        subprocess.run(["rosnode", "cleanup"], input="y\n", universal_newlines=True, check=True, stdout=subprocess.DEVNULL)
+
+    def test_time_that_stands_still(self):
+        rospy.set_param("/use_sim_time", True)
+        self.addCleanup(rospy.delete_param, "/use_sim_time")
+        self.assertIn("nobody publishes /clock", self.faults(self.check(*self.camera("timeless")))[0])
+
+    def test_no_master(self):
+        text = self.check("image:=/none/image", ROS_MASTER_URI="http://127.0.0.1:1")
+        self.assertIn("no ROS master answers at http://127.0.0.1:1", text)
+
+    def test_wrong_parameter(self):
+        self.assertIn("watch_time", self.check("_watch_time:=fast", code=2))
+
+
+if __name__ == "__main__":
+    rospy.init_node("check_test")
+    rostest.rosrun("hri_pipeline", "check", CheckTest)
