@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Tuple
 
 from hri_fullbody.core.body_modeller_parameters import MODELLER_PARAMETERS
@@ -76,10 +77,14 @@ def _but_interface(parameters: Tuple[Parameter, ...]) -> Tuple[Parameter, ...]:
 
 _BODY_PARAMETERS = BODY_STAGE_PARAMETERS + _but_interface(MODELLER_PARAMETERS) + BODY_OUTPUT_PARAMETERS
 
+# Of more images than there are joint states nothing would be seen, and each costs 3 ms even when nobody is looked at in it.
+_BODY_RATE = 15.0
+
 BODIES = ParameterTable(
     "bodies",
     "Node bodies: finds and follows bodies, their 18 key points, their place in front of the camera, and their joints.",
-    _BODY_PARAMETERS + _but_interface(CAMERA_PARAMETERS) + _INTERFACE,
+    _BODY_PARAMETERS + tuple(replace(parameter, default=_BODY_RATE) if parameter.name == "max_rate" else parameter
+                             for parameter in _but_interface(CAMERA_PARAMETERS)) + _INTERFACE,
 )
 
 VISION = ParameterTable(

@@ -81,7 +81,7 @@ CAMERA_PARAMETERS = (
     Parameter("fallback_fov", 1.0472, "Horizontal field of view of the camera while there is no calibration"
               " (camera_info missing, or its K all zero). Distances scale with it.",
               unit="rad", minimum=0.1, maximum=3.0),
-    Parameter("max_rate", 20.0, "Most images processed per second; the others are skipped, which leaves more of the"
+    Parameter("max_rate", 30.0, "Most images processed per second; the others are skipped, which leaves more of the"
               " processor to others. 0: as fast as they come.",
               unit="Hz", minimum=0.0, maximum=1000.0),
     Parameter("interface", "paper", "Type of `roi`: `paper` is sensor_msgs/RegionOfInterest in pixels, `rep155` is"

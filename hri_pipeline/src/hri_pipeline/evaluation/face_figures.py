@@ -27,7 +27,7 @@ from hri_pipeline.evaluation.eyes import confusion, images, labelled_eyes, neare
 from hri_pipeline.evaluation.synthetic_heads import head_poses, meshes_of
 
 RATE_HZ = 20.0
-"""Images per second of the films made of stills: the nodes take no more by default (`max_rate`)."""
+"""Images per second of the films made of stills."""
 WARM_UP_S = 10.0
 """By then every face has its person and its age: what is left is what a camera in use costs."""
 WIDTH, HEIGHT = 1280, 720

@@ -10,6 +10,7 @@ from typing import Deque, Dict, List, Optional, Protocol, Sequence, Set
 
 import rospy
 
+from hri_pipeline.core.pacing import Pacer
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.image_intake import Frame, ImageIntake
@@ -50,7 +51,7 @@ class VisionLoop:
         self._intake = intake
         self._branches = list(branches)
         self._diagnostics = diagnostics
-        self._period = 1.0 / max_rate if max_rate > 0.0 else 0.0
+        self._pacer = Pacer(max_rate) if max_rate > 0.0 else None
         self._silence = silence
         self._closed = threading.Event()
         self._ended: Deque[float] = deque(maxlen=300)
@@ -67,12 +68,14 @@ class VisionLoop:
         """Work until ROS shuts down or close() is called."""
         heard, quiet = rospy.get_time(), True
         while not self._closed.is_set() and not rospy.is_shutdown():
-            started = time.monotonic()
+            if self._pacer is not None:
+                self._closed.wait(self._pacer.wait(time.monotonic()))
             frame = self._next()
             if frame is not None:
+                if self._pacer is not None:
+                    self._pacer.done(time.monotonic())
                 self.process(frame)
                 heard, quiet = rospy.get_time(), False
-                self._closed.wait(max(0.0, self._period - (time.monotonic() - started)))
             elif not quiet and rospy.get_time() - heard > self._silence:
                 quiet = True
                 self.reset()
