@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_fullbody.core.restart_policy import LONGEST_WAIT_S, PROVEN_S, RestartPolicy
 from hri_fullbody.core.stamp_pacer import StampPacer
+from hri_pipeline.core.restart_policy import LONGEST_WAIT_S, PROVEN_S, RestartPolicy
 
 
 @pytest.mark.parametrize("given, wanted, expected", [

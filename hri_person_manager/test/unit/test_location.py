@@ -56,6 +56,18 @@ def test_a_worse_source_speaks_once_the_better_one_is_silent_or_gone():
     assert location.offer(Source.BODY, place(2.0, 10.8), 10.8)
 
 
+def test_where_somebody_was_seen_is_better_than_the_direction_of_a_voice_for_a_while():
+    location = Location(0.5)
+    location.offer(Source.BODY, place(2.3, 10.0), 10.0)
+    assert not location.offer(Source.VOICE, place(1.0, 11.0), 11.0)
+    location.forget_source(Source.BODY)
+    assert not location.offer(Source.VOICE, place(1.0, 12.9), 12.9)
+    assert location.place.pose.translation[0] == 2.3 and location.is_silent(12.9)
+    assert location.offer(Source.VOICE, place(1.0, 13.1), 13.1)
+    assert location.offer(Source.VOICE, place(1.1, 13.2), 13.2)
+    assert location.offer(Source.VOICE, place(1.2, 5.0), 5.0)      # time has jumped back
+
+
 def test_silence():
     location = Location(0.5)
     assert location.is_silent(0.0)

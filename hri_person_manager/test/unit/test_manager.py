@@ -189,7 +189,7 @@ def test_rule_3_a_permanent_person_stays_known_when_the_place_is_forgotten():
 
 
 def test_rule_4_a_voice_without_a_direction_gives_no_frame():
-    manager = make(new_person_delay=0.0)
+    manager = make(new_person_delay=0.0, voice_person_delay=0.0)
     manager.on_tracked(Kind.VOICE, ["v1"], 0.0)
     assert people(manager, 1.0)[A1][3] == 0.0
     assert manager.silent(1.0) == []

@@ -11,7 +11,7 @@ from typing import Dict, Optional
 import rospy
 
 from hri_fullbody.core.child_process import ChildProcess
-from hri_fullbody.core.restart_policy import RestartPolicy
+from hri_pipeline.core.restart_policy import RestartPolicy
 
 # A process that ends with an error this soon did so because of what it was given.
 _START_S = 5.0

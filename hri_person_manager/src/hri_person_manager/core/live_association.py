@@ -31,6 +31,16 @@ class LiveAssociation:
         return tuple(sorted(set(self._groups.values()), key=min))
 
     @property
+    def claimants(self) -> List[Group]:
+        """The groups that are somebody: all but the second voices of those who have a voice.
+
+        A person has one voice at a time, the one that speaks for it best. Who says that another is of the same human,
+        such as its last turn, says that it is nobody else's.
+        """
+        return [group for group in self.groups
+                if len(group) > 1 or not any(node.kind == Kind.VOICE and self._is_second(node) for node in group)]
+
+    @property
     def matches(self) -> List[Tuple[Node, Node, float]]:
         """All matches that are kept between features and persons."""
         return self._graph.edges()
@@ -114,6 +124,12 @@ class LiveAssociation:
             neighbour not in group and self._is_present(neighbour)
             and (self._graph.likelihood(node, neighbour) or 0.0) >= self._threshold
             for node in group for neighbour in self._graph.neighbours(node))
+
+    def _is_second(self, voice: Node) -> bool:
+        """Tell whether a voice that is alone is linked with a group that holds another one."""
+        return any((self._graph.likelihood(voice, other) or 0.0) >= self._threshold
+                   and any(node.kind == Kind.VOICE and node != voice for node in self._groups.get(other, ()))
+                   for other in self._graph.neighbours(voice))
 
     def _take(self, group: Group) -> bool:
         if len(group) == 1:

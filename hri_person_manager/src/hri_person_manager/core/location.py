@@ -22,6 +22,7 @@ UNSEEN_CEILING = 0.99      # a person who is not seen is never at 1, not even in
 STEP_CONFIDENCE = 0.5
 SMOOTHING = 0.5            # s, of the velocity
 LONGEST_STEP = 1.0         # s between two places that tell a velocity
+VOICE_PATIENCE = 3.0       # s for which a place that was seen is better than the direction of a voice
 HIGHEST_SPEED = 3.0        # m/s, a person who runs; more is a jump of the measurement
 
 
@@ -136,14 +137,15 @@ class Location:
         self._source_timeout = source_timeout
         self._motion = Motion(coast_time)
         self._heard: Dict[Source, Tuple[float, Hashable]] = {}
-        self._updated = float("-inf")
+        self._updated = self._seen = float("-inf")
         self.place: Optional[Place] = None
 
     def offer(self, source: Source, place: Place, now: float, feature: Hashable = None) -> bool:
         """Take a new place unless a better source spoke recently; return whether it was taken.
 
         The stamps of the sources are compared with each other, `now` only dates the arrival. Of two features that
-        are equally good, such as the faces that two cameras see of one person, the one that spoke first goes on.
+        are equally good, such as the faces that two cameras see of one person, the one that spoke first goes on. A voice
+        tells the direction only: where somebody was seen shortly before is closer to the truth.
         """
         for better, (stamp, speaker) in self._heard.items():
             preferred = better < source or (better == source and speaker != feature)
@@ -151,6 +153,10 @@ class Location:
                 if better < source:
                     self._heard.setdefault(source, (place.stamp, feature))
                 return False
+        if source != Source.VOICE:
+            self._seen = place.stamp
+        elif 0.0 <= place.stamp - self._seen <= VOICE_PATIENCE:
+            return False
         self._heard[source] = (place.stamp, feature)
         self._motion.see(place)
         self.place = place
@@ -169,7 +175,7 @@ class Location:
         """Take over the place of a person that turned out to be the same, if it is the newer one."""
         if other.place is not None and other._updated > self._updated:
             self.place = other.place
-            self._updated = other._updated
+            self._updated, self._seen = other._updated, other._seen
 
     def is_silent(self, now: float) -> bool:
         """Tell whether no source has placed the person for longer than the time limit."""
@@ -180,4 +186,4 @@ class Location:
         self.place = None
         self._motion.clear()
         self._heard.clear()
-        self._updated = float("-inf")
+        self._updated = self._seen = float("-inf")

@@ -22,8 +22,7 @@ from hri_person_manager.core.unions import Unions
 from hri_pipeline.core.ids import IdGenerator
 
 MAX_UNSEEN_PERSONS = 32       # permanent persons kept with their topics although nobody sees them
-_KIND_OF_SOURCE = {Source.FACE: Kind.FACE, Source.HEAD: Kind.BODY, Source.BODY: Kind.BODY,
-                   Source.VOICE: Kind.VOICE}
+_KIND_OF_SOURCE = {Source.FACE: Kind.FACE, Source.HEAD: Kind.BODY, Source.BODY: Kind.BODY, Source.VOICE: Kind.VOICE}
 
 
 class PersonManager:
@@ -41,7 +40,8 @@ class PersonManager:
     def _start_afresh(self, known: KnownIds, unions: Unions) -> None:
         self._known, self._unions = known, unions
         self._book = PersonBook(self._new_id, lambda: Location(self._settings.source_timeout, self._settings.coast_time),
-                                self._settings.new_person_delay, self._settings.anonymous_persons)
+                                self._settings.new_person_delay, self._settings.anonymous_persons,
+                                self._settings.voice_person_delay)
         self._view = PersonView(self._book, self._unions, self._decay)
         self._association = LiveAssociation(self._threshold, self._is_present, self._make_permanent)
         self._cameras = CameraUnions(self._settings, self._book, self._association, self._unions)
@@ -107,7 +107,7 @@ class PersonManager:
         arrived = self._presume(nodes, now) if match.likelihood > 0.0 else []
         worth = self._association.keep(match)
         changed = self._association.solve(nodes) if worth or arrived else False
-        if self._end_presumptions(nodes) or arrived or changed:
+        if self._end_presumptions(nodes) or arrived or changed or (worth and Kind.VOICE in {node.kind for node in nodes}):
             self._settle(now)
             return True
         return False
@@ -157,11 +157,10 @@ class PersonManager:
 
         Returns False for somebody who does not exist.
         """
-        node = Node(Kind.PERSON, person_id)
         members = {person_id} | {id for id, alias in self._book.aliases.items() if alias.target == person_id}
         if not members & (set(self._book.persons) | set(self._known) | set(self._book.aliases)):
             return False
-        touched = self._association.forget(node)
+        touched = self._association.forget(Node(Kind.PERSON, person_id))
         self._known.remove(person_id)
         self._unions.remove(person_id)
         self._book.remove(person_id)
@@ -230,15 +229,12 @@ class PersonManager:
         return self._view.snapshot(self._known, now)
 
     def _is_present(self, node: Node) -> bool:
-        if node.kind == Kind.PERSON:
-            return node.id in self._known
-        return node in self._presence
+        return node.id in self._known if node.kind == Kind.PERSON else node in self._presence
 
     def _presume(self, nodes: Iterable[Node], now: float) -> List[Node]:
         """Count features as present that a match names before their list does."""
-        if not self._settings.features_from_matches:
-            return []
-        arrived = [node for node in nodes if node.kind != Kind.PERSON and self._presence.presume(node, now)]
+        arrived = [node for node in nodes if self._settings.features_from_matches and node.kind != Kind.PERSON
+                   and self._presence.presume(node, now)]
         if arrived:
             self._association.arrive(arrived)
         return arrived
@@ -256,6 +252,10 @@ class PersonManager:
         """Take a match with an anonymous person: one without features gets this one, else its person is joined with it."""
         if person_id not in self._book.persons:
             return False
+        seen = sorted(node for node in self._book.persons[person_id].features if node.kind != Kind.VOICE)
+        if seen and feature.kind == Kind.VOICE:
+            # To what is seen of the person: the voice needs no person of its own in between.
+            return any([self.on_match(Match(feature, node, likelihood), now) for node in (seen[:1] if likelihood else seen)])
         if self._book.owner(feature) is None and likelihood >= self._threshold:
             self._presume((feature,), now)
             if not self._is_present(feature):
@@ -272,7 +272,7 @@ class PersonManager:
         return True
 
     def _settle(self, now: float) -> None:
-        self._book.settle(self.groups, now)
+        self._book.settle(self._association.claimants, now)
         self._settle_unions(now)
 
     def _settle_unions(self, now: float) -> bool:

@@ -24,6 +24,11 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
     Parameter("new_person_delay", 0.5,
               "Time that a feature waits for a match before it becomes an anonymous person. Longer: fewer "
               "short-lived persons, later frames.", unit="s", minimum=0.0, maximum=60.0),
+    Parameter("voice_person_delay", 2.0,
+              "Time that a voice waits for a match before somebody unseen is believed to speak: mouth and voice have to "
+              "be compared for about a second. Shorter: unseen speakers are persons earlier, and speakers in view get a person "
+              "for a moment that then is an alias. Counts where it is longer than new_person_delay.",
+              unit="s", minimum=0.0, maximum=60.0),
     Parameter("decay", "exponential",
               "How the location confidence falls once a person is not seen or heard: exponential (half after "
               "each half_life), linear (0 after two half_life), step (0.5 at once, 0 after two half_life).",

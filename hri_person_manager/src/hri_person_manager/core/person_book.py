@@ -49,11 +49,15 @@ class PersonBook:
     """All persons that exist, and what has become of merged ones."""
 
     def __init__(self, new_id: Callable[[], str], new_location: Callable[[], Location],
-                 new_person_delay: float, anonymous_persons: bool) -> None:
-        """Make ids with `new_id` (5 characters); a feature waits `new_person_delay` seconds for a claim."""
+                 new_person_delay: float, anonymous_persons: bool, voice_person_delay: float = 0.0) -> None:
+        """Make ids with `new_id` (5 characters); a feature waits `new_person_delay` seconds for a claim.
+
+        voice_person_delay: s that a voice alone waits, if that is longer.
+        """
         self._new_id = new_id
         self._new_location = new_location
         self._delay = new_person_delay
+        self._voice_delay = max(new_person_delay, voice_person_delay)
         self._anonymous_persons = anonymous_persons
         self._count = 0
         self._unclaimed: Dict[Node, float] = {}
@@ -85,7 +89,10 @@ class PersonBook:
         return self._of_feature.get(feature)
 
     def settle(self, groups: Iterable[Group], now: float) -> None:
-        """Give every group of features its person; `groups` hold each living feature exactly once."""
+        """Give every group of features its person; `groups` hold each living feature at most once.
+
+        A feature that is in none of them belongs to nobody.
+        """
         owners: Dict[Group, Person] = {}
         nameless: List[Group] = []
         for group in groups:
@@ -106,7 +113,7 @@ class PersonBook:
         """Return the time (s) at which the next unclaimed feature becomes a person, None if none waits."""
         if not self._unclaimed or not self._anonymous_persons:
             return None
-        return min(self._unclaimed.values()) + self._delay
+        return min(since + self._delay_of((node,)) for node, since in self._unclaimed.items())
 
     def remove(self, person_id: str) -> None:
         """Forget a person and those merged into it."""
@@ -155,13 +162,17 @@ class PersonBook:
             lost = self.persons.get(expected)
             if lost is not None and lost.anonymous and all(owner is not lost for owner in owners.values()):
                 owners[group] = lost
-            elif self._anonymous_persons and (expected or now - since >= self._delay - 1e-9):
+            elif self._anonymous_persons and (expected or now - since >= self._delay_of(group) - 1e-9):
                 free = expected and expected not in self.persons and expected not in self.aliases
                 person = self._make(expected if free else ANONYMOUS_PREFIX + self._new_id())
                 self.persons[person.id] = owners[group] = person
             else:
                 unclaimed.update((node, self._unclaimed.get(node, now)) for node in group)
         self._unclaimed = unclaimed
+
+    def _delay_of(self, features: Iterable[Node]) -> float:
+        """How long (s) features wait for a claim."""
+        return self._voice_delay if all(node.kind == Kind.VOICE for node in features) else self._delay
 
     def _expected_id(self, group: Group) -> str:
         """Id that an earlier run or a claim gave to the features of a group, empty if none; it is given once."""

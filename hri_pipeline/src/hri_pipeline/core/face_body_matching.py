@@ -9,10 +9,10 @@ from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tu
 
 import numpy as np
 
+from hri_pipeline.core.announcing import Announcer
 from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.overlay_pairing import FeatureHistory
 
-RESEND_PERIOD_S = 1.0
 CONFIDENCE_STEP = 0.05
 _HISTORY_S = 1.0
 _JUMP_BACK_S = 0.5
@@ -240,26 +240,13 @@ class MatchAnnouncer:
     """Chooses which matches are said: new and changed ones, each once a second, and withdrawals."""
 
     def __init__(self) -> None:
-        self._said: Dict[Pair, Tuple[float, float]] = {}
+        self._announcer: Announcer[Pair] = Announcer(CONFIDENCE_STEP)
 
     def to_say(self, matches: Iterable[PairMatch], now: float) -> List[PairMatch]:
         """Return what to publish at time `now` (s, of a clock that never jumps), withdrawals first."""
         current = {(match.face, match.body): match.confidence for match in matches}
-        gone = [PairMatch(face, body, 0.0) for face, body in self._said if (face, body) not in current]
-        due = [PairMatch(face, body, value) for (face, body), value in current.items()
-               if self._is_due((face, body), value, now)]
-        for match in gone:
-            del self._said[match.face, match.body]
-        for match in due:
-            self._said[match.face, match.body] = (match.confidence, now)
-        return gone + due
+        return [PairMatch(*pair, value) for pair, value in self._announcer.to_say(current, now)]
 
     def withdraw_all(self) -> List[PairMatch]:
         """Return the withdrawal of all that was said."""
         return self.to_say([], 0.0)
-
-    def _is_due(self, pair: Pair, value: float, now: float) -> bool:
-        if pair not in self._said:
-            return True
-        said, when = self._said[pair]
-        return abs(value - said) > CONFIDENCE_STEP or now - when >= RESEND_PERIOD_S

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Sequence, Union
+from typing import TYPE_CHECKING, Sequence, Tuple, Union
 
 import genpy
 import numpy as np
@@ -11,9 +11,16 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, RegionOfInterest
 from std_msgs.msg import Header
 
 from hri_msgs.msg import (
+    AudioFeatures,
+    EngagementLevel,
     Expression,
     FacialActionUnits,
     FacialLandmarks,
+    Gaze,
+    GazeSenderReceiver,
+    GazesStamped,
+    Group,
+    GroupsStamped,
     IdsList,
     IdsMatch,
     NormalizedPointOfInterest2D,
@@ -21,9 +28,14 @@ from hri_msgs.msg import (
     SoftBiometrics,
 )
 from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.gaze_people import GazeTarget
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.images import ImageError, bgr_from_compressed, bgr_from_raw
 from hri_pipeline.core.observations import SoftBiometrics as FaceBiometrics
+
+if TYPE_CHECKING:  # a module that needs scipy, of which most nodes need nothing
+    from hri_pipeline.core.audio_features import FeatureFrame
+    from hri_pipeline.core.group_tracker import Group as SocialGroup
 
 Stamp = Union[genpy.Time, float]
 
@@ -110,6 +122,19 @@ def action_units_to_msg(intensity: np.ndarray, confidence: np.ndarray, header: H
     return FacialActionUnits(header=header, intensity=intensity, confidence=confidence)
 
 
+def action_units_from_msg(msg: FacialActionUnits) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the 99 intensities and confidences (0 to 1).
+
+    Raises ValueError for another number of them or for what is not finite.
+    """
+    values = np.array([msg.intensity, msg.confidence] if len(msg.intensity) == len(msg.confidence) else [[]])
+    if values.shape != (2, ACTION_UNITS):
+        raise ValueError("FacialActionUnits needs {} intensities and confidences, not {} and {}".format(
+            ACTION_UNITS, len(msg.intensity), len(msg.confidence)))
+    _finite(values, "FacialActionUnits")
+    return np.clip(values[0], 0.0, 1.0), np.clip(values[1], 0.0, 1.0)
+
+
 def expression_to_msg(category: str, valence: float, arousal: float, confidence: float, header: Header) -> Expression:
     """Return the message of an expression; category is the word of one of the constants of hri_msgs/Expression.
 
@@ -130,6 +155,15 @@ def soft_biometrics_to_msg(biometrics: FaceBiometrics, header: Header) -> SoftBi
         header=header, age=int(np.clip(round(float(biometrics.age)), 0, 255)),
         age_confidence=float(np.clip(biometrics.age_confidence, 0.0, 1.0)),
         gender=gender if certain > 0.0 else SoftBiometrics.UNDEFINED, gender_confidence=certain)
+
+
+def audio_features_to_msg(frame: FeatureFrame) -> AudioFeatures:
+    """Return the message of the descriptors of one frame of a voice; it has no header. What is not finite is 0."""
+    scalars = np.nan_to_num(np.array([frame.zcr, frame.rms, frame.pitch, frame.hnr], dtype=np.float64),
+                            posinf=0.0, neginf=0.0)
+    coefficients = np.nan_to_num(np.asarray(frame.mfcc, dtype=np.float64), posinf=0.0, neginf=0.0)
+    zcr, rms, pitch, hnr = scalars.tolist()
+    return AudioFeatures(ZCR=zcr, RMS=rms, pitch=pitch, HNR=hnr, MFCC=coefficients.tolist())
 
 
 def skeleton_to_msg(keypoints: np.ndarray, header: Header, width: int, height: int) -> Skeleton2D:
@@ -176,6 +210,33 @@ def match_to_msg(id1: str, type1: int, id2: str, type2: int, confidence: float) 
     """Return a candidate match of two ids; types are IdsMatch.PERSON, FACE, BODY, VOICE; confidence 0 to 1."""
     return IdsMatch(id1=id1, id1_type=type1, id2=id2, id2_type=type2,
                     confidence=float(np.clip(confidence, 0.0, 1.0)))
+
+
+def gazes_to_msg(gazes: Sequence[GazeTarget], header: Header) -> GazesStamped:
+    """Return everybody who looks at somebody at one time."""
+    return GazesStamped(header=header, gazes=[
+        GazeSenderReceiver(sender=gaze.sender, receiver=gaze.receiver, confidence=gaze.confidence) for gaze in gazes])
+
+
+def gaze_to_msg(gaze: GazeTarget, header: Header) -> Gaze:
+    """Return one gaze, as REP-155 has it."""
+    return Gaze(header=header, sender=gaze.sender, receiver=gaze.receiver)
+
+
+def group_to_msg(group: SocialGroup, header: Header) -> Group:
+    """Return one group."""
+    return Group(header=header, group_id=group.id, members=list(group.members))
+
+
+def groups_to_msg(groups: Sequence[SocialGroup], header: Header) -> GroupsStamped:
+    """Return all groups of one time."""
+    return GroupsStamped(header=header, groups=[group_to_msg(group, header) for group in groups],
+                         confidences=[group.confidence for group in groups])
+
+
+def engagement_to_msg(level: int, header: Header) -> EngagementLevel:
+    """Return how far a person is engaged; level: one of the constants of the message."""
+    return EngagementLevel(header=header, level=int(level))
 
 
 def _points(values: np.ndarray, count: int, width: int, height: int) -> list:

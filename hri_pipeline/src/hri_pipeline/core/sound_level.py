@@ -1,0 +1,128 @@
+"""How loud a sound is, whether it is clipped, and what lies under it."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Deque, Dict, List, Tuple
+
+import numpy as np
+
+SILENT_DBFS = -120.0
+WINDOW_S = 10.0
+_PIECE_S = 0.1
+_LEVEL_PIECES = 10
+_LIMIT = 0.999
+"""Samples from here on are at the limit of their format."""
+_CLIPPED_SHARE = 1e-3
+_OFFSET = 0.05
+_CONSTANT_S = 2.0
+# Share of the quietest pieces: speech pauses, as in minimum statistics (R. Martin, IEEE Trans. SAP 9(5), 2001).
+_FLOOR_PERCENTILE = 10.0
+
+
+def dbfs(rms: float) -> float:
+    """Return 20 log10 of a root mean square (1: full scale), -120 at least."""
+    return max(SILENT_DBFS, 20.0 * float(np.log10(max(float(rms), 1e-9))))
+
+
+class _Piece:
+    """Sums over 0.1 s of sound, per channel."""
+
+    def __init__(self, channels: int) -> None:
+        self.count = 0
+        self.squares = np.zeros(channels)
+        self.sums = np.zeros(channels)
+        self.lowest = np.full(channels, np.inf)
+        self.highest = np.full(channels, -np.inf)
+        self.clipped = 0
+
+    def add(self, samples: np.ndarray) -> None:
+        self.count += len(samples)
+        self.squares += np.einsum("nc,nc->c", samples, samples)
+        self.sums += samples.sum(axis=0)
+        self.lowest = np.minimum(self.lowest, samples.min(axis=0))
+        self.highest = np.maximum(self.highest, samples.max(axis=0))
+        if max(-float(self.lowest.min()), float(self.highest.max())) >= _LIMIT:
+            self.clipped += int((np.abs(samples) >= _LIMIT).any(axis=1).sum())
+
+
+class SoundLevel:
+    """Level, peak, noise floor, clipping and offset of the last WINDOW_S of a sound. rate: Hz."""
+
+    def __init__(self, rate: int, channels: int) -> None:
+        if rate < 1 or channels < 1:
+            raise ValueError("a sound has a rate and a channel, not {} Hz and {}".format(rate, channels))
+        self._size = max(1, int(rate * _PIECE_S))
+        self._channels = channels
+        self._pieces: Deque[_Piece] = deque([_Piece(channels)], maxlen=int(WINDOW_S / _PIECE_S))
+        self.clipped = 0
+
+    def add(self, samples: np.ndarray) -> None:
+        """Take samples (N, C)."""
+        start = 0
+        while start < len(samples):
+            piece = self._pieces[-1]
+            taken = samples[start:start + self._size - piece.count]
+            before = piece.clipped
+            piece.add(taken)
+            self.clipped += piece.clipped - before
+            start += len(taken)
+            if piece.count >= self._size:
+                self._pieces.append(_Piece(self._channels))
+
+    def values(self) -> Dict[str, object]:
+        """Return what diagnostics show: dBFS, and shares in percent."""
+        pieces = self._full()
+        if not pieces:
+            return {}
+        count = sum(piece.count for piece in pieces)
+        recent = pieces[-_LEVEL_PIECES:]
+        level = np.sqrt(sum(piece.squares for piece in recent) / sum(piece.count for piece in recent))
+        floors = [np.sqrt(piece.squares.mean() / piece.count) for piece in pieces]
+        peak = max(max(-piece.lowest.min(), piece.highest.max()) for piece in recent)
+        offset = sum(piece.sums for piece in pieces) / count
+        return {
+            "level_dbfs": dbfs(np.sqrt(np.mean(np.square(level)))), "peak_dbfs": dbfs(peak),
+            "noise_floor_dbfs": dbfs(np.percentile(floors, _FLOOR_PERCENTILE)),
+            "clipped_percent": 100.0 * self._clipped_share(pieces),
+            "dc_percent": 100.0 * float(offset[np.argmax(np.abs(offset))]),
+            "clipped_samples": self.clipped,
+        }
+
+    def problem(self) -> str:
+        """Say what is wrong with the sound and the mend; empty when nothing is."""
+        pieces = self._full()
+        constant = self._constant(pieces)
+        if len(constant) == self._channels:
+            return "the sound is dead silence, {:.0f} s of one and the same value; is the microphone muted, or the " \
+                   "wrong device chosen?".format(_CONSTANT_S)
+        share = self._clipped_share(pieces)
+        if share > _CLIPPED_SHARE:
+            return "the sound is clipped: {:.1f} % of its samples are at the limit; turn the microphone's gain " \
+                   "down".format(100.0 * share)
+        if constant:
+            return "channel {} of {} is dead: it gives one and the same value; check its microphone".format(
+                ", ".join(str(number) for number in constant), self._channels)
+        offset = np.abs(sum((piece.sums for piece in pieces), np.zeros(self._channels)))
+        count = sum(piece.count for piece in pieces)
+        if count and float(offset.max()) / count > _OFFSET:
+            return "the sound has an offset of {:.0f} % of full scale; are ~sample_format and the AudioInfo right?".format(
+                100.0 * float(offset.max()) / count)
+        return ""
+
+    def _full(self) -> List[_Piece]:
+        return [piece for piece in self._pieces if piece.count >= self._size]
+
+    def _constant(self, pieces: List[_Piece]) -> Tuple[int, ...]:
+        """Channels, counted from 0, that have had one value for the last seconds."""
+        last = pieces[-int(_CONSTANT_S / _PIECE_S):]
+        if len(last) < int(_CONSTANT_S / _PIECE_S):
+            return ()
+        low = np.min([piece.lowest for piece in last], axis=0)
+        high = np.max([piece.highest for piece in last], axis=0)
+        return tuple(int(channel) for channel in np.flatnonzero(high - low <= 0.0))
+
+    @staticmethod
+    def _clipped_share(pieces: List[_Piece]) -> float:
+        count = sum(piece.count for piece in pieces)
+        return sum(piece.clipped for piece in pieces) / count if count else 0.0

@@ -1,0 +1,266 @@
+"""The sound of a microphone as blocks of 16 kHz, whatever form it comes in."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from types import SimpleNamespace
+from typing import Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
+
+import audio_common_msgs.msg
+import rospy
+from audio_common_msgs.msg import AudioData, AudioInfo
+
+from hri_pipeline.core.sound_format import SoundError, SoundFormat
+from hri_pipeline.core.sound_stream import SoundBlock, SoundStream
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
+from hri_pipeline.ros.topic_release import release
+
+# The released package has it from 0.3.9 on, the stand-in has not.
+AudioDataStamped = getattr(audio_common_msgs.msg, "AudioDataStamped", None)
+
+BUFFER_BYTES = 2 ** 20
+JUMP_S = 1.0
+INFO_GRACE_S = 1.0
+SILENCE_S = 3.0
+MAX_WAITING_S = 5.0
+_LOG_PERIOD_S = 10.0
+_NEW_PROBLEM_S = 1.0
+_BAD_S = 2.0
+_GAP_TOLD_S = 5.0
+Problem = Tuple[int, str]
+
+
+class _Chunk(NamedTuple):
+    """Bytes as they came; arrival: s, ROS time."""
+
+    data: bytes
+    arrival: float
+
+
+class SoundIntake:
+    """Listens to `audio` and `audio_info`, and to `audio_stamped` where the system has that type.
+
+    The callback only stores; next() decodes in the thread of the worker. Sound of one publisher is heard at a time. What
+    waits longer than MAX_WAITING_S is dropped, counted and told to the stream as a gap. on_restart(): stamps go back, or the format
+    changes: what was heard before is of another stream. settings: the values of voice_parameters.INTAKE_PARAMETERS.
+    """
+
+    def __init__(self, settings: SimpleNamespace, on_restart: Optional[Callable[[], None]] = None) -> None:
+        self._settings = settings
+        self.on_restart = on_restart
+        self._condition = threading.Condition()
+        self._chunks: Deque[_Chunk] = deque()
+        self._waiting_bytes = 0
+        self._info: Optional[AudioInfo] = None
+        self._stream: Optional[SoundStream] = None
+        self._last: Optional[float] = None
+        self._sender = ""
+        self._others: Dict[str, float] = {}
+        self._stamped_at = float("-inf")
+        self._bad: Tuple[str, float] = ("", float("-inf"))
+        self._gap: Tuple[str, float] = ("", float("-inf"))
+        self._told: Tuple[str, float] = ("", float("-inf"))
+        self._heard = time.monotonic()
+        self._first = 0.0
+        self._closed = False
+        self._dropped_bytes = 0
+        self.counts = {"messages": 0, "unreadable": 0, "dropped_messages": 0, "restarts": 0, "time_jumps": 0}
+        self.topic = rospy.resolve_name("audio")
+        self.info_topic = rospy.resolve_name("audio_info")
+        self._subscribers = [
+            rospy.Subscriber("audio", AudioData, self._on_audio, buff_size=BUFFER_BYTES, tcp_nodelay=True),
+            rospy.Subscriber("audio_info", AudioInfo, self._on_info, queue_size=1)]
+        if AudioDataStamped is not None:
+            self._subscribers.append(rospy.Subscriber("audio_stamped", AudioDataStamped, self._on_stamped,
+                                                      buff_size=BUFFER_BYTES, tcp_nodelay=True))
+
+    def next(self, timeout: float) -> List[SoundBlock]:
+        """Return the sound that has come since the last call; waits `timeout` s for some, empty when none comes."""
+        chunk = self._take(timeout)
+        if chunk is None:
+            self._tell_silence()
+            return []
+        if not self._info_is_awaited():
+            return self._blocks(chunk)
+        with self._condition:
+            self._chunks.appendleft(chunk)
+            self._waiting_bytes += len(chunk.data)
+        rospy.rostime.wallsleep(min(timeout, 0.01))
+        return []
+
+    def status(self) -> Tuple[int, str, Dict[str, object]]:
+        """Return level, message and values for diagnostics."""
+        values: Dict[str, object] = {"topic": self.topic, "sender": self._sender}
+        values.update(self.counts)
+        stream = self._stream
+        if stream is not None:
+            values.update(stream.values())
+        level, text = self._problem()
+        return level, text or "sound comes in", values
+
+    def close(self) -> None:
+        """Stop listening; a next() that waits returns nothing. Idempotent."""
+        with self._condition:
+            if self._closed:
+                return
+            self._closed = True
+            self._chunks.clear()
+            self._condition.notify_all()
+        for subscriber in self._subscribers:
+            release(subscriber)
+
+    def _on_info(self, message: AudioInfo) -> None:
+        with self._condition:
+            self._info = message
+            self._condition.notify_all()
+
+    def _on_audio(self, message: AudioData) -> None:
+        if time.monotonic() - self._stamped_at > SILENCE_S:
+            self._store(message.data, message, rospy.get_time())
+
+    def _on_stamped(self, message: "AudioDataStamped") -> None:
+        self._stamped_at = time.monotonic()
+        # Taken for the time at which the piece was complete.
+        self._store(message.audio.data, message, message.header.stamp.to_sec() or rospy.get_time())
+
+    def _store(self, data: bytes, message: object, arrival: float) -> None:
+        sender = getattr(message, "_connection_header", {}).get("callerid", "")
+        if not arrival:
+            return  # simulated time that has not begun
+        with self._condition:
+            now = time.monotonic()
+            if sender != self._sender:
+                if self._sender and now - self._heard < self._settings.silence_time:
+                    self._others[sender] = now
+                    return
+                self._sender = sender
+            self._heard = now
+            self._first = self._first or now
+            self.counts["messages"] += 1
+            self._chunks.append(_Chunk(bytes(data), arrival))
+            self._waiting_bytes += len(data)
+            self._drop_old()
+            self._condition.notify()
+
+    def _drop_old(self) -> None:
+        """Let go of what has waited too long, the oldest first."""
+        form = self._stream.form if self._stream is not None else None
+        limit = MAX_WAITING_S * (form.frame_bytes * form.sample_rate if form is not None else BUFFER_BYTES)
+        while self._waiting_bytes > limit and len(self._chunks) > 1:
+            dropped = self._chunks.popleft()
+            self._waiting_bytes -= len(dropped.data)
+            self._dropped_bytes += len(dropped.data)
+            self.counts["dropped_messages"] += 1
+
+    def _take(self, timeout: float) -> Optional[_Chunk]:
+        with self._condition:
+            self._condition.wait_for(lambda: self._closed or self._chunks, max(0.0, timeout))
+            if not self._chunks:
+                return None
+            chunk = self._chunks.popleft()
+            self._waiting_bytes -= len(chunk.data)
+            return chunk
+
+    def _info_is_awaited(self) -> bool:
+        """Tell whether an AudioInfo may still be on its way: sound comes, and its format does not yet."""
+        return (self._settings.use_audio_info and self._info is None and self._stream is None and not self._closed
+                and time.monotonic() - self._first < INFO_GRACE_S)
+
+    def _blocks(self, chunk: _Chunk) -> List[SoundBlock]:
+        try:
+            if self._last is not None and chunk.arrival < self._last - JUMP_S:
+                self.counts["time_jumps"] += 1
+                rospy.logwarn("%s: time has gone back by %.1f s (a bag that loops?); voices start anew", self.topic,
+                              self._last - chunk.arrival)
+                self._restart(None)
+            self._last = chunk.arrival
+            form = self._format()
+            if self._stream is None or self._stream.form != form:
+                self._restart(form)
+            with self._condition:
+                dropped, self._dropped_bytes = self._dropped_bytes, 0
+            if dropped:
+                self._stream.skip(dropped / (form.frame_bytes * form.sample_rate))
+            blocks = self._stream.add(chunk.data, chunk.arrival)
+            self._note_gap(sum(block.gap for block in blocks), dropped > 0)
+            return blocks
+        except SoundError as error:
+            self.counts["unreadable"] += 1
+            self._bad = ("{}: {}".format(self.topic, error), time.monotonic())
+            self._tell(self._bad[0] + "; such sound is skipped")
+            return []
+
+    def _note_gap(self, gap: float, dropped: bool) -> None:
+        """Tell that sound is missing."""
+        if gap > 0.0:
+            self._gap = ("{}: {:.2f} s of sound {}".format(
+                self.topic, gap, "were dropped: the processor is too slow; switch features or speech off" if dropped else
+                "are missing: a pause of its sender, or lost on its way"), time.monotonic())
+            rospy.logwarn_throttle(_LOG_PERIOD_S, "%s", self._gap[0])
+
+    def _format(self) -> SoundFormat:
+        info, options = self._info, self._settings
+        if info is not None and options.use_audio_info:
+            return SoundFormat(info.channels, info.sample_rate, info.sample_format, info.coding_format)
+        return SoundFormat(options.channels, options.sample_rate, options.sample_format)
+
+    def _restart(self, form: Optional[SoundFormat]) -> None:
+        """Begin a new stream; None: when the next sound comes."""
+        if self._stream is not None:
+            self.counts["restarts"] += 1
+            if self.on_restart is not None:
+                self.on_restart()
+        options = self._settings
+        self._stream = None
+        if form is not None:
+            rospy.loginfo("%s: %s", self.topic, form.text)
+            self._stream = SoundStream(form, options.gap_tolerance, options.input_latency, options.resampling)
+
+    def _problem(self) -> Problem:
+        """What is wrong with the input, the worst first."""
+        silent = self._silence()
+        if silent:
+            return ERROR, silent
+        if time.monotonic() - self._bad[1] < _BAD_S:
+            return ERROR, self._bad[0]
+        other = self._other_sender()
+        if other:
+            return WARN, other
+        trouble = self._stream.problem() if self._stream is not None else ""
+        if trouble:
+            return WARN, "{}: {}".format(self.topic, trouble)
+        return (WARN, self._gap[0]) if time.monotonic() - self._gap[1] < _GAP_TOLD_S else (OK, "")
+
+    def _silence(self) -> str:
+        """Why no sound comes, empty while it does."""
+        silent = time.monotonic() - self._heard
+        if silent < SILENCE_S or self._closed:
+            return ""
+        if not any(subscriber.get_num_connections() for subscriber in self._subscribers if subscriber.impl):
+            return "no publisher on {} for {:.0f} s; start the microphone's node or remap `audio`".format(
+                self.topic, silent)
+        return "no sound on {} for {:.0f} s, although it has a publisher; is the microphone there?".format(
+            self.topic, silent)
+
+    def _other_sender(self) -> str:
+        """Who sends on the same topic and is not heard."""
+        with self._condition:
+            recent = sorted(name for name, at in self._others.items() if time.monotonic() - at < SILENCE_S)
+        if not recent:
+            return ""
+        return "{}: {} sends too, only {} is heard; give each microphone its own topic".format(
+            self.topic, ", ".join(recent), self._sender)
+
+    def _tell_silence(self) -> None:
+        text = self._silence()
+        if text:
+            rospy.logwarn_throttle(_LOG_PERIOD_S, "%s", text)
+
+    def _tell(self, text: str) -> None:
+        """Log a problem: a new one soon, the same one now and then."""
+        told, at = self._told
+        if time.monotonic() - at > (_LOG_PERIOD_S if text == told else _NEW_PROBLEM_S):
+            rospy.logerr("%s", text)
+            self._told = (text, time.monotonic())

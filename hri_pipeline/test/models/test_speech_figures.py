@@ -1,0 +1,48 @@
+"""Figures of recognition and descriptors that must not get worse."""
+
+from __future__ import annotations
+
+import pytest
+
+from hri_pipeline.evaluation import feature_figures, speech_figures
+from hri_pipeline.evaluation.speech_files import ABSENT, available
+
+
+@pytest.fixture(scope="module")
+def grammar():
+    pytest.importorskip("pocketsphinx")
+    if not available():
+        pytest.skip(ABSENT)
+    return {task.name: speech_figures.measure(task) for task in speech_figures.grammar_tasks()}
+
+
+def test_digits_and_commands_with_a_grammar(grammar):
+    errors, words = (sum(getattr(outcome, field) for outcome in grammar.values()) for field in ("errors", "words"))
+    assert words >= 34 and errors / words <= 0.05
+
+
+def test_every_sentence_of_a_grammar_is_sure_enough_to_be_published(grammar):
+    assert all(confidence > 0.05 for outcome in grammar.values() for _, _, confidence in outcome.texts)
+
+
+def test_other_sentences_are_not_taken_for_commands(grammar):
+    assert speech_figures.false_commands().startswith("0 of ")
+
+
+def test_dictation_is_no_worse_than_it_was(grammar):
+    outcome = speech_figures.measure(speech_figures.dictation_tasks()[0])
+    assert outcome.words == 71 and outcome.errors <= 22
+
+
+def test_descriptors_of_known_voices():
+    found = feature_figures.voice_figures()
+    assert found["f0_error_percent"] <= 3.0 and found["hnr_error_db"] <= 1.0
+    assert found["f0_wrong_frames"] < 0.01 and found["noise_voiced"] == 0.0
+
+
+def test_cepstra_of_real_speech_are_those_of_another_library():
+    pytest.importorskip("kaldi_native_fbank")
+    if not available():
+        pytest.skip(ABSENT)
+    found = feature_figures.cepstrum_figures()
+    assert found["mfcc_max_difference"] < 0.01 and found["mfcc_least_correlation"] > 0.99999

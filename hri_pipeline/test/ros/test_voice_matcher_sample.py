@@ -1,0 +1,47 @@
+#!/usr/bin/env python3
+"""The sample conversation: the voice of each turn goes to the face whose turn it is."""
+
+import sys
+import time
+import unittest
+
+import rospy
+import rostest
+
+from hri_msgs.msg import IdsMatch
+
+WAIT_S = 60.0
+TURNS = 4
+
+
+class TestVoiceMatcherSample(unittest.TestCase):
+    def test_turns_go_to_who_speaks(self):
+        turns, matched = [], {}
+
+        def on_speaker(message):
+            """Keep whom the voice of the turn that has ended was matched with."""
+            if turns:
+                turns[-1]["found"] = matched.get(turns[-1]["voice"])
+            turns.append({"voice": message.id1, "face": message.id2, "found": None})
+
+        def on_match(message):
+            if message.confidence > 0.0:
+                matched[message.id1] = message.id2
+            elif matched.get(message.id1) == message.id2:
+                del matched[message.id1]
+
+        rospy.Subscriber("/humans/candidate_matches", IdsMatch, on_match)
+        rospy.Subscriber("/sample_conversation/speaker", IdsMatch, on_speaker)
+        end = time.monotonic() + WAIT_S
+        while len(turns) < TURNS + 1:
+            self.assertLess(time.monotonic(), end, turns)
+            time.sleep(0.05)
+        right = sum(turn["found"] == turn["face"] for turn in turns[:TURNS])
+        wrong = sum(turn["found"] not in (None, turn["face"]) for turn in turns[:TURNS])
+        self.assertGreaterEqual(right, TURNS - 1, turns)
+        self.assertLessEqual(wrong, 1, turns)
+
+
+if __name__ == "__main__":
+    rospy.init_node("test_voice_matcher_sample")
+    rostest.rosrun("hri_pipeline", "test_voice_matcher_sample", TestVoiceMatcherSample, sys.argv)

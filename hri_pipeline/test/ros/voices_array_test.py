@@ -1,0 +1,99 @@
+#!/usr/bin/env python3
+"""The node voices with four microphones: frames of voices; LiveSpeech; a branch that is switched off; channels that do not fit."""
+
+import math
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+from diagnostic_msgs.msg import DiagnosticArray
+from microphone import RATE, Microphone, noise, speech
+from tf2_msgs.msg import TFMessage
+from waiting import wait_for
+
+from hri_msgs.msg import IdsList, LiveSpeech
+
+LIMIT = 30.0
+POSITIONS = np.array([(0.04, 0.04, 0.0), (-0.04, 0.04, 0.0), (-0.04, -0.04, 0.0), (0.04, -0.04, 0.0)])
+SOUND_SPEED = 343.0
+
+
+def from_direction(samples, azimuth):
+    """What the microphones hear of a far sound (N,) at `azimuth` rad, (N, 4), with some noise of their own."""
+    towards = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+    frequencies = np.fft.rfftfreq(len(samples), 1.0 / RATE)
+    spectrum = np.fft.rfft(samples)
+    heard = [np.fft.irfft(spectrum * np.exp(2j * math.pi * frequencies * position.dot(towards) / SOUND_SPEED), len(samples))
+             for position in POSITIONS]
+    return np.array(heard).T + np.random.default_rng(3).normal(0.0, 2e-4, (len(samples), 4))
+
+
+class VoicesArrayTest(unittest.TestCase):
+
+    def setUp(self):
+        self.lists, self.transforms, self.said, self.states = [], [], {}, []
+        for topic, kind, callback in (("/humans/voices/tracked", IdsList, self.on_list), ("/tf", TFMessage, self.on_tf),
+                                      ("/diagnostics", DiagnosticArray, self.states.append)):
+            self.addCleanup(rospy.Subscriber(topic, kind, callback, queue_size=500).unregister)
+        self.microphone = Microphone("audio", info=(4, RATE))
+        self.addCleanup(self.microphone.close)
+        wait_for(self.microphone.connected, LIMIT, "the node listens")
+        wait_for(lambda: self.lists and not self.lists[-1].ids, LIMIT, "nobody is tracked at the begin")
+
+    def on_list(self, message):
+        for identity in message.ids:
+            if identity not in self.said:
+                heard = self.said[identity] = []
+                self.addCleanup(rospy.Subscriber("/humans/voices/{}/speech".format(identity), LiveSpeech, heard.append,
+                                                 queue_size=100).unregister)
+        self.lists.append(message)
+
+    def on_tf(self, message):
+        self.transforms += [one for one in message.transforms if one.child_frame_id.startswith("voice_")]
+
+    def test_a_voice_has_a_frame_in_its_direction_and_says_live_what_it_says(self):
+        azimuth = math.radians(60.0)
+        self.microphone.play(from_direction(speech(), azimuth))
+        wait_for(lambda: self.lists[-1].ids, LIMIT, "a voice is tracked")
+        identity = self.lists[-1].ids[0]
+        wait_for(lambda: len([one for one in self.transforms if one.child_frame_id == "voice_" + identity]) > 20, LIMIT,
+                 "its frame")
+        places = []
+        for one in self.transforms:
+            self.assertEqual(one.header.frame_id, "test_array")
+            self.assertTrue(self.microphone.begin - 0.5 < one.header.stamp.to_sec() < rospy.get_time())
+            place = one.transform.translation
+            places.append((place.x, place.y, place.z))
+            self.assertAlmostEqual(float(np.linalg.norm(places[-1])), 1.0, places=5)
+        x, y, _ = np.median(places, axis=0)
+        self.assertLess(abs(math.degrees(math.atan2(y, x) - azimuth)), 10.0)
+        stamps = [one.header.stamp.to_sec() for one in self.transforms if one.child_frame_id == "voice_" + identity]
+        self.assertEqual(stamps, sorted(set(stamps)), "no stamp comes twice")
+        self.check_speech(identity)
+        wait_for(lambda: not self.lists[-1].ids, LIMIT, "it is let go")
+
+    def check_speech(self, identity):
+        wait_for(lambda: any(message.final for message in self.said[identity]), LIMIT, "the sentence")
+        final = [message for message in self.said[identity] if message.final][0]
+        self.assertIn("forward", final.final)
+        self.assertEqual(final.incremental, "")
+        self.assertTrue(0.0 < final.confidence <= 1.0, final.confidence)
+        self.assertEqual((final.language, final.header.frame_id), ("en-US", "test_array"))
+        self.assertTrue(self.microphone.begin < final.header.stamp.to_sec() < rospy.get_time())
+        names = [name for name, _ in rospy.get_published_topics("/humans/voices/" + identity)]
+        self.assertEqual(sorted(name.rsplit("/", 1)[1] for name in names), ["audio", "is_speaking", "speech"],
+                         "features are switched off")
+
+    def test_channels_that_do_not_fit_are_named_and_heard_as_one(self):
+        self.microphone.say_format(2, RATE)
+        self.microphone.play(np.stack([speech()] * 2, axis=1) + noise(1.0)[:1, None])
+        wait_for(lambda: self.lists[-1].ids, LIMIT, "a voice is tracked")
+        wait_for(lambda: any("has 4 microphones and the sound 2 channels" in status.message for message in list(self.states)
+                             for status in message.status), LIMIT, "the mend")
+        self.assertEqual(self.transforms, [])
+
+
+if __name__ == "__main__":
+    rospy.init_node("voices_array_test")
+    rostest.rosrun("hri_pipeline", "voices_array", VoicesArrayTest)

@@ -1,0 +1,334 @@
+"""Whose voice it is: mouth motion, speaking times, evidence, and the matcher over time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core.announcing import Announcer
+from hri_pipeline.core.human_places import HumanPlaces
+from hri_pipeline.core.mouth_motion import MouthTrack, opening_of_landmarks, opening_of_units
+from hri_pipeline.core.speaking_times import SpeakingTimes
+from hri_pipeline.core.tf_scan import RawTransform
+from hri_pipeline.core.voice_evidence import (
+    NEAR,
+    SILENT,
+    SPEAKING,
+    STEP_S,
+    UNKNOWN,
+    direction_evidence,
+    motion_evidence,
+    mouth_evidence,
+)
+from hri_pipeline.core.voice_matcher_parameters import VOICE_MATCHER_PARAMETERS
+from hri_pipeline.core.voice_matching import FACE, PERSON, VoiceMatcher
+
+RATE = 15.0
+
+
+def moving(time):
+    return 0.25 + 0.25 * math.sin(2.0 * math.pi * 4.3 * time)
+
+
+def still(time):
+    return 0.05
+
+
+def make(faces=(), voices=(), **given):
+    matcher = VoiceMatcher(VOICE_MATCHER_PARAMETERS.resolve(given))
+    matcher.set_tracked("faces", faces)
+    matcher.set_tracked("voices", voices)
+    return matcher
+
+
+def run(matcher, start, end, mouths):
+    """Let time pass in steps of an image; returns [(time, {voice: (kind, id)})]. mouths: {face: opening(time)}."""
+    found = []
+    for number in range(int(round((end - start) * RATE))):
+        now = start + number / RATE
+        for face, opening in mouths.items():
+            matcher.add_mouth(face, now, opening(now), 0.9)
+        if number % 3 == 0:
+            found.append((now, {match.voice: (match.kind, match.id) for match in matcher.matches(now)}))
+    return found
+
+
+def likelihood(matcher, now, voice):
+    return next((match.confidence for match in matcher.matches(now) if match.voice == voice), 0.0)
+
+
+# -- what a mouth does
+
+def test_the_opening_is_that_of_the_lips_and_a_chewing_jaw_adds_little():
+    def opening(lips, jaw, confidence=0.8):
+        intensity, certain = np.zeros(99), np.zeros(99)
+        intensity[[25, 26]], certain[[25, 26]] = (lips, jaw), confidence
+        return opening_of_units(intensity, certain)
+
+    assert opening(0.4, 0.4) == (pytest.approx(0.4), 0.8)
+    assert opening(0.0, 0.4)[0] == pytest.approx(0.1)
+    assert opening(0.4, 0.4, 0.0) == (0.0, 0.0)
+
+
+def face(gap, turn=1.0, scale=0.1):
+    """Landmarks whose inner lips are `gap` distances of the eyes apart; turn: how much narrower the face looks."""
+    points = np.full((70, 3), 0.5)
+    points[:, 2] = 1.0
+    points[36:42, :2], points[42:48, :2] = (0.5 - 0.5 * scale * turn, 0.4), (0.5 + 0.5 * scale * turn, 0.4)
+    points[33, 1] = 0.4 + 0.77 * scale
+    for upper, lower in ((61, 67), (62, 66), (63, 65)):
+        points[upper, 1], points[lower, 1] = 0.52, 0.52 + gap * scale
+    return points
+
+
+@pytest.mark.parametrize("gap, expected", [(0.0, 0.0), (0.02, 0.0), (0.11, 0.5), (0.2, 1.0), (0.38, 2.0), (0.9, 3.0)])
+def test_the_gap_of_the_lips_is_on_the_scale_of_the_action_unit(gap, expected):
+    assert opening_of_landmarks(face(gap), 1.0) == (pytest.approx(expected, abs=1e-9), 1.0)
+
+
+def test_the_gap_is_the_same_for_faces_near_and_far_and_turned_to_the_side():
+    values = [opening_of_landmarks(face(0.1, turn, scale), 1.0)[0] for turn in (1.0, 0.6) for scale in (0.02, 0.2)]
+    assert values == pytest.approx([values[0]] * 4)
+
+
+def test_landmarks_that_are_not_seen_or_no_face_have_no_weight():
+    hidden = face(0.1)
+    hidden[62, 2] = 0.0
+    assert opening_of_landmarks(hidden, 1.0)[1] == 0.0
+    assert opening_of_landmarks(np.full((70, 3), 0.5), 1.0)[1] == 0.0
+
+
+def test_motion_is_the_deviation_in_the_window_and_unknown_where_samples_are_missing():
+    track = MouthTrack()
+    for stamp in np.arange(0.0, 4.0, 1.0 / RATE):
+        if not 1.5 < stamp < 2.5:
+            track.add(stamp, moving(stamp) if stamp < 1.5 else 0.3, 0.8)
+    motion, weight = track.motion(np.array([0.75, 2.0, 3.5, 9.0]))
+    assert motion[0] == pytest.approx(0.25 / math.sqrt(2.0), abs=0.03)
+    assert math.isnan(motion[1]) and weight[1] == 0.0
+    assert motion[2] == pytest.approx(0.0, abs=1e-6) and weight[2] == pytest.approx(0.8)
+    assert math.isnan(motion[3])
+
+
+def test_a_mouth_keeps_its_samples_bounded_and_in_order():
+    track = MouthTrack()
+    for stamp in np.arange(0.0, 300.0, 0.05):
+        track.add(stamp, moving(stamp), 1.0)
+    track.add(10.0, 0.5, 1.0)
+    assert track.newest == pytest.approx(299.95)
+    assert track.motion(np.array([299.0]))[0][0] > 0.1
+
+
+# -- when a voice spoke
+
+def test_speaking_times_take_the_delays_off_and_bridge_pauses():
+    times = SpeakingTimes(0.1, 0.2)
+    assert times.say(True, 1.1) and not times.say(True, 1.2)
+    times.say(False, 2.2)
+    times.say(True, 2.4)          # a pause of 0.3 s
+    times.say(False, 3.2)
+    times.say(True, 5.1)
+    assert times.at(np.array([0.9, 1.1, 2.1, 2.9, 3.1, 4.9, 9.0])).tolist() == [False, True, True, True, False, False, True]
+    assert times.at(np.array([0.7]), 0.4).tolist() == [True]
+    assert times.first == pytest.approx(1.0) and times.last == math.inf
+
+
+def test_speaking_times_are_bounded():
+    times = SpeakingTimes(0.1, 0.1)
+    for number in range(1000):
+        times.say(number % 2 == 0, float(number))
+    assert len(times._intervals) < 20
+
+
+# -- evidence
+
+def evidence(speech, moves):
+    """moves: 1 moving, 0 still, NaN unknown, one for each step of 0.1 s."""
+    ratios = motion_evidence(np.where(np.isnan(moves), np.nan, np.where(np.array(moves) > 0, 0.2, 0.02)), np.ones(len(moves)), 0.05)
+    return float(mouth_evidence(np.array([speech]), ratios[None])[0, 0])
+
+
+def steps(seconds, value):
+    return [value] * int(round(seconds / STEP_S))
+
+
+def test_a_mouth_that_begins_with_the_voice_is_surer_than_one_that_always_moves():
+    speech = steps(2.0, SILENT) + steps(0.4, NEAR) + steps(2.0, SPEAKING)
+    with_voice = evidence(speech, np.array(steps(2.2, 0.0) + steps(2.2, 1.0)))
+    always = evidence(speech, np.array(steps(4.4, 1.0)))
+    never = evidence(speech, np.array(steps(4.4, 0.0)))
+    assert with_voice > 2.5 > 1.0 > always > never and never < -2.0
+
+
+def test_a_mouth_of_which_nothing_is_known_is_no_evidence():
+    assert evidence(steps(3.0, SPEAKING), np.array(steps(3.0, math.nan))) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_a_mouth_does_while_somebody_else_speaks_says_nothing():
+    assert abs(evidence(steps(3.0, UNKNOWN), np.array(steps(3.0, 1.0)))) < 1e-9
+
+
+def test_evidence_against_the_first_speaker_comes_soon_when_another_goes_on_under_the_same_voice():
+    speech = steps(1.0, SILENT) + steps(3.0, SPEAKING) + steps(0.6, NEAR) + steps(1.5, SPEAKING)
+    first = evidence(speech, np.array(steps(1.0, 0.0) + steps(3.0, 1.0) + steps(2.1, 0.0)))
+    second = evidence(speech, np.array(steps(4.4, 0.0) + steps(1.7, 1.0)))
+    assert first < 0.0 < 1.0 < second
+
+
+def test_direction_is_surest_straight_on_and_never_excludes():
+    angles = np.deg2rad([0.0, 10.0, 20.0, 60.0])
+    values = direction_evidence(angles, np.full(4, 3.0), math.radians(10.0))
+    assert (np.diff(values) < 0.0).all() and values[0] > 3.0 and values[3] == pytest.approx(math.log(0.05), abs=1e-3)
+    near = direction_evidence(np.zeros(1), np.full(1, 0.3), math.radians(10.0))
+    assert near[0] < values[0]      # the place of a near head is less certain than the direction
+
+
+# -- the matcher
+
+def test_one_mouth_that_moves_is_matched_within_a_second():
+    matcher = make(["fa"], ["v1"])
+    matcher.on_speaking("v1", True, 0.1)
+    found = run(matcher, 0.1, 2.0, {"fa": moving})
+    first = next(now for now, matches in found if matches == {"v1": (FACE, "fa")})
+    assert first <= 1.1 and all(matches for now, matches in found if now >= first)
+
+
+def test_a_voice_over_a_still_mouth_is_never_matched():
+    matcher = make(["fa"], ["v1"])
+    matcher.on_speaking("v1", True, 0.1)
+    assert not any(matches for _, matches in run(matcher, 0.1, 10.0, {"fa": still}))
+
+
+def test_a_smile_is_no_speech():
+    matcher = make(["fa"], ["v1"])
+    run(matcher, 0.0, 3.0, {"fa": still})
+    matcher.on_speaking("v1", True, 3.1)
+    assert not any(matches for _, matches in run(matcher, 3.1, 9.0, {"fa": lambda time: min(0.4, 0.8 * max(0.0, time - 4.0))}))
+
+
+def test_the_match_changes_over_when_the_evidence_turns_and_stays_when_the_voice_has_ended():
+    matcher = make(["fa", "fb"], ["v1"])
+    matcher.on_speaking("v1", True, 0.1)
+    assert run(matcher, 0.1, 4.0, {"fa": moving, "fb": still})[-1][1] == {"v1": (FACE, "fa")}
+    found = run(matcher, 4.0, 9.0, {"fa": still, "fb": moving})
+    assert found[-1][1] == {"v1": (FACE, "fb")}
+    assert {} in [matches for _, matches in found] or (FACE, "fa") != found[15][1].get("v1")
+    matcher.on_speaking("v1", False, 9.0)
+    assert run(matcher, 9.0, 20.0, {"fa": moving, "fb": still})[-1][1] == {"v1": (FACE, "fb")}
+    matcher.set_tracked("faces", ["fa"])
+    assert matcher.matches(20.1) == []
+
+
+def test_two_voices_at_once_go_to_two_faces_in_their_directions():
+    matcher = make(["fa", "fb"], ["v1", "v2"])
+    places = {(FACE, "fa"): (2.0, 0.6, 0.0), (FACE, "fb"): (2.0, -0.6, 0.0)}
+    matcher.set_direction("v1", (1.0, 0.3, 0.0), places)
+    matcher.set_direction("v2", (1.0, -0.3, 0.0), places)
+    for voice in ("v1", "v2"):
+        matcher.on_speaking(voice, True, 0.1)
+    assert run(matcher, 0.1, 2.0, {"fa": moving, "fb": moving})[-1][1] == {"v1": (FACE, "fa"), "v2": (FACE, "fb")}
+
+
+def test_two_voices_never_share_a_face_while_they_speak_and_the_earlier_one_is_said_with_less():
+    matcher = make(["fa"], ["v1", "v2"])
+    matcher.on_speaking("v1", True, 0.1)
+    run(matcher, 0.1, 3.0, {"fa": moving})
+    matcher.on_speaking("v2", True, 3.0)
+    assert len(run(matcher, 3.0, 5.0, {"fa": moving})[-1][1]) == 1
+    matcher.on_speaking("v1", False, 5.0)
+    matcher.on_speaking("v2", False, 5.0)
+    run(matcher, 5.0, 8.0, {"fa": still})
+    matcher.set_tracked("voices", ["v1", "v3"])
+    matcher.on_speaking("v3", True, 8.0)
+    run(matcher, 8.0, 11.0, {"fa": moving})
+    both = {match.voice: match.confidence for match in matcher.matches(11.0)}
+    assert set(both) == {"v1", "v3"} and both["v1"] <= 0.9 * both["v3"]
+
+
+def test_a_person_without_a_face_is_found_by_direction_alone_but_not_by_its_own_voice():
+    matcher = make((), ["v1"])
+    matcher.set_direction("v1", (0.0, 1.0, 0.0), {(PERSON, "ann"): (0.1, 2.0, 0.0), (PERSON, "bob"): (2.0, 0.0, 0.0)})
+    matcher.on_speaking("v1", True, 0.1)
+    matcher.set_persons({"ann": ("", "v1"), "bob": ("", "")})
+    assert run(matcher, 0.1, 1.0, {})[-1][1] == {}
+    matcher.set_persons({"ann": ("fz", ""), "bob": ("", "")})
+    assert run(matcher, 1.0, 2.0, {})[-1][1] == {}
+    matcher.set_persons({"ann": ("", ""), "bob": ("", "")})
+    assert run(matcher, 2.0, 3.0, {})[-1][1] == {"v1": (PERSON, "ann")}
+    matcher.set_persons({"ann": ("", "v1"), "bob": ("", "")})
+    assert run(matcher, 3.0, 4.0, {})[-1][1] == {"v1": (PERSON, "ann")}
+
+
+def test_a_face_in_view_goes_before_somebody_who_was_lost_there():
+    matcher = make(["fa"], ["v1", "v2"])
+    for voice, y in (("v1", 0.0), ("v2", 2.0)):
+        matcher.set_direction(voice, (2.0, y, 0.0), {(FACE, "fa"): (2.0, 0.0, 0.0), (PERSON, "ann"): (2.0, 0.0, 0.0),
+                                                     (PERSON, "bob"): (2.0, 2.0, 0.0)})
+        matcher.on_speaking(voice, True, 0.1)
+    matcher.set_persons({}, ["ann", "bob"])
+    assert run(matcher, 0.1, 1.0, {})[-1][1] == {"v1": (FACE, "fa"), "v2": (PERSON, "bob")}
+
+
+def test_a_present_match_holds_where_a_new_one_would_not_begin():
+    matcher = make(["fa"], ["v1"], min_likelihood=0.95)
+    matcher.on_speaking("v1", True, 0.1)
+    run(matcher, 0.1, 6.0, {"fa": moving})
+    assert likelihood(matcher, 6.0, "v1") >= 0.95
+    values = []
+    for number in range(20):
+        run(matcher, 6.0 + 0.1 * number, 6.1 + 0.1 * number, {"fa": still})
+        values.append(likelihood(matcher, 6.1 + 0.1 * number, "v1"))
+    assert values[-1] == 0.0 and any(0.5 <= value < 0.95 for value in values)
+    assert not any(0.0 < value < 0.5 for value in values)
+
+
+def test_time_that_jumps_back_starts_afresh():
+    matcher = make(["fa"], ["v1"])
+    matcher.on_speaking("v1", True, 100.0)
+    run(matcher, 100.0, 103.0, {"fa": moving})
+    assert matcher.matches(10.0) == []
+    matcher.on_speaking("v1", True, 10.1)
+    assert run(matcher, 10.1, 13.0, {"fa": moving})[-1][1] == {"v1": (FACE, "fa")}
+
+
+def test_voices_and_faces_of_hours_leave_nothing_behind():
+    matcher = make()
+    for number in range(2000):
+        now, voice, name = 4.0 * number, "v%d" % number, "f%d" % number
+        matcher.set_tracked("faces", [name])
+        matcher.set_tracked("voices", [voice])
+        matcher.on_speaking(voice, True, now)
+        matcher.add_mouth(name, now, 0.5, 1.0)
+        matcher.matches(now + 0.2)
+        matcher.on_speaking(voice, False, now + 1.0)
+    assert len(matcher._mouths) == 1 and len(matcher._past) < 10 and matcher.voices == ["v1999"]
+
+
+# -- the small ones
+
+def test_the_announcer_says_changes_repeats_and_withdrawals():
+    announcer = Announcer(0.1)
+    assert announcer.to_say({"a": 0.7}, 0.0) == [("a", 0.7)]
+    assert announcer.to_say({"a": 0.75}, 0.5) == []
+    assert announcer.to_say({"a": 0.85}, 0.6) == [("a", 0.85)]
+    assert announcer.to_say({"a": 0.85}, 1.6) == [("a", 0.85)]
+    assert announcer.to_say({"b": 0.9}, 1.7) == [("a", 0.0), ("b", 0.9)]
+    assert announcer.withdraw_all() == [("b", 0.0)]
+    with pytest.raises(ValueError):
+        Announcer(-0.1)
+
+
+def test_places_are_those_of_who_is_followed_and_fresh():
+    places = HumanPlaces()
+    places.follow("face", ["fa"])
+    places.follow("voice", ["va"])
+    assert places.wants(b"face_fa") and places.wants(b"/voice_va") and not places.wants(b"face_fb")
+    places.put(RawTransform("camera", "face_fa", 10, 0, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0)))
+    assert places.all(10.5)[("face", "fa")].position == (1.0, 2.0, 3.0)
+    assert places.all(20.0) == {} and places.get("voice", "va", 10.0) is None
+    with pytest.raises(ValueError):
+        places.put(RawTransform("camera", "voice_va", 10, 0, (math.nan, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
+    places.follow("face", [])
+    assert places.all(10.5) == {} and not places.wants(b"face_fa")
