@@ -72,6 +72,10 @@ def conflict_marks(root: Path, files: List[Path]) -> List[str]:
     return [str(name) for name in files if mark.search(_text(root / name))]
 
 
+RELAYED = {Path("scripts/score")}
+"""Commands that are run with rosrun; as with nodes, an executable one would be found twice."""
+
+
 def modes(root: Path, files: List[Path]) -> List[str]:
     """Node scripts are 0644 (catkin installs relays; 0755 would give rosrun two candidates), commands 0755."""
     found = []
@@ -79,7 +83,9 @@ def modes(root: Path, files: List[Path]) -> List[str]:
         executable = os.access(str(root / name), os.X_OK) and bool((root / name).stat().st_mode & 0o100)
         if "nodes" in name.parts[:-1] and name.parts[0].startswith("hri_") and executable:
             found.append("%s: executable; node scripts must be 0644" % name)
-        if name.parent == Path("scripts") and name.suffix == "" and not executable:
+        if name in RELAYED:
+            found += ["%s: executable; catkin makes a relay of it, so it must be 0644" % name] if executable else []
+        elif name.parent == Path("scripts") and name.suffix == "" and not executable:
             found.append("%s: not executable; commands must be 0755" % name)
         if name.match("test/ros/*.py") and _text(root / name).startswith("#!") and not executable:
             found.append("%s: not executable; test nodes must be 0755" % name)

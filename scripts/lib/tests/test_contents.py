@@ -30,6 +30,11 @@ def test_modes_of_nodes_and_commands(tmp_path: Path) -> None:
     assert [line.split(":")[0] for line in contents.modes(tmp_path, files)] == ["hri_x/nodes/faces", "scripts/demo"]
 
 
+def test_a_command_for_rosrun_is_not_executable(tmp_path: Path) -> None:
+    assert contents.modes(tmp_path, [_tree(tmp_path, "scripts/score", "#!/usr/bin/env python3\n", 0o644)]) == []
+    assert contents.modes(tmp_path, [_tree(tmp_path, "scripts/score", "#!/usr/bin/env python3\n", 0o755)])
+
+
 def test_large_files_and_marks(tmp_path: Path) -> None:
     files = [_tree(tmp_path, "big", "x" * (contents.MAX_BYTES + 1)), _tree(tmp_path, "merge.md", "<" * 7 + " HEAD\n")]
     assert len(contents.large_files(tmp_path, files)) == 1

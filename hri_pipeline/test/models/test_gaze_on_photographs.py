@@ -1,0 +1,23 @@
+"""Who looks at whom on the labelled photographs."""
+
+import cv2
+import pytest
+
+from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.evaluation.gaze_photographs import CAMERA, CLOSED, FRAMES, NOBODY, NOT_FOUND, USE_FACS, photographs
+
+EVALUATION = models_directory() / "evaluation"
+
+
+@pytest.mark.skipif(not EVALUATION.is_dir(), reason="no evaluation pictures; `fetch_models --models evaluation`")
+def test_who_looks_into_the_camera_and_who_does_not(tmp_path):
+    overlay = tmp_path / "overlay.png"
+    tables = photographs(models_directory(), overlay)
+    table = tables[USE_FACS]
+    assert sum(count for row in table.values() for count in row.values()) == 30
+    assert all(row[NOT_FOUND] <= 1 for row in table.values())
+    assert table[CAMERA][CAMERA] >= 19
+    assert table[NOBODY][CAMERA] + table[CLOSED][CAMERA] <= 2
+    assert table[CLOSED][CLOSED] >= 3
+    assert tables[FRAMES][CAMERA][CAMERA] >= 19
+    assert cv2.imread(str(overlay)).shape[1] == 3 * 640

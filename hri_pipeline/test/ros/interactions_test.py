@@ -1,0 +1,132 @@
+#!/usr/bin/env python3
+"""Gazes, groups and engagement from outside, with REP-155's types and two cameras."""
+
+import unittest
+
+import numpy as np
+import rospy
+import rostest
+from diagnostic_msgs.msg import DiagnosticArray
+from interaction_stage import Latest, Stage
+from visualization_msgs.msg import MarkerArray
+from waiting import wait_for
+
+from hri_msgs.msg import EngagementLevel, Gaze, GazesStamped, Group
+from hri_pipeline.core.geometry import Pose
+
+WAIT_S = 20.0
+LEFT, RIGHT = "left_optical_frame", "right_optical_frame"
+UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+class InteractionsTest(unittest.TestCase):
+
+    @classmethod
+    def setUpClass(cls):
+        cls.stage = Stage()
+        # Two cameras 2 m apart look along x; the robot's head is between them, and looks there too (x forward).
+        cls.stage.fix([("map", LEFT, Pose(UPRIGHT, np.array([0.0, 1.0, 1.4]))), ("map", RIGHT, Pose(UPRIGHT, np.array([0.0, -1.0, 1.4]))),
+                       ("map", "robot_head", Pose(np.eye(3), np.array([0.0, 0.0, 1.4])))])
+        cls.gazes, cls.gazing, cls.groups, cls.markers, cls.states = [], [], [], [], {}
+        rospy.Subscriber("/humans/interactions/gaze", GazesStamped, cls.gazes.append, queue_size=100)
+        rospy.Subscriber("/humans/interactions/gazing", Gaze, cls.gazing.append, queue_size=100)
+        rospy.Subscriber("/humans/interactions/groups", Group, cls.groups.append, queue_size=100)
+        rospy.Subscriber("visualization/interactions", MarkerArray, cls.markers.append, queue_size=10)
+        rospy.Subscriber("/diagnostics", DiagnosticArray, lambda message: cls.states.update(
+            {status.name: status for status in message.status}), queue_size=10)
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.stage.close()
+
+    def wait_for_gazes(self, wanted, what):
+        del self.gazes[:]
+        return wait_for(lambda: self.gazes and self.pairs(self.gazes[-1]) == wanted and self.gazes[-1], WAIT_S,
+                        Latest(what, self.gazes))
+
+    @staticmethod
+    def pairs(message):
+        return {(gaze.sender, gaze.receiver) for gaze in message.gazes}
+
+    def test_1_two_cameras_closed_eyes_and_groups(self):
+        # In map: ann at (1.5, 0.5), seen by the left camera, bob at (1.5, -0.5), by the right one; both look at each other.
+        ann, bob = np.array([0.5, 0.0, 1.5]), np.array([-0.5, 0.0, 1.5])
+        self.stage.people = {"ann": (LEFT, ann, np.array([1.5, 0.0, 1.5])), "bob": (RIGHT, bob, np.array([-1.5, 0.0, 1.5]))}
+        message = self.wait_for_gazes({("ann", "bob"), ("bob", "ann")}, "mutual gaze across two cameras")
+        self.assertEqual(message.header.frame_id, "map")
+        self.assertIn(message.header.stamp, self.stage.stamps)
+        self.assertTrue(all(0.3 < gaze.confidence <= 1.0 for gaze in message.gazes))
+        self.assertEqual(len({item.header.stamp for item in self.gazes}), len(self.gazes))
+        wait_for(lambda: {("ann", "bob"), ("bob", "ann")} <= {(gaze.sender, gaze.receiver) for gaze in self.gazing}, WAIT_S, "gazing")
+        group = wait_for(lambda: self.groups and self.groups[-1], WAIT_S, "a group")
+        self.assertTrue({"ann", "bob"} <= set(group.members), group)
+        wait_for(lambda: any(item.markers for item in self.markers), WAIT_S, "markers")
+
+        self.stage.people["ann"] = (LEFT, ann, None)
+        self.wait_for_gazes({("bob", "ann")}, "closed eyes")
+        # The head of the robot is 1 m to the right of the left camera.
+        self.stage.people["ann"] = (LEFT, ann, np.array([1.0, 0.0, 0.0]))
+        self.wait_for_gazes({("ann", ""), ("bob", "ann")}, "ann at the robot")
+
+    def test_2_engagement_is_latched_and_ends_unknown(self):
+        heard = []
+        here, robot = np.array([1.0, 0.0, 1.2]), np.array([1.0, 0.0, 0.0])
+        self.stage.people = {"cho": (LEFT, here, np.array([9.0, 0.0, 1.2]))}
+        subscriber = rospy.Subscriber("/humans/persons/cho/engagement_status", EngagementLevel, heard.append, queue_size=100)
+
+        def course():
+            return [item.level for item in heard]
+
+        wait_for(lambda: EngagementLevel.DISENGAGED in course(), WAIT_S, "disengaged")
+        self.stage.people = {"cho": (LEFT, here, robot)}
+        wait_for(lambda: EngagementLevel.ENGAGED in course(), WAIT_S, "engaged")
+        late = []
+        latecomer = rospy.Subscriber("/humans/persons/cho/engagement_status", EngagementLevel, late.append, queue_size=10)
+        wait_for(lambda: late, WAIT_S, "the latched level")
+        self.assertEqual(late[0].level, heard[-1].level)
+        self.stage.people = {"cho": (LEFT, here, np.array([9.0, 0.0, 1.2]))}
+        wait_for(lambda: course()[-1] == EngagementLevel.DISENGAGED, WAIT_S, "disengaged again")
+        order = course()
+        self.assertEqual(order[order.index(EngagementLevel.DISENGAGED):], [
+            EngagementLevel.DISENGAGED, EngagementLevel.ENGAGING, EngagementLevel.ENGAGED, EngagementLevel.DISENGAGING,
+            EngagementLevel.DISENGAGED])
+        # Still tracked, but no frame comes any more.
+        self.stage.people = {"cho": (None, here, robot)}
+        wait_for(lambda: course()[-1] == EngagementLevel.UNKNOWN, WAIT_S, "unknown")
+        subscriber.unregister()
+        latecomer.unregister()
+
+    def test_3_who_has_gone_leaves_an_empty_list(self):
+        self.stage.people = {"dan": (LEFT, np.array([1.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0]))}
+        self.wait_for_gazes({("dan", "")}, "dan at the robot")
+        self.stage.people = {}
+        self.wait_for_gazes(set(), "the empty list")
+        wait_for(lambda: not [name for name, _ in rospy.get_published_topics("/humans/persons/dan") if "engagement" in name], WAIT_S,
+                 "the end of dan's topic")
+
+    def test_4_time_that_goes_back_begins_anew(self):
+        self.stage.people = {"eve": (LEFT, np.array([1.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0]))}
+        self.wait_for_gazes({("eve", "")}, "eve at the robot")
+        self.stage.shift = -30.0
+        begun = rospy.Time.now()
+        message = wait_for(lambda: self.gazes[-1].header.stamp < begun - rospy.Duration(20.0) and self.gazes[-1].gazes and self.gazes[-1],
+                           WAIT_S, "a gaze with the earlier stamps")
+        self.assertEqual(self.pairs(message), {("eve", "")})
+        self.stage.shift = 0.0
+        wait_for(lambda: self.gazes[-1].header.stamp > begun, WAIT_S, "the present again")
+
+    def test_5_garbage_ends_nothing(self):
+        self.stage.people = {"fay": (LEFT, np.array([np.nan, 0.0, 2.0]), np.array([1.0, 0.0, 0.0])),
+                             "gil": (LEFT, np.array([1.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0]))}
+        self.wait_for_gazes({("gil", "")}, "gil beside a face without a place")
+        state = wait_for(lambda: self.states.get("hri_interactions: location"), WAIT_S, "diagnostics")
+        values = wait_for(lambda: {item.key: item.value for item in self.states["hri_interactions: location"].values
+                                   if item.key == "transforms refused" and int(item.value)}, WAIT_S, "refused transforms")
+        self.assertGreater(int(values["transforms refused"]), 0)
+        self.assertEqual(state.hardware_id, "/hri_interactions")
+        self.assertEqual({item.key: item.value for item in self.states["hri_interactions: interactions"].values}["errors"], "0")
+
+
+if __name__ == "__main__":
+    rospy.init_node("interactions_test")
+    rostest.rosrun("hri_pipeline", "interactions", InteractionsTest)

@@ -1,0 +1,30 @@
+"""The figures of the gazes: good in a short scene, worse without the closed-eyes rule, and better than the head alone."""
+
+import pytest
+
+from hri_pipeline.evaluation.gaze_figures import CLOSED_AFTER_S, gaze, head_rule
+from hri_pipeline.evaluation.gaze_scenes import RATE, ROBOT_AT, run
+
+SEED = (7,)
+
+
+def test_the_closed_eyes_rule_is_what_ends_gazes_of_closed_eyes():
+    with_rule, without = (gaze(3, 20.0, rule, seeds=SEED) for rule in (True, False))
+    assert min(with_rule["precision"], with_rule["recall"]) > 0.85
+    assert with_rule["closed_gazes"] == 0
+    assert without["closed_gazes"] > RATE
+    head = head_rule(3, 20.0, seeds=SEED)
+    assert min(head["precision"], head["recall"]) < min(with_rule["precision"], with_rule["recall"])
+
+
+def test_the_scene_has_what_it_promises():
+    moments = list(run(3, 30.0, 11))
+    seen = [person for moment in moments for person in moment.seen]
+    lost = sum(person.head_direction is None for person in seen) / len(seen)
+    assert lost == pytest.approx(0.10, abs=0.03)
+    closed = [length for moment in moments for length in moment.closed_for.values()]
+    assert 0.03 < len(closed) / len(seen) < 0.25
+    assert max(closed) > CLOSED_AFTER_S
+    assert all(set(moment.gazes) & set(moment.closed_for) == set() for moment in moments)
+    distances = [((person.head[:2] - ROBOT_AT[:2]) ** 2).sum() ** 0.5 for person in seen if person.head_direction is not None]
+    assert 0.7 < min(distances) < max(distances) < 4.6

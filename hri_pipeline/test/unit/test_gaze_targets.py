@@ -1,0 +1,165 @@
+"""Who looks at whom: one target at a time, at once nobody with closed eyes, nobody through others."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core.gaze_targets import ROBOT, GazeTargets, Onlooker
+from hri_pipeline.core.interaction_parameters import INTERACTION_PARAMETERS
+
+RATE = 15.0
+ROBOT_AT = np.array([0.0, 0.0, 1.3])
+
+
+def towards(here, there):
+    way = np.asarray(there, dtype=float) - here
+    return way / np.linalg.norm(way)
+
+
+class Room:
+    """Three people around the robot, and what each of them does with the eyes."""
+
+    def __init__(self, **changes):
+        self.targets = GazeTargets(INTERACTION_PARAMETERS.resolve(changes))
+        self.places = {"ann": np.array([2.0, -1.0, 1.6]), "bob": np.array([2.0, 1.0, 1.7]), "cho": np.array([3.5, 0.0, 1.6])}
+        self.now = 0.0
+
+    def person(self, name, at=None, **known):
+        if at is not None:
+            place = ROBOT_AT if at == ROBOT else self.places[at]
+            known.setdefault("gaze_direction", towards(self.places[name], place))
+            known.setdefault("eyes_closed", 0.0)
+        return Onlooker(name, self.places[name], 0.05, **known)
+
+    def look(self, seconds, people, robot=ROBOT_AT):
+        """Return {sender: receiver} after so much time of the same."""
+        found = []
+        for _ in range(max(1, round(seconds * RATE))):
+            self.now += 1.0 / RATE
+            found = self.targets.update(people, robot, self.now)
+            assert len({gaze.sender for gaze in found}) == len(found)
+        return {gaze.sender: gaze.receiver for gaze in found}
+
+
+def test_a_person_the_robot_and_each_other():
+    room = Room()
+    people = [room.person("ann", "bob"), room.person("bob", "ann"), room.person("cho", ROBOT)]
+    assert room.look(0.4, people) == {"ann": "bob", "bob": "ann", "cho": ROBOT}
+
+
+def test_who_looks_past_everybody_looks_at_nobody():
+    room = Room()
+    assert room.look(1.0, [room.person("ann", gaze_direction=np.array([0.0, -1.0, 0.0])), room.person("bob", ROBOT)]) == {
+        "bob": ROBOT}
+
+
+def test_closed_eyes_end_a_gaze_at_once_and_a_lost_face_does_not_open_them():
+    room = Room()
+    assert room.look(0.5, [room.person("ann", ROBOT)]) == {"ann": ROBOT}
+    shut = room.person("ann", head_direction=towards(room.places["ann"], ROBOT_AT), eyes_closed=0.9)
+    assert room.look(0.05, [shut]) == {}
+    assert room.look(1.0, [shut]) == {}
+    assert room.look(0.5, [room.person("ann")]) == {}
+    assert room.look(0.4, [room.person("ann", ROBOT)]) == {"ann": ROBOT}
+
+
+def test_one_image_of_open_lids_does_not_open_closed_eyes():
+    room = Room()
+    shut = room.person("ann", head_direction=towards(room.places["ann"], ROBOT_AT), eyes_closed=0.9)
+    room.look(0.5, [room.person("ann", ROBOT)])
+    room.look(0.5, [shut])
+    assert room.look(0.05, [room.person("ann", ROBOT)]) == {}
+
+
+def test_without_eyes_the_head_decides_and_without_a_head_the_trunk():
+    room = Room()
+    head = room.person("ann", head_direction=towards(room.places["ann"], room.places["bob"]))
+    assert room.look(1.0, [head, room.person("bob", ROBOT)]) == {"ann": "bob", "bob": ROBOT}
+    room = Room()
+    trunk = room.person("ann", body_direction=towards(room.places["ann"], ROBOT_AT))
+    assert room.look(3.0, [trunk]) == {"ann": ROBOT}
+
+
+def test_the_head_turns_a_part_of_the_way_from_the_trunk():
+    """The head of somebody who faces the robot and looks at bob points between the two."""
+    room = Room(head_gain=0.6)
+    front, side = towards(room.places["ann"], ROBOT_AT), towards(room.places["ann"], room.places["bob"])
+    angle = math.acos(front @ side)
+    between = (math.sin(0.4 * angle) * front + math.sin(0.6 * angle) * side) / math.sin(angle)
+    people = [room.person("ann", head_direction=between, body_direction=front), room.person("bob", ROBOT)]
+    assert room.look(1.0, people)["ann"] == "bob"
+
+
+def test_who_stands_behind_somebody_is_not_looked_at():
+    room = Room()
+    room.places.update(bob=np.array([3.0, -1.0, 1.6]), cho=np.array([4.0, -1.02, 1.6]))
+    assert room.look(1.0, [room.person("ann", "cho"), room.person("bob"), room.person("cho")]) == {"ann": "bob"}
+
+
+def test_a_gaze_lasts_over_a_wild_image_and_ends_when_nothing_is_seen():
+    room = Room()
+    others = [room.person("bob"), room.person("cho")]
+    room.look(1.0, [room.person("ann", "bob")] + others)
+    # Halfway to somebody else for one image: hysteresis.
+    aside = towards(room.places["ann"], room.places["bob"]) + 0.25 * towards(room.places["ann"], ROBOT_AT)
+    wild = room.person("ann", gaze_direction=aside / np.linalg.norm(aside), eyes_closed=0.0)
+    assert room.look(0.05, [wild] + others) == {"ann": "bob"}
+    assert room.look(0.2, [room.person("ann")] + others) == {"ann": "bob"}
+    assert room.look(0.4, [room.person("ann")] + others) == {}
+
+
+def test_the_frame_rate_does_not_matter():
+    delays = []
+    for rate in (5.0, 15.0, 60.0):
+        room = Room(evidence_time=0.2)
+        people = [room.person("ann", "bob"), room.person("bob"), room.person("cho")]
+        switched = [room.person("ann", ROBOT), room.person("bob"), room.person("cho")]
+        now = 0.0
+        while now < 1.0:
+            now += 1.0 / rate
+            room.targets.update(people, ROBOT_AT, now)
+        begun = now
+        while now < begun + 3.0:
+            now += 1.0 / rate
+            if [gaze.receiver for gaze in room.targets.update(switched, ROBOT_AT, now)] == [ROBOT]:
+                break
+        delays.append(now - begun)
+    assert max(delays) - min(delays) <= 0.25
+    assert max(delays) < 0.6
+
+
+def test_people_come_and_go_and_others_keep_their_targets():
+    room = Room()
+    room.look(0.5, [room.person("ann", "cho"), room.person("bob", ROBOT), room.person("cho", ROBOT)])
+    assert room.look(0.05, [room.person("cho", ROBOT), room.person("ann", "cho")]) == {"ann": "cho", "cho": ROBOT}
+    assert room.look(0.05, [room.person("ann", "cho")]) == {}
+    assert room.look(0.05, []) == {}
+
+
+def test_nobody_looks_at_what_has_no_place_or_is_too_far():
+    room = Room()
+    assert room.look(1.0, [room.person("ann", ROBOT)], robot=None) == {}
+    far = Room(max_distance=1.0)
+    assert far.look(1.0, [far.person("ann", ROBOT)]) == {}
+    nowhere = Onlooker("dan", gaze_direction=np.array([1.0, 0.0, 0.0]))
+    assert room.look(1.0, [nowhere]) == {}
+
+
+def test_time_that_goes_back_begins_anew():
+    room = Room()
+    room.look(1.0, [room.person("ann", "bob"), room.person("bob")])
+    room.now = 0.0
+    assert room.look(0.05, [room.person("ann"), room.person("bob")]) == {}
+
+
+@pytest.mark.parametrize("count", [1, 2, 30])
+def test_any_number_of_people(count):
+    chance = np.random.default_rng(count)
+    targets = GazeTargets(INTERACTION_PARAMETERS.resolve({}))
+    people = [Onlooker("p{}".format(index), chance.uniform(-4.0, 4.0, 3), gaze_direction=np.array([0.0, 1.0, 0.0]))
+              for index in range(count)]
+    for step in range(5):
+        for gaze in targets.update(people, ROBOT_AT, step / RATE):
+            assert gaze.sender != gaze.receiver
+            assert 0.0 < gaze.confidence <= 1.0

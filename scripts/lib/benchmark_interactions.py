@@ -1,0 +1,186 @@
+"""`scripts/benchmark interactions`: gazes, groups, engagement and their cost, in simulated scenes and on real ones."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Callable, Dict, List, Optional, Sequence, Tuple
+
+from benchmark_parts import chosen, measure_all
+from benchmark_report import machine
+
+GAZE_SECONDS = 60.0
+RATE_HZ = 15.0
+GROUPS_WANTED = {"CoffeeBreak": 0.83, "Synth": 0.90, "CoffeeBreak_noisy": 0.78}
+CROWD_GROWTH_MB = 10.0
+"""Most by which the memory may grow in an hour and still count as flat; that of a process breathes by some MB."""
+
+
+def _most(limit: float) -> Callable[[object], bool]:
+    return lambda value: isinstance(value, (int, float)) and value <= limit
+
+
+def _gaze(value: object) -> bool:
+    return (isinstance(value, dict) and min(value["precision"], value["recall"]) >= 0.90 and value["closed_gazes"] == 0)
+
+
+def _groups(value: object) -> bool:
+    return isinstance(value, dict) and all(value[name] >= least for name, least in GROUPS_WANTED.items())
+
+
+def _engagement(value: object) -> bool:
+    return isinstance(value, dict) and value["illegal"] == 0 and not value.get("missing")
+
+
+def _crowd(value: object) -> bool:
+    return isinstance(value, dict) and value["rss_mb"] <= CROWD_GROWTH_MB and value["new_ids"] == 0
+
+
+def _told(value: object) -> bool:
+    return value is not None
+
+
+# Figure, what is asked, and whether a value is that.
+KEYS: Sequence[Tuple[str, str, Callable[[object], bool]]] = (
+    ("gaze_3", "both >= 0.90, closed 0", _gaze), ("gaze_6", "both >= 0.90, closed 0", _gaze),
+    ("gaze_without_closed_eyes_rule", "(told)", _told), ("photographs", "(told)", _told),
+    ("groups_f1", ">= 0.83, 0.90, 0.78", _groups), ("engagement", "illegal 0, each level", _engagement),
+    ("cpu_percent_10", "<= 3 %", _most(3.0)), ("cpu_percent_30", "<= 10 %", _most(10.0)),
+    ("crowd", "flat, stable ids", _crowd))
+
+PARTS: Dict[str, Sequence[str]] = {
+    "gaze": ("gaze_3", "gaze_6", "gaze_without_closed_eyes_rule"), "photographs": ("photographs",),
+    "groups": ("groups_f1",), "engagement": ("engagement",), "cpu": ("cpu_percent_10", "cpu_percent_30"),
+    "crowd": ("crowd",)}
+
+
+def register(commands: argparse._SubParsersAction) -> None:
+    """Add the command line of this benchmark."""
+    parser = commands.add_parser("interactions", help="gazes, groups, engagement, their cost, and an hour in a crowd")
+    parser.add_argument("--only", default="", help="parts to measure, of: " + ", ".join(PARTS))
+    parser.add_argument("--hours", type=float, default=1.0, help="simulated time of the crowd (default: 1)")
+    parser.add_argument("--overlay", default="", help="file for the photographs with what was found in them")
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure and print; 1 when something could not be measured."""
+    wanted = chosen("interactions", options.only, PARTS)
+    if not options.hours > 0.0:
+        print("scripts/benchmark interactions: --hours must be above 0", file=sys.stderr)
+    if wanted is None or not options.hours > 0.0:
+        return 2
+    before = machine()
+    overlay = Path(options.overlay) if options.overlay else None
+    values, reasons, failed = measure_all(wanted, PARTS, lambda name: _measure(name, options.hours, overlay))
+    report = make_report(values, reasons, before)
+    print(json.dumps(report) if options.json else as_table(report))
+    return 1 if failed else 0
+
+
+def make_report(values: Dict[str, object], reasons: Dict[str, str], before: dict) -> dict:
+    """Return the JSON object: every figure, null with a reason where there is none."""
+    report: Dict[str, object] = {key: values.get(key) for key, _, _ in KEYS}
+    report["reasons"] = {key: reasons.get(key, "not measured") for key, _, _ in KEYS if report[key] is None}
+    report["details"] = {key: value for key, value in values.items() if key not in report}
+    report["machine"] = before
+    report["load"] = before["load_average"]
+    report["input"] = {
+        "gaze": "people 1 to 4 m away, gaze noise 8 deg, head noise 5 deg, 10 % dropouts, eyes closed 10 % of the time, "
+                "{:g} s for each seed".format(GAZE_SECONDS),
+        "pictures": "those of fetch_models (demo, evaluation), labels in gazes.txt, each as a film of 2 s",
+        "groups": "F1 at T = 2/3, one setting; noisy: 20 cm and 20 deg, mean of 5 draws",
+        "cpu": "{:g} Hz".format(RATE_HZ)}
+    return report
+
+
+def as_table(report: dict) -> str:
+    """Return the same for a person to read."""
+    lines: List[str] = [
+        "Machine   {cpu}, {cores} cores, {system}".format(**report["machine"]),
+        "Load      {} before the start".format(" ".join(str(load) for load in report["load"]))]
+    lines += ["{:9} {}".format(name, text) for name, text in report["input"].items()]
+    lines += ["", "{:30} {:>24}  {:>3}  {}".format("figure", "asked", "ok", "measured")]
+    for key, asked, is_met in KEYS:
+        value = report[key]
+        if key == "photographs" and value is not None:
+            lines += ["{:30} {:>24}  {:>3}  rows: truth; columns: answer".format(key, asked, "yes")]
+            lines += _confusion(value)
+            continue
+        told = "not measured: " + report["reasons"][key] if value is None else _short(value)
+        if key == "groups_f1" and "groups_published" in report["details"]:
+            told += "; published (GCFF, a setting for each sequence): " + _short(report["details"]["groups_published"])
+        met = "-" if value is None else "yes" if is_met(value) else "NO"
+        lines.append("{:30} {:>24}  {:>3}  {}".format(key, asked, met, told))
+    lines += [""] + ["{}: {}".format(key, _short(value)) for key, value in report["details"].items()]
+    return "\n".join(lines).rstrip()
+
+
+def _confusion(table: Dict[str, Dict[str, int]]) -> List[str]:
+    answers = list(next(iter(table.values())))
+    lines = ["    {:10}".format("") + "".join("{:>14}".format(answer) for answer in answers)]
+    return lines + ["    {:10}".format(truth) + "".join("{:>14}".format(row[answer]) for answer in answers)
+                    for truth, row in table.items()]
+
+
+def _short(value: object) -> str:
+    if isinstance(value, dict):
+        return ", ".join("{} {}".format(name, _short(number) if not isinstance(number, dict)
+                                        else "({})".format(_short(number))) for name, number in value.items())
+    if isinstance(value, (list, tuple)):
+        return " ".join(_short(item) for item in value)
+    return "{:.3g}".format(value) if isinstance(value, float) else str(value)
+
+
+def _rounded(value: object, digits: int = 4) -> object:
+    if isinstance(value, dict):
+        return {name: _rounded(number, digits) for name, number in value.items()}
+    return round(value, digits) if isinstance(value, float) else value
+
+
+def _measure(part: str, hours: float, overlay: Optional[Path]) -> Dict[str, object]:
+    """Figures of one part."""
+    if part == "groups":
+        return _measure_groups()
+    if part == "photographs":
+        from hri_pipeline.evaluation.gaze_photographs import FRAMES, USE_FACS, photographs
+        models = Path(os.environ.get("ROS4HRI_MODELS") or Path.home() / ".cache/ros4hri/models")
+        tables = photographs(models, overlay)
+        return {"photographs": tables[USE_FACS], "photographs_without_use_facs": tables[FRAMES]}
+    if part == "crowd":
+        from interactions_crowd import crowd
+        return {"crowd": _rounded(crowd(hours), 2)}
+    if part == "gaze":
+        return _measure_gaze()
+    if part == "cpu":
+        from hri_pipeline.evaluation.interaction_load import load
+        loads = {people: load(people, RATE_HZ) for people in (10, 30)}
+        found: Dict[str, object] = {"cpu_percent_{}".format(people): round(one["cpu_percent"], 2)
+                                    for people, one in loads.items()}
+        found["cpu_load"] = {str(people): _rounded(one, 2) for people, one in loads.items()}
+        return found
+    from hri_pipeline.evaluation.interaction_figures import engagement
+    return {"engagement": engagement()}
+
+
+def _measure_gaze() -> Dict[str, object]:
+    from hri_pipeline.evaluation.gaze_figures import gaze, head_rule
+    found: Dict[str, object] = {"gaze_{}".format(people): _rounded(gaze(people, GAZE_SECONDS)) for people in (3, 6)}
+    found["gaze_without_closed_eyes_rule"] = {
+        str(people): _rounded(gaze(people, GAZE_SECONDS, closed_eyes_rule=False)) for people in (3, 6)}
+    found["gaze_of_the_head_alone"] = {str(people): _rounded(head_rule(people, GAZE_SECONDS)) for people in (3, 6)}
+    return found
+
+
+def _measure_groups() -> Dict[str, object]:
+    from hri_pipeline.evaluation import group_figures
+    figures = group_figures.group_figures()
+    found: Dict[str, object] = {"groups_" + name: _rounded(scores) for name, scores in figures.items()}
+    found["groups_f1"] = {name: round(figures["f1"][name], 4) for name in GROUPS_WANTED}
+    found["groups_f1_simulated"] = round(figures["f1"]["simulated"], 4)
+    found["groups_over_time"] = _rounded(group_figures.stability())
+    found["groups_ms"] = {str(people): round(group_figures.milliseconds(people), 2) for people in (10, 30)}
+    return found
