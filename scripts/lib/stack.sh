@@ -22,6 +22,19 @@ wait_for() { # wait_for SECONDS COMMAND...
     return 1
 }
 
+choose_sound() { # choose_sound SOUND: sets sound_arguments, arguments of demo.launch
+    sound_arguments=()
+    case $1 in
+    '' | none) ;;
+    speech)
+        local cards=/usr/share/pocketsphinx/test/data/cards
+        [ -d "$cards" ] || fail 1 "The package pocketsphinx-testdata holds no $cards." "Give sound of your own with --sound, or --sound none."
+        sound_arguments=("sound:=$cards" "speech_grammar:=$cards/cards.gram")
+        ;;
+    *) sound_arguments=("sound:=$1") ;;
+    esac
+}
+
 find_vtest() { # the path of vtest.avi; unpacked into the cache if the package holds it packed
     local path
     path=$(dpkg -L opencv-doc | grep -E '/vtest\.avi(\.gz)?$' | head -n 1) || true
