@@ -75,7 +75,7 @@ def _write_and_kill(path: Path, start: int, delay: float) -> Tuple[Set[str], Set
 
 def _is_whole(path: Path, written: Set[str], forgotten: Set[str]) -> bool:
     """Tell whether the store is sound, everybody who was written is there and complete, and nobody who was forgotten."""
-    from hri_pipeline.core.person_store import PersonStore
+    from hri_pipeline.core.recognition.person_store import PersonStore
     store = PersonStore(path)
     try:
         records = {record.id: record for record in store.load_records()}
@@ -89,9 +89,9 @@ def _is_whole(path: Path, written: Set[str], forgotten: Set[str]) -> bool:
 
 def _write_for_ever(path: Path, start: int, pipe: int) -> NoReturn:
     """Write one new person after the other, record and templates, and forget some of them; never returns."""
-    from hri_pipeline.core.gallery import KnownPerson
-    from hri_pipeline.core.person_schema import StoredPerson
-    from hri_pipeline.core.person_store import PersonStore
+    from hri_pipeline.core.recognition.gallery import KnownPerson
+    from hri_pipeline.core.recognition.person_schema import StoredPerson
+    from hri_pipeline.core.recognition.person_store import PersonStore
     try:
         store, number = PersonStore(path), start
         while True:

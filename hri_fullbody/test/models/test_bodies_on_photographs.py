@@ -14,7 +14,7 @@ from hri_fullbody.core.body_sight import body_distance
 from hri_fullbody.core.body_stage import BodyStage
 from hri_fullbody.core.body_windows import FaceBox
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.face_stage import FaceStage
+from hri_pipeline.core.faces.face_stage import FaceStage
 from hri_pipeline.core.model_store import models_directory
 
 WIDTH = 1280

@@ -15,8 +15,8 @@ from std_msgs.msg import String
 
 from hri_msgs.msg import AgeAndGender, IdsList, IdsMatch
 from hri_person_manager.srv import ListKnown
-from hri_pipeline.core.person_schema import StoredPerson
-from hri_pipeline.core.person_store import PersonStore
+from hri_pipeline.core.recognition.person_schema import StoredPerson
+from hri_pipeline.core.recognition.person_store import PersonStore
 
 WAIT_S = 20.0
 DAY_S = 86400.0

@@ -16,7 +16,7 @@ from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import FacialActionUnits, FacialLandmarks, IdsList, Skeleton2D
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.scene_script import load_scene
+from hri_pipeline.core.scene.scene_script import load_scene
 
 PEOPLE = ["ann", "bob", "cho"]
 WHERE = 0.35    # m; depth noise is 3 % of 3 m, and a frame may be 0.1 s older than the truth beside it

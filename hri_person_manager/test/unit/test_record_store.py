@@ -7,8 +7,8 @@ import numpy as np
 from hri_person_manager.core.demographics import FEMALE
 from hri_person_manager.core.person_register import PersonRegister
 from hri_person_manager.core.record_store import DAY_S, StoreOfRecords
-from hri_pipeline.core.gallery import KnownPerson
-from hri_pipeline.core.person_store import PersonStore
+from hri_pipeline.core.recognition.gallery import KnownPerson
+from hri_pipeline.core.recognition.person_store import PersonStore
 
 
 def opened(path, **limits):

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.face_analysis import STAGES, FaceDemand
-from hri_pipeline.core.face_parameters import FACES
-from hri_pipeline.core.face_stage import FaceStage
+from hri_pipeline.core.faces.face_analysis import STAGES, FaceDemand
+from hri_pipeline.core.faces.face_parameters import FACES
+from hri_pipeline.core.faces.face_stage import FaceStage
 from hri_pipeline.core.model_store import models_directory
 from hri_pipeline.core.onnx_model import ModelError
 

@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_pipeline.core.action_units import ActionUnitEstimator
-from hri_pipeline.core.action_units_table import MIRROR
-from hri_pipeline.core.age_gender import AgeGenderFusion, load_age_gender
-from hri_pipeline.core.canonical_face import load_canonical_face
-from hri_pipeline.core.expression import ExpressionModel, ExpressionTracker
-from hri_pipeline.core.expression_table import CATEGORIES
-from hri_pipeline.core.face_detector import FaceDetector
-from hri_pipeline.core.face_measures import FaceMeasures
-from hri_pipeline.core.face_mesh import FaceMesh, roi_from_detection, roi_from_mesh
+from hri_pipeline.core.faces.action_units import ActionUnitEstimator
+from hri_pipeline.core.faces.action_units_table import MIRROR
+from hri_pipeline.core.faces.age_gender import AgeGenderFusion, load_age_gender
+from hri_pipeline.core.faces.canonical_face import load_canonical_face
+from hri_pipeline.core.faces.expression import ExpressionModel, ExpressionTracker
+from hri_pipeline.core.faces.expression_table import CATEGORIES
+from hri_pipeline.core.faces.face_detector import FaceDetector
+from hri_pipeline.core.faces.face_measures import FaceMeasures
+from hri_pipeline.core.faces.face_mesh import FaceMesh, roi_from_detection, roi_from_mesh
 from hri_pipeline.core.model_store import models_directory
 from hri_pipeline.core.onnx_model import ModelError, OnnxModel
 from hri_pipeline.evaluation import eyes

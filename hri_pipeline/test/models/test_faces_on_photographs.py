@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.camera import CameraError, CameraModel
-from hri_pipeline.core.canonical_face import load_canonical_face
-from hri_pipeline.core.face_parameters import FACES
-from hri_pipeline.core.face_stage import FaceStage
-from hri_pipeline.core.head_pose import yaw_pitch_roll
+from hri_pipeline.core.faces.canonical_face import load_canonical_face
+from hri_pipeline.core.faces.face_parameters import FACES
+from hri_pipeline.core.faces.face_stage import FaceStage
+from hri_pipeline.core.faces.head_pose import yaw_pitch_roll
 from hri_pipeline.core.model_store import models_directory
 from hri_pipeline.core.onnx_model import ModelError
 from hri_pipeline.core.parameters import ParameterError

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.face_analysis import FaceDemand
-from hri_pipeline.core.face_parameters import FACES
-from hri_pipeline.core.face_stage import FaceStage
+from hri_pipeline.core.faces.face_analysis import FaceDemand
+from hri_pipeline.core.faces.face_parameters import FACES
+from hri_pipeline.core.faces.face_stage import FaceStage
+from hri_pipeline.core.matching.mouth_motion import MouthTrack, opening_of_landmarks, opening_of_units
+from hri_pipeline.core.matching.voice_matcher_parameters import VOICE_MATCHER_PARAMETERS
+from hri_pipeline.core.matching.voice_matching import FACE, VoiceMatcher
 from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.core.mouth_motion import MouthTrack, opening_of_landmarks, opening_of_units
-from hri_pipeline.core.voice_matcher_parameters import VOICE_MATCHER_PARAMETERS
-from hri_pipeline.core.voice_matching import FACE, VoiceMatcher
 
 STEP = 1.0 / 15.0
 HFOV = np.deg2rad(53.0)

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_pipeline.core.face_embedding import FaceEmbedder, face_chip, load_face_embedder, similarity
 from hri_pipeline.core.model_store import models_directory
 from hri_pipeline.core.onnx_model import ModelError
+from hri_pipeline.core.recognition.face_embedding import FaceEmbedder, face_chip, load_face_embedder, similarity
 from hri_pipeline.evaluation.recognition_figures import (
     Encounters,
     identities,

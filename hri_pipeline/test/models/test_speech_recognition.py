@@ -14,10 +14,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hri_pipeline.core import speech_recognition
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.speech_parameters import SPEECH_RECOGNITION_PARAMETERS
-from hri_pipeline.core.speech_recognition import ERROR, OK, WARN, SpeechRecognition
+from hri_pipeline.core.speech import speech_recognition
+from hri_pipeline.core.speech.speech_parameters import SPEECH_RECOGNITION_PARAMETERS
+from hri_pipeline.core.speech.speech_recognition import ERROR, OK, WARN, SpeechRecognition
 from hri_pipeline.evaluation.speech_files import ABSENT, SPEECH_DIRECTORY, available, read_speech
 
 pytest.importorskip("pocketsphinx")
@@ -314,8 +314,8 @@ def test_the_process_dies_with_its_owner(stopped):
     owner = subprocess.Popen([sys.executable, "-c", textwrap.dedent("""
         import sys, time
         from types import SimpleNamespace
-        from hri_pipeline.core.speech_parameters import SPEECH_RECOGNITION_PARAMETERS as P
-        from hri_pipeline.core.speech_recognition import SpeechRecognition
+        from hri_pipeline.core.speech.speech_parameters import SPEECH_RECOGNITION_PARAMETERS as P
+        from hri_pipeline.core.speech.speech_recognition import SpeechRecognition
         values = {p.name: p.default for p in P}
         values["speech_grammar"] = sys.argv[1]
         speech = SpeechRecognition(SimpleNamespace(**values))

@@ -5,7 +5,7 @@ import pytest
 
 from hri_pipeline.core.model_store import model_path, models_directory
 from hri_pipeline.core.onnx_model import ModelError
-from hri_pipeline.core.voice_activity import FRAME, ActivityModel, ActivityState
+from hri_pipeline.core.voices.voice_activity import FRAME, ActivityModel, ActivityState
 from hri_pipeline.evaluation import speech_files
 
 

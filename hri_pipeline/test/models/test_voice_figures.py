@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.ids import IdGenerator
-from hri_pipeline.core.voice_stage import VoiceStage
+from hri_pipeline.core.voices.voice_stage import VoiceStage
 from hri_pipeline.evaluation import speech_files, voice_figures
 
 RATE = voice_figures.RATE

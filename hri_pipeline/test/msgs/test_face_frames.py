@@ -6,7 +6,7 @@ import pytest
 from std_msgs.msg import Header
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.face_parameters import FACES
+from hri_pipeline.core.faces.face_parameters import FACES
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import FaceObservation, GazeEstimate
 from hri_pipeline.ros.conversions import pose_from_transform

@@ -8,8 +8,8 @@ import pytest
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
-from hri_pipeline.core.gaze_people import GazeTarget, Onlooker
-from hri_pipeline.core.group_tracker import Group
+from hri_pipeline.core.interactions.gaze_people import GazeTarget, Onlooker
+from hri_pipeline.core.interactions.group_tracker import Group
 from hri_pipeline.ros.interaction_markers import MUTUAL, ONE_WAY, InteractionMarkers, make_markers
 
 HEADER = Header(stamp=genpy.Time(12, 345), frame_id="map")

@@ -8,8 +8,8 @@ import pytest
 from std_msgs.msg import Header, String
 
 from hri_msgs.msg import AudioFeatures, LiveSpeech
-from hri_pipeline.core.audio_features import FeatureFrame
-from hri_pipeline.core.speech_utterance import SpeechResult
+from hri_pipeline.core.speech.speech_utterance import SpeechResult
+from hri_pipeline.core.voices.audio_features import FeatureFrame
 from hri_pipeline.ros.conversions import audio_features_to_msg
 from hri_pipeline.ros.interface import speech_message, speech_type
 

@@ -8,7 +8,7 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import IdsList
-from hri_pipeline.core.gaze import gaze_frame
+from hri_pipeline.core.faces.gaze import gaze_frame
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import transform_to_msg
 

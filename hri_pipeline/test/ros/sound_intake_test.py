@@ -13,7 +13,7 @@ from audio_common_msgs.msg import AudioData, AudioInfo
 from std_msgs.msg import Header
 from waiting import wait_for
 
-from hri_pipeline.core.voice_parameters import VOICES
+from hri_pipeline.core.voices.voice_parameters import VOICES
 from hri_pipeline.ros import sound_intake
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
 from hri_pipeline.ros.sound_intake import SoundIntake

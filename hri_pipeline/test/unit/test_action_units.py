@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hri_pipeline.core.action_units import ActionUnitEstimator, angles_to_sight
-from hri_pipeline.core.action_units_table import ACTION_UNITS, MEASURES, MIRROR, RIGID
-from hri_pipeline.core.canonical_face import CanonicalFace
-from hri_pipeline.core.face_measures import FaceMeasures
+from hri_pipeline.core.faces.action_units import ActionUnitEstimator, angles_to_sight
+from hri_pipeline.core.faces.action_units_table import ACTION_UNITS, MEASURES, MIRROR, RIGID
+from hri_pipeline.core.faces.canonical_face import CanonicalFace
+from hri_pipeline.core.faces.face_measures import FaceMeasures
+from hri_pipeline.core.faces.running_neutral import MAX_DEVIATION
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.running_neutral import MAX_DEVIATION
 
 EYES = 63.0
 """Distance (mm) of the eyes of the face below."""

@@ -4,7 +4,7 @@ import numpy as np
 import onnx
 import pytest
 
-from hri_pipeline.core.age_gender import (
+from hri_pipeline.core.faces.age_gender import (
     AgeGender,
     AgeGenderFusion,
     FaceApiAgeGender,

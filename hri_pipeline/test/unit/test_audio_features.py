@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_pipeline.core.audio_features import GAP_S, PITCH_UNIT_HZ, RATE, AudioFeatureExtractor
-from hri_pipeline.core.mel_cepstrum import MelCepstrum, mel, mel_filters
-from hri_pipeline.core.pitch import HNR_RANGE_DB, PitchEstimator
+from hri_pipeline.core.voices.audio_features import GAP_S, PITCH_UNIT_HZ, RATE, AudioFeatureExtractor
+from hri_pipeline.core.voices.mel_cepstrum import MelCepstrum, mel, mel_filters
+from hri_pipeline.core.voices.pitch import HNR_RANGE_DB, PitchEstimator
 from hri_pipeline.evaluation.feature_figures import reference_cepstra, voice_errors
 from hri_pipeline.evaluation.synthetic_voices import VOWELS, voiced, with_noise
 

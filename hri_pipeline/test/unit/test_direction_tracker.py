@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.direction_tracker import DirectionTracker
-from hri_pipeline.core.sound_direction import Peak
+from hri_pipeline.core.sound.direction_tracker import DirectionTracker
+from hri_pipeline.core.sound.sound_direction import Peak
 
 STEP = 0.032
 

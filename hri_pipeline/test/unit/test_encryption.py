@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.encryption import KeyFileTransform, make_key_file
-from hri_pipeline.core.gallery import KnownPerson
-from hri_pipeline.core.person_store import PersonStore
 from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.recognition.gallery import KnownPerson
+from hri_pipeline.core.recognition.person_store import PersonStore
 
 
 def test_only_who_has_the_key_reads_the_templates(tmp_path):

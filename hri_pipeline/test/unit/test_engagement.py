@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.engagement import LEGAL, EngagementEstimator, Level
-from hri_pipeline.core.gaze_targets import ROBOT, GazeTarget, Onlooker
-from hri_pipeline.core.interaction_parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.engagement import LEGAL, EngagementEstimator, Level
+from hri_pipeline.core.interactions.gaze_targets import ROBOT, GazeTarget, Onlooker
+from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
 from hri_pipeline.evaluation.interaction_figures import engagement
 
 ROBOT_AT = np.array([0.0, 0.0, 1.3])

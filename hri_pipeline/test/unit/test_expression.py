@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.action_units import SLOTS, ActionUnits
-from hri_pipeline.core.expression import HOLD_TIME, NETWORK_MEMORY, ExpressionTracker, tempered, unit_scores
-from hri_pipeline.core.expression_table import CATEGORIES, PLANE, PROTOTYPES
+from hri_pipeline.core.faces.action_units import SLOTS, ActionUnits
+from hri_pipeline.core.faces.expression import HOLD_TIME, NETWORK_MEMORY, ExpressionTracker, tempered, unit_scores
+from hri_pipeline.core.faces.expression_table import CATEGORIES, PLANE, PROTOTYPES
 
 EMFACS = {"happy": (6, 12), "sad": (1, 4, 15, 17), "angry": (4, 5, 7, 23, 24), "scared": (1, 2, 4, 5, 20, 25, 26),
           "disgusted": (9, 10, 17), "surprised": (1, 2, 5, 26)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_pipeline.core.face_body_matching import (
+from hri_pipeline.core.matching.face_body_matching import (
     FaceBodyMatcher,
     MatchAnnouncer,
     PairMatch,
@@ -15,7 +15,7 @@ from hri_pipeline.core.face_body_matching import (
     likelihoods,
     place_likelihoods,
 )
-from hri_pipeline.core.matcher_parameters import MATCHER_PARAMETERS
+from hri_pipeline.core.matching.matcher_parameters import MATCHER_PARAMETERS
 
 ASPECT = 16.0 / 9.0
 

@@ -4,7 +4,7 @@ from collections import Counter
 
 import pytest
 
-from hri_pipeline.core.face_budget import FaceBudget
+from hri_pipeline.core.faces.face_budget import FaceBudget
 
 FACES = ["f%d" % number for number in range(10)]
 

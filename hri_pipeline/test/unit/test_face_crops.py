@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hri_pipeline.core.face_crops import (
+from hri_pipeline.core.faces.face_crops import (
     MAX_SIZE,
     aligned_crop,
     box_crop,
@@ -14,7 +14,7 @@ from hri_pipeline.core.face_crops import (
     turned_away,
     upright_roi,
 )
-from hri_pipeline.core.face_mesh import FaceRoi
+from hri_pipeline.core.faces.face_mesh import FaceRoi
 from hri_pipeline.core.geometry import Pose
 
 UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])

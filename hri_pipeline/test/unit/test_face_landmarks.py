@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.face_landmarks import (
+from hri_pipeline.core.faces.face_landmarks import (
     LANDMARK_TO_MESH,
     LANDMARKS,
     LEFT_PUPIL,

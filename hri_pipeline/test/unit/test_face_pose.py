@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hri_pipeline.core.camera import Calibration, CameraModel
-from hri_pipeline.core.canonical_face import PITCH_BIAS, SELLION, CanonicalFace, load_canonical_face
+from hri_pipeline.core.faces.canonical_face import PITCH_BIAS, SELLION, CanonicalFace, load_canonical_face
+from hri_pipeline.core.faces.head_pose import HeadPoseEstimator, PoseSmoother, yaw_pitch_roll
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.head_pose import HeadPoseEstimator, PoseSmoother, yaw_pitch_roll
 from hri_pipeline.core.onnx_model import ModelError
 
 PLAIN = CameraModel.from_fov(1280, 720, 1.0)

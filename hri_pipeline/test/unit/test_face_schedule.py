@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.face_detector import tile_regions, wide_region
-from hri_pipeline.core.face_schedule import STILL_FACTOR, DetectionSchedule
+from hri_pipeline.core.faces.face_detector import tile_regions, wide_region
+from hri_pipeline.core.faces.face_schedule import STILL_FACTOR, DetectionSchedule
 
 WHOLE = (0, 0, 640, 480)
 PARTS = tile_regions(640, 480, 2) + [wide_region(640, 480)]

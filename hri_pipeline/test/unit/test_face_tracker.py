@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.face_landmarks import MESH_POINTS
-from hri_pipeline.core.face_tracker import FaceMeasurement, FaceTracker, face_colours, same_face, without_duplicates
+from hri_pipeline.core.faces.face_landmarks import MESH_POINTS
+from hri_pipeline.core.faces.face_tracker import (
+    FaceMeasurement,
+    FaceTracker,
+    face_colours,
+    same_face,
+    without_duplicates,
+)
 from hri_pipeline.core.ids import IdGenerator
 
 STEP = 1.0 / 15.0

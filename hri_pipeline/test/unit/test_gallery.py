@@ -5,8 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from hri_pipeline.core.gallery import GalleryError, MemoryGallery
-from hri_pipeline.core.likelihood import Calibration
+from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
+from hri_pipeline.core.recognition.likelihood import Calibration
 from hri_pipeline.evaluation.synthetic_templates import SIZE
 from hri_pipeline.evaluation.synthetic_templates import template as face
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hri_pipeline.core import gallery_file
-from hri_pipeline.core.gallery import KnownPerson
-from hri_pipeline.core.gallery_file import DamagedStore, FileGallery, pack, unpack
-from hri_pipeline.core.likelihood import Calibration
 from hri_pipeline.core.private_file import StoreError, Transform, replace_file
+from hri_pipeline.core.recognition import gallery_file
+from hri_pipeline.core.recognition.gallery import KnownPerson
+from hri_pipeline.core.recognition.gallery_file import DamagedStore, FileGallery, pack, unpack
+from hri_pipeline.core.recognition.likelihood import Calibration
 from hri_pipeline.evaluation.synthetic_templates import SIZE
 from hri_pipeline.evaluation.synthetic_templates import template as face
 
@@ -254,8 +254,8 @@ def test_a_link_in_the_place_of_the_file_is_not_followed(path, tmp_path):
 WRITER = """
 import sys
 import numpy as np
-from hri_pipeline.core.gallery_file import FileGallery
-from hri_pipeline.core.likelihood import Calibration
+from hri_pipeline.core.recognition.gallery_file import FileGallery
+from hri_pipeline.core.recognition.likelihood import Calibration
 gallery = FileGallery(sys.argv[1], "synthetic", 128, Calibration(0.36, 0.40, 0.018, 0.15))
 vectors = np.eye(128, dtype=np.float32)
 print("ready", flush=True)
@@ -271,7 +271,7 @@ while True:
 def test_killed_while_writing(path):
     """Whoever is killed at any moment leaves the old file or the new one, and the next one can open it."""
     random = np.random.RandomState(0)
-    source = Path(gallery_file.__file__).resolve().parents[2]
+    source = Path(gallery_file.__file__).resolve().parents[3]
     environment = dict(os.environ, PYTHONPATH=str(source), OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     for _ in range(3):
         writer = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, env=environment)

@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.canonical_face import CanonicalFace
-from hri_pipeline.core.eyes import EYE_BACK, EYE_OUT, EYE_RADIUS, EYE_UP, EyeGeometry
-from hri_pipeline.core.gaze import (
+from hri_pipeline.core.faces.canonical_face import CanonicalFace
+from hri_pipeline.core.faces.eyes import EYE_BACK, EYE_OUT, EYE_RADIUS, EYE_UP, EyeGeometry
+from hri_pipeline.core.faces.gaze import (
     EYES_CONFIDENCE,
     HEAD_CONFIDENCE,
     GazeEstimator,

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.interaction_parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.people_frames import PeopleFrames
+from hri_pipeline.core.interactions.people_gather import Seen
 from hri_pipeline.core.observations import FaceObservation, GazeEstimate
-from hri_pipeline.core.people_frames import PeopleFrames
-from hri_pipeline.core.people_gather import Seen
 from hri_pipeline.evaluation.eyes import labelled_eyes
 from hri_pipeline.evaluation.gaze_photographs import (
     CAMERA,

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from hri_pipeline.core.gaze_targets import ROBOT, GazeTargets, Onlooker
-from hri_pipeline.core.interaction_parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.gaze_targets import ROBOT, GazeTargets, Onlooker
+from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
 
 RATE = 15.0
 ROBOT_AT = np.array([0.0, 0.0, 1.3])

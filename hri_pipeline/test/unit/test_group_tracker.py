@@ -8,9 +8,9 @@ from typing import Dict, Iterable, List, Sequence
 import numpy as np
 import pytest
 
-from hri_pipeline.core.group_tracker import ROBOT, Group, GroupTracker, Stander, fuse_directions
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.interaction_parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.group_tracker import ROBOT, Group, GroupTracker, Stander, fuse_directions
+from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
 
 SETTINGS = INTERACTION_PARAMETERS.resolve({})
 STEP = 0.1

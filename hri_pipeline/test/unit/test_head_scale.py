@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.head_scale import (
+from hri_pipeline.core.faces.head_scale import (
     PRIOR_SD,
     HeadScale,
     scale_from_depth,

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_pipeline.core.image_sources import PictureSource, SourceError, is_live, open_source, pictures_in
-from hri_pipeline.core.source_parameters import SOURCE_PARAMETERS
+from hri_pipeline.core.pictures.image_sources import PictureSource, SourceError, is_live, open_source, pictures_in
+from hri_pipeline.core.pictures.source_parameters import SOURCE_PARAMETERS
 
 RED, GREEN, BLUE, BLACK = (0, 0, 255), (0, 255, 0), (255, 0, 0), (0, 0, 0)
 

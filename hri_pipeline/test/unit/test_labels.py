@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_pipeline.core.expression_table import CATEGORIES
+from hri_pipeline.core.faces.expression_table import CATEGORIES
 from hri_pipeline.evaluation.eyes import TABLE, confusion, labelled_eyes
 from hri_pipeline.evaluation.labels import LabelledFace, frames, images, nearest_face, read_labels
 

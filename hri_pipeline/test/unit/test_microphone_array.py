@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.microphone_array import SPEED_OF_SOUND, MicrophoneArray, parse_positions
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.sound.microphone_array import SPEED_OF_SOUND, MicrophoneArray, parse_positions
 
 SQUARE = [[0.04, 0.04, 0.0], [-0.04, 0.04, 0.0], [-0.04, -0.04, 0.0], [0.04, -0.04, 0.0]]
 PAIR = [[0.0, 0.05, 0.0], [0.0, -0.05, 0.0]]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.interaction_parameters import INTERACTION_PARAMETERS
-from hri_pipeline.core.people_frames import PeopleFrames
-from hri_pipeline.core.people_gather import HEAD_ABOVE_HIPS, Seen, gather
+from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.people_frames import PeopleFrames
+from hri_pipeline.core.interactions.people_gather import HEAD_ABOVE_HIPS, Seen, gather
 from hri_pipeline.core.tf_scan import RawTransform
 
 SETTINGS = INTERACTION_PARAMETERS.resolve({})

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hri_pipeline.core import person_store
-from hri_pipeline.core.gallery import KnownPerson
-from hri_pipeline.core.person_store import PersonStore, StoredPerson
 from hri_pipeline.core.private_file import StoreError, Transform
+from hri_pipeline.core.recognition import person_store
+from hri_pipeline.core.recognition.gallery import KnownPerson
+from hri_pipeline.core.recognition.person_store import PersonStore, StoredPerson
 from hri_pipeline.evaluation.synthetic_templates import SIZE
 from hri_pipeline.evaluation.synthetic_templates import template as face
 
@@ -243,8 +243,8 @@ def test_a_link_in_its_place_is_refused(path, tmp_path):
 WRITER = """
 import sys
 import numpy as np
-from hri_pipeline.core.gallery import KnownPerson
-from hri_pipeline.core.person_store import PersonStore, StoredPerson
+from hri_pipeline.core.recognition.gallery import KnownPerson
+from hri_pipeline.core.recognition.person_store import PersonStore, StoredPerson
 store = PersonStore(sys.argv[1])
 vectors = np.eye(128, dtype=np.float32)
 print("ready", flush=True)
@@ -260,7 +260,7 @@ while True:
 def test_killed_while_writing(path):
     """Never damaged, never half a person."""
     random = np.random.RandomState(0)
-    source = Path(person_store.__file__).resolve().parents[2]
+    source = Path(person_store.__file__).resolve().parents[3]
     environment = dict(os.environ, PYTHONPATH=str(source), OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     for _ in range(3):
         writer = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, env=environment)

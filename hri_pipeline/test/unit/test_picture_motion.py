@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.image_fit import BAR_GREY, fit_image
-from hri_pipeline.core.picture_motion import PictureMotion
+from hri_pipeline.core.pictures.image_fit import BAR_GREY, fit_image
+from hri_pipeline.core.pictures.picture_motion import PictureMotion
 
 
 def gradient(width=200, height=100):

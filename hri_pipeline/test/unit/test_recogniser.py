@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.face_evidence import FaceEvidence, Sight
-from hri_pipeline.core.face_identity import SamePersons
-from hri_pipeline.core.gallery import GalleryError, MemoryGallery
-from hri_pipeline.core.gallery_file import FileGallery
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
-from hri_pipeline.core.likelihood import Calibration
-from hri_pipeline.core.recogniser import SAME, Recogniser
+from hri_pipeline.core.recognition.face_evidence import FaceEvidence, Sight
+from hri_pipeline.core.recognition.face_identity import SamePersons
+from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
+from hri_pipeline.core.recognition.gallery_file import FileGallery
+from hri_pipeline.core.recognition.likelihood import Calibration
+from hri_pipeline.core.recognition.recogniser import SAME, Recogniser
 from hri_pipeline.evaluation.synthetic_templates import SIZE, template
 
 CALIBRATION = Calibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)

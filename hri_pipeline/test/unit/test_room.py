@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.microphone_array import SPEED_OF_SOUND
+from hri_pipeline.core.sound.microphone_array import SPEED_OF_SOUND
 from hri_pipeline.evaluation.room import RATE, Room, images_at, with_noise
 
 SIZE = (5.0, 4.0, 3.0)

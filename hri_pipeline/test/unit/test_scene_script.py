@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hri_pipeline.core.scene_formations import slots
-from hri_pipeline.core.scene_model import CIRCLE, ROBOT, SEMICIRCLE, SIDE_BY_SIDE, Formation
-from hri_pipeline.core.scene_script import SceneError, load_scene, parse_scene
+from hri_pipeline.core.scene.scene_formations import slots
+from hri_pipeline.core.scene.scene_model import CIRCLE, ROBOT, SEMICIRCLE, SIDE_BY_SIDE, Formation
+from hri_pipeline.core.scene.scene_script import SceneError, load_scene, parse_scene
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 

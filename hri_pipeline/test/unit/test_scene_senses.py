@@ -9,13 +9,13 @@ import pytest
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.scene_matches import BODY, FACE, PERSON, SceneMatches
-from hri_pipeline.core.scene_noise import Alternation, Noise
-from hri_pipeline.core.scene_parameters import sense_defaults
-from hri_pipeline.core.scene_projection import keypoints, landmarks
-from hri_pipeline.core.scene_script import parse_scene
-from hri_pipeline.core.scene_senses import Senses
-from hri_pipeline.core.scene_world import World
+from hri_pipeline.core.scene.scene_matches import BODY, FACE, PERSON, SceneMatches
+from hri_pipeline.core.scene.scene_noise import Alternation, Noise
+from hri_pipeline.core.scene.scene_parameters import sense_defaults
+from hri_pipeline.core.scene.scene_projection import keypoints, landmarks
+from hri_pipeline.core.scene.scene_script import parse_scene
+from hri_pipeline.core.scene.scene_senses import Senses
+from hri_pipeline.core.scene.scene_world import World
 
 QUIET = {"look_robot": 1.0, "look_away": 0.0, "dwell": 5.0, "turn": 0.0}
 CLEAN = {"sense_dropout": 0.0, "sense_lid_errors": 0.0, "sense_birth_delay": 0.0, "sense_position_noise": 0.0,

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from hri_pipeline.core.scene_model import ROBOT
-from hri_pipeline.core.scene_script import parse_scene
-from hri_pipeline.core.scene_world import World
+from hri_pipeline.core.scene.scene_model import ROBOT
+from hri_pipeline.core.scene.scene_script import parse_scene
+from hri_pipeline.core.scene.scene_world import World
 
 STILL = {"look_robot": 0.0, "look_away": 0.0, "dwell": 0.0, "turn": 0.0}
 

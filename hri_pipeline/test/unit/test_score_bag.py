@@ -8,8 +8,8 @@ import pytest
 from scene_bag import SceneBag, upright
 
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.scene_script import parse_scene
-from hri_pipeline.core.scene_world import World
+from hri_pipeline.core.scene.scene_script import parse_scene
+from hri_pipeline.core.scene.scene_world import World
 from hri_pipeline.evaluation.bag_record import RecordError, read_bag
 from hri_pipeline.evaluation.score_bag import score
 from hri_pipeline.evaluation.score_command import main

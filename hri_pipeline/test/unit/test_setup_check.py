@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from hri_pipeline.core.check_parameters import CHECK_PARAMETERS
-from hri_pipeline.core.setup_check import FAULT, HINT, as_text, check, is_well
-from hri_pipeline.core.setup_facts import Calibration, Facts, Picture, Stream
+from hri_pipeline.core.setup.check_parameters import CHECK_PARAMETERS
+from hri_pipeline.core.setup.setup_check import FAULT, HINT, as_text, check, is_well
+from hri_pipeline.core.setup.setup_facts import Calibration, Facts, Picture, Stream
 
 SETTINGS = CHECK_PARAMETERS.resolve({})
 IMAGE = Stream("/camera/image_raw", "sensor_msgs/Image", ("sensor_msgs/Image", ), ("/camera", ), (), 90, 30.0, 0.03, "optical")

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hri_pipeline.core.microphone_array import MicrophoneArray
-from hri_pipeline.core.noise_floor import NoiseFloor
-from hri_pipeline.core.sound_direction import MIN_SEPARATION, DirectionFinder
-from hri_pipeline.core.sound_spectra import BINS, FRAME, HOP, FrameSplitter, OverlapAdd
+from hri_pipeline.core.sound.microphone_array import MicrophoneArray
+from hri_pipeline.core.sound.noise_floor import NoiseFloor
+from hri_pipeline.core.sound.sound_direction import MIN_SEPARATION, DirectionFinder
+from hri_pipeline.core.sound.sound_spectra import BINS, FRAME, HOP, FrameSplitter, OverlapAdd
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from plane_waves import SQUARE, angle, babble, noise, plane_wave, towards  # noqa: E402

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.sound_format import SAMPLE_FORMATS, SoundError, SoundFormat, decode, encode_s16, nearest_rate
+from hri_pipeline.core.sound.sound_format import (
+    SAMPLE_FORMATS,
+    SoundError,
+    SoundFormat,
+    decode,
+    encode_s16,
+    nearest_rate,
+)
 
 WAVE = 0.5 * np.sin(np.linspace(0.0, 20.0, 600, dtype=np.float32))
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hri_pipeline.core.beamformer import SourceBeamformers, inverse
-from hri_pipeline.core.microphone_array import MicrophoneArray
 from hri_pipeline.core.parameters import ParameterError, ParameterTable
-from hri_pipeline.core.sound_array_parameters import SOUND_ARRAY_PARAMETERS
-from hri_pipeline.core.sound_separation import SoundSeparator
-from hri_pipeline.core.sound_spectra import BINS, HOP, RATE
+from hri_pipeline.core.sound.beamformer import SourceBeamformers, inverse
+from hri_pipeline.core.sound.microphone_array import MicrophoneArray
+from hri_pipeline.core.sound.sound_array_parameters import SOUND_ARRAY_PARAMETERS
+from hri_pipeline.core.sound.sound_separation import SoundSeparator
+from hri_pipeline.core.sound.sound_spectra import BINS, HOP, RATE
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from plane_waves import SQUARE, angle, babble, noise, plane_wave, towards  # noqa: E402

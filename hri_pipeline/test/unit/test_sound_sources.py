@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import soundfile
 
-from hri_pipeline.core.sound_device import SoundDevice, SoundDeviceError
-from hri_pipeline.core.sound_source_parameters import SOUND_SOURCE_PARAMETERS
-from hri_pipeline.core.sound_sources import SoundSourceError, is_live, open_sound_source, sounds_in
+from hri_pipeline.core.sound.sound_device import SoundDevice, SoundDeviceError
+from hri_pipeline.core.sound.sound_source_parameters import SOUND_SOURCE_PARAMETERS
+from hri_pipeline.core.sound.sound_sources import SoundSourceError, is_live, open_sound_source, sounds_in
 
 needs_alsa = pytest.mark.skipif(shutil.which("arecord") is None, reason="alsa-utils is not installed")
 
@@ -136,7 +136,7 @@ def test_a_device_is_read_in_its_time_and_its_end_is_told():
 def test_the_recording_ends_with_its_parent():
     code = textwrap.dedent("""
         import os, signal
-        from hri_pipeline.core.sound_device import SoundDevice
+        from hri_pipeline.core.sound.sound_device import SoundDevice
         device = SoundDevice("null", 16000, 1)
         device.read(160)
         print(device.pid, flush=True)

@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from hri_pipeline.core.sound_clock import SampleClock
-from hri_pipeline.core.sound_format import SoundError, SoundFormat, encode_s16
-from hri_pipeline.core.sound_stream import BLOCK, RATE, SoundStream
+from hri_pipeline.core.sound.sound_clock import SampleClock
+from hri_pipeline.core.sound.sound_format import SoundError, SoundFormat, encode_s16
+from hri_pipeline.core.sound.sound_stream import BLOCK, RATE, SoundStream
 
 BEGIN = 1000.0
 

@@ -11,14 +11,14 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from hri_pipeline.core import speech_engine, speech_pipe
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.speech_engine import ENGINES, RATE, EngineChoice, check_choice, make_engine, one_file
-from hri_pipeline.core.speech_grammar import engine_choice, grammar_directory, read_grammar
-from hri_pipeline.core.speech_parameters import ENGINES as ENGINE_NAMES
-from hri_pipeline.core.speech_parameters import SPEECH_RECOGNITION_PARAMETERS
-from hri_pipeline.core.speech_pipe import MessageReader, PipeError, Report
-from hri_pipeline.core.speech_utterance import Utterance, to_bytes
+from hri_pipeline.core.speech import speech_engine, speech_pipe
+from hri_pipeline.core.speech.speech_engine import ENGINES, RATE, EngineChoice, check_choice, make_engine, one_file
+from hri_pipeline.core.speech.speech_grammar import engine_choice, grammar_directory, read_grammar
+from hri_pipeline.core.speech.speech_parameters import ENGINES as ENGINE_NAMES
+from hri_pipeline.core.speech.speech_parameters import SPEECH_RECOGNITION_PARAMETERS
+from hri_pipeline.core.speech.speech_pipe import MessageReader, PipeError, Report
+from hri_pipeline.core.speech.speech_utterance import Utterance, to_bytes
 
 JSGF = "#JSGF V1.0; grammar g; public <g> = yes | no;"
 DEFAULTS = {parameter.name: parameter.default for parameter in SPEECH_RECOGNITION_PARAMETERS}
@@ -203,7 +203,7 @@ def test_vosk_puts_the_sentences_of_one_turn_together(monkeypatch, tmp_path):
 
 
 def test_silence_around_the_words_is_left_out():
-    trim = pytest.importorskip("hri_pipeline.core.speech_pocketsphinx")._trim
+    trim = pytest.importorskip("hri_pipeline.core.speech.speech_pocketsphinx")._trim
     random = np.random.default_rng(0)
     speech, margin = 16000, 8 * 320
     samples = random.normal(size=RATE * 4) * 3.0

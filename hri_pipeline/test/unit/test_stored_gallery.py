@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.gallery import MemoryGallery
-from hri_pipeline.core.gallery_file import FileGallery
-from hri_pipeline.core.likelihood import Calibration
-from hri_pipeline.core.person_store import PersonStore, StoredPerson
-from hri_pipeline.core.stored_gallery import StoredGallery, open_gallery
+from hri_pipeline.core.recognition.gallery import MemoryGallery
+from hri_pipeline.core.recognition.gallery_file import FileGallery
+from hri_pipeline.core.recognition.likelihood import Calibration
+from hri_pipeline.core.recognition.person_store import PersonStore, StoredPerson
+from hri_pipeline.core.recognition.stored_gallery import StoredGallery, open_gallery
 from hri_pipeline.evaluation.synthetic_templates import SIZE
 from hri_pipeline.evaluation.synthetic_templates import template as face
 

@@ -5,8 +5,8 @@ import pytest
 
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.parameters import ParameterTable
-from hri_pipeline.core.voice_lives import VoiceLives, angle_between
-from hri_pipeline.core.voice_stage_parameters import VOICE_STAGE_PARAMETERS
+from hri_pipeline.core.voices.voice_lives import VoiceLives, angle_between
+from hri_pipeline.core.voices.voice_stage_parameters import VOICE_STAGE_PARAMETERS
 
 TABLE = ParameterTable("activity", "Activity.", VOICE_STAGE_PARAMETERS)
 

@@ -9,10 +9,9 @@ import pytest
 
 from hri_pipeline.core.announcing import Announcer
 from hri_pipeline.core.human_places import HumanPlaces
-from hri_pipeline.core.mouth_motion import MouthTrack, opening_of_landmarks, opening_of_units
-from hri_pipeline.core.speaking_times import SpeakingTimes
-from hri_pipeline.core.tf_scan import RawTransform
-from hri_pipeline.core.voice_evidence import (
+from hri_pipeline.core.matching.mouth_motion import MouthTrack, opening_of_landmarks, opening_of_units
+from hri_pipeline.core.matching.speaking_times import SpeakingTimes
+from hri_pipeline.core.matching.voice_evidence import (
     NEAR,
     SILENT,
     SPEAKING,
@@ -22,8 +21,9 @@ from hri_pipeline.core.voice_evidence import (
     motion_evidence,
     mouth_evidence,
 )
-from hri_pipeline.core.voice_matcher_parameters import VOICE_MATCHER_PARAMETERS
-from hri_pipeline.core.voice_matching import FACE, PERSON, VoiceMatcher
+from hri_pipeline.core.matching.voice_matcher_parameters import VOICE_MATCHER_PARAMETERS
+from hri_pipeline.core.matching.voice_matching import FACE, PERSON, VoiceMatcher
+from hri_pipeline.core.tf_scan import RawTransform
 
 RATE = 15.0
 

@@ -7,10 +7,10 @@ import pytest
 
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.parameters import ParameterTable
-from hri_pipeline.core.sound_stream import SoundBlock
-from hri_pipeline.core.voice_source import level
-from hri_pipeline.core.voice_stage import VoiceStage
-from hri_pipeline.core.voice_stage_parameters import VOICE_STAGE_PARAMETERS
+from hri_pipeline.core.sound.sound_stream import SoundBlock
+from hri_pipeline.core.voices.voice_source import level
+from hri_pipeline.core.voices.voice_stage import VoiceStage
+from hri_pipeline.core.voices.voice_stage_parameters import VOICE_STAGE_PARAMETERS
 
 TABLE = ParameterTable("activity", "Activity.", VOICE_STAGE_PARAMETERS)
 RATE = 16000

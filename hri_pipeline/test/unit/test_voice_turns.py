@@ -5,8 +5,8 @@ import math
 import pytest
 
 from hri_pipeline.core.parameters import ParameterTable
-from hri_pipeline.core.voice_stage_parameters import VOICE_STAGE_PARAMETERS
-from hri_pipeline.core.voice_turns import SILENCE_DBFS, NoiseFloor, SpeechActivity, TurnDetector
+from hri_pipeline.core.voices.voice_stage_parameters import VOICE_STAGE_PARAMETERS
+from hri_pipeline.core.voices.voice_turns import SILENCE_DBFS, NoiseFloor, SpeechActivity, TurnDetector
 
 TABLE = ParameterTable("activity", "Activity.", VOICE_STAGE_PARAMETERS)
 FRAME = 0.032

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Tuple
 
 from hri_fullbody.core.body_modeller_parameters import MODELLER_PARAMETERS
-from hri_pipeline.core.face_parameters import CAMERA_PARAMETERS, FACE_STAGE_PARAMETERS
+from hri_pipeline.core.faces.face_parameters import CAMERA_PARAMETERS, FACE_STAGE_PARAMETERS
 from hri_pipeline.core.parameters import Parameter, ParameterTable
 
 BODY_STAGE_PARAMETERS = (

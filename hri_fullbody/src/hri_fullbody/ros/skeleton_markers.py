@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from hri_fullbody.core import skeleton as kp
 from hri_fullbody.core.skeleton import EDGES
 from hri_pipeline.core.observations import BodyObservation
-from hri_pipeline.core.overlay import colour_of
+from hri_pipeline.core.pictures.overlay import colour_of
 
 _LIFETIME_S = 1.0
 _LIMB_WIDTH_M = 0.035

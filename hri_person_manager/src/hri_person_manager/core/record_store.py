@@ -7,8 +7,8 @@ from typing import List, Mapping, Optional
 
 from hri_person_manager.core.demographics import DemographicsEstimate
 from hri_person_manager.core.person_register import PersonRecord
-from hri_pipeline.core.person_schema import StoredPerson
-from hri_pipeline.core.person_store import PersonStore
+from hri_pipeline.core.recognition.person_schema import StoredPerson
+from hri_pipeline.core.recognition.person_store import PersonStore
 
 DAY_S = 86400.0
 

@@ -10,9 +10,9 @@ import rospy
 
 from hri_person_manager.core.record_store import StoreOfRecords
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.person_store import PersonStore
 from hri_pipeline.core.private_file import StoreError
-from hri_pipeline.core.stored_gallery import SHARED_ENDINGS
+from hri_pipeline.core.recognition.person_store import PersonStore
+from hri_pipeline.core.recognition.stored_gallery import SHARED_ENDINGS
 
 
 def open_store(settings: SimpleNamespace) -> Optional[StoreOfRecords]:

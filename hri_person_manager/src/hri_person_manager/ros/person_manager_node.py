@@ -77,6 +77,8 @@ class PersonManagerNode:
         self._last_now = rospy.get_time()
         self._next_report = self._next_expiry = self._next_giving = 0.0
         self._jumps = 0
+        self._sensed = genpy.Time()     # stamp of the newest image or sound of which a list or a transform has come
+        self._feeds: Dict[str, FeatureFeed] = {}
         self._store = open_store(settings)
         self._register = PersonRegister(self._store)
         self._remember_earlier_runs()
@@ -89,9 +91,9 @@ class PersonManagerNode:
         self._spaces = PersonSpaces(settings, self._intake)
         self._matches = rospy.Subscriber("/humans/candidate_matches", IdsMatch, self._on_match,
                                          queue_size=1000, tcp_nodelay=True)
-        self._feeds: Dict[str, FeatureFeed] = {
-            plural: FeatureFeed(plural, topics, self._on_feature, self._tracked_callback(kind), max_ids=MAX_FEATURES)
-            for plural, kind, topics in _FEEDS}
+        for plural, kind, topics in _FEEDS:
+            self._feeds[plural] = FeatureFeed(plural, topics, self._on_feature, self._tracked_callback(plural, kind),
+                                              max_ids=MAX_FEATURES)
         self._report = ManagerReport(self._manager, self._guard, self._reference, self._intake, self._feeds, self._tf)
         self._reset = rospy.Service("~reset", Empty, self._on_reset)
         self._services = PersonServices(self._manager, self._register, self._guard, self._lock, self._publish_state)
@@ -139,9 +141,11 @@ class PersonManagerNode:
             if self._store is not None:
                 self._store.close()
 
-    def _tracked_callback(self, kind: Kind):
+    def _tracked_callback(self, plural: str, kind: Kind):
         def on_tracked(ids: List[str]) -> None:
             with self._lock:
+                if plural in self._feeds:
+                    self._note_stamp(self._feeds[plural].stamp)
                 self._intake.set_tracked(kind, ids)
                 self._manager.on_tracked(kind, ids, rospy.get_time())
                 self._publish_state()
@@ -168,6 +172,7 @@ class PersonManagerNode:
             now = rospy.get_time()
             moved: Dict[str, object] = {}
             for stamped in sightings:
+                self._note_stamp(stamped.stamp)
                 place = self._reference.place(stamped)
                 person_id = self._manager.on_place(stamped.sighting.source, stamped.sighting.id, place, now,
                                                    stamped.sighting.sensor)
@@ -192,6 +197,7 @@ class PersonManagerNode:
         if now < self._last_now - JUMP_BACK_S:
             rospy.logwarn("time went back by %.1f s: places start anew, persons stay", self._last_now - now)
             self._jumps += 1
+            self._sensed = genpy.Time()
             self._intake.reset()
             self._manager.rewind(now)
         self._last_now = now
@@ -202,7 +208,7 @@ class PersonManagerNode:
         self._publish_state()
         snapshot = self._manager.snapshot(now)
         self._markers.publish(snapshot)
-        self._spaces.update(snapshot, stamp)
+        self._spaces.update(snapshot, self._sensed)
         self._graph.update(lambda: graph_text(snapshot, self._manager.matches, self._manager.unions, self._threshold))
         self._memory.update(self._manager.anonymous)
         self._note_seen(filter(self._manager.is_permanent, snapshot.tracked))
@@ -226,5 +232,9 @@ class PersonManagerNode:
     def _publish_state(self) -> None:
         if self._stop.is_set():
             return
-        stamp: genpy.Time = rospy.Time.now()
-        self._topics.update(self._manager.snapshot(stamp.to_sec()), stamp)
+        self._topics.update(self._manager.snapshot(rospy.get_time()), self._sensed)
+
+    def _note_stamp(self, stamp: genpy.Time) -> None:
+        """Note when something was sensed; stamps of the future would stay for good."""
+        if self._sensed < stamp and stamp.to_sec() < rospy.get_time() + JUMP_BACK_S:
+            self._sensed = stamp

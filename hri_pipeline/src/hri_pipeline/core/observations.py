@@ -43,8 +43,8 @@ class FaceObservation:
     landmarks: (70, 3) x px, y px, confidence 0 to 1, in the order of hri_msgs/FacialLandmarks.
     mesh: (478, 3) px; z grows away from the camera and has the scale of x.
     pose: face frame in the optical frame, m; None when it is not known.
-    gaze: None when it was not estimated. action_units: core.action_units.ActionUnits; expression:
-    core.expression.ExpressionEstimate; soft_biometrics: SoftBiometrics; each None when not estimated in this image.
+    gaze: None when it was not estimated. action_units: core.faces.action_units.ActionUnits; expression:
+    core.faces.expression.ExpressionEstimate; soft_biometrics: SoftBiometrics; each None when not estimated in this image.
     head_scale: size of this head over the canonical one, and its standard deviation; None without a pose.
     measured: False when the face was predicted and not looked at in this image: there were too many for it.
     """

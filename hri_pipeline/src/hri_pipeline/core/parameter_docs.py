@@ -32,9 +32,9 @@ def tables(package: str) -> List[ParameterTable]:
         return []
     core = importlib.import_module(package + ".core")
     found = {}
-    for module_info in pkgutil.iter_modules(core.__path__):
+    for module_info in pkgutil.walk_packages(core.__path__, core.__name__ + "."):
         if module_info.name.endswith("_parameters"):
-            module = importlib.import_module(package + ".core." + module_info.name)
+            module = importlib.import_module(module_info.name)
             for value in vars(module).values():
                 # A table that one module imports from another package belongs to the other.
                 if isinstance(value, ParameterTable) and not _foreign(package, value):

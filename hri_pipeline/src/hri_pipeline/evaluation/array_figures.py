@@ -12,7 +12,7 @@ from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.sound_separation import SoundSeparator
+from hri_pipeline.core.sound.sound_separation import SoundSeparator
 from hri_pipeline.evaluation.array_scenes import ArrayScene, azimuth_errors, make_scene
 from hri_pipeline.evaluation.room import RATE
 

@@ -13,7 +13,9 @@ import numpy as np
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.tf_scan import read, scan
 
-PERSONS = "/humans/persons/"
+HUMANS = "/humans/"
+KINDS = ("faces", "bodies", "voices")
+PERSONS = HUMANS + "persons/"
 INTERACTIONS = "/humans/interactions/"
 _PERSON_FRAME = b"person_"
 _OF_HUMANS = (b"body_", b"head_", b"face_", b"gaze_", b"voice_", _PERSON_FRAME)
@@ -51,7 +53,11 @@ class Track:
 
 @dataclass
 class Record:
-    """Everything that the scores need. Series are (time s, value), ascending; tracked goes by the time of the bag."""
+    """Everything that the scores need. Series are (time s, value), ascending; tracked goes by the time of the bag.
+
+    listed: tracked ids by kind (faces, bodies, voices); counted: the same of the truth, where it counts (recordings of pictures).
+    said: texts by voice: the last one (String), or all that are finished (LiveSpeech). true_words: the sentences of the truth.
+    """
 
     begin: float
     end: float
@@ -61,6 +67,10 @@ class Record:
     gaze: List[Tuple[float, frozenset]] = field(default_factory=list)
     groups: List[Tuple[float, Tuple[frozenset, ...]]] = field(default_factory=list)
     confidence: Dict[str, List[Tuple[float, float]]] = field(default_factory=dict)
+    listed: Dict[str, List[Tuple[float, frozenset]]] = field(default_factory=dict)
+    counted: Dict[str, List[Tuple[float, frozenset]]] = field(default_factory=dict)
+    said: Dict[str, List[Tuple[float, str]]] = field(default_factory=dict)
+    true_words: List[str] = field(default_factory=list)
     messages: Counter = field(default_factory=Counter)
     foreign_frames: int = 0
     damaged: int = 0
@@ -101,11 +111,17 @@ class _Reading:
                   INTERACTIONS + "gaze": self._gaze, INTERACTIONS + "groups": self._groups}
         topics.update({"{}/{}".format(self._namespace, name): self._true(name)
                        for name in ("persons", "visible", "heads", "gaze", "groups")})
+        topics[self._namespace + "/words"] = self._true_words
+        for kind in KINDS:
+            topics[HUMANS + kind + "/tracked"] = self._ids_of(self._record.listed.setdefault(kind, []))
+            topics["{}/{}".format(self._namespace, kind)] = self._ids_of(self._record.counted.setdefault(kind, []))
         for connection, nanoseconds, data in self._reader.messages():
             self._record.messages[connection.topic] += 1
             take = topics.get(connection.topic)
             if take is None and connection.topic.endswith("/location_confidence"):
                 take = self._confidence
+            elif take is None and connection.topic.startswith(HUMANS + "voices/") and connection.topic.endswith("/speech"):
+                take = self._speech
             if take is None:
                 continue
             try:
@@ -172,6 +188,23 @@ class _Reading:
     def _confidence(self, connection: object, when: float, data: bytes) -> None:
         person = connection.topic[len(PERSONS):].split("/")[0]
         self._record.confidence.setdefault(person, []).append((when, float(self._message(connection, data).data)))
+
+    def _ids_of(self, series: List[Tuple[float, frozenset]]):
+        def take(connection: object, when: float, data: bytes) -> None:
+            series.append((when, frozenset(self._message(connection, data).ids)))
+        return take
+
+    def _true_words(self, connection: object, when: float, data: bytes) -> None:
+        self._record.true_words.append(self._message(connection, data).data)
+
+    def _speech(self, connection: object, when: float, data: bytes) -> None:
+        message = self._message(connection, data)
+        voice = connection.topic[len(HUMANS + "voices/"):].split("/")[0]
+        # Paper: each text replaces the one before it. REP-155: only what is finished.
+        if not hasattr(message, "final"):
+            self._record.said[voice] = [(when, message.data)]
+        elif message.final:
+            self._record.said.setdefault(voice, []).append((when, message.final))
 
     def _true(self, name: str):
         def take(connection: object, when: float, data: bytes) -> None:

@@ -12,14 +12,14 @@ import cv2
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.canonical_face import CanonicalFace, load_canonical_face
-from hri_pipeline.core.eyes import EyeGeometry
-from hri_pipeline.core.face_analysis import FaceDemand
-from hri_pipeline.core.face_mesh import FaceMesh, roi_from_mesh
-from hri_pipeline.core.face_parameters import FACES
-from hri_pipeline.core.face_stage import FaceStage
-from hri_pipeline.core.gaze import GazeEstimator
-from hri_pipeline.core.head_pose import HeadPoseEstimator, yaw_pitch_roll
+from hri_pipeline.core.faces.canonical_face import CanonicalFace, load_canonical_face
+from hri_pipeline.core.faces.eyes import EyeGeometry
+from hri_pipeline.core.faces.face_analysis import FaceDemand
+from hri_pipeline.core.faces.face_mesh import FaceMesh, roi_from_mesh
+from hri_pipeline.core.faces.face_parameters import FACES
+from hri_pipeline.core.faces.face_stage import FaceStage
+from hri_pipeline.core.faces.gaze import GazeEstimator
+from hri_pipeline.core.faces.head_pose import HeadPoseEstimator, yaw_pitch_roll
 from hri_pipeline.core.model_store import models_directory
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.onnx_model import OnnxModel

@@ -7,8 +7,8 @@ from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.audio_features import PITCH_UNIT_HZ, RATE, AudioFeatureExtractor
-from hri_pipeline.core.mel_cepstrum import BANDS, COEFFICIENTS, LIFTER, MelCepstrum
+from hri_pipeline.core.voices.audio_features import PITCH_UNIT_HZ, RATE, AudioFeatureExtractor
+from hri_pipeline.core.voices.mel_cepstrum import BANDS, COEFFICIENTS, LIFTER, MelCepstrum
 from hri_pipeline.evaluation.speech_files import SPEECH_FILES, available, read_speech
 from hri_pipeline.evaluation.synthetic_voices import FREQUENCIES, RATIOS_DB, VOWELS, voiced, with_noise
 

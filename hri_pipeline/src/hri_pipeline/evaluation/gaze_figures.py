@@ -8,8 +8,8 @@ from typing import Callable, Dict, List, Optional, Sequence
 
 import numpy as np
 
-from hri_pipeline.core.gaze_targets import ROBOT, GazeTarget, GazeTargets, Onlooker
-from hri_pipeline.core.interaction_parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.gaze_targets import ROBOT, GazeTarget, GazeTargets, Onlooker
+from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
 from hri_pipeline.evaluation.gaze_scenes import ROBOT_AT, SHOULDERS, Moment, run
 
 SEEDS = tuple(range(100, 106))

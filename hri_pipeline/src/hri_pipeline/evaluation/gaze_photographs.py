@@ -11,19 +11,19 @@ from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 import cv2
 import numpy as np
 
-from hri_pipeline.core.action_units import BLINK, EYES_CLOSED
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.face_analysis import FaceDemand
-from hri_pipeline.core.face_parameters import FACES
-from hri_pipeline.core.face_stage import FaceStage
-from hri_pipeline.core.gaze import gaze_frame
-from hri_pipeline.core.gaze_people import Onlooker
-from hri_pipeline.core.gaze_targets import ROBOT, GazeTargets
+from hri_pipeline.core.faces.action_units import BLINK, EYES_CLOSED
+from hri_pipeline.core.faces.face_analysis import FaceDemand
+from hri_pipeline.core.faces.face_parameters import FACES
+from hri_pipeline.core.faces.face_stage import FaceStage
+from hri_pipeline.core.faces.gaze import gaze_frame
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.interaction_parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.gaze_people import Onlooker
+from hri_pipeline.core.interactions.gaze_targets import ROBOT, GazeTargets
+from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.people_frames import PeopleFrames
+from hri_pipeline.core.interactions.people_gather import Seen, gather
 from hri_pipeline.core.observations import FaceObservation
-from hri_pipeline.core.people_frames import PeopleFrames
-from hri_pipeline.core.people_gather import Seen, gather
 from hri_pipeline.core.tf_scan import RawTransform
 from hri_pipeline.evaluation.labels import LabelledFace, images, nearest_face, read_labels
 

@@ -10,12 +10,12 @@ from typing import Dict, Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.gaze_people import Onlooker
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.scene_model import AWAY, LOOK_AT, ROBOT, Habits, Order, PersonScript, Robot, Scene
-from hri_pipeline.core.scene_parameters import sense_defaults
-from hri_pipeline.core.scene_senses import Sensed, SensedBody, SensedFace, Senses
-from hri_pipeline.core.scene_world import SceneTruth, World
+from hri_pipeline.core.interactions.gaze_people import Onlooker
+from hri_pipeline.core.scene.scene_model import AWAY, LOOK_AT, ROBOT, Habits, Order, PersonScript, Robot, Scene
+from hri_pipeline.core.scene.scene_parameters import sense_defaults
+from hri_pipeline.core.scene.scene_senses import Sensed, SensedBody, SensedFace, Senses
+from hri_pipeline.core.scene.scene_world import SceneTruth, World
 
 RATE = 15.0
 STANDS = Robot()

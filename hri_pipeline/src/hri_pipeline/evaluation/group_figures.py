@@ -10,9 +10,9 @@ from typing import Dict, FrozenSet, List, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.formations import find_formations
-from hri_pipeline.core.group_tracker import GroupTracker, Stander
-from hri_pipeline.core.interaction_parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.formations import find_formations
+from hri_pipeline.core.interactions.group_tracker import GroupTracker, Stander
+from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
 from hri_pipeline.evaluation.group_scenes import GroupScene, public_scenes, simulated_scenes, with_noise
 from hri_pipeline.evaluation.scores import group_scores
 

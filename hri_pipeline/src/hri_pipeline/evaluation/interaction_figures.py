@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Dict, List
 
-from hri_pipeline.core.engagement import LEGAL, EngagementEstimator, Level
-from hri_pipeline.core.gaze_targets import GazeTargets
-from hri_pipeline.core.interaction_parameters import INTERACTION_PARAMETERS
-from hri_pipeline.core.scene_parameters import sense_defaults
-from hri_pipeline.core.scene_script import parse_scene
-from hri_pipeline.core.scene_senses import Senses
-from hri_pipeline.core.scene_world import World
+from hri_pipeline.core.interactions.engagement import LEGAL, EngagementEstimator, Level
+from hri_pipeline.core.interactions.gaze_targets import GazeTargets
+from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.scene.scene_parameters import sense_defaults
+from hri_pipeline.core.scene.scene_script import parse_scene
+from hri_pipeline.core.scene.scene_senses import Senses
+from hri_pipeline.core.scene.scene_world import World
 from hri_pipeline.evaluation.gaze_figures import gaze, head_rule
 from hri_pipeline.evaluation.gaze_scenes import RATE, ROBOT_AT, onlookers
 from hri_pipeline.evaluation.interaction_load import load

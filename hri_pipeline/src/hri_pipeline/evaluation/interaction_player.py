@@ -10,10 +10,10 @@ from typing import Dict, List
 import rospy
 from tf2_msgs.msg import TFMessage
 
-from hri_pipeline.core.scene_parameters import PERSONS, SCENE_PARAMETERS
-from hri_pipeline.core.scene_script import parse_scene
-from hri_pipeline.core.scene_senses import Sensed, Senses
-from hri_pipeline.core.scene_world import World
+from hri_pipeline.core.scene.scene_parameters import PERSONS, SCENE_PARAMETERS
+from hri_pipeline.core.scene.scene_script import parse_scene
+from hri_pipeline.core.scene.scene_senses import Sensed, Senses
+from hri_pipeline.core.scene.scene_world import World
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.scene_features import SceneFeatures
 from hri_pipeline.ros.scene_persons import ScenePersons

@@ -11,12 +11,12 @@ from typing import Callable, Dict, List, Sequence, Tuple
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.face_analysis import FaceDemand
-from hri_pipeline.core.face_embedding import KINDS
-from hri_pipeline.core.face_parameters import FACES
-from hri_pipeline.core.face_stage import FaceStage
-from hri_pipeline.core.gallery import MemoryGallery
+from hri_pipeline.core.faces.face_analysis import FaceDemand
+from hri_pipeline.core.faces.face_parameters import FACES
+from hri_pipeline.core.faces.face_stage import FaceStage
 from hri_pipeline.core.observations import FaceObservation
+from hri_pipeline.core.recognition.face_embedding import KINDS
+from hri_pipeline.core.recognition.gallery import MemoryGallery
 from hri_pipeline.evaluation.labels import LabelledFace, images, nearest_face, read_labels
 
 TABLE = Path(__file__).with_name("identities.txt")

@@ -14,7 +14,7 @@ from typing import Sequence, Tuple
 import numpy as np
 from scipy.signal import butter, fftconvolve, sosfilt
 
-from hri_pipeline.core.microphone_array import SPEED_OF_SOUND
+from hri_pipeline.core.sound.microphone_array import SPEED_OF_SOUND
 
 RATE = 16000
 _HALF_WIDTH = 32

@@ -10,15 +10,15 @@ from typing import Dict, Iterable, List, Tuple, Union
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.gaze import gaze_frame
+from hri_pipeline.core.faces.gaze import gaze_frame
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.scene_matches import BODY, FACE, PERSON, VOICE, SceneMatches
-from hri_pipeline.core.scene_parameters import sense_defaults
-from hri_pipeline.core.scene_projection import box, keypoints, landmarks
-from hri_pipeline.core.scene_script import Scene
-from hri_pipeline.core.scene_senses import BODIES, FACES, VOICES, Sensed, SensedBody, SensedFace, Senses
-from hri_pipeline.core.scene_sight import camera_pose
-from hri_pipeline.core.scene_world import SceneTruth, World
+from hri_pipeline.core.scene.scene_matches import BODY, FACE, PERSON, VOICE, SceneMatches
+from hri_pipeline.core.scene.scene_parameters import sense_defaults
+from hri_pipeline.core.scene.scene_projection import box, keypoints, landmarks
+from hri_pipeline.core.scene.scene_script import Scene
+from hri_pipeline.core.scene.scene_senses import BODIES, FACES, VOICES, Sensed, SensedBody, SensedFace, Senses
+from hri_pipeline.core.scene.scene_sight import camera_pose
+from hri_pipeline.core.scene.scene_world import SceneTruth, World
 from hri_pipeline.evaluation.bag_writer import BagWriter
 
 BASE = 1_600_000_000.0

@@ -8,6 +8,7 @@ from typing import Dict, List, Mapping, Optional, Sequence, Tuple
 import numpy as np
 
 from hri_pipeline.evaluation.bag_record import INTERACTIONS, PERSONS, Record, TruthFrame
+from hri_pipeline.evaluation.score_counts import counts
 from hri_pipeline.evaluation.scores import MotFrame, MotScores, clear_mot, group_scores, pair_scores
 
 LATENCY = 0.1
@@ -29,7 +30,8 @@ def score(record: Record, distance: float = 0.5) -> Figures:
     figures: Figures = {"duration_s": round(record.end - record.begin, 3)}
     figures.update(_persons(record))
     figures.update(_rates(record))
-    figures["has_truth"] = bool(record.truth)
+    figures.update(counts(record))
+    figures["has_truth"] = bool(record.truth or record.true_words or any(record.counted.values()))
     if record.truth:
         mot = clear_mot(mot_frames(record), distance)
         figures.update(_mot(mot, record))

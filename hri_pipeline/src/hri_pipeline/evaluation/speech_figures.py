@@ -12,8 +12,8 @@ from typing import Dict, List, NamedTuple, Sequence, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.speech_engine import RATE, EngineChoice, Recognised, SpeechEngine, make_engine
-from hri_pipeline.core.speech_grammar import grammar_directory, read_grammar
+from hri_pipeline.core.speech.speech_engine import RATE, EngineChoice, Recognised, SpeechEngine, make_engine
+from hri_pipeline.core.speech.speech_grammar import grammar_directory, read_grammar
 from hri_pipeline.evaluation.speech_files import SPEECH_DIRECTORY, read_announcements, read_speech
 
 _BLOCK = 512
@@ -126,7 +126,7 @@ def figures() -> Dict[str, object]:
 
 def false_commands() -> str:
     """Sentences that are no commands, and how many of them the sample grammar takes for one at the default confidence."""
-    from hri_pipeline.core.speech_parameters import SPEECH_RECOGNITION_PARAMETERS
+    from hri_pipeline.core.speech.speech_parameters import SPEECH_RECOGNITION_PARAMETERS
     least = next(parameter.default for parameter in SPEECH_RECOGNITION_PARAMETERS
                  if parameter.name == "speech_min_confidence")
     others = [utterance for task in dictation_tasks() + grammar_tasks()[:1] for utterance in task.utterances]

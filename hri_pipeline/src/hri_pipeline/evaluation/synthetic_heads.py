@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.canonical_face import VERTICES, CanonicalFace
+from hri_pipeline.core.faces.canonical_face import VERTICES, CanonicalFace
 from hri_pipeline.core.geometry import Pose
 
 YAW, PITCH, ROLL = 60.0, 30.0, 45.0

@@ -17,10 +17,10 @@ import numpy as np
 
 from hri_pipeline.core.model_store import model_path
 from hri_pipeline.core.parameters import ParameterTable
-from hri_pipeline.core.sound_stream import SoundBlock
-from hri_pipeline.core.voice_activity import FRAME, FRAME_TIME, RATE, ActivityModel
-from hri_pipeline.core.voice_stage import VoiceObservation, VoiceStage
-from hri_pipeline.core.voice_stage_parameters import VOICE_STAGE_PARAMETERS
+from hri_pipeline.core.sound.sound_stream import SoundBlock
+from hri_pipeline.core.voices.voice_activity import FRAME, FRAME_TIME, RATE, ActivityModel
+from hri_pipeline.core.voices.voice_stage import VoiceObservation, VoiceStage
+from hri_pipeline.core.voices.voice_stage_parameters import VOICE_STAGE_PARAMETERS
 from hri_pipeline.evaluation.speech_files import read_speech
 
 SNRS: Tuple[Optional[float], ...] = (None, 10.0, 0.0)

@@ -8,11 +8,11 @@ from typing import Dict, Optional
 
 import numpy as np
 
-from hri_pipeline.core.audio_features import AudioFeatureExtractor
-from hri_pipeline.core.sound_format import SoundFormat
-from hri_pipeline.core.sound_stream import SoundStream
-from hri_pipeline.core.voice_parameters import VOICES
-from hri_pipeline.core.voice_stage import VoiceStage
+from hri_pipeline.core.sound.sound_format import SoundFormat
+from hri_pipeline.core.sound.sound_stream import SoundStream
+from hri_pipeline.core.voices.audio_features import AudioFeatureExtractor
+from hri_pipeline.core.voices.voice_parameters import VOICES
+from hri_pipeline.core.voices.voice_stage import VoiceStage
 from hri_pipeline.evaluation.room import Room, images_at, with_noise
 from hri_pipeline.evaluation.speech_files import read_speech
 from hri_pipeline.evaluation.voice_figures import RATE, activity_model, make_scene
@@ -52,7 +52,7 @@ def run_all(samples: np.ndarray, settings: Optional[SimpleNamespace] = None) -> 
     settings = settings or VOICES.resolve({})
     array = None
     if channels > 1:
-        from hri_pipeline.core.sound_separation import SoundSeparator
+        from hri_pipeline.core.sound.sound_separation import SoundSeparator
         array = SoundSeparator(SQUARE, settings)
     stage = VoiceStage(settings, activity_model(), array)
     stream = SoundStream(SoundFormat(channels, RATE))

@@ -7,9 +7,9 @@ from typing import Dict, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.mouth_motion import opening_of_units
-from hri_pipeline.core.voice_matcher_parameters import VOICE_MATCHER_PARAMETERS
-from hri_pipeline.core.voice_matching import FACE, VoiceMatcher
+from hri_pipeline.core.matching.mouth_motion import opening_of_units
+from hri_pipeline.core.matching.voice_matcher_parameters import VOICE_MATCHER_PARAMETERS
+from hri_pipeline.core.matching.voice_matching import FACE, VoiceMatcher
 from hri_pipeline.evaluation.conversations import UNSEEN, directions, hear, make_mouth, make_turns
 
 LENGTH_S = 120.0

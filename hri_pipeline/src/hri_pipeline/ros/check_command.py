@@ -7,9 +7,9 @@ import sys
 import rosgraph
 import rospy
 
-from hri_pipeline.core.check_parameters import CHECK_PARAMETERS
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.setup_check import as_text, check, is_well
+from hri_pipeline.core.setup.check_parameters import CHECK_PARAMETERS
+from hri_pipeline.core.setup.setup_check import as_text, check, is_well
 from hri_pipeline.ros.graph_probe import GraphProbe
 from hri_pipeline.ros.parameters_ros import read_parameters
 

@@ -28,14 +28,14 @@ from hri_msgs.msg import (
     SoftBiometrics,
 )
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.gaze_people import GazeTarget
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.images import ImageError, bgr_from_compressed, bgr_from_raw
+from hri_pipeline.core.interactions.gaze_people import GazeTarget
 from hri_pipeline.core.observations import SoftBiometrics as FaceBiometrics
 
 if TYPE_CHECKING:  # a module that needs scipy, of which most nodes need nothing
-    from hri_pipeline.core.audio_features import FeatureFrame
-    from hri_pipeline.core.group_tracker import Group as SocialGroup
+    from hri_pipeline.core.interactions.group_tracker import Group as SocialGroup
+    from hri_pipeline.core.voices.audio_features import FeatureFrame
 
 Stamp = Union[genpy.Time, float]
 

@@ -11,8 +11,8 @@ import genpy
 import rospy
 
 from hri_msgs.msg import FacialLandmarks, IdsMatch, Skeleton2D
-from hri_pipeline.core.face_body_matching import FaceBodyMatcher, MatchAnnouncer, PairMatch
 from hri_pipeline.core.head_places import HeadPlaces
+from hri_pipeline.core.matching.face_body_matching import FaceBodyMatcher, MatchAnnouncer, PairMatch
 from hri_pipeline.core.tf_scan import read
 from hri_pipeline.ros.conversions import landmarks_from_msg, match_to_msg, skeleton_from_msg
 from hri_pipeline.ros.diagnostics import OK, NodeDiagnostics

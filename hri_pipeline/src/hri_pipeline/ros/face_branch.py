@@ -8,14 +8,14 @@ from typing import Dict, List, Optional, Sequence, Tuple
 import rospy
 from geometry_msgs.msg import TransformStamped
 
-from hri_pipeline.core.face_analysis import STAGES
-from hri_pipeline.core.face_identity import SamePersons
-from hri_pipeline.core.face_stage import FaceStage
-from hri_pipeline.core.gaze import gaze_frame
+from hri_pipeline.core.faces.face_analysis import STAGES
+from hri_pipeline.core.faces.face_stage import FaceStage
+from hri_pipeline.core.faces.gaze import gaze_frame
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.private_file import StoreError
-from hri_pipeline.core.recogniser import SAME
+from hri_pipeline.core.recognition.face_identity import SamePersons
+from hri_pipeline.core.recognition.recogniser import SAME
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.diagnostics import OK, WARN
 from hri_pipeline.ros.face_topics import NAMESPACE, FaceTopics

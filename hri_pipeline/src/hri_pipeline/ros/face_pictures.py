@@ -8,7 +8,7 @@ from typing import Tuple
 import rospy
 from std_msgs.msg import Header
 
-from hri_pipeline.core.face_crops import MAX_SIZE, aligned_crop, box_crop
+from hri_pipeline.core.faces.face_crops import MAX_SIZE, aligned_crop, box_crop
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.ros.conversions import bgr_to_image
 from hri_pipeline.ros.image_intake import Frame

@@ -9,9 +9,9 @@ import rospy
 from sensor_msgs.msg import Image
 
 from hri_msgs.msg import Expression, FacialActionUnits, FacialLandmarks, IdsMatch, SoftBiometrics
-from hri_pipeline.core.face_analysis import FaceDemand
-from hri_pipeline.core.face_identity import Match, SamePersons
+from hri_pipeline.core.faces.face_analysis import FaceDemand
 from hri_pipeline.core.observations import FaceObservation
+from hri_pipeline.core.recognition.face_identity import Match, SamePersons
 from hri_pipeline.ros.conversions import (
     action_units_to_msg,
     expression_to_msg,

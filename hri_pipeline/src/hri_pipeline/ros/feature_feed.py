@@ -56,6 +56,7 @@ class FeatureFeed:
         self._problem = ""
         self._problem_at = float("-inf")
         self._lists: Dict[str, Tuple[float, List[str]]] = {}
+        self.stamp = genpy.Time()       # of the list that came last
         self._closed = threading.Event()
         self.topic = "/humans/{}/tracked".format(kind)
         self._tracked = rospy.Subscriber(self.topic, IdsList, self._on_list, queue_size=10)
@@ -95,6 +96,7 @@ class FeatureFeed:
         publisher = message._connection_header.get("callerid", "")
         with self._lock:
             self._lists[publisher] = (time.monotonic(), self._checked(message.ids))
+            self.stamp = message.header.stamp
             ids = self._listed()
         self._follow(ids)
         self._tell(ids)

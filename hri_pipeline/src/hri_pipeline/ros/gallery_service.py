@@ -8,10 +8,10 @@ from typing import Callable, Dict, Tuple
 
 import rospy
 
-from hri_pipeline.core.face_recognition_stage import RecognitionStage
-from hri_pipeline.core.gallery import GalleryError
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.recognition.face_recognition_stage import RecognitionStage
+from hri_pipeline.core.recognition.gallery import GalleryError
 from hri_pipeline.srv import Gallery, GalleryRequest, GalleryResponse
 
 _FLUSH_S = 1.0

@@ -21,7 +21,7 @@ from sensor_msgs.msg import CameraInfo
 from hri_msgs.msg import IdsList
 from hri_pipeline.core.images import ImageError
 from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.core.setup_facts import Calibration, Facts, Picture, Stream
+from hri_pipeline.core.setup.setup_facts import Calibration, Facts, Picture, Stream
 from hri_pipeline.models.catalogue import select
 from hri_pipeline.ros.conversions import compressed_to_bgr, image_to_bgr
 from hri_pipeline.ros.robot_frames import RobotFrameFeed

@@ -16,9 +16,9 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Bool, Header
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.image_sources import ImageSource, SourceError, is_live, open_source
 from hri_pipeline.core.pacing import Pacer
-from hri_pipeline.core.source_parameters import EXIT
+from hri_pipeline.core.pictures.image_sources import ImageSource, SourceError, is_live, open_source
+from hri_pipeline.core.pictures.source_parameters import EXIT
 from hri_pipeline.ros.conversions import bgr_to_image
 from hri_pipeline.ros.diagnostics import NodeDiagnostics
 from hri_pipeline.ros.topic_release import release

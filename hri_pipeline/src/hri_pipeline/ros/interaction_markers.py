@@ -11,9 +11,9 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from hri_pipeline.core.gaze_people import ROBOT, GazeTarget, Onlooker
-from hri_pipeline.core.group_tracker import Group
-from hri_pipeline.core.overlay import colour_of
+from hri_pipeline.core.interactions.gaze_people import ROBOT, GazeTarget, Onlooker
+from hri_pipeline.core.interactions.group_tracker import Group
+from hri_pipeline.core.pictures.overlay import colour_of
 
 ONE_WAY = (0.10, 0.75, 0.95)
 MUTUAL = (1.00, 0.45, 0.05)

@@ -7,9 +7,9 @@ from typing import Dict, Sequence
 
 import rospy
 
-from hri_pipeline.core.engagement import Level
-from hri_pipeline.core.gaze_people import ROBOT, GazeTarget
-from hri_pipeline.core.group_tracker import Group
+from hri_pipeline.core.interactions.engagement import Level
+from hri_pipeline.core.interactions.gaze_people import ROBOT, GazeTarget
+from hri_pipeline.core.interactions.group_tracker import Group
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.diagnostics import OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.interaction_frame import InteractionFrame

@@ -10,9 +10,9 @@ import rospy
 from std_msgs.msg import Header
 
 from hri_msgs.msg import EngagementLevel, Gaze, GazesStamped
-from hri_pipeline.core.engagement import Level
-from hri_pipeline.core.gaze_people import GazeTarget
-from hri_pipeline.core.group_tracker import Group
+from hri_pipeline.core.interactions.engagement import Level
+from hri_pipeline.core.interactions.gaze_people import GazeTarget
+from hri_pipeline.core.interactions.group_tracker import Group
 from hri_pipeline.ros.conversions import engagement_to_msg, gaze_to_msg, gazes_to_msg
 from hri_pipeline.ros.interface import groups_messages, groups_type, has_gazing
 from hri_pipeline.ros.topic_lease import TopicLeases, TopicSpec

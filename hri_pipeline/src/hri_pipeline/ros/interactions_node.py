@@ -14,10 +14,10 @@ import numpy as np
 import rospy
 from visualization_msgs.msg import MarkerArray
 
-from hri_pipeline.core.engagement import EngagementEstimator, Level
-from hri_pipeline.core.gaze_targets import ROBOT, GazeTarget, GazeTargets, Onlooker
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.group_tracker import Group, GroupTracker, Stander, fuse_directions
+from hri_pipeline.core.interactions.engagement import EngagementEstimator, Level
+from hri_pipeline.core.interactions.gaze_targets import ROBOT, GazeTarget, GazeTargets, Onlooker
+from hri_pipeline.core.interactions.group_tracker import Group, GroupTracker, Stander, fuse_directions
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.conversions import make_header

@@ -16,8 +16,8 @@ from hri_msgs.msg import Group, GroupsStamped, LiveSpeech, NormalizedRegionOfInt
 from hri_pipeline.ros.conversions import group_to_msg, groups_to_msg, roi_to_msg
 
 if TYPE_CHECKING:  # a module that needs scipy, of which most nodes need nothing
-    from hri_pipeline.core.group_tracker import Group as SocialGroup
-    from hri_pipeline.core.speech_utterance import SpeechResult
+    from hri_pipeline.core.interactions.group_tracker import Group as SocialGroup
+    from hri_pipeline.core.speech.speech_utterance import SpeechResult
 
 PAPER, REP155 = "paper", "rep155"
 

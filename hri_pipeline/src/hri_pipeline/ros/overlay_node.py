@@ -20,9 +20,9 @@ from std_msgs.msg import Float32, String
 
 from hri_msgs.msg import FacialLandmarks, Skeleton2D
 from hri_pipeline.core.images import ImageError
-from hri_pipeline.core.overlay import PersonMark, draw_overlay
-from hri_pipeline.core.overlay_pairing import FeatureHistory
 from hri_pipeline.core.pacing import Pacer
+from hri_pipeline.core.pictures.overlay import PersonMark, draw_overlay
+from hri_pipeline.core.pictures.overlay_pairing import FeatureHistory
 from hri_pipeline.ros.conversions import (
     bgr_to_image,
     compressed_to_bgr,

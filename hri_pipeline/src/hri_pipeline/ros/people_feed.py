@@ -12,10 +12,10 @@ import genpy
 from std_msgs.msg import String
 
 from hri_msgs.msg import FacialActionUnits
-from hri_pipeline.core.gaze_people import Onlooker
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.people_frames import PeopleFrames
-from hri_pipeline.core.people_gather import Places, Seen, gather
+from hri_pipeline.core.interactions.gaze_people import Onlooker
+from hri_pipeline.core.interactions.people_frames import PeopleFrames
+from hri_pipeline.core.interactions.people_gather import Places, Seen, gather
 from hri_pipeline.core.tf_scan import read
 from hri_pipeline.ros.feature_feed import FeatureFeed
 from hri_pipeline.ros.robot_frames import RobotFrames

@@ -14,11 +14,11 @@ from std_msgs.msg import Bool, Header
 
 from hri_msgs.msg import AudioFeatures, FacialActionUnits, FacialLandmarks, IdsMatch, Skeleton2D
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.gaze import gaze_frame
+from hri_pipeline.core.faces.gaze import gaze_frame
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.scene_matches import BODY, FACE, PERSON, VOICE, Statement
-from hri_pipeline.core.scene_projection import box, keypoints, landmarks
-from hri_pipeline.core.scene_senses import BODIES, FACES, VOICES, Sensed, SensedBody, SensedFace, SensedVoice
+from hri_pipeline.core.scene.scene_matches import BODY, FACE, PERSON, VOICE, Statement
+from hri_pipeline.core.scene.scene_projection import box, keypoints, landmarks
+from hri_pipeline.core.scene.scene_senses import BODIES, FACES, VOICES, Sensed, SensedBody, SensedFace, SensedVoice
 from hri_pipeline.ros.conversions import (
     action_units_to_msg,
     landmarks_to_msg,

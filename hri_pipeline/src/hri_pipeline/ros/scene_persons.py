@@ -11,7 +11,7 @@ import rospy
 from std_msgs.msg import Bool, Float32, String
 
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.scene_senses import Sensed
+from hri_pipeline.core.scene.scene_senses import Sensed
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.tf_publisher import TfPublisher
 from hri_pipeline.ros.topic_lease import TopicLeases, TopicSpec

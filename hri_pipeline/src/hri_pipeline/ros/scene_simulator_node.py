@@ -14,12 +14,12 @@ from rosgraph_msgs.msg import Clock
 from tf2_msgs.msg import TFMessage
 
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.scene_matches import SceneMatches
-from hri_pipeline.core.scene_parameters import PERSONS
-from hri_pipeline.core.scene_script import Scene, SceneError, load_scene
-from hri_pipeline.core.scene_senses import Senses
-from hri_pipeline.core.scene_sight import camera_pose
-from hri_pipeline.core.scene_world import SceneTruth, World
+from hri_pipeline.core.scene.scene_matches import SceneMatches
+from hri_pipeline.core.scene.scene_parameters import PERSONS
+from hri_pipeline.core.scene.scene_script import Scene, SceneError, load_scene
+from hri_pipeline.core.scene.scene_senses import Senses
+from hri_pipeline.core.scene.scene_sight import camera_pose
+from hri_pipeline.core.scene.scene_world import SceneTruth, World
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.diagnostics import OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.scene_features import SceneFeatures

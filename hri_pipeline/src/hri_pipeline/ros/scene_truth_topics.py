@@ -12,7 +12,7 @@ from std_msgs.msg import Header, String
 
 from hri_msgs.msg import GazeSenderReceiver, GazesStamped, Group, GroupsStamped, IdsList
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.scene_world import PersonTruth, SceneTruth
+from hri_pipeline.core.scene.scene_world import PersonTruth, SceneTruth
 from hri_pipeline.ros.topic_release import release
 
 NAMESPACE = "/scene/truth"

@@ -12,8 +12,8 @@ import audio_common_msgs.msg
 import rospy
 from audio_common_msgs.msg import AudioData, AudioInfo
 
-from hri_pipeline.core.sound_format import SoundError, SoundFormat
-from hri_pipeline.core.sound_stream import SoundBlock, SoundStream
+from hri_pipeline.core.sound.sound_format import SoundError, SoundFormat
+from hri_pipeline.core.sound.sound_stream import SoundBlock, SoundStream
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
 from hri_pipeline.ros.topic_release import release
 

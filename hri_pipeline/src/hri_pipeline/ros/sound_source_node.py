@@ -12,10 +12,10 @@ from audio_common_msgs.msg import AudioData, AudioInfo
 from std_msgs.msg import Bool
 
 from hri_pipeline.core.pacing import Pacer
-from hri_pipeline.core.sound_format import encode_s16
-from hri_pipeline.core.sound_level import SoundLevel
-from hri_pipeline.core.sound_source_parameters import EXIT
-from hri_pipeline.core.sound_sources import SoundSource, SoundSourceError, is_live, open_sound_source
+from hri_pipeline.core.sound.sound_format import encode_s16
+from hri_pipeline.core.sound.sound_level import SoundLevel
+from hri_pipeline.core.sound.sound_source_parameters import EXIT
+from hri_pipeline.core.sound.sound_sources import SoundSource, SoundSourceError, is_live, open_sound_source
 from hri_pipeline.ros.diagnostics import ERROR, OK, NodeDiagnostics
 from hri_pipeline.ros.topic_release import release
 

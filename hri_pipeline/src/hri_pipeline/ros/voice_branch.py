@@ -11,13 +11,13 @@ import rospy
 
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
-from hri_pipeline.core.microphone_array import parse_positions
 from hri_pipeline.core.model_store import model_path
-from hri_pipeline.core.sound_separation import SoundSeparator
-from hri_pipeline.core.sound_stream import RATE, SoundBlock
-from hri_pipeline.core.speech_recognition import SpeechRecognition
-from hri_pipeline.core.voice_activity import ActivityModel
-from hri_pipeline.core.voice_stage import VoiceObservation, VoiceStage
+from hri_pipeline.core.sound.microphone_array import parse_positions
+from hri_pipeline.core.sound.sound_separation import SoundSeparator
+from hri_pipeline.core.sound.sound_stream import RATE, SoundBlock
+from hri_pipeline.core.speech.speech_recognition import SpeechRecognition
+from hri_pipeline.core.voices.voice_activity import ActivityModel
+from hri_pipeline.core.voices.voice_stage import VoiceObservation, VoiceStage
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.diagnostics import OK, WARN
 from hri_pipeline.ros.tf_publisher import TfPublisher

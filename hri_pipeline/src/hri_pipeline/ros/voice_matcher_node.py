@@ -12,8 +12,8 @@ from std_msgs.msg import Bool
 
 from hri_msgs.msg import IdsMatch
 from hri_pipeline.core.announcing import Announcer
+from hri_pipeline.core.matching.voice_matching import FACE, VoiceMatcher
 from hri_pipeline.core.timing import StageTimes
-from hri_pipeline.core.voice_matching import FACE, VoiceMatcher
 from hri_pipeline.ros.conversions import match_to_msg
 from hri_pipeline.ros.diagnostics import OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.feature_feed import FeatureFeed

@@ -13,9 +13,9 @@ from std_msgs.msg import String
 from hri_msgs.msg import FacialActionUnits, FacialLandmarks, IdsList
 from hri_pipeline.core.human_places import HumanPlaces
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.mouth_motion import opening_of_landmarks, opening_of_units
+from hri_pipeline.core.matching.mouth_motion import opening_of_landmarks, opening_of_units
+from hri_pipeline.core.matching.voice_matching import VoiceMatcher
 from hri_pipeline.core.tf_scan import read
-from hri_pipeline.core.voice_matching import VoiceMatcher
 from hri_pipeline.ros.conversions import action_units_from_msg, landmarks_from_msg
 from hri_pipeline.ros.feature_feed import FeatureFeed
 from hri_pipeline.ros.robot_frames import OF_HUMANS, SKELETONS, RobotFrames

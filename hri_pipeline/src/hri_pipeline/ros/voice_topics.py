@@ -11,11 +11,11 @@ from audio_common_msgs.msg import AudioData
 from std_msgs.msg import Bool
 
 from hri_msgs.msg import AudioFeatures
-from hri_pipeline.core.audio_features import AudioFeatureExtractor
-from hri_pipeline.core.sound_format import encode_s16
-from hri_pipeline.core.sound_stream import RATE
-from hri_pipeline.core.speech_utterance import SpeechResult
-from hri_pipeline.core.voice_stage import VoiceObservation
+from hri_pipeline.core.sound.sound_format import encode_s16
+from hri_pipeline.core.sound.sound_stream import RATE
+from hri_pipeline.core.speech.speech_utterance import SpeechResult
+from hri_pipeline.core.voices.audio_features import AudioFeatureExtractor
+from hri_pipeline.core.voices.voice_stage import VoiceObservation
 from hri_pipeline.ros.conversions import audio_features_to_msg, make_header
 from hri_pipeline.ros.interface import speech_message, speech_type
 from hri_pipeline.ros.topic_lease import TopicLeases, TopicSpec

@@ -11,8 +11,8 @@ from typing import Callable, Deque, Dict, Set, Tuple
 
 import rospy
 
-from hri_pipeline.core.sound_clock import STALL_S
-from hri_pipeline.core.sound_stream import RATE, SoundBlock
+from hri_pipeline.core.sound.sound_clock import STALL_S
+from hri_pipeline.core.sound.sound_stream import RATE, SoundBlock
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.sound_intake import SoundIntake

@@ -1,0 +1,1 @@
+"""Faces: finding, following, their geometry, gaze, action units, expression, age and gender."""

@@ -1,0 +1,178 @@
+"""The expression of a face: a network's opinion and the action units, fused and steadied over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Callable, Optional, Sequence, Union
+
+import cv2
+import numpy as np
+
+from hri_pipeline.core.faces.action_units import SLOTS, ActionUnits
+from hri_pipeline.core.faces.expression_table import CATEGORIES, NEUTRAL, NEUTRAL_WEIGHT, PLANE, PROTOTYPES
+from hri_pipeline.core.faces.face_crops import aligned_crop
+from hri_pipeline.core.onnx_model import FETCH_MEND, ModelError, OnnxModel
+
+INPUT_SIZE = 112
+MARGIN = 1.3
+"""Side of the network's crop over that of the mesh: 1.0, 1.15, 1.3, 1.5 gave 27, 29, 30, 29 of 36 evident faces."""
+TEMPERATURE = 2.5
+"""Divisor of the network's log-probabilities, which are too sure of themselves: on the 43 faces of
+evaluation/expressions.txt it is right in 38 and says 0.98 on average; 2.5 gives the least negative log-likelihood."""
+NETWORK_MEMORY = 1.0
+"""Time (s) for which the network's last opinion is used: it need not run on every image."""
+SMOOTHING_TIME = 0.3
+"""Time constant (s) of the running mean of the probabilities."""
+HOLD_TIME, HOLD_MARGIN = 0.25, 0.10
+"""Another category must lead by this margin for this time (s) before it is told."""
+LONGEST_GAP = 2.0
+"""Time (s) without anything after which the past is forgotten."""
+
+_WEIGHTS = np.zeros((len(CATEGORIES), SLOTS))
+for _row, _category in enumerate(CATEGORIES):
+    for _code, _weight in PROTOTYPES[_category]:
+        _WEIGHTS[_row, _code] = _weight
+_USED = np.abs(_WEIGHTS).sum(axis=0) > 0.0
+_BIAS = np.array([NEUTRAL_WEIGHT if category == NEUTRAL else 0.0 for category in CATEGORIES])
+_PLANE = np.array([PLANE[category] for category in CATEGORIES])
+_FLOOR = 1e-4
+_UNKNOWN_STILL = 0.6
+"""Part of NEUTRAL_WEIGHT that counts while nothing of the person's own neutral is known."""
+
+
+@dataclass(frozen=True)
+class ExpressionEstimate:
+    """category: one of CATEGORIES (names of hri_msgs/Expression); valence, arousal: -1 to 1; confidence: 0 to 1,
+    probability that the category is right."""
+
+    category: str
+    valence: float
+    arousal: float
+    confidence: float
+
+
+class ExpressionModel:
+    """The seven-class network of face-api (face_expression.onnx, MIT) on several faces in one batch."""
+
+    def __init__(self, path: Union[str, Path], providers: Sequence[str] = ("cpu",),
+                 notify: Optional[Callable[[str], None]] = None) -> None:
+        """Raises ModelError naming the file when it is missing or another model."""
+        self._model = OnnxModel(path, providers, inputs=("image",), outputs=("expression",), notify=notify)
+        trial = self._model.run({"image": np.zeros((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)})["expression"]
+        if trial.shape != (1, len(CATEGORIES)):
+            raise ModelError("model file {} gives {} instead of {} expressions; it is another model: {}".format(
+                path, trial.shape, len(CATEGORIES), FETCH_MEND))
+
+    @staticmethod
+    def crop(bgr: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Cut the network's view (112, 112, 3) uint8 BGR of a face; points: mesh (478, 3) px. Raises ValueError for
+        points that are not finite."""
+        return aligned_crop(bgr, points, INPUT_SIZE, MARGIN)
+
+    def probabilities(self, crops: Sequence[np.ndarray]) -> np.ndarray:
+        """(N, 7) probabilities of CATEGORIES for crops of `crop`, tempered (see TEMPERATURE)."""
+        if not len(crops):
+            return np.empty((0, len(CATEGORIES)))
+        batch = np.stack([cv2.cvtColor(crop, cv2.COLOR_BGR2RGB) for crop in crops]).astype(np.float32)
+        raw = self._model.run({"image": batch})["expression"].astype(np.float64)
+        return tempered(raw, TEMPERATURE)
+
+
+class ExpressionTracker:
+    """Expression of one face over time. Not safe for use from several threads at once."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def update(self, probabilities: Optional[np.ndarray], action_units: Optional[ActionUnits],
+               stamp: float) -> Optional[ExpressionEstimate]:
+        """Return the expression at a time (s); one that goes back is a new start.
+
+        probabilities: (7,) of the network, None when it was not run on this image; action_units: None when they are
+        not estimated. Each suffices alone. None while nothing is known. Raises ValueError for probabilities of
+        another shape; such that are not finite are left out.
+        """
+        if stamp < self._last or stamp - self._last > LONGEST_GAP:
+            self.reset()
+        self._remember(probabilities, stamp)
+        now = self._fuse(action_units, stamp)
+        if now is None:
+            return None
+        if self._mean is None:
+            self._mean = now
+        else:
+            self._mean = self._mean + (now - self._mean) * (1.0 - np.exp((self._last - stamp) / SMOOTHING_TIME))
+        self._last = stamp
+        self._decide(stamp)
+        valence, arousal = self._mean @ _PLANE
+        return ExpressionEstimate(CATEGORIES[self._shown], float(valence), float(arousal),
+                                  float(self._mean[self._shown]))
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._last = -np.inf
+        self._network: Optional[np.ndarray] = None
+        self._network_stamp = -np.inf
+        self._mean: Optional[np.ndarray] = None
+        self._shown = -1
+        self._rival = -1
+        self._rival_since = -np.inf
+
+    def _remember(self, probabilities: Optional[np.ndarray], stamp: float) -> None:
+        if probabilities is None:
+            return
+        probabilities = np.asarray(probabilities, dtype=np.float64)
+        if probabilities.shape != (len(CATEGORIES),):
+            raise ValueError("expected {} probabilities, got {}".format(len(CATEGORIES), probabilities.shape))
+        if np.isfinite(probabilities).all() and probabilities.min() >= 0.0 and probabilities.sum() > 0.0:
+            self._network, self._network_stamp = probabilities / probabilities.sum(), stamp
+
+    def _fuse(self, action_units: Optional[ActionUnits], stamp: float) -> Optional[np.ndarray]:
+        """Product of both opinions (7,), None when there is neither."""
+        logs = []
+        if self._network is not None and stamp - self._network_stamp <= NETWORK_MEMORY:
+            logs.append(np.log(np.maximum(self._network, _FLOOR)))
+        if action_units is not None:
+            score = unit_scores(action_units)
+            if score is not None:
+                logs.append(score)
+        return _softmax(np.sum(logs, axis=0)) if logs else None
+
+    def _decide(self, stamp: float) -> None:
+        """Hysteresis: the category told changes only for one that leads clearly, for some time."""
+        assert self._mean is not None
+        best = int(np.argmax(self._mean))
+        if self._shown < 0 or best == self._shown:
+            self._shown, self._rival = best, -1
+            return
+        if self._mean[best] - self._mean[self._shown] < HOLD_MARGIN:
+            self._rival = -1
+        elif best != self._rival:
+            self._rival, self._rival_since = best, stamp
+        elif stamp - self._rival_since >= HOLD_TIME:
+            self._shown, self._rival = best, -1
+
+
+def unit_scores(units: ActionUnits) -> Optional[np.ndarray]:
+    """Log-probabilities (7,), up to a constant, that the action units give; None when none of them can be seen.
+
+    What is seen badly says little: everything is scaled with the confidence. That nothing is seen to move says that the
+    face is neutral only as far as the person's own neutral is known.
+    """
+    confidence = units.confidence.astype(np.float64)
+    seen = float(confidence[_USED].mean())
+    if not seen > 0.01:
+        return None
+    still = min(1.0, 2.0 * seen) * (_UNKNOWN_STILL + (1.0 - _UNKNOWN_STILL) * units.neutral_known)
+    return _WEIGHTS @ (units.intensity.astype(np.float64) * confidence) + _BIAS * still
+
+
+def tempered(probabilities: np.ndarray, temperature: float) -> np.ndarray:
+    """Probabilities (..., C) flattened by dividing their logarithms (Guo et al. 2017, "On calibration")."""
+    return _softmax(np.log(np.maximum(probabilities, 1e-12)) / temperature)
+
+
+def _softmax(logs: np.ndarray) -> np.ndarray:
+    values = np.exp(logs - logs.max(axis=-1, keepdims=True))
+    return values / values.sum(axis=-1, keepdims=True)

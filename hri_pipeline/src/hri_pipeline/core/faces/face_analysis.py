@@ -1,0 +1,177 @@
+"""What a face does, expresses, and whose it is: the stages behind the geometry, each only when somebody wants it.
+
+Action units are cheap and come from every look. The networks (expression, age and gender, recognition) are not: at most
+one of them runs on one face per image, the most overdue first, and rather not in an image in which the detector ran.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+from typing import AbstractSet, Callable, Collection, Dict, FrozenSet, List, Mapping, Optional, Sequence, Set, Tuple
+
+import numpy as np
+
+from hri_pipeline.core.faces.action_units import ActionUnitEstimator, ActionUnits
+from hri_pipeline.core.faces.canonical_face import CanonicalFace
+from hri_pipeline.core.faces.face_measures import FaceMeasures
+from hri_pipeline.core.faces.face_quality import FaceQualities
+from hri_pipeline.core.faces.face_traits import AgeGenderStage, ExpressionStage
+from hri_pipeline.core.observations import FaceObservation
+from hri_pipeline.core.recognition.face_identity import Match
+from hri_pipeline.core.recognition.face_recognition_stage import RecognitionStage
+from hri_pipeline.core.timing import StageTimes
+
+STAGES = ("action_units", "expression", "age_gender", "recognition")
+"""Names of the stages, which are those of the parameters that switch them."""
+_PATIENCE = 2.0
+"""Overdue, in its own periods, from which a network runs in an image in which the detector ran, too."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FaceDemand:
+    """Ids of the faces of which a result is wanted; recognition is wanted of all faces or of none."""
+
+    action_units: AbstractSet[str] = frozenset()
+    expression: AbstractSet[str] = frozenset()
+    soft_biometrics: AbstractSet[str] = frozenset()
+    recognition: bool = False
+
+    @classmethod
+    def everything(cls, ids: Collection[str]) -> "FaceDemand":
+        """Return the demand for all results of these faces."""
+        wanted: FrozenSet[str] = frozenset(ids)
+        return cls(wanted, wanted, wanted, True)
+
+
+class FaceAnalysis:
+    """Runs the stages that are switched on. Not safe for use from several threads at once.
+
+    settings: those of face_parameters.ANALYSIS_PARAMETERS and `providers`. Raises ModelError when the network of a
+    stage that is switched on is missing or wrong.
+    """
+
+    def __init__(self, settings: SimpleNamespace, canonical: CanonicalFace, times: StageTimes,
+                 notify: Optional[Callable[[str], None]] = None) -> None:
+        self.enabled = [name for name in STAGES if getattr(settings, name)]
+        needs_units = settings.action_units or settings.expression
+        self._measures = FaceMeasures(canonical) if needs_units else None
+        self._units: Dict[str, ActionUnitEstimator] = {}
+        self._publishes_units = settings.action_units
+        self._expression = ExpressionStage(settings, notify) if settings.expression else None
+        self._age_gender = AgeGenderStage(settings, notify) if settings.age_gender else None
+        self.recognition = RecognitionStage(settings, notify) if settings.recognition else None
+        self._qualities = FaceQualities()
+        self._times = times
+        self.matches: List[Match] = []
+
+    def update(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float, demand: FaceDemand,
+               busy: bool = False) -> List[FaceObservation]:
+        """Return the faces with what is known of them; `matches` then holds the changed matches of this image.
+
+        bgr: (H, W, 3) uint8; faces: all of this image; stamp: s; busy: the image has cost much already.
+        """
+        units = self._action_units(faces, stamp, demand, (bgr.shape[1], bgr.shape[0]))
+        qualities = self._assess(bgr, faces, stamp, demand)
+        self._run_one(bgr, faces, qualities, stamp, demand, busy)
+        if self._expression is not None:
+            self._expression.combine(faces, units, stamp, demand.expression)
+        return [self._with_results(face, units, demand) for face in faces]
+
+    def keep(self, ids: Collection[str]) -> None:
+        """Forget all faces but these."""
+        for face_id in [face_id for face_id in self._units if face_id not in ids]:
+            del self._units[face_id]
+        self._qualities.keep(ids)
+        for stage in self._stages():
+            stage.keep(ids)
+
+    def reset(self) -> None:
+        """Forget all faces; known persons stay."""
+        self._units = {}
+        self.matches = []
+        self._qualities.reset()
+        for stage in self._stages():
+            stage.reset()
+
+    def status(self) -> Dict[str, object]:
+        """Return values for diagnostics."""
+        values: Dict[str, object] = {"stages": " ".join(self.enabled) or "none"}
+        if self.recognition is not None:
+            values.update(self.recognition.status())
+        return values
+
+    def close(self) -> None:
+        """Give everything back. Idempotent."""
+        if self.recognition is not None:
+            self.recognition.close()
+
+    def _stages(self) -> list:
+        return [stage for stage in (self._expression, self._age_gender, self.recognition) if stage is not None]
+
+    def _action_units(self, faces: Sequence[FaceObservation], stamp: float, demand: FaceDemand, size: Tuple[int, int]
+                      ) -> Dict[str, ActionUnits]:
+        """Action units of the faces that were looked at and of which somebody wants them, directly or for more."""
+        if self._measures is None:
+            return {}
+        wanted: Set[str] = set(demand.expression) if self._expression is not None else set()
+        if self._publishes_units:
+            wanted |= demand.action_units
+        found: Dict[str, ActionUnits] = {}
+        if not wanted:
+            return found
+        with self._times("action_units"):
+            for face in faces:
+                if face.id in wanted and face.measured:
+                    estimator = self._units.setdefault(face.id, ActionUnitEstimator(self._measures))
+                    found[face.id] = estimator.update(face.mesh, face.pose, stamp, face.score, size)
+        return found
+
+    def _assess(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float,
+                demand: FaceDemand) -> Mapping[str, float]:
+        """Qualities of all faces; 0 for one that was not looked at in this image."""
+        wanted = self.recognition is not None and demand.recognition
+        wanted = wanted or (self._age_gender is not None and bool(demand.soft_biometrics))
+        if not wanted:
+            return {}
+        with self._times("crop_quality"):
+            known = self._qualities.update(bgr, [face for face in faces if face.measured], stamp)
+        return {face.id: known.get(face.id, 0.0) for face in faces}
+
+    def _run_one(self, bgr: np.ndarray, faces: Sequence[FaceObservation], qualities: Mapping[str, float], stamp: float,
+                 demand: FaceDemand, busy: bool) -> None:
+        """Run the most overdue network on one face, and take what has changed in who is who."""
+        measured = [face for face in faces if face.measured]
+        overdue = {"expression": 0.0, "age_gender": 0.0, "recognition": 0.0}
+        if self._expression is not None:
+            overdue["expression"] = self._expression.overdue(measured, stamp, demand.expression)
+        if self._age_gender is not None:
+            overdue["age_gender"] = self._age_gender.overdue(measured, qualities, stamp, demand.soft_biometrics)
+        if self.recognition is not None and demand.recognition:
+            # Who is who comes first: until it is known, everything else lacks its person.
+            overdue["recognition"] = 2.0 * _PATIENCE if self.recognition.due(qualities, stamp) else 0.0
+        name = max(overdue, key=lambda key: overdue[key])
+        self.matches = []
+        if overdue[name] < (_PATIENCE if busy else 1.0):
+            name = ""
+        if name == "recognition":
+            with self._times("recognition"):
+                self.matches = self.recognition.look(bgr, measured, stamp)
+        elif self.recognition is not None:
+            self.matches = self.recognition.changes(stamp)
+        if name == "expression":
+            with self._times("expression"):
+                self._expression.look(bgr, measured, stamp, demand.expression)
+        elif name == "age_gender":
+            with self._times("age_gender"):
+                self._age_gender.look(bgr, measured, qualities, stamp, demand.soft_biometrics)
+
+    def _with_results(self, face: FaceObservation, units: Mapping[str, ActionUnits], demand: FaceDemand) -> FaceObservation:
+        results: Dict[str, object] = {}
+        if self._publishes_units and face.id in demand.action_units:
+            results["action_units"] = units.get(face.id)
+        if self._expression is not None and face.id in demand.expression:
+            results["expression"] = self._expression.estimate(face.id)
+        if self._age_gender is not None and face.id in demand.soft_biometrics:
+            results["soft_biometrics"] = self._age_gender.estimate(face.id)
+        return dataclasses.replace(face, **results) if results else face

@@ -1,0 +1,1 @@
+"""Which faces, bodies and voices belong to the same human."""

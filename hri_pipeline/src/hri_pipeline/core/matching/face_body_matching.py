@@ -1,0 +1,252 @@
+"""Which face belongs to which body: from the eyes, nose and ears of both in the image, and from where both heads are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+
+import numpy as np
+
+from hri_pipeline.core.announcing import Announcer
+from hri_pipeline.core.assignment import assign
+from hri_pipeline.core.pictures.overlay_pairing import FeatureHistory
+
+CONFIDENCE_STEP = 0.05
+_HISTORY_S = 1.0
+_JUMP_BACK_S = 0.5
+_NOWHERE = np.full(3, np.nan)
+
+# Point of the skeleton (hri_msgs/Skeleton2D), landmarks of which the mean is the same point (dlib's 68
+# points), weight. The ears count less: the jaw line ends in front of them.
+_SAME_POINTS: Tuple[Tuple[int, Tuple[int, ...], float], ...] = (
+    (0, (30,), 1.0),
+    (14, (42, 43, 44, 45, 46, 47), 1.0),
+    (15, (36, 37, 38, 39, 40, 41), 1.0),
+    (16, (16,), 0.3),
+    (17, (0,), 0.3),
+)
+_MIN_WEIGHT = 1.3       # at least two points, one of them an eye or the nose
+# Two estimates of one head: across the line of sight (m), and along it, where both are inexact and more so far away.
+ACROSS_M, ALONG_M, ALONG_SHARE = 0.2, 0.3, 0.15
+PLACES_ALONE = 0.9      # likelihood of two heads at one place of which the image tells nothing
+
+Pair = Tuple[str, str]
+
+
+class PairMatch(NamedTuple):
+    """Likelihood (0..1, 0 withdraws) that a face and a body belong to the same human."""
+
+    face: str
+    body: str
+    confidence: float
+
+
+def face_points(landmarks: np.ndarray, aspect: float) -> np.ndarray:
+    """Return what the comparison needs of a face: (6, 3), five points x, y, confidence, and its size.
+
+    landmarks: (70, 3) x, y in 0..1 of the image and confidence; aspect: width over height of the image. The
+    points are in heights of the image. The last row holds the size of the face three times: the square root
+    of the area of the landmarks' bounding box, 0 where it has none.
+    """
+    points = landmarks * np.array([aspect, 1.0, 1.0])
+    found = [(*points[list(indices), :2].mean(axis=0), points[list(indices), 2].min())
+             for _, indices, _ in _SAME_POINTS]
+    seen = points[points[:, 2] > 0.0, :2]
+    extent = np.ptp(seen, axis=0) if len(seen) else np.zeros(2)
+    size = math.sqrt(float(extent[0] * extent[1]))
+    return np.array(found + [(size, size, size)])
+
+
+def body_points(skeleton: np.ndarray, aspect: float) -> np.ndarray:
+    """Return what the comparison needs of a skeleton (18, 3): (5, 3) x, y, confidence, as in face_points."""
+    return skeleton[[joint for joint, _, _ in _SAME_POINTS]] * np.array([aspect, 1.0, 1.0])
+
+
+def likelihoods(faces: np.ndarray, bodies: np.ndarray, distance_scale: float,
+                min_point_confidence: float) -> np.ndarray:
+    """Return (F, B) likelihoods that a face and a body are of one human, NaN where too little is seen.
+
+    faces: (F, 6, 3) of face_points, bodies: (B, 5, 3) of body_points. The likelihood is exp(-d^2 / 2 s^2)
+    with d the weighted mean distance of the points in sizes of the face and s = distance_scale.
+    """
+    size = faces[:, None, 5, 0]
+    face, body = faces[:, None, :5], bodies[None]
+    usable = (face[..., 2] >= min_point_confidence) & (body[..., 2] >= min_point_confidence)
+    weights = np.where(usable, [weight for _, _, weight in _SAME_POINTS], 0.0)
+    total = weights.sum(axis=2)
+    apart = np.hypot(face[..., 0] - body[..., 0], face[..., 1] - body[..., 1])
+    known = (total >= _MIN_WEIGHT - 1e-9) & (size > 0.0)
+    distance = (weights * apart).sum(axis=2) / np.where(known, total * size, 1.0)
+    return np.where(known, np.exp(-0.5 * (distance / distance_scale) ** 2), np.nan)
+
+
+def place_likelihoods(faces: np.ndarray, bodies: np.ndarray) -> np.ndarray:
+    """Return (F, B) likelihoods that faces (F, 3) and heads of skeletons (B, 3) are at one place; NaN where one is NaN.
+
+    Positions in m in the optical frame of one camera, which sees directions exactly and distances less so.
+    """
+    faces, bodies = faces[:, None], bodies[None]
+    apart = faces - bodies
+    distance = np.linalg.norm(faces, axis=2)
+    sight = faces / np.maximum(distance, 1e-6)[..., None]
+    along = np.abs((apart * sight).sum(axis=2))
+    across = np.linalg.norm(apart - (apart * sight).sum(axis=2)[..., None] * sight, axis=2)
+    return np.exp(-0.5 * ((across / ACROSS_M) ** 2 + (along / (ALONG_M + ALONG_SHARE * distance)) ** 2))
+
+
+def combined(image: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Fuse the likelihoods (F, B) of image and places, either of which may be NaN; the image is the more exact one."""
+    both = image * np.sqrt(places)
+    return np.where(np.isnan(places), image, np.where(np.isnan(image), PLACES_ALONE * places, both))
+
+
+@dataclass
+class _PairState:
+    likelihood: float
+    stamp: float
+
+
+class FaceBodyMatcher:
+    """Follows the likelihood of every pair over time and tells which one-to-one matches to publish.
+
+    A pair's likelihood is a first-order low-pass filter over time, not over frames. The present partner has
+    a small bonus in the assignment, so that two nearly equal bodies do not take turns.
+    """
+
+    def __init__(self, settings: SimpleNamespace) -> None:
+        """Take the settings of `matcher_parameters.MATCHER_PARAMETERS`."""
+        self._settings = settings
+        self._tracked: Dict[str, Set[str]] = {"faces": set(), "bodies": set()}
+        self._frames: Dict[Tuple[str, str], str] = {}
+        self._aspect = 1.0
+        self._start_afresh()
+
+    def _start_afresh(self) -> None:
+        self._history = FeatureHistory(_HISTORY_S)
+        self._states: Dict[Pair, _PairState] = {}
+        self._matched: Dict[Pair, float] = {}
+        self._newest = -math.inf
+        self._compared = -math.inf
+
+    def set_tracked(self, kind: str, ids: Iterable[str]) -> None:
+        """Take the ids of "faces" or "bodies" that are tracked; what is known of the others is dropped."""
+        self._tracked[kind] = set(ids)
+        self._history.keep_only(kind, self._tracked[kind])
+        self._history.keep_only("places of " + kind, self._tracked[kind])
+        self._frames = {key: frame for key, frame in self._frames.items() if key[0] != kind or key[1] in self._tracked[kind]}
+        side = 0 if kind == "faces" else 1
+        for pair in [pair for pair in self._states if pair[side] not in self._tracked[kind]]:
+            del self._states[pair]
+
+    def add_face(self, face: str, stamp: float, landmarks: np.ndarray, aspect: float, frame: str = "") -> None:
+        """Take the landmarks (70, 3) of a face in the image of time `stamp` (s).
+
+        aspect: width over height of the image, 0 where it is not known. frame: the camera's, empty when not known.
+        """
+        if aspect > 0.0:
+            self._aspect = aspect
+        self._add("faces", face, stamp, face_points(landmarks, self._aspect), frame)
+
+    def add_body(self, body: str, stamp: float, skeleton: np.ndarray, frame: str = "") -> None:
+        """Take the skeleton (18, 3) of a body in the image of time `stamp` (s); frame: as in add_face."""
+        self._add("bodies", body, stamp, body_points(skeleton, self._aspect), frame)
+
+    def add_place(self, kind: str, name: str, stamp: float, position: Sequence[float], frame: str = "") -> None:
+        """Take the position (3,) m of one of the "faces", or of the head of one of the "bodies", in its camera's frame."""
+        if name in self._tracked[kind] and self._frames.setdefault((kind, name), frame) in ("", frame):
+            self._history.add("places of " + kind, name, stamp, np.array(position))
+
+    def matches(self) -> List[PairMatch]:
+        """Compare what has come in; return all pairs that match now, best first."""
+        stamp = self._stamp_to_compare()
+        if stamp is not None:
+            self._compare(stamp)
+        self._drop_stale()
+        self._assign()
+        return [PairMatch(face, body, value) for (face, body), value in
+                sorted(self._matched.items(), key=lambda item: -item[1])]
+
+    def _add(self, kind: str, name: str, stamp: float, points: np.ndarray, frame: str) -> None:
+        if stamp < self._newest - _JUMP_BACK_S:
+            self._start_afresh()
+        if name in self._tracked[kind]:
+            self._newest = max(self._newest, stamp)
+            self._frames[kind, name] = frame
+            self._history.add(kind, name, stamp, points)
+
+    def _stamp_to_compare(self) -> Optional[float]:
+        faces = self._history.stamps("faces")
+        ready = [stamp for stamp in self._history.stamps("bodies") if stamp > self._compared
+                 and any(abs(stamp - face) <= self._settings.max_stamp_difference for face in faces)]
+        return max(ready, default=None)
+
+    def _compare(self, stamp: float) -> None:
+        settings = self._settings
+        tolerance = settings.max_stamp_difference
+        faces = self._history.at("faces", stamp, tolerance)
+        bodies = self._history.at("bodies", stamp, tolerance)
+        values = combined(
+            likelihoods(np.array(list(faces.values())), np.array(list(bodies.values())),
+                        settings.distance_scale, settings.min_point_confidence),
+            place_likelihoods(self._places("faces", faces, stamp), self._places("bodies", bodies, stamp)))
+        for row, face in enumerate(faces):
+            for column, body in enumerate(bodies):
+                if not math.isnan(values[row, column]) and self._may_be_one(face, body):
+                    self._follow((face, body), float(values[row, column]), stamp)
+        self._compared = stamp
+
+    def _places(self, kind: str, names: Iterable[str], stamp: float) -> np.ndarray:
+        """Positions (N, 3) m at a time, NaN where they are not known."""
+        known = self._history.at("places of " + kind, stamp, self._settings.max_stamp_difference)
+        return np.array([known.get(name, _NOWHERE) for name in names])
+
+    def _may_be_one(self, face: str, body: str) -> bool:
+        """Tell whether one camera sees both: two images cannot be compared."""
+        frames = {self._frames.get(("faces", face), ""), self._frames.get(("bodies", body), "")} - {""}
+        return len(frames) < 2
+
+    def _follow(self, pair: Pair, value: float, stamp: float) -> None:
+        state = self._states.get(pair)
+        if state is None:
+            self._states[pair] = _PairState(value, stamp)
+            return
+        elapsed = max(0.0, stamp - state.stamp)
+        time_constant = self._settings.smoothing_time
+        gain = 1.0 - math.exp(-elapsed / time_constant) if time_constant > 0.0 else 1.0
+        state.likelihood += gain * (value - state.likelihood)
+        state.stamp = stamp
+
+    def _drop_stale(self) -> None:
+        for pair, state in list(self._states.items()):
+            if self._newest - state.stamp > self._settings.hold_time:
+                del self._states[pair]
+
+    def _assign(self) -> None:
+        likely = {pair: state.likelihood for pair, state in self._states.items()
+                  if state.likelihood >= self._settings.min_likelihood}
+        faces = sorted({face for face, _ in likely})
+        bodies = sorted({body for _, body in likely})
+        cost = np.full((len(faces), len(bodies)), np.inf)
+        for (face, body), likelihood in likely.items():
+            bonus = self._settings.stay_bonus if (face, body) in self._matched else 0.0
+            cost[faces.index(face), bodies.index(body)] = 1.0 - likelihood - bonus
+        pairs = [(faces[row], bodies[column]) for row, column in assign(cost, 1.0)]
+        self._matched = {pair: self._states[pair].likelihood for pair in pairs}
+
+
+class MatchAnnouncer:
+    """Chooses which matches are said: new and changed ones, each once a second, and withdrawals."""
+
+    def __init__(self) -> None:
+        self._announcer: Announcer[Pair] = Announcer(CONFIDENCE_STEP)
+
+    def to_say(self, matches: Iterable[PairMatch], now: float) -> List[PairMatch]:
+        """Return what to publish at time `now` (s, of a clock that never jumps), withdrawals first."""
+        current = {(match.face, match.body): match.confidence for match in matches}
+        return [PairMatch(*pair, value) for pair, value in self._announcer.to_say(current, now)]
+
+    def withdraw_all(self) -> List[PairMatch]:
+        """Return the withdrawal of all that was said."""
+        return self.to_say([], 0.0)

@@ -1,0 +1,1 @@
+"""Recognising faces, and keeping who they are."""

@@ -1,0 +1,275 @@
+"""Who is who: from templates of tracked faces over time to permanent person ids.
+
+A face is compared with the gallery by the mean of its crops. Close to one person and to no other: known, and a view of
+that person that is new is learnt. Far from everybody, seen well and for long enough: a new person, where learning is
+allowed. Between the two: candidates, with lower likelihoods. Two faces in one image are never the same person.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+
+import numpy as np
+
+from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.recognition.alike_persons import MatchResult
+from hri_pipeline.core.recognition.face_evidence import FaceEvidence, Sight
+from hri_pipeline.core.recognition.face_identity import FaceIdentity, Match, SamePersons, settle
+from hri_pipeline.core.recognition.gallery import GalleryError, KnownPerson, MemoryGallery
+
+POLICIES = ("learn", "enrolled")
+"""learn: whoever is seen well and unknown gets an id; enrolled: only people who were enrolled are recognised."""
+NEW_BELOW = 0.4
+"""Likelihood, without caution, of being anybody known, below which a face is somebody new."""
+LEARN_CROPS, LEARN_QUALITY = 4, 0.5
+"""How many crops of which quality show a face well enough to make a person of it."""
+SURE = 0.95
+"""Likelihood from which a new view of a known person is learnt."""
+SAME = 0.95
+"""Likelihood that is told of two known persons who are the same by their templates."""
+
+
+class Recogniser:
+    """Recognises tracked faces. Safe from several threads.
+
+    gallery: the known people; policy: one of POLICIES; learn_delay: s for which an unknown face must have been seen;
+    min_quality: least quality (0..1) of a crop that is looked at; ids: makes person ids. Raises ValueError.
+    """
+
+    def __init__(self, gallery: MemoryGallery, policy: str = "learn", learn_delay: float = 1.5,
+                 min_quality: float = 0.35, ids: Optional[IdGenerator] = None) -> None:
+        if policy not in POLICIES:
+            raise ValueError("policy is {!r}, legal: {}".format(policy, ", ".join(POLICIES)))
+        if not (0.0 <= learn_delay < np.inf and 0.0 <= min_quality <= 1.0):
+            raise ValueError("learn_delay must be 0 s or more, min_quality 0 to 1; got {!r}, {!r}".format(
+                learn_delay, min_quality))
+        self.gallery = gallery
+        self._learns = policy == "learn"
+        self._learn_delay, self._min_quality = learn_delay, min_quality
+        self._ids = ids if ids is not None else IdGenerator()
+        self._lock = threading.RLock()
+        self._faces: Dict[str, FaceIdentity] = {}
+        self._newest = -np.inf
+        self._revision = -1
+        self._same: Set[Tuple[str, str]] = set()
+        self._same_told: Set[Tuple[str, str]] = set()
+        self._same_revision = -1
+        self._refused = 0
+        self._learnt = 0
+
+    def seen(self, qualities: Mapping[str, float], stamp: float, limit: int = 1) -> List[str]:
+        """Take note of all faces in an image, with the qualities of their crops; returns at most `limit` of them
+        that are worth a template now, the most urgent first. stamp: s; one that goes back is a new start.
+        """
+        with self._lock:
+            if stamp < self._newest:
+                self.reset()
+            self._newest = stamp
+            for face_id in qualities:
+                if face_id not in self._faces:
+                    self._faces[face_id] = FaceIdentity(
+                        face_id, FaceEvidence(self.gallery.calibration.fair_midpoint), stamp, stamp)
+                self._faces[face_id].last_seen = stamp
+            waiting = [face_id for face_id, quality in qualities.items()
+                       if quality >= self._min_quality and self._faces[face_id].is_due(quality, stamp)]
+            return sorted(waiting, key=lambda face_id: self._faces[face_id].due)[:limit]
+
+    def update(self, face_ids: Sequence[str], templates: np.ndarray, qualities: Sequence[float],
+               stamp: float) -> List[Match]:
+        """Take templates (N, D) of faces in the image at `stamp` (s), and return what `changes` does.
+
+        One that is no unit vector is refused and counted. Raises ValueError when the lengths differ.
+        """
+        if not len(face_ids) == len(templates) == len(qualities):
+            raise ValueError("{} faces, {} templates and {} qualities".format(
+                len(face_ids), len(templates), len(qualities)))
+        with self._lock:
+            for face_id, template, quality in zip(face_ids, templates, qualities):
+                self._take(face_id, np.asarray(template, dtype=np.float32), float(quality), stamp)
+            return self.changes()
+
+    def changes(self) -> List[Match]:
+        """Decide, and return the matches that have changed since the last time; cheap when nothing has."""
+        with self._lock:
+            self._compare()
+            settle(list(self._faces.values()), self._newest)
+            self._learn()
+            taken = {face.person for face in self._faces.values() if face.person}
+            news = [match for face in self._faces.values() for match in face.news(face.holds(taken))]
+            # Withdrawals first: so nobody is two faces, not even for the time between two messages.
+            return sorted(news, key=lambda match: match.likelihood > 0.0)
+
+    def current(self) -> List[Match]:
+        """Return all matches that hold."""
+        with self._lock:
+            return [Match(face_id, person_id, likelihood) for face_id, face in self._faces.items()
+                    for person_id, likelihood in face.told.items()]
+
+    def same_persons(self) -> List[Tuple[str, str]]:
+        """Return pairs (id that is told, other id) of known persons who turned out to be one human: worth a merge."""
+        with self._lock:
+            if self._same and self._same_revision != self.gallery.revision:
+                self._same_revision = self.gallery.revision
+                self._same = {pair for pair in self._same if self._are_alike(*pair)}
+            return sorted(self._same)
+
+    def _are_alike(self, first: str, second: str) -> bool:
+        distance = self.gallery.distance(first, second)
+        return distance is not None and distance < self.gallery.calibration.midpoint
+
+    def same_changes(self) -> List[SamePersons]:
+        """Return what has changed in `same_persons` since the last time, withdrawals first; cheap when nothing has."""
+        with self._lock:
+            now, told = set(self.same_persons()), self._same_told
+            self._same_told = now
+            return ([SamePersons(*pair, 0.0) for pair in sorted(told - now)]
+                    + [SamePersons(*pair, SAME) for pair in sorted(now - told)])
+
+    def keep(self, face_ids: Iterable[str]) -> None:
+        """Drop all other faces. Nothing is withdrawn for them: who is gone was still that person."""
+        living = set(face_ids)
+        with self._lock:
+            self._faces = {face_id: face for face_id, face in self._faces.items() if face_id in living}
+
+    def reset(self) -> None:
+        """Drop all faces, as after a jump in time; the gallery stays."""
+        with self._lock:
+            self._faces, self._newest = {}, -np.inf
+
+    def person_of(self, face_id: str) -> str:
+        """Return the person that a face is taken for, empty when that is not known."""
+        with self._lock:
+            face = self._faces.get(face_id)
+            return face.person if face is not None else ""
+
+    def enrol(self, face_id: str, person_id: str = "") -> str:
+        """Make a face an enrolled person: `person_id`, or who it is taken for, or somebody new. Returns the id.
+
+        Raises GalleryError when the face is not there, or has not been seen well.
+        """
+        with self._lock:
+            face = self._faces.get(face_id)
+            template = face.evidence.mean() if face is not None else None
+            if face is None or template is None:
+                raise GalleryError("face {!r} is not tracked, or has not been seen well enough yet".format(face_id))
+            person_id = person_id or face.person or self._new_id()
+            if person_id in self.gallery:
+                self.gallery.add_template(person_id, template)
+                self.gallery.enrol(person_id)
+            else:
+                self.gallery.add_person(person_id, template[None], enrolled=True)
+            face.barred = False
+            return person_id
+
+    def forget(self, person_id: str) -> bool:
+        """Forget a person; a face in view is not learnt again. Tells whether there was one."""
+        with self._lock:
+            for face in self._faces.values():
+                if person_id in face.told or face.person == person_id:
+                    face.evidence.clear()
+                    face.barred = True
+            return self.gallery.remove(person_id)
+
+    def forget_all(self) -> None:
+        """Forget everybody; faces in view are not learnt again."""
+        with self._lock:
+            for face in self._faces.values():
+                face.evidence.clear()
+                face.barred = True
+            self.gallery.clear()
+
+    def merge(self, source: str, target: str) -> None:
+        """Two ids are of one person, `target`. Raises GalleryError when one is not known."""
+        self.gallery.merge(source, target)
+
+    def export(self, person_id: str) -> KnownPerson:
+        """Return all that is kept of a person. Raises GalleryError when there is none."""
+        return self.gallery.export(person_id)
+
+    def list_known(self) -> List[str]:
+        """Return the ids of everybody known."""
+        return self.gallery.ids()
+
+    def status(self) -> Dict[str, int]:
+        """Return figures for diagnostics."""
+        with self._lock:
+            return {"known_persons": len(self.gallery), "recognised_faces": sum(
+                bool(face.person) for face in self._faces.values()), "learnt_persons": self._learnt,
+                "refused_templates": self._refused}
+
+    def _take(self, face_id: str, template: np.ndarray, quality: float, stamp: float) -> None:
+        face = self._faces.get(face_id)
+        if face is None or not quality >= self._min_quality:
+            return
+        if template.shape != (self.gallery.dimension,) or not abs(float(np.linalg.norm(template)) - 1.0) < 1e-3:
+            self._refused += 1
+            return
+        swaps = face.evidence.swaps
+        agrees = face.evidence.add(Sight(template, quality, stamp))
+        swapped = face.evidence.swaps != swaps
+        face.barred = face.barred and not swapped
+        face.looked(stamp, again=swapped or not agrees)
+
+    def _compare(self) -> None:
+        """Match the faces that have changed; all of them when the gallery has."""
+        every, self._revision = self._revision != self.gallery.revision, self.gallery.revision
+        stale = [face for face in self._faces.values() if every or face.result is None]
+        known = [(face, mean) for face, mean in ((face, face.evidence.mean()) for face in stale) if mean is not None]
+        for face in stale:
+            face.result = MatchResult((), 0)
+        if known:
+            results = self.gallery.match(np.stack([mean for _, mean in known]), enrolled_only=not self._learns)
+            for (face, _), result in zip(known, results):
+                face.result = result
+                self._same.update(result.same)
+
+    def _learn(self) -> None:
+        """Keep new views of sure persons; make persons of faces seen well that are nobody's."""
+        for face in self._faces.values():
+            mean = face.evidence.mean()
+            if mean is None or face.evidence.good(LEARN_QUALITY) < LEARN_CROPS - 1:
+                continue
+            if face.person:
+                self._learn_view(face, mean)
+            elif self._learns and face.is_there(self._newest) and self._is_new(face):
+                self._make_person(face, mean)
+
+    def _learn_view(self, face: FaceIdentity, mean: np.ndarray) -> None:
+        first = face.candidates[0]
+        near = self.gallery.calibration.midpoint - 4.0 * self.gallery.calibration.scale
+        if first.person_id == face.person and first.likelihood >= SURE and first.distance <= near:
+            self.gallery.add_template(face.person, mean)
+
+    def _is_new(self, face: FaceIdentity) -> bool:
+        """Whether a face was seen well, for long enough, and is like nobody, those in view included."""
+        evidence, calibration = face.evidence, self.gallery.calibration
+        if face.barred or evidence.good(LEARN_QUALITY) < LEARN_CROPS or evidence.duration < self._learn_delay:
+            return False
+        if evidence.spread() > calibration.midpoint:
+            return False
+        # A picture of somebody in view, or a mirror, is like him although it cannot be him.
+        others = {other.person for other in self._faces.values()
+                  if other is not face and other.person and other.is_there(self._newest)}
+        alike = calibration.midpoint - 2.0 * calibration.scale
+        if any(one.distance < alike for one in face.candidates if one.person_id in others):
+            return False
+        free = [one.distance for one in face.candidates if one.person_id not in others]
+        return not free or bool(calibration.known(np.array(free), len(self.gallery)) < NEW_BELOW)
+
+    def _make_person(self, face: FaceIdentity, mean: np.ndarray) -> None:
+        person_id = self._new_id()
+        try:
+            self.gallery.add_person(person_id, mean[None])
+        except GalleryError:
+            face.barred = True
+            return
+        self._learnt += 1
+        self._compare()
+        settle(list(self._faces.values()), self._newest)
+
+    def _new_id(self) -> str:
+        while True:
+            person_id = self._ids.new()
+            if person_id not in self.gallery:
+                return person_id

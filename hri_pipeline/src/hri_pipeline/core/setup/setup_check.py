@@ -1,0 +1,191 @@
+"""Why nobody appears: rules from the facts about a set-up to words, and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Callable, List, Tuple
+
+from hri_pipeline.core.images import ENCODINGS
+from hri_pipeline.core.setup.setup_facts import Facts, Stream
+
+OK, HINT, FAULT = 0, 1, 2
+_ASPECT_TOLERANCE = 0.02
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing about the set-up. level: OK, HINT (works, but not as it could) or FAULT. mend: what to do, empty for OK."""
+
+    level: int
+    what: str
+    mend: str = ""
+
+
+Rule = Callable[[Facts, SimpleNamespace], List[Finding]]
+
+
+def check(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    """Return what there is to say, the root causes first. settings: the values of CHECK_PARAMETERS."""
+    return [finding for rule in _RULES for finding in rule(facts, settings)]
+
+
+def is_well(findings: List[Finding]) -> bool:
+    """Tell whether people can appear."""
+    return all(finding.level != FAULT for finding in findings)
+
+
+def as_text(findings: List[Finding]) -> str:
+    """Return the findings as lines for people."""
+    marks = {OK: "ok   ", HINT: "hint ", FAULT: "FAULT"}
+    lines = []
+    for finding in findings:
+        lines.append("{}  {}".format(marks[finding.level], finding.what))
+        if finding.mend:
+            lines.append("       -> " + finding.mend)
+    faults = sum(finding.level == FAULT for finding in findings)
+    lines.append("{} fault{} found".format(faults or "no", "" if faults == 1 else "s"))
+    return "\n".join(lines)
+
+
+def _clock(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    if facts.sim_time and not facts.clock_messages:
+        return [Finding(FAULT, "/use_sim_time is true, but nobody publishes /clock: time stands still for all nodes",
+                        "play the bag with --clock, or: rosparam set /use_sim_time false, and start the nodes again")]
+    return []
+
+
+def _nodes(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    found = []
+    for name, state in facts.nodes.items():
+        if state == "dead":
+            found.append(Finding(FAULT, "the node {} is registered, but does not answer: it has crashed, or its machine "
+                                 "cannot be reached".format(name),
+                                 "rosnode cleanup; look at its log in ~/.ros/log/latest; set ROS_IP on each machine"))
+        elif state == "absent":
+            found.append(Finding(FAULT, "the node {} does not run".format(name),
+                                 "roslaunch ros4hri ros4hri.launch; its messages there say why it ended. If its branch is "
+                                 "meant to be off, leave it out of the parameter nodes of this check"))
+    return found
+
+
+def _models(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    if not facts.models_missing:
+        return []
+    return [Finding(FAULT, "models are missing in {}: {}".format(facts.models_directory, ", ".join(facts.models_missing)),
+                    "rosrun hri_pipeline fetch_models")]
+
+
+def _image(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    stream = facts.image
+    if stream is None:
+        return []
+    found = _stream(stream, "image")
+    if found or not stream.messages:
+        return found
+    if stream.rate < settings.min_rate:
+        found.append(Finding(HINT, "{} comes with {:.1f} images/s only".format(stream.topic, stream.rate),
+                             "raise the camera's rate, or use image_transport:=compressed over a network"))
+    if stream.age is not None and abs(stream.age) > settings.max_age:
+        found.append(Finding(FAULT, "images on {} are {:.1f} s {}".format(
+            stream.topic, abs(stream.age), "old when they arrive" if stream.age > 0 else "in the future"),
+            "set the clocks of the machines (chrony, ntpdate); play a bag with --clock and /use_sim_time true; "
+            "over a network take image_transport:=compressed"))
+    if not stream.frame:
+        found.append(Finding(FAULT, "images on {} have no frame_id, so that nothing has a place".format(stream.topic),
+                             "set the frame_id of the camera driver to its optical frame"))
+    return found
+
+
+def _stream(stream: Stream, argument: str) -> List[Finding]:
+    """Why no message comes on a topic."""
+    wrong = [kind for kind in stream.types if kind != stream.wanted]
+    if wrong and len(wrong) == len(stream.types):
+        return [Finding(FAULT, "{} is a {}, not a {}".format(stream.topic, wrong[0], stream.wanted),
+                        _type_mend(wrong[0], argument))]
+    if not stream.publishers:
+        return [Finding(FAULT, "nobody publishes {}".format(stream.topic),
+                        "start the camera, or give its topic: {}:=/your/topic (rostopic list shows all)".format(argument))]
+    if stream.unreachable and len(stream.unreachable) == len(stream.publishers):
+        return [Finding(FAULT, "the publisher of {} ({}) cannot be reached".format(
+            stream.topic, ", ".join(stream.unreachable)),
+            "it has died (rosnode cleanup), or its address is not known here: set ROS_IP on its machine and on this one")]
+    if not stream.messages:
+        return [Finding(FAULT, "{} has a publisher ({}), but nothing comes".format(
+            stream.topic, ", ".join(stream.publishers)),
+            "see that the camera is plugged in and its driver has no error; is the bag paused?")]
+    return []
+
+
+def _type_mend(kind: str, argument: str) -> str:
+    if kind == "sensor_msgs/CompressedImage":
+        return "give the topic without /compressed at its end, and image_transport:=compressed"
+    return "give the right topic: {}:=/your/topic".format(argument)
+
+
+def _picture(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    picture = facts.picture
+    if picture is None or (facts.image is not None and _stream(facts.image, "image")):
+        return []
+    topic = facts.image.topic if facts.image else "image"
+    if picture.problem:
+        return [Finding(FAULT, "images on {} cannot be read: {}".format(topic, picture.problem),
+                        "let the driver publish one of: {}".format(", ".join(ENCODINGS)))]
+    if picture.brightness < settings.min_brightness:
+        return [Finding(FAULT, "the picture is too dark (mean {:.0f} of 255)".format(picture.brightness),
+                        "switch the light on, take the lens cap off, let the camera expose longer")]
+    if picture.contrast < settings.min_contrast:
+        return [Finding(FAULT, "the picture shows nothing (all pixels are alike)",
+                        "take away what covers the lens; see the picture with: rqt_image_view {}".format(topic))]
+    return [Finding(OK, "{}: {}x{} {}".format(topic, picture.width, picture.height, picture.encoding))]
+
+
+def _calibration(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    if facts.info is None or not (facts.image and facts.image.messages):
+        return []
+    missing = _stream(facts.info, "camera_info")
+    if missing:
+        return [Finding(HINT, missing[0].what + ": distances are guessed from the parameter fallback_fov", missing[0].mend)]
+    calibration, picture = facts.calibration, facts.picture
+    if calibration is None or picture is None or picture.problem:
+        return []
+    if calibration.focal <= 0.0:
+        return [Finding(FAULT, "the camera is not calibrated: K on {} is all zero, so that distances are guessed".format(
+            facts.info.topic), "calibrate it (rosrun camera_calibration cameracalibrator.py), or set fallback_fov")]
+    ratio = (calibration.width * picture.height) / max(calibration.height * picture.width, 1)
+    if abs(ratio - 1.0) > _ASPECT_TOLERANCE:
+        return [Finding(FAULT, "{} is for {}x{} px, images are {}x{}".format(
+            facts.info.topic, calibration.width, calibration.height, picture.width, picture.height),
+            "give the camera_info of this camera: camera_info:=/your/topic, or calibrate this resolution")]
+    return [Finding(OK, "{}: focal length {:.0f} px".format(facts.info.topic, calibration.focal))]
+
+
+def _transforms(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    if not facts.camera_frame:
+        return []
+    if facts.tf_reaches:
+        return [Finding(OK, "transforms lead from {} to {}".format(facts.camera_frame, facts.reference_frame))]
+    return [Finding(FAULT, "no transform leads from the camera ({}) to the reference frame {}: persons are placed relative "
+                    "to the camera".format(facts.camera_frame, facts.reference_frame),
+                    "publish where the camera sits (URDF with robot_state_publisher, or static_transform_publisher), start "
+                    "the localisation, or: rosparam set /humans/reference_frame to a frame that exists, e.g. base_link")]
+
+
+def _diagnostics(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    """What the nodes say of themselves; what the rules above have said better is left out."""
+    return [Finding(FAULT if level >= 2 else HINT, "{}: {}".format(name, text), "see rostopic echo /diagnostics")
+            for name, (level, text) in sorted(facts.statuses.items()) if level > 0]
+
+
+def _people(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    seen = {kind: count for kind, count in facts.tracked.items() if count > 0}
+    if seen.get("persons"):
+        return [Finding(OK, "{} person{} tracked now".format(seen["persons"], "" if seen["persons"] == 1 else "s"))]
+    if seen:
+        told = " and ".join("{} {}".format(count, kind) for kind, count in seen.items())
+        return [Finding(FAULT, "{} are tracked, but no person".format(told), "see that hri_person_manager runs, and its log")]
+    return [Finding(OK, "nobody is tracked now")]
+
+
+_RULES: Tuple[Rule, ...] = (
+    _clock, _models, _nodes, _image, _picture, _calibration, _transforms, _diagnostics, _people)

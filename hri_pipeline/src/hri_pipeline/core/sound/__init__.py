@@ -1,0 +1,1 @@
+"""Sound: format, stream, level, direction, separation."""

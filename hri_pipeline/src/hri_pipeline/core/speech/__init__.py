@@ -1,0 +1,1 @@
+"""What is said: recognisers and the process that they run in."""

@@ -1,0 +1,1 @@
+"""Who speaks and when, and the descriptors of a voice."""
