@@ -63,6 +63,25 @@ def test_plates_of_neighbours_do_not_cover_each_other(image):
     assert min(areas) > 0.6 * max(areas)
 
 
+def test_what_is_written_about_a_person():
+    assert PersonMark("abcde", confidence=0.5).label == "abcde  50 %"
+    assert PersonMark("abcde", name="Ann", expression="happy", looks_at="").label == "Ann  100 %  happy  > robot"
+    assert PersonMark("abcde", name="Zoë " + 100 * "x", looks_at="other").label == "Zo? " + 20 * "x" + "  100 %"
+
+
+def test_a_gaze_is_an_arrow_between_two_heads(image):
+    faces = {"f1": face(100.0, 200.0), "f2": face(500.0, 200.0)}
+    marks = [PersonMark("one", "f1"), PersonMark("two", "f2")]
+    plain = draw_overlay(image, faces, {}, marks)
+    looking = draw_overlay(image, faces, {}, [PersonMark("one", "f1", looks_at="two"), marks[1]])
+    between = (slice(190, 210), slice(200, 400))
+    assert not plain[between].any()
+    assert pixels_of(looking[between], colour_of("one")) > 200
+    # To somebody who is not in the image there is no arrow.
+    elsewhere = draw_overlay(image, faces, {}, [PersonMark("one", "f1", looks_at="three"), marks[1]])
+    assert (elsewhere == plain).all()
+
+
 def test_colours_are_stable_bright_and_different():
     assert colour_of("abcde") == colour_of("abcde")
     colours = {colour_of("id{}".format(number)) for number in range(50)}

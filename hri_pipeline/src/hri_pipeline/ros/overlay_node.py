@@ -18,7 +18,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Float32, String
 
-from hri_msgs.msg import FacialLandmarks, Skeleton2D
+from hri_msgs.msg import Expression, FacialLandmarks, GazesStamped, Skeleton2D
 from hri_pipeline.core.images import ImageError
 from hri_pipeline.core.pacing import Pacer
 from hri_pipeline.core.pictures.overlay import PersonMark, draw_overlay
@@ -36,6 +36,8 @@ from hri_pipeline.ros.topic_release import release
 
 AnyImage = Union[Image, CompressedImage]
 PERSON_TOPICS = {"face_id": String, "body_id": String, "location_confidence": Float32}
+# Gazes are told all the time while they last; older ones are of a node that has gone.
+_GAZE_S = 1.0
 
 
 class OverlayInputs:
@@ -47,11 +49,18 @@ class OverlayInputs:
         self._frame = ""
         self._history = FeatureHistory()
         self._persons: Dict[str, Dict[str, object]] = {}
+        self._expressions: Dict[str, str] = {}
+        self._gazes: Tuple[float, Dict[str, str]] = (float("-inf"), {})
         self._tolerance = settings.pair_tolerance
+        faces = {"landmarks": FacialLandmarks}
         self._feeds = [
-            FeatureFeed("faces", {"landmarks": FacialLandmarks}, self._on_face, self._on_faces),
+            FeatureFeed("faces", dict(faces, expression=Expression) if settings.expressions else faces, self._on_face,
+                        self._on_faces),
             FeatureFeed("bodies", {"skeleton2d": Skeleton2D}, self._on_body, self._on_bodies),
-            FeatureFeed("persons", PERSON_TOPICS, self._on_person, self._on_persons)]
+            FeatureFeed("persons", dict(PERSON_TOPICS, name=String) if settings.names else PERSON_TOPICS,
+                        self._on_person, self._on_persons)]
+        self._gaze = rospy.Subscriber("/humans/interactions/gaze", GazesStamped, self._on_gazes,
+                                      queue_size=1) if settings.gazes else None
         compressed = settings.image_transport == "compressed"
         self._subscriber = rospy.Subscriber(
             "image/compressed" if compressed else "image", CompressedImage if compressed else Image,
@@ -67,7 +76,11 @@ class OverlayInputs:
             self._images.append((stamp, message))
             self._frame = message.header.frame_id
 
-    def _on_face(self, name: str, topic: str, message: FacialLandmarks) -> None:
+    def _on_face(self, name: str, topic: str, message: Union[FacialLandmarks, Expression]) -> None:
+        if topic == "expression":
+            with self._lock:
+                self._expressions[name] = message.expression.strip('"')
+            return
         self._keep("faces", name, message, landmarks_from_msg(message))
 
     def _on_body(self, name: str, topic: str, message: Skeleton2D) -> None:
@@ -83,9 +96,14 @@ class OverlayInputs:
         with self._lock:
             self._persons.setdefault(name, {})[topic] = message.data
 
+    def _on_gazes(self, message: GazesStamped) -> None:
+        with self._lock:
+            self._gazes = (time.monotonic(), {gaze.sender: gaze.receiver for gaze in message.gazes})
+
     def _on_faces(self, names: List[str]) -> None:
         with self._lock:
             self._history.keep_only("faces", names)
+            self._expressions = {name: word for name, word in self._expressions.items() if name in names}
 
     def _on_bodies(self, names: List[str]) -> None:
         with self._lock:
@@ -106,15 +124,23 @@ class OverlayInputs:
             if stamp is None or stamp == drawn:
                 return None
             image = next(message for one, message in self._images if one == stamp)
-            persons = [PersonMark(name, str(known.get("face_id", "")), str(known.get("body_id", "")),
-                                  float(known.get("location_confidence", 0.0)))
-                       for name, known in sorted(self._persons.items())]
+            persons = [self._mark(name, known) for name, known in sorted(self._persons.items())]
             return (image, self._history.at("faces", stamp, self._tolerance),
                     self._history.at("bodies", stamp, self._tolerance), persons)
+
+    def _mark(self, name: str, known: Dict[str, object]) -> PersonMark:
+        """What is written about a person."""
+        face = str(known.get("face_id", ""))
+        told, gazes = self._gazes
+        return PersonMark(name, face, str(known.get("body_id", "")), float(known.get("location_confidence", 0.0)),
+                          str(known.get("name", "")), self._expressions.get(face, ""),
+                          gazes.get(name) if time.monotonic() - told < _GAZE_S else None)
 
     def close(self) -> None:
         """End all subscriptions. May be called again."""
         release(self._subscriber)
+        if self._gaze is not None:
+            release(self._gaze)
         for feed in self._feeds:
             feed.close()
 

@@ -1,4 +1,4 @@
-"""Draws skeletons, face landmarks and person ids on an image."""
+"""Draws skeletons, face landmarks, and what is known about persons on an image."""
 
 from __future__ import annotations
 
@@ -25,16 +25,31 @@ NOBODY: Colour = (190, 190, 190)
 DARK: Colour = (25, 25, 25)
 FONT = cv2.FONT_HERSHEY_DUPLEX
 ANONYMOUS = "anonymous_person_"
+ROBOT = ""
+_LONGEST = 24       # letters of a name; the fonts of OpenCV have no letters but those of ASCII
 
 
 @dataclass(frozen=True)
 class PersonMark:
-    """What is written about a person: id, the ids of face and body (empty: none), confidence 0 to 1."""
+    """What is written about a person: id, the ids of face and body (empty: none), confidence 0 to 1.
+
+    looks_at: id of the person who is looked at, "" for the robot, None for nobody.
+    """
 
     id: str
     face_id: str = ""
     body_id: str = ""
     confidence: float = 1.0
+    name: str = ""
+    expression: str = ""
+    looks_at: Optional[str] = None
+
+    @property
+    def label(self) -> str:
+        """The text beside the head."""
+        words = [self.name[:_LONGEST] or short_name(self.id), "{:.0f} %".format(100.0 * self.confidence), self.expression[:_LONGEST]]
+        text = "  ".join(word for word in words if word) + ("  > robot" if self.looks_at == ROBOT else "")
+        return text.encode("ascii", "replace").decode("ascii")
 
 
 def colour_of(name: str) -> Colour:
@@ -68,12 +83,16 @@ def draw_overlay(image: np.ndarray, faces: Mapping[str, np.ndarray], bodies: Map
     for name, points in faces.items():
         colour = colour_of(owner[name].id) if name in owner else NOBODY
         _draw_face(canvas, points, colour, min_confidence, unit)
+    heads = {mark.id: _head(faces.get(mark.face_id), bodies.get(mark.body_id), min_confidence) for mark in persons}
+    for mark in persons:
+        start, end = heads[mark.id], heads.get(mark.looks_at or "")
+        if start is not None and end is not None:
+            _draw_gaze(canvas, start, end, colour_of(mark.id), unit)
     taken: List[Tuple[int, int, int, int]] = []
     for mark in persons:
         anchor = _anchor(faces.get(mark.face_id), bodies.get(mark.body_id), min_confidence)
         if anchor is not None:
-            text = "{}  {:.0f} %".format(short_name(mark.id), 100.0 * mark.confidence)
-            _draw_label(canvas, text, anchor, colour_of(mark.id), taken, unit)
+            _draw_label(canvas, mark.label, anchor, colour_of(mark.id), taken, unit)
     counts = "{} faces   {} bodies   {} persons".format(len(faces), len(bodies), len(persons))
     _draw_label(canvas, counts, (0.0, float(image.shape[0])), NOBODY, taken, unit)
     return canvas
@@ -153,6 +172,29 @@ def _anchor(face: Optional[np.ndarray], body: Optional[np.ndarray],
         if len(rows):
             return float(rows[:, 0].mean()), float(rows[:, 1].min()) - 30.0
     return None
+
+
+def _head(face: Optional[np.ndarray], body: Optional[np.ndarray], min_confidence: float) -> Optional[np.ndarray]:
+    """Return the middle (2,) px of the face, else of the points of the head; None without any."""
+    for points, rows in ((face, slice(None)), (body, list(HEAD_POINTS))):
+        if points is not None:
+            good = points[rows][_good(points[rows], min_confidence)]
+            if len(good):
+                middle: np.ndarray = good[:, :2].mean(axis=0)
+                return middle
+    return None
+
+
+def _draw_gaze(canvas: np.ndarray, start: np.ndarray, end: np.ndarray, colour: Colour, unit: float) -> None:
+    """An arrow from one head to another; it ends before the face that is looked at."""
+    way = end - start
+    length = float(np.linalg.norm(way))
+    if length < 40.0 * unit:
+        return
+    end = end - way / length * min(25.0 * unit, 0.3 * length)
+    for extra, shade in ((2, DARK), (0, colour)):
+        cv2.arrowedLine(canvas, _pixel(start), _pixel(end), shade, int(round(2 * unit + extra)), cv2.LINE_AA, 0,
+                        min(0.2, 18.0 * unit / length))
 
 
 def _draw_label(canvas: np.ndarray, text: str, anchor: Tuple[float, float], colour: Colour,

@@ -6,7 +6,7 @@ from hri_pipeline.core.parameters import Parameter, ParameterTable
 
 OVERLAY_PARAMETERS = ParameterTable(
     "overlay",
-    "Draws skeletons, face landmarks and person ids on the camera image, while somebody looks.",
+    "Draws skeletons, face landmarks, names, expressions and gazes on the camera image, while somebody looks.",
     [
         Parameter("image_transport", "raw", "Which topic to take the image from: `image`, or `image/compressed`.",
                   choices=("raw", "compressed")),
@@ -18,5 +18,9 @@ OVERLAY_PARAMETERS = ParameterTable(
                   unit="s", minimum=0.0, maximum=2.0),
         Parameter("min_confidence", 0.3, "Key points and landmarks below this confidence are left out.",
                   minimum=0.0, maximum=1.0),
+        Parameter("names", True, "Write the names of persons who have one; false: their ids."),
+        Parameter("expressions", True, "Write what faces express. The faces node finds it out for those who listen: false spares "
+                  "that, too."),
+        Parameter("gazes", True, "Draw who looks at whom, and write who looks at the robot."),
     ],
 )
