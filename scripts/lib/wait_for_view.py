@@ -20,6 +20,7 @@ from hri_msgs.msg import IdsList
 SETTLING_SECONDS = 6.0  # the first rendering in software takes a few seconds
 # A picture is good soon after new people came; later it may be dark already, before the next of a directory of
 # pictures. Where the same people have been there for longer than such a picture lasts, there is no next one.
+SKELETON_SECONDS = 1.5
 GOOD_AGES = ((2.0, 3.5), (10.0, float("inf")))
 
 
@@ -78,8 +79,11 @@ def main(arguments: Sequence[str]) -> int:
             viewed_since = time.monotonic()
         settled = not options.viewer or (viewed_since is not None and time.monotonic() - viewed_since > SETTLING_SECONDS)
         # A picture with skeletons is the better one, but there are sources that show faces only.
-        wanted_bodies = max(options.people, 2) if options.viewer and time.monotonic() - began < 0.6 * options.seconds else 0
-        good = not options.viewer or any(low <= persons.age <= high for low, high in GOOD_AGES)
+        spent = (time.monotonic() - began) / options.seconds
+        wanted_bodies = max(options.people, 2) if options.viewer and spent < 0.6 else 0
+        # Skeletons are drawn some images after the bodies came. On a busy machine nothing stays as it is: then any view will do.
+        steady = bodies.age > SKELETON_SECONDS if wanted_bodies else True
+        good = not options.viewer or spent > 0.8 or (steady and any(low <= persons.age <= high for low, high in GOOD_AGES))
         if settled and good and persons.count >= options.people and bodies.count >= wanted_bodies:
             print("%d persons, %d bodies; %s shows %s" % (
                 persons.count, bodies.count, options.viewer or "(no viewer)", ", ".join(sorted(topics))))
