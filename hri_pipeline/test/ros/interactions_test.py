@@ -96,6 +96,20 @@ class InteractionsTest(unittest.TestCase):
         subscriber.unregister()
         latecomer.unregister()
 
+    def test_2b_who_is_tracked_without_a_place_stays_in_the_engagement(self):
+        heard = []
+        there = np.array([9.0, 0.0, 1.2])
+        ivy, hal = (LEFT, np.array([-1.0, 0.0, 1.2]), there), np.array([1.0, 0.0, 1.2])
+        self.stage.people = {"hal": (LEFT, hal, there), "ivy": ivy}
+        subscriber = rospy.Subscriber("/humans/persons/hal/engagement_status", EngagementLevel, lambda message: heard.append(message.level))
+        wait_for(lambda: heard[-1:] == [EngagementLevel.DISENGAGED], WAIT_S, "disengaged")
+        # Beside somebody who is seen: nobody rests, and hal is neither forgotten nor left as he was.
+        self.stage.people = {"hal": (None, hal, there), "ivy": ivy}
+        wait_for(lambda: heard[-1] == EngagementLevel.UNKNOWN, WAIT_S, "unknown, as hal is not seen")
+        self.stage.people = {"hal": (LEFT, hal, there), "ivy": ivy}
+        wait_for(lambda: heard[-1] == EngagementLevel.DISENGAGED, WAIT_S, "seen again")
+        subscriber.unregister()
+
     def test_3_who_has_gone_leaves_an_empty_list(self):
         self.stage.people = {"dan": (LEFT, np.array([1.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0]))}
         self.wait_for_gazes({("dan", "")}, "dan at the robot")

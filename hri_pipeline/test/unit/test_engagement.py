@@ -90,3 +90,17 @@ def test_levels_in_the_wrong_order_are_refused():
 def test_the_scripted_visit_reaches_each_level():
     assert engagement() == {"illegal": 0, "missing": [], "levels": [
         "UNKNOWN", "DISENGAGED", "ENGAGING", "ENGAGED", "DISENGAGING", "ENGAGED", "DISENGAGING", "DISENGAGED"]}
+
+
+def test_who_is_tracked_but_has_no_place_stays_for_a_while():
+    ann = Visitor()
+    assert ann.stay(8.0) == Level.ENGAGED
+    bob = Onlooker("bob", np.array([1.0, 1.0, 1.6]), head_direction=-AHEAD)
+
+    def update(seconds):
+        ann.now += seconds
+        return ann.estimator.update([bob], [], ROBOT_AT, ann.now, AHEAD, unplaced=["ann"])
+
+    assert update(0.1) == {"bob": Level.DISENGAGED, "ann": Level.ENGAGED}
+    assert update(3.0)["ann"] == Level.UNKNOWN
+    assert list(ann.estimator.update([bob], [], ROBOT_AT, ann.now + 0.1, AHEAD)) == ["bob"]

@@ -1,6 +1,7 @@
 """The frames of people become onlookers: eyes, heads, trunks, in one frame, whatever the sensor."""
 
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -46,7 +47,7 @@ def put(frames, parent, child, pose, stamp=10.0, fixed=False):
 
 
 def seen(frames, newest=10.0, lids=None, settings=SETTINGS):
-    return gather(frames, lambda sensors: {sensor: OPTICAL for sensor in sensors if sensor == "camera"}, newest, settings, lids or {})
+    return gather(frames, lambda sensors: {sensor: OPTICAL for sensor in sensors if sensor == "camera"}, newest, settings, lids or {}).onlookers()
 
 
 def test_a_face_and_its_gaze(frames):
@@ -64,6 +65,40 @@ def test_a_gaze_given_in_the_frame_of_the_camera(frames):
     put(frames, "camera", "face_fa", facing_camera(1.0))
     put(frames, "camera", "gaze_fa", Pose(np.eye(3), np.array([0.0, 0.0, 1.0])))
     np.testing.assert_allclose(seen(frames)[0].gaze_direction, (1.0, 0.0, 0.0), atol=1e-9)
+
+
+def test_where_gazes_are_told_a_face_that_never_had_one_has_closed_eyes(frames):
+    frames.set_people(["ann", "bob"])
+    frames.set_feature("bob", "face", "fb")
+    for stamp in (10.0, 10.0 + 2.0 * SETTINGS.gaze_timeout):
+        put(frames, "camera", "face_fa", facing_camera(1.0), stamp)
+        put(frames, "camera", "face_fb", facing_camera(2.0), stamp)
+    assert [person.eyes_closed for person in seen(frames, stamp)] == [None, None]
+    put(frames, "face_fa", "gaze_fa", straight(), stamp)
+    assert [person.eyes_closed for person in seen(frames, stamp)] == [0.0, 1.0]
+    # Another sensor may not measure gazes, and a face that has just come may get one.
+    put(frames, "other", "face_fb", facing_camera(2.0), stamp)
+    poses = {"camera": OPTICAL, "other": OPTICAL}
+    assert gather(frames, lambda sensors: poses, stamp, SETTINGS, {}).onlookers()[1].eyes_closed is None
+    frames.set_people(["ann", "cho"])
+    frames.set_feature("cho", "face", "fc")
+    put(frames, "camera", "face_fc", facing_camera(2.0), stamp)
+    assert [person.eyes_closed for person in seen(frames, stamp)] == [0.0, None]
+
+
+def test_a_transform_is_read_when_it_is_asked_for(frames):
+    names = [text.encode() for text in ("camera", "face_fa")]
+    pose = facing_camera(1.0)
+    text = b"".join(struct.pack("<I", len(name)) + name for name in names)
+    data = struct.pack("<III", 7, 10, 0) + text + struct.pack("<7d", *pose.translation, *pose.quaternion)
+    frames.put_unread(b"face_fa", data, 0)
+    assert len(frames) == 1
+    np.testing.assert_allclose(seen(frames)[0].head, (1.0, 0.0, 1.3), atol=1e-9)
+    assert len(frames) == 1
+    wrong = data[:-8] + struct.pack("<d", math.nan)
+    frames.put_unread(b"face_fa", wrong, 0)
+    np.testing.assert_allclose(seen(frames)[0].head, (1.0, 0.0, 1.3), atol=1e-9)
+    assert frames.refused == 1
 
 
 def test_a_gaze_that_is_missing_means_closed_eyes_but_only_after_there_was_one(frames):

@@ -62,6 +62,11 @@ def read(data: bytes, offset: int) -> RawTransform:
     return RawTransform(parent, child, secs, nsecs, numbers[:3], numbers[3:])
 
 
+def read_stamp(data: bytes, offset: int) -> Tuple[int, int]:
+    """Return seconds and nanoseconds of the stamp of the transform at an offset that scan() has given."""
+    return _TIMES.unpack_from(data, offset + 4)
+
+
 def _text(data: bytes, offset: int) -> Tuple[str, int]:
     end = offset + 4 + _LENGTH.unpack_from(data, offset)[0]
     return data[offset + 4:end].decode("utf-8", "replace").lstrip("/"), end

@@ -95,7 +95,7 @@ def photographs(models: Path, overlay: Optional[Path] = None, settings: Optional
     """Return confusion tables, rows truth, of all labelled faces; each picture is looked at as a film of 2 s.
 
     `frames`: from the frames of faces and gazes alone, as by default; there, eyes that are closed from the first image on
-    are not known to be so. `use_facs`: with the action units of the lids, too, as with the parameter of that name.
+    are known to be so once any face of the camera had a gaze, so all pictures are of one camera. `use_facs`: with the action units of the lids, too, as with the parameter of that name.
     models: directory of the models and pictures; overlay: where to write all pictures with what was found with use_facs,
     green where it is right; settings: of the interactions node, None: the defaults. Raises FileNotFoundError with the
     mend when a picture is absent, OSError when the overlay cannot be written.
@@ -104,13 +104,14 @@ def photographs(models: Path, overlay: Optional[Path] = None, settings: Optional
     labels = labelled_gazes()
     by_face = {gaze.face: gaze for gaze in labels}
     stage = FaceStage(FACES.resolve(dict.fromkeys(("expression", "age_gender", "recognition"), False)))
+    frames = PeopleFrames()
     gazes: List[LabelledGaze] = []
     answers: Dict[str, List[Answer]] = {FRAMES: [], USE_FACS: []}
     tiles: List[np.ndarray] = []
     try:
         for faces, image in images([gaze.face for gaze in labels], models):
             group = [by_face[face] for face in faces]
-            told = _answers(stage, image, group, settings)
+            told = _answers(stage, frames, image, group, settings)
             gazes += group
             for name in answers:
                 answers[name] += told[name]
@@ -123,12 +124,11 @@ def photographs(models: Path, overlay: Optional[Path] = None, settings: Optional
     return {name: confusion(gazes, found) for name, found in answers.items()}
 
 
-def _answers(stage: FaceStage, image: np.ndarray, gazes: Sequence[LabelledGaze], settings: SimpleNamespace
+def _answers(stage: FaceStage, frames: PeopleFrames, image: np.ndarray, gazes: Sequence[LabelledGaze], settings: SimpleNamespace
              ) -> Dict[str, List[Answer]]:
     """Return what is found of the labelled faces of a picture, without and with the action units."""
     camera = CameraModel.from_fov(image.shape[1], image.shape[0], PHOTOGRAPH_HFOV)
     targets = {name: GazeTargets(settings) for name in (FRAMES, USE_FACS)}
-    frames = PeopleFrames()
     stage.reset()
     faces: List[FaceObservation] = []
     looks: Dict[str, Dict[str, str]] = {}
@@ -167,7 +167,7 @@ def onlookers(frames: PeopleFrames, faces: Sequence[FaceObservation], stamp: flo
         frames.put(_raw(_SENSOR, "face_" + face.id, stamp, pose), fixed=False)
         if face.gaze is not None and face.gaze.direction is not None:
             frames.put(_raw("face_" + face.id, "gaze_" + face.id, stamp, gaze_frame(pose, face.gaze.direction)), fixed=False)
-    return gather(frames, lambda sensors: {name: _LEVEL for name in sensors}, stamp, settings, lids)
+    return gather(frames, lambda sensors: {name: _LEVEL for name in sensors}, stamp, settings, lids).onlookers()
 
 
 def _raw(parent: str, child: str, stamp: float, pose: Pose) -> RawTransform:

@@ -36,6 +36,7 @@ class InteractionFrame:
         self._reference, self._robot_frame = settings.reference_frame, settings.robot_frame
         self._frames = frames
         self._stamp = genpy.Time()
+        self._poses: Dict[str, Optional[Pose]] = {}
         self._missing_since: Dict[str, float] = {}
         self._warned: Set[str] = set()
         self._began = time.monotonic()
@@ -57,10 +58,11 @@ class InteractionFrame:
     def begin(self, stamp: genpy.Time) -> None:
         """Begin a cycle at `stamp`."""
         self._stamp = stamp
+        self._poses = {}
 
     def places(self, sensors: Counter[str]) -> Dict[str, Pose]:
         """Return the poses of these sensors, with the number of their people, in the frame of this cycle."""
-        poses = {sensor: self._frames.lookup(sensor, self._stamp) for sensor in sensors}
+        poses = {sensor: self._lookup(sensor) for sensor in sensors}
         found = {sensor: pose for sensor, pose in poses.items() if pose is not None}
         self._note([sensor for sensor, pose in poses.items() if pose is None])
         self._choose(Counter({sensor: count for sensor, count in sensors.items() if sensor != self._reference}))
@@ -72,6 +74,12 @@ class InteractionFrame:
         self._find_robot(found)
         return found
 
+    def _lookup(self, frame: str) -> Optional[Pose]:
+        """Look a frame up, once in a cycle: the robot often looks from where its camera is."""
+        if frame not in self._poses:
+            self._poses[frame] = self._frames.lookup(frame, self._stamp)
+        return self._poses[frame]
+
     def _choose(self, sensors: Counter[str]) -> None:
         """Choose the camera that stands for the robot; it stays while it sees anybody."""
         if sensors and not sensors.get(self.sensor):
@@ -80,11 +88,11 @@ class InteractionFrame:
     def _find_robot(self, poses: Dict[str, Pose]) -> None:
         pose, source = None, self._robot_frame
         if source and not self.is_level:
-            pose = self._frames.lookup(source, self._stamp)
+            pose = self._lookup(source)
         if pose is None:
             self._warn_of_robot()
             source = self.sensor
-            pose = poses.get(source) or (self._frames.lookup(source, self._stamp) if source and not self.is_level else None)
+            pose = poses.get(source) or (self._lookup(source) if source and not self.is_level else None)
         if pose is None:
             self.robot, self.robot_source = None, "unknown"
             return

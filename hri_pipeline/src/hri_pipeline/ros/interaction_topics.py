@@ -46,11 +46,14 @@ class InteractionTopics:
         self._worker = threading.Thread(target=self._open_and_close, name="engagement topics", daemon=True)
         self._worker.start()
 
-    def publish(self, gazes: Sequence[GazeTarget], groups: Sequence[Group], header: Header) -> None:
-        """Publish the gazes and groups of one time."""
-        self._gaze.publish(gazes_to_msg(gazes, header))
+    def publish_groups(self, groups: Sequence[Group], header: Header) -> None:
+        """Publish the groups of one time."""
         for message in groups_messages(groups, header, self._interface):
             self._groups.publish(message)
+
+    def publish_gazes(self, gazes: Sequence[GazeTarget], header: Header) -> None:
+        """Publish the gazes of one time."""
+        self._gaze.publish(gazes_to_msg(gazes, header))
         if self._gazing is not None:
             for gaze in gazes:
                 self._gazing.publish(gaze_to_msg(gaze, header))

@@ -15,8 +15,9 @@ import rospy
 from visualization_msgs.msg import MarkerArray
 
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.interactions.crowd import Crowd
 from hri_pipeline.core.interactions.engagement import EngagementEstimator, Level
-from hri_pipeline.core.interactions.gaze_targets import ROBOT, GazeTarget, GazeTargets, Onlooker
+from hri_pipeline.core.interactions.gaze_targets import ROBOT, GazeTarget, GazeTargets
 from hri_pipeline.core.interactions.group_tracker import Group, GroupTracker, Stander, fuse_directions
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.timing import StageTimes
@@ -55,11 +56,11 @@ class InteractionsNode:
         except ValueError as error:
             raise ParameterError("{}: {}".format(rospy.get_name(), error)) from error
         self._last, self._last_at, self._last_now, self._jumps = _NEVER, time.monotonic(), rospy.get_time(), 0
-        self._people: List[Onlooker] = []
         self._is_empty = True
         self._frame_name = ""
         self._grouped_at = -math.inf
         self._latest_groups: List[Group] = []
+        self._told_groups: Optional[Sequence[Group]] = None
         self._times = StageTimes()
         self._markers = InteractionMarkers()
         self._marker_topic = rospy.Publisher("visualization/interactions", MarkerArray, queue_size=1)
@@ -121,12 +122,10 @@ class InteractionsNode:
             gazes = self._gazes.update(people, place, seconds)
         with self._times("groups"):
             groups = self._group(people, robot, seconds)
-        placed = {person.id for person in people}
-        everybody = people + [Onlooker(identity) for identity in self._feed.ids if identity not in placed]
-        levels = self._engagement.update(everybody, gazes, place, seconds, robot.heading if robot is not None else None)
+        heading = robot.heading if robot is not None else None
+        levels = self._engagement.update(people, gazes, place, seconds, heading, moment.unplaced)
         with self._times("publish"):
             self._say(moment.stamp, people, gazes, groups, levels)
-        self._people = people
 
     def _rest(self) -> None:
         """Say once that nobody interacts when nobody is left, or when no image comes any more."""
@@ -138,34 +137,36 @@ class InteractionsNode:
             self._gazes.reset()
             self._groups.reset()
             self._grouped_at = -math.inf
-            self._say(self._last, [], [], [], {})
+            self._say(self._last, Crowd.empty(), [], [], {})
         # Nobody is seen: it is only time that passes.
-        unseen = [Onlooker(identity) for identity in listed]
-        levels = self._engagement.update(unseen, [], None, self._last.to_sec() + silent)
+        levels = self._engagement.update((), [], None, self._last.to_sec() + silent, unplaced=listed)
         self._topics.publish_engagement(levels, self._last)
 
-    def _say(self, stamp: genpy.Time, people: Sequence[Onlooker], gazes: Sequence[GazeTarget], groups: Sequence[Group],
+    def _say(self, stamp: genpy.Time, people: Crowd, gazes: Sequence[GazeTarget], groups: Sequence[Group],
              levels: Dict[str, Level]) -> None:
         header = make_header(stamp, self._frame.name)
-        self._topics.publish(gazes, groups, header)
+        self._topics.publish_gazes(gazes, header)
+        if groups is not self._told_groups:
+            self._told_groups = groups
+            self._topics.publish_groups(groups, header)
         self._topics.publish_engagement(levels, stamp)
         self._is_empty = not gazes and not groups
         self._report.count(len(people), gazes, groups, levels)
         if self._marker_topic.get_num_connections():
             robot = self._frame.robot
-            markers = self._markers.make(people, gazes, groups, header, robot.position if robot is not None else None)
+            markers = self._markers.make(people.onlookers(), gazes, groups, header, robot.position if robot is not None else None)
             self._marker_topic.publish(turned(markers, LEVEL.inverse()) if self._frame.is_level else markers)
 
-    def _group(self, people: Sequence[Onlooker], robot: Optional[RobotPose], seconds: float) -> List[Group]:
+    def _group(self, people: Crowd, robot: Optional[RobotPose], seconds: float) -> List[Group]:
         """Return the groups, which are looked at once in group_period: nobody need make what is not looked at."""
         if not 0.0 <= seconds - self._grouped_at < self._settings.group_period - _SLACK_S:
             self._grouped_at = seconds
             self._latest_groups = self._groups.update(self._standers(people, robot), seconds)
         return self._latest_groups
 
-    def _standers(self, people: Sequence[Onlooker], robot: Optional[RobotPose]) -> List[Stander]:
+    def _standers(self, people: Crowd, robot: Optional[RobotPose]) -> List[Stander]:
         found = []
-        for person in people:
+        for person in people.onlookers():
             direction, sd = fuse_directions(_bearing(person.body_direction), person.body_direction_sd,
                                             _bearing(person.head_direction), person.head_direction_sd,
                                             self._settings.group_head_sd)

@@ -13,10 +13,10 @@ from std_msgs.msg import String
 
 from hri_msgs.msg import FacialActionUnits
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.interactions.gaze_people import Onlooker
+from hri_pipeline.core.interactions.crowd import Crowd
 from hri_pipeline.core.interactions.people_frames import PeopleFrames
 from hri_pipeline.core.interactions.people_gather import Places, Seen, gather
-from hri_pipeline.core.tf_scan import read
+from hri_pipeline.core.tf_scan import read, read_stamp
 from hri_pipeline.ros.feature_feed import FeatureFeed
 from hri_pipeline.ros.robot_frames import RobotFrames
 from hri_pipeline.ros.tf_feed import Frames, TfFeed
@@ -24,23 +24,24 @@ from hri_pipeline.ros.tf_feed import Frames, TfFeed
 MAX_PEOPLE = 100
 JUMP_BACK_S = 0.5
 AU_EYES_CLOSED, AU_BLINK = 43, 45
-_STAMPED_BY = ("face_", "body_")
+_STAMPED_BY = (b"face_", b"body_")
 _OF_HUMANS = (b"body_", b"head_", b"face_", b"gaze_", b"voice_", b"person_")
 _STALE_S = 0.5
 _Newest = Tuple[bool, int, int]
 
 
 class Moment(NamedTuple):
-    """Everybody at the stamp of the newest image."""
+    """Everybody at the stamp of the newest image; unplaced: ids of those who are tracked, but have no place."""
 
     stamp: genpy.Time
-    people: List[Onlooker]
+    people: Crowd
+    unplaced: List[str]
 
 
 class PeopleFeed:
     """Hears lists, features and transforms; `news` is set when frames with a newer stamp have come.
 
-    Callbacks only store; take() makes the onlookers.
+    Callbacks only store; take() makes the crowd.
     """
 
     def __init__(self, settings: SimpleNamespace, robot: RobotFrames) -> None:
@@ -50,7 +51,7 @@ class PeopleFeed:
         self._frames = PeopleFrames()
         self._lids: Dict[str, Seen] = {}
         self._newest, self._newest_person = genpy.Time(), genpy.Time()
-        self._newer_at = 0.0
+        self._newer_at, self._measured_at = 0.0, -math.inf
         self.news = threading.Event()
         self.refused = self.jumps = 0
         self._feeds = {"persons": FeatureFeed("persons", {"face_id": String, "body_id": String}, self._on_feature,
@@ -81,7 +82,10 @@ class PeopleFeed:
         """Return everybody at the newest stamp, in the frame that `places` is about."""
         with self._lock:
             stamp = self._stamp()
-            return Moment(stamp, gather(self._frames, places, stamp.to_sec(), self._settings, self._lids))
+            people = gather(self._frames, places, stamp.to_sec(), self._settings, self._lids)
+            tracked = self._frames.people
+            placed = set(people.ids) if len(people) < len(tracked) else tracked
+            return Moment(stamp, people, [identity for identity in tracked if identity not in placed])
 
     def reset(self) -> None:
         """Forget all moving frames: time has jumped back."""
@@ -134,24 +138,30 @@ class PeopleFeed:
                 self._lids[face] = Seen(message.header.stamp.to_sec(), float(closed))
 
     def _on_frames(self, data: bytes, frames: Frames, fixed: bool) -> None:
+        # The latest stamp; one of a face or a body counts more than one of a person.
         newest: Optional[_Newest] = None
         with self._lock:
+            kept = self._frames
             for child, offset in frames:
                 child = child.lstrip(b"/")
-                if self._frames.wants(child):
-                    transform = read(data, offset)
-                    if self._frames.put(transform, fixed) and not fixed:
-                        newest = self._later(newest, transform.child, transform.secs, transform.nsecs)
-                elif not self._frames.is_limb(child):
-                    self._take_other(child, data, offset, fixed)
-            if newest is not None and self._note(newest):
-                self.news.set()
+                if not kept.wants(child):
+                    if not kept.is_limb(child):
+                        self._take_other(child, data, offset, fixed)
+                    continue
+                if fixed:
+                    kept.put(read(data, offset), fixed)
+                    continue
+                kept.put_unread(child, data, offset)
+                candidate = (child.startswith(_STAMPED_BY), *read_stamp(data, offset))
+                if newest is None or candidate > newest:
+                    newest = candidate
+            is_news = newest is not None and self._note(newest)
+        if is_news and (newest[0] or not self._measures_come()):
+            self.news.set()
 
-    @staticmethod
-    def _later(newest: Optional[_Newest], child: str, secs: int, nsecs: int) -> _Newest:
-        """The later stamp; one of a face or a body counts more than one of a person."""
-        candidate = (child.startswith(_STAMPED_BY), secs, nsecs)
-        return candidate if newest is None or candidate > newest else newest
+    def _measures_come(self) -> bool:
+        """Tell whether frames of faces or bodies come: the person's wake nobody up then."""
+        return time.monotonic() - self._measured_at < self._settings.frame_timeout
 
     def _take_other(self, child: bytes, data: bytes, offset: int, fixed: bool) -> None:
         if child.startswith(_OF_HUMANS) and not fixed:
@@ -178,7 +188,7 @@ class PeopleFeed:
         else:
             return False
         if measured:
-            self._newest = stamp
+            self._newest, self._measured_at = stamp, now
         else:
             self._newest_person = stamp
         return True

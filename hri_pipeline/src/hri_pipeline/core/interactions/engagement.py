@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from enum import IntEnum
 from types import SimpleNamespace
-from typing import Dict, FrozenSet, Optional, Sequence
+from typing import Dict, FrozenSet, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
+from hri_pipeline.core.interactions.crowd import Crowd
 from hri_pipeline.core.interactions.gaze_people import ROBOT, GazeTarget, Onlooker
 
 
@@ -59,36 +60,56 @@ class EngagementEstimator:
         """Forget everybody, as after a time jump."""
         self._persons.clear()
 
-    def update(self, people: Sequence[Onlooker], gazes: Sequence[GazeTarget], robot: Optional[np.ndarray],
-               stamp: float, heading: Optional[np.ndarray] = None) -> Dict[str, Level]:
+    def update(self, people: Union[Crowd, Sequence[Onlooker]], gazes: Sequence[GazeTarget], robot: Optional[np.ndarray],
+               stamp: float, heading: Optional[np.ndarray] = None, unplaced: Sequence[str] = ()) -> Dict[str, Level]:
         """Return the level of everybody at `stamp` (s).
 
-        robot: (3,) m; heading: (3,) unit vector, where the robot looks; None: it is taken to look at everybody.
+        robot: (3,) m; heading: (3,) unit vector, where the robot looks; None: it is taken to look at everybody. unplaced: ids of
+        those who are tracked, but of whom nothing is seen.
         """
+        crowd = Crowd.of(people)
         attentive = {gaze.sender for gaze in gazes if gaze.receiver == ROBOT}
-        listed = {person.id for person in people}
-        self._persons = {identity: person for identity, person in self._persons.items() if identity in listed}
-        levels: Dict[str, Level] = {}
-        for onlooker in people:
-            person = self._persons.setdefault(onlooker.id, _Person(stamp))
-            if stamp < person.stamp:
-                person = self._persons[onlooker.id] = _Person(stamp)
-            self._step(person, onlooker, onlooker.id in attentive, robot, stamp, heading)
-            levels[onlooker.id] = person.level
-        return levels
+        gain = _Gain(self._settings.engagement_time)
+        persons: Dict[str, _Person] = {}
+        for identity, seen, distance, ahead in zip(crowd.ids, *self._places(crowd, robot, heading)):
+            person = persons[identity] = self._person(identity, stamp)
+            if seen:
+                person.seen_at = stamp
+            near = identity in attentive and self._is_near(person, distance)
+            self._step(person, near and ahead, stamp, gain)
+        for identity in unplaced:
+            person = persons[identity] = self._person(identity, stamp)
+            self._step(person, False, stamp, gain)
+        self._persons = persons
+        return {identity: person.level for identity, person in persons.items()}
 
-    def _step(self, person: _Person, onlooker: Onlooker, looks: bool, robot: Optional[np.ndarray], stamp: float,
-              heading: Optional[np.ndarray]) -> None:
-        settings = self._settings
-        if robot is not None and onlooker.head is not None and _has_direction(onlooker):
-            person.seen_at = stamp
+    def _person(self, identity: str, stamp: float) -> _Person:
+        person = self._persons.get(identity)
+        return _Person(stamp) if person is None or stamp < person.stamp else person
+
+    def _places(self, crowd: Crowd, robot: Optional[np.ndarray], heading: Optional[np.ndarray]
+                ) -> Tuple[List[bool], List[float], List[bool]]:
+        """Of each: whether place and direction are known, the distance (m) from the robot, and whether the robot looks there."""
+        count = len(crowd)
+        if robot is None or not count:
+            return [False] * count, [math.inf] * count, [True] * count
+        ways = crowd.heads - robot
+        unknown = np.isnan(crowd.heads[:, 0]) | (np.isnan(crowd.closed) & np.isnan(crowd.gazes[:, 0]) & np.isnan(crowd.faces[:, 0])
+                                                 & np.isnan(crowd.trunks[:, 0]))
+        # Over the floor: a child and a low robot are as near as they stand.
+        distances = np.sqrt(ways[:, 0] ** 2 + ways[:, 1] ** 2)
+        ahead = [True] * count
+        if heading is not None:
+            lengths = np.sqrt((ways * ways).sum(axis=1))
+            ahead = ((lengths < 1e-6) | ~(ways @ heading < lengths * math.cos(self._settings.engagement_view))).tolist()
+        return (~unknown).tolist(), distances.tolist(), ahead
+
+    def _step(self, person: _Person, mutual: bool, stamp: float, gain: _Gain) -> None:
         dt, person.stamp = stamp - person.stamp, stamp
-        if stamp - person.seen_at > settings.engagement_lost_time:
+        if stamp - person.seen_at > self._settings.engagement_lost_time:
             person.level, person.attention, person.near = Level.UNKNOWN, 0.0, False
             return
-        mutual = looks and self._is_near(person, onlooker, robot) and self._is_seen(onlooker, robot, heading)
-        gain = 1.0 - math.exp(-dt / settings.engagement_time)
-        person.attention += gain * (float(mutual) - person.attention)
+        person.attention += gain.at(dt) * (float(mutual) - person.attention)
         person.level = self._next(person.level, person.attention)
 
     def _next(self, level: Level, attention: float) -> Level:
@@ -103,22 +124,21 @@ class EngagementEstimator:
             return Level.ENGAGED
         return Level.DISENGAGED if attention < settings.disengaged_level else level
 
-    def _is_near(self, person: _Person, onlooker: Onlooker, robot: Optional[np.ndarray]) -> bool:
-        if robot is None or onlooker.head is None:
+    def _is_near(self, person: _Person, distance: float) -> bool:
+        if not math.isfinite(distance):
             return False
         border = self._settings.engagement_distance + (self._settings.engagement_distance_margin if person.near else 0.0)
-        # Over the floor: a child and a low robot are as near as they stand.
-        person.near = math.hypot(*(np.asarray(onlooker.head) - robot)[:2].tolist()) < border
+        person.near = distance < border
         return person.near
 
-    def _is_seen(self, onlooker: Onlooker, robot: Optional[np.ndarray], heading: Optional[np.ndarray]) -> bool:
-        if heading is None or robot is None or onlooker.head is None:
-            return True
-        way = np.asarray(onlooker.head) - robot
-        length = float(np.linalg.norm(way))
-        return length < 1e-6 or float(way @ heading) / length >= math.cos(self._settings.engagement_view)
 
+class _Gain:
+    """Gain of a first-order low-pass over a step of time; nearly everybody's is the same."""
 
-def _has_direction(onlooker: Onlooker) -> bool:
-    return onlooker.eyes_closed is not None or any(direction is not None for direction in (
-        onlooker.gaze_direction, onlooker.head_direction, onlooker.body_direction))
+    def __init__(self, time_constant: float) -> None:
+        self._time_constant, self._dt, self._gain = time_constant, 0.0, 0.0
+
+    def at(self, dt: float) -> float:
+        if dt != self._dt:
+            self._dt, self._gain = dt, 1.0 - math.exp(-dt / self._time_constant)
+        return self._gain

@@ -6,11 +6,11 @@ With few people the number of numpy calls is what costs, so everything is comput
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Optional, Sequence, Tuple
+from typing import Optional, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.interactions.gaze_people import Onlooker
+from hri_pipeline.core.interactions.crowd import UNKNOWN, Crowd
 
 _NEVER = -1e9
 _SIZE_PART = 0.5
@@ -24,26 +24,21 @@ _HALF_WEIGHT = 4.0
 _LEAST_VISIBLE = 0.02
 _HEAD_BESIDE_EYES = 0.64
 """How much the head's direction counts beside that of the eyes: it is off by the same amount for as long as a look lasts."""
-_UNKNOWN = np.full(3, np.nan)
 _TWO_PI = 2.0 * np.pi
 
 
 class Sights:
     """Directions and distances from every onlooker to every target: the N people, then the robot; T = N + 1.
 
-    heads, gazes, faces, trunks: (N, 3), NaN where unknown. units: (N, T, 3) unit vectors; distances: (N, T) m;
-    possible: (N, T), who may be looked at at all; deviations: (N, 4) of head's place (m), face, gaze and trunk (rad).
+    heads, gazes, faces, trunks, deviations: those of the crowd. units: (N, T, 3) unit vectors; distances: (N, T) m;
+    possible: (N, T), who may be looked at at all.
     """
 
-    def __init__(self, people: Sequence[Onlooker], robot: Optional[np.ndarray], max_distance: float) -> None:
+    def __init__(self, people: Crowd, robot: Optional[np.ndarray], max_distance: float) -> None:
         count = len(people)
-        parts = [value if value is not None else _UNKNOWN for person in people for value in (
-            person.head, person.gaze_direction, person.head_direction, person.body_direction)]
-        columns = np.concatenate(parts).reshape(count, 4, 3).astype(np.float64)
-        self.heads, self.gazes, self.faces, self.trunks = columns[:, 0], columns[:, 1], columns[:, 2], columns[:, 3]
-        self.deviations = np.array([(person.head_sd, person.head_direction_sd, person.gaze_direction_sd, person.body_direction_sd)
-                                    for person in people])
-        targets = np.concatenate([self.heads, [_UNKNOWN if robot is None else robot]])
+        self.heads, self.gazes, self.faces, self.trunks = people.heads, people.gazes, people.faces, people.trunks
+        self.deviations = people.deviations
+        targets = np.concatenate([self.heads, [UNKNOWN if robot is None else robot]])
         between = targets[None] - self.heads[:, None]
         distances = np.sqrt((between * between).sum(axis=2))
         with np.errstate(invalid="ignore"):

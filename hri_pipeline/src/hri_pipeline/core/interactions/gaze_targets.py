@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Dict, List, Optional, Sequence
+from typing import Dict, List, Optional, Sequence, Union
 
 import numpy as np
 
+from hri_pipeline.core.interactions.crowd import Crowd
 from hri_pipeline.core.interactions.gaze_evidence import Sights, evidence
 from hri_pipeline.core.interactions.gaze_filter import GazeFilter
 from hri_pipeline.core.interactions.gaze_people import ROBOT, GazeTarget, Onlooker
@@ -45,7 +46,7 @@ class GazeTargets:
         self._weighed = []
         self._stamp = None
 
-    def update(self, people: Sequence[Onlooker], robot: Optional[np.ndarray], stamp: float) -> List[GazeTarget]:
+    def update(self, people: Union[Crowd, Sequence[Onlooker]], robot: Optional[np.ndarray], stamp: float) -> List[GazeTarget]:
         """Take everybody who is tracked at `stamp` (s), each id once; return the gazes of this time.
 
         robot: (3,) m, None when nobody knows where it is. Time that goes back begins anew.
@@ -55,12 +56,13 @@ class GazeTargets:
         # The first image counts in full.
         dt = self._settings.evidence_time if self._stamp is None else stamp - self._stamp
         self._stamp = stamp
-        if not people:
+        people = Crowd.of(people)
+        if not people.ids:
             self._filter.reset()
             return []
         sights = Sights(people, robot, self._settings.max_distance)
         ratios, times = evidence(sights, self._settings)
-        ids = [person.id for person in people]
+        ids = people.ids
         closed = self._closed(people, stamp)
         looked_at = self._filter.update(ids, self._weights(sights, ids, stamp), ratios, times, closed, dt)
         names = ids + [ROBOT]
@@ -74,15 +76,15 @@ class GazeTargets:
             self._latest_weights = sights.weights(self._settings.head_radius)
         return self._latest_weights
 
-    def _closed(self, people: Sequence[Onlooker], stamp: float) -> np.ndarray:
+    def _closed(self, people: Crowd, stamp: float) -> np.ndarray:
         """(N,) whose eyes are closed. Eyes that are not seen have not opened, for a while."""
-        since, self._closed_at = self._closed_at, {}
-        for person in people:
-            before = since.get(person.id, -np.inf)
-            if person.eyes_closed is not None and person.eyes_closed >= self._settings.closed_threshold:
-                self._closed_at[person.id] = stamp
-            else:
-                hidden = person.eyes_closed is None and person.gaze_direction is None
-                if stamp - before < (_CLOSED_MEMORY_S if hidden else _REOPEN_S):
-                    self._closed_at[person.id] = before
-        return np.array([person.id in self._closed_at for person in people], dtype=bool)
+        closed = people.closed >= self._settings.closed_threshold      # False where it is not known
+        since, self._closed_at = self._closed_at, {people.ids[row]: stamp for row in np.nonzero(closed)[0].tolist()}
+        if since:
+            hidden = np.isnan(people.closed) & np.isnan(people.gazes[:, 0])
+            for row, identity in enumerate(people.ids):
+                before = since.get(identity)
+                if before is not None and not closed[row] and stamp - before < (_CLOSED_MEMORY_S if hidden[row] else _REOPEN_S):
+                    self._closed_at[identity] = before
+                    closed[row] = True
+        return closed

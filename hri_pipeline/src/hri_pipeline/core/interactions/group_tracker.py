@@ -23,7 +23,7 @@ _JUMP_BACK_S = 0.5
 _STAMP_S = 1e-3         # stamps that are nearer to each other are of one moment
 _OPPOSITE = math.pi / 2.0
 _MAJORITY = 0.5
-_WAY_S = 0.85           # over which a velocity is measured
+_WAY_S = 1.05           # over which a velocity is measured: three looks at least
 _APART_WEIGHT = 2.0     # a moment in which people walk apart counts so much more
 _STAY_BONUS = 0.1       # share of the time that speaks for those who are in one group already
 

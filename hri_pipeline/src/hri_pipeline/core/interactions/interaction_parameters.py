@@ -26,8 +26,8 @@ _FRAMES = (
               "Frames of a face, a gaze or a body that are older than the newest ones by more than this are not used.",
               unit="s", minimum=0.05, maximum=5.0),
     Parameter("gaze_timeout", 0.15,
-              "A face whose frame gaze_ID, seen before, is missing for so long while face_ID goes on has its eyes closed. Longer: for "
-              "detectors that lose the gaze now and then; closed eyes are noticed later.", unit="s", minimum=0.0, maximum=2.0),
+              "A face whose frame gaze_ID is missing for so long while face_ID goes on has its eyes closed, where any face of the same "
+              "sensor has had one. Longer: for detectors that lose the gaze now and then; closed eyes are noticed later.", unit="s", minimum=0.0, maximum=2.0),
     Parameter("groups_with_robot", True,
               "The robot may be a member of a group, under the empty id. It needs a place: robot_frame, or the camera."),
     Parameter("interface", "paper",
@@ -120,8 +120,8 @@ _GROUPS = (
     Parameter("group_room", 22.0,
               "Area in which the middles of two different groups lie anywhere: people form a group when their middles agree better "
               "than by chance in this area. Larger: more and larger groups.", unit="m^2", minimum=1.0, maximum=1000.0),
-    Parameter("group_period", 0.2,
-              "Least time between two looks at who stands together. Longer: less load.", unit="s", minimum=0.0, maximum=5.0),
+    Parameter("group_period", 0.3,
+              "Least time between two looks at who stands together, and between two messages of the groups. Longer: less load.", unit="s", minimum=0.0, maximum=5.0),
     Parameter("group_time", 2.0,
               "Time constant of who stands with whom: a group is who stood together for most of about twice this time. Longer: steadier "
               "groups, later changes.", unit="s", minimum=0.0, maximum=30.0),

@@ -6,11 +6,15 @@ import math
 from collections import OrderedDict
 from typing import Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
 
-from hri_pipeline.core.tf_scan import RawTransform
+from hri_pipeline.core.tf_scan import RawTransform, read
 
 MAX_WAY = 12            # links between the head of a skeleton and the camera; the neck has three joints
 MAX_UNCLAIMED = 500
 _MAX_LIMBS = 5000
+_MAX_SENSORS = 100
+_FACE, _GAZE = "face_", "gaze_"
+_ENDS = ("body_", "person_")
+"""Frames right below that of a sensor or of the world."""
 
 
 class Features(NamedTuple):
@@ -41,11 +45,15 @@ class PeopleFrames:
         self._unclaimed: "OrderedDict[str, Timed]" = OrderedDict()
         self._limbs: Set[bytes] = set()
         self._suffixes: Tuple[bytes, ...] = ()
+        self._unread: Dict[bytes, Tuple[bytes, int]] = {}
+        self._faces_since: Dict[str, float] = {}
+        self._gazers: "OrderedDict[str, None]" = OrderedDict()
         self.refused = 0
 
     def __len__(self) -> int:
         """Return the number of transforms kept."""
-        return len(self._frames) + len(self._unclaimed)
+        unread = sum(name.decode("utf-8", "replace") not in self._frames for name in self._unread)
+        return len(self._frames) + unread + len(self._unclaimed)
 
     @property
     def people(self) -> Dict[str, Features]:
@@ -72,6 +80,17 @@ class PeopleFrames:
         """Tell whether put() is to be called for a frame."""
         return child in self._wanted
 
+    def put_unread(self, child: bytes, data: bytes, offset: int) -> None:
+        """Keep a moving transform as it is in a message; it is read when it is asked for, and most never are."""
+        self._unread[child] = (data, offset)
+
+    def unseen_since(self, face: RawTransform) -> float:
+        """Stamp (s) from which a face without a gaze frame might have had one.
+
+        Infinite where its sensor has not told the gaze of any face: it does not measure it.
+        """
+        return self._faces_since.get(face.child, math.inf) if face.parent in self._gazers else math.inf
+
     def is_limb(self, child: bytes) -> bool:
         """Tell whether a frame that is not wanted belongs to the skeleton of somebody who is tracked."""
         if child in self._limbs:
@@ -90,9 +109,12 @@ class PeopleFrames:
         name = transform.child
         timed = Timed(transform, math.inf if fixed else transform.stamp)
         self._frames[name] = timed
-        above = transform.parent.encode()
-        if above not in self._wanted and name.encode() in self._wanted and above.endswith(self._suffixes or (b"\0",)):
-            self._want_above(name)
+        if name.startswith(_FACE):
+            self._faces_since.setdefault(name, timed.stamp)
+        elif name.startswith(_GAZE):
+            self._note_gaze(name)
+        elif not name.startswith(_ENDS):
+            self._note_link(transform)
         return True
 
     def keep_fixed(self, transform: RawTransform) -> None:
@@ -105,6 +127,9 @@ class PeopleFrames:
 
     def get(self, frame: str, oldest: float = -math.inf) -> Optional[Timed]:
         """Return the latest transform of a frame unless it is older than the stamp `oldest` (s)."""
+        unread = self._unread.pop(frame.encode(), None)
+        if unread is not None:
+            self.put(read(*unread), fixed=False)
         timed = self._frames.get(frame)
         return timed if timed is not None and timed.stamp >= oldest else None
 
@@ -125,6 +150,22 @@ class PeopleFrames:
     def clear_moving(self) -> None:
         """Forget what moves, as after a time jump."""
         self._frames = {name: timed for name, timed in self._frames.items() if math.isinf(timed.stamp)}
+        self._unread.clear()
+        self._faces_since.clear()
+
+    def _note_link(self, transform: RawTransform) -> None:
+        """Want the frame above a wanted one, where it belongs to the same skeleton."""
+        above, name = transform.parent.encode(), transform.child.encode()
+        if above not in self._wanted and name in self._wanted and above.endswith(self._suffixes or (b"\0",)):
+            self._want_above(transform.child)
+
+    def _note_gaze(self, gaze: str) -> None:
+        """Remember the sensor whose faces have gazes."""
+        face = self._frames.get(_FACE + gaze[len(_GAZE):])
+        if face is not None and face.transform.parent not in self._gazers:
+            self._gazers[face.transform.parent] = None
+            while len(self._gazers) > _MAX_SENSORS:
+                self._gazers.popitem(last=False)
 
     def _rebuild(self) -> None:
         wanted: Set[str] = set()
@@ -137,6 +178,8 @@ class PeopleFrames:
                 wanted.update(("body_" + features.body, "head_" + features.body))
                 bodies.append(features.body)
         self._wanted = {name.encode() for name in wanted}
+        self._unread = {name: where for name, where in self._unread.items() if name in self._wanted}
+        self._faces_since = {name: since for name, since in self._faces_since.items() if name in wanted}
         self._suffixes = tuple(("_" + body).encode() for body in bodies)
         self._limbs.clear()
         before = self._frames

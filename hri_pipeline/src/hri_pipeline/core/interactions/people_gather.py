@@ -1,16 +1,17 @@
-"""Makes onlookers of the frames of people: all of them at once, in the frame in which they are compared."""
+"""Makes a crowd of the frames of people: all of them at once, in the frame in which they are compared."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from types import SimpleNamespace
-from typing import Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 from typing import Counter as CounterOf
 
 import numpy as np
 
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.interactions.gaze_people import Onlooker
+from hri_pipeline.core.interactions.crowd import Crowd
 from hri_pipeline.core.interactions.people_frames import PeopleFrames, Timed
 from hri_pipeline.core.tf_scan import RawTransform
 
@@ -20,10 +21,7 @@ Places = Callable[[CounterOf[str]], Mapping[str, Pose]]
 HEAD_ABOVE_HIPS = 0.65
 """Height (m) of the eyes above the middle of the hips of somebody who stands: about 0.38 of the stature (Winter 2009)."""
 _AXIS_X, _AXIS_Z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-_UP = np.array([0.0, 0.0, 1.0])
 _LEAST_LEVEL = 0.3
-_SOURCES = ("face", "head", "body", "person", "place")
-"""What places a person, the best first."""
 _PLACE_SD, _PLACE_SD_PER_M, _FALLBACK_SD = 0.03, 0.02, 0.15
 """Standard deviations (m) of heads: at the camera, more for each metre of distance, and from anything but a face."""
 
@@ -35,126 +33,166 @@ class Seen(NamedTuple):
     closed: float
 
 
-class _Row(NamedTuple):
-    """One direction (an axis turned by each rotation, the last one in the sensor's frame) and the origin of the last one."""
-
-    sensor: str
-    links: Sequence[RawTransform]
-    axis: np.ndarray
-
-
 class _Person(NamedTuple):
-    """Rows of one person by meaning, what is known of the eyes, and how far from the sensor the face is (m)."""
+    """Rows of one person's frames, -1 for none.
+
+    place: what places the person, of `source`; head, gaze, trunk: directions. range: how far from the sensor the face is (m).
+    """
 
     id: str
-    rows: Dict[str, int]
-    eyes_closed: Optional[float]
+    source: str
+    place: int
+    head: int
+    gaze: int
+    trunk: int
+    eyes_closed: float
     range: float
 
 
+class _Rows:
+    """Frames whose places and directions are wanted: sensor, links from the frame up to the sensor's, and axis of each."""
+
+    def __init__(self) -> None:
+        self.sensors: List[str] = []
+        self.links: List[Sequence[RawTransform]] = []
+        self.along_z: List[int] = []
+
+    def add(self, links: Sequence[RawTransform]) -> int:
+        """Return the row of a new frame, whose x axis is its direction."""
+        self.sensors.append(links[-1].parent)
+        self.links.append(links)
+        return len(self.links) - 1
+
+
+class _Frames(NamedTuple):
+    """What one person has at the moment: rows by meaning, -1 for none, the best place first."""
+
+    face: int = -1
+    head: int = -1
+    body: int = -1
+    person: int = -1
+    place: int = -1
+    gaze: int = -1
+
+
 def gather(frames: PeopleFrames, places: Places, newest: float, settings: SimpleNamespace,
-           lids: Mapping[str, Seen]) -> List[Onlooker]:
+           lids: Mapping[str, Seen]) -> Crowd:
     """Return everybody who is tracked and has a place, in the order of the tracked list.
 
     newest: stamp (s) of the newest frame; lids: what the action units say of faces, by id. settings: the values of
     INTERACTION_PARAMETERS.
     """
-    rows: List[_Row] = []
-    people = [_collect(identity, frames, newest - settings.frame_timeout, settings, lids, rows) for identity in frames.people]
-    poses = places(Counter(row.sensor for row in rows))
-    origins, directions, placed = _placed(rows, poses)
-    found = [_onlooker(person, origins, directions, placed, settings) for person in people]
-    return [onlooker for onlooker in found if onlooker is not None]
+    rows = _Rows()
+    oldest = newest - settings.frame_timeout
+    found = [(identity, *_collect(identity, frames, oldest, settings, lids, rows)) for identity in frames.people]
+    poses = places(Counter(rows.sensors))
+    people = [person for person in (_person(*one, poses, rows.sensors) for one in found) if person is not None]
+    if not people:
+        return Crowd.empty()
+    origins, directions = _placed(rows, poses)
+    return _crowd(people, origins, directions, settings)
 
 
 def _collect(identity: str, frames: PeopleFrames, oldest: float, settings: SimpleNamespace, lids: Mapping[str, Seen],
-             rows: List[_Row]) -> _Person:
-    """Add the rows of one person."""
-    features, mine = frames.people[identity], {}
-
-    def add(meaning: str, sensor: str, links: Sequence[RawTransform], axis: np.ndarray = _AXIS_X) -> None:
-        mine[meaning] = len(rows)
-        rows.append(_Row(sensor, links, axis))
-
-    closed, far = None, 0.0
-    face = frames.get("face_" + features.face, oldest) if features.face else None
+             rows: _Rows) -> Tuple[_Frames, float, float]:
+    """Add the rows of one person; return them, the closedness of the eyes (NaN unknown), and the distance of the face (m)."""
+    (face_id, body_id), mine = frames.people[identity], {}
+    closed, far = math.nan, 0.0
+    face = frames.get("face_" + face_id, oldest) if face_id else None
     if face is not None:
-        add("face", face.transform.parent, (face.transform,))
+        mine["face"] = rows.add((face.transform,))
         x, y, z = face.transform.translation
-        far = (x * x + y * y + z * z) ** 0.5
-        gaze = frames.get("gaze_" + str(features.face))
-        closed = _closed(face, gaze, lids.get(str(features.face)), settings)
+        far = math.sqrt(x * x + y * y + z * z)
+        gaze = frames.get("gaze_" + face_id)
+        closed = _closed(frames, face, gaze, lids.get(face_id), settings)
         if gaze is not None and face.stamp - gaze.stamp <= settings.gaze_timeout and far < settings.gaze_range:
             links = (gaze.transform, face.transform) if gaze.transform.parent == face.transform.child else (gaze.transform,)
-            add("gaze", links[-1].parent, links, _AXIS_Z)
-    body = frames.get("body_" + features.body, oldest) if features.body else None
+            mine["gaze"] = rows.add(links)
+            rows.along_z.append(mine["gaze"])
+    body = frames.get("body_" + body_id, oldest) if body_id else None
     if body is not None:
-        add("body", body.transform.parent, (body.transform,))
-        way = frames.way(str(features.body), oldest) if face is None else []
+        mine["body"] = rows.add((body.transform,))
+        way = frames.way(body_id, oldest) if face is None else None
         if way:
-            add("head", way[-1].parent, way)
+            mine["head"] = rows.add(way)
     person = frames.get("person_" + identity) if face is None and body is None else None
     if person is not None:
         # Nobody has told what makes this person up: the frame is taken for that of the face.
-        unknown = features.face is None and features.body is None and person.stamp >= oldest
-        add("person" if unknown else "place", person.transform.parent, (person.transform,))
-    return _Person(identity, mine, closed, far)
+        unknown = face_id is None and body_id is None and person.stamp >= oldest
+        mine["person" if unknown else "place"] = rows.add((person.transform,))
+    return _Frames(**mine), closed, far
 
 
-def _closed(face: Timed, gaze: Optional[Timed], lids: Optional[Seen], settings: SimpleNamespace) -> Optional[float]:
-    """Closedness of the eyes: by the action units, else a gaze that is no longer told has closed eyes."""
+def _closed(frames: PeopleFrames, face: Timed, gaze: Optional[Timed], lids: Optional[Seen], settings: SimpleNamespace) -> float:
+    """Closedness of the eyes, NaN unknown: by the action units, else a gaze that is not told has closed eyes.
+
+    It is not told, or not any more; a sensor that has not told any face's gaze does not measure it.
+    """
     if lids is not None and abs(face.stamp - lids.stamp) <= settings.frame_timeout:
         return lids.closed
-    if gaze is None:
-        return None
-    missing = face.stamp - gaze.stamp
-    if missing <= 1e-6:
+    since = gaze.stamp if gaze is not None else frames.unseen_since(face.transform)
+    missing = face.stamp - since
+    if gaze is not None and missing <= 1e-6:
         return 0.0
-    return 1.0 if missing > settings.gaze_timeout else None
+    return 1.0 if missing > settings.gaze_timeout else math.nan
 
 
-def _placed(rows: Sequence[_Row], poses: Mapping[str, Pose]) -> Tuple[np.ndarray, np.ndarray, List[bool]]:
-    """Origins (K, 3) m, unit directions (K, 3), and which rows have a pose."""
-    placed = [row.sensor in poses for row in rows]
-    if not any(placed):
-        return np.zeros((len(rows), 3)), np.zeros((len(rows), 3)), placed
-    longest = max(len(row.links) for row in rows)
-    origins, directions = np.zeros((len(rows), 3)), np.array([row.axis for row in rows])
-    for level in range(longest):
-        which = [index for index, row in enumerate(rows) if len(row.links) > level]
-        turns = np.array([rows[index].links[level].rotation for index in which])
-        shifts = np.array([rows[index].links[level].translation for index in which])
-        directions[which] = rotate(turns, directions[which])
-        origins[which] = (rotate(turns, origins[which]) if level else 0.0) + shifts
-    for sensor, pose in poses.items():
-        which = [index for index, row in enumerate(rows) if row.sensor == sensor]
-        origins[which] = origins[which] @ pose.rotation.T + pose.translation
-        directions[which] = directions[which] @ pose.rotation.T
-    return origins, directions, placed
+def _person(identity: str, mine: _Frames, closed: float, far: float, poses: Mapping[str, Pose], sensors: Sequence[str]
+            ) -> Optional[_Person]:
+    """Choose among the frames whose sensors have a pose; None where there is none."""
+    face, head, body, person, place, gaze = (row if row >= 0 and sensors[row] in poses else -1 for row in mine)
+    if face >= 0:
+        return _Person(identity, "face", face, face, gaze, body, closed, far)
+    for source, row, facing in (("head", head, head), ("body", body, -1), ("person", person, person), ("place", place, -1)):
+        if row >= 0:
+            return _Person(identity, source, row, facing, -1, body, math.nan, far)
+    return None
 
 
-def _onlooker(person: _Person, origins: np.ndarray, directions: np.ndarray, placed: Sequence[bool],
-              settings: SimpleNamespace) -> Optional[Onlooker]:
-    rows = {meaning: row for meaning, row in person.rows.items() if placed[row]}
-    source = next((source for source in _SOURCES if source in rows), None)
-    if source is None:
-        return None
-    sd = _PLACE_SD + _PLACE_SD_PER_M * person.range if source == "face" else _FALLBACK_SD
-    head = origins[rows[source]] + (HEAD_ABOVE_HIPS * _UP if source == "body" else 0.0)
-    facing = None if source in ("body", "place") else directions[rows[source]]
-    trunk = directions[rows["body"]] if "body" in rows else None
-    if trunk is not None and float(np.hypot(trunk[0], trunk[1])) < _LEAST_LEVEL:
-        trunk = None
-    return Onlooker(
-        person.id, head, sd, facing, settings.skeleton_head_sd if source == "head" else settings.head_sd,
-        directions[rows["gaze"]] if "gaze" in rows and source == "face" else None, _gaze_sd(person.range, settings),
-        person.eyes_closed if source == "face" else None, trunk, settings.trunk_sd)
+def _placed(rows: _Rows, poses: Mapping[str, Pose]) -> Tuple[np.ndarray, np.ndarray]:
+    """Origins (K + 1, 3) m and unit directions (K + 1, 3); the last row is NaN, and so are those without a pose."""
+    count = len(rows.links)
+    origins, directions = np.full((count + 1, 3), np.nan), np.full((count + 1, 3), np.nan)
+    directions[:-1] = _AXIS_X
+    directions[rows.along_z] = _AXIS_Z
+    turns = np.array([links[0].rotation for links in rows.links])
+    origins[:-1] = [links[0].translation for links in rows.links]
+    directions[:-1] = rotate(turns, directions[:-1])
+    longest = max(map(len, rows.links))
+    for level in range(1, longest):
+        which = [index for index, links in enumerate(rows.links) if len(links) > level]
+        turns = np.array([rows.links[index][level].rotation for index in which])
+        both = rotate(np.concatenate([turns, turns]), np.concatenate([directions[which], origins[which]]))
+        directions[which] = both[:len(which)]
+        origins[which] = both[len(which):] + [rows.links[index][level].translation for index in which]
+    for sensor in set(rows.sensors):
+        pose = poses.get(sensor)
+        which = [index for index, name in enumerate(rows.sensors) if name == sensor]
+        origins[which] = origins[which] @ pose.rotation.T + pose.translation if pose is not None else np.nan
+        directions[which] = directions[which] @ pose.rotation.T if pose is not None else np.nan
+    return origins, directions
+
+
+def _crowd(people: Sequence[_Person], origins: np.ndarray, directions: np.ndarray, settings: SimpleNamespace) -> Crowd:
+    ids, sources, place, head, gaze, trunk, closed, ranges = zip(*people)
+    heads = origins[list(place)]
+    if "body" in sources:
+        heads[[row for row, source in enumerate(sources) if source == "body"], 2] += HEAD_ABOVE_HIPS
+    trunks = directions[list(trunk)]
+    lying = trunks[:, 0] ** 2 + trunks[:, 1] ** 2 < _LEAST_LEVEL ** 2
+    if lying.any():
+        trunks[lying] = np.nan
+    deviations = np.array([(
+        _PLACE_SD + _PLACE_SD_PER_M * person.range if person.source == "face" else _FALLBACK_SD,
+        settings.skeleton_head_sd if person.source == "head" else settings.head_sd, _gaze_sd(person.range, settings), settings.trunk_sd)
+        for person in people])
+    return Crowd(list(ids), heads, directions[list(gaze)], directions[list(head)], trunks, deviations, np.array(closed))
 
 
 def _gaze_sd(distance: float, settings: SimpleNamespace) -> float:
     """Standard deviation (rad) of the eyes' direction; from half of gaze_range on the head's takes over."""
     part = min(max(2.0 * distance / settings.gaze_range - 1.0, 0.0), 1.0)
-    return float(np.hypot(settings.gaze_sd, part * settings.eyes_in_head_sd))
+    return math.hypot(settings.gaze_sd, part * settings.eyes_in_head_sd)
 
 
 def rotate(quaternions: np.ndarray, vectors: np.ndarray) -> np.ndarray:

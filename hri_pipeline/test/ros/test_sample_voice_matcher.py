@@ -14,7 +14,7 @@ WAIT_S = 60.0
 TURNS = 4
 
 
-class TestVoiceMatcherSample(unittest.TestCase):
+class TestSampleVoiceMatcher(unittest.TestCase):
     def test_turns_go_to_who_speaks(self):
         turns, matched = [], {}
 
@@ -43,5 +43,5 @@ class TestVoiceMatcherSample(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("test_voice_matcher_sample")
-    rostest.rosrun("hri_pipeline", "test_voice_matcher_sample", TestVoiceMatcherSample, sys.argv)
+    rospy.init_node("test_sample_voice_matcher")
+    rostest.rosrun("hri_pipeline", "test_sample_voice_matcher", TestSampleVoiceMatcher, sys.argv)
