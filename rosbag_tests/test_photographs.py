@@ -13,9 +13,9 @@ from std_msgs.msg import Header, String
 
 from hri_msgs.msg import FacialLandmarks, Skeleton2D
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.image_sources import open_source
 from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.core.source_parameters import SOURCE_PARAMETERS
+from hri_pipeline.core.pictures.image_sources import open_source
+from hri_pipeline.core.pictures.source_parameters import SOURCE_PARAMETERS
 from hri_pipeline.ros.conversions import bgr_to_image, landmarks_from_msg, skeleton_from_msg
 from hri_pipeline.ros.feature_feed import FeatureFeed
 

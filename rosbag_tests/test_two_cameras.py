@@ -17,8 +17,8 @@ from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import IdsList
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.image_fit import fit_image
 from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.pictures.image_fit import fit_image
 from hri_pipeline.ros.conversions import bgr_to_image
 from hri_pipeline.ros.feature_feed import FeatureFeed
 

@@ -138,7 +138,7 @@ def _measure(part: str, details: Dict[str, object], turns: int) -> Dict[str, obj
 
 
 def _whose_voice() -> Dict[str, object]:
-    """Parts of the voiced time: one microphone, one with a voice for each turn, and an array."""
+    """Parts of the voiced time: one microphone, one with voices that go on for 2 s (`resume_time`), and an array."""
     from hri_pipeline.evaluation.voice_matching_figures import whose_voice
     return {"whose_voice": {name.replace("whose_voice_", ""): value for name, value in whose_voice().items()}}
 
