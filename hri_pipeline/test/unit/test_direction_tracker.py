@@ -131,3 +131,11 @@ def test_time_that_stands_still_does_no_harm():
     for _ in range(20):
         found = sources.update([peak(12.0)], 5.0)
     assert len(found) == 1 and np.isfinite(found[0].direction).all()
+
+
+def test_a_direction_that_is_not_sure_is_no_source_until_it_is():
+    sources = tracker()
+    hiss = [Peak(peak(30.0).direction, 0.15, False), Peak(peak(-31.0).direction, 0.12, False)]
+    assert not any(follow(sources, [hiss] * 20))
+    known = follow(sources, [[peak(30.0, 0.2)] + hiss[1:]] * 20, start=20 * STEP)
+    assert [round(azimuth) for azimuth in known[-1].values()] == [30]

@@ -126,3 +126,19 @@ def test_the_noise_floor_is_the_power_of_the_noise(channels):
     # The squared window adds up to half of its length.
     assert 10.0 * np.log10(power / (0.01 ** 2 * FRAME / 2)) == pytest.approx(0.0, abs=0.7)
     assert np.mean([sure.mean() for sure, _ in found[250:]]) < 0.02
+
+
+def test_a_hiss_is_sure_of_no_direction_and_a_voice_of_its_own_only():
+    """A consonant without low frequencies also seems to come from where its waves fit between the microphones once more."""
+    square = SQUARE * 0.0325 / 0.04
+    random = np.random.RandomState(3)
+    spectrum = np.fft.rfft(random.standard_normal(9600))
+    frequencies = np.fft.rfftfreq(9600, 1.0 / 16000)
+    spectrum[(frequencies < 4300) | (frequencies > 6000)] = 0.0
+    hiss = 0.3 * np.fft.irfft(spectrum, 9600)
+    hiss[:4800] = 0.0
+    found = peaks(plane_wave(hiss, square, towards(31.0)) + noise(9600, 4), square)
+    assert len(found) >= 2 and any(angle(peak.direction, towards(-31.0)) < 8.0 for peak in found)
+    assert not any(peak.sure for peak in found)
+    voice = peaks(heard(towards(31.0), square), square)
+    assert [peak for peak in voice if peak.sure] == [voice[0]] and angle(voice[0].direction, towards(31.0)) < 2.0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.parameters import ParameterError, ParameterTable
-from hri_pipeline.core.sound.beamformer import SourceBeamformers, inverse
+from hri_pipeline.core.sound.beamformer import SourceBeamformers, inverse, solve
 from hri_pipeline.core.sound.microphone_array import MicrophoneArray
 from hri_pipeline.core.sound.sound_array_parameters import SOUND_ARRAY_PARAMETERS
 from hri_pipeline.core.sound.sound_separation import SoundSeparator
@@ -51,12 +51,15 @@ def ratio_db(estimate, reference):
 
 
 @pytest.mark.parametrize("channels", [2, 4, 7])
-def test_inverses_are_those_of_lapack(channels):
+def test_inverses_and_solutions_are_those_of_lapack(channels):
     random = np.random.RandomState(channels)
     roots = random.standard_normal((50, channels, channels)) + 1j * random.standard_normal((50, channels, channels))
     matrices = roots @ roots.conj().transpose(0, 2, 1) + 0.1 * np.eye(channels)
-    found = np.moveaxis(inverse(np.moveaxis(matrices, 0, -1)), -1, 0)
-    np.testing.assert_allclose(found, np.linalg.inv(matrices), rtol=1e-8, atol=1e-8)
+    last = np.moveaxis(matrices, 0, -1)
+    np.testing.assert_allclose(np.moveaxis(inverse(last), -1, 0), np.linalg.inv(matrices), rtol=1e-8, atol=1e-8)
+    vectors = random.standard_normal((50, channels)) + 1j * random.standard_normal((50, channels))
+    np.testing.assert_allclose(solve(last, vectors.T).T, np.linalg.solve(matrices, vectors[:, :, None])[:, :, 0],
+                               rtol=1e-8, atol=1e-8)
 
 
 def test_the_parts_of_all_sources_are_no_more_than_the_sound():

@@ -1,31 +1,20 @@
-"""Child processes that end with their parent, and how to know a process again."""
+"""Child processes and their last words, and how to know a process again."""
 
 from __future__ import annotations
 
 import os
 import re
-import shutil
 import signal
 import socket
 import subprocess
 import time
-from typing import Dict, List, Mapping, Optional, Sequence
+from typing import Dict, Mapping, Optional, Sequence
+
+from hri_pipeline.core.child_process import ends_with_parent
 
 _KEPT_CHARACTERS = 2000
 _CHUNK = 4096
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
-
-
-def ends_with_parent(arguments: Sequence[str]) -> List[str]:
-    """Return the command that runs `arguments` and gets SIGINT when the thread that started it ends.
-
-    setpriv (util-linux 2.33, part of every Debian and Ubuntu from 2019 on) sets prctl(PR_SET_PDEATHSIG) and becomes the
-    command, with the same process id, about 1 ms after the start: a parent killed sooner leaves an orphan. A preexec_fn
-    would run Python between fork and exec, which may hang in a process with threads. Where setpriv is missing the
-    command comes back as it is.
-    """
-    wrapper = shutil.which("setpriv")
-    return ([wrapper, "--pdeathsig", "INT", "--"] if wrapper else []) + list(arguments)
 
 
 class ChildProcess:

@@ -129,7 +129,7 @@ class Heard(NamedTuple):
     voice_of_turn: List[str]
 
 
-def hear(random: np.random.Generator, turns: Sequence[Turn], array: bool, resume_time: float = 2.0,
+def hear(random: np.random.Generator, turns: Sequence[Turn], array: bool, resume_time: float = 0.0,
          timeout: float = 3.0) -> Heard:
     """What the voices node says: without an array a voice goes on for whoever speaks within `resume_time` s of its end.
 

@@ -20,7 +20,7 @@ _APART = np.deg2rad((25.0, 40.0))
 
 
 def run_conversation(random: np.random.Generator, people: int, with_direction: bool, settings: SimpleNamespace,
-                     resume_time: float = 2.0) -> Dict[str, float]:
+                     resume_time: float = 0.0) -> Dict[str, float]:
     """Seconds of speech that were given to the right face, to a wrong one and to none; of those unseen apart."""
     turns = make_turns(random, people, LENGTH_S, UNSEEN_SHARE)
     mouths = [make_mouth(random, person, turns, LENGTH_S) for person in range(people)]
@@ -50,7 +50,7 @@ def run_conversation(random: np.random.Generator, people: int, with_direction: b
     return found
 
 
-CASES: Sequence[Tuple[str, bool, float]] = (("", False, 2.0), ("_fresh", False, 0.0), ("_direction", True, 2.0))
+CASES: Sequence[Tuple[str, bool, float]] = (("", False, 0.0), ("_resumed", False, 2.0), ("_direction", True, 0.0))
 """Suffix of the figures; with directions (standard deviation 10 degrees) or with one microphone; time (s) within which, without an
 array, the voice of one turn goes on with the next, whoever speaks."""
 

@@ -27,6 +27,8 @@ from hri_pipeline.ros.voice_topics import NAMESPACE, VoiceTopics
 # The recogniser may need so long for the last sentence of a voice that has gone: its topics wait for it.
 _LAST_WORDS_S = 5.0
 _LOG_PERIOD_S = 10.0
+# Frames of voices: a direction changes slowly, and every listener of /tf pays for each.
+_FRAME_PERIOD_S = 0.06
 Status = Tuple[int, str, Dict[str, object]]
 
 
@@ -52,6 +54,7 @@ class VoiceBranch:
         self._topics = VoiceTopics(settings, self._speech is not None)
         self._tracked = TrackedList(NAMESPACE + "/tracked")
         self._transforms = TfPublisher()
+        self._framed: Dict[str, float] = {}
         self._end = 0.0
         # Voices with a sentence that is worked on; those of them that have gone, and until when their topics stay (monotonic s).
         self._unfinished: Set[str] = set()
@@ -67,7 +70,9 @@ class VoiceBranch:
             self._begin(channels)
         observations = self._stage.process(block)
         self._end = block.stamp + len(block.samples) / RATE
-        self._publish(observations)
+        # Most blocks complete no frame, or nobody is there.
+        if observations or self._stage.tracked != self._present:
+            self._publish(observations)
 
     def idle(self, seconds: float) -> None:
         """Note that nothing has come for `seconds` after the last block: turns end."""
@@ -90,6 +95,7 @@ class VoiceBranch:
         self._unfinished.clear()
         self._awaited.clear()
         self._present = ()
+        self._framed.clear()
         self._tracked.set([], rospy.Time.now())
         self._topics.close_ids()
         self._end = 0.0
@@ -171,6 +177,8 @@ class VoiceBranch:
         for identity in gone & self._unfinished:
             self._awaited[identity] = time.monotonic() + _LAST_WORDS_S
         self._present = tuple(ids)
+        for identity in gone:
+            self._framed.pop(identity, None)
         self._topics.keep(set(ids) | set(self._awaited))
 
     def _recognise(self, observation: VoiceObservation) -> None:
@@ -189,9 +197,11 @@ class VoiceBranch:
     def _publish_frames(self, observations: Sequence[VoiceObservation]) -> None:
         """Publish voice_ID of voices whose direction is known, the newest of each."""
         newest: Dict[str, VoiceObservation] = {
-            observation.id: observation for observation in observations if observation.direction is not None}
+            observation.id: observation for observation in observations if observation.direction is not None
+            and not 0.0 <= observation.stamp - self._framed.get(observation.id, -1.0) < _FRAME_PERIOD_S}
         if not newest:
             return
+        self._framed.update((identity, observation.stamp) for identity, observation in newest.items())
         if not self._settings.frame_id:
             rospy.logwarn_throttle(_LOG_PERIOD_S, "~frame_id is empty, so voices have no TF frame; name the microphone's")
             return

@@ -67,7 +67,8 @@ class _Track:
         self._raise(peak)
 
     def _raise(self, peak: Peak) -> None:
-        self.score = min(1.0, self.score + peak.strength - CHANCE_STRENGTH)
+        if peak.sure:
+            self.score = min(1.0, self.score + peak.strength - CHANCE_STRENGTH)
 
     def predict(self, step: float, stamp: float) -> None:
         self.direction = _unit(self.direction + step * self.velocity)
@@ -88,7 +89,7 @@ class _Track:
         self.direction = _unit(self.direction + gain * away)
         if step > 0.0:
             velocity = self.velocity + min(VELOCITY_GAIN, gain * gain / (2.0 - gain)) / step * away
-            self.velocity = velocity * min(1.0, MAX_SPEED / max(1e-9, float(np.linalg.norm(velocity))))
+            self.velocity = velocity * min(1.0, MAX_SPEED / max(1e-9, math.sqrt(float(velocity @ velocity))))
         self.variance *= 1.0 - gain
         self.seen = stamp
         if peak.strength >= HEARD_STRENGTH:
@@ -189,4 +190,4 @@ def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.linalg.norm(vector)
+    return vector / math.sqrt(float(vector @ vector))

@@ -111,8 +111,10 @@ class MicrophoneArray:
         """Return the unit vector (3,) at a place between the points of the grid (fractional elevation, azimuth index)."""
         column = column % len(self._azimuths) if self.wraps else column
         azimuth = self._azimuths[0] + column * self.azimuth_step
-        elevation = float(np.interp(row, np.arange(len(self._elevations)), self._elevations))
-        return self._unit(np.array(azimuth), np.array(elevation))
+        elevation = float(np.interp(row, np.arange(len(self._elevations)), self._elevations)
+                          if len(self._elevations) > 1 else self._elevations[0])
+        level = math.cos(elevation)
+        return np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)]) @ self._basis
 
     def delays(self, directions: np.ndarray) -> np.ndarray:
         """Return when a plane wave from each direction (..., 3) reaches each microphone (..., C), s after the centre."""

@@ -11,6 +11,8 @@ from typing import IO, Optional
 
 import numpy as np
 
+from hri_pipeline.core.child_process import ends_with_parent
+
 _WAIT_S = 2.0
 _KEPT_CHARACTERS = 2000
 _WIDTH = 2
@@ -23,21 +25,19 @@ class SoundDeviceError(OSError):
 
 
 class SoundDevice:
-    """`arecord` on one device, S16LE; the child ends with the thread that made this object (PR_SET_PDEATHSIG).
+    """`arecord` on one device, S16LE; the child ends with the thread that made this object (see ends_with_parent).
 
     name: as `arecord -L` shows it. rate: Hz. Raises SoundDeviceError when arecord is not installed. One thread uses it; it must live as
     long as the device is read.
     """
 
     def __init__(self, name: str, rate: int, channels: int) -> None:
-        command, guard = shutil.which("arecord"), shutil.which("setpriv")
+        command = shutil.which("arecord")
         if command is None:
             raise SoundDeviceError("there is no arecord to record microphone {}; install alsa-utils".format(name))
         arguments = [command, "-q", "-D", name, "-f", "S16_LE", "-r", str(rate), "-c", str(channels), "-t", "raw"]
-        if guard is not None:
-            arguments = [guard, "--pdeathsig", "INT", "--"] + arguments
         self._name, self._rate, self._channels = name, rate, channels
-        self._process = subprocess.Popen(arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+        self._process = subprocess.Popen(ends_with_parent(arguments), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                                          stderr=subprocess.PIPE, start_new_session=True)
         self._sound, self._errors = self._pipe(self._process.stdout), self._pipe(self._process.stderr)
         self._waiting = b""

@@ -15,7 +15,7 @@ from typing import List, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.sound.microphone_array import MicrophoneArray
+from hri_pipeline.core.sound.microphone_array import SPEED_OF_SOUND, MicrophoneArray
 from hri_pipeline.core.sound.sound_spectra import FREQUENCIES, HOP, RATE
 
 LOWEST, HIGHEST = 200.0, 6000.0
@@ -33,6 +33,12 @@ MIN_STRENGTH = 0.03
 mostly reaches 0.09 to 0.2, an echo or a chance 0.04 to 0.06, without echoes a lone speaker 0.5."""
 LEAST_SHARE = 0.15
 """A peak has at least this share of the strongest: the side lobes of a small array reach 0.1."""
+LOW_BAND = 1500.0
+"""Bins below this (Hz), and below the frequency from which on a wave fits between two neighbouring microphones in more than
+one way, have no side lobes: they tell a direction from its ghost. Microphones far apart have none such; they have this band."""
+LEAST_LOW_SHARE = 0.1
+"""Part of the height of a peak that comes from the low band, if somebody is there. A hissing consonant has none, and a ghost at
+the mirrored azimuth that is two thirds as strong as itself."""
 MIN_BINS = 6.0
 """A frame in which fewer bins stand out is silence: white noise does as much."""
 
@@ -40,10 +46,11 @@ MIN_BINS = 6.0
 @dataclass(frozen=True)
 class Peak:
     """A direction from which sound comes. direction: (3,) unit vector; strength: 0..1, by how much more of the sound
-    points there than into an average direction."""
+    points there than into an average direction; sure: low frequencies say so as well, which have no side lobes."""
 
     direction: np.ndarray
     strength: float
+    sure: bool = True
 
 
 class DirectionFinder:
@@ -56,13 +63,17 @@ class DirectionFinder:
         steering = array.steering(array.directions, FREQUENCIES[self._band])
         # (bins, D, C): one small matrix per bin.
         self._steering = np.ascontiguousarray(steering.conj() / array.channels)
+        apart = np.linalg.norm(array.positions[:, None] - array.positions[None], axis=2)
+        lowest_lobe = SPEED_OF_SOUND / (2.0 * float(apart[apart > 0.0].min()))
+        self._is_low = (FREQUENCIES[self._band] < max(LOW_BAND, lowest_lobe)).astype(np.float32)
         self._near = array.directions @ array.directions.T > np.cos(MIN_SEPARATION)
         self._keep = float(np.exp(-HOP / RATE / MEMORY_TIME))
         self.reset()
 
     def reset(self) -> None:
         """Forget all frames."""
-        self._map = np.zeros(len(self._array.directions), dtype=np.float32)
+        # Of all bins, and of those of the low band.
+        self._maps = np.zeros((2, len(self._array.directions)), dtype=np.float32)
         self._weight = 0.0
 
     @property
@@ -72,7 +83,7 @@ class DirectionFinder:
 
     def add(self, spectrum: np.ndarray, sure: np.ndarray) -> None:
         """Take a frame in. spectrum: (C, BINS); sure: (BINS,) how much each bin counts, 0..1."""
-        self._map *= self._keep
+        self._maps *= self._keep
         self._weight *= self._keep
         weights = sure[self._band]
         chosen = np.flatnonzero(weights > 0.05)
@@ -88,13 +99,14 @@ class DirectionFinder:
         votes = np.exp(SHARPNESS * power, out=power)
         # Bins whose phases hardly differ between directions vote for all alike: take the mean out.
         weights = weights[chosen]
-        self._map += weights @ votes - float(weights @ votes.mean(axis=1))
+        both = np.stack([weights, weights * self._is_low[chosen]]) @ votes
+        self._maps += both - both.mean(axis=1, keepdims=True)
         self._weight += float(weights.sum())
 
     def peaks(self) -> List[Peak]:
         """Return the directions that stand out, strongest first."""
         # A frame with few bins must not count as much as one with many: 4 bins of nothing in the denominator.
-        heights = self._map / (self._weight + 4.0 / (1.0 - self._keep))
+        heights = self._maps[0] / (self._weight + 4.0 / (1.0 - self._keep))
         left = heights.copy()
         found: List[Peak] = []
         while len(found) < self._max_peaks:
@@ -105,7 +117,8 @@ class DirectionFinder:
             # The shoulder of a peak is highest at the border of what that peak took away.
             if not any(direction @ peak.direction > np.cos(MIN_SEPARATION) for peak in found) \
                     and heights[index] >= heights[self._neighbours(index)].max():
-                found.append(Peak(direction, min(1.0, float(heights[index]))))
+                sure = bool(self._maps[1, index] >= LEAST_LOW_SHARE * self._maps[0, index])
+                found.append(Peak(direction, min(1.0, float(heights[index])), sure))
             left[self._near[index]] = -1.0
         return found
 

@@ -21,7 +21,7 @@ from hri_pipeline.core.sound.microphone_array import MicrophoneArray
 from hri_pipeline.core.sound.noise_floor import NoiseFloor
 from hri_pipeline.core.sound.sound_array_parameters import SOUND_ARRAY_PARAMETERS
 from hri_pipeline.core.sound.sound_direction import DirectionFinder
-from hri_pipeline.core.sound.sound_spectra import BINS, FRAME, HOP, RATE, FrameSplitter, OverlapAdd
+from hri_pipeline.core.sound.sound_spectra import BINS, FRAME, HOP, RATE, FrameSplitter, OverlapAdd, mean_power
 
 TRACK_EVERY = 2
 """Sources are followed from every second frame (32 ms) to the next."""
@@ -139,7 +139,7 @@ class SoundSeparator:
         return signals
 
     def _process_frame(self, spectrum: np.ndarray, first: int) -> None:
-        sure = self._floor.update(np.mean(spectrum.real ** 2 + spectrum.imag ** 2, axis=0))
+        sure = self._floor.update(mean_power(spectrum))
         self._finder.add(spectrum, sure)
         if self._frame % TRACK_EVERY == 0:
             self._follow(first)

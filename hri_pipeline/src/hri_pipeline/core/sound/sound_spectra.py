@@ -17,6 +17,11 @@ FREQUENCIES = np.arange(BINS) * (RATE / FRAME)
 _WINDOW = np.sin(np.pi * (np.arange(FRAME) + 0.5) / FRAME).astype(np.float32)
 
 
+def mean_power(spectrum: np.ndarray) -> np.ndarray:
+    """Return the power (BINS,) of a spectrum (C, BINS), mean over its channels."""
+    return np.einsum("cf,cf->f", spectrum, spectrum.conj()).real * np.float32(1.0 / len(spectrum))
+
+
 class FrameSplitter:
     """Cuts blocks of any length into frames. Frame k holds the samples from k * HOP on, counted from the last reset."""
 

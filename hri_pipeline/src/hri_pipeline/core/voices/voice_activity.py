@@ -66,7 +66,8 @@ class ActivityModel:
         if not len(states):
             return np.zeros(0)
         # The state is recurrent: one NaN would make this source deaf for good.
-        frames = np.nan_to_num(frames, nan=0.0, posinf=1.0, neginf=-1.0)
+        if not np.isfinite(frames).all():
+            frames = np.nan_to_num(frames, nan=0.0, posinf=1.0, neginf=-1.0)
         context = np.stack([state.context for state in states])
         recurrent = np.stack([state.recurrent for state in states], axis=1)
         found = self._model.run({"input": np.concatenate((context, frames), axis=1), "state": recurrent,

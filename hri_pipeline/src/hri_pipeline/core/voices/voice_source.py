@@ -117,5 +117,6 @@ class VoiceSource:
 
 def level(samples: np.ndarray) -> float:
     """Return the level of samples in dB below the full scale, 20 log10 of their root mean square; -120 at least."""
-    power = float(np.mean(np.square(samples, dtype=np.float64))) if len(samples) else 0.0
+    exact = samples.astype(np.float64)
+    power = float(exact @ exact) / len(samples) if len(samples) else 0.0
     return max(10.0 * math.log10(power), SILENCE_DBFS) if power > 0.0 else SILENCE_DBFS

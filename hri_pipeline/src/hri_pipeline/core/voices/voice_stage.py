@@ -141,7 +141,7 @@ class VoiceStage:
     def _feed(self, samples: np.ndarray, stamp: float) -> List[VoiceObservation]:
         """Hand the samples (N, C) to their sources."""
         if self._array is None:
-            self._source(_MONO).add(samples.mean(axis=1), stamp)
+            self._source(_MONO).add(samples[:, 0] if samples.shape[1] == 1 else samples.mean(axis=1), stamp)
             return []
         heard = set()
         found: List[VoiceObservation] = []

@@ -36,9 +36,10 @@ VOICE_STAGE_PARAMETERS = (
               " noticed when the first consonant is over.", unit="s", minimum=0.0, maximum=1.0),
     Parameter("voice_timeout", 3.0, "Time after its last word for which a voice stays tracked.", unit="s", minimum=0.1,
               maximum=600.0),
-    Parameter("resume_time", 2.0, "Without an array: who begins to speak within this time after the last word of a voice"
-              " that is still tracked gets its id again, else a new one. 0: every turn is a new voice. With an array the"
-              " direction decides, for as long as the voice is tracked.", unit="s", minimum=0.0, maximum=600.0),
+    Parameter("resume_time", 0.0, "Without an array: who begins to speak within this time after the last word of a voice"
+              " that is still tracked gets its id again, else a new one. Up to hangover_time, every turn is a new voice: one"
+              " microphone cannot tell who answers, and a voice that goes on for somebody else is matched with the wrong face."
+              " Longer suits a robot with one user. With an array the direction decides, for as long as the voice is tracked.", unit="s", minimum=0.0, maximum=600.0),
     Parameter("direction_grace", 0.05, "With an array: what is heard in a direction counts as its voice for so long after the last"
               " sound that came from there. Speech behind that is somebody else's, which the separation lets through. Longer"
               " loses less where several speak at once, and hears more of others.", unit="s", minimum=0.0, maximum=5.0),
