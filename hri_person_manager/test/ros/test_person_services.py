@@ -231,6 +231,10 @@ class TestPersonServices(unittest.TestCase):
         match = IdsMatch(id1="x1", id1_type=IdsMatch.FACE, id2="y1", id2_type=IdsMatch.BODY, confidence=0.9)
         self.matches.publish(match)
         self.wait_for(lambda: len(self.tracked.value.ids) == 2, "two anonymous persons")
+        self.show("faces", "x1", "x2", "x3")
+        self.matches.publish(IdsMatch(id1="x3", id1_type=IdsMatch.FACE, id2="kim", id2_type=IdsMatch.PERSON, confidence=0.9))
+        # A recogniser says it once; after the restart it may take long until the face is seen well again.
+        self.wait_for(lambda: len(self.tracked.value.ids) == 3 and "kim" in self.tracked.value.ids, "a known one, too")
         before = set(self.tracked.value.ids)
         # what is remembered is written twice a second
         self.wait_for(lambda: set(rospy.get_param(NODE + "_memory", {})) >= before, "they are remembered")

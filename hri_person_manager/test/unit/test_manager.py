@@ -455,6 +455,27 @@ def test_anonymous_persons_have_the_same_ids_after_a_restart():
     assert second.snapshot(11.0).tracked[-1] == "anonymous_person_other"
 
 
+def test_permanent_persons_are_themselves_at_once_after_a_restart():
+    first = make(new_person_delay=0.0)
+    first.on_tracked(Kind.FACE, ["f1"], 0.0)
+    first.on_tracked(Kind.BODY, ["b1", "b2"], 0.0)
+    first.on_match(Match(Node(Kind.FACE, "f1"), Node(Kind.PERSON, "ann"), 0.8), 0.0)
+    first.on_match(Match(Node(Kind.FACE, "f1"), Node(Kind.BODY, "b1"), 0.8), 0.0)
+    first.on_match(Match(Node(Kind.BODY, "b2"), Node(Kind.PERSON, "bob"), 0.8), 0.0)
+    memory = first.identified()
+    assert memory == {"ann": [Node(Kind.FACE, "f1")], "bob": [Node(Kind.BODY, "b2")]}
+    second = make(new_person_delay=0.0)
+    second.recall(memory, 10.0)
+    second.on_tracked(Kind.FACE, ["f1", "f3"], 10.0)
+    second.on_tracked(Kind.BODY, ["b2"], 10.0)
+    shown = {state.id: (state.face, state.body) for state in second.snapshot(10.0).persons}
+    assert shown["ann"] == ("f1", "") and shown["bob"] == ("", "b2") and len(shown) == 3
+    # The recogniser has the last word.
+    second.on_match(Match(Node(Kind.FACE, "f1"), Node(Kind.PERSON, "ann"), 0.0), 11.0)
+    second.on_match(Match(Node(Kind.FACE, "f1"), Node(Kind.PERSON, "eve"), 0.7), 11.0)
+    assert {state.id: state.face for state in second.snapshot(11.0).persons}["eve"] == "f1"
+
+
 # -- hostile input and bounds
 
 def test_hostile_ids_are_left_out_and_counted():

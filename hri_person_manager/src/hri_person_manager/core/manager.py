@@ -25,6 +25,9 @@ MAX_UNSEEN_PERSONS = 32       # permanent persons kept with their topics althoug
 _KIND_OF_SOURCE = {Source.FACE: Kind.FACE, Source.HEAD: Kind.BODY, Source.BODY: Kind.BODY, Source.VOICE: Kind.VOICE}
 
 
+# Likelihood of a match that an earlier run has left; the recogniser's own takes its place.
+_AS_SURE_AS_BEFORE = 0.9
+
 class PersonManager:
     """Fuses faces, bodies and voices into persons and knows where they are."""
 
@@ -180,6 +183,19 @@ class PersonManager:
     def anonymous(self) -> Dict[str, List[Node]]:
         """The anonymous persons with their features, for `expect` after a restart."""
         return self._view.anonymous()
+
+    def identified(self) -> Dict[str, List[Node]]:
+        """The permanent persons with their faces, or other features, for `recall` after a restart."""
+        return self._view.identified()
+
+    def recall(self, identified: Mapping[str, Iterable[Node]], now: float) -> None:
+        """Take it that features of an earlier run still are those of permanent persons, until a recogniser says otherwise.
+
+        Without that they would be anonymous until they are recognised again, which may take long for a face turned away.
+        """
+        for person_id, nodes in identified.items():
+            for node in nodes:
+                self.on_match(Match(node, Node(Kind.PERSON, person_id), max(self._threshold, _AS_SURE_AS_BEFORE)), now)
 
     def on_place(self, source: Source, feature_id: str, place: Place, now: float, sensor: str = "") -> Optional[str]:
         """Take the pose of a feature's frame in the reference frame; sensor: the frame of the camera that sees it.

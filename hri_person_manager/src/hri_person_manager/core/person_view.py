@@ -61,6 +61,16 @@ class PersonView:
                 found.setdefault(named.id, []).extend(sorted(person.features))
         return found
 
+    def identified(self) -> Dict[str, List[Node]]:
+        """Return the permanent persons that have features, with their faces, or with the others where there is no face."""
+        found: Dict[str, List[Node]] = {}
+        for person in self._book.persons.values():
+            target = self.standing_for(person)
+            if not target.anonymous and person.features:
+                found.setdefault(target.id, []).extend(sorted(person.features))
+        faces = {name: [node for node in nodes if node.kind == Kind.FACE] for name, nodes in found.items()}
+        return {name: faces[name] or nodes for name, nodes in found.items()}
+
     def long_unseen(self) -> List[str]:
         """Ids of the permanent persons without features and place, who was lost first first."""
         unseen = [shown.person for shown in self._all().values() if not shown.person.anonymous and not shown.features

@@ -19,6 +19,7 @@ from hri_person_manager.core.graph_text import graph_text
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.manager_parameters import PERSON_MANAGER_PARAMETERS, SHARED
 from hri_person_manager.core.match_guard import MatchGuard
+from hri_person_manager.core.person_book import ANONYMOUS_PREFIX
 from hri_person_manager.core.person_register import PersonRegister
 from hri_person_manager.core.presence import MAX_FEATURES
 from hri_person_manager.ros.graph_topic import GraphTopic
@@ -96,7 +97,7 @@ class PersonManagerNode:
                                               max_ids=MAX_FEATURES)
         self._report = ManagerReport(self._manager, self._guard, self._reference, self._intake, self._feeds, self._tf)
         self._reset = rospy.Service("~reset", Empty, self._on_reset)
-        self._services = PersonServices(self._manager, self._register, self._guard, self._lock, self._publish_state)
+        self._services = PersonServices(self._manager, self._register, self._guard, self._lock, self._publish_changes)
         rospy.on_shutdown(self._stop.set)
         share_arenas()
         # To go through everything that was imported takes the garbage collector 30 ms, in which nobody is served.
@@ -112,12 +113,15 @@ class PersonManagerNode:
 
     def _remember_earlier_runs(self) -> None:
         self._expire()
-        self._manager.expect(self._memory.read())
+        earlier = self._memory.read()
+        self._manager.expect({name: nodes for name, nodes in earlier.items() if name.startswith(ANONYMOUS_PREFIX)})
         records = sorted(self._register.records, key=lambda record: record.first_seen)
         self._manager.know(record.id for record in records)
         for record in records:
             if record.alias and record.alias in self._register:
                 self._manager.merge(record.alias, record.id, self._last_now)
+        self._manager.recall({name: nodes for name, nodes in earlier.items() if not name.startswith(ANONYMOUS_PREFIX)},
+                             self._last_now)
 
     def spin(self) -> None:
         """Let time pass until ROS shuts down."""
@@ -210,7 +214,7 @@ class PersonManagerNode:
         self._markers.publish(snapshot)
         self._spaces.update(snapshot, self._sensed)
         self._graph.update(lambda: graph_text(snapshot, self._manager.matches, self._manager.unions, self._threshold))
-        self._memory.update(self._manager.anonymous)
+        self._memory.update(self._present)
         self._note_seen(filter(self._manager.is_permanent, snapshot.tracked))
         if time.monotonic() >= self._next_report:
             self._next_report = time.monotonic() + DIAGNOSTICS_S
@@ -228,6 +232,15 @@ class PersonManagerNode:
             self._register.seen(person_ids, time.time())
         except StoreError as error:
             rospy.logerr_throttle(_LOG_PERIOD_S, "~store: %s", error)
+
+    def _present(self) -> Dict[str, List[Node]]:
+        """Who is made of which features, for the case that this node dies."""
+        return {**self._manager.identified(), **self._manager.anonymous()}
+
+    def _publish_changes(self) -> None:
+        """What a service has changed is told, and who was forgotten is not remembered, before it answers."""
+        self._publish_state()
+        self._memory.update(self._present, at_once=True)
 
     def _publish_state(self) -> None:
         if self._stop.is_set():

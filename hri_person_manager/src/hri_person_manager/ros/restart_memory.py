@@ -1,4 +1,4 @@
-"""Ids of the anonymous persons on the parameter server, so that they survive a crash of the node."""
+"""Ids of the persons and of their features on the parameter server, so that they survive a crash of the node."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Callable, Dict, List, Mapping
 import rospy
 
 from hri_person_manager.core.association import FEATURES, Kind, Node
-from hri_person_manager.core.person_book import ANONYMOUS_PREFIX
 from hri_pipeline.core.ids import is_valid_id
 
 PERIOD_S, AGAIN_S = 0.5, 10.0
@@ -34,18 +33,18 @@ class RestartMemory:
             return {}
         found: Dict[str, List[Node]] = {}
         for person_id, names in list(given.items())[:_MOST]:
-            if is_valid_id(person_id) and person_id.startswith(ANONYMOUS_PREFIX) and isinstance(names, list):
+            if is_valid_id(person_id) and isinstance(names, list):
                 found[person_id] = [node for name in names for node in _nodes(name)]
         return found
 
-    def update(self, anonymous: Callable[[], Mapping[str, List[Node]]]) -> None:
-        """Write the anonymous persons with their features, which are asked for, twice a second at most."""
+    def update(self, persons: Callable[[], Mapping[str, List[Node]]], at_once: bool = False) -> None:
+        """Write the persons with their features, which are asked for, twice a second at most, or at once."""
         now = time.monotonic()
-        if now < self._next:
+        if now < self._next and not at_once:
             return
         self._next = now + PERIOD_S
         wanted = {person_id: ["%s %s" % (node.kind.name, node.id) for node in nodes]
-                  for person_id, nodes in anonymous().items()}
+                  for person_id, nodes in persons().items()}
         # Again and again: a master that was started anew has no parameters.
         if wanted != self._written or (wanted and now >= self._again):
             try:
