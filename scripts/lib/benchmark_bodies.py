@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from typing import Callable, Dict, List, Sequence, Tuple
+from typing import Callable, Dict, Sequence, Tuple
 
-from benchmark_parts import chosen, measure_all
+from benchmark_parts import chosen, measure_all, report_of, table_of
 
 MPJPE_HEIGHT_ONLY = {"10": 22.0, "20": 25.0, "30": 30.0, "rgbd": 40.0}
 MPJPE_LIMBS = {"10": 19.0, "20": 23.0, "30": 28.0, "rgbd": 38.0}
@@ -85,44 +85,16 @@ def run(options: argparse.Namespace) -> int:
 
 def make_report(values: Dict[str, object], reasons: Dict[str, str], details: Dict[str, object], before: dict) -> dict:
     """Return the JSON object: every figure, null with a reason where there is none."""
-    report: Dict[str, object] = {key: values.get(key) for key, _, _ in KEYS}
-    report["reasons"] = {key: reasons.get(key, "not measured") for key, _, _ in KEYS if report[key] is None}
-    report["details"] = details
-    report["machine"] = before
-    report["load"] = {"before": before["load_average"], "after": [round(load, 2) for load in os.getloadavg()]}
-    report["input"] = {
+    return report_of(KEYS, values, reasons, before, {
         "motion": "CMU Graphics Lab motion capture, subjects 02 and 03, at most 20 s each at 30 Hz, {} virtual"
                   " people of the ANSUR II statistics and random cameras for each, seeded".format(VIEWS),
         "error": "mean of shoulders, elbows, wrists, hips, knees, ankles; gate, filter, stature, joints; images from the first settled model on",
-        "tuned_on": "filter, gate and weights of the points on subject 02, with 03 in view", "photographs": "the six of the demonstration"}
-    return report
+        "tuned_on": "filter, gate and weights of the points on subject 02, with 03 in view", "photographs": "the six of the demonstration"}, details)
 
 
 def as_table(report: dict) -> str:
     """Return the same for a person to read."""
-    lines: List[str] = [
-        "Machine   {cpu}, {cores} cores, {system}".format(**report["machine"]),
-        "Load      {} before, {} after".format(*(" ".join(str(load) for load in report["load"][when])
-                                                 for when in ("before", "after"))),
-        "Input     " + "\n          ".join("{}: {}".format(*item) for item in report["input"].items()), "",
-        "{:24} {:>34}  {:>4}  {}".format("figure", "asked", "ok", "measured")]
-    for key, asked, is_met in KEYS:
-        value = report[key]
-        told = "not measured: " + report["reasons"][key] if value is None else _short(value)
-        met = "-" if value is None else "yes" if is_met(value) else "NO"
-        lines.append("{:24} {:>34}  {:>4}  {}".format(key, asked, met, told))
-    lines += ["", "Beside them"]
-    lines += ["  {:30} {}".format(name, _short(value)) for name, value in report["details"].items()]
-    return "\n".join(lines)
-
-
-def _short(value: object) -> str:
-    if isinstance(value, dict):
-        return ", ".join("{} {}".format(name, "({})".format(_short(item)) if isinstance(item, dict) else _short(item))
-                         for name, item in value.items())
-    if isinstance(value, (list, tuple)):
-        return " ".join(_short(item) for item in value)
-    return "{:.3g}".format(value) if isinstance(value, float) else str(value)
+    return table_of(report, KEYS)
 
 
 def _measure(part: str, details: Dict[str, object]) -> Dict[str, object]:

@@ -7,9 +7,9 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Callable, Dict, List, Sequence, Tuple
+from typing import Callable, Dict, Sequence, Tuple
 
-from benchmark_parts import chosen, measure_all
+from benchmark_parts import chosen, measure_all, report_of, table_of
 from benchmark_report import machine
 
 CHURN_FACES = 2000
@@ -77,35 +77,14 @@ def models_directory() -> Path:
 
 def make_report(values: Dict[str, object], reasons: Dict[str, str], before: dict, models: Path) -> dict:
     """Return the JSON object: every figure, null with a reason where there is none."""
-    report: Dict[str, object] = {key: values.get(key) for key, _, _ in KEYS}
-    report["reasons"] = {key: reasons.get(key, "not measured") for key, _, _ in KEYS if report[key] is None}
-    report["machine"] = before
-    report["load"] = before["load_average"]
-    report["input"] = {"images": "1280x720", "pictures": "groups demo and evaluation of fetch_models",
-                       "threads": "1 per network", "recognition": "each picture as a film of 8 s at 5 Hz, in two runs",
-                       "models": models.name}
-    return report
+    return report_of(KEYS, values, reasons, before, {
+        "images": "1280x720", "pictures": "groups demo and evaluation of fetch_models", "threads": "1 per network",
+        "recognition": "each picture as a film of 8 s at 5 Hz, in two runs", "models": models.name})
 
 
 def as_table(report: dict) -> str:
     """Return the same for a person to read."""
-    lines: List[str] = [
-        "Machine   {cpu}, {cores} cores, {system}".format(**report["machine"]),
-        "Load      {} before the start".format(" ".join(str(load) for load in report["load"])),
-        "Input     " + ", ".join("{} {}".format(*item) for item in report["input"].items()), "",
-        "{:30} {:>20}  {:>5}  {}".format("figure", "asked", "ok", "measured")]
-    for key, asked, is_met in KEYS:
-        value = report[key]
-        told = "not measured: " + report["reasons"][key] if value is None else _short(value)
-        met = "-" if value is None else "yes" if is_met(value) else "NO"
-        lines.append("{:30} {:>20}  {:>5}  {}".format(key, asked, met, told))
-    return "\n".join(lines)
-
-
-def _short(value: object) -> str:
-    if isinstance(value, dict):
-        return ", ".join("{} {}".format(name, _short(number)) for name, number in value.items())
-    return "{:.3g}".format(value) if isinstance(value, float) else str(value)
+    return table_of(report, KEYS)
 
 
 def _measure(part: str, models: Path) -> Dict[str, object]:

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Callable, Dict, List, Optional, Sequence, Tuple
 
-from benchmark_parts import chosen, measure_all
+from benchmark_parts import chosen, measure_all, report_of, short, table_of
 from benchmark_report import machine
 
 GAZE_SECONDS = 60.0
@@ -83,40 +83,25 @@ def run(options: argparse.Namespace) -> int:
 
 def make_report(values: Dict[str, object], reasons: Dict[str, str], before: dict) -> dict:
     """Return the JSON object: every figure, null with a reason where there is none."""
-    report: Dict[str, object] = {key: values.get(key) for key, _, _ in KEYS}
-    report["reasons"] = {key: reasons.get(key, "not measured") for key, _, _ in KEYS if report[key] is None}
-    report["details"] = {key: value for key, value in values.items() if key not in report}
-    report["machine"] = before
-    report["load"] = before["load_average"]
-    report["input"] = {
+    asked = {key for key, _, _ in KEYS}
+    return report_of(KEYS, values, reasons, before, {
         "gaze": "people 1 to 4 m away, gaze noise 8 deg, head noise 5 deg, 10 % dropouts, eyes closed 10 % of the time, "
                 "{:g} s for each seed".format(GAZE_SECONDS),
         "pictures": "those of fetch_models (demo, evaluation), labels in gazes.txt, each as a film of 2 s",
         "groups": "F1 at T = 2/3, one setting; noisy: 20 cm and 20 deg, mean of 5 draws",
-        "cpu": "{:g} Hz".format(RATE_HZ)}
-    return report
+        "cpu": "{:g} Hz".format(RATE_HZ)},
+        {key: value for key, value in values.items() if key not in asked})
 
 
 def as_table(report: dict) -> str:
     """Return the same for a person to read."""
-    lines: List[str] = [
-        "Machine   {cpu}, {cores} cores, {system}".format(**report["machine"]),
-        "Load      {} before the start".format(" ".join(str(load) for load in report["load"]))]
-    lines += ["{:9} {}".format(name, text) for name, text in report["input"].items()]
-    lines += ["", "{:30} {:>24}  {:>3}  {}".format("figure", "asked", "ok", "measured")]
-    for key, asked, is_met in KEYS:
-        value = report[key]
-        if key == "photographs" and value is not None:
-            lines += ["{:30} {:>24}  {:>3}  rows: truth; columns: answer".format(key, asked, "yes")]
-            lines += _confusion(value)
-            continue
-        told = "not measured: " + report["reasons"][key] if value is None else _short(value)
-        if key == "groups_f1" and "groups_published" in report["details"]:
-            told += "; published (GCFF, a setting for each sequence): " + _short(report["details"]["groups_published"])
-        met = "-" if value is None else "yes" if is_met(value) else "NO"
-        lines.append("{:30} {:>24}  {:>3}  {}".format(key, asked, met, told))
-    lines += [""] + ["{}: {}".format(key, _short(value)) for key, value in report["details"].items()]
-    return "\n".join(lines).rstrip()
+    told = {}
+    if report["photographs"] is not None:
+        told["photographs"] = "\n".join(["rows: truth; columns: answer"] + _confusion(report["photographs"]))
+    if report["groups_f1"] is not None and "groups_published" in report["details"]:
+        told["groups_f1"] = "{}; published (GCFF, a setting for each sequence): {}".format(
+            short(report["groups_f1"]), short(report["details"]["groups_published"]))
+    return table_of(report, KEYS, told)
 
 
 def _confusion(table: Dict[str, Dict[str, int]]) -> List[str]:
@@ -124,15 +109,6 @@ def _confusion(table: Dict[str, Dict[str, int]]) -> List[str]:
     lines = ["    {:10}".format("") + "".join("{:>14}".format(answer) for answer in answers)]
     return lines + ["    {:10}".format(truth) + "".join("{:>14}".format(row[answer]) for answer in answers)
                     for truth, row in table.items()]
-
-
-def _short(value: object) -> str:
-    if isinstance(value, dict):
-        return ", ".join("{} {}".format(name, _short(number) if not isinstance(number, dict)
-                                        else "({})".format(_short(number))) for name, number in value.items())
-    if isinstance(value, (list, tuple)):
-        return " ".join(_short(item) for item in value)
-    return "{:.3g}".format(value) if isinstance(value, float) else str(value)
 
 
 def _rounded(value: object, digits: int = 4) -> object:

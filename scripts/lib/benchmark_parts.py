@@ -1,7 +1,8 @@
-"""What the benchmarks of several parts have in common: the choice of the parts, and measuring one after the other."""
+"""What the benchmarks of several parts have in common: the choice of the parts, measuring one after the other, the report."""
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
@@ -39,3 +40,50 @@ def measure_all(wanted: Sequence[str], parts: Parts,
             traceback.print_exc(file=sys.stderr)
             reasons.update({key: "{}: {}".format(type(error).__name__, error) for key in parts[name]})
     return values, reasons, failed
+
+
+Keys = Sequence[Tuple[str, str, Callable[[object], bool]]]
+"""Name of each figure, what is asked, and whether a value meets that."""
+
+
+def report_of(keys: Keys, values: Mapping[str, object], reasons: Mapping[str, str], before: dict,
+              inputs: Mapping[str, object], details: Optional[Mapping[str, object]] = None) -> dict:
+    """Return the JSON object: every figure, null with a reason where there is none. before: `machine()` of before the start."""
+    report: Dict[str, object] = {key: values.get(key) for key, _, _ in keys}
+    report["reasons"] = {key: reasons.get(key, "not measured") for key, _, _ in keys if report[key] is None}
+    if details is not None:
+        report["details"] = dict(details)
+    report["machine"] = before
+    report["load"] = {"before": before["load_average"], "after": [round(load, 2) for load in os.getloadavg()]}
+    report["input"] = dict(inputs)
+    return report
+
+
+def table_of(report: dict, keys: Keys, told: Optional[Mapping[str, str]] = None) -> str:
+    """Return the same for a person to read. told: another text for the value of a figure; it may have several lines."""
+    wide, asked_wide = (max(len(row[column]) for row in keys) for column in (0, 1))
+    row = "{:%d} {:>%d}  {:>3}  {}" % (wide, asked_wide)
+    lines: List[str] = [
+        "Machine   {cpu}, {cores} cores, {system}".format(**report["machine"]),
+        "Load      {} before, {} after".format(*(" ".join(str(load) for load in report["load"][when])
+                                                 for when in ("before", "after"))),
+        "Input     " + "\n          ".join("{}: {}".format(*item) for item in report["input"].items()), "",
+        row.format("figure", "asked", "ok", "measured")]
+    for key, asked, is_met in keys:
+        value = report[key]
+        text = "not measured: " + report["reasons"][key] if value is None else (told or {}).get(key) or short(value)
+        lines.append(row.format(key, asked, "-" if value is None else "yes" if is_met(value) else "NO", text))
+    if report.get("details"):
+        lines += ["", "Beside them"]
+        lines += ["  {:28} {}".format(name, short(value)) for name, value in report["details"].items()]
+    return "\n".join(lines)
+
+
+def short(value: object) -> str:
+    """Return a value of a report as a short text."""
+    if isinstance(value, dict):
+        return ", ".join("{} {}".format(name, "({})".format(short(item)) if isinstance(item, dict) else short(item))
+                         for name, item in value.items())
+    if isinstance(value, (list, tuple)):
+        return " ".join(short(item) for item in value)
+    return "{:.3g}".format(value) if isinstance(value, float) else str(value)

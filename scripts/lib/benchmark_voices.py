@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from typing import Callable, Dict, List, Sequence, Tuple
+from typing import Callable, Dict, Sequence, Tuple
 
-from benchmark_parts import chosen, measure_all
+from benchmark_parts import chosen, measure_all, report_of, table_of
 
 TPR = {"clean": 0.95, "10": 0.93, "0": 0.80}
 FPR = 0.10
@@ -81,12 +81,7 @@ def run(options: argparse.Namespace) -> int:
 
 def make_report(values: Dict[str, object], reasons: Dict[str, str], details: Dict[str, object], before: dict) -> dict:
     """Return the JSON object: every figure, null with a reason where there is none."""
-    report: Dict[str, object] = {key: values.get(key) for key, _, _ in KEYS}
-    report["reasons"] = {key: reasons.get(key, "not measured") for key, _, _ in KEYS if report[key] is None}
-    report["details"] = details
-    report["machine"] = before
-    report["load"] = {"before": before["load_average"], "after": [round(load, 2) for load in os.getloadavg()]}
-    report["input"] = {
+    return report_of(KEYS, values, reasons, before, {
         "speech": "the 14 recordings of Debian's pocketsphinx-testdata (47 s), each scaled to a peak of 0.5, pauses of 1 to 1.5 s,"
                   " 3 seeds of pauses and white noise",
         "labels": "level of 25 ms within 26 dB of the loudest of the clean recording; frames of 32 ms that are partly speech are"
@@ -96,35 +91,12 @@ def make_report(values: Dict[str, object], reasons: Dict[str, str], details: Dic
                  " 32 ms, processing",
         "cpu": "of the process over the length of the sound; intake, activity, features, and with 4 channels direction and"
                " separation, two people who talk across each other; least of 3 runs",
-        "node": "the same through the node and its topics in real time, features listened to, recognition of speech off"}
-    return report
+        "node": "the same through the node and its topics in real time, features listened to, recognition of speech off"}, details)
 
 
 def as_table(report: dict) -> str:
     """Return the same for a person to read."""
-    lines: List[str] = [
-        "Machine   {cpu}, {cores} cores, {system}".format(**report["machine"]),
-        "Load      {} before, {} after".format(*(" ".join(str(load) for load in report["load"][when])
-                                                 for when in ("before", "after"))),
-        "Input     " + "\n          ".join("{}: {}".format(*item) for item in report["input"].items()), "",
-        "{:18} {:>36}  {:>4}  {}".format("figure", "asked", "ok", "measured")]
-    for key, asked, is_met in KEYS:
-        value = report[key]
-        told = "not measured: " + report["reasons"][key] if value is None else _short(value)
-        met = "-" if value is None else "yes" if is_met(value) else "NO"
-        lines.append("{:18} {:>36}  {:>4}  {}".format(key, asked, met, told))
-    lines += ["", "Beside them"]
-    lines += ["  {:28} {}".format(name, _short(value)) for name, value in report["details"].items()]
-    return "\n".join(lines)
-
-
-def _short(value: object) -> str:
-    if isinstance(value, dict):
-        return ", ".join("{} {}".format(name, "({})".format(_short(item)) if isinstance(item, dict) else _short(item))
-                         for name, item in value.items())
-    if isinstance(value, (list, tuple)):
-        return " ".join(_short(item) for item in value)
-    return "{:.3g}".format(value) if isinstance(value, float) else str(value)
+    return table_of(report, KEYS)
 
 
 def _measure(part: str, details: Dict[str, object], turns: int) -> Dict[str, object]:

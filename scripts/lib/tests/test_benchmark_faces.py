@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 
@@ -57,7 +58,7 @@ def test_the_table_says_what_is_met(key, value, met):
     report = benchmark_faces.make_report({key: value}, {}, {
         "cpu": "some", "cores": 2, "system": "here", "load_average": [0.1, 0.2, 0.3]}, benchmark_faces.Path("models"))
     line, = [line for line in benchmark_faces.as_table(report).splitlines() if line.startswith(key + " ")]
-    assert line[53:58].strip() == met
+    assert re.search(r" (yes|NO|-)  ", line)[1] == met
     others = [line for line in benchmark_faces.as_table(report).splitlines() if "not measured" in line]
     assert len(others) == len(WANTED) - 1
 
