@@ -6,8 +6,9 @@ import os
 import platform
 import subprocess
 from pathlib import Path
-from typing import Dict, List, Sequence
+from typing import Dict, List, Optional, Sequence
 
+_FIRST_RUN = "needs a machine without the packages, Python environment and models: time ./scripts/demo on one"
 NOT_STACK = ("benchmark_probe", "image_source")
 
 
@@ -53,15 +54,23 @@ def figures(people: int, seen: dict) -> dict:
         "found": {kind: seen["tracked"].get(kind, 0) for kind in ("persons", "faces", "bodies")},
         "age_p50_ms": middle, "age_p95_ms": high,
         "cpu_percent": round(sum(value for name, value in cpu.items() if name not in NOT_STACK), 1),
-        "cpu_percent_by_process": cpu, "stages_ms": seen["stages_ms"], "seconds": round(seen["seconds"], 2)}
+        "cpu_percent_by_process": cpu, "rss_mb_by_process": seen.get("rss_mb", {}),
+        "rss_mb": round(sum(value for name, value in seen.get("rss_mb", {}).items() if name not in NOT_STACK), 1),
+        "stages_ms": seen["stages_ms"], "seconds": round(seen["seconds"], 2)}
 
 
-def as_json(rows: Sequence[dict], before: dict, described: dict) -> dict:
-    """Return the JSON object of all scenes."""
-    result: dict = {"machine": before, "input": described, "stages_ms": {}, "scenes": list(rows)}
+def as_json(rows: Sequence[dict], before: dict, described: dict, second_run_s: Optional[float] = None,
+            why_not: str = "not asked for (--start)") -> dict:
+    """Return the JSON object of all scenes; why_not: the reason when second_run_s is None."""
+    result: dict = {"machine": before, "input": described, "stages_ms": {}, "scenes": list(rows), "first_run_s": None,
+                    "second_run_s": second_run_s, "reasons": {"first_run_s": _FIRST_RUN}}
+    if second_run_s is None:
+        result["reasons"]["second_run_s"] = why_not
     for row in rows:
         number = row["people"]
-        for key in ("fps", "faces_fps", "bodies_fps", "age_p50_ms", "age_p95_ms", "cpu_percent"):
+        for key in ("fps", "faces_fps", "bodies_fps", "age_p50_ms", "age_p95_ms", "cpu_percent", "rss_mb"):
+            result["{}_{}".format(key, number)] = row[key]
+        for key in ("cpu_percent_by_process", "rss_mb_by_process"):
             result["{}_{}".format(key, number)] = row[key]
         result["stages_ms"][str(number)] = row["stages_ms"]
     return result
@@ -81,8 +90,8 @@ def as_table(rows: Sequence[dict], before: dict, described: dict) -> str:
                          row, found="{persons}/{faces}/{bodies}".format(**row["found"]),
                          p50=_ms(row["age_p50_ms"]), p95=_ms(row["age_p95_ms"]))))
     for row in rows:
-        lines += ["", "{} people: processor, % of one core".format(row["people"])]
-        lines += ["  {:28s} {:6.1f}".format(name, value)
+        lines += ["", "{} people: processor, % of one core; memory, MB".format(row["people"])]
+        lines += ["  {:28s} {:6.1f} {:7.0f}".format(name, value, row["rss_mb_by_process"].get(name, 0.0))
                   for name, value in row["cpu_percent_by_process"].items() if value >= 0.1]
         lines += ["{} people: ms per stage                 median     p95".format(row["people"])]
         lines += ["  {:35s} {:7.1f} {:7.1f}".format(node + " " + stage, times.get("median", 0.0), times.get("p95", 0.0))

@@ -32,6 +32,14 @@ def _ticks(pid: int) -> int:
         return 0
 
 
+def _rss_mb(pid: int) -> float:
+    """Resident memory of a process, MB; 0 when it has gone."""
+    try:
+        return int(Path("/proc/{}/statm".format(pid)).read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    except (OSError, IndexError, ValueError):
+        return 0.0
+
+
 def _name(pid: int) -> str:
     """Name of the node, or of the program, that a process runs."""
     try:
@@ -71,7 +79,7 @@ class Run:
                                     stdout=log if output is None else output, stderr=log)
 
     def measure(self, people: int, seconds: float) -> dict:
-        """Return what the probe saw, and the use of the processor by name of process, % of one core."""
+        """Return what the probe saw, the use of the processor (% of one core) and the memory (MB) by name of process."""
         result = self._logs / "probe.json"
         probe = self._start("probe", [sys.executable, str(LIB / "benchmark_probe.py"), str(people), str(seconds),
                                       str(PATIENCE_S), str(result)], subprocess.PIPE)
@@ -80,10 +88,14 @@ class Run:
         before, began = self._processor_times(), time.monotonic()
         self._expect(probe, b"end\n")
         after, passed = self._processor_times(), time.monotonic() - began
+        memory: Dict[str, float] = {}
+        for pid in processes.marked(self._mark, {os.getpid()}):
+            memory[_name(pid)] = memory.get(_name(pid), 0.0) + _rss_mb(pid)
         probe.wait(timeout=30.0)
         seen = json.loads(result.read_text(encoding="utf-8"))
         seen["cpu_percent"] = {name: round(100.0 * (ticks - before.get(name, 0)) / TICKS / passed, 1)
                                for name, ticks in sorted(after.items(), key=lambda item: -item[1])}
+        seen["rss_mb"] = {name: round(memory.get(name, 0.0), 1) for name in seen["cpu_percent"]}
         return seen
 
     def _expect(self, probe: subprocess.Popen, line: bytes) -> None:
