@@ -28,7 +28,7 @@ FACE_FINDER_PARAMETERS = (
     Parameter("face_mesh_rate", 10.0, "How often per second the mesh network looks at each face; in the images between,"
               " the face is moved along its way, with a confidence that says so. Higher follows quick heads better, and"
               " costs more. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0),
-    Parameter("face_budget", 16.0, "Processor time per image for looks of the mesh network. With more faces than it"
+    Parameter("face_budget", 20.0, "Processor time per image for looks of the mesh network. With more faces than it"
               " allows, they take turns. On a faster machine the same budget means more looks.",
               unit="ms", minimum=1.0, maximum=1000.0),
     Parameter("face_birth_delay", 0.1, "Time for which a face must be seen before it gets its topics. Larger keeps out"
