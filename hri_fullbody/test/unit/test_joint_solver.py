@@ -1,3 +1,7 @@
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from random_bodies import dimensions, placed, postures
@@ -36,6 +40,11 @@ def standing(pose="standing", layout=PAPER, rotation=FACING, seed=0):
     body = dimensions(1, seed)
     points, _, _ = forward(rotation[None], np.array([[0.1, 0.2, 3.0]]), sample_pose(pose, layout)[None], body, layout)
     return body, points
+
+
+def test_loading_it_does_not_load_what_few_limbs_need():
+    code = "import sys, hri_fullbody.core.joint_solver; sys.exit('sympy' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, env=dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path)))
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

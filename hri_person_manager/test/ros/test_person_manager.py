@@ -11,6 +11,7 @@ from xmlrpc.client import ServerProxy
 import rosgraph
 import rospy
 import rostest
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import Bool, Float32, String
 from std_srvs.srv import Empty
@@ -257,6 +258,7 @@ class TestPersonManager(unittest.TestCase):
         self.wait_for(lambda: self.last_frame(person), "its frame", act=lambda: self.show(("face_fffff", 1.0)))
 
     def test_a_flood_of_frames_leaves_no_trace(self):
+        self.check_that_frames_of_nobody_are_not_kept()     # here: after the flood as many frames are kept as may be
         self.announce(faces=["fgggg"])
         person = self.one_person()
 
@@ -284,6 +286,22 @@ class TestPersonManager(unittest.TestCase):
         self.assertLessEqual(after[0], before[0] + 5)
         self.assertLessEqual(after[1], before[1] + 3)
         self.assertLess(after[2], before[2] + 8.0)
+
+    def check_that_frames_of_nobody_are_not_kept(self):
+        reports = Latest("/diagnostics", DiagnosticArray)
+        self.opened.append(reports)
+
+        def kept():
+            return next((int(item.value) for message in reversed(reports.messages) for status in message.status
+                         if status.name == "hri_person_manager: location" for item in status.values
+                         if item.key == "robot frames"), None)
+
+        self.wait_for(lambda: kept() is not None, "the diagnostics")
+        before = kept()
+        self.tf.publish(TFMessage([transform(CAMERA, "face_z%04d" % number, 1.0) for number in range(200)]
+                                  + [transform("base_link", "tray_link", 1.0)]))
+        self.wait_for(lambda: kept() > before, "the frame of the robot")
+        self.assertEqual(kept(), before + 1)
 
     @staticmethod
     def resources():

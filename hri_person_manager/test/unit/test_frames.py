@@ -140,3 +140,13 @@ def test_the_tree_is_bounded_and_keeps_what_is_relevant():
     for number in range(100):
         tree.put("stray%d" % number, "map", number, True)
     assert len(tree) == 10 and tree.latest("camera") == "camera->map"
+
+
+def test_fixed_frames_outlive_moving_ones_of_which_nobody_knows_the_use():
+    tree = FrameTree(max_frames=10)
+    tree.put("camera", "base", "camera->base", True)      # comes once
+    for number in range(100):
+        tree.put("limb%d" % number, "body", number, False)
+    assert len(tree) == 10
+    assert tree.follow("camera") == ["camera->base"]
+    assert tree.latest("limb99") == 99 and tree.latest("limb1") is None

@@ -2,17 +2,83 @@
 
 from __future__ import annotations
 
+import resource
+from contextlib import contextmanager
+
 import numpy as np
+import pytest
 
 from hri_person_manager.core.demographics import FEMALE
 from hri_person_manager.core.person_register import PersonRegister
 from hri_person_manager.core.record_store import DAY_S, StoreOfRecords
+from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.recognition.gallery import KnownPerson
 from hri_pipeline.core.recognition.person_store import PersonStore
 
 
 def opened(path, **limits):
     return StoreOfRecords(PersonStore(path), **limits)
+
+
+@contextmanager
+def no_room():
+    """No file of this process can be written, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_what_a_full_disk_did_not_take_is_written_when_there_is_room(tmp_path):
+    path = tmp_path / "people" / "store.sqlite"
+    store = opened(path)
+    register = PersonRegister(store)
+    register.seen(["ann"], 100.0)
+    assert not register.problem
+    with no_room():
+        register.seen(["bob", "cho"], 101.0)
+        assert "bob" in register and "cho" in register
+        assert "2 persons" in register.problem and "make room" in register.problem
+        with pytest.raises(StoreError, match="make room"):
+            register.set_name("ann", "Ann")
+        register.write_pending()
+        assert register.problem
+    register.write_pending()
+    assert not register.problem
+    store.close()
+    store = opened(path)
+    assert {record.id: record.name for record in store.load_records()} == {"ann": "Ann", "bob": "", "cho": ""}
+    store.close()
+
+
+def test_a_name_that_a_full_disk_did_not_take_can_be_given_again(tmp_path):
+    path = tmp_path / "people" / "store.sqlite"
+    store = opened(path)
+    register = PersonRegister(store)
+    register.seen(["ann"], 100.0)
+    with no_room(), pytest.raises(StoreError):
+        register.set_name("ann", "Ann")
+    register.set_name("ann", "Ann")
+    store.close()
+    store = opened(path)
+    assert store.load_records()[0].name == "Ann"
+    store.close()
+
+
+@pytest.mark.parametrize("forget", [lambda register: register.forget("ann"), lambda register: register.forget_all() == 1])
+def test_whom_a_full_disk_does_not_let_go_can_be_forgotten_again(tmp_path, forget):
+    path = tmp_path / "people" / "store.sqlite"
+    store = opened(path)
+    register = PersonRegister(store)
+    register.seen(["ann"], 100.0)
+    with no_room(), pytest.raises(StoreError, match="make room"):
+        forget(register)
+    assert "ann" in register
+    assert forget(register)
+    assert store.load_records() == []
+    store.close()
 
 
 def test_what_is_known_comes_back_in_the_next_run(tmp_path):

@@ -86,7 +86,7 @@ def test_at_most_one_network_runs_per_image():
 @pytest.mark.parametrize("name", STAGES)
 def test_each_stage_can_be_switched_off_alone(name):
     models = {"expression": "expression_model", "age_gender": "age_gender_model", "recognition": "recognition_model"}
-    settings = {name: False}
+    settings = dict(UNHURRIED, **{name: False})
     if name in models:
         settings[models[name]] = "/nowhere/absent.onnx"
         with pytest.raises(ModelError, match="absent.onnx"):

@@ -9,12 +9,15 @@ import pytest
 
 from hri_pipeline.core.camera import CameraError, CameraModel
 from hri_pipeline.core.faces.canonical_face import load_canonical_face
+from hri_pipeline.core.faces.face_finder import FaceFinder
 from hri_pipeline.core.faces.face_parameters import FACES
 from hri_pipeline.core.faces.face_stage import FaceStage
 from hri_pipeline.core.faces.head_pose import yaw_pitch_roll
 from hri_pipeline.core.model_store import models_directory
 from hri_pipeline.core.onnx_model import ModelError
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.pictures.picture_motion import PictureMotion
+from hri_pipeline.core.timing import StageTimes
 
 COUNTS = {"sample1": 3, "sample2": 3, "sample3": 3, "sample4": 4, "sample5": 5, "sample6": 4}
 STEP = 1.0 / 15.0
@@ -214,6 +217,39 @@ def test_many_faces_take_turns_and_none_is_lost():
         ids_seen |= set(ids(faces))
     assert counts[-1] == 8 and min(counts[45:]) == 8 and len(ids_seen) == 8
     assert max(measured.values()) < 60 and min(measured.values()) >= 5
+
+
+def films(names, rate, swing, period, seconds):
+    """(stamp s, image) of photographs side by side, before a camera that swings by `swing` of its view in `period` s."""
+    picture = np.hstack([cv2.resize(photograph(name), (960, 640), interpolation=cv2.INTER_AREA) for name in names])
+    motion = PictureMotion(picture, 1280, 720, pan=swing, period=period)
+    for index in range(int(seconds * rate)):
+        yield 1000.0 + index / rate, motion.view(index / rate)
+
+
+@pytest.mark.parametrize("names, rate, swing, period", [
+    (("sample4",), 12.0, 0.03, 12.0), (("sample4",), 8.0, 0.05, 3.0), (("sample3", "sample5"), 8.0, 0.05, 4.0)])
+def test_a_camera_that_swings_and_two_looks_for_all_faces(names, rate, swing, period):
+    """Nobody is lost or doubled between two looks, when they come late and the camera turns back meanwhile."""
+    finder = FaceFinder(FACES.resolve({"face_budget": 10.0, "face_mesh_rate": 0.0}), StageTimes(), clock=lambda: 0.0)
+    counts, known = [], set()
+    for stamp, image in films(names, rate, swing, period, 9.0):
+        finder.update(image, stamp)
+        counts.append(len(finder.tracked_ids))
+        known.update(finder.tracked_ids)
+    there = sum(COUNTS[name] for name in names)
+    assert counts[len(counts) // 2:] == [there] * (len(counts) - len(counts) // 2) and len(known) == there
+
+
+def test_what_looks_like_a_face_now_and_then_is_none(stage):
+    """A blurred chair, in which the detector sees half a face in some images, and the mesh a whole one."""
+    motion = PictureMotion(photograph("sample1"), 1280, 720)
+    stage.reset()
+    camera, known = CameraModel.from_fov(1280, 720, HFOV), set()
+    for index in range(54):
+        stage.update(motion.view(index / 6.0), camera, 1000.0 + index / 6.0)
+        known.update(stage.tracked_ids)
+    assert len(known) == 3
 
 
 @pytest.mark.parametrize("name, side, least", [("sample6", 30, 4), ("sample6", 24, 3), ("sample3", 30, 2)])

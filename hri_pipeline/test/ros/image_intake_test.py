@@ -2,6 +2,7 @@
 """The image intake and the vision loop with images and camera_info of all sorts."""
 
 import os
+import subprocess
 import threading
 import unittest
 
@@ -64,6 +65,32 @@ class IntakeCase(unittest.TestCase):
 
 
 class ImageIntakeTest(IntakeCase):
+
+    def test_another_node_on_the_topic_is_not_heard_while_the_camera_sends(self):
+        intake = self.intake()
+        stamp, far = rospy.get_time(), 2000000000
+        self.send(intake, picture(stamp))
+        self.assertIsNotNone(intake.next(5))
+        timer = rospy.Timer(rospy.Duration(0.1), lambda _: self.images.publish(picture(rospy.get_time())))
+        self.addCleanup(timer.shutdown)
+        other = subprocess.Popen(["rostopic", "pub", "-r", "20", "image", "sensor_msgs/Image", "{{header: {{stamp: {{secs: {}}}}}, width: 1, "
+                                  "height: 1, step: 3, encoding: bgr8, data: [0, 0, 0]}}".format(far)], stdout=subprocess.DEVNULL)
+        self.addCleanup(other.wait)
+        self.addCleanup(other.kill)
+        seen = []
+
+        def told():
+            frame = intake.next(1)
+            seen.append(None if frame is None else frame.bgr.shape)
+            return "sends too, only" in intake.status()[1]
+        wait_for(told, 20, "the other one is told")
+        for _ in range(10):
+            told()
+        self.assertEqual(set(seen), {BGR.shape})
+        self.assertEqual((intake.status()[0], intake.counts["time_jumps"]), (WARN, 0))
+        timer.shutdown()
+        wait_for(lambda: intake.next(0.5) is not None and intake.status()[2]["time_jumps"] == 0 and intake._last_stamp == far, 20,
+                 "the other one is heard when the camera is silent")
 
     def test_an_image_with_its_camera(self):
         intake = self.intake()

@@ -58,8 +58,8 @@ class RobotFramesTest(unittest.TestCase):
         def seen():
             stamp = rospy.Time.now()
             self.moving.publish(TFMessage(
-                [transform("base", "camera", 0.5, stamp), transform("camera", "body_abcde", 3.0, stamp),
-                 transform("camera", "face_abcde", 3.0, stamp)]))
+                [transform("base", "camera", 0.5, stamp), transform("camera", "face_abcde", 3.0, stamp),
+                 transform("camera", "person_abcde", 3.0, stamp)]))
             return frames.lookup("camera", stamp)
 
         pose = wait_for(seen, WAIT_S, "the camera in map")
@@ -70,6 +70,19 @@ class RobotFramesTest(unittest.TestCase):
         frames.reset()
         self.assertIsNone(frames.lookup("camera", rospy.Time()))
         wait_for(seen, WAIT_S, "the camera again; the fixed frame has been kept")
+
+    def test_a_robot_may_have_a_head_and_a_body(self):
+        frames = self.feed()
+
+        def seen():
+            stamp = rospy.Time.now()
+            self.moving.publish(TFMessage(
+                [transform("map", "body_link", 1.0, stamp), transform("body_link", "head_pan_link", 0.5, stamp),
+                 transform("head_pan_link", "camera", 0.1, stamp)]))
+            return frames.lookup("camera", stamp)
+
+        pose = wait_for(seen, WAIT_S, "the camera in map")
+        self.assertTrue(np.allclose(pose.translation, (0.0, 0.0, 1.6)))
 
     def test_garbage_is_counted_and_the_next_message_is_read(self):
         heard = []

@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """The sound intake with stamped sound, with a format that comes late, and with a worker that is too slow."""
 
+import subprocess
 import time
 import unittest
 from unittest import mock
@@ -97,6 +98,22 @@ class SoundIntakeTest(unittest.TestCase):
         block = self.blocks(intake, 1)[0]
         self.assertEqual(block.samples.shape, (CHUNK // 2, 2))
         self.assertAlmostEqual(block.stamp, before, delta=0.1)
+        self.assertEqual(intake.status()[2]["format"], "16000 Hz, 2 channels, S16LE")
+
+    def test_the_format_that_another_node_tells_does_not_count(self):
+        intake = self.open()
+        audio = self.connect(self.advertise("audio", AudioData))
+        self.advertise("audio_info", AudioInfo, latch=True).publish(
+            AudioInfo(channels=2, sample_rate=RATE, sample_format="S16LE", coding_format="wave"))
+        infos = []
+        self.addCleanup(rospy.Subscriber("audio_info", AudioInfo, infos.append).unregister)
+        other = subprocess.Popen(["rostopic", "pub", "-r", "20", "audio_info", "audio_common_msgs/AudioInfo",
+                                  "{channels: 7, sample_rate: 44100, sample_format: S16LE, coding_format: wave}"], stdout=subprocess.DEVNULL)
+        self.addCleanup(other.wait)
+        self.addCleanup(other.kill)
+        wait_for(lambda: sum(info.channels == 7 for info in infos) > 3, LIMIT, "the other node tells its format")
+        audio.publish(AudioData(data=chunk()))
+        self.assertEqual(self.blocks(intake, 1)[0].samples.shape, (CHUNK // 2, 2))
         self.assertEqual(intake.status()[2]["format"], "16000 Hz, 2 channels, S16LE")
 
     def test_a_worker_that_is_too_slow_loses_the_oldest_sound_and_is_told(self):

@@ -4,7 +4,7 @@ from collections import Counter
 
 import pytest
 
-from hri_pipeline.core.faces.face_budget import FaceBudget
+from hri_pipeline.core.faces.face_budget import FaceBudget, TimeShare
 
 FACES = ["f%d" % number for number in range(10)]
 
@@ -92,3 +92,63 @@ def test_faces_that_have_gone_are_forgotten():
 def test_nonsense_is_refused(arguments):
     with pytest.raises(ValueError, match="rate"):
         FaceBudget(*arguments)
+
+
+def test_work_of_ten_shares_leaves_nine_images_out():
+    share = TimeShare(0.005)
+    allowed = []
+    for _ in range(40):
+        allowed.append(share.next_image())
+        if allowed[-1]:
+            share.spent(0.05)
+    assert allowed == ([True] + [False] * 9) * 4
+
+
+def test_work_within_the_share_is_done_in_every_image():
+    share = TimeShare(0.005)
+    for _ in range(20):
+        assert share.next_image()
+        share.spent(0.004)
+
+
+def test_a_larger_share_pays_sooner_and_nonsense_is_refused():
+    share = TimeShare(0.001)
+    share.spent(0.01)
+    assert not share.next_image()
+    share.change(0.01)
+    assert share.next_image()
+    share.spent(float("nan"))
+    share.spent(-1.0)
+    assert share.next_image()
+    for wrong in (0.0, -0.1, float("nan")):
+        with pytest.raises(ValueError):
+            share.change(wrong)
+
+
+def test_what_is_left_of_the_budget_goes_to_the_next_image():
+    """2.4 looks per image are two and three in turn: no face pays for the rounding."""
+    budget = FaceBudget(0.0, 0.012, 0.005)
+    per_image = [len(budget.choose(FACES, 50.0 + index / 12.0)) for index in range(100)]
+    assert set(per_image) == {2, 3} and sum(per_image) == pytest.approx(240, abs=2)
+    counts, _ = looks(FaceBudget(0.0, 0.012, 0.005), FACES, 12.0, 20.0)
+    assert max(counts.values()) - min(counts.values()) <= 1
+
+
+def test_what_was_not_needed_is_not_saved_up():
+    budget = FaceBudget(0.0, 0.02, 0.005)
+    for index in range(50):
+        budget.choose(FACES[:2], 50.0 + index / 12.0)
+    assert len(budget.choose(FACES, 50.0 + 50 / 12.0)) == 4
+
+
+def test_images_that_come_slowly_have_time_for_everybody():
+    budget = FaceBudget(10.0, 0.01, 0.005)
+    for index in range(20):
+        chosen = budget.choose(FACES, 50.0 + 1.0 * index)
+        assert index == 0 or len(chosen) == len(FACES)
+
+
+def test_a_slow_image_pays_for_more():
+    share = TimeShare(0.005)
+    share.spent(0.02)
+    assert share.next_image(1.0)

@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.faces.face_landmarks import MESH_POINTS
-from hri_pipeline.core.faces.face_tracker import (
-    FaceMeasurement,
-    FaceTracker,
-    face_colours,
-    same_face,
-    without_duplicates,
-)
+from hri_pipeline.core.faces.face_track import FaceMeasurement, face_colours
+from hri_pipeline.core.faces.face_tracker import FaceTracker, same_face, without_duplicates
 from hri_pipeline.core.ids import IdGenerator
 
 STEP = 1.0 / 15.0
@@ -219,6 +214,57 @@ def test_a_face_lives_as_long_as_it_is_detected_now_and_then():
 def test_illegal_support(wrong):
     with pytest.raises(ValueError):
         FaceTracker(0.1, 1.0, 10, **wrong)
+
+
+def test_what_the_detector_is_not_sure_of_needs_more_of_it():
+    faces = FaceTracker(0.1, 1.0, 10, min_detections=2, support_time=2.0)
+    doubtful = face(100.0)
+    pattern = FaceMeasurement(doubtful.mesh, doubtful.presence, True, evidence=0.5)
+    counts = []
+    for step in range(40):
+        stamp = 0.1 * step
+        if step % 5 == 4:
+            faces.support([face(102.0).box, face(101.0).box], stamp, [0.25, 0.5])
+        faces.update([pattern if step == 0 else face(100.0, detection=False)], stamp)
+        counts.append(len(faces.ids))
+    assert counts.index(1) == 14, "half of a detection four times"
+
+
+def panned(stamp):
+    """x of the picture (px): a camera that swings by 60 px each way in 3 s."""
+    return 400.0 + 60.0 * np.sin(2.0 * np.pi * stamp / 3.0)
+
+
+@pytest.mark.parametrize("followed", [True, False])
+def test_a_swinging_camera_and_a_look_in_each_fourth_image(followed):
+    """With a constant velocity the face is expected up to its own size away, and becomes another one."""
+    faces = tracker()
+    rate, farthest = 8.0, 0.0
+    faces.update([face(panned(0.0))], 0.0)
+    for index in range(1, 60):
+        stamp = index / rate
+        for track in faces.tracks:
+            track.move(np.array([panned(stamp) - panned(stamp - 1.0 / rate), 0.0]) if followed else None, stamp)
+        expected = faces.tracks[0].predicted_box(stamp)[[0, 2]].mean()
+        farthest = max(farthest, abs(expected - panned(stamp)))
+        if index % 4 == 0:
+            faces.update([face(panned(stamp))], stamp)
+        else:
+            faces.update([], stamp, skipped=faces.ids)
+    assert (farthest < 1e-6) if followed else (farthest > 30.0)
+
+
+def test_a_face_whose_motion_is_not_seen_goes_on_as_it_went():
+    faces = tracker()
+    faces.update([face(100.0)], 0.0)
+    track, = faces.tracks
+    for index in range(1, 11):
+        track.move(np.array([3.0, 1.0]), 0.1 * index)
+    track.move(None, 1.2)
+    assert track.predicted_box(1.2)[[0, 2]].mean() == pytest.approx(136.0, abs=0.5)
+    assert track.predicted_box(1.3)[[0, 2]].mean() == pytest.approx(139.0, abs=0.5)
+    track.move(np.array([50.0, 0.0]), 1.2)
+    assert track.predicted_box(1.2)[[0, 2]].mean() == pytest.approx(136.0, abs=0.5), "the same image twice"
 
 
 RED, BLUE = np.full((5, 4, 3), 0.2), np.full((5, 4, 3), 0.5)

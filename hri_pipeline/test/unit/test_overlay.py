@@ -118,6 +118,20 @@ def test_old_features_do_not_hold_the_picture_back():
     assert history.choose([1.0, 1.1, 3.0], 0.15) == 3.0
 
 
+def test_features_that_always_come_late_are_drawn_all_the_same():
+    history = FeatureHistory(keep=5.0)
+    images = [0.1 * number for number in range(100)]
+    for arrival in range(30, 90, 10):
+        history.add("faces", "f", images[arrival - 25], face())
+        shown = [history.choose(images[:now + 1], 0.15) for now in range(arrival, arrival + 10)]
+        assert arrival == 30 or shown == [images[arrival - 25]] * 10, arrival
+    assert history.choose(images[:92], 0.15) == images[55]
+    assert history.choose(images, 0.15) == images[99], "nothing has come for much longer than usual"
+    history.clear()
+    history.add("faces", "f", 1.0, face())
+    assert history.choose([1.0, 3.0], 0.15) == 3.0
+
+
 def test_at_takes_the_nearest_within_tolerance():
     history = FeatureHistory()
     history.add("faces", "f", 1.0, face(100.0))

@@ -1,11 +1,13 @@
 """The store of people: private, whole, forgetting without a trace, shared by two processes."""
 
 import os
+import resource
 import signal
 import sqlite3
 import stat
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +39,17 @@ def filled(path, count=3, **options):
 
 def everything(directory):
     return b"".join(file.read_bytes() for file in directory.iterdir())
+
+
+@contextmanager
+def no_room():
+    """No file of this process can be written, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_what_is_written_is_read_in_another_run(path):
@@ -146,6 +159,51 @@ def test_cut_off_anywhere_it_is_whole_or_set_aside(path):
         store.close()
         for file in path.parent.iterdir():
             file.unlink()
+
+
+def test_a_new_store_without_room_leaves_nothing_that_looks_damaged(path):
+    for _ in range(2):
+        with no_room(), pytest.raises(StoreError, match="make room"):
+            PersonStore(path)
+    store = PersonStore(path)
+    assert store.damaged_files() == [] and store.load_records() == []
+    store.close()
+
+
+def test_without_room_nothing_is_lost_and_nothing_set_aside(path):
+    store = filled(path)
+    with no_room():
+        with pytest.raises(StoreError, match="make room"):
+            store.put_record(StoredPerson("later"))
+        with pytest.raises(StoreError, match="make room"):
+            store.remove_record("anna")
+    store.put_record(StoredPerson("later"))
+    store.close()
+    with no_room(), pytest.raises(StoreError, match="make room"):
+        PersonStore(path)
+    store = PersonStore(path)
+    assert [record.id for record in store.load_records()] == ["anna", "later", "person0", "person1", "person2"]
+    assert store.damaged_files() == []
+    store.close()
+
+
+def test_traces_that_a_full_disk_has_left_are_erased_later(path, monkeypatch):
+    store = filled(path)
+    # A file system that has room for the deletion, and none for the file to be written anew.
+    whole = store._erase
+    monkeypatch.setattr(store, "_erase", lambda: _without_room(whole))
+    with pytest.raises(StoreError, match="make room"):
+        store.expire(400.0, max_age=350.0, max_persons=0)
+    monkeypatch.undo()
+    assert "anna" not in [record.id for record in store.load_records()]
+    assert store.expire(400.0, max_age=350.0, max_persons=0) == []
+    assert b"Anna Example" not in everything(path.parent)
+    store.close()
+
+
+def _without_room(erase):
+    with no_room():
+        erase()
 
 
 def test_a_damaged_store_that_another_one_holds_is_left_alone(path):

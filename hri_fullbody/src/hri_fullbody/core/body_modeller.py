@@ -93,6 +93,11 @@ class BodyModeller:
                    values.model_delay, values.stature_window,
                    FilterSettings(agility=values.keypoint_agility, gate=values.keypoint_gate))
 
+    def reconfigure(self, values: SimpleNamespace) -> None:
+        """Take up the values of the live parameters; the bodies stay."""
+        self._min_confidence = values.min_keypoint_confidence
+        self._filter.settings = FilterSettings(agility=values.keypoint_agility, gate=values.keypoint_gate)
+
     def reset(self) -> None:
         """Forget all bodies."""
         self._filter.reset()

@@ -21,12 +21,12 @@ MODELLER_PARAMETERS = (
     Parameter("model_delay", 0.0, "Least time of watching a body before its URDF is made. Longer gives a better first"
               " stature, and later first frames: robot_state_publisher takes 0.3 s as well.", unit="s", minimum=0.0, maximum=10.0),
     Parameter("min_keypoint_confidence", 0.3, "Confidence from which a key point is used for the model. Lower uses"
-              " guessed points of hidden limbs.", minimum=0.0, maximum=1.0),
+              " guessed points of hidden limbs.", minimum=0.0, maximum=1.0, live=True),
     Parameter("keypoint_agility", 1.0, "Factor of the accelerations that the key points' low pass expects: 1 is what"
               " was measured of people who walk, wash, punch and fence. Smaller trembles less and follows sudden motion"
-              " later.", minimum=0.05, maximum=20.0),
+              " later.", minimum=0.05, maximum=20.0, live=True),
     Parameter("keypoint_gate", 0.10, "Distance from where it is expected at which a key point of a resting limb is"
               " taken for an outlier. Smaller keeps out more wrong depths and holds back sudden motion.",
-              unit="m", minimum=0.01, maximum=10.0),
+              unit="m", minimum=0.01, maximum=10.0, live=True),
 )
 """What BodyModeller.from_parameters needs."""

@@ -18,28 +18,28 @@ BODY_STAGE_PARAMETERS = (
     Parameter("pose_rate", 10.0, "How often the pose network looks at each body; in the images between, the body moves"
               " on by its own motion, with a lower confidence. Each look costs 11 to 15 ms on one core with the network"
               " `full`. Larger follows fast movements better. 0: every image.",
-              unit="Hz", minimum=0.0, maximum=120.0),
+              unit="Hz", minimum=0.0, maximum=120.0, live=True),
     Parameter("pose_budget", 3, "Most windows per image that the pose network looks at for known bodies; what is left"
               " (one at least) goes to new ones. With more people than that the fast, the new, and those who have"
-              " waited longest come first. 0: no limit.", minimum=0, maximum=64),
+              " waited longest come first. 0: no limit.", minimum=0, maximum=64, live=True),
     Parameter("max_bodies", 10, "Most bodies tracked at the same time. Each costs 11 to 15 ms of one core `pose_rate`"
               " times a second.",
               minimum=1, maximum=64),
     Parameter("min_body_score", 0.5, "Probability from which the pose network is believed that it sees a body. Higher"
-              " lets go of hidden bodies sooner.", minimum=0.05, maximum=0.99),
+              " lets go of hidden bodies sooner.", minimum=0.05, maximum=0.99, live=True),
     Parameter("min_person_score", 0.3, "Score from which the person detector's box may start a body. Lower finds"
-              " fainter people and more things that are none.", minimum=0.05, maximum=0.99),
+              " fainter people and more things that are none.", minimum=0.05, maximum=0.99, live=True),
     Parameter("person_detection_size", 512, "Longer side of the person detector's input. Larger finds people farther"
               " away; the time grows with its square (17 to 40 ms at 512).", unit="px", minimum=128, maximum=1920),
     Parameter("person_detection_period", 1.0, "Time between two runs of the person detector; between them the pose"
               " network follows the known bodies. Smaller finds new people sooner and costs more. 0: every image.",
-              unit="s", minimum=0.0, maximum=10.0),
+              unit="s", minimum=0.0, maximum=10.0, live=True),
     Parameter("new_windows_per_image", 3, "Most places per image that are searched for new bodies, 6 to 15 ms each."
-              " Larger finds a group sooner, smaller keeps the frame rate even.", minimum=1, maximum=64),
+              " Larger finds a group sooner, smaller keeps the frame rate even.", minimum=1, maximum=64, live=True),
     Parameter("body_birth_delay", 0.1, "Time for which a body must be seen before it gets its topics. Larger keeps out"
-              " more flickering false bodies.", unit="s", minimum=0.0, maximum=10.0),
+              " more flickering false bodies.", unit="s", minimum=0.0, maximum=10.0, live=True),
     Parameter("body_death_time", 1.0, "Time after which a body that is not seen any more is dropped with its id."
-              " Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0),
+              " Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True),
     Parameter("body_memory", 10.0, "Time for which a lost body is remembered by the colours of its clothes and its place: a new"
               " body that fits is told to be the same person (the id is a new one all the same). 0: never.", unit="s",
               minimum=0.0, maximum=300.0),
@@ -54,7 +54,7 @@ BODY_STAGE_PARAMETERS = (
 BODY_OUTPUT_PARAMETERS = (
     Parameter("joint_state_rate", 15.0, "Most joint states, and with them frames, per second and body. Higher moves the"
               " skeletons more evenly; robot_state_publisher asks the master three times for each: ten bodies at 30 Hz"
-              " cost the master alone 12 % of a core. 0: for every image.", unit="Hz", minimum=0.0, maximum=120.0),
+              " cost the master alone 12 % of a core. 0: for every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True),
     Parameter("state_publishers", True, "Put a URDF for each body on the parameter server and run a"
               " robot_state_publisher for it, which makes the frames of its links. false: joint states and body_ID only."),
     Parameter("up_frame", "", "TF frame whose z axis points up and whose z = 0 is the floor, such as `map` or"

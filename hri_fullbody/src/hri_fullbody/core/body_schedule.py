@@ -20,14 +20,18 @@ class PoseSchedule:
     """
 
     def __init__(self, rate: float = 0.0, budget: int = 0) -> None:
+        """rate, budget and errors: see limit."""
+        self.limit(rate, budget)
+        self._earned = 0.0
+        self._last: Optional[float] = None
+        self._turns = 0
+
+    def limit(self, rate: float, budget: int) -> None:
         """rate: Hz for each body, 0 for every image. budget: most windows per image, 0 for no limit. ValueError if < 0."""
         if rate < 0.0 or budget < 0:
             raise ValueError("rate is {} Hz and budget {} windows, legal range 0 and more".format(rate, budget))
         self._rate = rate
         self._budget = budget
-        self._earned = 0.0
-        self._last: Optional[float] = None
-        self._turns = 0
 
     def reset(self) -> None:
         """Forget what was earned."""

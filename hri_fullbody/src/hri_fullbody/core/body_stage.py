@@ -67,11 +67,8 @@ class BodyStage:
             long_side=settings.person_detection_size, **options)
         self._tracker = BodyTracker(
             self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time,
-            settings.min_body_score, settings.max_bodies,
-            schedule=PoseSchedule(settings.pose_rate, settings.pose_budget))
-        self._detection_period = settings.person_detection_period
-        self._new_windows = settings.new_windows_per_image
-        self._budget = settings.pose_budget
+            settings.min_body_score, settings.max_bodies, schedule=PoseSchedule(settings.pose_rate, settings.pose_budget))
+        self._settings = settings
         self._shapes: Dict[str, BodyShape] = {}
         self._continuity = BodyContinuity(settings.body_memory)
         self.returned: List[Return] = []
@@ -80,6 +77,13 @@ class BodyStage:
         self._last_detection = -np.inf
         self._detected_before = False
         self.times = StageTimes()
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters; the bodies stay."""
+        self._settings = settings
+        self._detector.threshold = settings.min_person_score
+        self._tracker.limit(settings.body_birth_delay, settings.body_death_time, settings.min_body_score)
+        self._tracker.schedule.limit(settings.pose_rate, settings.pose_budget)
 
     def reset(self) -> None:
         """Forget all bodies, for example because time went back."""
@@ -128,7 +132,7 @@ class BodyStage:
 
         When the detector is due in every image, both are done in each.
         """
-        due = stamp - self._last_detection >= self._detection_period
+        due = stamp - self._last_detection >= self._settings.person_detection_period
         detected_before, self._detected_before = self._detected_before, due
         if due:
             self._last_detection = stamp
@@ -137,9 +141,9 @@ class BodyStage:
             self._tracker.propose(boxes, faces, stamp)
             if not detected_before:
                 return
-        windows = self._new_windows
-        if self._budget:
-            windows = min(windows, max(1, self._budget - self._tracker.windows))
+        windows, budget = self._settings.new_windows_per_image, self._settings.pose_budget
+        if budget:
+            windows = min(windows, max(1, budget - self._tracker.windows))
         with self.times("new bodies"):
             self._tracker.try_new(bgr, stamp, faces, windows)
 

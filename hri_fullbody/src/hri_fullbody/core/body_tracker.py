@@ -58,30 +58,32 @@ class BodyTracker:
 
         schedule: who is looked at; None for everybody in every image. Raises ValueError for values outside their ranges.
         """
-        if not 0.0 < min_score < 1.0:
-            raise ValueError("min_score is {}, legal range above 0 and below 1".format(min_score))
         if max_bodies < 1 or max_retries < 0:
-            raise ValueError("max_bodies is {} (1 and more), max_retries {} (0 and more)".format(
-                max_bodies, max_retries))
-        TrackLife(0.0, birth_delay, death_time)
+            raise ValueError("max_bodies is {} (1 and more), max_retries {} (0 and more)".format(max_bodies, max_retries))
         self._pose = pose
         self._new_id = new_id
-        self._birth_delay, self._death_time = birth_delay, death_time
-        self._min_score = min_score
-        self._max_bodies = max_bodies
-        self._max_retries = max_retries
-        self._schedule = schedule or PoseSchedule()
+        self._max_bodies, self._max_retries = max_bodies, max_retries
+        self.schedule = schedule or PoseSchedule()
         self._candidates = CandidateQueue()
         self._locate: Locate = lambda estimate: None
         self.tracks: List[BodyTrack] = []
         self.windows = 0
         """Windows looked at since the last `follow`."""
+        self.limit(birth_delay, death_time, min_score)
+
+    def limit(self, birth_delay: float, death_time: float, min_score: float) -> None:
+        """Set what the constructor takes under these names, for the bodies that are tracked, too. Raises ValueError."""
+        if not 0.0 < min_score < 1.0:
+            raise ValueError("min_score is {}, legal range above 0 and below 1".format(min_score))
+        for life in [TrackLife(0.0, birth_delay, death_time)] + [track.life for track in self.tracks]:
+            life.limit(birth_delay, death_time)
+        self._birth_delay, self._death_time, self._min_score = birth_delay, death_time, min_score
 
     def reset(self) -> None:
         """Forget all bodies."""
         self.tracks = []
         self._candidates.clear()
-        self._schedule.reset()
+        self.schedule.reset()
 
     def published(self, stamp: float) -> List[BodyTrack]:
         """Confirmed bodies that the last look at each has found, no longer ago than the death time."""
@@ -97,7 +99,7 @@ class BodyTracker:
         self._locate = locate or (lambda estimate: None)
         self.windows = 0
         own = {track.id: self._own_face(track, faces, stamp) for track in self.tracks}
-        chosen = self._schedule.choose(self.tracks, stamp)
+        chosen = self.schedule.choose(self.tracks, stamp)
         self._retries = self._max_retries
         looks = [self._look_for(track, image, stamp, own[track.id], faces) for track in chosen]
         sights = [sight for sight in looks if sight is not None]

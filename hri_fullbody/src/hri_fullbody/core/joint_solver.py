@@ -7,7 +7,7 @@ Gauss-Newton steps over the whole chain. Which of them run is the parameter `ik_
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import List, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, List, Optional, Sequence, Tuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -25,12 +25,14 @@ from hri_fullbody.core.forward_kinematics import (
 from hri_fullbody.core.gauss_newton import Aims, refine
 from hri_fullbody.core.human_model import HEAD, PAPER, WAIST_SLOT, BodyDimensions, Dimensions, Layout, stack_dimensions
 from hri_fullbody.core.human_urdf import make_urdf
-from hri_fullbody.core.ikpy_solver import LimbChains
 from hri_fullbody.core.limb_angles import head_angles
 from hri_fullbody.core.rotations import about_axes
 from hri_fullbody.core.skeleton import NECK
 from hri_fullbody.core.trunk_pose import Observation
 from hri_pipeline.core.geometry import Pose
+
+if TYPE_CHECKING:  # with ikpy comes sympy, which takes the processor half a second to load
+    from hri_fullbody.core.ikpy_solver import LimbChains
 
 METHODS = ("gauss_newton", "closed_form", "ikpy")
 FARTHEST = 100.0
@@ -171,6 +173,7 @@ class JointSolver:
     def _limb_chains(self, dimensions: Dimensions) -> LimbChains:
         chains = self._chains.get(dimensions)
         if chains is None:
+            from hri_fullbody.core.ikpy_solver import LimbChains
             chains = LimbChains(make_urdf(dimensions, "body", self.layout, visuals=False), "body", self.layout)
             self._chains[dimensions] = chains
         return chains

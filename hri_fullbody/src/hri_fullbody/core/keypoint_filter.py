@@ -74,10 +74,13 @@ class FilteredPoints:
 
 
 class KeypointFilter:
-    """Filters of all bodies. A body is known by its id; its rows of the state arrays are kept till `keep`."""
+    """Filters of all bodies. A body is known by its id; its rows of the state arrays are kept till `keep`.
+
+    settings: may be replaced between two updates.
+    """
 
     def __init__(self, settings: FilterSettings = FilterSettings()) -> None:  # noqa: B008 (frozen)
-        self._settings = settings
+        self.settings = settings
         self.reset()
 
     def reset(self) -> None:
@@ -153,7 +156,7 @@ class KeypointFilter:
         return FilteredPoints(self._gated[rows], self._smooth[rows], np.sqrt(self._variance[rows]))
 
     def _step(self, rows: np.ndarray, points: np.ndarray, step: np.ndarray, stamp: float) -> None:
-        settings = self._settings
+        settings = self.settings
         anew = ~((step > 0.0) & (step <= settings.memory))
         if anew.any():
             fresh = rows[anew]
@@ -171,7 +174,7 @@ class KeypointFilter:
 
     def _gate(self, rows: np.ndarray, points: np.ndarray, step: np.ndarray, stamp: float) -> tuple:
         """Return the points with NaN for outliers, and which of them start anew (N, 18)."""
-        settings = self._settings
+        settings = self.settings
         since = (stamp - self._seen[rows])[..., None]
         last = self._last[rows]
         news = points - last
@@ -224,7 +227,7 @@ class KeypointFilter:
             shares = np.where(restart, alike, shares)
             points = np.where(restart[:, 0, :, None], np.nan, points)
         noise = np.maximum(np.sqrt(self._variance[rows]), _LEAST_NOISE_M)
-        places, speeds, shares = advance(places, speeds, shares, points, since, noise, self._settings.agility)
+        places, speeds, shares = advance(places, speeds, shares, points, since, noise, self.settings.agility)
         self._places[rows], self._speeds[rows], self._shares[rows] = places, speeds, shares
         last = np.einsum("nmk,nmki->nki", shares, places)
         self._last[rows], self._velocity[rows] = last, np.einsum("nmk,nmki->nki", shares, speeds)

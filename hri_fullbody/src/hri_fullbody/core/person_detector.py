@@ -17,7 +17,9 @@ _PERSON_CLASS = 0
 
 
 class PersonDetector(Protocol):
-    """Anything that finds people in an image."""
+    """Anything that finds people in an image. threshold: score from which they are returned; it may be changed."""
+
+    threshold: float
 
     def detect(self, image: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
         """Return boxes (N, 4) x0, y0, x1, y1 px and scores (N,), best first, of `image` (H, W, 3) BGR."""
@@ -75,7 +77,7 @@ class CenterNetDetector:
         if long_side < _STEP:
             raise ValueError("long_side is {} px, legal range {} and more".format(long_side, _STEP))
         self._model = OnnxModel(path, providers, threads, inputs=("images",), outputs=("heat", "ltrb"), notify=notify)
-        self._threshold = threshold
+        self.threshold = threshold
         self._max_overlap = max_overlap
         self._long_side = long_side
 
@@ -87,7 +89,7 @@ class CenterNetDetector:
         feed = cv2.cvtColor(small, cv2.COLOR_BGR2RGB).astype(np.float32)
         output = self._model.run({"images": feed[None]})
         heat = np.ascontiguousarray(output["heat"][0, :, :, _PERSON_CLASS])
-        boxes, scores = decode_centres(heat, output["ltrb"][0], self._threshold, self._max_overlap)
+        boxes, scores = decode_centres(heat, output["ltrb"][0], self.threshold, self._max_overlap)
         boxes = boxes * np.array([width / size[0], height / size[1]] * 2)
         boxes = np.clip(boxes, 0.0, [width, height, width, height])
         solid = np.all(boxes[:, 2:] - boxes[:, :2] >= 2.0, axis=1)

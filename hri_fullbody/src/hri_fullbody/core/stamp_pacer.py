@@ -11,11 +11,15 @@ class StampPacer:
     """
 
     def __init__(self, rate: float) -> None:
+        self._last = float("-inf")
+        self.set_rate(rate)
+
+    def set_rate(self, rate: float) -> None:
+        """Set the rate, Hz; the row starts anew. ValueError below 0."""
         if not rate >= 0.0:
             raise ValueError("rate is {} Hz, legal range 0 and more".format(rate))
         self._period = 1.0 / rate if rate > 0.0 else 0.0
         self._due = float("-inf")
-        self._last = float("-inf")
 
     def is_due(self, stamp: float) -> bool:
         """Tell whether the image of `stamp` (s) is taken. One that is not newer than the last taken one never is."""

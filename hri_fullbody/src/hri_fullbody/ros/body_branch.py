@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import threading
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Dict, List, Optional, Sequence, Tuple
@@ -57,6 +59,8 @@ class BodyBranch:
         self._faces = FaceFeed() if listen_for_faces else None
         self._no_frame = False
         self._closed = False
+        # Few limbs need it, and no body has to wait for it.
+        threading.Thread(target=importlib.import_module, args=("hri_fullbody.core.ikpy_solver",), name="ikpy", daemon=True).start()
 
     def process(self, frame: Frame, context: dict) -> None:
         """Find the bodies in a frame, publish them, and leave them in context["bodies"]."""
@@ -77,6 +81,12 @@ class BodyBranch:
         self._publish_models(bodies, frame)
         if self._markers.get_num_connections() and not self._no_frame:
             self._draw(bodies, frame, up)
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters; the bodies stay."""
+        self._stage.reconfigure(settings)
+        self._models.reconfigure(settings)
+        self._pacer.set_rate(settings.joint_state_rate)
 
     def reset(self) -> None:
         """Forget all bodies: time has jumped back."""

@@ -122,6 +122,10 @@ class BodyModels:
                 Posture(known.expression.posture), Gesture(known.expression.gesture)) if name_of]
         return ", ".join(words)
 
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters; the bodies stay."""
+        self._modeller.reconfigure(settings)
+
     def reset(self) -> None:
         """Forget all bodies: time has jumped back."""
         self._modeller.reset()

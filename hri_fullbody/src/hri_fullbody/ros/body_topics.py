@@ -23,7 +23,7 @@ NAMESPACE = "/humans/bodies"
 class BodyTopics:
     """Publishers of every tracked body. interface: paper or rep155, the type of `roi`.
 
-    A message is made only while somebody listens; roi and joint_states, of which others are made, always.
+    A message is made only while somebody listens; joint_states, which those who come get at once, always.
     """
 
     def __init__(self, interface: str) -> None:
@@ -42,8 +42,9 @@ class BodyTopics:
     def publish_seen(self, body: BodyObservation, frame: Frame) -> None:
         """Publish what is seen in the image: roi, skeleton2d, cropped."""
         height, width = frame.bgr.shape[:2]
-        self._leases.publish(body.id, "roi", roi_message(
-            body.box, width, height, self._interface, frame.header, body.score))
+        if self._listened(body.id, "roi"):
+            self._leases.publish(body.id, "roi", roi_message(
+                body.box, width, height, self._interface, frame.header, body.score))
         if self._listened(body.id, "skeleton2d"):
             self._leases.publish(body.id, "skeleton2d", skeleton_to_msg(body.keypoints, frame.header, width, height))
         if self._listened(body.id, "cropped"):

@@ -17,15 +17,18 @@ class CameraUnions:
     def __init__(self, settings: SimpleNamespace, book: PersonBook, association: LiveAssociation,
                  unions: Unions) -> None:
         self._book, self._association, self._unions = book, association, unions
-        self._on = settings.cross_camera
-        self._frame = settings.reference_frame
-        self._threshold = settings.match_threshold
+        self._settings = settings
         self._cross = CrossCamera(settings.cross_camera_distance, settings.cross_camera_time,
                                   settings.cross_camera_handover)
 
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters; what was seen stays."""
+        self._settings = settings
+        self._cross.limit(settings.cross_camera_distance, settings.cross_camera_time, settings.cross_camera_handover)
+
     def saw(self, person: Person, source: Source, place: Place, sensor: str) -> None:
         """Take the place of a feature of a person, seen by a sensor; only places in the reference frame can be compared."""
-        if self._on and source != Source.VOICE and place.frame == self._frame:
+        if self._settings.cross_camera and source != Source.VOICE and place.frame == self._settings.reference_frame:
             self._cross.saw(person.id, int(source), sensor, place.horizontal, place.stamp)
 
     def update(self) -> bool:
@@ -36,7 +39,7 @@ class CameraUnions:
         merged = {id: alias.target for id, alias in self._book.aliases.items()}
         changed = False
         for link in self._cross.update([self._facts(person) for person in self._book.persons.values()], merged):
-            likelihood = max(link.likelihood, self._threshold) if link.likelihood > 0.0 else 0.0
+            likelihood = max(link.likelihood, self._settings.match_threshold) if link.likelihood > 0.0 else 0.0
             changed |= self._unions.see(link.first, link.second, likelihood)
         return changed
 

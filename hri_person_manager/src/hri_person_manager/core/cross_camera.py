@@ -67,16 +67,18 @@ class CrossCamera:
     """Follows places of persons per sensor and tells who is one human. Times are stamps of the measurements, s."""
 
     def __init__(self, distance: float, time: float, handover: float) -> None:
-        """Join persons nearer than `distance` m for `time` s, and the lost with the new for `handover` s; 0: never."""
-        self._distance = distance
-        self._time = time
-        self._handover = handover
+        """Take the limits, see limit()."""
+        self.limit(distance, time, handover)
         self._tracks: Dict[str, SensorTrack] = {}
         self._near: Dict[Pair, _Nearness] = {}
         self._links: Set[Pair] = set()
         self._sensors: Set[str] = set()
         self._named_by: "OrderedDict[str, Set[str]]" = OrderedDict()
         self._newest = -math.inf
+
+    def limit(self, distance: float, time: float, handover: float) -> None:
+        """Join persons nearer than `distance` m for `time` s, and the lost with the new for `handover` s; 0: never."""
+        self._distance, self._time, self._handover = distance, time, handover
 
     @property
     def is_idle(self) -> bool:

@@ -39,7 +39,7 @@ class Link(NamedTuple):
     @property
     def pose(self) -> Pose:
         """The transform; ValueError when its numbers are none."""
-        if not all(math.isfinite(value) for value in self.translation):
+        if not math.isfinite(sum(self.translation)):
             raise ValueError("a translation holds numbers that are not finite")
         return Pose.from_quaternion(self.rotation, self.translation)
 
@@ -176,8 +176,9 @@ _STILL: Motion = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 def _is_legal(link: Link) -> bool:
-    return all(math.isfinite(value) for value in link.translation + link.rotation) \
-        and sum(value * value for value in link.rotation) > 1e-18
+    # A sum is finite when all of its numbers are.
+    x, y, z, w = link.rotation
+    return math.isfinite(sum(link.translation)) and 1e-18 < x * x + y * y + z * z + w * w < math.inf
 
 
 def _after(first: Motion, second: Motion) -> Motion:

@@ -16,8 +16,8 @@ class LiveAssociation:
     """Keeps every match, and the groups of those whose features are present."""
 
     def __init__(self, threshold: float, is_present: Callable[[Node], bool], on_lonely: Callable[[str], None]) -> None:
-        """Matches count from likelihood `threshold` on; on_lonely(id) is told of a named person without any feature."""
-        self._threshold = threshold
+        """Matches count from likelihood `threshold` on, which may be changed before solve(); on_lonely(id) is told of a named person without any feature."""
+        self.threshold = threshold
         self._is_present = is_present
         self._on_lonely = on_lonely
         self._graph = MatchGraph()
@@ -52,7 +52,7 @@ class LiveAssociation:
     def named(self, feature: Node) -> Set[str]:
         """Ids of the persons that recognisers see in a feature, whoever got it in the end."""
         return {node.id for node in self._graph.neighbours(feature) if node.kind == Kind.PERSON
-                and (self._graph.likelihood(feature, node) or 0.0) >= self._threshold}
+                and (self._graph.likelihood(feature, node) or 0.0) >= self.threshold}
 
     def keep(self, match: Match) -> bool:
         """Put a match into the graph, or aside while one of its features is not tracked.
@@ -62,9 +62,9 @@ class LiveAssociation:
         first, second, likelihood = match.first, match.second, match.likelihood
         if all(node.kind == Kind.PERSON or self._is_present(node) for node in (first, second)):
             before = self._graph.likelihood(first, second) or 0.0
-            if not self._graph.set(first, second, likelihood) or max(before, likelihood) < self._threshold:
+            if not self._graph.set(first, second, likelihood) or max(before, likelihood) < self.threshold:
                 return False
-            return min(before, likelihood) < self._threshold or not self._is_alone(self._groups.get(first), second)
+            return min(before, likelihood) < self.threshold or not self._is_alone(self._groups.get(first), second)
         nodes = frozenset((first, second))
         self._strays.pop(nodes, None)
         if likelihood > 0.0:
@@ -83,7 +83,7 @@ class LiveAssociation:
         """Take a feature out of the graph; returns the nodes that have to be solved again."""
         group = self._groups.get(node, frozenset((node,)))
         touched = set(self._graph.neighbours(node)) | set(group)
-        self._graph.carry(node, group, self._threshold)
+        self._graph.carry(node, group, self.threshold)
         self._graph.remove(node)
         self._groups.pop(node, None)
         return sorted(touched - {node})
@@ -110,8 +110,8 @@ class LiveAssociation:
         touched: Set[Node] = set()
         for node in nodes:
             if node not in touched and self._is_present(node):
-                touched.update(self._graph.component(node, self._threshold, self._is_present))
-        solution = self._graph.solve(touched, self._threshold)
+                touched.update(self._graph.component(node, self.threshold, self._is_present))
+        solution = self._graph.solve(touched, self.threshold)
         self.exact = solution.exact
         return any([self._take(group) for group in solution.groups])
 
@@ -122,12 +122,12 @@ class LiveAssociation:
         """
         return group is not None and other in group and not any(
             neighbour not in group and self._is_present(neighbour)
-            and (self._graph.likelihood(node, neighbour) or 0.0) >= self._threshold
+            and (self._graph.likelihood(node, neighbour) or 0.0) >= self.threshold
             for node in group for neighbour in self._graph.neighbours(node))
 
     def _is_second(self, voice: Node) -> bool:
         """Tell whether a voice that is alone is linked with a group that holds another one."""
-        return any((self._graph.likelihood(voice, other) or 0.0) >= self._threshold
+        return any((self._graph.likelihood(voice, other) or 0.0) >= self.threshold
                    and any(node.kind == Kind.VOICE and node != voice for node in self._groups.get(other, ()))
                    for other in self._graph.neighbours(voice))
 

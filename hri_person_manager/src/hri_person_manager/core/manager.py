@@ -18,15 +18,15 @@ from hri_person_manager.core.person_book import ANONYMOUS_PREFIX, PersonBook
 from hri_person_manager.core.person_state import Snapshot
 from hri_person_manager.core.person_view import PersonView
 from hri_person_manager.core.presence import Presence
+from hri_person_manager.core.presumptions import Presumptions
 from hri_person_manager.core.unions import Unions
 from hri_pipeline.core.ids import IdGenerator
 
 MAX_UNSEEN_PERSONS = 32       # permanent persons kept with their topics although nobody sees them
 _KIND_OF_SOURCE = {Source.FACE: Kind.FACE, Source.HEAD: Kind.BODY, Source.BODY: Kind.BODY, Source.VOICE: Kind.VOICE}
-
-
 # Likelihood of a match that an earlier run has left; the recogniser's own takes its place.
 _AS_SURE_AS_BEFORE = 0.9
+
 
 class PersonManager:
     """Fuses faces, bodies and voices into persons and knows where they are."""
@@ -47,7 +47,18 @@ class PersonManager:
                                 self._settings.voice_person_delay)
         self._view = PersonView(self._book, self._unions, self._decay)
         self._association = LiveAssociation(self._threshold, self._is_present, self._make_permanent)
+        self._presumptions = Presumptions(self._presence, self._association, self._settings.features_from_matches)
         self._cameras = CameraUnions(self._settings, self._book, self._association, self._unions)
+
+    def reconfigure(self, settings: SimpleNamespace, now: float) -> None:
+        """Take up the values of the live parameters at `now` (s): persons and matches stay, who belongs together is solved anew."""
+        self._settings = settings
+        self._threshold = self._association.threshold = self._unions.threshold = settings.match_threshold
+        self._decay = self._view.decay = Decay(settings.decay, settings.half_life, settings.confidence_floor)
+        self._book.set_delays(settings.new_person_delay, settings.voice_person_delay)
+        self._cameras.reconfigure(settings)
+        self._association.solve(self._presence.features())
+        self._settle(now)
 
     @property
     def refused_ids(self) -> int:
@@ -107,10 +118,10 @@ class PersonManager:
         for feature, person in (nodes, nodes[::-1]):
             if person.kind == Kind.PERSON and person.id.startswith(ANONYMOUS_PREFIX):
                 return self._claim(feature, person.id, match.likelihood, now)
-        arrived = self._presume(nodes, now) if match.likelihood > 0.0 else []
+        arrived = self._presumptions.begin(nodes, now) if match.likelihood > 0.0 else []
         worth = self._association.keep(match)
         changed = self._association.solve(nodes) if worth or arrived else False
-        if self._end_presumptions(nodes) or arrived or changed or (worth and Kind.VOICE in {node.kind for node in nodes}):
+        if self._presumptions.end(nodes) or arrived or changed or (worth and Kind.VOICE in {node.kind for node in nodes}):
             self._settle(now)
             return True
         return False
@@ -214,21 +225,11 @@ class PersonManager:
 
     def tick(self, now: float) -> None:
         """Let time pass: unclaimed features become persons, places fade, forgotten persons go."""
-        lapsed = self._presence.lapsed(now)
-        for node in lapsed:
-            self._presence.drop(node)
-        self._association.solve([other for node in lapsed for other in self._association.leave(node)])
+        lapsed = self._presumptions.lapse(now)
         waiting = self._book.waiting_until()
         if lapsed or (waiting is not None and now >= waiting):
             self._settle(now)
-        gone = []
-        for person in list(self._book.persons.values()):
-            if self._view.features(person) or person.features or self._view.confidence(person, now) > 0.0:
-                continue
-            person.location.clear()
-            if person.anonymous:
-                gone.append(person.id)
-        gone += self._view.long_unseen()[:-MAX_UNSEEN_PERSONS]
+        gone = self._view.fade(now) + self._view.long_unseen()[:-MAX_UNSEEN_PERSONS]
         for person_id in gone:
             if self._book.persons[person_id].anonymous:
                 self._unions.remove(person_id)
@@ -247,23 +248,6 @@ class PersonManager:
     def _is_present(self, node: Node) -> bool:
         return node.id in self._known if node.kind == Kind.PERSON else node in self._presence
 
-    def _presume(self, nodes: Iterable[Node], now: float) -> List[Node]:
-        """Count features as present that a match names before their list does."""
-        arrived = [node for node in nodes if self._settings.features_from_matches and node.kind != Kind.PERSON
-                   and self._presence.presume(node, now)]
-        if arrived:
-            self._association.arrive(arrived)
-        return arrived
-
-    def _end_presumptions(self, nodes: Iterable[Node]) -> bool:
-        """Drop features for which only matches spoke that are withdrawn; returns whether there was one."""
-        over = [node for node in nodes if node.kind != Kind.PERSON and self._presence.is_presumed(node)
-                and not self._association.neighbours(node)]
-        for node in over:
-            self._presence.drop(node)
-            self._association.drop(node)
-        return bool(over)
-
     def _claim(self, feature: Node, person_id: str, likelihood: float, now: float) -> bool:
         """Take a match with an anonymous person: one without features gets this one, else its person is joined with it."""
         if person_id not in self._book.persons:
@@ -273,7 +257,7 @@ class PersonManager:
             # To what is seen of the person: the voice needs no person of its own in between.
             return any([self.on_match(Match(feature, node, likelihood), now) for node in (seen[:1] if likelihood else seen)])
         if self._book.owner(feature) is None and likelihood >= self._threshold:
-            self._presume((feature,), now)
+            self._presumptions.begin((feature,), now)
             if not self._is_present(feature):
                 return False
             self._association.solve((feature,))

@@ -28,11 +28,15 @@ class RateLimit:
 
     def __init__(self, per_second: float) -> None:
         """ValueError unless the rate is above zero."""
+        self.set_rate(per_second)
+        self._tokens = per_second
+        self._last: Optional[float] = None
+
+    def set_rate(self, per_second: float) -> None:
+        """Set the rate from now on; ValueError unless it is above zero."""
         if not per_second > 0.0:
             raise ValueError("rate is %s per second, must be above 0" % per_second)
         self._rate = per_second
-        self._tokens = per_second
-        self._last: Optional[float] = None
 
     def allow(self, now: float) -> bool:
         """Tell whether one more event at time `now` (s) is within the limit; time may jump back."""
@@ -50,7 +54,7 @@ class MatchGuard:
 
     def __init__(self, max_per_second: float) -> None:
         """Accept at most `max_per_second` matches on average."""
-        self._limit = RateLimit(max_per_second)
+        self.limit = RateLimit(max_per_second)
         self.refused: CounterType[str] = Counter()
         self.accepted = self.late = 0
         self._forgotten: Dict[str, float] = {}
@@ -63,7 +67,7 @@ class MatchGuard:
     def check(self, id1: object, type1: object, id2: object, type2: object,
               likelihood: object, now: float) -> Optional[Match]:
         """Return the match, None if it was refused; `now` (s) drives the rate limit."""
-        if not self._limit.allow(now):
+        if not self.limit.allow(now):
             return self._refuse("too many per second")
         try:
             kinds = Kind(type1), Kind(type2)

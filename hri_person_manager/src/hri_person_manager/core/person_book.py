@@ -56,8 +56,7 @@ class PersonBook:
         """
         self._new_id = new_id
         self._new_location = new_location
-        self._delay = new_person_delay
-        self._voice_delay = max(new_person_delay, voice_person_delay)
+        self.set_delays(new_person_delay, voice_person_delay)
         self._anonymous_persons = anonymous_persons
         self._count = 0
         self._unclaimed: Dict[Node, float] = {}
@@ -108,6 +107,11 @@ class PersonBook:
             self._merge(person, target)
         self._write_features(owners, now)
         self._drop_dead_aliases()
+
+    def set_delays(self, new_person_delay: float, voice_person_delay: float) -> None:
+        """Set how long features wait (s), as in the constructor, from now on."""
+        self._delay = new_person_delay
+        self._voice_delay = max(new_person_delay, voice_person_delay)
 
     def waiting_until(self) -> Optional[float]:
         """Return the time (s) at which the next unclaimed feature becomes a person, None if none waits."""

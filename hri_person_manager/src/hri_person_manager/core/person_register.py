@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import asdict, dataclass, replace
-from typing import Dict, Iterable, List, Optional, Protocol, Sequence, Tuple
+from typing import Dict, Iterable, List, Optional, Protocol, Sequence, Set, Tuple
 
 from hri_person_manager.core.demographics import Demographics, DemographicsEstimate
 from hri_pipeline.core.ids import is_valid_id
+from hri_pipeline.core.private_file import StoreError
 
 LONGEST_NAME = 64
 # RFC 5646, section 2.1, as far as names of languages go: language, script, region, variants.
@@ -50,10 +51,16 @@ class RecordStore(Protocol):
 
 
 class PersonRegister:
-    """All permanent persons by id, written through to a store if there is one."""
+    """All permanent persons by id, written through to a store if there is one.
+
+    What the store does not take (the disk is full) is known here all the same, and waits for write_pending(); `problem`
+    says why, empty when nothing waits. Who has wished for it gets the StoreError as well.
+    """
 
     def __init__(self, store: Optional[RecordStore] = None) -> None:
         self._store = store
+        self._unwritten: Set[str] = set()
+        self.problem = ""
         self._records: Dict[str, PersonRecord] = {}
         self._demographics: Dict[str, Demographics] = {}
         for record in store.load_records() if store is not None else ():
@@ -78,9 +85,17 @@ class PersonRegister:
         for person_id in person_ids:
             record = self._records.get(person_id)
             if record is None:
-                self._write(PersonRecord(person_id, first_seen=now, last_seen=now))
+                self._note(PersonRecord(person_id, first_seen=now, last_seen=now))
             elif now - record.last_seen >= SEEN_STEP_S or now < record.last_seen:
-                self._write(replace(record, last_seen=now))
+                self._note(replace(record, last_seen=now))
+
+    def write_pending(self) -> None:
+        """Write what the store did not take, as far as it does now; cheap when nothing waits."""
+        for person_id in sorted(self._unwritten):
+            try:
+                self._put(self._records[person_id])
+            except StoreError:
+                return
 
     def set_name(self, person_id: str, name: str) -> None:
         """Give a person a name; an empty one takes it away. RegisterError for a stranger or an illegal name."""
@@ -114,7 +129,7 @@ class PersonRegister:
             return False
         record, estimate = self._records.get(person_id), demographics.estimate()
         if record is not None and _worth_writing(record.demographics, estimate):
-            self._write(replace(record, demographics=estimate))
+            self._note(replace(record, demographics=estimate))
         return True
 
     def demographics(self, person_id: str) -> Optional[DemographicsEstimate]:
@@ -128,28 +143,32 @@ class PersonRegister:
         self._demographics = {key: value for key, value in self._demographics.items() if key in kept}
 
     def forget(self, person_id: str) -> bool:
-        """Remove everything about a person; False for a stranger. Also those merged into it go: they are the same."""
+        """Remove everything about a person; False for a stranger. Also those merged into it go: they are the same.
+
+        Whom the store does not let go (StoreError) is known still, so that the wish can be repeated.
+        """
         gone = [key for key, record in self._records.items() if key == person_id or record.alias == person_id]
-        self._demographics.pop(person_id, None)
         for key in gone:
-            del self._records[key]
-            self._demographics.pop(key, None)
             if self._store is not None:
                 self._store.remove_record(key)
+            self.drop(key)
+        self._demographics.pop(person_id, None)
         return bool(gone)
 
     def drop(self, person_id: str) -> None:
         """Take a person out whom the store has removed by itself."""
         self._records.pop(person_id, None)
         self._demographics.pop(person_id, None)
+        self._has_written(person_id)
 
     def forget_all(self) -> int:
-        """Remove everybody; returns how many there were."""
+        """Remove everybody; returns how many there were. StoreError: as in forget()."""
         count = len(self._records)
-        self._records.clear()
-        self._demographics.clear()
         if self._store is not None:
             self._store.remove_all()
+        for person_id in list(self._records):
+            self.drop(person_id)
+        self._demographics.clear()
         return count
 
     def export(self, person_id: str = "") -> List[dict]:
@@ -164,12 +183,34 @@ class PersonRegister:
             raise RegisterError("there is no known person {}".format(shown))
         return record
 
+    def _note(self, record: PersonRecord) -> None:
+        """Write what nobody has wished for: nobody waits for an answer."""
+        try:
+            self._write(record)
+        except StoreError:
+            pass    # it waits, and `problem` says why
+
     def _write(self, record: PersonRecord) -> None:
-        if self._records.get(record.id) == record:
+        if self._records.get(record.id) == record and record.id not in self._unwritten:
             return
         self._records[record.id] = record
-        if self._store is not None:
+        self._put(record)
+
+    def _put(self, record: PersonRecord) -> None:
+        if self._store is None:
+            return
+        self._unwritten.add(record.id)
+        try:
             self._store.put_record(record)
+        except StoreError as error:
+            self.problem = "{} persons are not kept: {}".format(len(self._unwritten), error)
+            raise
+        self._has_written(record.id)
+
+    def _has_written(self, person_id: str) -> None:
+        self._unwritten.discard(person_id)
+        if not self._unwritten:
+            self.problem = ""
 
 
 def _worth_writing(before: Optional[DemographicsEstimate], now: Optional[DemographicsEstimate]) -> bool:

@@ -26,7 +26,7 @@ class PersonView:
     def __init__(self, book: PersonBook, unions: Unions, decay: Decay) -> None:
         self._book = book
         self._unions = unions
-        self._decay = decay
+        self.decay = decay
         self._shown: Optional[Dict[str, _Shown]] = None
         self._aliases: Tuple[PersonState, ...] = ()
         self._tracked: Tuple[str, ...] = ()
@@ -71,6 +71,16 @@ class PersonView:
         faces = {name: [node for node in nodes if node.kind == Kind.FACE] for name, nodes in found.items()}
         return {name: faces[name] or nodes for name, nodes in found.items()}
 
+    def fade(self, now: float) -> List[str]:
+        """Let go of the places that are not to be trusted any more at time `now` (s); returns the anonymous persons without a place."""
+        gone = []
+        for person in self._book.persons.values():
+            if not self.features(person) and not person.features and self.confidence(person, now) <= 0.0:
+                person.location.clear()
+                if person.anonymous:
+                    gone.append(person.id)
+        return gone
+
     def long_unseen(self) -> List[str]:
         """Ids of the permanent persons without features and place, who was lost first first."""
         unseen = [shown.person for shown in self._all().values() if not shown.person.anonymous and not shown.features
@@ -106,7 +116,7 @@ class PersonView:
         members = shown.members or (shown.person,)
         if shown.features or any(member.features for member in members):
             return 1.0
-        return self._decay.confidence(now - max(member.lost_at or 0.0 for member in members))
+        return self.decay.confidence(now - max(member.lost_at or 0.0 for member in members))
 
     def _all(self) -> Dict[str, _Shown]:
         """All persons, looked up anew after a change."""

@@ -20,12 +20,16 @@ class Proxemics:
     """Sorts persons by distance; one who stands on a border does not go to and fro."""
 
     def __init__(self, personal: float = 1.2, social: float = 3.6) -> None:
-        """Take the outer borders (m) of the personal and the social space; ValueError unless 0 < personal < social."""
+        """Take the borders, as set_borders() does."""
+        self.set_borders(personal, social)
+        self._space: Dict[str, Space] = {}
+
+    def set_borders(self, personal: float, social: float) -> None:
+        """Set the outer borders (m) of the personal and the social space; ValueError unless 0 < personal < social."""
         if not 0.0 < personal < social:
             raise ValueError("personal_distance is %s m and social_distance %s m, wanted 0 < personal < social" % (
                 personal, social))
         self._borders = (personal, social)
-        self._space: Dict[str, Space] = {}
 
     def update(self, distances: Mapping[str, float]) -> Dict[Space, List[str]]:
         """Return who is in which space; `distances` (m) of all persons whose place is known."""

@@ -19,8 +19,8 @@ class Unions:
     """Likelihoods (0..1) that two persons are the same; the oldest goes first when there are too many."""
 
     def __init__(self, threshold: float) -> None:
-        """Join persons from likelihood `threshold` on; a lower one is kept, as it may rise again."""
-        self._threshold = threshold
+        """Join persons from likelihood `threshold` on; a lower one is kept, as it may rise again. It may be changed before settle()."""
+        self.threshold = threshold
         self._pairs: "OrderedDict[Pair, float]" = OrderedDict()
         self._seen: "OrderedDict[Pair, float]" = OrderedDict()
         self._parted: "OrderedDict[Pair, None]" = OrderedDict()
@@ -48,11 +48,11 @@ class Unions:
         self._pairs.pop(pair, None)
         if likelihood > 0.0:
             self._pairs[pair] = likelihood
-        if likelihood >= self._threshold:
+        if likelihood >= self.threshold:
             self._parted.pop(pair, None)
         changed = before != self._is_joined(pair)
         while len(self._pairs) > MAX_UNIONS:
-            changed |= self._pairs.popitem(last=False)[1] >= self._threshold
+            changed |= self._pairs.popitem(last=False)[1] >= self.threshold
         return changed
 
     def see(self, first: str, second: str, likelihood: float) -> bool:
@@ -67,7 +67,7 @@ class Unions:
             self._seen[pair] = likelihood
         changed = before != self._is_joined(pair)
         while len(self._seen) > MAX_UNIONS:
-            changed |= self._seen.popitem(last=False)[1] >= self._threshold
+            changed |= self._seen.popitem(last=False)[1] >= self.threshold
         return changed
 
     def may_be_seen(self, first: str, second: str) -> bool:
@@ -106,7 +106,7 @@ class Unions:
         for other in _reachable(person_id, neighbours) - {person_id}:
             pair = _pair(person_id, other)
             self._seen.pop(pair, None)
-            if self._pairs.get(pair, 0.0) >= self._threshold:
+            if self._pairs.get(pair, 0.0) >= self.threshold:
                 del self._pairs[pair]
             self._parted[pair] = None
         while len(self._parted) > MAX_UNIONS:
@@ -142,8 +142,8 @@ class Unions:
 
     def _is_joined(self, pair: Pair) -> bool:
         if pair in self._pairs:
-            return self._pairs[pair] >= self._threshold
-        return pair not in self._parted and self._seen.get(pair, 0.0) >= self._threshold
+            return self._pairs[pair] >= self.threshold
+        return pair not in self._parted and self._seen.get(pair, 0.0) >= self.threshold
 
     def _neighbours(self, present: Optional[Set[str]] = None) -> Dict[str, Set[str]]:
         """With whom each of the present persons (None: all) is joined."""

@@ -11,7 +11,7 @@ from hri_person_manager.core.match_guard import MatchGuard
 from hri_person_manager.core.person_state import Snapshot
 from hri_person_manager.ros.reference import ReferenceFrame
 from hri_person_manager.ros.tf_intake import TfIntake
-from hri_pipeline.ros.diagnostics import OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.feature_feed import FeatureFeed
 from hri_pipeline.ros.tf_publisher import TfPublisher
 
@@ -25,9 +25,10 @@ class ManagerReport:
         self._intake, self._feeds, self._transforms = intake, feeds, transforms
         self._diagnostics = NodeDiagnostics(rospy.get_name())
 
-    def update(self, snapshot: Snapshot, jumps: int) -> None:
-        """Publish the state; jumps: how often time has gone back."""
+    def update(self, snapshot: Snapshot, jumps: int, store_problem: str) -> None:
+        """Publish the state; jumps: how often time has gone back; store_problem: empty when what is known is kept."""
         self._persons(snapshot, jumps)
+        self._diagnostics.set("store", ERROR if store_problem else OK, store_problem or "nothing waits to be written")
         self._matches()
         self._location()
         for plural, feed in self._feeds.items():

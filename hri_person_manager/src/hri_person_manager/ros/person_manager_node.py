@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from types import SimpleNamespace
-from typing import Dict, Iterable, List
+from typing import Dict, List
 
 import genpy
 import rospy
@@ -17,7 +17,6 @@ from hri_msgs.msg import IdsMatch, SoftBiometrics
 from hri_person_manager.core.association import Kind, Node
 from hri_person_manager.core.graph_text import graph_text
 from hri_person_manager.core.manager import PersonManager
-from hri_person_manager.core.manager_parameters import PERSON_MANAGER_PARAMETERS, SHARED
 from hri_person_manager.core.match_guard import MatchGuard
 from hri_person_manager.core.person_book import ANONYMOUS_PREFIX
 from hri_person_manager.core.person_register import PersonRegister
@@ -33,7 +32,6 @@ from hri_person_manager.ros.reference import ReferenceFrame
 from hri_person_manager.ros.restart_memory import RestartMemory
 from hri_person_manager.ros.tf_intake import StampedSighting, TfIntake
 from hri_pipeline.core.memory import give_back, share_arenas
-from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.feature_feed import FeatureFeed
@@ -49,15 +47,6 @@ _LOG_PERIOD_S = 30.0
 JUMP_BACK_S = 0.5
 _FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", Kind.BODY, {}),
           ("voices", Kind.VOICE, {}))
-
-
-def read_manager_parameters() -> SimpleNamespace:
-    """Return the parameters out of the private namespace and those shared under /humans; ParameterError."""
-    given = rospy.get_param(rospy.get_name(), {})
-    if not isinstance(given, dict):
-        raise ParameterError("%s is a value on the parameter server, not a set of parameters" % rospy.get_name())
-    shared = {name: rospy.get_param("/humans/" + name) for name in SHARED if rospy.has_param("/humans/" + name)}
-    return PERSON_MANAGER_PARAMETERS.resolve({**given, **shared})
 
 
 class PersonManagerNode:
@@ -107,7 +96,12 @@ class PersonManagerNode:
     def _expire(self) -> None:
         """Forget who has not been seen for too long."""
         self._next_expiry = time.monotonic() + EXPIRY_S
-        for person_id in self._store.expire(time.time()) if self._store is not None else ():
+        try:
+            expired = self._store.expire(time.time()) if self._store is not None else ()
+        except StoreError as error:
+            rospy.logerr("~store: who was not seen for too long is still in it: %s", error)
+            return
+        for person_id in expired:
             self._register.drop(person_id)
             self._manager.forget(person_id, rospy.get_time())
 
@@ -128,6 +122,15 @@ class PersonManagerNode:
         while not self._stop.wait(TICK_S):
             with self._lock:
                 self._tick()
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters, from any thread. ValueError for borders of spaces in the wrong order."""
+        with self._lock:
+            self._spaces.reconfigure(settings)
+            self._guard.limit.set_rate(settings.max_matches_per_second)
+            self._threshold = settings.match_threshold
+            self._manager.reconfigure(settings, rospy.get_time())
+            self._publish_state()
 
     def close(self) -> None:
         """Take everything back. Idempotent."""
@@ -215,23 +218,20 @@ class PersonManagerNode:
         self._spaces.update(snapshot, self._sensed)
         self._graph.update(lambda: graph_text(snapshot, self._manager.matches, self._manager.unions, self._threshold))
         self._memory.update(self._present)
-        self._note_seen(filter(self._manager.is_permanent, snapshot.tracked))
+        # In wall time: that is what runs, bags and simulations have in common.
+        self._register.seen(filter(self._manager.is_permanent, snapshot.tracked), time.time())
         if time.monotonic() >= self._next_report:
             self._next_report = time.monotonic() + DIAGNOSTICS_S
-            self._report.update(snapshot, self._jumps)
+            self._register.write_pending()
+            if self._register.problem:
+                rospy.logerr_throttle(_LOG_PERIOD_S, "~store: %s", self._register.problem)
+            self._report.update(snapshot, self._jumps, self._register.problem)
             if time.monotonic() >= self._next_expiry:
                 self._expire()
             if time.monotonic() >= self._next_giving:
                 self._next_giving = time.monotonic() + GIVE_BACK_S
                 give_back()
             self._register.keep_demographics(state.id for state in snapshot.persons)
-
-    def _note_seen(self, person_ids: Iterable[str]) -> None:
-        """Note that permanent persons are there, in wall time: that is what runs, bags and simulations have in common."""
-        try:
-            self._register.seen(person_ids, time.time())
-        except StoreError as error:
-            rospy.logerr_throttle(_LOG_PERIOD_S, "~store: %s", error)
 
     def _present(self) -> Dict[str, List[Node]]:
         """Who is made of which features, for the case that this node dies."""

@@ -31,6 +31,10 @@ class PersonSpaces:
         self._sensors: Dict[str, str] = {}
         self._lists = {space: TrackedList("{}/{}".format(NAMESPACE, space.value)) for space in Space}
 
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the borders. ValueError when they are in the wrong order; then nothing has changed."""
+        self._proxemics.set_borders(settings.personal_distance, settings.social_distance)
+
     def saw(self, person_id: str, sensor: str) -> None:
         """Note which sensor frame has placed a person."""
         self._sensors[person_id] = sensor

@@ -77,17 +77,22 @@ def write_json(path: str, data: object) -> None:
 
 
 def _show(watch: PersonsWatch, duration: Optional[float], period: float) -> None:
+    """Print a table each period, on a terminal more often; the first as soon as somebody is seen, the last at the end."""
     live = sys.stdout.isatty()
-    begin = time.monotonic()
-    lines_above = 0
+    begin = printed = time.monotonic()
+    lines_above, met = 0, False
     while not rospy.is_shutdown():
         left = float("inf") if duration is None else begin + duration - time.monotonic()
-        threading.Event().wait(max(0.0, min(REDRAW_S if live else period, left)))
-        text = _table(watch)
-        sys.stdout.write(redraw(text, lines_above) if live else text + "\n\n")
-        sys.stdout.flush()
-        lines_above = text.count("\n") + 1
-        if duration is not None and time.monotonic() >= begin + duration:
+        threading.Event().wait(max(0.0, min(REDRAW_S, period, left)))
+        now = time.monotonic()
+        ended = duration is not None and now >= begin + duration
+        meets = not met and any((row.face or row.body) and row.confidence >= 1.0 for row in watch.rows())
+        if live or meets or ended or now >= printed + period:
+            text = _table(watch)
+            sys.stdout.write(redraw(text, lines_above) if live else text + "\n\n")
+            sys.stdout.flush()
+            lines_above, printed, met = text.count("\n") + 1, now, met or meets
+        if ended:
             return
 
 

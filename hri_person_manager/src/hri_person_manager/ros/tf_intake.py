@@ -12,7 +12,7 @@ from hri_person_manager.core.association import Kind
 from hri_person_manager.core.human_frames import HumanFrames, Link, Sighting
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.tf_scan import RawTransform, read
-from hri_pipeline.ros.robot_frames import RobotFrames
+from hri_pipeline.ros.robot_frames import OF_HUMANS, RobotFrames
 from hri_pipeline.ros.tf_feed import Frames, TfFeed
 
 _LOG_PERIOD_S = 10.0
@@ -41,6 +41,7 @@ class TfIntake:
         self._humans = HumanFrames(source_timeout)
         self._robot = RobotFrames(reference_frame)
         self._limbs: Set[str] = set()
+        self._stamp = genpy.Time()
         self.refused = 0
         self._ears = TfFeed(self._on_frames)
 
@@ -83,12 +84,12 @@ class TfIntake:
             self._on_sightings(found)
 
     def _take(self, data: bytes, entry: Tuple[bytes, int], fixed: bool, found: List[StampedSighting]) -> bool:
-        """Take one transform of a message; False for a limb, of which nothing but the name has been read."""
+        """Take one transform of a message; False for one of a human that places nobody: only its name has been read."""
         child, offset = entry
         name = child.decode("utf-8", "replace").lstrip("/")
         owner = self._humans.wanted(name)
-        if owner is None and not fixed and self._is_limb(name):
-            return False
+        if owner is None and not fixed and (child.lstrip(b"/").startswith(OF_HUMANS) or self._is_limb(name)):
+            return False        # a limb, or of somebody who is not tracked (any more)
         try:
             transform = read(data, offset)
             sighting = self._use(name, owner, transform, fixed)
@@ -97,8 +98,14 @@ class TfIntake:
             rospy.logwarn_throttle(_LOG_PERIOD_S, "/tf: frame %r not used: %s", name[:80], error)
             return True
         if sighting is not None:
-            found.append(StampedSighting(sighting, genpy.Time(transform.secs, transform.nsecs)))
+            found.append(StampedSighting(sighting, self._time(transform)))
         return True
+
+    def _time(self, transform: RawTransform) -> genpy.Time:
+        """Return the stamp; all frames of one image have the same, and to make one takes genpy long."""
+        if (transform.secs, transform.nsecs) != (self._stamp.secs, self._stamp.nsecs):
+            self._stamp = genpy.Time(transform.secs, transform.nsecs)
+        return self._stamp
 
     def _is_limb(self, name: str) -> bool:
         if name in self._limbs:

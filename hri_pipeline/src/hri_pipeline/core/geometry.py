@@ -54,12 +54,12 @@ class Pose:
 
         Raises ValueError for a quaternion that is zero or not finite.
         """
-        values = [float(value) for value in quaternion]
-        square = sum(value * value for value in values)
-        if len(values) != 4 or not math.isfinite(square) or square < 1e-18:
-            raise ValueError("a quaternion needs 4 finite numbers, not all zero: {}".format(values))
         # Thousands a second pass here; scipy's Rotation takes ten times as long for a single one.
-        x, y, z, w = values
+        values = tuple(map(float, quaternion))
+        x, y, z, w = values if len(values) == 4 else (math.nan,) * 4
+        square = x * x + y * y + z * z + w * w
+        if not 1e-18 <= square < math.inf:
+            raise ValueError("a quaternion needs 4 finite numbers, not all zero: {}".format(list(values)))
         s = 2.0 / square
         rotation = np.array((
             (1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)),

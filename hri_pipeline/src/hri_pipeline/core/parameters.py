@@ -23,7 +23,8 @@ class Parameter:
     """One parameter; its type is that of `default`: bool, int, float, str, or a list of one of them.
 
     An empty list is a list of strings. minimum and maximum (both legal values) and choices hold for each
-    item of a list. Raises ValueError when the entry contradicts itself.
+    item of a list. live: it may be changed while the node runs; then it is no list, and a number with a minimum and a
+    maximum. Raises ValueError when the entry contradicts itself.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Parameter:
     minimum: Optional[Number] = None
     maximum: Optional[Number] = None
     choices: Tuple = ()
+    live: bool = False
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
@@ -49,6 +51,9 @@ class Parameter:
             self.check(self.default)
         except ParameterError as error:
             raise ValueError("the default is not legal: {}".format(error)) from error
+        if self.live and (self.is_list or self.item_type in (int, float) and None in (self.minimum, self.maximum)):
+            raise ValueError("parameter {} cannot change while the node runs: it is a list, or a number without minimum "
+                             "and maximum".format(self.name))
 
     @property
     def is_list(self) -> bool:
@@ -147,6 +152,24 @@ class ParameterTable:
         return SimpleNamespace(**{
             name: parameter.check(given.get(name, parameter.default)) for name, parameter in known.items()})
 
+    @property
+    def live(self) -> Tuple[Parameter, ...]:
+        """Parameters that may be changed while the node runs."""
+        return tuple(parameter for parameter in self.parameters if parameter.live)
+
+    def changed(self, settings: SimpleNamespace, changes: Mapping[str, object]) -> SimpleNamespace:
+        """Return `settings` (of resolve) with some values changed, checked; the given ones stay as they are.
+
+        Raises ParameterError for a name that is not there, one that cannot change while the node runs, and a value that is
+        not legal.
+        """
+        live = {parameter.name for parameter in self.live}
+        fixed = sorted(name for name in changes if name not in live and name in vars(settings))
+        if fixed:
+            raise ParameterError("{} of {} cannot change while the node runs; these can: {}".format(
+                ", ".join(fixed), self.node, ", ".join(sorted(live)) or "none"))
+        return self.resolve({**vars(settings), **changes})
+
     def to_yaml(self) -> str:
         """Return an annotated YAML file that holds the defaults."""
         lines = ["# " + line for line in textwrap.wrap(self.summary, 96)]
@@ -156,6 +179,7 @@ class ParameterTable:
             facts += [parameter.range_text] if parameter.range_text else []
             facts += ["unit " + parameter.unit] if parameter.unit else []
             facts += ["default " + format_value(parameter.default)]
+            facts += ["may change while the node runs"] if parameter.live else []
             lines += [""]
             lines += ["# " + line for line in textwrap.wrap(parameter.doc, 96)]
             lines += ["# " + line for line in textwrap.wrap("; ".join(facts), 96, break_long_words=False)]
@@ -163,14 +187,21 @@ class ParameterTable:
         return "\n".join(lines) + "\n"
 
     def to_markdown(self) -> str:
-        """Return a Markdown table, without anything around it."""
-        lines = ["| parameter | type | default | unit | range | meaning |", "|---|---|---|---|---|---|"]
+        """Return a Markdown table, without anything around it; with a column `live` where there are such parameters."""
+        columns = ["parameter", "type", "default", "unit", "range", "live", "meaning"]
+        shown = [number for number, column in enumerate(columns) if column != "live" or self.live]
+        lines = ["| " + " | ".join(columns[number] for number in shown) + " |", "|" + len(shown) * "---|"]
         for parameter in self.parameters:
             cells = ("`~{}`".format(parameter.name), parameter.type_name,
                      "`{}`".format(format_value(parameter.default)), parameter.unit,
-                     parameter.range_text, " ".join(parameter.doc.split()))
-            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+                     parameter.range_text, "yes" if parameter.live else "", " ".join(parameter.doc.split()))
+            lines.append("| " + " | ".join(cells[number].replace("|", "\\|") for number in shown) + " |")
         return "\n".join(lines) + "\n"
+
+
+def take_over(settings: SimpleNamespace, changed: SimpleNamespace) -> None:
+    """Give `settings`, which many objects of a node hold, the values of ParameterTable.changed. Their owner holds its lock."""
+    vars(settings).update(vars(changed))
 
 
 def format_value(value: object) -> str:

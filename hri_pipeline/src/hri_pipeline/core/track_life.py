@@ -13,13 +13,17 @@ class TrackLife:
     """
 
     def __init__(self, stamp: float, birth_delay: float, death_time: float) -> None:
+        self.first_seen = float(stamp)
+        self.last_seen = float(stamp)
+        self.confirmed = birth_delay == 0.0
+        self.limit(birth_delay, death_time)
+
+    def limit(self, birth_delay: float, death_time: float) -> None:
+        """Set birth_delay and death_time (s) from now on. Raises ValueError for illegal ones."""
         if not (math.isfinite(birth_delay) and birth_delay >= 0.0):
             raise ValueError("birth_delay is {} s, legal range 0 and more".format(birth_delay))
         if not (math.isfinite(death_time) and death_time > 0.0):
             raise ValueError("death_time is {} s, legal range more than 0".format(death_time))
-        self.first_seen = float(stamp)
-        self.last_seen = float(stamp)
-        self.confirmed = birth_delay == 0.0
         self._birth_delay = float(birth_delay)
         self._death_time = float(death_time)
 

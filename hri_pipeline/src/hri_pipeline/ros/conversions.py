@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Sequence, Tuple, Union
 
 import genpy
@@ -159,11 +160,12 @@ def soft_biometrics_to_msg(biometrics: FaceBiometrics, header: Header) -> SoftBi
 
 def audio_features_to_msg(frame: FeatureFrame) -> AudioFeatures:
     """Return the message of the descriptors of one frame of a voice; it has no header. What is not finite is 0."""
-    scalars = np.nan_to_num(np.array([frame.zcr, frame.rms, frame.pitch, frame.hnr], dtype=np.float64),
-                            posinf=0.0, neginf=0.0)
-    coefficients = np.nan_to_num(np.asarray(frame.mfcc, dtype=np.float64), posinf=0.0, neginf=0.0)
-    zcr, rms, pitch, hnr = scalars.tolist()
-    return AudioFeatures(ZCR=zcr, RMS=rms, pitch=pitch, HNR=hnr, MFCC=coefficients.tolist())
+    msg = AudioFeatures()
+    # A hundred a second for each voice: numpy takes longer for so few numbers, and genpy when it is given the fields.
+    msg.ZCR, msg.RMS, msg.pitch, msg.HNR, *msg.MFCC = (
+        value if math.isfinite(value) else 0.0
+        for value in (float(frame.zcr), float(frame.rms), float(frame.pitch), float(frame.hnr), *frame.mfcc.tolist()))
+    return msg
 
 
 def skeleton_to_msg(keypoints: np.ndarray, header: Header, width: int, height: int) -> Skeleton2D:
@@ -246,10 +248,19 @@ def _points(values: np.ndarray, count: int, width: int, height: int) -> list:
         raise ValueError("({}, 3) points are needed, not {}".format(count, values.shape))
     if width < 1 or height < 1:
         raise ValueError("points need the size of their image, not {}x{}".format(width, height))
-    known = np.isfinite(values).all(axis=1, keepdims=True)
-    scaled = np.where(known, values, 0.0) / np.array([width, height, 1.0])
-    scaled = np.clip(scaled, 0.0, 1.0)
-    return [NormalizedPointOfInterest2D(x=x, y=y, c=c) for x, y, c in scaled.tolist()]
+    scaled = values * (1.0 / width, 1.0 / height, 1.0)
+    known = np.isfinite(scaled)
+    if not known.all():
+        scaled = np.where(known.all(axis=1, keepdims=True), scaled, 0.0)
+    scaled = np.minimum(np.maximum(scaled, 0.0), 1.0)
+    return [_point(x, y, c) for x, y, c in scaled.tolist()]
+
+
+def _point(x: float, y: float, c: float) -> NormalizedPointOfInterest2D:
+    """One point; thousands a second, and genpy's constructor takes four times as long."""
+    point = NormalizedPointOfInterest2D.__new__(NormalizedPointOfInterest2D)
+    point.x, point.y, point.c = x, y, c
+    return point
 
 
 def _from_points(points: Sequence[NormalizedPointOfInterest2D], count: int, kind: str) -> np.ndarray:

@@ -13,6 +13,7 @@ import rospy
 from hri_msgs.msg import FacialLandmarks, IdsMatch, Skeleton2D
 from hri_pipeline.core.head_places import HeadPlaces
 from hri_pipeline.core.matching.face_body_matching import FaceBodyMatcher, MatchAnnouncer, PairMatch
+from hri_pipeline.core.parameters import take_over
 from hri_pipeline.core.tf_scan import read
 from hri_pipeline.ros.conversions import landmarks_from_msg, match_to_msg, skeleton_from_msg
 from hri_pipeline.ros.diagnostics import OK, NodeDiagnostics
@@ -32,6 +33,7 @@ class FaceBodyMatcherNode:
     """
 
     def __init__(self, settings: SimpleNamespace) -> None:
+        self._settings = settings
         self._lock = threading.Lock()
         self._news = threading.Event()
         self._stop = threading.Event()
@@ -57,6 +59,12 @@ class FaceBodyMatcherNode:
                 matches = self._matcher.matches()
                 self._publish(self._announcer.to_say(matches, time.monotonic()))
             self._report(len(matches))
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters between two comparisons."""
+        with self._lock:
+            take_over(self._settings, settings)
+        self._news.set()
 
     def close(self) -> None:
         """Withdraw all matches and take everything back. Idempotent."""

@@ -17,7 +17,7 @@ from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.recognition.face_identity import SamePersons
 from hri_pipeline.core.recognition.recogniser import SAME
 from hri_pipeline.ros.conversions import transform_to_msg
-from hri_pipeline.ros.diagnostics import OK, WARN
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
 from hri_pipeline.ros.face_topics import NAMESPACE, FaceTopics
 from hri_pipeline.ros.gallery_service import GalleryService
 from hri_pipeline.ros.image_intake import Frame
@@ -68,6 +68,10 @@ class FaceBranch:
         self._publish_frames(faces, frame)
         self._publish_matches()
 
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters; the faces stay."""
+        self._stage.reconfigure(settings)
+
     def reset(self) -> None:
         """Forget all faces: time has jumped back."""
         self._stage.reset()
@@ -78,6 +82,8 @@ class FaceBranch:
         """Return level, message and values for diagnostics."""
         values: Dict[str, object] = {"without_pose": self._poseless}
         values.update(self._stage.status())
+        if self._gallery is not None and self._gallery.problem:
+            return ERROR, self._gallery.problem, values
         if self._no_frame:
             return WARN, _NO_FRAME, values
         return OK, "{} faces".format(values["tracked"]), values

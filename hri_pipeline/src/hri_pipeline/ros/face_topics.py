@@ -60,7 +60,8 @@ class FaceTopics:
         """Publish all that is known of one face and that is listened to."""
         height, width = frame.bgr.shape[:2]
         header, leases = frame.header, self._leases
-        leases.publish(face.id, "roi", roi_message(face.box, width, height, self._interface, header, face.score))
+        if leases.has_subscribers(face.id, "roi"):
+            leases.publish(face.id, "roi", roi_message(face.box, width, height, self._interface, header, face.score))
         if leases.has_subscribers(face.id, "landmarks"):
             leases.publish(face.id, "landmarks", landmarks_to_msg(face.landmarks, header, width, height))
         if face.measured:

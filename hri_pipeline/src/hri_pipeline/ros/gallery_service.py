@@ -31,6 +31,7 @@ class GalleryService:
             GalleryRequest.MERGE: self._merge, GalleryRequest.ENROL: self._enrol, GalleryRequest.LIST: self._list,
             GalleryRequest.EXPORT: self._export}
         self._closed = threading.Event()
+        self.problem = ""       # why what was learnt is not written, empty when it is
         self._service = rospy.Service("~gallery", Gallery, self._answer)
         self._thread = threading.Thread(target=self._write, name="gallery writer", daemon=True)
         self._thread.start()
@@ -88,5 +89,7 @@ class GalleryService:
         while not self._closed.wait(_FLUSH_S):
             try:
                 self._stage.flush()
+                self.problem = ""
             except Exception as error:  # a full disk must not end the thread: the next second may be better
-                rospy.logerr_throttle(_LOG_PERIOD_S, "the gallery could not be written: %s", error)
+                self.problem = "the gallery could not be written: {}".format(error)
+                rospy.logerr_throttle(_LOG_PERIOD_S, "%s", self.problem)

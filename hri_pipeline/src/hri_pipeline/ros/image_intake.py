@@ -17,7 +17,7 @@ from hri_pipeline.core.images import ImageError
 from hri_pipeline.ros.camera_feed import CameraFeed
 from hri_pipeline.ros.conversions import compressed_to_bgr, image_to_bgr
 from hri_pipeline.ros.depth_intake import DepthIntake
-from hri_pipeline.ros.diagnostics import ERROR, OK
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
 from hri_pipeline.ros.topic_release import release
 
 # Larger than an image: with rospy's 64 kB, images pile up in the socket while the worker is busy.
@@ -27,6 +27,8 @@ JUMP_S = 1.0
 # How long the first image waits for its camera_info.
 INFO_GRACE_S = 1.0
 SILENCE_S = 3.0
+# Whose images are used is heard alone, until nothing has come from there for so long.
+SENDER_S = 1.0
 _LOG_PERIOD_S = 10.0
 _NEW_PROBLEM_S = 1.0
 
@@ -53,7 +55,8 @@ class ImageIntake:
 
     The callback only stores; `next` decodes in the thread of the worker. An image that is not newer than the
     last one is skipped; stamps that go back by more than JUMP_S call on_time_jump and go on from there. An
-    image without stamp gets the time of its arrival, as equal stamps would stop every track.
+    image without stamp gets the time of its arrival, as equal stamps would stop every track. Images of one publisher
+    are heard at a time: the first one whose images can be read, while it sends.
     fallback_hfov: rad, used without a calibration; fov_parameter: its name, for the messages. depth: where the depth
     images come from, None for none; it is closed with the intake.
     """
@@ -78,6 +81,8 @@ class ImageIntake:
         self._problem: Tuple[int, str] = (OK, "")
         self._told: Tuple[str, float] = ("", float("-inf"))
         self._heard = self._started = time.monotonic()
+        self._sender, self._sender_at = "", float("-inf")
+        self._others: Dict[str, float] = {}
         self._first = 0.0
         self._closed = False
         self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0}
@@ -110,7 +115,8 @@ class ImageIntake:
             return ERROR, silent, values
         level, text = self._problem
         if level == OK:
-            level, text = self._camera.problem
+            other = self._other_sender()
+            level, text = (WARN, other) if other else self._camera.problem
         if self._depth is not None:
             depth_level, depth_text, depth_values = self._depth.status()
             values.update(depth_values)
@@ -132,11 +138,38 @@ class ImageIntake:
 
     def _store(self, message: ImageMessage) -> None:
         with self._condition:
+            if not self._is_heard(_sender_of(message), time.monotonic()):
+                return
             self._heard = time.monotonic()
             self._first = self._first or self._heard
             self.counts["received"] += 1
             self._message = message
             self._condition.notify()
+
+    def _is_heard(self, sender: str, now: float) -> bool:
+        if sender == self._sender:
+            self._sender_at = now
+        elif self._sender and now - self._sender_at < SENDER_S:
+            self._others[sender] = now
+            return False
+        return True
+
+    def _use(self, sender: str, is_readable: bool) -> None:
+        """Hear this sender alone from now on; one whose images cannot be read has no right to that."""
+        with self._condition:
+            if is_readable and sender != self._sender:
+                self._sender, self._sender_at = sender, time.monotonic()
+            elif not is_readable and sender == self._sender:
+                self._sender = ""
+
+    def _other_sender(self) -> str:
+        """Who sends on the same topic and is not heard."""
+        with self._condition:
+            recent = sorted(name for name, at in self._others.items() if time.monotonic() - at < SILENCE_S)
+            self._others = {name: self._others[name] for name in recent}
+        if not recent:
+            return ""
+        return "{}: {} sends too, only {} is heard; give each camera its own topic".format(self.topic, ", ".join(recent), self._sender)
 
     def _take(self, timeout: float) -> Optional[ImageMessage]:
         with self._condition:
@@ -152,10 +185,12 @@ class ImageIntake:
         try:
             bgr = self._decode(message)
         except ImageError as error:
+            self._use(_sender_of(message), False)
             self.counts["unreadable"] += 1
             self._problem = (ERROR, "{}: {}".format(self.topic, error))
             self._tell(self._problem[1])
             return None
+        self._use(_sender_of(message), True)
         self._problem = (OK, "")
         camera = self._camera.model(bgr.shape[1], bgr.shape[0])
         self._last_stamp = header.stamp.to_sec()
@@ -210,3 +245,7 @@ class ImageIntake:
         text = self._silence()
         if text:
             rospy.logwarn_throttle(_LOG_PERIOD_S, "%s", text)
+
+
+def _sender_of(message: ImageMessage) -> str:
+    return str(getattr(message, "_connection_header", {}).get("callerid", ""))

@@ -10,16 +10,15 @@ from types import SimpleNamespace
 from typing import Dict, List, Optional, Sequence
 
 import genpy
-import numpy as np
 import rospy
 from visualization_msgs.msg import MarkerArray
 
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.interactions.crowd import Crowd
-from hri_pipeline.core.interactions.engagement import EngagementEstimator, Level
+from hri_pipeline.core.interactions.engagement import EngagementEstimator, Level, check_levels
 from hri_pipeline.core.interactions.gaze_targets import ROBOT, GazeTarget, GazeTargets
 from hri_pipeline.core.interactions.group_tracker import Group, GroupTracker, Stander, fuse_directions
-from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.parameters import ParameterError, take_over
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.conversions import make_header
 from hri_pipeline.ros.interaction_frame import LEVEL, InteractionFrame, RobotPose
@@ -48,6 +47,7 @@ class InteractionsNode:
     def __init__(self, settings: SimpleNamespace) -> None:
         """settings: the values of INTERACTION_PARAMETERS. Raises ParameterError for values that contradict each other."""
         self._settings = settings
+        self._lock = threading.Lock()
         self._stop = threading.Event()
         self._gazes = GazeTargets(settings)
         self._groups = GroupTracker(settings)
@@ -78,11 +78,18 @@ class InteractionsNode:
                 self._stop.wait(GATHER_S)
             self._feed.news.clear()
             try:
-                self._cycle()
+                with self._lock:
+                    self._cycle()
             except Exception:  # what one image does never ends the node
                 self._report.errors += 1
                 rospy.logerr_throttle(_LOG_PERIOD_S, "an image gave no interactions:\n%s", traceback.format_exc())
             self._report.update()
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters between two images. ValueError for levels in the wrong order."""
+        check_levels(settings)
+        with self._lock:
+            take_over(self._settings, settings)
 
     def close(self) -> None:
         """Take everything back. Idempotent."""
@@ -166,11 +173,10 @@ class InteractionsNode:
 
     def _standers(self, people: Crowd, robot: Optional[RobotPose]) -> List[Stander]:
         found = []
-        for person in people.onlookers():
-            direction, sd = fuse_directions(_bearing(person.body_direction), person.body_direction_sd,
-                                            _bearing(person.head_direction), person.head_direction_sd,
-                                            self._settings.group_head_sd)
-            found.append(Stander(person.id, person.head[:2], direction, person.head_sd, sd))
+        for identity, place, trunk, face, (place_sd, face_sd, _, trunk_sd) in zip(
+                people.ids, people.heads[:, :2], people.trunks.tolist(), people.faces.tolist(), people.deviations.tolist()):
+            direction, sd = fuse_directions(_bearing(trunk), trunk_sd, _bearing(face), face_sd, self._settings.group_head_sd)
+            found.append(Stander(identity, place, direction, place_sd, sd))
         if robot is not None and self._settings.groups_with_robot:
             found.append(Stander(ROBOT, robot.position[:2], _bearing(robot.heading), 0.05, 0.1))
         return found
@@ -207,8 +213,7 @@ def turned(markers: MarkerArray, pose: Pose) -> MarkerArray:
     return markers
 
 
-def _bearing(direction: Optional[np.ndarray]) -> Optional[float]:
-    """Bearing (rad) of a direction (3,) in the horizontal plane; None where it has none."""
-    if direction is None or math.hypot(direction[0], direction[1]) < 0.2:
-        return None
-    return math.atan2(direction[1], direction[0])
+def _bearing(direction: Sequence[float]) -> Optional[float]:
+    """Bearing (rad) of a direction (3,) in the horizontal plane; None where it has none, or is not known (NaN)."""
+    x, y = direction[0], direction[1]
+    return math.atan2(y, x) if math.hypot(x, y) >= 0.2 else None

@@ -66,8 +66,12 @@ class MasterWatch:
         rospy.logwarn("the ROS master has been started again; registering all topics and services anew")
         uri = get_node_uri()
         try:
-            for topic, kind in get_topic_manager().get_publications():
+            published = get_topic_manager().get_publications()
+            for topic, kind in published:
                 self._master.registerPublisher(topic, kind, uri)
+            # Whoever has gone meanwhile has taken these back before the new master knew them.
+            for topic in {topic for topic, _ in published} - {topic for topic, _ in get_topic_manager().get_publications()}:
+                self._master.unregisterPublisher(topic, uri)
             own = ServerProxy(uri)
             for topic, kind in get_topic_manager().get_subscriptions():
                 publishers = self._master.registerSubscriber(topic, kind, uri)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import socket
 import sys
@@ -40,6 +41,8 @@ def run_node(name: str, build: Callable[[], object]) -> NoReturn:
     Exit code 0, or 1 after an error; SETUP_ERRORS are told in one line.
     """
     _install_handlers()
+    # Without room for its log, Python would print a traceback for each line that it cannot write.
+    logging.raiseExceptions = False
     keep_large_blocks()
     one_thread_each()
     code = 0

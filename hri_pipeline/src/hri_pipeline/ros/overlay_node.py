@@ -21,6 +21,7 @@ from std_msgs.msg import Float32, String
 from hri_msgs.msg import Expression, FacialLandmarks, GazesStamped, Skeleton2D
 from hri_pipeline.core.images import ImageError
 from hri_pipeline.core.pacing import Pacer
+from hri_pipeline.core.parameters import take_over
 from hri_pipeline.core.pictures.overlay import PersonMark, draw_overlay
 from hri_pipeline.core.pictures.overlay_pairing import FeatureHistory
 from hri_pipeline.ros.conversions import (
@@ -51,7 +52,7 @@ class OverlayInputs:
         self._persons: Dict[str, Dict[str, object]] = {}
         self._expressions: Dict[str, str] = {}
         self._gazes: Tuple[float, Dict[str, str]] = (float("-inf"), {})
-        self._tolerance = settings.pair_tolerance
+        self._settings = settings
         faces = {"landmarks": FacialLandmarks}
         self._feeds = [
             FeatureFeed("faces", dict(faces, expression=Expression) if settings.expressions else faces, self._on_face,
@@ -120,13 +121,13 @@ class OverlayInputs:
         None when there is no image, or only the one with the stamp `drawn`.
         """
         with self._lock:
-            stamp = self._history.choose([one for one, _ in self._images], self._tolerance)
+            stamp = self._history.choose([one for one, _ in self._images], self._settings.pair_tolerance)
             if stamp is None or stamp == drawn:
                 return None
             image = next(message for one, message in self._images if one == stamp)
             persons = [self._mark(name, known) for name, known in sorted(self._persons.items())]
-            return (image, self._history.at("faces", stamp, self._tolerance),
-                    self._history.at("bodies", stamp, self._tolerance), persons)
+            return (image, self._history.at("faces", stamp, self._settings.pair_tolerance),
+                    self._history.at("bodies", stamp, self._settings.pair_tolerance), persons)
 
     def _mark(self, name: str, known: Dict[str, object]) -> PersonMark:
         """What is written about a person."""
@@ -150,17 +151,23 @@ class OverlayNode:
 
     def __init__(self, settings: SimpleNamespace) -> None:
         self._settings = settings
+        self._lock = threading.Lock()
         self._stop = threading.Event()
+        self._wake = threading.Event()
+        self._pacer = Pacer(settings.max_rate)
         self._inputs: Optional[OverlayInputs] = None
         self._drawn = -1.0
         self._output = rospy.Publisher("visualization/overlay", Image, queue_size=1)
         self._diagnostics = NodeDiagnostics(rospy.get_name())
-        rospy.on_shutdown(self._stop.set)
+        rospy.on_shutdown(self._end)
 
     def spin(self) -> None:
         """Draw until the end of ROS."""
-        pacer = Pacer(self._settings.max_rate)
-        while not (self._stop.wait(pacer.wait(time.monotonic())) or rospy.is_shutdown()):
+        while not (self._stop.is_set() or rospy.is_shutdown()):
+            pacer = self._pacer
+            if self._wake.wait(pacer.wait(time.monotonic())):
+                self._wake.clear()
+                continue
             pacer.done(time.monotonic())
             if not self._output.get_num_connections():
                 self._let_go()
@@ -168,7 +175,15 @@ class OverlayNode:
                 continue
             if self._inputs is None:
                 self._inputs = OverlayInputs(self._settings)
-            self._draw(self._inputs)
+            with self._lock:
+                self._draw(self._inputs)
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters between two pictures."""
+        with self._lock:
+            take_over(self._settings, settings)
+            self._pacer = Pacer(settings.max_rate)
+        self._wake.set()
 
     def _draw(self, inputs: OverlayInputs) -> None:
         taken = inputs.take(self._drawn)
@@ -192,6 +207,10 @@ class OverlayNode:
         self._diagnostics.set("overlay", DiagnosticStatus.OK, "drawing", {
             "faces": len(faces), "bodies": len(bodies), "persons": len(persons)})
 
+    def _end(self) -> None:
+        self._stop.set()
+        self._wake.set()
+
     def _let_go(self) -> None:
         if self._inputs is not None:
             self._inputs.close()
@@ -199,7 +218,7 @@ class OverlayNode:
 
     def close(self) -> None:
         """End all subscriptions and publishers. May be called again."""
-        self._stop.set()
+        self._end()
         self._let_go()
         self._diagnostics.close()
         release(self._output)

@@ -18,14 +18,13 @@ from hri_pipeline.core.interactions.people_frames import PeopleFrames
 from hri_pipeline.core.interactions.people_gather import Places, Seen, gather
 from hri_pipeline.core.tf_scan import read, read_stamp
 from hri_pipeline.ros.feature_feed import FeatureFeed
-from hri_pipeline.ros.robot_frames import RobotFrames
+from hri_pipeline.ros.robot_frames import OF_HUMANS, RobotFrames
 from hri_pipeline.ros.tf_feed import Frames, TfFeed
 
 MAX_PEOPLE = 100
 JUMP_BACK_S = 0.5
 AU_EYES_CLOSED, AU_BLINK = 43, 45
 _STAMPED_BY = (b"face_", b"body_")
-_OF_HUMANS = (b"body_", b"head_", b"face_", b"gaze_", b"voice_", b"person_")
 _STALE_S = 0.5
 _Newest = Tuple[bool, int, int]
 
@@ -164,7 +163,7 @@ class PeopleFeed:
         return time.monotonic() - self._measured_at < self._settings.frame_timeout
 
     def _take_other(self, child: bytes, data: bytes, offset: int, fixed: bool) -> None:
-        if child.startswith(_OF_HUMANS) and not fixed:
+        if child.startswith(OF_HUMANS) and not fixed:
             return
         try:
             transform = read(data, offset)

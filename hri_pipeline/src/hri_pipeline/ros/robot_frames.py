@@ -19,8 +19,9 @@ from hri_pipeline.ros.tf_feed import Frames, TfFeed
 HISTORY_S = 10.0
 SKELETONS = "/rsp_"
 """Names of the robot_state_publishers of bodies start so."""
-# Frames of humans come and go by the thousand, and no way of the robot leads over one.
-OF_HUMANS = (b"body_", b"head_", b"face_", b"gaze_", b"voice_", b"person_")
+# Frames of humans come and go by the thousand, and no way of the robot leads over one. Not body_ and head_: robots have links
+# of such names (head_1_link, head_pan_link, body_link) on the way to their cameras.
+OF_HUMANS = (b"face_", b"gaze_", b"voice_", b"person_")
 
 
 class RobotFrames:

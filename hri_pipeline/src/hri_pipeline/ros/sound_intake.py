@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
+from collections import OrderedDict, deque
 from types import SimpleNamespace
 from typing import Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 
@@ -29,6 +29,7 @@ _LOG_PERIOD_S = 10.0
 _NEW_PROBLEM_S = 1.0
 _BAD_S = 2.0
 _GAP_TOLD_S = 5.0
+_MOST_INFOS = 8
 Problem = Tuple[int, str]
 
 
@@ -53,7 +54,7 @@ class SoundIntake:
         self._condition = threading.Condition()
         self._chunks: Deque[_Chunk] = deque()
         self._waiting_bytes = 0
-        self._info: Optional[AudioInfo] = None
+        self._infos: "OrderedDict[str, AudioInfo]" = OrderedDict()
         self._stream: Optional[SoundStream] = None
         self._last: Optional[float] = None
         self._sender = ""
@@ -113,7 +114,11 @@ class SoundIntake:
 
     def _on_info(self, message: AudioInfo) -> None:
         with self._condition:
-            self._info = message
+            sender = getattr(message, "_connection_header", {}).get("callerid", "")
+            self._infos[sender] = message
+            self._infos.move_to_end(sender)
+            while len(self._infos) > _MOST_INFOS:
+                self._infos.popitem(last=False)
             self._condition.notify_all()
 
     def _on_audio(self, message: AudioData) -> None:
@@ -165,7 +170,7 @@ class SoundIntake:
 
     def _info_is_awaited(self) -> bool:
         """Tell whether an AudioInfo may still be on its way: sound comes, and its format does not yet."""
-        return (self._settings.use_audio_info and self._info is None and self._stream is None and not self._closed
+        return (self._settings.use_audio_info and not self._infos and self._stream is None and not self._closed
                 and time.monotonic() - self._first < INFO_GRACE_S)
 
     def _blocks(self, chunk: _Chunk) -> List[SoundBlock]:
@@ -201,7 +206,10 @@ class SoundIntake:
             rospy.logwarn_throttle(_LOG_PERIOD_S, "%s", self._gap[0])
 
     def _format(self) -> SoundFormat:
-        info, options = self._info, self._settings
+        options = self._settings
+        with self._condition:
+            # What the sender of the sound says of it; that of another node where the sender says nothing.
+            info = self._infos.get(self._sender) or next(reversed(list(self._infos.values())), None)
         if info is not None and options.use_audio_info:
             return SoundFormat(info.channels, info.sample_rate, info.sample_format, info.coding_format)
         return SoundFormat(options.channels, options.sample_rate, options.sample_format)

@@ -6,6 +6,7 @@ import threading
 import time
 import traceback
 from collections import deque
+from types import SimpleNamespace
 from typing import Deque, Dict, List, Optional, Protocol, Sequence, Set
 
 import rospy
@@ -28,6 +29,9 @@ class Branch(Protocol):
     def process(self, frame: Frame, context: dict) -> None:
         """Work on one image; `context` carries results to the branches behind, and "times" (StageTimes)."""
 
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters."""
+
     def reset(self) -> None:
         """Forget all tracks: time has jumped back."""
 
@@ -46,14 +50,14 @@ class VisionLoop:
 
     def __init__(self, intake: ImageIntake, branches: Sequence[Branch], diagnostics: NodeDiagnostics,
                  max_rate: float = 0.0, silence: float = _SILENCE_S) -> None:
-        if max_rate < 0.0:
-            raise ValueError("max_rate is {} Hz, legal range 0 and more".format(max_rate))
         self._intake = intake
         self._branches = list(branches)
         self._diagnostics = diagnostics
-        self._pacer = Pacer(max_rate) if max_rate > 0.0 else None
+        self._pacer = _pacer(max_rate)
         self._silence = silence
+        self._lock = threading.RLock()
         self._closed = threading.Event()
+        self._wake = threading.Event()
         self._ended: Deque[float] = deque(maxlen=300)
         self._ages: Deque[float] = deque(maxlen=100)
         self._errors: Dict[str, int] = {}
@@ -68,12 +72,14 @@ class VisionLoop:
         """Work until ROS shuts down or close() is called."""
         heard, quiet = rospy.get_time(), True
         while not self._closed.is_set() and not rospy.is_shutdown():
-            if self._pacer is not None:
-                self._closed.wait(self._pacer.wait(time.monotonic()))
+            pacer = self._pacer
+            if pacer is not None and self._wake.wait(pacer.wait(time.monotonic())):
+                self._wake.clear()
+                continue
             frame = self._next()
             if frame is not None:
-                if self._pacer is not None:
-                    self._pacer.done(time.monotonic())
+                if pacer is not None:
+                    pacer.done(time.monotonic())
                 self.process(frame)
                 heard, quiet = rospy.get_time(), False
             elif not quiet and rospy.get_time() - heard > self._silence:
@@ -86,7 +92,7 @@ class VisionLoop:
     def process(self, frame: Frame) -> dict:
         """Give one image to all branches; returns what they have put into the context."""
         context: dict = {"times": self.times}
-        with self.times("frame"):
+        with self._lock, self.times("frame"):
             for branch in self._branches:
                 name = _name(branch)
                 try:
@@ -102,18 +108,28 @@ class VisionLoop:
 
     def reset(self) -> None:
         """Let all branches forget their tracks."""
-        self._ages.clear()
-        for branch in self._branches:
-            try:
-                branch.reset()
-            except Exception as error:
-                self._failed(_name(branch), error)
+        with self._lock:
+            self._ages.clear()
+            for branch in self._branches:
+                try:
+                    branch.reset()
+                except Exception as error:
+                    self._failed(_name(branch), error)
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters between two images; from any thread."""
+        with self._lock:
+            self._pacer = _pacer(settings.max_rate)
+            for branch in self._branches:
+                branch.reconfigure(settings)
+        self._wake.set()
 
     def close(self) -> None:
         """Stop spin() and close intake, branches (last one first) and diagnostics. Idempotent."""
         if self._closed.is_set():
             return
         self._closed.set()
+        self._wake.set()
         for owner in [self._intake] + self._branches[::-1] + [self._diagnostics]:
             try:
                 owner.close()
@@ -172,6 +188,13 @@ class VisionLoop:
         now = time.monotonic()
         recent = [ended for ended in self._ended if now - ended <= 5.0]
         return len(recent) / max(now - recent[0], 0.2) if len(recent) > 1 else 0.0
+
+
+def _pacer(max_rate: float) -> Optional[Pacer]:
+    """Return what paces so many images per second, None for as many as come; ValueError below 0."""
+    if max_rate < 0.0:
+        raise ValueError("max_rate is {} Hz, legal range 0 and more".format(max_rate))
+    return Pacer(max_rate) if max_rate > 0.0 else None
 
 
 def _name(branch: Branch) -> str:

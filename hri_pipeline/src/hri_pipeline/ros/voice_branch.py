@@ -86,6 +86,12 @@ class VoiceBranch:
         self._hold_topics(())
         self._tracked.set([], rospy.Time.from_sec(max(0.0, self._end)))
 
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters, as far as they are not read where they are used."""
+        self._topics.restart_features()
+        if self._speech is not None:
+            self._speech.least_confidence = settings.speech_min_confidence
+
     def reset(self) -> None:
         """Forget everything: time has jumped back, or the sound is another."""
         if self._speech is not None:

@@ -13,6 +13,7 @@ from std_msgs.msg import Bool
 from hri_msgs.msg import IdsMatch
 from hri_pipeline.core.announcing import Announcer
 from hri_pipeline.core.matching.voice_matching import FACE, VoiceMatcher
+from hri_pipeline.core.parameters import take_over
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.conversions import match_to_msg
 from hri_pipeline.ros.diagnostics import OK, WARN, NodeDiagnostics
@@ -64,6 +65,12 @@ class VoiceMatcherNode:
             if busy:
                 self._stop.wait(self._settings.period)
                 self._news.set()
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters between two comparisons."""
+        with self._lock:
+            take_over(self._settings, settings)
+        self._news.set()
 
     def close(self) -> None:
         """Withdraw all matches and take everything back. Idempotent."""

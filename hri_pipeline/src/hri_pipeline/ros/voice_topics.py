@@ -66,10 +66,10 @@ class VoiceTopics:
 
     def keep(self, ids: Iterable[str]) -> None:
         """Advertise the topics of these voices and take those of all others back."""
-        wanted = set(ids)
-        for identity in set(self._leases.ids) - wanted:
+        wanted, there = set(ids), set(self._leases.ids)
+        for identity in there - wanted:
             self._close(identity)
-        for identity in wanted:
+        for identity in wanted - there:
             self._leases.open(identity)
 
     def publish(self, observation: VoiceObservation) -> None:
@@ -92,6 +92,10 @@ class VoiceTopics:
         """Take the topics of all voices back."""
         for identity in self._leases.ids:
             self._close(identity)
+
+    def restart_features(self) -> None:
+        """Begin the features of all voices anew, with the rate that now is set."""
+        self._extractors.clear()
 
     def _close(self, identity: str) -> None:
         if self._speaking.pop(identity, False):

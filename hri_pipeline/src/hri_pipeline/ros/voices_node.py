@@ -11,9 +11,11 @@ from typing import Callable, Deque, Dict, Set, Tuple
 
 import rospy
 
+from hri_pipeline.core.parameters import take_over
 from hri_pipeline.core.sound.sound_clock import STALL_S
 from hri_pipeline.core.sound.sound_stream import RATE, SoundBlock
 from hri_pipeline.core.timing import StageTimes
+from hri_pipeline.core.voices.voice_turns import check_thresholds
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.sound_intake import SoundIntake
 from hri_pipeline.ros.voice_branch import VoiceBranch
@@ -35,6 +37,7 @@ class VoicesNode:
 
     def __init__(self, settings: SimpleNamespace) -> None:
         self._settings = settings
+        self._lock = threading.RLock()
         self._closed = threading.Event()
         self._branch = VoiceBranch(settings)
         self._intake = SoundIntake(settings, self._restart)
@@ -64,6 +67,13 @@ class VoicesNode:
             if time.monotonic() - self._reported >= _REPORT_S:
                 self._reported = time.monotonic()
                 self._guard(self._report)
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters between two blocks. ValueError for thresholds in the wrong order."""
+        check_thresholds(settings)
+        with self._lock:
+            take_over(self._settings, settings)
+            self._branch.reconfigure(settings)
 
     def close(self) -> None:
         """Stop spin() and give everything back. Idempotent."""
@@ -98,7 +108,8 @@ class VoicesNode:
     def _guard(self, call: Callable[[], None]) -> None:
         """Run; count and tell an error, with the traceback once for each kind."""
         try:
-            call()
+            with self._lock:
+                call()
         except Exception as error:  # one block never ends the node
             self._errors += 1
             text = "{}: {}".format(type(error).__name__, error)

@@ -1,12 +1,15 @@
 """What a face does, expresses, and whose it is: the stages behind the geometry, each only when somebody wants it.
 
 Action units are cheap and come from every look. The networks (expression, age and gender, recognition) are not: at most
-one of them runs on one face per image, the most overdue first, and rather not in an image in which the detector ran.
+one of them runs on one face per image, the most overdue first, and rather not in an image in which the detector ran. Over
+time they take three quarters of `face_budget` at most, so that learning a crowd does not cost it its images; where several
+are due, they take turns.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import time
 from types import SimpleNamespace
 from typing import AbstractSet, Callable, Collection, Dict, FrozenSet, List, Mapping, Optional, Sequence, Set, Tuple
 
@@ -14,6 +17,7 @@ import numpy as np
 
 from hri_pipeline.core.faces.action_units import ActionUnitEstimator, ActionUnits
 from hri_pipeline.core.faces.canonical_face import CanonicalFace
+from hri_pipeline.core.faces.face_budget import TimeShare
 from hri_pipeline.core.faces.face_measures import FaceMeasures
 from hri_pipeline.core.faces.face_quality import FaceQualities
 from hri_pipeline.core.faces.face_traits import AgeGenderStage, ExpressionStage
@@ -26,6 +30,8 @@ STAGES = ("action_units", "expression", "age_gender", "recognition")
 """Names of the stages, which are those of the parameters that switch them."""
 _PATIENCE = 2.0
 """Overdue, in its own periods, from which a network runs in an image in which the detector ran, too."""
+_SHARE = 0.75
+"""Part of the budget of looks that the networks may take besides."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,12 +53,12 @@ class FaceDemand:
 class FaceAnalysis:
     """Runs the stages that are switched on. Not safe for use from several threads at once.
 
-    settings: those of face_parameters.ANALYSIS_PARAMETERS and `providers`. Raises ModelError when the network of a
-    stage that is switched on is missing or wrong.
+    settings: those of face_parameters.ANALYSIS_PARAMETERS, `face_budget` and `providers`. clock: s of processor time,
+    what the budget counts. Raises ModelError when the network of a stage that is switched on is missing or wrong.
     """
 
     def __init__(self, settings: SimpleNamespace, canonical: CanonicalFace, times: StageTimes,
-                 notify: Optional[Callable[[str], None]] = None) -> None:
+                 notify: Optional[Callable[[str], None]] = None, clock: Callable[[], float] = time.thread_time) -> None:
         self.enabled = [name for name in STAGES if getattr(settings, name)]
         needs_units = settings.action_units or settings.expression
         self._measures = FaceMeasures(canonical) if needs_units else None
@@ -63,7 +69,17 @@ class FaceAnalysis:
         self.recognition = RecognitionStage(settings, notify) if settings.recognition else None
         self._qualities = FaceQualities()
         self._times = times
+        self._clock = clock
+        self._share = TimeShare(1e-3 * _SHARE * settings.face_budget)
+        self._images = self._waits = 0
+        self._last, self._stamp = "", -np.inf
         self.matches: List[Match] = []
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters."""
+        self._share.change(1e-3 * _SHARE * settings.face_budget)
+        if self.recognition is not None:
+            self.recognition.recogniser.learn_delay = settings.recognition_learn_delay
 
     def update(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float, demand: FaceDemand,
                busy: bool = False) -> List[FaceObservation]:
@@ -96,7 +112,9 @@ class FaceAnalysis:
 
     def status(self) -> Dict[str, object]:
         """Return values for diagnostics."""
-        values: Dict[str, object] = {"stages": " ".join(self.enabled) or "none"}
+        values: Dict[str, object] = {"stages": " ".join(self.enabled) or "none",
+                                     "networks_wait_percent": 100.0 * self._waits / max(1, self._images)}
+        self._images = self._waits = 0
         if self.recognition is not None:
             values.update(self.recognition.status())
         return values
@@ -150,21 +168,34 @@ class FaceAnalysis:
         if self.recognition is not None and demand.recognition:
             # Who is who comes first: until it is known, everything else lacks its person.
             overdue["recognition"] = 2.0 * _PATIENCE if self.recognition.due(qualities, stamp) else 0.0
-        name = max(overdue, key=lambda key: overdue[key])
-        self.matches = []
+        name = next_turn(overdue, self._last)
+        paid = self._share.next_image(stamp - self._stamp)
+        self._stamp = stamp
+        self._images += 1
         if overdue[name] < (_PATIENCE if busy else 1.0):
             name = ""
+        elif not paid:
+            self._waits += 1
+            name = ""
+        began = self._clock()
+        self.matches = self._run_network(name, bgr, measured, qualities, stamp, demand)
+        if name:
+            self._last = name
+            self._share.spent(self._clock() - began)
+
+    def _run_network(self, name: str, bgr: np.ndarray, faces: Sequence[FaceObservation], qualities: Mapping[str, float],
+                     stamp: float, demand: FaceDemand) -> List[Match]:
+        """Run the network of this name, none for the empty one; returns what has changed in who is who."""
         if name == "recognition":
             with self._times("recognition"):
-                self.matches = self.recognition.look(bgr, measured, stamp)
-        elif self.recognition is not None:
-            self.matches = self.recognition.changes(stamp)
+                return self.recognition.look(bgr, faces, stamp)
         if name == "expression":
             with self._times("expression"):
-                self._expression.look(bgr, measured, stamp, demand.expression)
+                self._expression.look(bgr, faces, stamp, demand.expression)
         elif name == "age_gender":
             with self._times("age_gender"):
-                self._age_gender.look(bgr, measured, qualities, stamp, demand.soft_biometrics)
+                self._age_gender.look(bgr, faces, qualities, stamp, demand.soft_biometrics)
+        return [] if self.recognition is None else self.recognition.changes(stamp)
 
     def _with_results(self, face: FaceObservation, units: Mapping[str, ActionUnits], demand: FaceDemand) -> FaceObservation:
         results: Dict[str, object] = {}
@@ -175,3 +206,9 @@ class FaceAnalysis:
         if self._age_gender is not None and face.id in demand.soft_biometrics:
             results["soft_biometrics"] = self._age_gender.estimate(face.id)
         return dataclasses.replace(face, **results) if results else face
+
+
+def next_turn(overdue: Mapping[str, float], last: str) -> str:
+    """Return the most overdue name; the one that had its turn `last` only when no other is due (1 and more)."""
+    others = [name for name in overdue if name != last and overdue[name] >= 1.0]
+    return max(others or overdue, key=lambda name: overdue[name])

@@ -11,8 +11,35 @@ _NEARLY_DUE = 0.45
 """Credit from which a face is looked at early, when another one is due."""
 _MOST_OWED = 2.0
 """Looks that every face may have to its credit at most: after a busy time there is no long catching up."""
+_SLOW_STEP = 0.2
+"""Time between two images (s) from which the budget grows with it: a face left out for seconds would count as gone."""
 _LONGEST_STEP = 1.0
 """Time between two images (s) above which no more credit is given."""
+
+
+class TimeShare:
+    """Lets work that costs more than one image can spare be done now and then: `share` s per image at most, over time."""
+
+    def __init__(self, share: float) -> None:
+        """Raises ValueError when the share is not positive."""
+        self._owed = 0.0
+        self.change(share)
+
+    def change(self, share: float) -> None:
+        """Set the time (s) per image. Raises ValueError when it is not positive."""
+        if not share > 0.0:
+            raise ValueError("a share of {} s per image; it must be above 0".format(share))
+        self._share = share
+
+    def next_image(self, step: float = 0.0) -> bool:
+        """Tell, once for each image, `step` s after the last, whether all that was spent is paid."""
+        self._owed = max(0.0, self._owed - self._share * max(1.0, step / _SLOW_STEP))
+        return self._owed < 1e-9
+
+    def spent(self, seconds: float) -> None:
+        """Take what the work has cost."""
+        if math.isfinite(seconds):
+            self._owed += max(0.0, seconds)
 
 
 class FaceBudget:
@@ -24,18 +51,23 @@ class FaceBudget:
     """
 
     def __init__(self, rate: float, budget: float, cost: float = 0.005) -> None:
-        """rate: Hz, 0 for every image; budget: s per image; cost: first guess of a look, s.
+        """rate, budget: see share; cost: first guess of a look, s.
 
         Raises ValueError for a negative rate, or a budget or cost that is not positive.
         """
-        if not (math.isfinite(rate) and rate >= 0.0 and budget > 0.0 and cost > 0.0):
+        self._cost = cost
+        self.share(rate, budget)
+        self._credit: Dict[str, float] = {}
+        self._left = 0.0
+        self._stamp: Optional[float] = None
+
+    def share(self, rate: float, budget: float) -> None:
+        """rate: Hz for each face, 0 for every image; budget: s per image. Raises ValueError as the constructor does."""
+        if not (math.isfinite(rate) and rate >= 0.0 and budget > 0.0 and self._cost > 0.0):
             raise ValueError("rate {} Hz, budget {} s, cost {} s of looks: rate from 0, the others above 0".format(
-                rate, budget, cost))
+                rate, budget, self._cost))
         self._rate = rate
         self._budget = budget
-        self._cost = cost
-        self._credit: Dict[str, float] = {}
-        self._stamp: Optional[float] = None
 
     @property
     def cost(self) -> float:
@@ -64,10 +96,17 @@ class FaceBudget:
             due = [face for face in faces if self._credit[face] > _NEARLY_DUE]
         first = set(urgent)
         due.sort(key=lambda face: (face not in first, -self._credit[face]))
-        chosen = set(due[:self.limit])
+        chosen = set(due[:self._looks(len(due), step)])
         for face in chosen:
             self._credit[face] -= 1.0
         return [face for face in faces if face in chosen]
+
+    def _looks(self, due: int, step: float) -> int:
+        """How many of the due faces this image can pay for, `step` s after the last; what is left goes to the next one."""
+        time = self._budget * max(1.0, step / _SLOW_STEP) + self._left
+        looks = max(1, int(time / self._cost + 1e-9))
+        self._left = max(0.0, time - looks * self._cost) if due > looks else 0.0
+        return looks
 
     def _earn(self, faces: Sequence[str], gain: float) -> None:
         """Give credit to all; a new face has a little more than the one that waits longest."""
@@ -86,4 +125,5 @@ class FaceBudget:
     def reset(self) -> None:
         """Forget all faces; what a look costs is kept."""
         self._credit = {}
+        self._left = 0.0
         self._stamp = None

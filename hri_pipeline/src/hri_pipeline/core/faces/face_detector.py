@@ -117,12 +117,16 @@ class FaceDetector:
     """Outputs that the model must have, and their sizes."""
 
     def __init__(self, model: OnnxModel, min_score: float = 0.6) -> None:
-        """model: face_detection_full_range.onnx; raises ValueError for min_score outside (0, 1)."""
+        """model: face_detection_full_range.onnx; min_score and errors: see set_min_score."""
+        self._model = model
+        self._anchors = ssd_anchors(INPUT_SIZE, ANCHOR_STRIDES, ANCHORS_PER_CELL)
+        self.set_min_score(min_score)
+
+    def set_min_score(self, min_score: float) -> None:
+        """Set the score from which a face is returned; raises ValueError outside (0, 1)."""
         if not 0.0 < min_score < 1.0:
             raise ValueError("minimum detection score must be in (0, 1), got %r" % (min_score,))
-        self._model = model
         self._min_logit = float(np.log(min_score / (1.0 - min_score)))
-        self._anchors = ssd_anchors(INPUT_SIZE, ANCHOR_STRIDES, ANCHORS_PER_CELL)
 
     def detect(self, bgr: np.ndarray, regions: Sequence[Region]) -> List[FaceDetection]:
         """Faces in the regions (x0, y0, x1, y1 px, which overlap the image) of a (H, W, 3) uint8 image."""

@@ -12,10 +12,12 @@ import numpy as np
 
 from hri_pipeline.core.faces.face_budget import FaceBudget
 from hri_pipeline.core.faces.face_detector import FaceDetection, FaceDetector
+from hri_pipeline.core.faces.face_flow import FaceFlow
 from hri_pipeline.core.faces.face_landmarks import bounding_box
 from hri_pipeline.core.faces.face_mesh import INPUT_SIZE, FaceMesh, FaceMeshResult, roi_from_detection, roi_from_mesh
 from hri_pipeline.core.faces.face_schedule import DetectionSchedule
-from hri_pipeline.core.faces.face_tracker import FaceMeasurement, FaceTrack, FaceTracker, face_colours, same_face
+from hri_pipeline.core.faces.face_track import FaceMeasurement, FaceTrack, face_colours
+from hri_pipeline.core.faces.face_tracker import FaceTracker, same_face
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.model_store import model_path
 from hri_pipeline.core.onnx_model import FETCH_MEND, ModelError, OnnxModel
@@ -68,19 +70,29 @@ class FaceFinder:
                          settings.providers, notify)
         mesh = _load(settings.face_mesh_model, "face_landmarks_attention.onnx", FaceMesh.OUTPUTS,
                      settings.providers, notify)
-        self._min_score = settings.min_detection_score
-        self._detector = FaceDetector(detector, RECALL_RATIO * self._min_score)
+        self._detector = FaceDetector(detector)
         self._schedule = DetectionSchedule(settings.face_detection_period, settings.face_detection_tiles)
         self._mesh = FaceMesh(mesh)
         self._budget = FaceBudget(settings.face_mesh_rate, 1e-3 * settings.face_budget)
         self._tracker = FaceTracker(
             settings.face_birth_delay, settings.face_death_time, settings.max_faces, ids,
             settings.face_min_detections, settings.face_support_time)
-        self._support_age = _SUPPORT_AGE * settings.face_support_time
-        self._min_presence = settings.min_face_presence
         self._clock = clock
         self._times = times
+        self._flow = FaceFlow()
+        self._stamp = 0.0
         self.detected = False
+        self.reconfigure(settings)
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters."""
+        self._min_score, self._min_presence = settings.min_detection_score, settings.min_face_presence
+        self._support_age = _SUPPORT_AGE * settings.face_support_time
+        self._detector.set_min_score(RECALL_RATIO * self._min_score)
+        self._schedule.set_period(settings.face_detection_period)
+        self._budget.share(settings.face_mesh_rate, 1e-3 * settings.face_budget)
+        self._tracker.limit(settings.face_birth_delay, settings.face_death_time, settings.max_faces,
+                            settings.face_min_detections, settings.face_support_time)
 
     @property
     def tracked_ids(self) -> List[str]:
@@ -99,6 +111,7 @@ class FaceFinder:
 
     def update(self, bgr: np.ndarray, stamp: float) -> List[FaceSighting]:
         """Return the faces seen in the (H, W, 3) uint8 image of `stamp` (s), oldest first."""
+        self._move(bgr, stamp)
         expected = self._tracker.expected(stamp)
         chosen = set(self._budget.choose([track.id for track in expected], stamp, self._meeting(expected, stamp)))
         found = self._follow(bgr, [track for track in expected if track.id in chosen], stamp)
@@ -112,6 +125,17 @@ class FaceFinder:
         self._tracker.reset()
         self._schedule.reset()
         self._budget.reset()
+        self._flow.reset()
+
+    def _move(self, bgr: np.ndarray, stamp: float) -> None:
+        """Move the tracks along with their pictures."""
+        tracks = [track for track in self._tracker.tracks if track.visible]
+        boxes = [track.predicted_box(self._stamp) for track in tracks]
+        ahead = [track.shift(stamp) - track.shift(self._stamp) for track in tracks]
+        with self._times("face_flow"):
+            for track, motion in zip(tracks, self._flow.update(bgr, boxes, ahead)):
+                track.move(motion, stamp)
+        self._stamp = stamp
 
     def _follow(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> List[FaceMeasurement]:
         """Meshes at the predicted places of tracks."""
@@ -123,8 +147,17 @@ class FaceFinder:
             results = self._mesh.run(bgr, rois)
             self._budget.spent(self._clock() - began, len(rois))
         height, width = bgr.shape[:2]
-        return [self._measurement(bgr, result, False) for result in results
-                if is_face(result, width, height, KEEP_RATIO * self._min_presence)]
+        return [self._measurement(bgr, result, False) for track, result in zip(tracks, results)
+                if is_face(result, width, height, self._least_presence(track))]
+
+    def _least_presence(self, track: FaceTrack) -> float:
+        """Presence from which a track goes on: the mesh of what the detector is not sure of must be."""
+        doubtful = track.detections < 1.0 and not self._tracker.is_confirmed(track)
+        return SURE if doubtful else KEEP_RATIO * self._min_presence
+
+    def _evidence(self, detection: FaceDetection) -> float:
+        """How much of a detection one counts. Patterns that are no faces are seen now and then, with half the score."""
+        return min(1.0, detection.score / self._min_score) ** 2
 
     def _discover(self, bgr: np.ndarray, found: Sequence[FaceMeasurement], skipped: Set[str],
                   stamp: float) -> List[FaceMeasurement]:
@@ -135,7 +168,8 @@ class FaceFinder:
             return []
         with self._times("face_detection"):
             detections = self._detector.detect(bgr, regions)
-        self._tracker.support([detection.box for detection in detections], stamp)
+        self._tracker.support([detection.box for detection in detections], stamp,
+                              [self._evidence(detection) for detection in detections])
         explained = [measurement.box for measurement in found if measurement.presence >= SURE]
         explained += [track.predicted_box(stamp) for track in self._tracker.tracks
                       if track.id in skipped and track.visible and track.measurement.presence >= SURE]
@@ -157,14 +191,15 @@ class FaceFinder:
         first = self._mesh.run(bgr, [roi_from_detection(detection) for detection in detections])
         sound = [(detection, result) for detection, result in zip(detections, first) if _is_sound(result)]
         second = self._mesh.run(bgr, [roi_from_mesh(result.points) for _, result in sound])
-        return [self._measurement(bgr, result, detection.score >= self._min_score or result.presence >= CERTAIN)
+        return [self._measurement(bgr, result, detection.score >= self._min_score or result.presence >= CERTAIN,
+                                  self._evidence(detection))
                 for (detection, _), result in zip(sound, second)
                 if is_face(result, width, height, self._min_presence)]
 
     @staticmethod
-    def _measurement(bgr: np.ndarray, result: FaceMeshResult, may_start: bool) -> FaceMeasurement:
+    def _measurement(bgr: np.ndarray, result: FaceMeshResult, may_start: bool, evidence: float = 0.0) -> FaceMeasurement:
         return FaceMeasurement(result.points, result.presence, may_start,
-                               face_colours(bgr, bounding_box(result.points)))
+                               face_colours(bgr, bounding_box(result.points)), evidence)
 
     def _waiting(self, stamp: float) -> List[np.ndarray]:
         """Centres (2,) px of the faces that the detector has yet to confirm, or has not for long."""

@@ -13,34 +13,35 @@ FACE_FINDER_PARAMETERS = (
     Parameter("canonical_face", "", "The mean face used for head poses. Empty: canonical_face.npz in the models"
               " directory."),
     Parameter("max_faces", 10, "Most faces tracked at the same time. A look at one costs 2 to 5 ms on one core.",
-              minimum=1, maximum=64),
+              minimum=1, maximum=64, live=True),
     Parameter("min_detection_score", 0.6, "Score from which a detection may start a track. Lower finds fainter"
-              " faces and more things that are none.", minimum=0.05, maximum=0.99),
+              " faces and more things that are none.", minimum=0.05, maximum=0.99, live=True),
     Parameter("min_face_presence", 0.5, "Probability from which the mesh network is believed that it still sees a"
-              " face. Higher lets go of hidden faces sooner.", minimum=0.05, maximum=0.99),
+              " face. Higher lets go of hidden faces sooner.", minimum=0.05, maximum=0.99, live=True),
     Parameter("face_detection_period", 0.3, "Time between two looks of the detector at the whole image while something"
               " is unclear (a new or a lost face), twice this while every face is known. Smaller finds new faces sooner"
               " and costs more. 0: every image.",
-              unit="s", minimum=0.0, maximum=10.0),
+              unit="s", minimum=0.0, maximum=10.0, live=True),
     Parameter("face_detection_tiles", 3, "The image is also searched in tiles x tiles parts, one part half-way between"
               " two looks at the whole, for faces too small for it: a part in which something has changed, or where a face"
               " waits for its confirmation. 1: no tiles.", minimum=1, maximum=4),
     Parameter("face_mesh_rate", 10.0, "How often per second the mesh network looks at each face; in the images between,"
-              " the face is moved along its way, with a confidence that says so. Higher follows quick heads better, and"
-              " costs more. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0),
-    Parameter("face_budget", 20.0, "Processor time per image for looks of the mesh network. With more faces than it"
-              " allows, they take turns. On a faster machine the same budget means more looks.",
-              unit="ms", minimum=1.0, maximum=1000.0),
+              " the face goes where its picture goes (optical flow), with a confidence that says so. Higher follows quick heads better, and"
+              " costs more. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True),
+    Parameter("face_budget", 10.0, "Processor time per image for looks of the mesh network. With more faces than it"
+              " allows, they take turns. On a faster machine the same budget means more looks. The networks behind it"
+              " (expression, age and gender, recognition) take three quarters of it at most, over time.",
+              unit="ms", minimum=1.0, maximum=1000.0, live=True),
     Parameter("face_birth_delay", 0.1, "Time for which a face must be seen before it gets its topics. Larger keeps out"
-              " more flickering false faces.", unit="s", minimum=0.0, maximum=10.0),
+              " more flickering false faces.", unit="s", minimum=0.0, maximum=10.0, live=True),
     Parameter("face_death_time", 1.0, "Time after which a face that is not seen any more is dropped with its id."
-              " Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0),
+              " Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True),
     Parameter("face_min_detections", 2, "How many runs of the detector must have seen a face before it gets its topics."
               " 1 finds faces one detection period sooner, and takes a badge or a pattern for a face more often.",
-              minimum=1, maximum=20),
+              minimum=1, maximum=20, live=True),
     Parameter("face_support_time", 4.0, "Time after which a face that only its mesh still sees, and the detector does"
               " not, is dropped: it is a pattern that looked like a face for a moment.",
-              unit="s", minimum=0.5, maximum=600.0),
+              unit="s", minimum=0.5, maximum=600.0, live=True),
 )
 """What finding and following faces needs."""
 
@@ -61,7 +62,7 @@ ANALYSIS_PARAMETERS = (
     Parameter("recognition_policy", "learn", "`learn` makes a new person of a face seen well that nobody known has;"
               " `enrolled` knows only who was enrolled by service.", choices=("learn", "enrolled")),
     Parameter("recognition_learn_delay", 1.5, "Time for which an unknown face must be seen before it becomes a new"
-              " person. Larger makes fewer persons of passers-by.", unit="s", minimum=0.0, maximum=600.0),
+              " person. Larger makes fewer persons of passers-by.", unit="s", minimum=0.0, maximum=600.0, live=True),
     Parameter("gallery", "", "File that keeps who is known beyond the run: templates and ids only, readable by its owner"
               " alone, in a directory of its own. One that ends in .sqlite is shared with the person manager (its `store`)"
               " and other recognisers. Empty: in memory only."),
@@ -83,7 +84,7 @@ CAMERA_PARAMETERS = (
               unit="rad", minimum=0.1, maximum=3.0),
     Parameter("max_rate", 30.0, "Most images processed per second; the others are skipped, which leaves more of the"
               " processor to others. 0: as fast as they come.",
-              unit="Hz", minimum=0.0, maximum=1000.0),
+              unit="Hz", minimum=0.0, maximum=1000.0, live=True),
     Parameter("interface", "paper", "Type of `roi`: `paper` is sensor_msgs/RegionOfInterest in pixels, `rep155` is"
               " hri_msgs/NormalizedRegionOfInterest2D.", choices=("paper", "rep155")),
 )

@@ -33,13 +33,17 @@ class DetectionSchedule:
 
     def __init__(self, period: float, tiles: int) -> None:
         """Raises ValueError for a negative period or less than one tile."""
-        if period < 0.0:
-            raise ValueError("detection period must not be negative, got %r s" % (period,))
         if tiles < 1:
             raise ValueError("tiles must be at least 1, got %r" % (tiles,))
-        self._period = period
         self._tiles = tiles
+        self.set_period(period)
         self.reset()
+
+    def set_period(self, period: float) -> None:
+        """Set the period (s), from the next look on; raises ValueError for a negative one."""
+        if period < 0.0:
+            raise ValueError("detection period must not be negative, got %r s" % (period,))
+        self._period = period
 
     def reset(self) -> None:
         """Forget the past: the next call asks for every region."""

@@ -86,6 +86,11 @@ class FaceStage:
         """Take the stature (m) of a face's person, known from its body: it tells the size of the head."""
         self._geometry.set_stature(face_id, stature)
 
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters; the faces stay."""
+        self._finder.reconfigure(settings)
+        self._analysis.reconfigure(settings)
+
     def reset(self) -> None:
         """Drop every face, as after a jump in time; ids are not given again."""
         self._finder.reset()

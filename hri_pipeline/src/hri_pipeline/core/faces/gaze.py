@@ -6,6 +6,7 @@ and the confidence says so. While the eyes are closed there is no direction.
 
 from __future__ import annotations
 
+import math
 from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -138,13 +139,13 @@ def gaze_frame(face: Pose, direction: np.ndarray) -> Pose:
 
     face: face frame in the optical frame; direction: (3,) unit vector in the optical frame.
     """
-    forward = face.rotation.T @ direction
-    down = np.array([0.0, 0.0, -1.0])
-    down = down - (down @ forward) * forward
-    length = np.linalg.norm(down)
+    # Plain numbers: for every face of every image, and arrays of three are slow.
+    x, y, z = (direction @ face.rotation).tolist()
+    down = (z * x, z * y, z * z - 1.0)
+    length = math.sqrt(down[0] ** 2 + down[1] ** 2 + down[2] ** 2)
     if length < 1e-6:
         # Straight up or down: any upright will do, the subject's left makes the frame complete.
-        down, length = np.cross(forward, [0.0, -1.0, 0.0]), 1.0
-    y_axis = down / length
-    return Pose(np.stack([np.cross(y_axis, forward), y_axis, forward], axis=1), np.zeros(3))
+        down, length = (z, 0.0, -x), 1.0
+    u, v, w = down[0] / length, down[1] / length, down[2] / length
+    return Pose(np.array([[v * z - w * y, u, x], [w * x - u * z, v, y], [u * y - v * x, w, z]]), np.zeros(3))
 

@@ -42,17 +42,22 @@ class _Person:
         self.stamp = stamp
 
 
+def check_levels(settings: SimpleNamespace) -> None:
+    """Raise ValueError when the levels of engagement are in the wrong order. settings: the values of INTERACTION_PARAMETERS."""
+    if not (settings.disengaged_level < settings.engaging_level < settings.engaged_level
+            and settings.disengaged_level < settings.disengaging_level < settings.engaged_level):
+        raise ValueError(
+            "disengaged_level {:g}, engaging_level {:g}, disengaging_level {:g}, engaged_level {:g}: the first has to be "
+            "the lowest and the last the highest".format(settings.disengaged_level, settings.engaging_level,
+                                                         settings.disengaging_level, settings.engaged_level))
+
+
 class EngagementEstimator:
     """Smooths mutual gaze into an attention of 0 to 1 and moves each person from level to level, one step per update."""
 
     def __init__(self, settings: SimpleNamespace) -> None:
         """settings: the values of INTERACTION_PARAMETERS; ValueError for levels in the wrong order."""
-        if not (settings.disengaged_level < settings.engaging_level < settings.engaged_level
-                and settings.disengaged_level < settings.disengaging_level < settings.engaged_level):
-            raise ValueError(
-                "disengaged_level {:g}, engaging_level {:g}, disengaging_level {:g}, engaged_level {:g}: the first has to be "
-                "the lowest and the last the highest".format(settings.disengaged_level, settings.engaging_level,
-                                                             settings.disengaging_level, settings.engaged_level))
+        check_levels(settings)
         self._settings = settings
         self._persons: Dict[str, _Person] = {}
 

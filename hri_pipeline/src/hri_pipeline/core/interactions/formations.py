@@ -36,27 +36,55 @@ class Formation(NamedTuple):
     confidence: float
 
 
+class Votes(NamedTuple):
+    """What everybody tells of the middle of the group: table (8, N) as above, relative to `middle` (2,) m."""
+
+    table: np.ndarray
+    middle: np.ndarray
+
+    def of(self, rows: Sequence[int]) -> Votes:
+        """Return those of some of the people, in this order."""
+        return Votes(self.table[:, list(rows)], self.middle)
+
+
+def votes_of(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: SimpleNamespace,
+             position_sds: Optional[np.ndarray] = None) -> Votes:
+    """Return the votes of everybody, for formations_of and middles_of.
+
+    positions: (N, 2) m, seen from above; directions: (N,) rad of the trunks from the x axis towards y, NaN where it is not
+    known; direction_sds: (N,) rad; position_sds: (N,) m, None: exact. settings: `group_stride`, `group_depth` and
+    `group_width` (m) of the interactions node.
+    Raises ValueError for shapes that do not fit, positions that are not finite, and negative deviations.
+    """
+    positions, directions, angles, places = _checked(positions, directions, direction_sds, position_sds)
+    middle = positions.mean(axis=0) if len(positions) else np.zeros(2)
+    return Votes(_votes(positions - middle, directions, angles, places, settings), middle)
+
+
 def find_formations(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: SimpleNamespace,
                     position_sds: Optional[np.ndarray] = None) -> List[Formation]:
     """Return the groups of two and more people.
 
-    positions: (N, 2) m, seen from above; directions: (N,) rad of the trunks from the x axis towards y, NaN where it is not
-    known; direction_sds: (N,) rad; position_sds: (N,) m, None: exact. settings: `group_stride`, `group_depth`,
-    `group_width` (m) and `group_room` (m^2) of the interactions node.
-    Raises ValueError for shapes that do not fit, positions that are not finite, and negative deviations.
+    The arguments and the errors are those of votes_of; settings: `group_room` (m^2) as well.
     """
-    positions, directions, angles, places = _checked(positions, directions, direction_sds, position_sds)
-    if len(positions) < 2:
+    return formations_of(votes_of(positions, directions, direction_sds, settings, position_sds), settings)
+
+
+def formations_of(votes: Votes, settings: SimpleNamespace) -> List[Formation]:
+    """Return the groups of two and more people. settings: `group_room` (m^2) of the interactions node."""
+    table = votes.table
+    if table.shape[1] < 2:
         return []
-    middle = positions.mean(axis=0)
-    votes = _votes(positions - middle, directions, angles, places, settings)
     per_person = math.log(2.0 * math.pi / settings.group_room)
-    formations = []
-    for members in groups_of(_moved(votes, _joined(votes, per_person), per_person)):
-        total = votes[:, members].sum(axis=1)
-        gain = -float(_cost(total, per_person)) / (len(members) - 1)
-        formations.append(Formation(members, _centre(total) + middle, 1.0 / (1.0 + math.exp(-min(gain, 50.0)))))
-    return formations
+    # What adds up to the cost without further ado is one row.
+    table = np.concatenate([table[:5], (table[5] + table[6] + 2.0 * per_person * table[7])[None]])
+    groups = groups_of(_moved(table, _joined(table, per_person), per_person))
+    if not groups:
+        return []
+    totals = table @ membership(groups, table.shape[1])
+    found = zip(groups, _centres(totals) + votes.middle, _cost(totals, per_person).tolist())
+    return [Formation(members, centre, 1.0 / (1.0 + math.exp(-min(-cost / (len(members) - 1), 50.0))))
+            for members, centre, cost in found]
 
 
 def groups_of(labels: np.ndarray) -> List[List[int]]:
@@ -71,14 +99,16 @@ def o_spaces(positions: np.ndarray, directions: np.ndarray, direction_sds: np.nd
              groups: Sequence[Sequence[int]], position_sds: Optional[np.ndarray] = None) -> np.ndarray:
     """Return the middles (G, 2) m of the o-spaces of given groups (rows, one at least each).
 
-    The other arguments and the errors are those of find_formations.
+    The other arguments and the errors are those of votes_of.
     """
-    positions, directions, angles, places = _checked(positions, directions, direction_sds, position_sds)
+    return middles_of(votes_of(positions, directions, direction_sds, settings, position_sds), groups)
+
+
+def middles_of(votes: Votes, groups: Sequence[Sequence[int]]) -> np.ndarray:
+    """Return the middles (G, 2) m of the o-spaces of given groups (rows, one at least each)."""
     if not len(groups):
         return np.zeros((0, 2))
-    middle = positions.mean(axis=0)
-    votes = _votes(positions - middle, directions, angles, places, settings)
-    return np.stack([_centre(votes[:, list(group)].sum(axis=1)) for group in groups]) + middle
+    return _centres(votes.table[:5] @ membership(groups, votes.table.shape[1])) + votes.middle
 
 
 def _checked(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, position_sds: Optional[np.ndarray]
@@ -121,16 +151,28 @@ def _votes(positions: np.ndarray, directions: np.ndarray, angles: np.ndarray, pl
 
 
 def _cost(sums: np.ndarray, per_person: float) -> np.ndarray:
-    """Return the cost (...,) of groups (8, ...): -log of the Bayes factor for one middle against one for each; 0 for one."""
-    xx, xy, yy, x, y, squares, logdet, people = sums
+    """Return the cost (...,) of groups (6, ...): -log of the Bayes factor for one middle against one for each; 0 for one.
+
+    The last row: squares, log |covariance| and twice `per_person` for each of the people.
+    """
+    xx, xy, yy, x, y, rest = sums
     determinant = xx * yy - xy * xy
     explained = (x * (yy * x - 2.0 * xy * y) + xx * y * y) / determinant
-    return 0.5 * (squares - explained + np.log(determinant) + logdet) + (people - 1.0) * per_person
+    return 0.5 * (rest - explained + np.log(determinant)) - per_person
 
 
-def _centre(total: np.ndarray) -> np.ndarray:
-    xx, xy, yy, x, y = total[:5]
-    return np.array([yy * x - xy * y, xx * y - xy * x]) / (xx * yy - xy * xy)
+def membership(groups: Sequence[Sequence[int]], count: int) -> np.ndarray:
+    """Return (count, G) 1 where a row belongs to a group, else 0."""
+    within = np.zeros((count, len(groups)))
+    for number, group in enumerate(groups):
+        within[group, number] = 1.0
+    return within
+
+
+def _centres(totals: np.ndarray) -> np.ndarray:
+    """Return the middles (G, 2) m of groups (5 and more, G)."""
+    xx, xy, yy, x, y = totals[:5]
+    return (np.stack([yy * x - xy * y, xx * y - xy * x]) / (xx * yy - xy * xy)).T
 
 
 def _joined(votes: np.ndarray, per_person: float) -> np.ndarray:
@@ -162,7 +204,7 @@ def _moved(votes: np.ndarray, labels: np.ndarray, per_person: float) -> np.ndarr
         sums = votes @ (labels[:, None] == np.arange(groups))
         alone = sizes[labels] == 1
         left = np.where(alone, votes, sums[:, labels] - votes)
-        entered = (sums[:, None] + votes[:, :, None]).reshape(8, -1)
+        entered = (sums[:, None] + votes[:, :, None]).reshape(len(votes), -1)
         costs = _cost(np.concatenate([sums, left, entered], axis=1), per_person)
         leaving = costs[groups:groups + count] - costs[labels]
         change = costs[groups + count:].reshape(count, groups) - costs[:groups] + leaving[:, None]

@@ -5,6 +5,7 @@ With few people the number of numpy calls is what costs, so everything is comput
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Optional, Tuple
 
@@ -24,7 +25,7 @@ _HALF_WEIGHT = 4.0
 _LEAST_VISIBLE = 0.02
 _HEAD_BESIDE_EYES = 0.64
 """How much the head's direction counts beside that of the eyes: it is off by the same amount for as long as a look lasts."""
-_TWO_PI = 2.0 * np.pi
+_TWO_PI = 2.0 * math.pi
 
 
 class Sights:
@@ -38,15 +39,19 @@ class Sights:
         count = len(people)
         self.heads, self.gazes, self.faces, self.trunks = people.heads, people.gazes, people.faces, people.trunks
         self.deviations = people.deviations
-        targets = np.concatenate([self.heads, [UNKNOWN if robot is None else robot]])
-        between = targets[None] - self.heads[:, None]
+        targets = np.empty((count + 1, 3))
+        targets[:-1] = self.heads
+        targets[-1] = UNKNOWN if robot is None else robot
+        between = targets - self.heads[:, None]
         distances = np.sqrt((between * between).sum(axis=2))
         with np.errstate(invalid="ignore"):
             possible = (distances > 1e-6) & (distances < max_distance)
-        possible[np.arange(count), np.arange(count)] = False
+        possible.reshape(-1)[::count + 2] = False       # nobody looks at himself
+        between[~possible] = 0.0
+        lengths = np.where(possible, distances, 1.0)
         self.possible = possible
-        self.distances = np.where(possible, np.maximum(distances, _LEAST_DISTANCE), 1.0)
-        self.units = np.where(possible[..., None], between / np.where(possible, distances, 1.0)[..., None], 0.0)
+        self.distances = np.maximum(lengths, _LEAST_DISTANCE)
+        self.units = between / lengths[..., None]
 
     def weights(self, head_radius: float) -> np.ndarray:
         """(N, T): how much each target comes into question before a direction is known, 0 to 1.
@@ -73,16 +78,16 @@ def evidence(sights: Sights, settings: SimpleNamespace) -> Tuple[np.ndarray, np.
     by_eyes = placed & (sights.gazes[:, 0] == sights.gazes[:, 0])
     by_head = placed & (sights.faces[:, 0] == sights.faces[:, 0])
     by_trunk = placed & (sights.trunks[:, 0] == sights.trunks[:, 0]) & ~(by_eyes | by_head)
-    squares = sights.deviations ** 2
-    places = np.append(squares[:, 0], _ROBOT_SD ** 2)
-    extent = ((_SIZE_PART * settings.head_radius) ** 2 + places + squares[:, :1]) / sights.distances ** 2
-    ratios = np.zeros(extent.shape)
-    even = -np.log(settings.nobody_field)
-    if by_eyes.any():
-        cosines = (sights.units @ sights.gazes[:, :, None])[..., 0]
-        ratios = np.where(by_eyes[:, None], _density(cosines, squares[:, 2:3] + extent) - even, 0.0)
-    if by_head.any():
-        ratios += np.where(by_head[:, None], _of_heads(sights, squares, extent, by_eyes, even, settings), 0.0)
+    squares = sights.deviations * sights.deviations
+    places = np.empty(len(placed) + 1)
+    places[:-1], places[-1] = squares[:, 0], _ROBOT_SD ** 2
+    extent = ((_SIZE_PART * settings.head_radius) ** 2 + places + squares[:, :1]) / (sights.distances * sights.distances)
+    eyes, heads, aside = _densities(sights, squares, extent, settings)
+    even = -math.log(settings.nobody_field)
+    # Who looks at nobody turns the head to where the eyes look, as anybody else.
+    nobody, weight = np.where(by_eyes, aside, even), np.where(by_eyes, _HEAD_BESIDE_EYES, 1.0)
+    ratios = np.where(by_eyes[:, None], eyes - even, 0.0)
+    ratios += np.where(by_head[:, None], weight[:, None] * (heads - nobody[:, None]), 0.0)
     if by_trunk.any():
         facing = _facing(sights.trunks, sights.units, squares[:, 3:] + settings.trunk_target_sd ** 2 + extent)
         ratios = np.where(by_trunk[:, None], facing, ratios)
@@ -91,16 +96,24 @@ def evidence(sights: Sights, settings: SimpleNamespace) -> Tuple[np.ndarray, np.
     return np.where(sights.possible, ratios, _NEVER), times
 
 
-def _of_heads(sights: Sights, squares: np.ndarray, extent: np.ndarray, by_eyes: np.ndarray, even: float,
-              settings: SimpleNamespace) -> np.ndarray:
-    """Log likelihood ratios (N, T) of the directions of the heads, given those of the eyes where they are known."""
+def _densities(sights: Sights, squares: np.ndarray, extent: np.ndarray, settings: SimpleNamespace
+               ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Log densities (1/sr) of the eyes (N, T) and of the heads (N, T) for each target, and of the heads for the eyes (N,).
+
+    NaN where a direction is not known.
+    """
     units, spread = _head_for(sights.units, sights.trunks, settings)
     own = squares[:, 1] + spread
-    density = _density((units @ sights.faces[:, :, None])[..., 0], own[:, None] + extent)
-    # Who looks at nobody turns the head to where the eyes look, as anybody else.
-    alike = _density((sights.faces * sights.gazes).sum(axis=1), own + squares[:, 2])
-    nobody, weight = np.where(by_eyes, alike, even), np.where(by_eyes, _HEAD_BESIDE_EYES, 1.0)
-    return weight[:, None] * (density - nobody[:, None])
+    # Eyes and heads; the heads for the eyes behind the targets.
+    cosines, variances = (np.ones((2, len(own), extent.shape[1] + 1)) for _ in range(2))
+    cosines[0, :, :-1] = (sights.units @ sights.gazes[:, :, None])[..., 0]
+    cosines[1, :, :-1] = (units @ sights.faces[:, :, None])[..., 0]
+    cosines[1, :, -1] = (sights.faces * sights.gazes).sum(axis=1)
+    np.add(squares[:, 2:3], extent, out=variances[0, :, :-1])
+    np.add(own[:, None], extent, out=variances[1, :, :-1])
+    variances[1, :, -1] = own + squares[:, 2]
+    eyes, heads = _density(cosines, variances)
+    return eyes[:, :-1], heads[:, :-1], heads[:, -1]
 
 
 def _density(cosines: np.ndarray, variances: np.ndarray) -> np.ndarray:
@@ -125,10 +138,12 @@ def _head_for(units: np.ndarray, trunks: np.ndarray, settings: SimpleNamespace) 
     if not known.any():
         return units, np.full(len(trunks), settings.eyes_in_head_sd ** 2)
     x, y = units[..., 0], units[..., 1]
-    targets = np.arctan2(y, x)
-    turns = np.where(known[:, None], (targets - np.arctan2(trunks[:, 1], trunks[:, 0])[:, None] + np.pi) % _TWO_PI - np.pi, 0.0)
-    # Towards the back the head turns as far as it can, and the trunk says little: the whole way.
-    back = (settings.head_gain - 1.0) * turns * (np.abs(turns) < 0.75 * np.pi)
+    turns = np.arctan2(y, x) - np.arctan2(trunks[:, 1], trunks[:, 0])[:, None]
+    turns -= _TWO_PI * np.rint(turns / _TWO_PI)
+    # Towards the back the head turns as far as it can, and the trunk says little: the whole way. So it does without a trunk.
+    back = np.where(np.abs(turns) < 0.75 * math.pi, (settings.head_gain - 1.0) * turns, 0.0)
     cosine, sine = np.cos(back), np.sin(back)
-    turned = np.stack([cosine * x - sine * y, sine * x + cosine * y, units[..., 2]], axis=-1)
+    turned = units.copy()
+    turned[..., 0] = cosine * x - sine * y
+    turned[..., 1] = sine * x + cosine * y
     return turned, np.where(known, 0.5, 1.0) * settings.eyes_in_head_sd ** 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Dict, List, Sequence
 
@@ -29,6 +30,7 @@ class GazeFilter:
         self._probabilities = np.zeros((0, 2))
         self._current = np.zeros(0, dtype=np.int64)
         self._unseen = np.zeros(0)
+        self._weights = self._latest_prior = np.zeros((0, 2))
 
     def update(self, ids: Sequence[str], weights: np.ndarray, ratios: np.ndarray, times: np.ndarray, closed: np.ndarray,
                dt: float) -> np.ndarray:
@@ -40,12 +42,12 @@ class GazeFilter:
         prior = self._prior(weights)
         self._follow(list(ids), prior)
         dt = min(max(dt, 0.0), _MOST_DT)
-        stay = np.exp(-dt / self._settings.dwell_time)
+        stay = math.exp(-dt / self._settings.dwell_time)
         belief = stay * self._probabilities + (1.0 - stay) * prior
         seen = np.isfinite(times) & ~closed
         # Images in quick succession share what they say.
         share = np.where(seen, np.minimum(dt / np.maximum(times, 1e-6), 1.0), 0.0)
-        scores = np.zeros_like(belief)
+        scores = np.zeros(belief.shape)
         np.multiply(ratios, share[:, None], out=scores[:, :-1])
         belief *= np.exp(scores - scores.max(axis=1, keepdims=True))
         self._probabilities = belief / np.maximum(belief.sum(axis=1, keepdims=True), 1e-300)
@@ -58,10 +60,14 @@ class GazeFilter:
         return float(self._probabilities[person, target])
 
     def _prior(self, weights: np.ndarray) -> np.ndarray:
-        """(N, T + 1) how often each target is looked at, nobody last."""
+        """(N, T + 1) how often each target is looked at, nobody last. The same weights come several times."""
+        if weights is self._weights:
+            return self._latest_prior
         total = weights.sum(axis=1, keepdims=True)
         targets = (1.0 - self._settings.nobody_prior) * weights / np.maximum(total, 1.0)
-        return np.concatenate([targets, 1.0 - targets.sum(axis=1, keepdims=True)], axis=1)
+        self._weights = weights
+        self._latest_prior = np.concatenate([targets, 1.0 - targets.sum(axis=1, keepdims=True)], axis=1)
+        return self._latest_prior
 
     def _decide(self, none: np.ndarray) -> None:
         count = len(self._current)

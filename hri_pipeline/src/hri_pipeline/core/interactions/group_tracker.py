@@ -14,7 +14,14 @@ from scipy.cluster.hierarchy import fcluster, linkage
 
 from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.ids import IdGenerator
-from hri_pipeline.core.interactions.formations import find_formations, groups_of, o_spaces
+from hri_pipeline.core.interactions.formations import (
+    Votes,
+    formations_of,
+    groups_of,
+    membership,
+    middles_of,
+    votes_of,
+)
 
 ROBOT = ""
 """Id of the robot as a member of a group."""
@@ -90,14 +97,30 @@ def _pairs(count: int) -> Tuple[np.ndarray, np.ndarray]:
     return np.triu_indices(count, 1)
 
 
+def _linked(near: np.ndarray) -> np.ndarray:
+    """Return the label (N,) of each, by average linkage of the shares (N, N), 0 to 1, cut at one half."""
+    joined = near >= _MAJORITY
+    joined.reshape(-1)[::len(near) + 1] = True
+    labels = joined.argmax(axis=1)
+    # Mostly all agree who is with whom; then the linkage would say the same.
+    if (joined == (labels[:, None] == labels)).all():
+        return labels
+    return fcluster(linkage(1.0 - near[_pairs(len(near))], "average"), _MAJORITY, "distance")
+
+
 def _velocity(way: Sequence[Tuple[float, float, float]]) -> Tuple[float, float]:
     """Return the velocity (m/s) of a line through (stamp s, x, y m): least squares; 0 for less than three."""
     if len(way) < 3:
         return 0.0, 0.0
-    stamp, x, y = (sum(column) / len(way) for column in zip(*way))
-    square = sum((at - stamp) ** 2 for at, _, _ in way)
-    return (sum((at - stamp) * (place - x) for at, place, _ in way) / square,
-            sum((at - stamp) * (place - y) for at, _, place in way) / square)
+    # Relative to the first: sums of squares lose nothing there.
+    (begin, left, low), count = way[0], len(way)
+    times = xs = ys = squares = along_x = along_y = 0.0
+    for at, x, y in way:
+        at, x, y = at - begin, x - left, y - low
+        times, xs, ys = times + at, xs + x, ys + y
+        squares, along_x, along_y = squares + at * at, along_x + at * x, along_y + at * y
+    square = squares - times * times / count
+    return (along_x - times * xs / count) / square, (along_y - times * ys / count) / square
 
 
 class GroupTracker:
@@ -138,7 +161,7 @@ class GroupTracker:
         """
         if not math.isfinite(stamp):
             raise ValueError("the stamp {} is not finite".format(stamp))
-        seen = [person for person in people if np.isfinite(np.asarray(person.position, dtype=np.float64)).all()]
+        seen = [person for person in people if all(map(math.isfinite, person.position))]
         if len({person.id for person in seen}) < len(seen):
             raise ValueError("an id is there twice: {}".format(", ".join(sorted(person.id for person in seen))))
         if self._stamp is not None and stamp < self._stamp - _JUMP_BACK_S:
@@ -148,9 +171,11 @@ class GroupTracker:
         step = 0.0 if self._stamp is None else min(stamp - self._stamp, self._settings.group_hold_time)
         self._stamp = stamp
         self._follow(seen, stamp)
+        votes = self._votes()
         if seen:
-            self._learn([self._people.index(person.id) for person in seen], step)
-        self._groups = self._name(self._members(), stamp)
+            places = {person: row for row, person in enumerate(self._people)}
+            self._learn([places[person.id] for person in seen], votes, step)
+        self._groups = self._name(self._members(), votes, stamp)
         return list(self._groups)
 
     def _follow(self, seen: Sequence[Stander], stamp: float) -> None:
@@ -178,21 +203,21 @@ class GroupTracker:
         present = {person.id for person in seen}
         self._seen[[person in present for person in self._people]] = stamp
 
-    def _learn(self, rows: Sequence[int], step: float) -> None:
+    def _learn(self, rows: Sequence[int], votes: Votes, step: float) -> None:
         """Take the formations of this moment, of the people in `rows`, into the shares of their pairs."""
-        together, confidence = np.zeros((len(rows), len(rows))), np.zeros((len(rows), len(rows)))
-        places, directions, angles, sds = self._measured(rows)
-        for formation in find_formations(places, directions, angles, self._settings, sds):
-            pairs = np.ix_(formation.members, formation.members)
-            together[pairs], confidence[pairs] = 1.0, formation.confidence
-        pairs = np.ix_(rows, rows)
+        formations = formations_of(votes.of(rows), self._settings)
+        within = membership([formation.members for formation in formations], len(rows))
+        together = within @ within.T
+        confidence = (within * [formation.confidence for formation in formations]) @ within.T
+        pairs = np.ix_(rows, rows) if rows != list(range(len(self._people))) else np.s_[:, :]
         apart = self._walking_apart(rows)
         together[apart], confidence[apart] = 0.0, 0.0
-        times = self._times[pairs] + step
+        before = self._times[pairs]
+        times = before + step
         # A plain mean at first, then one that forgets.
         weights = np.where(times > 0.0, step / np.maximum(times, 1e-9), 1.0)
         weights = np.maximum(weights, 1.0 - math.exp(-step / max(self._settings.group_time, 1e-3)))
-        weights[self._times[pairs] <= 0.0] = 1.0
+        weights[before <= 0.0] = 1.0
         weights = np.where(apart, np.minimum(1.0, _APART_WEIGHT * weights), weights)
         self._shares[pairs] += weights * (together - self._shares[pairs])
         self._confidences[pairs] += weights * (confidence - self._confidences[pairs])
@@ -200,16 +225,16 @@ class GroupTracker:
 
     def _walking_apart(self, rows: Sequence[int]) -> np.ndarray:
         """Return for each pair (N, N) of the people in `rows` whether one moves against the other faster than `group_speed`."""
-        speeds = np.array([_velocity(self._ways[self._people[row]]) for row in rows]).reshape(-1, 2)
-        return np.linalg.norm(speeds[:, None] - speeds[None], axis=-1) > self._settings.group_speed
+        speeds = np.array([complex(*_velocity(self._ways[self._people[row]])) for row in rows])
+        return np.abs(speeds[:, None] - speeds) > self._settings.group_speed
 
-    def _measured(self, rows: Sequence[int]) -> Tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return positions (N, 2), directions (N,), deviations of both (N,), (N,) of the people in `rows`."""
-        people = [self._standers[self._people[row]] for row in rows]
+    def _votes(self) -> Votes:
+        """Return the votes of everybody, in the order of the rows."""
+        people = [self._standers[person] for person in self._people]
         directions = np.array([math.nan if person.direction is None else person.direction for person in people])
-        return (np.array([person.position for person in people], dtype=np.float64).reshape(-1, 2), directions,
-                np.array([max(person.direction_sd, 0.0) for person in people]),
-                np.array([person.position_sd for person in people]))
+        return votes_of(np.array([person.position for person in people], dtype=np.float64).reshape(-1, 2), directions,
+                        np.array([max(person.direction_sd, 0.0) for person in people]), self._settings,
+                        np.array([person.position_sd for person in people]))
 
     def _members(self) -> List[List[int]]:
         """Return the groups, as rows: the average linkage of the pairs' shares."""
@@ -221,10 +246,9 @@ class GroupTracker:
             grouped[[rows[person] for person in group.members if person in rows]] = number
         near = np.where(self._times >= self._settings.group_delay - 1e-9, self._shares, 0.0)
         near = near + _STAY_BONUS * ((grouped[:, None] == grouped) & (grouped >= 0))
-        apart = 1.0 - np.clip(near, 0.0, 1.0)[_pairs(len(near))]
-        return groups_of(fcluster(linkage(apart, "average"), _MAJORITY, "distance"))
+        return groups_of(_linked(np.minimum(near, 1.0)))
 
-    def _name(self, groups: Sequence[Sequence[int]], stamp: float) -> List[Group]:
+    def _name(self, groups: Sequence[Sequence[int]], votes: Votes, stamp: float) -> List[Group]:
         """Return the groups with the ids that they had, or new ones, and remember those that end."""
         self._known = [known for known in self._known
                        if known.ended is None or stamp - known.ended <= self._settings.group_hold_time]
@@ -233,19 +257,26 @@ class GroupTracker:
         for number, known in enumerate(self._known):
             if number not in owners.values():
                 known.ended = stamp if known.ended is None else known.ended
-        places, directions, angles, sds = self._measured(range(len(self._people)))
-        middles = o_spaces(places, directions, angles, self._settings, groups, sds)
+        middles, confidences = middles_of(votes, groups), self._mean_confidences(groups)
         found = []
-        for index, rows in enumerate(groups):
+        for index in range(len(groups)):
             if index in owners:
                 known = self._known[owners[index]]
             else:
                 known = _Known(self._ids.new(), members[index], stamp)
                 self._known.append(known)
             known.members, known.ended = members[index], None
-            confidence = float(self._confidences[np.ix_(rows, rows)][_pairs(len(rows))].mean())
-            found.append(Group(known.id, tuple(sorted(members[index])), confidence, middles[index]))
+            found.append(Group(known.id, tuple(sorted(members[index])), confidences[index], middles[index]))
         return found
+
+    def _mean_confidences(self, groups: Sequence[Sequence[int]]) -> List[float]:
+        """Return the mean over the pairs of each group."""
+        if not groups:
+            return []
+        within = membership(groups, len(self._people))
+        sizes = within.sum(axis=0)
+        each = ((self._confidences @ within) * within).sum(axis=0) - self._confidences.diagonal() @ within
+        return (each / (sizes * (sizes - 1.0))).tolist()
 
     def _owners(self, members: Sequence[frozenset]) -> Dict[int, int]:
         """Return the number of the known group, of those with two common members at least, that each set goes on."""
@@ -254,6 +285,9 @@ class GroupTracker:
         # Of equal shares the living and then the older is chosen; no such bonus outweighs a share.
         order = sorted(range(len(self._known)), key=lambda number: (
             self._known[number].ended is not None, self._known[number].begun))
+        same = {self._known[number].members: number for number in reversed(order)}
+        if all(ours in same for ours in members):
+            return {index: same[ours] for index, ours in enumerate(members)}
         rank = {number: 1e-3 * place / len(order) for place, number in enumerate(order)}
         cost = np.array([[1.0 - len(ours & known.members) / len(ours | known.members) + rank[number]
                           if len(ours & known.members) > 1 else np.inf

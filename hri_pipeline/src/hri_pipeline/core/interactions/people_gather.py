@@ -18,9 +18,11 @@ from hri_pipeline.core.tf_scan import RawTransform
 Places = Callable[[CounterOf[str]], Mapping[str, Pose]]
 """Poses, in the frame in which people are compared, of those of the sensors (with the number of their people) that have one."""
 
+Vector = Tuple[float, float, float]
+Quaternion = Tuple[float, float, float, float]
+
 HEAD_ABOVE_HIPS = 0.65
 """Height (m) of the eyes above the middle of the hips of somebody who stands: about 0.38 of the stature (Winter 2009)."""
-_AXIS_X, _AXIS_Z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 _LEAST_LEVEL = 0.3
 _PLACE_SD, _PLACE_SD_PER_M, _FALLBACK_SD = 0.03, 0.02, 0.15
 """Standard deviations (m) of heads: at the camera, more for each metre of distance, and from anything but a face."""
@@ -50,18 +52,25 @@ class _Person(NamedTuple):
 
 
 class _Rows:
-    """Frames whose places and directions are wanted: sensor, links from the frame up to the sensor's, and axis of each."""
+    """Frames whose places and directions are wanted: sensor, and in its frame the origin (m) and direction of each.
+
+    In plain numbers: for so few, numpy takes longer.
+    """
 
     def __init__(self) -> None:
         self.sensors: List[str] = []
-        self.links: List[Sequence[RawTransform]] = []
-        self.along_z: List[int] = []
+        self.vectors: List[Vector] = []
 
-    def add(self, links: Sequence[RawTransform]) -> int:
-        """Return the row of a new frame, whose x axis is its direction."""
+    def add(self, links: Sequence[RawTransform], along_z: bool = False) -> int:
+        """Return the row of a new frame, `links` above each other up to the sensor. Its direction is its x axis, or its z axis."""
+        first = links[0]
+        origin, direction = first.translation, axis(first.rotation, along_z)
+        for link in links[1:]:
+            (x, y, z), (i, j, k) = link.translation, turned(link.rotation, origin)
+            origin, direction = (x + i, y + j, z + k), turned(link.rotation, direction)
         self.sensors.append(links[-1].parent)
-        self.links.append(links)
-        return len(self.links) - 1
+        self.vectors += (origin, direction)
+        return len(self.sensors) - 1
 
 
 class _Frames(NamedTuple):
@@ -89,8 +98,7 @@ def gather(frames: PeopleFrames, places: Places, newest: float, settings: Simple
     people = [person for person in (_person(*one, poses, rows.sensors) for one in found) if person is not None]
     if not people:
         return Crowd.empty()
-    origins, directions = _placed(rows, poses)
-    return _crowd(people, origins, directions, settings)
+    return _crowd(people, _placed(rows, poses), settings)
 
 
 def _collect(identity: str, frames: PeopleFrames, oldest: float, settings: SimpleNamespace, lids: Mapping[str, Seen],
@@ -107,8 +115,7 @@ def _collect(identity: str, frames: PeopleFrames, oldest: float, settings: Simpl
         closed = _closed(frames, face, gaze, lids.get(face_id), settings)
         if gaze is not None and face.stamp - gaze.stamp <= settings.gaze_timeout and far < settings.gaze_range:
             links = (gaze.transform, face.transform) if gaze.transform.parent == face.transform.child else (gaze.transform,)
-            mine["gaze"] = rows.add(links)
-            rows.along_z.append(mine["gaze"])
+            mine["gaze"] = rows.add(links, along_z=True)
     body = frames.get("body_" + body_id, oldest) if body_id else None
     if body is not None:
         mine["body"] = rows.add((body.transform,))
@@ -149,44 +156,37 @@ def _person(identity: str, mine: _Frames, closed: float, far: float, poses: Mapp
     return None
 
 
-def _placed(rows: _Rows, poses: Mapping[str, Pose]) -> Tuple[np.ndarray, np.ndarray]:
-    """Origins (K + 1, 3) m and unit directions (K + 1, 3); the last row is NaN, and so are those without a pose."""
-    count = len(rows.links)
-    origins, directions = np.full((count + 1, 3), np.nan), np.full((count + 1, 3), np.nan)
-    directions[:-1] = _AXIS_X
-    directions[rows.along_z] = _AXIS_Z
-    turns = np.array([links[0].rotation for links in rows.links])
-    origins[:-1] = [links[0].translation for links in rows.links]
-    directions[:-1] = rotate(turns, directions[:-1])
-    longest = max(map(len, rows.links))
-    for level in range(1, longest):
-        which = [index for index, links in enumerate(rows.links) if len(links) > level]
-        turns = np.array([rows.links[index][level].rotation for index in which])
-        both = rotate(np.concatenate([turns, turns]), np.concatenate([directions[which], origins[which]]))
-        directions[which] = both[:len(which)]
-        origins[which] = both[len(which):] + [rows.links[index][level].translation for index in which]
-    for sensor in set(rows.sensors):
-        pose = poses.get(sensor)
-        which = [index for index, name in enumerate(rows.sensors) if name == sensor]
-        origins[which] = origins[which] @ pose.rotation.T + pose.translation if pose is not None else np.nan
-        directions[which] = directions[which] @ pose.rotation.T if pose is not None else np.nan
-    return origins, directions
+def _placed(rows: _Rows, poses: Mapping[str, Pose]) -> np.ndarray:
+    """Origins (m) and unit directions (K + 1, 2, 3); the last row is NaN, and so are those without a pose."""
+    count = len(rows.sensors)
+    placed = np.full((count + 1, 2, 3), np.nan)
+    seen, sensors = np.array(rows.vectors), set(rows.sensors)
+    for sensor in sensors & poses.keys():
+        pose = poses[sensor]
+        moved = (seen @ pose.rotation.T).reshape(count, 2, 3)
+        moved[:, 0] += pose.translation
+        if len(sensors) == 1:
+            placed[:-1] = moved
+        else:
+            which = [index for index, name in enumerate(rows.sensors) if name == sensor]
+            placed[which] = moved[which]
+    return placed
 
 
-def _crowd(people: Sequence[_Person], origins: np.ndarray, directions: np.ndarray, settings: SimpleNamespace) -> Crowd:
+def _crowd(people: Sequence[_Person], placed: np.ndarray, settings: SimpleNamespace) -> Crowd:
     ids, sources, place, head, gaze, trunk, closed, ranges = zip(*people)
-    heads = origins[list(place)]
+    chosen = placed[np.array((place, head, gaze, trunk))]
+    heads, faces, gazes, trunks = chosen[0, :, 0], chosen[1, :, 1], chosen[2, :, 1], chosen[3, :, 1]
     if "body" in sources:
         heads[[row for row, source in enumerate(sources) if source == "body"], 2] += HEAD_ABOVE_HIPS
-    trunks = directions[list(trunk)]
     lying = trunks[:, 0] ** 2 + trunks[:, 1] ** 2 < _LEAST_LEVEL ** 2
     if lying.any():
         trunks[lying] = np.nan
     deviations = np.array([(
-        _PLACE_SD + _PLACE_SD_PER_M * person.range if person.source == "face" else _FALLBACK_SD,
-        settings.skeleton_head_sd if person.source == "head" else settings.head_sd, _gaze_sd(person.range, settings), settings.trunk_sd)
-        for person in people])
-    return Crowd(list(ids), heads, directions[list(gaze)], directions[list(head)], trunks, deviations, np.array(closed))
+        _PLACE_SD + _PLACE_SD_PER_M * far if source == "face" else _FALLBACK_SD,
+        settings.skeleton_head_sd if source == "head" else settings.head_sd, _gaze_sd(far, settings), settings.trunk_sd)
+        for source, far in zip(sources, ranges)])
+    return Crowd(list(ids), heads, gazes, faces, trunks, deviations, np.array(closed))
 
 
 def _gaze_sd(distance: float, settings: SimpleNamespace) -> float:
@@ -195,18 +195,21 @@ def _gaze_sd(distance: float, settings: SimpleNamespace) -> float:
     return math.hypot(settings.gaze_sd, part * settings.eyes_in_head_sd)
 
 
-def rotate(quaternions: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Return vectors (N, 3) turned by quaternions (N, 4) x, y, z, w, which need not be of unit length.
+def axis(quaternion: Quaternion, along_z: bool) -> Vector:
+    """Return the x axis, or the z axis, that a quaternion x, y, z, w turns to; it need not be of unit length."""
+    x, y, z, w = quaternion
+    scale = 2.0 / (x * x + y * y + z * z + w * w)
+    if along_z:
+        return scale * (x * z + y * w), scale * (y * z - x * w), 1.0 - scale * (x * x + y * y)
+    return 1.0 - scale * (y * y + z * z), scale * (x * y + z * w), scale * (x * z - y * w)
 
-    v + s (w (q x v) + q x (q x v)) with s = 2 / |q|^2.
+
+def turned(quaternion: Quaternion, vector: Vector) -> Vector:
+    """Return a vector turned by a quaternion x, y, z, w, which need not be of unit length.
+
+    v + w t + q x t with t = 2 / |q|^2 (q x v).
     """
-    turn, real = quaternions[:, :3], quaternions[:, 3:]
-    scale = 2.0 / (quaternions * quaternions).sum(axis=1, keepdims=True)
-    across = _cross(turn, vectors)
-    return vectors + scale * (real * across + _cross(turn, across))
-
-
-def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Cross product along the last axis; numpy's own takes several times as long for few vectors."""
-    after, next_after = (1, 2, 0), (2, 0, 1)
-    return first[:, after] * second[:, next_after] - first[:, next_after] * second[:, after]
+    (x, y, z, w), (u, v, n) = quaternion, vector
+    scale = 2.0 / (x * x + y * y + z * z + w * w)
+    i, j, k = scale * (y * n - z * v), scale * (z * u - x * n), scale * (x * v - y * u)
+    return u + w * i + y * k - z * j, v + w * j + z * i - x * k, n + w * k + x * j - y * i

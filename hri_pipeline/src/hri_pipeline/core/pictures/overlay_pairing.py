@@ -23,6 +23,7 @@ class FeatureHistory:
         self._keep = keep
         self._features: Dict[Tuple[str, str], Dict[float, np.ndarray]] = {}
         self._newest = -np.inf
+        self._chosen_from, self._lag = -np.inf, 0.0
 
     def add(self, kind: str, name: str, stamp: float, feature: np.ndarray) -> None:
         """Keep a feature of face or body `name` for the image of time `stamp`."""
@@ -43,7 +44,8 @@ class FeatureHistory:
     def clear(self) -> None:
         """Forget all, for example when time has jumped back."""
         self._features.clear()
-        self._newest = -np.inf
+        self._newest = self._chosen_from = -np.inf
+        self._lag = 0.0
 
     def stamps(self, kind: str) -> Set[float]:
         """Return the stamps of all images in which something of `kind` is known."""
@@ -64,7 +66,7 @@ class FeatureHistory:
 
         The newest image for which both faces and bodies are known within `tolerance` s; where one kind is
         missing or lags too far behind, the newest image with any; the newest image when nothing has been
-        seen lately. None without images.
+        seen lately, apart from the time by which features came late before. None without images.
         """
         if not images:
             return None
@@ -74,7 +76,11 @@ class FeatureHistory:
         if not faces | bodies:
             return newest
         latest = max(faces | bodies)
-        if newest - latest > tolerance + PREFER_COMPLETE:
+        if latest > self._chosen_from:
+            # On a slow machine features of old images keep coming; the first ones may be left from before.
+            self._lag = newest - latest if np.isfinite(self._chosen_from) else 0.0
+            self._chosen_from = latest
+        if newest - latest > tolerance + PREFER_COMPLETE + self._lag:
             return newest
         complete = max((stamp for stamp in faces | bodies
                         if _near(stamp, faces, tolerance) and _near(stamp, bodies, tolerance)), default=-np.inf)

@@ -43,6 +43,7 @@ class PersonStore:
         self._notify = notify or (lambda text: None)
         self._lock = threading.RLock()
         self._is_checked = False
+        self._is_unerased = False
         self._connection: Optional[sqlite3.Connection] = None
         make_private_directory(self.path.parent)
         self._held: Optional[int] = _share(self.path)
@@ -101,7 +102,7 @@ class PersonStore:
             gone = [name for number, (name, seen) in enumerate(rows)
                     if 0 < max_persons <= number or 0.0 < max_age < now - seen]
             database.executemany("DELETE FROM persons WHERE id = ?", [(name,) for name in gone])
-        if gone:
+        if gone or self._is_unerased:
             self._erase()
         return gone
 
@@ -168,8 +169,24 @@ class PersonStore:
             self._put_aside(reason)
             self._open()
             return
-        self._connect()
-        self._migrate()
+        try:
+            self._connect()
+            self._migrate()
+        except (sqlite3.Error, StoreError) as error:
+            if is_new:
+                self._take_back()
+            raise error if isinstance(error, StoreError) else StoreError(
+                "{} cannot be used ({}); make room, or correct its permissions".format(self.path, error)) from error
+
+    def _take_back(self) -> None:
+        """Remove a new file in which nothing is: the next one who opens it would take it for a damaged one."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+        if self._is_alone():
+            for file in [Path(str(self.path) + ending) for ending in ("", *_JOURNALS)]:
+                if file.exists():
+                    file.unlink()
 
     def _damage(self) -> str:
         """Return what is wrong with the file, empty when nothing is. StoreError for what is not ours to judge."""
@@ -183,7 +200,7 @@ class PersonStore:
             found = self._connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
             owner = self._connection.execute("PRAGMA application_id").fetchone()[0]
         except sqlite3.OperationalError as error:
-            raise StoreError("{} cannot be opened ({}); correct its permissions, or end who holds it".format(
+            raise StoreError("{} cannot be opened ({}); make room, correct its permissions, or end who holds it".format(
                 self.path, error)) from error
         except sqlite3.DatabaseError as error:
             return str(error)
@@ -270,6 +287,7 @@ class PersonStore:
     def _erase(self) -> None:
         """Rewrite the file without what was deleted, and empty its journal. Damaged files go too: who is in them cannot
         be told."""
+        self._is_unerased = True    # until it has been done: a full disk may prevent it
         with self._reading() as database:
             database.execute("VACUUM")
             busy: Sequence[int] = database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
@@ -278,6 +296,7 @@ class PersonStore:
                                  "again".format(self.path))
         for path in self.damaged_files():
             wipe(path)
+        self._is_unerased = False
 
 
 def _share(path: Path) -> int:

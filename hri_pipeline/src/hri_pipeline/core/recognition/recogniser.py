@@ -46,7 +46,7 @@ class Recogniser:
                 learn_delay, min_quality))
         self.gallery = gallery
         self._learns = policy == "learn"
-        self._learn_delay, self._min_quality = learn_delay, min_quality
+        self.learn_delay, self._min_quality = learn_delay, min_quality
         self._ids = ids if ids is not None else IdGenerator()
         self._lock = threading.RLock()
         self._faces: Dict[str, FaceIdentity] = {}
@@ -244,7 +244,7 @@ class Recogniser:
     def _is_new(self, face: FaceIdentity) -> bool:
         """Whether a face was seen well, for long enough, and is like nobody, those in view included."""
         evidence, calibration = face.evidence, self.gallery.calibration
-        if face.barred or evidence.good(LEARN_QUALITY) < LEARN_CROPS or evidence.duration < self._learn_delay:
+        if face.barred or evidence.good(LEARN_QUALITY) < LEARN_CROPS or evidence.duration < self.learn_delay:
             return False
         if evidence.spread() > calibration.midpoint:
             return False

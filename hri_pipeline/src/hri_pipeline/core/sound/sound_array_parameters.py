@@ -17,7 +17,7 @@ SOUND_ARRAY_PARAMETERS = (
     Parameter("source_look_back", 0.3, "What is kept of the sound before a direction is listened to.", unit="s", minimum=0.0,
               maximum=1.0),
     Parameter("source_hold_time", 1.0, "Time for which a direction that has fallen silent is still listened to. It must be longer"
-              " than the pause that ends a turn (hangover_time).", unit="s", minimum=0.1, maximum=10.0),
+              " than the pause that ends a turn (hangover_time).", unit="s", minimum=0.1, maximum=10.0, live=True),
     Parameter("source_memory", 10.0, "Time for which a silent direction is remembered. A voice from there is the same as"
               " before, later it is a new one.", unit="s", minimum=0.5, maximum=600.0),
 )

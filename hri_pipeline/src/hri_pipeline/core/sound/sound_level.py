@@ -26,61 +26,60 @@ def dbfs(rms: float) -> float:
 
 
 class _Piece:
-    """Sums over 0.1 s of sound, per channel."""
+    """Sums over 0.1 s of sound (N, C), per channel; power: mean over the channels and in time."""
 
-    def __init__(self, channels: int) -> None:
-        self.count = 0
-        self.squares = np.zeros(channels)
-        self.sums = np.zeros(channels)
-        self.lowest = np.full(channels, np.inf)
-        self.highest = np.full(channels, -np.inf)
-        self.clipped = 0
-
-    def add(self, samples: np.ndarray) -> None:
-        self.count += len(samples)
-        self.squares += np.einsum("nc,nc->c", samples, samples)
-        self.sums += samples.sum(axis=0)
-        self.lowest = np.minimum(self.lowest, samples.min(axis=0))
-        self.highest = np.maximum(self.highest, samples.max(axis=0))
-        if max(-float(self.lowest.min()), float(self.highest.max())) >= _LIMIT:
-            self.clipped += int((np.abs(samples) >= _LIMIT).any(axis=1).sum())
+    def __init__(self, samples: np.ndarray) -> None:
+        self.count = len(samples)
+        self.squares = np.einsum("nc,nc->c", samples, samples).astype(np.float64)
+        self.sums = samples.sum(axis=0, dtype=np.float64)
+        self.lowest = samples.min(axis=0)
+        self.highest = samples.max(axis=0)
+        self.power = float(self.squares.mean()) / self.count
+        self.peak = max(-float(self.lowest.min()), float(self.highest.max()))
+        self.clipped = int((np.abs(samples) >= _LIMIT).any(axis=1).sum()) if self.peak >= _LIMIT else 0
 
 
 class SoundLevel:
-    """Level, peak, noise floor, clipping and offset of the last WINDOW_S of a sound. rate: Hz."""
+    """Level, peak, noise floor, clipping and offset of the last WINDOW_S of a sound. rate: Hz.
+
+    Looks at a piece of 0.1 s when it is complete: messages may be short, and to look costs the same for each.
+    """
 
     def __init__(self, rate: int, channels: int) -> None:
         if rate < 1 or channels < 1:
             raise ValueError("a sound has a rate and a channel, not {} Hz and {}".format(rate, channels))
         self._size = max(1, int(rate * _PIECE_S))
         self._channels = channels
-        self._pieces: Deque[_Piece] = deque([_Piece(channels)], maxlen=int(WINDOW_S / _PIECE_S))
+        self._pieces: Deque[_Piece] = deque(maxlen=int(WINDOW_S / _PIECE_S))
+        self._waiting: List[np.ndarray] = []
+        self._held = 0
         self.clipped = 0
 
     def add(self, samples: np.ndarray) -> None:
         """Take samples (N, C)."""
-        start = 0
-        while start < len(samples):
-            piece = self._pieces[-1]
-            taken = samples[start:start + self._size - piece.count]
-            before = piece.clipped
-            piece.add(taken)
-            self.clipped += piece.clipped - before
-            start += len(taken)
-            if piece.count >= self._size:
-                self._pieces.append(_Piece(self._channels))
+        self._waiting.append(samples)
+        self._held += len(samples)
+        if self._held < self._size:
+            return
+        sound = np.concatenate(self._waiting)
+        whole = len(sound) // self._size * self._size
+        for start in range(0, whole, self._size):
+            self._pieces.append(_Piece(sound[start:start + self._size]))
+            self.clipped += self._pieces[-1].clipped
+        # A copy: a view would keep all of the sound.
+        self._waiting, self._held = [sound[whole:].copy()], len(sound) - whole
 
     def values(self) -> Dict[str, object]:
         """Return what diagnostics show: dBFS, and shares in percent."""
-        pieces = self._full()
+        pieces = list(self._pieces)
         if not pieces:
             return {}
         count = sum(piece.count for piece in pieces)
         recent = pieces[-_LEVEL_PIECES:]
         level = np.sqrt(sum(piece.squares for piece in recent) / sum(piece.count for piece in recent))
-        floors = [np.sqrt(piece.squares.mean() / piece.count) for piece in pieces]
-        peak = max(max(-piece.lowest.min(), piece.highest.max()) for piece in recent)
-        offset = sum(piece.sums for piece in pieces) / count
+        floors = np.sqrt([piece.power for piece in pieces])
+        peak = max(piece.peak for piece in recent)
+        offset = np.sum([piece.sums for piece in pieces], axis=0) / count
         return {
             "level_dbfs": dbfs(np.sqrt(np.mean(np.square(level)))), "peak_dbfs": dbfs(peak),
             "noise_floor_dbfs": dbfs(np.percentile(floors, _FLOOR_PERCENTILE)),
@@ -91,7 +90,7 @@ class SoundLevel:
 
     def problem(self) -> str:
         """Say what is wrong with the sound and the mend; empty when nothing is."""
-        pieces = self._full()
+        pieces = list(self._pieces)
         constant = self._constant(pieces)
         if len(constant) == self._channels:
             return "the sound is dead silence, {:.0f} s of one and the same value; is the microphone muted, or the " \
@@ -103,15 +102,12 @@ class SoundLevel:
         if constant:
             return "channel {} of {} is dead: it gives one and the same value; check its microphone".format(
                 ", ".join(str(number) for number in constant), self._channels)
-        offset = np.abs(sum((piece.sums for piece in pieces), np.zeros(self._channels)))
         count = sum(piece.count for piece in pieces)
+        offset = np.abs(np.sum([piece.sums for piece in pieces], axis=0)) if pieces else np.zeros(1)
         if count and float(offset.max()) / count > _OFFSET:
             return "the sound has an offset of {:.0f} % of full scale; are ~sample_format and the AudioInfo right?".format(
                 100.0 * float(offset.max()) / count)
         return ""
-
-    def _full(self) -> List[_Piece]:
-        return [piece for piece in self._pieces if piece.count >= self._size]
 
     def _constant(self, pieces: List[_Piece]) -> Tuple[int, ...]:
         """Channels, counted from 0, that have had one value for the last seconds."""

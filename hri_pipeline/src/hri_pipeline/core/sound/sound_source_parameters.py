@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from hri_pipeline.core.parameters import Parameter, ParameterTable
-
-STAY = "stay"
-EXIT = "exit"
+from hri_pipeline.core.pictures.source_parameters import EXIT, STAY
 
 SOUND_SOURCE_PARAMETERS = ParameterTable(
     "sound_source",

@@ -11,7 +11,7 @@ AUDIO_FEATURE_PARAMETERS = (
               " the definition; nothing is computed while nobody listens. 25 is every fourth frame, enough to follow pitch and"
               " loudness; 100 is every frame, what emotion recognition needs. Processor time grows in proportion, here and in"
               " every subscriber.",
-              unit="Hz", minimum=1.0, maximum=100.0),
+              unit="Hz", minimum=1.0, maximum=100.0, live=True),
 )
 """What AudioFeatureExtractor needs (core/voices/audio_features.py)."""
 
@@ -36,7 +36,7 @@ SPEECH_RECOGNITION_PARAMETERS = (
               minimum=0.0, maximum=10.0),
     Parameter("speech_min_confidence", 0.05, "Sentences of less confidence are not published. Higher: fewer commands are"
               " heard where none was spoken, more that were spoken are missed. The numbers of different recognisers do"
-              " not compare.", minimum=0.0, maximum=1.0),
+              " not compare.", minimum=0.0, maximum=1.0, live=True),
     Parameter("speech_queue", 20.0, "Sound of one voice that may wait for the recogniser; what does not fit is dropped,"
               " and told in diagnostics.", unit="s", minimum=1.0, maximum=120.0),
     Parameter("speech_nice", 10, "How far the recogniser's processes stand back behind all others, as in nice(1). 19:"

@@ -42,7 +42,7 @@ class SpeechRecognition:
         check_choice(choice)
         self._language = choice.language
         self._limit = settings.speech_queue
-        self._least = settings.speech_min_confidence
+        self.least_confidence = settings.speech_min_confidence
         self._lock = threading.Lock()
         self._open: Dict[str, Utterance] = {}
         self._number = 0
@@ -161,7 +161,7 @@ class SpeechRecognition:
         """Note a result, from the thread; confidence None: text so far."""
         final = confidence is not None
         with self._lock:
-            if confidence is not None and text and confidence < self._least:
+            if confidence is not None and text and confidence < self.least_confidence:
                 self._refused += 1
                 text = ""
             # An empty final text is told where it takes something back.

@@ -25,7 +25,7 @@ INTAKE_PARAMETERS = (
               " it. Smaller notices shorter gaps and takes slow deliveries for gaps.",
               unit="s", minimum=0.02, maximum=1.0),
     Parameter("silence_time", 2.0, "Time without any message after which all voices are let go.", unit="s", minimum=0.2,
-              maximum=60.0),
+              maximum=60.0, live=True),
     Parameter("frame_id", "microphone_link", "TF frame of the microphone or the array: x forward, y left, z up. The"
               " parent of the frames of voices; goes into headers."),
 )
@@ -35,7 +35,7 @@ DIRECTION_PARAMETERS = (
     Parameter("direction", True, "Find where voices come from and separate them, with two channels or more and the"
               " positions of the microphones. Off: all channels are mixed to one."),
     Parameter("direction_distance", 1.0, "Distance from the microphone at which the frame voice_ID is put: an array"
-              " knows the direction only.", unit="m", minimum=0.1, maximum=20.0),
+              " knows the direction only.", unit="m", minimum=0.1, maximum=20.0, live=True),
 ) + SOUND_ARRAY_PARAMETERS
 """What direction and separation need (core/sound/sound_direction.py, core/sound/sound_separation.py)."""
 

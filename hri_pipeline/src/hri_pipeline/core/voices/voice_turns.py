@@ -76,6 +76,14 @@ class NoiseFloor:
         return self.level
 
 
+def check_thresholds(settings: SimpleNamespace) -> None:
+    """Raise ValueError when the thresholds are not in order. settings: the parameters of activity."""
+    if not settings.keep_threshold <= settings.clear_birth_threshold <= settings.birth_threshold:
+        raise ValueError("keep_threshold {:g}, clear_birth_threshold {:g} and birth_threshold {:g} must be in this"
+                         " order".format(settings.keep_threshold, settings.clear_birth_threshold,
+                                         settings.birth_threshold))
+
+
 class SpeechActivity:
     """`speaking`, frame by frame; settings: the parameters of activity (core/voices/voice_stage_parameters.py).
 
@@ -83,10 +91,7 @@ class SpeechActivity:
     """
 
     def __init__(self, settings: SimpleNamespace) -> None:
-        if not settings.keep_threshold <= settings.clear_birth_threshold <= settings.birth_threshold:
-            raise ValueError("keep_threshold {:g}, clear_birth_threshold {:g} and birth_threshold {:g} must be in this"
-                             " order".format(settings.keep_threshold, settings.clear_birth_threshold,
-                                             settings.birth_threshold))
+        check_thresholds(settings)
         self._settings = settings
         self.floor = NoiseFloor()
         self.speaking = False
