@@ -1,0 +1,75 @@
+#!/usr/bin/env python3
+"""launch/bag.launch as a user runs it: the people of a recording appear, from its beginning on, and it ends with the recording."""
+
+import shutil
+import subprocess
+import tempfile
+import threading
+import unittest
+from pathlib import Path
+
+import rospy
+import rostest
+from bag_stage import Ears, wait_for
+from make_bags import PICTURE_S, pictures_bag
+from rosbags.rosbag1 import Reader
+
+RATE = 0.5          # of the recording's time, so that a busy machine sees enough of its images
+END_S = 90.0
+
+
+class BagLaunchTest(unittest.TestCase):
+
+    def setUp(self):
+        self.folder = Path(tempfile.mkdtemp(prefix="ros4hri-bag-"))
+        self.addCleanup(shutil.rmtree, str(self.folder), True)
+        self.bag = self.folder / "pictures.bag"
+        pictures_bag(self.bag)
+        with Reader(self.bag) as reader:
+            self.begin = 1e-9 * reader.start_time
+        self.ears = Ears()
+        self.addCleanup(self.ears.close)
+        self.lines = []
+
+    def launch(self, *arguments):
+        """Start bag.launch on the recording."""
+        process = subprocess.Popen(["roslaunch", "ros4hri", "bag.launch", "bag:=%s" % self.bag, "rviz:=false", *arguments],
+                                   stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        threading.Thread(target=lambda: self.lines.extend(process.stdout), daemon=True).start()
+
+        def end():
+            if process.poll() is None:
+                process.terminate()
+            process.wait(END_S)
+        self.addCleanup(end)
+        return process
+
+    def said(self):
+        """What the launch has printed, for messages."""
+        return "".join(self.lines[-30:])
+
+    def test_people_from_the_beginning(self):
+        process = self.launch("image_transport:=compressed", "bag_rate:={}".format(RATE))
+        try:
+            wait_for(self.ears.persons, "a person", 120.0)
+            first = wait_for(lambda: self.ears.placed(self.begin) and rospy.get_time(), "the frame of a person") - self.begin
+            print("the first person stands {:.1f} s after the recording's beginning".format(first), flush=True)
+            self.assertLess(first, PICTURE_S, "nobody in the first photograph")
+            wait_for(lambda: len(self.ears.placed(self.begin + PICTURE_S + 1.0)) >= 3, "three people in the second photograph")
+            wait_for(lambda: process.poll() is not None, "the end of the launch with the recording", END_S)
+        except AssertionError as error:
+            self.fail("{}\n{}".format(error, self.said()))
+        self.assertEqual(process.returncode, 0, self.said())
+        self.assertNotIn("started without", "".join(self.lines), "the recording began before everybody was connected")
+        self.assertEqual(self.ears.errors, [])
+
+    def test_a_wrong_transport_is_named(self):
+        self.launch()
+        wait_for(lambda: any("image_transport:=compressed" in line for line in list(self.lines)), "the warning", 60.0)
+
+
+if __name__ == "__main__":
+    # The clock of the recording; the launch file sets the same, but this node is here before it.
+    rospy.set_param("/use_sim_time", True)
+    rospy.init_node("bag_launch_test")
+    rostest.rosrun("ros4hri", "bag_launch", BagLaunchTest)
