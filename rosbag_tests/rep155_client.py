@@ -3,7 +3,7 @@
 
 For test_rep155_client.py, and to copy from. It follows the persons that are tracked, their faces and voices, and prints what
 it learns, one line of JSON each: {"person": id, "face": id, "box": [xmin, ymin, xmax, ymax]}, {"person": id, "engagement": level},
-{"voice": id, "said": text, "final": bool}, {"gaze": [sender, receiver]}, {"group": id, "members": [ids]}, {"spaces": {name: [ids]}}.
+{"voice": id, "said": text, "final": bool}, {"gaze": [sender, receiver]}, {"group": id, "members": [ids]}, {"space": name, "ids": [ids]}.
 """
 
 import json
@@ -44,7 +44,6 @@ class Client:
 
     def __init__(self):
         self._owners = {}
-        self._spaces = {}
         Followed("persons", self._person)
         Followed("faces", self._face)
         Followed("voices", self._voice)
@@ -76,9 +75,9 @@ class Client:
     def _on_speech(self, message, voice):
         tell(voice=voice, said=message.final or message.incremental, final=bool(message.final))
 
-    def _on_space(self, message, name):
-        self._spaces[name] = list(message.ids)
-        tell(spaces=self._spaces)
+    @staticmethod
+    def _on_space(message, name):
+        tell(space=name, ids=list(message.ids))
 
 
 if __name__ == "__main__":

@@ -194,6 +194,8 @@ run_rostest() { # run_rostest FILE
 
 layer_rostest() {
     local file
+    # Programs that only tests need; roscpp may have been installed after the workspace was configured.
+    check "build of the tests' programs" catkin_make_here --force-cmake tests
     while IFS= read -r file; do
         run_rostest "$file"
     done < <(find hri_*/test/ros rosbag_tests -name '*.test' | LC_ALL=C sort)
