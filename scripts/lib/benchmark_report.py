@@ -6,9 +6,11 @@ import os
 import platform
 import subprocess
 from pathlib import Path
-from typing import Dict, List, Optional, Sequence
+from typing import Dict, List, Mapping, Optional, Sequence
 
-_FIRST_RUN = "needs a machine without the packages, Python environment and models: time ./scripts/demo on one"
+from benchmark_start import Start
+
+_NOT_ASKED = "not asked for (--start)"
 NOT_STACK = ("benchmark_probe", "image_source")
 
 
@@ -59,13 +61,15 @@ def figures(people: int, seen: dict) -> dict:
         "stages_ms": seen["stages_ms"], "seconds": round(seen["seconds"], 2)}
 
 
-def as_json(rows: Sequence[dict], before: dict, described: dict, second_run_s: Optional[float] = None,
-            why_not: str = "not asked for (--start)") -> dict:
-    """Return the JSON object of all scenes; why_not: the reason when second_run_s is None."""
-    result: dict = {"machine": before, "input": described, "stages_ms": {}, "scenes": list(rows), "first_run_s": None,
-                    "second_run_s": second_run_s, "reasons": {"first_run_s": _FIRST_RUN}}
-    if second_run_s is None:
-        result["reasons"]["second_run_s"] = why_not
+def as_json(rows: Sequence[dict], before: dict, described: dict, starts: Optional[Mapping[str, Start]] = None) -> dict:
+    """Return the JSON object of all scenes; starts: what was measured of the "first" and "second" run of scripts/demo."""
+    result: dict = {"machine": before, "input": described, "stages_ms": {}, "scenes": list(rows), "reasons": {}}
+    for name in ("first", "second"):
+        start = (starts or {}).get(name, Start(None, _NOT_ASKED))
+        result[name + "_run_s"] = None if start.seconds is None else round(start.seconds, 1)
+        result[name + "_run"] = {"steps_s": start.steps, "fresh": start.fresh, "not_fresh": start.not_fresh}
+        if start.seconds is None:
+            result["reasons"][name + "_run_s"] = start.why_not
     for row in rows:
         number = row["people"]
         for key in ("fps", "faces_fps", "bodies_fps", "age_p50_ms", "age_p95_ms", "cpu_percent", "rss_mb"):
@@ -74,6 +78,17 @@ def as_json(rows: Sequence[dict], before: dict, described: dict, second_run_s: O
             result["{}_{}".format(key, number)] = row[key]
         result["stages_ms"][str(number)] = row["stages_ms"]
     return result
+
+
+def starts_as_text(starts: Mapping[str, Start]) -> str:
+    """Return the times from scripts/demo to the first person, for a person to read."""
+    lines = [""] + ["from scripts/demo to the first person: not measured; --start does"] * (not starts)
+    for name, start in starts.items():
+        lines.append("{} run, from scripts/demo to the first person: {}".format(
+            name, start.why_not if start.seconds is None else "{:.1f} s".format(start.seconds)))
+        lines += ["  {:35s} {:7.1f} s".format(title, seconds) for title, seconds in start.steps.items()]
+        lines += ["  {}: {}".format(title, ", ".join(things)) for title, things in (("set up anew", start.fresh), ("there before", start.not_fresh)) if things]
+    return "\n".join(lines)
 
 
 def as_table(rows: Sequence[dict], before: dict, described: dict) -> str:

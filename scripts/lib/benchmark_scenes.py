@@ -41,6 +41,15 @@ def make_scene(people: int, photographs: Path) -> np.ndarray:
     return scene
 
 
+def one_picture(path: Path) -> np.ndarray:
+    """Return a whole photograph as a (720, 1280, 3) BGR picture. Raises OSError when it is missing."""
+    scene, picture = np.full((HEIGHT, WIDTH, 3), BACKGROUND, np.uint8), cv2.imread(str(path))
+    if picture is None:
+        raise OSError("photograph {} is missing; run `rosrun hri_pipeline fetch_models`".format(path))
+    _paste(scene, picture, (0, 0, WIDTH, HEIGHT))
+    return scene
+
+
 def _cut(picture: np.ndarray, cut: Tuple[float, float, float, float]) -> np.ndarray:
     height, width = picture.shape[:2]
     return picture[int(cut[1] * height):int(cut[3] * height), int(cut[0] * width):int(cut[2] * width)]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import benchmark_report
+import pytest
 
 SEEN = {
     "seconds": 10.0, "tracked": {"persons": 4, "faces": 2, "bodies": 3}, "most_tracked": {},
@@ -47,3 +49,26 @@ def test_the_row_of_somebody_who_is_seen() -> None:
     assert shows_a_person("anonymous_person_jfjb0  -      tuih8  -            1.00    2.23  -0.04   1.24   map     263")
     assert not shows_a_person("anonymous_person_wmbx9  -      -      douyj        0.00  -       -          -")
     assert not shows_a_person("person                  face   body   voice  confidence  position x y z (m)")
+
+
+def test_starts_are_told_with_their_steps_and_with_what_was_not_fresh() -> None:
+    from benchmark_start import Start, step_times
+    steps = step_times(["[1/5] System packages (build run)", "all there (0.5 s)", "[4/5] Catkin workspace", "... 15 s: x", "built: /x (62.7 s)"])
+    assert steps == {"System packages (build run)": 0.5, "Catkin workspace": 62.7}
+    starts = {"first": Start(301.26, "", steps, ["models"], ["system packages that were there before"]), "second": Start(None, "nobody appeared")}
+    result = benchmark_report.as_json([], MACHINE, {}, starts)
+    assert result["first_run_s"] == 301.3 and result["first_run"]["not_fresh"] == ["system packages that were there before"]
+    assert result["second_run_s"] is None and result["reasons"] == {"second_run_s": "nobody appeared"}
+    text = benchmark_report.starts_as_text(starts)
+    assert "301.3 s" in text and "62.7 s" in text and "nobody appeared" in text
+
+
+def test_a_fresh_home_directory_keeps_what_leads_to_the_package_indexes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from benchmark_start import fresh_environment
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old/.npmrc").write_text("registry=x")
+    monkeypatch.setenv("HOME", str(tmp_path / "old"))
+    monkeypatch.setenv("ROS4HRI_CACHE", str(tmp_path / "old/cache"))
+    environment = fresh_environment(tmp_path / "new")
+    assert environment["HOME"] == str(tmp_path / "new") and "ROS4HRI_CACHE" not in environment
+    assert [path.name for path in (tmp_path / "new").iterdir()] == [".npmrc"]

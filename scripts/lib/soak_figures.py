@@ -1,0 +1,173 @@
+"""What the samples of a soak say: slopes of memory, growth of descriptors, threads and parameters, and whether that is flat."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from statistics import median
+from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+
+FIELDS = ("minutes", "world", "process", "pid", "count", "rss_mb", "threads", "fds", "cpu_percent", "nodes", "topics", "services",
+          "parameters", "descriptions", "publishers", "known", "errors", "faces", "bodies", "voices", "persons", "faces_seen",
+          "bodies_seen", "voices_seen", "persons_seen")
+GRAPH = "graph"
+MASTER = "rosmaster"
+"""Grows by nature: it keeps the type of every topic name that there ever was (rosmaster.master_api, topics_types), and topics hold ids."""
+WARM_UP = 0.5            # share of the time that is left out: caches, pools and the memory of known people fill up
+LEAST_MINUTES = 10.0     # of measuring; with less a slope says nothing
+RSS_MB_PER_H, FDS, THREADS, PARAMETERS = 5.0, 10, 5, 10
+"""Most that counts as flat: memory of each process per hour; descriptors and threads of each process, and parameters of the
+graph, from the first fifth to the last fifth of the time after the warm-up."""
+_PRESENT = 0.9           # share of the looks in which a process has to be there, to be one that stays
+Row = Mapping[str, object]
+
+
+class Grown(NamedTuple):
+    """One process: memory at the end (MB), its slope (MB/h), growth of descriptors and threads, mean use of a core (%)."""
+
+    rss_mb: float
+    rss_mb_per_h: float
+    fds: float
+    threads: float
+    cpu_percent: float
+
+
+def slope(times: Sequence[float], values: Sequence[float]) -> float:
+    """Return the Theil-Sen slope, the median of the slopes of all pairs: up to 29 % of outliers do not move it far.
+
+    P. K. Sen, "Estimates of the regression coefficient based on Kendall's tau", J. Am. Stat. Assoc. 63, 1968.
+    ValueError when there are fewer than two different times.
+    """
+    slopes = [(values[later] - values[earlier]) / (times[later] - times[earlier])
+              for later in range(len(times)) for earlier in range(later) if times[later] != times[earlier]]
+    if not slopes:
+        raise ValueError("a slope needs two different times")
+    return median(slopes)
+
+
+def growth(values: Sequence[float]) -> float:
+    """Return the median of the last fifth less that of the first fifth."""
+    part = max(1, len(values) // 5)
+    return median(values[-part:]) - median(values[:part])
+
+
+def settled(rows: Iterable[Row]) -> List[Row]:
+    """Return the rows after the warm-up."""
+    rows = list(rows)
+    end = max((float(row["minutes"]) for row in rows), default=0.0)
+    return [row for row in rows if float(row["minutes"]) >= WARM_UP * end]
+
+
+def grown(rows: Iterable[Row]) -> Dict[Tuple[str, str], Grown]:
+    """Return the growth after the warm-up by graph and process, of processes that stay."""
+    looks: Dict[Tuple[str, str], List[Row]] = {}
+    total: Dict[str, int] = {}
+    for row in settled(rows):
+        if row["process"] == GRAPH:
+            total[str(row["world"])] = total.get(str(row["world"]), 0) + 1
+        elif row["pid"] not in (None, ""):
+            looks.setdefault((str(row["world"]), str(row["process"])), []).append(row)
+    found = {}
+    for key, kept in looks.items():
+        if len(kept) < 2 or len(kept) < _PRESENT * total.get(key[0], 0):
+            continue
+        columns = {name: [float(row[name]) for row in kept] for name in ("minutes", "rss_mb", "fds", "threads", "cpu_percent")}
+        found[key] = Grown(median(columns["rss_mb"][-max(1, len(kept) // 5):]), 60.0 * slope(columns["minutes"], columns["rss_mb"]),
+                           growth(columns["fds"]), growth(columns["threads"]), sum(columns["cpu_percent"]) / len(kept))
+    return found
+
+
+def restarted(rows: Iterable[Row]) -> List[str]:
+    """Return the processes that stay and that had more than one process number: somebody ended and was started again."""
+    rows = list(rows)
+    staying = set(grown(rows))
+    pids: Dict[Tuple[str, str], set] = {}
+    for row in rows:
+        key = (str(row["world"]), str(row["process"]))
+        if key in staying and row["pid"] not in (None, ""):
+            pids.setdefault(key, set()).add(int(float(row["pid"])))
+    return sorted(" ".join(key) for key, numbers in pids.items() if len(numbers) > 1)
+
+
+def graph_growth(rows: Iterable[Row], name: str) -> Optional[float]:
+    """Return the growth of a number of the graph after the warm-up, the largest of all graphs; None without any look."""
+    columns: Dict[str, List[float]] = {}
+    for row in settled(rows):
+        if row["process"] == GRAPH and row.get(name) not in (None, ""):
+            columns.setdefault(str(row["world"]), []).append(float(row[name]))
+    return max((growth(values) for values in columns.values()), default=None)
+
+
+def figures(rows: Sequence[Row]) -> Tuple[Dict[str, object], Dict[str, str]]:
+    """Return the figures that the samples give, and the reasons of those that they do not."""
+    found = grown(rows)
+    minutes = max((float(row["minutes"]) for row in rows), default=0.0)
+    if minutes < LEAST_MINUTES or not found:
+        why = "measured for {:.1f} min; {:g} are needed".format(minutes, LEAST_MINUTES)
+        return {}, {name: why for name in ("rss_mb_per_h", "master_mb_per_h", "fds_growth", "threads_growth", "parameters_growth", "restarted", "flat")}
+    ours, masters = ([one.rss_mb_per_h for (_, name), one in found.items() if (name == MASTER) is is_master] for is_master in (False, True))
+    return {"rss_mb_per_h": round(max(ours, default=0.0), 2), "master_mb_per_h": round(max(masters, default=0.0), 2),
+            "fds_growth": max(one.fds for one in found.values()), "threads_growth": max(one.threads for one in found.values()),
+            "parameters_growth": graph_growth(rows, "parameters"), "restarted": restarted(rows)}, {}
+
+
+def churn(rows: Sequence[Row]) -> Dict[str, object]:
+    """Return how many came in each graph, and how many were there at a time."""
+    found: Dict[str, object] = {}
+    for world in sorted({str(row["world"]) for row in rows}):
+        looks = [row for row in rows if row["world"] == world and row["process"] == GRAPH]
+        for kind in ("faces", "bodies", "voices", "persons"):
+            seen, now = ([int(float(row[name])) for row in looks if row.get(name) not in (None, "")] for name in (kind + "_seen", kind))
+            if seen:
+                found["{} {}".format(world, kind)] = "{} came, at most {} at a time".format(max(seen), max(now))
+        found[world + " % of a core"] = round(sum(float(row["cpu_percent"]) for row in settled(rows) if row["world"] == world and row["process"] != GRAPH)
+                                              / max(1, len({row["minutes"] for row in settled(rows) if row["world"] == world})), 1)
+    return found
+
+
+def process_table(rows: Sequence[Row]) -> str:
+    """Return memory, its slope, descriptors, threads and use of the processor of each process that stays."""
+    lines = ["{:10} {:24} {:>9} {:>9} {:>8} {:>8} {:>7}".format("graph", "process", "MB at end", "MB per h", "fds", "threads", "CPU %")]
+    for (world, name), one in sorted(grown(rows).items()):
+        lines.append("{:10} {:24} {:9.1f} {:+9.2f} {:+8.0f} {:+8.0f} {:7.1f}".format(world, name, *one))
+    return "\n".join(lines)
+
+
+class Samples:
+    """The file of samples: each row is in it as soon as it has been measured. Use it in a `with`."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises OSError when the file cannot be written."""
+        self.rows: List[Row] = []
+        self._file = path.open("w", encoding="utf-8", newline="")
+        self._writer = csv.DictWriter(self._file, FIELDS, restval="")
+        self._writer.writeheader()
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Take some rows."""
+        for row in rows:
+            self.rows.append(row)
+            self._writer.writerow({name: value for name, value in row.items() if value is not None})
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file. Idempotent."""
+        self._file.close()
+
+    def __enter__(self) -> "Samples":
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+        self.close()
+
+
+def read(path: Path) -> List[Row]:
+    """Return the rows of a file of samples. ValueError when it is none."""
+    with path.open(encoding="utf-8", newline="") as file:
+        reader = csv.DictReader(file)
+        if tuple(reader.fieldnames or ()) != FIELDS:
+            raise ValueError("{} holds no samples of a soak".format(path))
+        # A run that was killed leaves half a line.
+        return [row for row in reader if row["process"] and row["minutes"] and None not in row.values()]
