@@ -52,19 +52,24 @@ def is_blank(picture: np.ndarray) -> bool:
     return float(picture.reshape(-1, 3).std(axis=0).max()) < 5.0
 
 
+def take(framebuffer: Path) -> bytes:
+    """The screen as PNG. Raises OSError and ValueError where there is nothing to show."""
+    picture = read_framebuffer(framebuffer.read_bytes())
+    if is_blank(picture):
+        raise ValueError("the screen is blank: rviz has not drawn anything")
+    encoded, png = cv2.imencode(".png", picture)
+    if not encoded:
+        raise ValueError("the picture could not be encoded")
+    return bytes(png.tobytes())
+
+
 def main(arguments: List[str]) -> int:
     """Command line: FRAMEBUFFER PNG. Exit code 1 with one line when there is nothing to show."""
     if len(arguments) != 2:
         print(main.__doc__, file=sys.stderr)
         return 2
     try:
-        picture = read_framebuffer(Path(arguments[0]).read_bytes())
-        if is_blank(picture):
-            raise ValueError("the screen is blank: rviz has not drawn anything")
-        encoded, png = cv2.imencode(".png", picture)
-        if not encoded:
-            raise ValueError("the picture could not be encoded")
-        Path(arguments[1]).write_bytes(png.tobytes())
+        Path(arguments[1]).write_bytes(take(Path(arguments[0])))
     except (OSError, ValueError) as error:
         print("no screenshot: %s" % error, file=sys.stderr)
         return 1

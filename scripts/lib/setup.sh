@@ -4,7 +4,8 @@
 
 R4H_VENV=
 R4H_MODELS=
-R4H_WS=${ROS4HRI_WORKSPACE:-$R4H_ROOT/.ws}
+# Not in the checkout, which is a package: rosrun looks for a command in all of it, and would find each twice, and a loop of links.
+R4H_WS=${ROS4HRI_WORKSPACE:-$R4H_CACHE/workspace-$(printf '%s' "$R4H_ROOT" | sha256sum | cut -c1-12)}
 
 take_setup_lock() {
     exec 9>"$R4H_CACHE/lock"
@@ -77,20 +78,26 @@ ensure_original_packages() { # what the tests of the converters compare with; ke
     step_done "kept in $ROS4HRI_PACKAGES"
 }
 
-build_fingerprint() { # what a build depends on; Python sources are used in place
+build_fingerprint() { # what a build depends on: names of nodes and tests, which are used in place as all Python, and the text of the rest
     (
         cd "$R4H_ROOT" || exit 1
         printf '%s\n' "$R4H_VENV" "$R4H_ROOT" "$R4H_WS"
         find . -path ./.ws -prune -o -path ./.git -prune -o -type f \
-            \( -name CMakeLists.txt -o -name package.xml -o -name setup.py -o -name '*.msg' -o -name '*.cmake' -o -name '*.in' -o -path '*/nodes/*' -o -name '*.test' \) \
-            -printf '%P\n' | LC_ALL=C sort | tee >(tr '\n' '\0' | xargs -0 cat | sha256sum)
+            \( -path '*/nodes/*' -o -name '*.test' \) -printf '%P\n' | LC_ALL=C sort
+        find . -path ./.ws -prune -o -path ./.git -prune -o -type f \
+            \( -name CMakeLists.txt -o -name package.xml -o -name setup.py -o -name '*.msg' -o -name '*.srv' -o -name '*.action' -o -name '*.cfg' -o -name '*.cmake' -o -name '*.in' -o -name '*.cpp' \) \
+            -printf '%P\0' | LC_ALL=C sort -z | xargs -0 sha256sum
     ) | sha256sum
 }
 
 lay_workspace() {
     local recorded
+    # Where earlier versions had it.
+    if [ "$R4H_WS" != "$R4H_ROOT/.ws" ] && [ -e "$R4H_ROOT/.ws/CATKIN_IGNORE" ]; then
+        rm -rf -- "$R4H_ROOT/.ws/src" "$R4H_ROOT/.ws/build" "$R4H_ROOT/.ws/devel" "$R4H_ROOT/.ws/.built" "$R4H_ROOT/.ws/CATKIN_IGNORE"
+    fi
     mkdir -p "$R4H_WS/src"
-    # A workspace around this checkout must not look in here.
+    # A workspace around this one must not look in here.
     touch "$R4H_WS/CATKIN_IGNORE"
     if [ "$(readlink "$R4H_WS/src/ros4hri" || true)" != "$R4H_ROOT" ]; then
         rm -rf -- "$R4H_WS/src/ros4hri" "$R4H_WS/build" "$R4H_WS/devel"
@@ -104,10 +111,10 @@ lay_workspace() {
     fi
 }
 
-catkin_make_here() {
+catkin_make_here() { # catkin_make_here ARGUMENT...
     # shellcheck disable=SC1090
     if [ -n "$R4H_ROS_SETUP" ]; then set +u; . "$R4H_ROS_SETUP"; set -u; fi
-    catkin_make -C "$R4H_WS" --no-color -DPYTHON_EXECUTABLE="$R4H_VENV/bin/python3" -DCATKIN_ENABLE_TESTING=ON
+    catkin_make -C "$R4H_WS" --no-color -DPYTHON_EXECUTABLE="$R4H_VENV/bin/python3" -DCATKIN_ENABLE_TESTING=ON "$@"
 }
 
 ensure_workspace() {

@@ -74,6 +74,19 @@ start_view() {
     unset WAYLAND_DISPLAY QT_QPA_PLATFORM XAUTHORITY
 }
 
+choose_pace() { # choose_pace SOURCE PEOPLE ARG:=VALUE...: sets pace_arguments, for rviz that draws without a graphics card beside the stack
+    local given=" ${*:3}"
+    pace_arguments=()
+    [ "$R4H_VIEW" = hidden ] || return 0
+    sed 's/Frame Rate: .*/Frame Rate: 4/' "$R4H_ROOT/launch/ros4hri.rviz" >"$R4H_TMP/hidden.rviz"
+    [[ $given == *' rviz_config:='* ]] || pace_arguments+=("rviz_config:=$R4H_TMP/hidden.rviz")
+    # Pictures that stand still for longer can be shown in fewer images; a video has a speed of its own.
+    [ -d "$1" ] || return 0
+    [[ $given == *' rate:='* ]] || pace_arguments+=("rate:=10.0")
+    # Who waits for many people waits for their picture.
+    [[ $given == *' seconds_per_picture:='* ]] || (($2 > 3)) || pace_arguments+=("seconds_per_picture:=13.0")
+}
+
 show_tail() { tail -n 25 "$R4H_LOGS/$1.log" | sed 's/^/      | /' >&2; }
 
 start_stack() {
@@ -81,19 +94,14 @@ start_stack() {
     R4H_STACK=$R4H_STARTED
 }
 
-watch_people() { # watch_people SECONDS PEOPLE: in the background; leaves $R4H_TMP/people and $R4H_TMP/shot as signs
-    local log=$R4H_LOGS/view.log i viewer=''
-    [ "$R4H_VIEW" != hidden ] || viewer=/rviz
-    python3 "$R4H_LIB/wait_for_view.py" --seconds "$1" --people "$2" --viewer "$viewer" >"$log" 2>&1 || return 0
+watch_people() { # watch_people SECONDS PEOPLE: in the background; leaves $R4H_TMP/people as a sign, and the screenshot in its place
+    local log=$R4H_LOGS/view.log
+    local -a look=(--viewer '')
+    # The picture is taken and judged before everything is ended.
+    [ "$R4H_VIEW" != hidden ] || look=(--viewer /rviz --framebuffer "$R4H_TMP/fb/Xvfb_screen0" --picture "$R4H_TMP/shot.png")
+    python3 "$R4H_LIB/wait_for_view.py" --seconds "$(($1 > 9 ? $1 - 4 : $1))" --people "$2" "${look[@]}" >"$log" 2>&1 || return 0
+    [ "$R4H_VIEW" != hidden ] || mv -f "$R4H_TMP/shot.png" "$R4H_SCREENSHOT"
     touch "$R4H_TMP/people"
-    [ "$R4H_VIEW" = hidden ] || return 0
-    for ((i = 0; i < 20; i++)); do
-        if python3 "$R4H_LIB/screenshot.py" "$R4H_TMP/fb/Xvfb_screen0" "$R4H_TMP/shot.png" >>"$log" 2>&1; then
-            mv -f "$R4H_TMP/shot.png" "$R4H_SCREENSHOT" && touch "$R4H_TMP/shot"
-            return 0
-        fi
-        sleep 1
-    done
 }
 
 show_table() { # show_table SECONDS PEOPLE: the live table until the end; the exit code of the run
@@ -114,12 +122,12 @@ show_table() { # show_table SECONDS PEOPLE: the live table until the end; the ex
         fail 1 "Fewer than $2 person(s) were seen (exit code $code of the table)." \
             "Is somebody in the picture? Log of the nodes: $R4H_LOGS/roslaunch.log"
     fi
-    if [ "$R4H_VIEW" = hidden ] && [ ! -e "$R4H_TMP/shot" ]; then
+    if [ "$R4H_VIEW" = hidden ] && [ ! -e "$R4H_TMP/people" ]; then
         show_tail view
         fail 1 "rviz did not show $2 person(s) at the same time within the time given." \
             "Give it longer with --seconds, or leave it out with --no-rviz. Log: $R4H_LOGS/roslaunch.log"
     fi
     echo
-    [ "$R4H_VIEW" != hidden ] || note "screenshot: $R4H_SCREENSHOT"
+    [ "$R4H_VIEW" != hidden ] || note "screenshot: $R4H_SCREENSHOT ($(tail -n 1 "$R4H_LOGS/view.log"))"
     step_done "people were seen; logs: $R4H_LOGS"
 }
