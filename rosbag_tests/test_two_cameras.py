@@ -97,11 +97,12 @@ class TwoCamerasTest(unittest.TestCase):
         cls.cameras.close()
 
     def wait_for(self, faces, persons=None):
-        """Wait until so many faces are tracked, of PEOPLE persons (of these persons); returns them."""
+        """Wait until so many faces are tracked, of PEOPLE persons who have been recognised (of these persons); returns them."""
         deadline, held, before = time.monotonic() + PATIENCE, None, None
         while time.monotonic() < deadline:
             now = (len(self.faces.ids), self.persons)
-            good = now[0] == faces and len(now[1]) == PEOPLE and persons in (None, now[1])
+            known = not any(person.startswith("anonymous_person_") for person in now[1])
+            good = now[0] == faces and len(now[1]) == PEOPLE and known and persons in (None, now[1])
             held = (held if now == before else None) or time.monotonic() if good else None
             before = now
             if held is not None and time.monotonic() - held > HELD:

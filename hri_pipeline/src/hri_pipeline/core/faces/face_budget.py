@@ -13,6 +13,8 @@ _MOST_OWED = 2.0
 """Looks that every face may have to its credit at most: after a busy time there is no long catching up."""
 _SLOW_STEP = 0.2
 """Time between two images (s) from which the budget grows with it: a face left out for seconds would count as gone."""
+_USUAL_STEP = 1.0 / 12.0
+"""Time between two images (s) from which a share grows with it: fewer images leave more time for each."""
 _LONGEST_STEP = 1.0
 """Time between two images (s) above which no more credit is given."""
 
@@ -33,7 +35,7 @@ class TimeShare:
 
     def next_image(self, step: float = 0.0) -> bool:
         """Tell, once for each image, `step` s after the last, whether all that was spent is paid."""
-        self._owed = max(0.0, self._owed - self._share * max(1.0, step / _SLOW_STEP))
+        self._owed = max(0.0, self._owed - self._share * max(1.0, step / _USUAL_STEP))
         return self._owed < 1e-9
 
     def spent(self, seconds: float) -> None:
