@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Dict, List, Optional
 
 import processes
+from process_usage import name_of
 
 LIB = Path(__file__).resolve().parent
 PATIENCE_S = 60.0
@@ -38,21 +39,6 @@ def _rss_mb(pid: int) -> float:
         return int(Path("/proc/{}/statm".format(pid)).read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
     except (OSError, IndexError, ValueError):
         return 0.0
-
-
-def _name(pid: int) -> str:
-    """Name of the node, or of the program, that a process runs."""
-    try:
-        words = Path("/proc/{}/cmdline".format(pid)).read_bytes().decode(errors="replace").split("\0")
-    except OSError:
-        return "?"
-    for word in words:
-        if word.startswith("__name:="):
-            return word[len("__name:="):]
-    programs = [Path(word).name for word in words if word and not word.startswith("-")]
-    if programs and programs[0].startswith("python") and len(programs) > 1:
-        programs = programs[1:]
-    return programs[0].replace(".py", "") if programs else "?"
 
 
 class Run:
@@ -90,7 +76,7 @@ class Run:
         after, passed = self._processor_times(), time.monotonic() - began
         memory: Dict[str, float] = {}
         for pid in processes.marked(self._mark, {os.getpid()}):
-            memory[_name(pid)] = memory.get(_name(pid), 0.0) + _rss_mb(pid)
+            memory[name_of(pid)] = memory.get(name_of(pid), 0.0) + _rss_mb(pid)
         probe.wait(timeout=30.0)
         seen = json.loads(result.read_text(encoding="utf-8"))
         seen["cpu_percent"] = {name: round(100.0 * (ticks - before.get(name, 0)) / TICKS / passed, 1)
@@ -106,7 +92,7 @@ class Run:
     def _processor_times(self) -> Dict[str, int]:
         times: Dict[str, int] = {}
         for pid in processes.marked(self._mark, {os.getpid()}):
-            name = _name(pid)
+            name = name_of(pid)
             times[name] = times.get(name, 0) + _ticks(pid)
         return times
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-from contextlib import contextmanager
-
 import numpy as np
 import pytest
 
@@ -14,21 +11,11 @@ from hri_person_manager.core.record_store import DAY_S, StoreOfRecords
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.recognition.gallery import KnownPerson
 from hri_pipeline.core.recognition.person_store import PersonStore
+from hri_pipeline.evaluation.full_disk import no_room
 
 
 def opened(path, **limits):
     return StoreOfRecords(PersonStore(path), **limits)
-
-
-@contextmanager
-def no_room():
-    """No file of this process can be written, as on a full disk."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_what_a_full_disk_did_not_take_is_written_when_there_is_room(tmp_path):

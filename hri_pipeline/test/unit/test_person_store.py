@@ -1,13 +1,11 @@
 """The store of people: private, whole, forgetting without a trace, shared by two processes."""
 
 import os
-import resource
 import signal
 import sqlite3
 import stat
 import subprocess
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +15,7 @@ from hri_pipeline.core.private_file import StoreError, Transform
 from hri_pipeline.core.recognition import person_store
 from hri_pipeline.core.recognition.gallery import KnownPerson
 from hri_pipeline.core.recognition.person_store import PersonStore, StoredPerson
+from hri_pipeline.evaluation.full_disk import no_room
 from hri_pipeline.evaluation.synthetic_templates import SIZE
 from hri_pipeline.evaluation.synthetic_templates import template as face
 
@@ -39,17 +38,6 @@ def filled(path, count=3, **options):
 
 def everything(directory):
     return b"".join(file.read_bytes() for file in directory.iterdir())
-
-
-@contextmanager
-def no_room():
-    """No file of this process can be written, as on a full disk."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_what_is_written_is_read_in_another_run(path):

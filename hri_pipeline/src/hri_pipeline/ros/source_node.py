@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 from types import SimpleNamespace
 from typing import Generic, Optional, Sequence, Type, TypeVar
 
@@ -20,7 +21,7 @@ _FAREWELL_S = 0.5
 Source = TypeVar("Source")
 
 
-class SourceNode(Generic[Source]):
+class SourceNode(ABC, Generic[Source]):
     """Publishes `finished` (latched); a subclass says how its source is opened and played.
 
     A device that is not there, or goes away, is tried again every `retry_period`; a file that cannot be read ends the node. A
@@ -73,17 +74,17 @@ class SourceNode(Generic[Source]):
         for publisher in self._publishers:
             release(publisher)
 
+    @abstractmethod
     def _open(self) -> Source:
         """Open the source that the settings name. Raises FAULT in one sentence that names it and the mend."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _play(self, source: Source) -> None:
         """Publish one source until its end, or until _ended()."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _wanted(self) -> bool:
         """Tell whether somebody listens."""
-        raise NotImplementedError
 
     def _await_subscriber(self) -> None:
         """Wait for somebody who listens, where the settings ask for that."""
