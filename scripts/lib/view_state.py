@@ -53,7 +53,8 @@ def lack(view: View, people: int, topics: Sequence[str]) -> Lack:
     needed += [name for name, there in (
         ("a name", view.marked), ("a face", view.faces), ("a body", view.bodies), ("a skeleton in space", view.skeletons)) if not there]
     wished = [name for name, there in (("gazes", view.gazes), ("groups", view.groups)) if not there]
-    wished += _part("names", view.marked, len(view.persons))
+    # Those of the camera: somebody who is only heard by one microphone has no place, and no name is drawn there.
+    wished += _part("names", view.marked, max(len(view.faces), len(view.bodies)))
     wished += _part("skeletons in space", len(view.skeletons & view.bodies), len(view.bodies))
     if len(view.bodies) == 1 and len(view.persons) > 1:
         wished.append("a second body")

@@ -32,6 +32,11 @@ def test_a_skeleton_of_somebody_who_has_gone_does_not_count() -> None:
     assert "1 of 2 skeletons in space" in lack(replace(FULL, skeletons=frozenset("ax")), 2, TOPICS).wished
 
 
+def test_a_voice_without_a_place_needs_no_name() -> None:
+    assert lack(replace(FULL, persons=frozenset("pqv")), 2, TOPICS).text == "nothing"
+    assert "1 of 2 names" in lack(replace(FULL, persons=frozenset("pqv"), marked=1), 2, TOPICS).wished
+
+
 def test_persons_weigh_most_then_what_is_needed() -> None:
     views = [FULL, replace(FULL, gazes=0, groups=0), replace(FULL, overlay=(0, 2)), replace(FULL, persons=frozenset("p"))]
     weights = [lack(view, 2, TOPICS).weight for view in views]
