@@ -5,9 +5,8 @@ from __future__ import annotations
 import signal
 import subprocess
 import threading
-import time
 from pathlib import Path
-from typing import Callable, Dict, List, Sequence, Set, Tuple
+from typing import Callable, Dict, List, Sequence, Set, Tuple, Union
 from xmlrpc.client import Fault, ServerProxy
 
 import rosgraph
@@ -17,6 +16,7 @@ from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import IdsList
+from hri_pipeline import testing
 
 PATIENCE_S = 60.0   # a busy machine takes long to start a process
 _END_S = 20.0
@@ -24,20 +24,9 @@ _LOOK_S = 0.05
 SCENE_TOPICS = "/tf|/tf_static|/scene/truth/.*|/humans/[^/]*/tracked|/humans/interactions/.*|/humans/persons/.*|/humans/voices/.*/speech"
 
 
-class StageError(AssertionError):
-    """What was waited for did not happen; the text says what."""
-
-
-def wait_for(condition: Callable[[], object], what: str, seconds: float = PATIENCE_S) -> object:
-    """Return the first value of the condition that is true. Raises StageError after `seconds` of wall time."""
-    end = time.monotonic() + seconds
-    while True:
-        value = condition()
-        if value:
-            return value
-        if time.monotonic() > end:
-            raise StageError("not within {:g} s: {}".format(seconds, what))
-        time.sleep(_LOOK_S)
+def wait_for(condition: Callable[[], object], what: Union[str, Callable[[], str]], seconds: float = PATIENCE_S) -> object:
+    """Return the first value of the condition that is true. Raises AssertionError, with `what`, after `seconds` of wall time."""
+    return testing.wait_for(condition, seconds, what)
 
 
 class _Process:
@@ -92,8 +81,8 @@ class Player(_Process):
             return not missing
         try:
             wait_for(connected, "everybody listens")
-        except StageError as error:
-            raise StageError("{}; missing: {}".format(error, missing)) from error
+        except AssertionError as error:
+            raise AssertionError("{}; missing: {}".format(error, missing)) from error
         self.pause(False)
 
     def pause(self, still: bool) -> None:

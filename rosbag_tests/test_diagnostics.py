@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
-import time
 import unittest
 from pathlib import Path
-from typing import Callable, Dict, List, Set
+from typing import Dict, List, Set
 
 import rosnode
 import rospy
 import rostest
 import yaml
+from bag_stage import wait_for
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensors import Sensors
 
@@ -21,19 +21,8 @@ BRANCHES = {"Sensors": {"image_source", "sound_source"}, "Vision/Faces": {"hri_f
             "Persons/Faces with bodies": {"hri_face_body_matcher"}, "Persons/Person manager": {"hri_person_manager"},
             "Interactions": {"hri_interactions"}, "Overlay": {"hri_overlay"}}
 NODES = set().union(*BRANCHES.values())
-START_S, WAIT_S = 90.0, 30.0
+START_S = 90.0
 STALE = 3
-
-
-def wait_for(condition: Callable[[], object], timeout: float, what: Callable[[], str]) -> object:
-    """Return the first true value of condition(); AssertionError after `timeout` s."""
-    deadline = time.monotonic() + timeout
-    while time.monotonic() < deadline:
-        value = condition()
-        if value:
-            return value
-        time.sleep(0.05)
-    raise AssertionError("not within {:g} s: {}".format(timeout, what()))
 
 
 def patterns(analyzers: dict, path: str = "") -> Dict[str, List[str]]:
@@ -87,10 +76,10 @@ class DiagnosticsTest(unittest.TestCase):
         cls.sensors.close()
 
     def test_1_every_status_is_in_the_branch_of_its_node(self) -> None:
-        wait_for(lambda: {name.split(":")[0] for name in self.tree.leaves()} >= NODES, START_S,
-                 lambda: "nodes in the tree: {}".format(sorted(self.tree.leaves())))
-        wait_for(lambda: "Missing" not in str(self.tree._newest), WAIT_S, lambda: "nothing expected is missing")
-        wait_for(lambda: set(self.tree.leaves()) >= self.said, WAIT_S,
+        wait_for(lambda: {name.split(":")[0] for name in self.tree.leaves()} >= NODES,
+                 lambda: "nodes in the tree: {}".format(sorted(self.tree.leaves())), START_S)
+        wait_for(lambda: "Missing" not in str(self.tree._newest), "nothing expected is missing")
+        wait_for(lambda: set(self.tree.leaves()) >= self.said,
                  lambda: "not in the tree: {}".format(self.said - set(self.tree.leaves())))
         leaves = self.tree.leaves()
         self.assertGreater(len(leaves), 20)
@@ -110,15 +99,15 @@ class DiagnosticsTest(unittest.TestCase):
         self.assertEqual(self.tree.levels()["Vision/Faces and bodies"], DiagnosticStatus.OK)
 
     def test_4_the_aggregator_of_a_robot_takes_the_groups_as_a_branch(self) -> None:
-        wait_for(lambda: set(self.robots.leaves()) >= self.said, WAIT_S, lambda: str(sorted(self.robots.leaves())))
+        wait_for(lambda: set(self.robots.leaves()) >= self.said, lambda: str(sorted(self.robots.leaves())))
         branches = set(self.robots.leaves().values())
         self.assertEqual({branch.split("/")[0] for branch in branches}, {"Humans"})
         self.assertEqual(self.robots.levels()["Motors"], DiagnosticStatus.OK)
 
     def test_5_a_node_that_ends_is_stale_in_its_branch(self) -> None:
         rosnode.kill_nodes(["/hri_overlay"])
-        wait_for(lambda: self.tree.levels().get("Overlay") == STALE, WAIT_S, lambda: str(self.tree.levels()))
-        wait_for(lambda: self.tree.levels().get("Overlay/hri_overlay: overlay") == STALE, WAIT_S, lambda: str(self.tree.levels()))
+        wait_for(lambda: self.tree.levels().get("Overlay") == STALE, lambda: str(self.tree.levels()))
+        wait_for(lambda: self.tree.levels().get("Overlay/hri_overlay: overlay") == STALE, lambda: str(self.tree.levels()))
         self.assertNotEqual(self.tree.levels()["Vision/Faces"], STALE)
 
 

@@ -10,7 +10,6 @@ import stat
 import subprocess
 import tempfile
 import threading
-import time
 import unittest
 from pathlib import Path
 
@@ -19,6 +18,7 @@ import numpy as np
 import rosgraph
 import rospy
 import rostest
+from bag_stage import PATIENCE_S, wait_for
 from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, String
 from tf2_msgs.msg import TFMessage
@@ -33,20 +33,8 @@ from hri_pipeline.srv import Gallery, GalleryRequest
 PHOTOGRAPH, PEOPLE = "sample1.jpg", 3
 SIZE = (960, 640)
 RATE_HZ = 8.0
-PATIENCE_S = 60.0
 NAME = "Ada Forgetmenot"
 MANAGER, GALLERY = "/hri_person_manager", "/hri_faces/gallery"
-
-
-def wait_for(condition, what, seconds=PATIENCE_S):
-    end = time.monotonic() + seconds
-    while True:
-        value = condition()
-        if value:
-            return value
-        if time.monotonic() > end:
-            raise AssertionError("not within {:g} s: {}".format(seconds, what() if callable(what) else what))
-        time.sleep(0.05)
 
 
 class Camera:

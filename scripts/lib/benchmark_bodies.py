@@ -109,7 +109,7 @@ def _measure(part: str, details: Dict[str, object]) -> Dict[str, object]:
     if part == "attitude":
         from hri_fullbody.evaluation import attitude_figures
         return {"attitude": _attitude(attitude_figures.figures(), details)}
-    from hri_fullbody.core.segment_table import SegmentTable
+    from hri_fullbody.core.human.segment_table import SegmentTable
     return {"fit": _fit, "heading": _heading, "wave": _wave, "ik": _joints, "stature": _stature}[part](
         SegmentTable.load(), details)
 

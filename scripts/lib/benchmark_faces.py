@@ -103,12 +103,15 @@ def _measure(part: str, models: Path) -> Dict[str, object]:
         yaw, pitch, roll, position = face_figures.pose_errors()
         return {"pose_mae_deg": {"yaw": round(yaw, 3), "pitch": round(pitch, 3), "roll": round(roll, 3)},
                 "pose_position_percent": round(position, 3)}
+    if part == "depth":
+        from hri_fullbody.evaluation.face_body_depth import face_body_depth_ratio_median
+        return {"face_body_depth_ratio_median": face_body_depth_ratio_median(models)}
     if part == "churn":
         return {"churn_2000": face_figures.churn(CHURN_FACES, models)}
     if part == "ids":
         return {"ids_60s": face_figures.ids(models, IDS_SECONDS)}
     key = PARTS[part][0]
-    measure = {"portraits": "portrait_pitch_median_deg", "depth": "face_body_depth_ratio_median", "eyes": "eyes_closed"}
+    measure = {"portraits": "portrait_pitch_median_deg", "eyes": "eyes_closed"}
     return {key: getattr(face_figures, measure[part])(models)}
 
 

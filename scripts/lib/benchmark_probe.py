@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from typing import Dict, List, Set
+from typing import Dict, List, Set, Tuple
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -31,7 +31,7 @@ class Probe:
         self.lock = threading.Lock()
         self.watching = False
         self.stamps: Dict[str, Dict[str, Set[float]]] = {kind: defaultdict(set) for kind in KINDS}
-        self.ages: List[float] = []
+        self.ages: List[Tuple[float, float]] = []
         self.tracked: Dict[str, int] = {}
         self.most: Dict[str, int] = {}
         self.stages: Dict[str, Dict[str, Dict[str, float]]] = {}
@@ -56,7 +56,7 @@ class Probe:
                     if stamp not in seen:
                         seen.add(stamp)
                         if kind == "person":
-                            self.ages.append(now - stamp)
+                            self.ages.append((stamp, now - stamp))
 
     def on_tracked(self, message: IdsList, kind: str) -> None:
         """Note how many there are."""
@@ -77,11 +77,13 @@ class Probe:
                             stages.setdefault(value.key[:-len(ending)], {})[name] = float(value.value)
 
     def result(self, seconds: float) -> dict:
-        """Return all that was seen."""
+        """Return all that was seen; of persons only what has the stamp of a face or a body: who is remembered has that of now."""
         with self.lock:
+            images = {stamp for kind in KINDS if kind != "person" for stamps in self.stamps[kind].values() for stamp in stamps}
             return {
-                "seconds": seconds, "tracked": self.tracked, "most_tracked": self.most, "ages": self.ages,
-                "rates": {kind: sorted((len(stamps) / seconds for stamps in frames.values()), reverse=True)
+                "seconds": seconds, "tracked": self.tracked, "most_tracked": self.most,
+                "ages": [age for stamp, age in self.ages if stamp in images],
+                "rates": {kind: sorted((len(stamps & images) / seconds for stamps in frames.values()), reverse=True)
                           for kind, frames in self.stamps.items()},
                 "stages_ms": self.stages}
 

@@ -13,32 +13,14 @@ from pathlib import Path
 from typing import Dict, List, Optional
 
 import processes
-from process_usage import name_of
+from process_usage import cpu_s, name_of, usage
 
 LIB = Path(__file__).resolve().parent
 PATIENCE_S = 60.0
-TICKS = os.sysconf("SC_CLK_TCK")
 
 
 class BenchmarkError(RuntimeError):
     """The stack could not be measured; the text says why and where its log is."""
-
-
-def _ticks(pid: int) -> int:
-    """Processor time of a process so far, clock ticks; 0 when it has gone."""
-    try:
-        fields = Path("/proc/{}/stat".format(pid)).read_bytes().rsplit(b")", 1)[1].split()
-        return int(fields[11]) + int(fields[12])
-    except (OSError, IndexError):
-        return 0
-
-
-def _rss_mb(pid: int) -> float:
-    """Resident memory of a process, MB; 0 when it has gone."""
-    try:
-        return int(Path("/proc/{}/statm".format(pid)).read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-    except (OSError, IndexError, ValueError):
-        return 0.0
 
 
 class Run:
@@ -76,11 +58,12 @@ class Run:
         after, passed = self._processor_times(), time.monotonic() - began
         memory: Dict[str, float] = {}
         for pid in processes.marked(self._mark, {os.getpid()}):
-            memory[name_of(pid)] = memory.get(name_of(pid), 0.0) + _rss_mb(pid)
+            name, held = name_of(pid), usage(pid)
+            memory[name] = memory.get(name, 0.0) + (held.rss_mb if held is not None else 0.0)
         probe.wait(timeout=30.0)
         seen = json.loads(result.read_text(encoding="utf-8"))
-        seen["cpu_percent"] = {name: round(100.0 * (ticks - before.get(name, 0)) / TICKS / passed, 1)
-                               for name, ticks in sorted(after.items(), key=lambda item: -item[1])}
+        seen["cpu_percent"] = {name: round(100.0 * (used - before.get(name, 0.0)) / passed, 1)
+                               for name, used in sorted(after.items(), key=lambda item: -item[1])}
         seen["rss_mb"] = {name: round(memory.get(name, 0.0), 1) for name in seen["cpu_percent"]}
         return seen
 
@@ -89,11 +72,11 @@ class Run:
         if probe.stdout.readline() != line or self._stack.poll() is not None:
             raise BenchmarkError("the stack or the probe has ended; logs: {}".format(self._logs))
 
-    def _processor_times(self) -> Dict[str, int]:
-        times: Dict[str, int] = {}
+    def _processor_times(self) -> Dict[str, float]:
+        times: Dict[str, float] = {}
         for pid in processes.marked(self._mark, {os.getpid()}):
             name = name_of(pid)
-            times[name] = times.get(name, 0) + _ticks(pid)
+            times[name] = times.get(name, 0.0) + cpu_s(pid)
         return times
 
     def close(self) -> None:

@@ -17,8 +17,8 @@ from typing import Callable, Dict, List, Tuple
 import numpy as np
 import rosgraph
 import rospy
-from benchmark_run import TICKS, _ticks
-from demo_camera import DemoCamera, photograph, wait_for
+from demo_camera import DemoCamera, photograph
+from process_usage import cpu_s, usage
 from skeleton_graph import Movers, TfTree, farthest, processes
 
 from hri_fullbody.ros.state_publishers import StatePublishers
@@ -26,6 +26,7 @@ from hri_msgs.msg import FacialLandmarks, Skeleton2D
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.ros.conversions import landmarks_from_msg, skeleton_from_msg
 from hri_pipeline.ros.feature_feed import FeatureFeed
+from hri_pipeline.testing import wait_for
 
 RATE_HZ = 15.0
 WAIT_S = 30.0
@@ -99,11 +100,11 @@ def cpu(seconds: float = 15.0) -> dict:
     # The processor time of starting is not meant.
     settled = time.monotonic() + 1.0
     wait_for(lambda: time.monotonic() > settled, WAIT_S, "a second")
-    before, began = {name: sum(map(_ticks, pids)) for name, pids in groups.items()}, time.monotonic()
+    before, began = {name: sum(map(cpu_s, pids)) for name, pids in groups.items()}, time.monotonic()
     heard = {identity: len(crowd.movers.sent[identity]) for identity in ids}
     wait_for(lambda: time.monotonic() - began > seconds, seconds + WAIT_S, "the end")
     passed = time.monotonic() - began
-    found = {name: 100.0 * (sum(map(_ticks, pids)) - before[name]) / TICKS / passed for name, pids in groups.items()}
+    found = {name: 100.0 * (sum(map(cpu_s, pids)) - before[name]) / passed for name, pids in groups.items()}
     rates = [len(crowd.movers.sent[identity]) - heard[identity] for identity in ids]
     crowd.close()
     if len(groups["all"]) != TEN or min(rates) < 0.8 * RATE_HZ * min(passed, 200.0 / RATE_HZ) - 60.0:
@@ -128,10 +129,9 @@ def churn(count: int = 500, warm: int = 60) -> dict:
             ("/rsp_", "/human_description_"))], WAIT_S, "the end of all")
 
     def held() -> Dict[str, float]:
-        status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-        state = master.getSystemState()
-        return {"fds": len(os.listdir("/proc/self/fd")), "threads": int(status["Threads"]),
-                "rss_mb": int(status["VmRSS"].split()[0]) / 1024.0, "processes": len(processes("")),
+        mine, state = usage(os.getpid()), master.getSystemState()
+        assert mine is not None     # this process has not gone
+        return {"fds": mine.fds, "threads": mine.threads, "rss_mb": mine.rss_mb, "processes": len(processes("")),
                 "params": len(master.getParamNames()),
                 "topics": sum("/humans/bodies/" in name for part in state for name, _ in part)}
 

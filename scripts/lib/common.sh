@@ -93,6 +93,7 @@ on_exit() {
     trap - EXIT
     trap '' INT TERM HUP
     end_child
+    [ -z "${R4H_STACK:-}" ] || note "ending the nodes ..."
     if [ -x "$R4H_SYSTEM_PYTHON" ]; then
         # Without the mark, or the helper would end itself.
         env -u ROS4HRI_RUN_MARK "$R4H_SYSTEM_PYTHON" "$R4H_LIB/processes.py" end "$R4H_MARK" "$$" || true

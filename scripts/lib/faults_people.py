@@ -16,7 +16,7 @@ from hri_pipeline.core.tf_scan import read_stamp
 from hri_pipeline.ros.feature_feed import FeatureFeed
 from hri_pipeline.ros.tf_feed import Frames, TfFeed
 
-FACE, BODY = "face_id", "body_id"
+FACE, BODY, VOICE = "face_id", "body_id", "voice_id"
 _FEATURES = {FACE: "faces", BODY: "bodies"}
 SETTLED_S = 4.0
 COME_S = 120.0      # a machine that has much to do takes long to learn five faces
@@ -45,9 +45,10 @@ class People:
         self._told: Dict[str, float] = {}
         self._heard: Dict[Tuple[str, str], float] = {}
         self._matchers: Dict[str, float] = {}
+        self._voices_matched: Dict[str, float] = {}
         self._reports: Dict[str, float] = {}
         self._gazed, self._voiced = 0.0, 0.0
-        self._feeds = [FeatureFeed("persons", {FACE: String, BODY: String}, self._on_feature, max_ids=100),
+        self._feeds = [FeatureFeed("persons", {FACE: String, BODY: String, VOICE: String}, self._on_feature, max_ids=100),
                        FeatureFeed("faces", {"landmarks": FacialLandmarks}, self._on_published("faces"), max_ids=100),
                        FeatureFeed("bodies", {"skeleton2d": Skeleton2D}, self._on_published("bodies"), max_ids=100),
                        FeatureFeed("voices", {"is_speaking": Bool}, self._on_voice, max_ids=100)]
@@ -124,6 +125,10 @@ class People:
         """Tell whether a matcher has said something since."""
         return lambda since: self._matchers.get(node, 0.0) > since
 
+    def voice_found(self, since: float) -> bool:
+        """Tell whether somebody who is wanted has a voice that was matched since."""
+        return any(self._voices_matched.get(self._features.get((name, VOICE), ""), 0.0) > since for name in self.wanted)
+
     def reported_by(self, node: str) -> Callable[[float], bool]:
         """Tell whether a node has said since how it is."""
         return lambda since: self._reports.get(node, 0.0) > since
@@ -166,7 +171,8 @@ class People:
 
     def _on_feature(self, person: str, kind: str, message: String) -> None:
         self._features[person, kind] = message.data
-        self._told[person] = time.monotonic()
+        if kind in _FEATURES:
+            self._told[person] = time.monotonic()
 
     def _on_published(self, kind: str) -> Callable[[str, str, object], None]:
         def heard(identity: str, name: str, message: object) -> None:
@@ -182,6 +188,8 @@ class People:
 
     def _on_match(self, message: IdsMatch) -> None:
         self._matchers[message._connection_header.get("callerid", "")] = time.monotonic()
+        if message.id1_type == IdsMatch.VOICE and message.confidence > 0.0:
+            self._voices_matched[message.id1] = time.monotonic()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

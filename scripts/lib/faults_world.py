@@ -109,8 +109,10 @@ class World:
             return people.matched_by(node)
         if node in ("/hri_voices", "/sound_source"):
             return people.voices_come
-        # Who speaks is not in view all the time; the others show in the persons.
-        return people.reported_by(node) if node == "/hri_voice_matcher" else lambda since: True
+        if node == "/hri_voice_matcher":
+            # The recorded speech is of nobody in the photograph.
+            return people.reported_by(node) if self._scene.hears else people.voice_found
+        return lambda since: True   # the others show in the persons
 
     def _kill(self, node: str, also: Condition) -> Recovery:
         """Kill a node, which roslaunch starts again; time until another process has it and all is well."""
@@ -140,15 +142,16 @@ class World:
         return self.people.until_whole(began, lambda since: bool(set(self._stage.pids_of(RECOGNISER)) - set(old))) if old else NEVER
 
     def _unplug(self) -> Recovery:
-        """The sources stop; once everybody has been let go they come back, from when the time counts."""
+        """The sources stop; once everybody has been let go they come back; the time counts from when they are there."""
         self._stage.end("source")
         stopped = time.monotonic()
         if processes.wait_until(self.people.all_gone, PATIENCE_S):
             self.let_go = round(time.monotonic() - stopped, 2)
         unplugged_for(UNPLUGGED_S)
-        began = time.monotonic()
         self._stage.launch("source", self._scene.source)
-        return self.people.until_whole(began)
+        if not processes.wait_until(lambda: all(fault_graph.pid_of(node) is not None for node in self._scene.sources), PATIENCE_S):
+            return NEVER
+        return self.people.until_whole(time.monotonic())
 
     def _flood(self, topic: str, kind: str) -> Recovery:
         """Garbage on one topic; time from its end."""
@@ -161,7 +164,8 @@ class World:
         began, sent = time.monotonic(), 0
         for number in range(FLOOD_MESSAGES):
             message = garbage.message()
-            sent += len(getattr(message, "data", b"") or b"")
+            data = getattr(message, "data", b"")
+            sent += len(data) if isinstance(data, (bytes, str)) else 0
             if time.monotonic() - began > FLOOD_S or sent > FLOOD_BYTES:
                 break
             publisher.publish(message)
@@ -170,6 +174,8 @@ class World:
         unplugged_for(0.5)      # the last ones are on their way
         publisher.unregister()
         recovery = self.people.until_whole(time.monotonic(), self.people.voices_come if "audio" in topic else lambda since: True)
+        # Who is busy with the last of it does not answer at once.
+        processes.wait_until(lambda: all(fault_graph.pid_of(node) is not None for node in before), 5.0)
         self._restarted |= {node for node, pid in before.items() if fault_graph.pid_of(node) != pid}
         return recovery
 

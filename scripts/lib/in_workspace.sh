@@ -7,6 +7,7 @@ R4H_NAME=$1
 # shellcheck disable=SC2034
 R4H_STEPS=4
 shift
+given=("${ROS_MASTER_URI:-}" "${ROS_IP:-}" "${ROS_HOSTNAME:-}")
 lib=$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")
 # shellcheck source-path=SCRIPTDIR source=common.sh
 . "$lib/common.sh"
@@ -27,4 +28,11 @@ lib=$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")
     release_setup_lock
     use_workspace
 } 1>&2
+if [ "$R4H_NAME" = docker ]; then
+    use_given_master "${given[@]}"
+    # The container ends with the command, and `docker stop` has to reach it, not this shell.
+    rm -rf -- "$R4H_TMP"
+    trap - INT TERM HUP
+    exec "$@"
+fi
 "$@"

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Dict, List, Optional
 
 import processes
+from process_usage import cpu_s, pid_of_node, usage
 
 SPEED = 20.0
 RATE = 5.0
@@ -122,28 +123,29 @@ def _watch(process: subprocess.Popen, mark: str, seconds: float) -> Dict[str, ob
     """Look at the nodes until the simulator ends; seconds: of wall time that it wants."""
     began = _wait_for_nodes(process, mark)
     samples: Dict[str, List[dict]] = {name: [] for name in NODES}
-    used = {name: _cpu(_pid(mark, node)) for name, node in NODES.items()}
-    while process.poll() is None and _pid(mark, "scene_simulator") is not None:
+    used = {name: cpu_s(pid_of_node(mark, node) or 0) for name, node in NODES.items()}
+    while process.poll() is None and pid_of_node(mark, "scene_simulator") is not None:
         passed = time.monotonic() - began
         if passed > _PATIENCE * seconds + _START_S:
             raise CrowdError("the simulator did not end within {:.0f} s".format(passed))
         for name, node in NODES.items():
-            held = _held(_pid(mark, node))
+            pid = pid_of_node(mark, node)
+            held = usage(pid) if pid is not None else None
             if held is not None:
-                samples[name].append(dict(held, at=passed))
+                samples[name].append(dict(held._asdict(), at=passed))
         time.sleep(1.0)
     wall = time.monotonic() - began
     found: Dict[str, object] = {"wall_s": round(wall, 1), "speed_share": round(seconds / wall, 2) if wall else None}
     for name, values in samples.items():
         found.update({"{}_{}".format(name, key): value for key, value in _growth(values, wall).items()})
-        found[name + "_cpu_percent"] = round(100.0 * (values[-1]["cpu"] - used[name]) / wall, 1) if values else None
+        found[name + "_cpu_percent"] = round(100.0 * (values[-1]["cpu_s"] - used[name]) / wall, 1) if values else None
     return found
 
 
 def _wait_for_nodes(process: subprocess.Popen, mark: str) -> float:
     """Wait until all nodes run; returns the time (s, monotonic)."""
     names = [*NODES.values(), "scene_simulator"]
-    if not processes.wait_until(lambda: process.poll() is not None or all(_pid(mark, name) is not None for name in names), _START_S):
+    if not processes.wait_until(lambda: process.poll() is not None or all(pid_of_node(mark, name) is not None for name in names), _START_S):
         raise CrowdError("the nodes did not start within {:g} s".format(_START_S))
     if process.poll() is not None:
         raise CrowdError("roslaunch has ended at once")
@@ -161,35 +163,6 @@ def _growth(values: List[dict], wall: float) -> Dict[str, Optional[float]]:
         return sorted(row[key] for row in rows)[len(rows) // 2]
     return {"rss_mb": round(middle(late, "rss_mb"), 1), "rss_growth_mb": round(middle(late, "rss_mb") - middle(early, "rss_mb"), 2),
             "fds_growth": middle(late, "fds") - middle(early, "fds"), "threads_growth": middle(late, "threads") - middle(early, "threads")}
-
-
-def _pid(mark: str, node: str) -> Optional[int]:
-    """Process of a node of this run."""
-    for pid in processes.marked(mark, {os.getpid()}):
-        try:
-            if "__name:={}".format(node).encode() in Path("/proc/{}/cmdline".format(pid)).read_bytes().split(b"\0"):
-                return pid
-        except OSError:
-            continue
-    return None
-
-
-def _held(pid: Optional[int]) -> Optional[Dict[str, float]]:
-    """Memory (MB), descriptors, threads and processor time (s) of a process."""
-    try:
-        status = dict(line.split(":", 1) for line in Path("/proc/{}/status".format(pid)).read_text().splitlines())
-        return {"rss_mb": int(status["VmRSS"].split()[0]) / 1024.0, "threads": int(status["Threads"]),
-                "fds": len(os.listdir("/proc/{}/fd".format(pid))), "cpu": _cpu(pid)}
-    except (OSError, KeyError, ValueError):
-        return None
-
-
-def _cpu(pid: Optional[int]) -> float:
-    try:
-        fields = Path("/proc/{}/stat".format(pid)).read_bytes().rsplit(b")", 1)[1].split()
-    except OSError:
-        return 0.0
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 if __name__ == "__main__":

@@ -19,11 +19,11 @@ import numpy as np
 import processes
 import rospy
 from persons_world import BODY, FACE, PERSON, FaceIdEar, World, match, wait
+from process_usage import cpu_s, pid_of_node, usage
 from std_msgs.msg import Float32
 
 LIB = Path(__file__).resolve().parent
-TICKS = os.sysconf("SC_CLK_TCK")
-MANAGER = b"__name:=hri_person_manager"
+MANAGER = "hri_person_manager"
 
 
 class ScenarioError(RuntimeError):
@@ -38,26 +38,18 @@ def expect(condition: Callable[[], bool], seconds: float, what: str) -> None:
 
 def manager_pid() -> int:
     """Process of the person manager. Raises ScenarioError when there is none."""
-    for pid in processes.marked(os.environ[processes.MARK_NAME], {os.getpid()}):
-        try:
-            if MANAGER in Path("/proc/{}/cmdline".format(pid)).read_bytes().split(b"\0"):
-                return pid
-        except OSError:
-            continue
-    raise ScenarioError("there is no person manager")
-
-
-def cpu_seconds(pid: int) -> float:
-    """Processor time of a process so far."""
-    fields = Path("/proc/{}/stat".format(pid)).read_bytes().rsplit(b")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS
+    pid = pid_of_node(os.environ[processes.MARK_NAME], MANAGER)
+    if pid is None:
+        raise ScenarioError("there is no person manager")
+    return pid
 
 
 def held(pid: int) -> Dict[str, float]:
-    """Memory (MB), descriptors and threads of a process."""
-    status = dict(line.split(":", 1) for line in Path("/proc/{}/status".format(pid)).read_text().splitlines())
-    return {"rss_mb": int(status["VmRSS"].split()[0]) / 1024.0, "threads": int(status["Threads"]),
-            "fds": len(os.listdir("/proc/{}/fd".format(pid)))}
+    """Memory (MB), descriptors and threads of the person manager. Raises ScenarioError when it has ended."""
+    found = usage(pid)
+    if found is None:
+        raise ScenarioError("the person manager has ended")
+    return {"rss_mb": found.rss_mb, "threads": found.threads, "fds": found.fds}
 
 
 def ids(letter: str, count: int) -> List[str]:
@@ -142,9 +134,9 @@ def _people(world: World, people: int, seconds: float) -> Tuple[dict, int]:
     _repeat(world, 30.0, 4.0, step)
     for seen in (sent, counts, world.frames):
         seen.clear()
-    pid, before, began = manager_pid(), cpu_seconds(manager_pid()), time.monotonic()
+    pid, before, began = manager_pid(), cpu_s(manager_pid()), time.monotonic()
     _repeat(world, 30.0, seconds, step)
-    used = 100.0 * (cpu_seconds(pid) - before) / (time.monotonic() - began)
+    used = 100.0 * (cpu_s(pid) - before) / (time.monotonic() - began)
     time.sleep(0.5)     # the last frames are on their way
     arrived = {(round(stamp, 6), name) for _, stamp, name in world.frames}
     stamps = set(sent)

@@ -6,7 +6,9 @@ import os
 from pathlib import Path
 from typing import NamedTuple, Optional
 
-TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+import processes
+
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
 class Usage(NamedTuple):
@@ -23,11 +25,18 @@ def usage(pid: int) -> Optional[Usage]:
     folder = Path("/proc/{}".format(pid))
     try:
         status = dict(line.split(":", 1) for line in (folder / "status").read_text().splitlines())
-        fields = (folder / "stat").read_bytes().rsplit(b")", 1)[1].split()
-        return Usage(int(status["VmRSS"].split()[0]) / 1024.0, int(status["Threads"]), len(os.listdir(str(folder / "fd"))),
-                     (int(fields[11]) + int(fields[12])) / TICKS_PER_S)
-    except (OSError, KeyError, IndexError, ValueError):
+        return Usage(1024.0 * int(status["VmRSS"].split()[0]) / 1e6, int(status["Threads"]), len(os.listdir(str(folder / "fd"))), cpu_s(pid))
+    except (OSError, KeyError, ValueError):
         return None
+
+
+def cpu_s(pid: int) -> float:
+    """Processor time (s) of a process so far, of user and system together (proc(5), stat); 0 when it has gone."""
+    try:
+        fields = Path("/proc/{}/stat".format(pid)).read_bytes().rsplit(b")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / _TICKS_PER_S
+    except (OSError, IndexError):
+        return 0.0
 
 
 def name_of(pid: int) -> str:
@@ -43,6 +52,11 @@ def name_of(pid: int) -> str:
     if programs and programs[0].startswith("python") and len(programs) > 1:
         programs = programs[1:]
     return programs[0].replace(".py", "") if programs else "?"
+
+
+def pid_of_node(mark: str, node: str) -> Optional[int]:
+    """The process of a node, of those that have a mark (see processes.py); None when there is none."""
+    return next((pid for pid in processes.marked(mark, {os.getpid()}) if name_of(pid) == node), None)
 
 
 def program_of(pid: int) -> str:

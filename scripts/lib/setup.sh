@@ -143,3 +143,10 @@ use_workspace() { # the ROS environment of the workspace, with a master port of 
     unset ROS_HOSTNAME
     mkdir -p "$ROS_LOG_DIR"
 }
+
+use_given_master() { # use_given_master URI IP HOSTNAME: the caller's graph instead; what is empty is as roslaunch has it
+    unset ROS_IP ROS_HOSTNAME
+    export ROS_MASTER_URI=${1:-http://localhost:11311}
+    [ -z "$2" ] || export ROS_IP=$2
+    [ -z "$3" ] || export ROS_HOSTNAME=$3
+}

@@ -16,8 +16,8 @@ MASTER = "rosmaster"
 WARM_UP = 0.5            # share of the time that is left out: caches, pools and the memory of known people fill up
 LEAST_MINUTES = 10.0     # of measuring; with less a slope says nothing
 RSS_MB_PER_H, FDS, THREADS, PARAMETERS = 5.0, 10, 5, 10
-"""Most that counts as flat: memory of each process per hour; descriptors and threads of each process, and parameters of the
-graph, from the first fifth to the last fifth of the time after the warm-up."""
+"""Most that counts as flat after the warm-up: memory of each process per hour; descriptors and threads of each process, from the
+fewest of the first half to the fewest of the second one; parameters of the graph, from the first fifth to the last fifth."""
 _PRESENT = 0.9           # share of the looks in which a process has to be there, to be one that stays
 Row = Mapping[str, object]
 
@@ -51,6 +51,16 @@ def growth(values: Sequence[float]) -> float:
     return median(values[-part:]) - median(values[:part])
 
 
+def floor_growth(values: Sequence[float]) -> float:
+    """Return the least of the second half less that of the first half.
+
+    Everybody who is there holds descriptors and threads, and ten come and go; what is held of those who have gone is there too
+    at the emptiest moment.
+    """
+    half = max(1, len(values) // 2)
+    return min(values[-half:]) - min(values[:half])
+
+
 def settled(rows: Iterable[Row]) -> List[Row]:
     """Return the rows after the warm-up."""
     rows = list(rows)
@@ -73,7 +83,7 @@ def grown(rows: Iterable[Row]) -> Dict[Tuple[str, str], Grown]:
             continue
         columns = {name: [float(row[name]) for row in kept] for name in ("minutes", "rss_mb", "fds", "threads", "cpu_percent")}
         found[key] = Grown(median(columns["rss_mb"][-max(1, len(kept) // 5):]), 60.0 * slope(columns["minutes"], columns["rss_mb"]),
-                           growth(columns["fds"]), growth(columns["threads"]), sum(columns["cpu_percent"]) / len(kept))
+                           floor_growth(columns["fds"]), floor_growth(columns["threads"]), sum(columns["cpu_percent"]) / len(kept))
     return found
 
 

@@ -20,6 +20,7 @@ from rosgraph_msgs.msg import Log
 
 from hri_msgs.msg import IdsList
 from hri_pipeline.client import Humans
+from hri_pipeline.core.memory import share_arenas
 
 KINDS = ("faces", "bodies", "voices", "persons")
 _PERIOD_S = 1.0
@@ -77,6 +78,7 @@ class Probe:
 def main(arguments: List[str]) -> int:
     """Watch until the master or the user ends it."""
     path = arguments[0]
+    share_arenas()      # topics, and so threads, come and go all the time
     rospy.init_node("soak_probe", disable_rostime=True)
     probe = Probe()
     while not rospy.is_shutdown():

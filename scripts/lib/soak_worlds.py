@@ -19,6 +19,8 @@ from typing import Callable, Dict, List, Sequence
 import processes
 from process_usage import Usage, name_of, program_of, usage
 
+from hri_pipeline.core.parent_death_signal import ends_with_parent
+
 LIB = Path(__file__).resolve().parent
 ROOT = LIB.parents[1]
 SPEECH = Path("/usr/share/pocketsphinx/test/data/cards")
@@ -110,9 +112,9 @@ class World:
         processes.end(self._mark, {os.getpid()})
 
     def _start(self, name: str, command: List[str]) -> subprocess.Popen:
-        # A session of its own: Ctrl-C is for the report first.
+        # A session of its own: Ctrl-C is for the report first. When this program is killed nobody else would end it.
         with open(str(self._folder / (name + ".log")), "wb") as log:
-            return subprocess.Popen(command, env=self._environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+            return subprocess.Popen(ends_with_parent(command), env=self._environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log,
                                     start_new_session=True)
 
     def _await(self, condition: Callable[[], bool], what: str) -> None:

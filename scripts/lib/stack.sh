@@ -11,6 +11,8 @@ in_background() { # in_background LOG_NAME COMMAND...: in a session of its own; 
     shift
     "$R4H_SYSTEM_PYTHON" "$R4H_LIB/processes.py" detach "$@" >"$log" 2>&1 </dev/null &
     R4H_STARTED=$!
+    # bash would tell, with a line of this file, of each that does not end by itself.
+    disown "$R4H_STARTED"
 }
 
 wait_for() { # wait_for SECONDS COMMAND...
@@ -87,6 +89,9 @@ choose_pace() { # choose_pace SOURCE PEOPLE ARG:=VALUE...: sets pace_arguments, 
     [[ $given == *' seconds_per_picture:='* ]] || (($2 > 3)) || pace_arguments+=("seconds_per_picture:=13.0")
 }
 
+show_reasons() { # show_reasons LOG_NAME: what nodes gave as the reason; it stands above what roslaunch prints at the end
+    grep -aE '\[(FATAL|ERROR)\]' "$R4H_LOGS/$1.log" | head -n 5 | cut -c1-400 | sed 's/^/      | /' >&2 || true
+}
 show_tail() { tail -n 25 "$R4H_LOGS/$1.log" | sed 's/^/      | /' >&2; }
 
 start_stack() {
@@ -109,15 +114,19 @@ show_table() { # show_table SECONDS PEOPLE: the live table until the end; the ex
     watch_people "${limit:-86400}" "$2" &
     rosrun hri_person_manager show_persons ${limit:+--duration "$limit"} </dev/null &
     table=$!
+    R4H_CHILD=$table        # ends first, so that nothing is drawn while the nodes end
     while kill -0 "$table" 2>/dev/null; do
         if ! kill -0 "$R4H_STACK" 2>/dev/null; then
-            show_tail roslaunch
+            show_reasons roslaunch
+            [ -n "$(show_reasons roslaunch 2>&1)" ] || show_tail roslaunch
             fail 1 "The stack has ended by itself." "Whole log: $R4H_LOGS/roslaunch.log"
         fi
         sleep 0.2
     done
     wait "$table" || code=$?
+    R4H_CHILD=
     if ((code != 0)) || { [ "$R4H_VIEW" != hidden ] && (($2 > 1)) && [ ! -e "$R4H_TMP/people" ]; }; then
+        show_reasons roslaunch
         show_tail roslaunch
         fail 1 "Fewer than $2 person(s) were seen (exit code $code of the table)." \
             "Is somebody in the picture? Log of the nodes: $R4H_LOGS/roslaunch.log"

@@ -17,7 +17,7 @@ import numpy as np
 import rosgraph
 import rospy
 from audio_common_msgs.msg import AudioData, AudioInfo
-from benchmark_run import TICKS, _ticks
+from process_usage import cpu_s
 from processes import wait_until
 from std_msgs.msg import Bool
 
@@ -106,10 +106,10 @@ def measure(channels: int) -> Dict[str, object]:
         raise RuntimeError("the node {} does not listen".format(NODE))
     pid = node_pid()
     play(np.zeros((RATE, channels), np.float32), publisher)
-    ticks, started = _ticks(pid), time.time()
+    before, started = cpu_s(pid), time.time()
     begin = play(samples, publisher)
     passed = time.time() - started
-    result: Dict[str, object] = {"cpu_percent": round(100.0 * (_ticks(pid) - ticks) / TICKS / passed, 1), "seconds": round(passed, 1),
+    result: Dict[str, object] = {"cpu_percent": round(100.0 * (cpu_s(pid) - before) / passed, 1), "seconds": round(passed, 1),
                                  "voices": listener.voices, "feature_messages": listener.features}
     if channels == 1:
         delays = delays_ms(scene, begin, sorted(listener.changes))

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Dict, List
 
 import processes
+from process_usage import usage
 
 LIB = Path(__file__).resolve().parent
 DATA = Path("/usr/share/pocketsphinx/test/data")
@@ -136,22 +137,16 @@ def _wait(condition, seconds: float, what: str) -> None:
 
 
 def _held(pid: int) -> Dict[str, float]:
-    """Descriptors, threads and resident memory (MB) of a process, and the memory of its children."""
-    def memory(number: int) -> float:
-        with open("/proc/{}/status".format(number)) as status:
-            fields = dict(line.split(":", 1) for line in status)
-        held["threads"] = float(fields["Threads"])
-        return int(fields.get("VmRSS", "0 kB").split()[0]) / 1024.0
-
-    held: Dict[str, float] = {}
+    """Descriptors, threads and resident memory (MB) of a process, and the memory of its children. RuntimeError: it has ended."""
     children = set()
     for task in os.listdir("/proc/{}/task".format(pid)):
         with open("/proc/{}/task/{}/children".format(pid, task)) as file:
             children.update(int(child) for child in file.read().split())
-    held["children_rss_mb"] = sum(memory(child) for child in children)
-    held["rss_mb"] = memory(pid)
-    held["fds"] = float(len(os.listdir("/proc/{}/fd".format(pid))))
-    return held
+    mine, theirs = usage(pid), [usage(child) for child in children]
+    if mine is None:
+        raise RuntimeError("the node has ended")
+    return {"fds": float(mine.fds), "threads": float(mine.threads), "rss_mb": mine.rss_mb,
+            "children_rss_mb": sum(one.rss_mb for one in theirs if one is not None)}
 
 
 def _probe(count: int) -> Dict[str, object]:

@@ -187,7 +187,7 @@ def main(arguments: Sequence[str]) -> int:
         found = lack(watch.view(viewed_topics(options.viewer)), options.people, TOPICS)
         print("no picture within %.0f s; lacking at the end: %s" % (options.seconds, found.text))
         return 1
-    print("the picture lacks %s" % photographer.best.text)
+    print("missing in the picture, or at times within %.0f s of it: %s" % (DRAWN_S + AFTER_S, photographer.best.text))
     return 0
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from hri_fullbody.core.body_parameters import VISION
-from hri_fullbody.core.body_sight import body_distance
 from hri_fullbody.core.body_stage import BodyStage
-from hri_fullbody.core.body_windows import FaceBox
+from hri_fullbody.core.sight.body_sight import body_distance
+from hri_fullbody.core.sight.body_windows import FaceBox
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.face_stage import FaceStage
 from hri_pipeline.core.model_store import models_directory

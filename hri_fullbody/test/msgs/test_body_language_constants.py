@@ -2,9 +2,9 @@
 
 import pytest
 
-from hri_fullbody.core.attitude import Attitude
-from hri_fullbody.core.gesture import Gesture
-from hri_fullbody.core.posture import Posture
+from hri_fullbody.core.language.attitude import Attitude
+from hri_fullbody.core.language.gesture import Gesture
+from hri_fullbody.core.language.posture import Posture
 from hri_msgs.msg import BodyAttitude, BodyPosture
 from hri_msgs.msg import Gesture as GestureMessage
 

@@ -8,9 +8,9 @@ import pytest
 from std_msgs.msg import Header
 
 from hri_fullbody.core.body_modeller import BodyInput, BodyModeller
-from hri_fullbody.core.forward_kinematics import forward
-from hri_fullbody.core.human_model import Dimensions, layout_for
-from hri_fullbody.core.segment_table import SegmentTable
+from hri_fullbody.core.human.human_model import Dimensions, layout_for
+from hri_fullbody.core.human.segment_table import SegmentTable
+from hri_fullbody.core.joints.forward_kinematics import forward
 from hri_fullbody.ros.body_branch import body_transform, drawn
 from hri_fullbody.ros.body_topics import crop, joint_state
 from hri_fullbody.ros.up_frame import up_and_height

@@ -5,10 +5,11 @@ import unittest
 
 import rospy
 import rostest
-from demo_camera import DemoCamera, Newest, photograph, wait_for
+from demo_camera import DemoCamera, Newest, photograph
 from std_msgs.msg import String
 
 from hri_msgs.msg import IdsList, IdsMatch, Skeleton2D
+from hri_pipeline.testing import wait_for
 
 START_S, WAIT_S = 60.0, 30.0
 NOSE = 0

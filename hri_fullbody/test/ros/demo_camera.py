@@ -1,7 +1,6 @@
-"""A camera for the tests that shows a demonstration photograph or black images, and waiting for conditions."""
+"""A camera for the tests that shows a demonstration photograph or black images."""
 
 import threading
-import time
 
 import cv2
 import numpy as np
@@ -25,18 +24,6 @@ def photograph(number):
     if image is None:
         raise AssertionError("{} is missing: run `rosrun hri_pipeline fetch_models`".format(path))
     return cv2.resize(image, (_WIDTH, _WIDTH * image.shape[0] // image.shape[1]), interpolation=cv2.INTER_AREA)
-
-
-def wait_for(condition, timeout, what):
-    """Return the first true value of condition(); AssertionError after `timeout` s."""
-    deadline = time.monotonic() + timeout
-    while True:
-        value = condition()
-        if value:
-            return value
-        if time.monotonic() > deadline:
-            raise AssertionError("not within {:g} s: {}".format(timeout, what))
-        time.sleep(0.02)
 
 
 class DemoCamera:

@@ -6,7 +6,6 @@ import unittest
 import numpy as np
 import rospy
 import rostest
-from demo_camera import wait_for
 from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
@@ -15,6 +14,7 @@ from hri_fullbody.ros.face_feed import FaceFeed
 from hri_msgs.msg import FacialLandmarks, IdsList
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import landmarks_to_msg, transform_to_msg
+from hri_pipeline.testing import wait_for
 
 CAMERA = "camera_optical"
 

@@ -5,9 +5,9 @@ import sys
 
 import rospy
 
-from hri_fullbody.core.human_model import Dimensions
-from hri_fullbody.core.human_urdf import make_urdf
-from hri_fullbody.core.segment_table import SegmentTable
+from hri_fullbody.core.human.human_model import Dimensions
+from hri_fullbody.core.human.human_urdf import make_urdf
+from hri_fullbody.core.human.segment_table import SegmentTable
 from hri_fullbody.ros.publisher_binary import PublisherBinary
 from hri_fullbody.ros.state_publishers import StatePublishers
 from hri_pipeline.ros.node import run_node

@@ -10,11 +10,11 @@ import tf2_ros
 from sensor_msgs.msg import JointState
 
 from hri_fullbody.core import skeleton
-from hri_fullbody.core.forward_kinematics import forward
-from hri_fullbody.core.human_model import PAPER, REP155, Dimensions
-from hri_fullbody.core.human_urdf import make_urdf
-from hri_fullbody.core.sample_poses import sample_pose
-from hri_fullbody.core.segment_table import SegmentTable
+from hri_fullbody.core.human.human_model import PAPER, REP155, Dimensions
+from hri_fullbody.core.human.human_urdf import make_urdf
+from hri_fullbody.core.human.sample_poses import sample_pose
+from hri_fullbody.core.human.segment_table import SegmentTable
+from hri_fullbody.core.joints.forward_kinematics import forward
 
 WAIT_S = 20.0
 POINTS = {"l_wrist": skeleton.LEFT_WRIST, "r_knee": skeleton.RIGHT_KNEE, "r_ankle": skeleton.RIGHT_ANKLE,

@@ -12,10 +12,10 @@ from sensor_msgs.msg import JointState
 from tf2_msgs.msg import TFMessage
 
 from hri_fullbody.core import skeleton
-from hri_fullbody.core.forward_kinematics import forward
-from hri_fullbody.core.human_model import PAPER, Dimensions
-from hri_fullbody.core.human_urdf import link_names, make_urdf
-from hri_fullbody.core.segment_table import SegmentTable
+from hri_fullbody.core.human.human_model import PAPER, Dimensions
+from hri_fullbody.core.human.human_urdf import link_names, make_urdf
+from hri_fullbody.core.human.segment_table import SegmentTable
+from hri_fullbody.core.joints.forward_kinematics import forward
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import pose_from_transform, transform_to_msg
 from hri_pipeline.ros.topic_lease import TopicLeases, TopicSpec

@@ -7,11 +7,11 @@ import unittest
 
 import rospy
 import rostest
-from demo_camera import wait_for
 from rosgraph_msgs.msg import Clock
 from skeleton_graph import Movers, TfTree, farthest, left_of
 
 from hri_fullbody.ros.state_publishers import StatePublishers
+from hri_pipeline.testing import wait_for
 
 WAIT_S = 20.0
 SPEED = 4.0

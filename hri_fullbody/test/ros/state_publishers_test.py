@@ -12,12 +12,12 @@ from collections import Counter
 import rosgraph
 import rospy
 import rostest
-from demo_camera import wait_for
 from skeleton_graph import Movers, TfTree, farthest, left_of, processes
 
 from hri_fullbody.ros.state_publishers import StatePublishers
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.ros.diagnostics import OK, WARN
+from hri_pipeline.testing import wait_for
 
 OWNER = os.path.join(os.path.dirname(os.path.abspath(__file__)), "publisher_owner.py")
 WAIT_S = 20.0

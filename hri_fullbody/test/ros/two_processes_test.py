@@ -6,9 +6,10 @@ import unittest
 import numpy as np
 import rospy
 import rostest
-from demo_camera import DemoCamera, Newest, photograph, wait_for
+from demo_camera import DemoCamera, Newest, photograph
 
 from hri_msgs.msg import FacialLandmarks, IdsList, Skeleton2D
+from hri_pipeline.testing import wait_for
 
 START_S = 60.0
 

@@ -5,10 +5,11 @@ import unittest
 
 import rospy
 import rostest
-from demo_camera import DemoCamera, Newest, photograph, wait_for
+from demo_camera import DemoCamera, Newest, photograph
 from dynamic_reconfigure.client import Client
 
 from hri_msgs.msg import FacialLandmarks, IdsList
+from hri_pipeline.testing import wait_for
 
 START_S = WAIT_S = 60.0
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from hri_fullbody.core.attitude import Attitude
+from hri_fullbody.core.language.attitude import Attitude
 from hri_fullbody.evaluation import attitude_clips as clips
 from hri_fullbody.evaluation.attitude_arms import bend_arm
 from hri_fullbody.evaluation.attitude_figures import Event, by_class, detect, events_of
-from hri_pipeline.core.test_data import ABSENT, data_directory
+from hri_pipeline.evaluation.data_directory import ABSENT, data_directory
 
 needs_recordings = pytest.mark.skipif(data_directory() is None, reason=ABSENT)
 

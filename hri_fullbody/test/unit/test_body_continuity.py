@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_fullbody.core.body_continuity import Appearance, BodyContinuity
+from hri_fullbody.core.tracking.body_continuity import Appearance, BodyContinuity
 
 
 def clothes(seed, noise=0.0):

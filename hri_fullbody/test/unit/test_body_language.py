@@ -9,10 +9,10 @@ import pytest
 from posed_people import STATURE, UP
 
 from hri_fullbody.core import skeleton as kp
-from hri_fullbody.core.attitude import Attitude, Latch, Rule
-from hri_fullbody.core.body_language import BodyExpression, BodyLanguage
-from hri_fullbody.core.gesture import Gesture, turns
-from hri_fullbody.core.posture import Posture, without_guessed_legs
+from hri_fullbody.core.language.attitude import Attitude, Latch, Rule
+from hri_fullbody.core.language.body_language import BodyExpression, BodyLanguage
+from hri_fullbody.core.language.gesture import Gesture, turns
+from hri_fullbody.core.language.posture import Posture, without_guessed_legs
 
 RATES = (5.0, 15.0, 60.0)
 LEGS = (kp.LEFT_KNEE, kp.RIGHT_KNEE, kp.LEFT_ANKLE, kp.RIGHT_ANKLE)

@@ -11,9 +11,9 @@ import pytest
 from hri_fullbody.core import body_modeller
 from hri_fullbody.core.body_modeller import BodyInput, BodyModeller
 from hri_fullbody.core.body_modeller_parameters import MODELLER_PARAMETERS
-from hri_fullbody.core.forward_kinematics import forward
-from hri_fullbody.core.human_model import PAPER, Dimensions
-from hri_fullbody.core.segment_table import SegmentTable
+from hri_fullbody.core.human.human_model import PAPER, Dimensions
+from hri_fullbody.core.human.segment_table import SegmentTable
+from hri_fullbody.core.joints.forward_kinematics import forward
 
 TABLE = SegmentTable.load()
 UP = np.array([0.0, -1.0, 0.0])

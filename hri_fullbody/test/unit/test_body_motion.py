@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from synthetic_people import standing_at
 
-from hri_fullbody.core.body_appearance import blend, describe, difference
-from hri_fullbody.core.body_motion import BodyMotion, ConstantVelocity
-from hri_fullbody.core.body_schedule import PoseSchedule
-from hri_fullbody.core.body_sight import Sight
-from hri_fullbody.core.body_track import BodyTrack
+from hri_fullbody.core.sight.body_sight import Sight
+from hri_fullbody.core.tracking.body_appearance import blend, describe, difference
+from hri_fullbody.core.tracking.body_motion import BodyMotion, ConstantVelocity
+from hri_fullbody.core.tracking.body_schedule import PoseSchedule
+from hri_fullbody.core.tracking.body_track import BodyTrack
 from hri_pipeline.core.track_life import TrackLife
 
 
@@ -111,6 +111,11 @@ def test_a_budget_is_shared_fairly_and_never_exceeded():
             longest = max(longest, stamp - track.looked_at)
             track.looked_at = stamp
     assert longest <= 0.05 * 4 + 1e-9
+
+
+def test_what_is_reserved_is_left_but_for_one_look():
+    schedule, known = PoseSchedule(0.0, budget=3), tracks(10)
+    assert [len(schedule.choose(known, 1.0 + reserved, reserved)) for reserved in range(5)] == [3, 2, 1, 1, 1]
 
 
 def test_the_newborn_come_first():

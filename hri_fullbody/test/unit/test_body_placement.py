@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from synthetic_people import STANDING
 
-from hri_fullbody.core.body_placement import body_pose, head_pose, place, rotation_to_ray, translation_only
+from hri_fullbody.core.placement.body_placement import body_pose, head_pose, place, rotation_to_ray, translation_only
 from hri_fullbody.core.skeleton import to_18_points
 from hri_pipeline.core.camera import Calibration, CameraModel
 from hri_pipeline.core.geometry import Pose

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from synthetic_people import STANDING, standing_at
 
-from hri_fullbody.core.body_depth import measured_joints, trunk_ratio
-from hri_fullbody.core.body_placement import place
-from hri_fullbody.core.body_scale import BodyScale, depth_cue, face_cue, floor_ratio
-from hri_fullbody.core.body_shape import BodyShape, Surroundings
-from hri_fullbody.core.body_sight import Sight
-from hri_fullbody.core.body_track import BodyTrack
-from hri_fullbody.core.pose_model import PoseEstimate
+from hri_fullbody.core.placement.body_depth import measured_joints, trunk_ratio
+from hri_fullbody.core.placement.body_placement import place
+from hri_fullbody.core.placement.body_scale import BodyScale, depth_cue, face_cue, floor_ratio
+from hri_fullbody.core.placement.body_shape import BodyShape, Surroundings
+from hri_fullbody.core.sight.body_sight import Sight
+from hri_fullbody.core.sight.pose_model import PoseEstimate
+from hri_fullbody.core.tracking.body_track import BodyTrack
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.track_life import TrackLife

@@ -64,6 +64,23 @@ def test_bodies_come_also_when_the_detector_is_due_in_every_image(period, interv
     assert detector.calls >= 11
 
 
+def test_ten_people_in_slow_images_are_found_soon_and_stay():
+    """Two images a second: windows are few, and what is known can wait for those who are not."""
+    people = [(80.0 + 120.0 * index, 400.0) for index in range(10)]
+    stage, scene, _ = make(people)
+    faces = [face_of(standing_at(*place), "f{}".format(index)) for index, place in enumerate(people)]
+    ids, all_there = set(), None
+    for index in range(60):
+        before = len(scene.windows)
+        stage.update(IMAGE, CAMERA, 0.5 * index, faces)
+        assert len(scene.windows) - before <= 4
+        ids.update(stage.tracked_ids)
+        if all_there is None and len(stage.tracked_ids) == 10:
+            all_there = 0.5 * index
+    assert len(ids) == len(stage.tracked_ids) == 10
+    assert all_there is not None and all_there <= 7.0
+
+
 def test_time_that_goes_back_starts_afresh():
     stage, _, _ = make([(400, 400)])
     stamps = itertools.count(100)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from synthetic_people import Scene, face_of, standing_at
 
-from hri_fullbody.core.body_tracker import BodyTracker
+from hri_fullbody.core.tracking.body_schedule import PoseSchedule
+from hri_fullbody.core.tracking.body_tracker import BodyTracker
 
 IMAGE = np.zeros((720, 1280, 3), np.uint8)
 STEP = 0.05
@@ -66,6 +67,22 @@ def test_id_stays_while_the_person_walks_and_dies_after_the_death_time():
     assert not tracker.tracks[0].visible
     run(tracker, stamp, 3)
     assert tracker.tracks == []
+
+
+def test_who_is_not_looked_at_is_not_gone():
+    """Ten people, three looks and two images a second: each is looked at every other second."""
+    scene = Scene([(80 + 120 * index, 400) for index in range(10)])
+    tracker = make(scene, death_time=1.0, schedule=PoseSchedule(10.0, 3))
+    boxes = [box_of(*place) for place in scene.people]
+    for index in range(40):
+        tracker.follow(IMAGE, 0.5 * index)
+        tracker.propose(boxes, [], 0.5 * index)
+        tracker.try_new(IMAGE, 0.5 * index, [], 3)
+    assert sorted(confirmed(tracker)) == sorted("b{}".format(index) for index in range(10))
+    scene.people = scene.people[1:]
+    for index in range(40, 56):
+        tracker.follow(IMAGE, 0.5 * index)
+    assert len(confirmed(tracker)) == 9, "who is looked for in vain is gone"
 
 
 def test_a_person_who_comes_back_in_time_has_the_same_id():

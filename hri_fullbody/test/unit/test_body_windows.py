@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hri_fullbody.core.body_windows import (
+from hri_fullbody.core.sight.body_windows import (
     FaceBox,
     Window,
     window_from_face,

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from hri_fullbody.core.child_process import ChildProcess, identity_of, is_alive
-from hri_fullbody.core.child_watch import ChildWatch
-from hri_pipeline.core.child_process import ends_with_parent
+from hri_fullbody.core.processes.child_process import ChildProcess
+from hri_fullbody.core.processes.child_watch import ChildWatch
+from hri_fullbody.core.processes.process_identity import identity_of, is_alive
+from hri_pipeline.core.parent_death_signal import ends_with_parent
 
 SOURCES = [str(Path(__file__).resolve().parents[3] / package / "src") for package in ("hri_fullbody", "hri_pipeline")]
 
@@ -87,7 +88,7 @@ def test_a_child_has_its_own_session(start):
 
 @pytest.mark.skipif(len(ends_with_parent(["x"])) == 1, reason="setpriv is not installed")
 def test_a_child_ends_when_its_parent_is_killed():
-    code = ("import sys, time; sys.path[:0] = {!r}; from hri_fullbody.core.child_process import ChildProcess; "
+    code = ("import sys, time; sys.path[:0] = {!r}; from hri_fullbody.core.processes.child_process import ChildProcess; "
             "print(ChildProcess(['/bin/sleep', '60']).pid, flush=True); time.sleep(60)").format(SOURCES)
     parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
     try:

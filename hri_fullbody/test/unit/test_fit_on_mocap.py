@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from hri_fullbody.core import skeleton as kp
-from hri_fullbody.core.segment_table import SegmentTable
+from hri_fullbody.core.human.segment_table import SegmentTable
 from hri_fullbody.evaluation.fit_figures import fit_errors, motions, stature_errors, wave
 from hri_fullbody.evaluation.mocap import before_camera, load_motion, trial_names
 from hri_fullbody.evaluation.noise import add_noise
 from hri_fullbody.evaluation.virtual_people import virtual_people
-from hri_pipeline.core.test_data import ABSENT, data_directory
+from hri_pipeline.evaluation.data_directory import ABSENT, data_directory
 
 TABLE = SegmentTable.load()
 with_recordings = pytest.mark.skipif(data_directory() is None, reason=ABSENT)

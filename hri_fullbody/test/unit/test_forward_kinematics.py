@@ -6,9 +6,9 @@ from ikpy.chain import Chain
 from random_bodies import dimensions, placed, postures
 
 from hri_fullbody.core import skeleton as s
-from hri_fullbody.core.forward_kinematics import forward
-from hri_fullbody.core.human_model import PAPER, REP155
-from hri_fullbody.core.human_urdf import make_urdf
+from hri_fullbody.core.human.human_model import PAPER, REP155
+from hri_fullbody.core.human.human_urdf import make_urdf
+from hri_fullbody.core.joints.forward_kinematics import forward
 
 LAYOUTS = [pytest.param(layout, id=layout.interface) for layout in (PAPER, REP155)]
 # Branches from the root, and the key points where their links begin, counted from the end.

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from hri_fullbody.core.segment_table import SegmentTable
+from hri_fullbody.core.human.segment_table import SegmentTable
 from hri_fullbody.evaluation.fit_figures import fit_errors, motions
-from hri_pipeline.core.test_data import ABSENT, data_directory
+from hri_pipeline.evaluation.data_directory import ABSENT, data_directory
 from hri_pipeline.evaluation.golden import compare, comparison_table, load_golden
 
 GOLDEN = Path(__file__).resolve().parents[3] / "rosbag_tests" / "golden.yaml"

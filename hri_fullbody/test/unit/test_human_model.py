@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from random_bodies import TABLE, dimensions
 
-from hri_fullbody.core.human_model import PAPER, REP155, STATURE_RANGE, Dimensions, layout_for
-from hri_fullbody.core.human_urdf import link_names, make_urdf
-from hri_fullbody.core.sample_poses import POSE_NAMES, sample_pose
+from hri_fullbody.core.human.human_model import PAPER, REP155, STATURE_RANGE, Dimensions, layout_for
+from hri_fullbody.core.human.human_urdf import link_names, make_urdf
+from hri_fullbody.core.human.sample_poses import POSE_NAMES, sample_pose
 
 LAYOUTS = [pytest.param(layout, id=layout.interface) for layout in (PAPER, REP155)]
 # Figure 2 of the paper, REP-155's tree.
@@ -45,7 +45,7 @@ def test_what_people_do_is_inside_the_limits(layout, name):
 
 def test_sitting_is_sitting_in_both_layouts():
     from hri_fullbody.core import skeleton
-    from hri_fullbody.core.forward_kinematics import forward
+    from hri_fullbody.core.joints.forward_kinematics import forward
     for layout in (PAPER, REP155):
         points = forward(np.eye(3)[None], np.zeros((1, 3)), sample_pose("sitting", layout)[None],
                          [Dimensions.from_stature(1.7, TABLE)], layout)[0][0]
@@ -110,7 +110,7 @@ def test_every_part_can_be_seen():
 @pytest.mark.parametrize("stature", STATURE_RANGE)
 def test_the_body_is_as_tall_as_it_says(stature):
     """Highest and lowest point of what is seen, standing straight."""
-    from hri_fullbody.core.human_visuals import body_shapes
+    from hri_fullbody.core.human.human_visuals import body_shapes
     body = Dimensions.from_stature(stature, TABLE)
     shapes = body_shapes(body)
     top = max(shape.place[2] + shape.radius for shape in shapes["head"] if shape.length == 0.0)

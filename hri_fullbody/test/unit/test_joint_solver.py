@@ -8,12 +8,12 @@ from random_bodies import dimensions, placed, postures
 from scipy.spatial.transform import Rotation
 
 from hri_fullbody.core import skeleton as s
-from hri_fullbody.core.forward_kinematics import forward
-from hri_fullbody.core.human_model import PAPER, REP155
-from hri_fullbody.core.human_urdf import make_urdf
-from hri_fullbody.core.ikpy_solver import LimbChains
-from hri_fullbody.core.joint_solver import METHODS, JointSolver
-from hri_fullbody.core.sample_poses import sample_pose
+from hri_fullbody.core.human.human_model import PAPER, REP155
+from hri_fullbody.core.human.human_urdf import make_urdf
+from hri_fullbody.core.human.sample_poses import sample_pose
+from hri_fullbody.core.joints.forward_kinematics import forward
+from hri_fullbody.core.joints.ikpy_solver import LimbChains
+from hri_fullbody.core.joints.joint_solver import METHODS, JointSolver
 from hri_pipeline.core.geometry import Pose
 
 LAYOUTS = [pytest.param(layout, id=layout.interface) for layout in (PAPER, REP155)]
@@ -43,7 +43,7 @@ def standing(pose="standing", layout=PAPER, rotation=FACING, seed=0):
 
 
 def test_loading_it_does_not_load_what_few_limbs_need():
-    code = "import sys, hri_fullbody.core.joint_solver; sys.exit('sympy' in sys.modules)"
+    code = "import sys, hri_fullbody.core.joints.joint_solver; sys.exit('sympy' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, env=dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path)))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_fullbody.core.keypoint_filter import FilterSettings, KeypointFilter
+from hri_fullbody.core.smoothing.keypoint_filter import FilterSettings, KeypointFilter
 
 RATE = 30.0
 WRIST = 4

@@ -7,10 +7,10 @@ import pytest
 
 from hri_fullbody.core.body_modeller import BodyModeller
 from hri_fullbody.core.body_parameters import BODIES
-from hri_fullbody.core.body_schedule import PoseSchedule
 from hri_fullbody.core.body_stage import BodyStage
-from hri_fullbody.core.body_tracker import BodyTracker
 from hri_fullbody.core.stamp_pacer import StampPacer
+from hri_fullbody.core.tracking.body_schedule import PoseSchedule
+from hri_fullbody.core.tracking.body_tracker import BodyTracker
 
 
 class Reads:

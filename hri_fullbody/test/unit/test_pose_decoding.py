@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hri_fullbody.core.pose_model import decode
+from hri_fullbody.core.sight.pose_model import decode
 from hri_pipeline.core.geometry import crop_rotated
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from hri_fullbody.core.segment_table import STATISTICS, SegmentTable, default_segments_file
+from hri_fullbody.core.human.segment_table import STATISTICS, SegmentTable, default_segments_file
 
 
 @pytest.fixture(scope="module")

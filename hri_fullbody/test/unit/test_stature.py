@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_fullbody.core.forward_kinematics import forward
-from hri_fullbody.core.human_model import PAPER, Dimensions
-from hri_fullbody.core.person_dimensions import DimensionSettings, PersonDimensions
-from hri_fullbody.core.segment_table import SEGMENTS, SegmentTable
-from hri_fullbody.core.stature import MONOCULAR, StatureEstimator, robust_lengths
+from hri_fullbody.core.human.human_model import PAPER, Dimensions
+from hri_fullbody.core.human.person_dimensions import DimensionSettings, PersonDimensions
+from hri_fullbody.core.human.segment_table import SEGMENTS, SegmentTable
+from hri_fullbody.core.human.stature import MONOCULAR, StatureEstimator, robust_lengths
+from hri_fullbody.core.joints.forward_kinematics import forward
 
 TABLE = SegmentTable.load()
 LEGS = [9, 10, 12, 13]

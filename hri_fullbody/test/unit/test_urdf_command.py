@@ -5,8 +5,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from hri_fullbody.core.segment_table import default_segments_file
-from hri_fullbody.core.urdf_command import main
+from hri_fullbody.core.human.segment_table import default_segments_file
+from hri_fullbody.core.human.urdf_command import main
 
 PACKAGE = Path(__file__).resolve().parents[2]
 

@@ -2,27 +2,17 @@
 """The scene simulator, the real person manager and the interactions node: who looks, stands together, is engaged, by their ids."""
 
 import threading
-import time
 import unittest
 
 import rospy
 import rostest
 
 from hri_msgs.msg import EngagementLevel, GazesStamped, GroupsStamped, IdsList
+from hri_pipeline.testing import wait_for
 
 PEOPLE = ["ann", "bob", "cho"]
 LOOKS = {("ann", "bob"), ("bob", "ann"), ("cho", "")}
 WAIT_S = 30.0
-
-
-def wait_for(condition, timeout, what):
-    deadline = time.monotonic() + timeout
-    while time.monotonic() < deadline:
-        value = condition()
-        if value:
-            return value
-        time.sleep(0.02)
-    raise AssertionError("not within {:g} s: {}".format(timeout, what() if callable(what) else what))
 
 
 class TestInteractions(unittest.TestCase):

@@ -17,17 +17,11 @@ from hri_msgs.msg import AgeAndGender, IdsList, IdsMatch
 from hri_person_manager.srv import ListKnown
 from hri_pipeline.core.recognition.person_schema import StoredPerson
 from hri_pipeline.core.recognition.person_store import PersonStore
+from hri_pipeline.testing import wait_for
 
 WAIT_S = 20.0
 DAY_S = 86400.0
 ESTIMATE = {"age": 41.0, "age_deviation": 4.0, "age_confidence": 0.8, "gender": 1, "gender_confidence": 0.9, "stamp": 5.0}
-
-
-def wait_for(condition, what, seconds=WAIT_S):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited in vain for " + what
-        time.sleep(0.02)
 
 
 class PersonStoreTest(unittest.TestCase):
@@ -67,7 +61,7 @@ class PersonStoreTest(unittest.TestCase):
             store.put_record(person)
         store.close()
         node = self.start("_store:={}".format(self.path), "_store_max_age:=30.0", "_store_max_persons:=3")
-        wait_for(lambda: {"caty", "dora"} <= set(self.lists.get("known", [])), "the known of the store")
+        wait_for(lambda: {"caty", "dora"} <= set(self.lists.get("known", [])), WAIT_S, "the known of the store")
         self.assertFalse({"annold", "bobmany"} & set(self.lists["known"]))
         content = b"".join(path.read_bytes() for path in self.path.parent.iterdir())
         self.assertFalse([trace for trace in (b"annold", b"bobmany", b"Longago", b"Toomany") if trace in content])
@@ -83,10 +77,10 @@ class PersonStoreTest(unittest.TestCase):
         faces = rospy.Publisher("/humans/faces/tracked", IdsList, latch=True, queue_size=1)
         matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=10)
         faces.publish(IdsList(ids=["f1"]))
-        wait_for(lambda: matches.get_num_connections() > 0, "the manager listens")
+        wait_for(lambda: matches.get_num_connections() > 0, WAIT_S, "the manager listens")
         matches.publish(IdsMatch(id1="f1", id1_type=IdsMatch.FACE, id2="catytwin", id2_type=IdsMatch.PERSON,
                                  confidence=0.9))
-        wait_for(lambda: self.lists.get("tracked") == ["caty"], "caty is tracked")
+        wait_for(lambda: self.lists.get("tracked") == ["caty"], WAIT_S, "caty is tracked")
         said = {name: rospy.wait_for_message("/humans/persons/caty/" + name, kind, WAIT_S)
                 for name, kind in (("name", String), ("native_language", String), ("demographics", AgeAndGender))}
         self.assertEqual((said["name"].data, said["native_language"].data), ("Caty", "fr"))
@@ -94,9 +88,9 @@ class PersonStoreTest(unittest.TestCase):
         self.assertEqual(rospy.wait_for_message("/humans/persons/catytwin/alias", String, WAIT_S).data, "caty")
         # Two ids of one human that a recogniser finds are joined as long as it says so.
         self.say_same("dora", 0.95, matches)
-        wait_for(lambda: self.latest_alias("dora") == "caty" or self.latest_alias("caty") == "dora", "one person")
+        wait_for(lambda: self.latest_alias("dora") == "caty" or self.latest_alias("caty") == "dora", WAIT_S, "one person")
         self.say_same("dora", 0.0, matches)
-        wait_for(lambda: self.lists.get("tracked") == ["caty"], "caty alone again")
+        wait_for(lambda: self.lists.get("tracked") == ["caty"], WAIT_S, "caty alone again")
 
     @staticmethod
     def say_same(other, likelihood, matches):

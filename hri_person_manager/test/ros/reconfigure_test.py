@@ -3,7 +3,6 @@
 
 import subprocess
 import threading
-import time
 import unittest
 
 import rosgraph
@@ -15,20 +14,11 @@ from dynamic_reconfigure.client import Client
 
 from hri_msgs.msg import GazesStamped, IdsList
 from hri_pipeline.core import parameter_docs
+from hri_pipeline.testing import wait_for
 
 NODES = {"hri_person_manager": "person_manager", "hri_interactions": "interactions", "hri_face_body_matcher": "face_body_matcher",
          "hri_voice_matcher": "voice_matcher", "hri_overlay": "overlay"}
 WAIT_S = 30.0
-
-
-def wait_for(condition, what):
-    deadline = time.monotonic() + WAIT_S
-    while time.monotonic() < deadline:
-        value = condition()
-        if value:
-            return value
-        time.sleep(0.02)
-    raise AssertionError("not within {:g} s: {}".format(WAIT_S, what))
 
 
 class TestReconfigure(unittest.TestCase):
@@ -56,7 +46,7 @@ class TestReconfigure(unittest.TestCase):
         """The (stamp, number of gazes) of so many messages from now on."""
         with self.lock:
             begin = len(self.gazes)
-        wait_for(lambda: len(self.gazes) >= begin + count, "{} messages of gazes".format(count))
+        wait_for(lambda: len(self.gazes) >= begin + count, WAIT_S, "{} messages of gazes".format(count))
         with self.lock:
             return self.gazes[begin:begin + count]
 
@@ -66,7 +56,7 @@ class TestReconfigure(unittest.TestCase):
         return 4.0 / (stamps[-1] - stamps[0])
 
     def wait_for_gazes(self, there):
-        wait_for(lambda: all(bool(count) == there for _, count in self.next_gazes(5)), "gazes" if there else "no gazes")
+        wait_for(lambda: all(bool(count) == there for _, count in self.next_gazes(5)), WAIT_S, "gazes" if there else "no gazes")
 
     def test_1_every_node_describes_its_live_parameters(self):
         tables = {table.node: table for _, table in parameter_docs.registered()}
@@ -79,13 +69,13 @@ class TestReconfigure(unittest.TestCase):
 
     def test_2_a_rate_falls_and_rises_again(self):
         self.wait_for_gazes(True)
-        wait_for(lambda: self.rate() > 4.0, "more than four results per second")
+        wait_for(lambda: self.rate() > 4.0, WAIT_S, "more than four results per second")
         answer = self.set("hri_interactions", rate=2.0)
         self.assertEqual(answer["rate"], 2.0)
-        wait_for(lambda: self.rate() < 2.5, "two results per second")
+        wait_for(lambda: self.rate() < 2.5, WAIT_S, "two results per second")
         self.assertEqual(rospy.get_param("/hri_interactions/rate"), 2.0)
         self.doCleanups()
-        wait_for(lambda: self.rate() > 4.0, "the old rate")
+        wait_for(lambda: self.rate() > 4.0, WAIT_S, "the old rate")
 
     def test_3_a_threshold_ends_gazes(self):
         self.wait_for_gazes(True)
@@ -95,14 +85,14 @@ class TestReconfigure(unittest.TestCase):
         self.wait_for_gazes(True)
 
     def test_4_a_threshold_parts_persons_who_are_joined_again_afterwards(self):
-        wait_for(lambda: self.persons and self.persons[-1] == ["ann", "bob", "cho"], "three persons by their names")
+        wait_for(lambda: self.persons and self.persons[-1] == ["ann", "bob", "cho"], WAIT_S, "three persons by their names")
         self.set("hri_person_manager", match_threshold=1.0)
-        wait_for(lambda: len(self.persons[-1]) > 3, "faces and bodies are nobody's")
+        wait_for(lambda: len(self.persons[-1]) > 3, WAIT_S, "faces and bodies are nobody's")
         # The launch file has set the parameter that goes before the one of the node: that is the one to keep.
         self.assertEqual(rospy.get_param("/humans/match_threshold"), 1.0)
         self.assertEqual(rospy.get_param("/hri_person_manager/match_threshold"), 0.5)
         self.doCleanups()
-        wait_for(lambda: self.persons[-1] == ["ann", "bob", "cho"], "three persons again")
+        wait_for(lambda: self.persons[-1] == ["ann", "bob", "cho"], WAIT_S, "three persons again")
         self.assertEqual(rospy.get_param("/humans/match_threshold"), 0.5)
 
     def refused(self, node, **changes):
@@ -136,7 +126,7 @@ class TestReconfigure(unittest.TestCase):
 
         self.addCleanup(self.clients["hri_voice_matcher"].update_configuration, {"period": 0.25})
         self.assertEqual(dynparam("set", "/hri_voice_matcher", "period", "0.5").returncode, 0)
-        wait_for(lambda: self.clients["hri_voice_matcher"].config["period"] == 0.5, "every client is told")
+        wait_for(lambda: self.clients["hri_voice_matcher"].config["period"] == 0.5, WAIT_S, "every client is told")
         self.assertEqual(rospy.get_param("/hri_voice_matcher/period"), 0.5)
         wrong = dynparam("set", "/hri_voice_matcher", "period", "7")
         self.assertNotEqual(wrong.returncode, 0)
@@ -148,7 +138,7 @@ class TestReconfigure(unittest.TestCase):
         def left():
             return [name for kind in rosgraph.Master("/reconfigure_test").getSystemState() for name, owners in kind
                     if name.startswith("/hri_face_body_matcher/") and "/hri_face_body_matcher" in owners]
-        wait_for(lambda: not left(), "no topic and no service of the node that has ended")
+        wait_for(lambda: not left(), WAIT_S, "no topic and no service of the node that has ended")
 
 
 if __name__ == "__main__":

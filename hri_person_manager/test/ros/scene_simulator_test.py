@@ -2,7 +2,6 @@
 """The scene simulator and the real person manager: people of the scene become persons at their true places."""
 
 import threading
-import time
 import unittest
 
 import numpy as np
@@ -17,19 +16,10 @@ from tf2_msgs.msg import TFMessage
 from hri_msgs.msg import FacialActionUnits, FacialLandmarks, IdsList, Skeleton2D
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.scene.scene_script import load_scene
+from hri_pipeline.testing import wait_for
 
 PEOPLE = ["ann", "bob", "cho"]
 WHERE = 0.35    # m; depth noise is 3 % of 3 m, and a frame may be 0.1 s older than the truth beside it
-
-
-def wait_for(condition, timeout, what):
-    deadline = time.monotonic() + timeout
-    while time.monotonic() < deadline:
-        value = condition()
-        if value:
-            return value
-        time.sleep(0.02)
-    raise AssertionError("not within {:g} s: {}".format(timeout, what))
 
 
 class Ears:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,49 @@ def test_a_worse_source_speaks_once_the_better_one_is_silent_or_gone():
     assert location.offer(Source.FACE, place(1.0, 10.7), 10.7)
     location.forget_source(Source.FACE)
     assert location.offer(Source.BODY, place(2.0, 10.8), 10.8)
+
+
+def turning_away(face_error=0.3, speed=0.5, face_rate=15.0, until=2.0, then=4.0):
+    """Stamps and places (x, m) of the frame of a person who walks, and turns the face away after `until` s."""
+    location, way = Location(0.5), []
+    for number in range(int(then * 30.0)):
+        stamp = number / 30.0
+        sources = [(Source.HEAD, speed * stamp)]
+        if stamp < until and number % round(30.0 / face_rate) == 0:
+            sources.append((Source.FACE, speed * stamp + face_error))
+        for source, x in sources:
+            if location.offer(source, place(x, stamp), stamp, "f" if source == Source.FACE else "b"):
+                way.append((stamp, location.place.pose.translation[0]))
+    return np.array(way[1:])         # the first is of the body alone
+
+
+def test_a_body_goes_on_from_where_its_face_was():
+    way = turning_away()
+    assert np.diff(way[:, 0]).max() < 0.3 and np.diff(way[:, 0]).min() > 0.0         # no stop, nothing twice
+    assert np.abs(np.diff(way[:, 1])).max() < 0.15                                  # no step of 0.3 m
+    stamps, places = way[way[:, 0] > 3.9].T
+    assert np.abs(places - 0.5 * stamps).max() < 0.1                                 # by and by where the body is
+    assert (way[way[:, 0] < 1.9, 1] > 0.5 * way[way[:, 0] < 1.9, 0] + 0.29).all()      # the face alone as long as it is there
+
+
+def test_a_body_waits_longer_for_a_face_of_few_images():
+    way = turning_away(face_rate=5.0)
+    assert 0.45 < np.diff(way[:, 0]).max() <= 0.55                                   # source_timeout
+    assert len(way[way[:, 0] < 1.9]) == 10
+
+
+def test_a_body_too_far_from_the_face_is_taken_as_it_is():
+    way = turning_away(face_error=1.5)
+    assert abs(way[-1, 1] - 0.5 * way[-1, 0]) < 1e-9
+
+
+def test_a_body_in_another_frame_is_taken_as_it_is():
+    location = Location(0.5)
+    for number in range(10):
+        location.offer(Source.FACE, place(1.0, 0.1 * number), 0.1 * number)
+        location.offer(Source.HEAD, place(1.2, 0.1 * number), 0.1 * number)
+    assert location.offer(Source.HEAD, replace(place(7.0, 2.0), frame="camera"), 2.0)
+    assert location.place.pose.translation[0] == 7.0
 
 
 def test_where_somebody_was_seen_is_better_than_the_direction_of_a_voice_for_a_while():

@@ -3,12 +3,59 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 
 import pytest
 
-from hri_person_manager.core.persons_table import PersonRow, RateMeter, as_data, format_columns, format_table, redraw
+from hri_person_manager.core.persons_table import PersonRow, RateMeter, Redrawing, as_data, format_columns, format_table
 
 ROW = PersonRow("anonymous_person_abcde", "fabcd", "", "", 1.0, (1.0, -2.5, 0.25), "map", 63.2)
+
+
+class Terminal:
+    """As much of a terminal as a table needs. Lines too long for it are wrapped, those that stand there too when it narrows."""
+
+    def __init__(self, columns, lines=24):
+        self.columns, self.lines = columns, lines
+        self.rows, self.at = [""], 0
+
+    def feed(self, text):
+        for _, number, letter, word in re.findall("(\x1b\\[([0-9]*)([A-Z]))|([^\x1b\n]+|\n)", text):
+            top = max(0, len(self.rows) - self.lines)
+            if letter == "A":
+                self.at = max(top, self.at - int(number))
+            elif letter == "H":
+                self.at = top
+            elif letter == "K":
+                self.rows[self.at] = ""
+            elif letter == "J":
+                self.rows[top if number == "2" else self.at:] = [""] * (self.at - top + 1 if number == "2" else 1)
+            elif word == "\n":
+                self.down()
+            elif word:
+                self.write(word)
+
+    def write(self, word):
+        while len(word) > self.columns:
+            self.rows[self.at] = word[:self.columns]
+            self.down()
+            word = word[self.columns:]
+        self.rows[self.at] = word + self.rows[self.at][len(word):]
+
+    def down(self):
+        self.at += 1
+        if self.at == len(self.rows):
+            self.rows.append("")
+
+    def resize(self, columns, lines=24):
+        before = sum(self.parts(row, columns) for row in self.rows[:self.at])
+        self.rows = [row[i * columns:(i + 1) * columns] for row in self.rows for i in range(self.parts(row, columns))]
+        self.columns, self.lines, self.at = columns, lines, before
+
+    @staticmethod
+    def parts(row, columns):
+        return max(1, -(-len(row) // columns))
 
 
 def test_the_table_has_one_line_per_person():
@@ -16,7 +63,7 @@ def test_the_table_has_one_line_per_person():
     lines = text.split("\n")
     assert len(lines) == 4
     assert lines[1].split() == ["anonymous_person_abcde", "fabcd", "-", "-", "1.00", "1.00", "-2.50", "0.25", "map", "63"]
-    assert lines[2].split() == ["ann", "-", "-", "-", "0.00", "-", "-", "-"]
+    assert lines[2].split() == ["ann", "-", "-", "-", "-", "-", "-", "-"]
     assert lines[3] == "faces 15.0 images/s, bodies 7.0 images/s"
     assert "nobody yet" in format_table([], 0.0, 0.0)
 
@@ -25,9 +72,51 @@ def test_columns_are_as_wide_as_their_longest_cell():
     assert format_columns([("id", "name"), ("longer", "x"), ("a", "")]) == "id      name\nlonger  x\na"
 
 
-def test_redrawing_goes_up_by_the_lines_that_are_there():
-    assert redraw("a\nb", 0) == "\x1b[2Ka\n\x1b[2Kb\n\x1b[0J"
-    assert redraw("a", 3).startswith("\x1b[3A")
+def test_who_has_no_place_yet_has_no_confidence_of_one():
+    text = format_table([PersonRow("ann", "fabcd", "babcd", "", 1.0, None, "", None)], 15.0, 15.0)
+    assert text.split("\n")[1].split() == ["ann", "fabcd", "babcd", "-", "-", "-", "-", "-"]
+
+
+def test_a_note_stands_below_the_table():
+    assert format_table([], 0.0, 0.0, "no master").split("\n")[1:] == [
+        "nobody yet", "faces 0.0 images/s, bodies 0.0 images/s", "no master"]
+
+
+def drawn(terminal, drawing, people):
+    text = format_table([replace(ROW, id="person%d" % number) for number in range(people)], 15.0, 7.0)
+    terminal.feed(drawing.draw(text, terminal.columns, terminal.lines))
+    return [line[:terminal.columns].rstrip() for line in text.split("\n")]
+
+
+@pytest.mark.parametrize("columns", [200, 105, 60, 20])
+def test_a_table_stands_in_the_place_of_the_one_before(columns):
+    terminal, drawing = Terminal(columns), Redrawing()
+    terminal.feed("a line of whoever was here before\n")
+    above = terminal.at
+    for people in (0, 3, 1, 5, 2):
+        lines = drawn(terminal, drawing, people)
+        assert [row.rstrip() for row in terminal.rows[above:]] == lines + [""]
+    assert "".join(terminal.rows[:above]) == "a line of whoever was here before"
+
+
+def test_a_terminal_that_is_made_narrower_and_wider_again_shows_one_table():
+    terminal, drawing = Terminal(120), Redrawing()
+    for columns in (120, 60, 59, 130, 40):
+        terminal.resize(columns)
+        for _ in range(3):
+            lines = drawn(terminal, drawing, 4)
+        screen = "\n".join(terminal.rows[-terminal.lines:])
+        assert screen.count("person ") == screen.count("faces ") == 1
+        assert [row.rstrip() for row in terminal.rows[terminal.at - len(lines):terminal.at]] == lines
+
+
+def test_more_people_than_lines_do_not_pile_up():
+    terminal, drawing = Terminal(120, 10), Redrawing()
+    for _ in range(3):
+        drawn(terminal, drawing, 30)
+    assert len(terminal.rows) == 10
+    assert terminal.rows[0].startswith("person ") and terminal.rows[-2].startswith("faces 15.0")
+    assert terminal.rows[-3] == "... and 24 lines more"
 
 
 def test_data_can_be_written_as_json():

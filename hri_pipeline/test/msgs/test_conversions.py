@@ -16,6 +16,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.images import ImageError
 from hri_pipeline.core.observations import SoftBiometrics as FaceBiometrics
 from hri_pipeline.ros import conversions
+from hri_pipeline.ros.landmark_array import LandmarkArray
 
 BGR = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
 HEADER = Header(stamp=genpy.Time(1700000000, 123456789), frame_id="camera_optical")
@@ -100,6 +101,35 @@ def test_landmarks_round_trip():
     message = over_the_wire(conversions.landmarks_to_msg(landmarks, HEADER, 200, 100))
     assert (message.width, message.height, message.header) == (200, 100, HEADER)
     np.testing.assert_allclose(conversions.landmarks_from_msg(message) * [200, 100, 1], landmarks, atol=2e-5)
+
+
+def serialised_landmarks():
+    buffer = io.BytesIO()
+    landmarks = np.random.default_rng(1).uniform(size=(70, 3)) * [200, 100, 1]
+    conversions.landmarks_to_msg(landmarks, HEADER, 200, 100).serialize(buffer)
+    return buffer.getvalue()
+
+
+def test_landmarks_read_as_one_array_are_those_of_the_message():
+    data = serialised_landmarks()
+    points, array = FacialLandmarks().deserialize(data), LandmarkArray().deserialize(data)
+    assert LandmarkArray._md5sum == FacialLandmarks._md5sum and FacialLandmarks.__slots__ == [
+        "header", "landmarks", "height", "width"]
+    assert (array.header, array.width, array.height) == (points.header, 200, 100)
+    np.testing.assert_array_equal(conversions.landmarks_from_msg(array), conversions.landmarks_from_msg(points))
+
+
+@pytest.mark.parametrize("length", [0, 3, 15, 20, 200, -1])
+def test_landmarks_that_are_cut_off_are_refused(length):
+    with pytest.raises(genpy.DeserializationError):
+        LandmarkArray().deserialize(serialised_landmarks()[:length])
+
+
+def test_an_array_of_landmarks_that_are_not_finite_is_refused():
+    array = LandmarkArray().deserialize(serialised_landmarks())
+    array.landmarks[3, 1] = np.nan
+    with pytest.raises(ValueError, match="finite"):
+        conversions.landmarks_from_msg(array)
 
 
 def test_skeleton_round_trip_keeps_left_and_right():

@@ -10,7 +10,7 @@ from hri_pipeline.core.faces.face_parameters import FACES
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import FaceObservation, GazeEstimate
 from hri_pipeline.ros.conversions import pose_from_transform
-from hri_pipeline.ros.face_branch import face_transforms, privacy_line
+from hri_pipeline.ros.faces.face_branch import face_transforms, privacy_line
 from hri_pipeline.ros.image_intake import Frame
 
 UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])

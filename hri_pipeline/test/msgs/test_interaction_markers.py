@@ -10,7 +10,7 @@ from visualization_msgs.msg import Marker
 
 from hri_pipeline.core.interactions.gaze_people import GazeTarget, Onlooker
 from hri_pipeline.core.interactions.group_tracker import Group
-from hri_pipeline.ros.interaction_markers import MUTUAL, ONE_WAY, InteractionMarkers, make_markers
+from hri_pipeline.ros.interactions.interaction_markers import MUTUAL, ONE_WAY, InteractionMarkers, make_markers
 
 HEADER = Header(stamp=genpy.Time(12, 345), frame_id="map")
 PEOPLE = [Onlooker("a", np.array([0.0, 0.0, 1.6])), Onlooker("b", np.array([1.0, 0.0, 1.7])),

@@ -2,19 +2,22 @@
 """The check of a running set-up, with real faults: it names each, ends with 1, and finds none where there is none."""
 
 import os
+import socket
 import subprocess
 import threading
 import unittest
 
 import numpy as np
+import rosgraph
 import rospy
 import rostest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
-from waiting import wait_for
 
 from hri_pipeline.ros.conversions import bgr_to_image
 from hri_pipeline.ros.topic_release import release
+from hri_pipeline.testing import wait_for
 
 PICTURE = np.random.default_rng(0).integers(60, 200, (120, 160, 3)).astype(np.uint8)
 
@@ -129,6 +132,45 @@ class CheckTest(unittest.TestCase):
     def test_no_master(self):
         text = self.check("image:=/none/image", ROS_MASTER_URI="http://127.0.0.1:1")
         self.assertIn("no ROS master answers at http://127.0.0.1:1", text)
+
+    def master(self):
+        """Another master, and where it is."""
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        master = subprocess.Popen(["rosmaster", "--core", "-p", str(port)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self.addCleanup(master.wait)
+        self.addCleanup(master.kill)
+        uri = "http://127.0.0.1:{}".format(port)
+        wait_for(rosgraph.Master("/test", master_uri=uri).is_online, 20, "the master is online")
+        return master, uri
+
+    def test_the_master_goes_while_it_looks(self):
+        master, uri = self.master()
+        check = subprocess.Popen(["rosrun", "hri_pipeline", "check", "_watch_time:=4.0"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                                 universal_newlines=True, env=dict(os.environ, ROS_MASTER_URI=uri))
+        self.addCleanup(check.kill)
+        self.assertIn("looking at the graph", check.stdout.readline())
+        master.kill()
+        text, _ = check.communicate(timeout=60)
+        self.assertEqual((check.returncode, text.count("no ROS master answers at " + uri)), (1, 1), text)
+        self.assertNotIn("Traceback", text)
+
+    def test_nothing_of_the_stack_runs(self):
+        _, uri = self.master()
+        text = self.check(nodes="[hri_faces, hri_bodies]", ROS_MASTER_URI=uri)
+        self.assertEqual(self.faults(text), ["FAULT  nothing of ros4hri runs on this master"], text)
+
+    def test_what_the_nodes_tell_of_the_same_topic_stands_below_the_fault(self):
+        told = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1, latch=True)
+        self.addCleanup(release, told)
+        told.publish(DiagnosticArray(status=[DiagnosticStatus(
+            level=DiagnosticStatus.ERROR, name="hri_faces: input", message="no publisher on /none/image for 9 s; start the camera",
+            values=[KeyValue("topic", "/none/image")])]))
+        camera = self.camera("beside")[1]
+        text = self.check(camera, nodes="[face_body_matcher, hri_faces]")
+        self.assertEqual([line for line in self.faults(text) if "image" in line], ["FAULT  nobody publishes /none/image"], text)
+        self.assertIn("hence  hri_faces: input: no publisher on /none/image for 9 s", text)
 
     def test_wrong_parameter(self):
         self.assertIn("watch_time", self.check("_watch_time:=fast", code=2))

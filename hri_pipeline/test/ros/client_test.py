@@ -12,7 +12,6 @@ from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import JointState, RegionOfInterest
 from std_msgs.msg import Bool, String
 from tf2_msgs.msg import TFMessage
-from waiting import held_by, wait_for
 
 from hri_msgs.msg import (
     EngagementLevel,
@@ -26,6 +25,7 @@ from hri_msgs.msg import (
 )
 from hri_pipeline.client import Engagement, Humans
 from hri_pipeline.ros.topic_release import release
+from hri_pipeline.testing import held_by, wait_for
 
 WAIT = 10
 

@@ -7,13 +7,13 @@ import numpy as np
 import rospy
 import rostest
 from sensor_msgs.msg import Image
-from waiting import wait_for
 
 from hri_pipeline.ros import depth_intake
 from hri_pipeline.ros.conversions import bgr_to_image, make_header
 from hri_pipeline.ros.depth_intake import DepthIntake
 from hri_pipeline.ros.diagnostics import OK, WARN
 from hri_pipeline.ros.image_intake import ImageIntake
+from hri_pipeline.testing import wait_for
 
 BGR = np.zeros((48, 64, 3), np.uint8)
 

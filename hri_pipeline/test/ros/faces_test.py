@@ -13,12 +13,12 @@ import rostest
 import rostopic
 from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
 from tf2_msgs.msg import TFMessage
-from waiting import wait_for
 
 from hri_msgs.msg import Expression, FacialActionUnits, FacialLandmarks, IdsList, IdsMatch, SoftBiometrics
 from hri_pipeline.core.model_store import models_directory
 from hri_pipeline.ros.conversions import bgr_to_image, make_header, pose_from_transform
 from hri_pipeline.srv import Gallery, GalleryRequest
+from hri_pipeline.testing import wait_for
 
 PHOTOGRAPH, FACES = "sample1.jpg", 3
 FRAME = "test_camera_optical"

@@ -8,11 +8,11 @@ import unittest
 import rospy
 import rostest
 from std_msgs.msg import String
-from waiting import held_by, wait_for
 
 from hri_msgs.msg import IdsList
 from hri_pipeline.ros.diagnostics import OK, WARN
 from hri_pipeline.ros.feature_feed import FeatureFeed
+from hri_pipeline.testing import held_by, wait_for
 
 
 class FeatureFeedTest(unittest.TestCase):

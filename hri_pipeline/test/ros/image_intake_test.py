@@ -11,7 +11,6 @@ import numpy as np
 import rospy
 import rostest
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
-from waiting import held_by, wait_for
 
 from hri_pipeline.core.camera import Calibration
 from hri_pipeline.ros import image_intake
@@ -19,6 +18,7 @@ from hri_pipeline.ros.conversions import bgr_to_image, make_header
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.image_intake import ImageIntake
 from hri_pipeline.ros.vision_loop import VisionLoop
+from hri_pipeline.testing import held_by, wait_for
 
 BGR = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
 K = [100.0, 0, 32, 0, 100.0, 24, 0, 0, 1]

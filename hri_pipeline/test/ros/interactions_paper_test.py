@@ -9,9 +9,9 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from interaction_stage import ROBOT, Latest, Stage
 from rosgraph_msgs.msg import Log
-from waiting import wait_for
 
 from hri_msgs.msg import GazesStamped, GroupsStamped
+from hri_pipeline.testing import wait_for
 
 WAIT_S = 20.0
 CAMERA = "camera_optical_frame"

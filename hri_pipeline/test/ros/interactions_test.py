@@ -9,10 +9,10 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from interaction_stage import Latest, Stage
 from visualization_msgs.msg import MarkerArray
-from waiting import wait_for
 
 from hri_msgs.msg import EngagementLevel, Gaze, GazesStamped, Group
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.testing import wait_for
 
 WAIT_S = 20.0
 LEFT, RIGHT = "left_optical_frame", "right_optical_frame"

@@ -9,10 +9,10 @@ import rospy
 import rostest
 from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
-from waiting import wait_for
 
 from hri_pipeline.ros.robot_frames import RobotFrameFeed
 from hri_pipeline.ros.tf_feed import TfFeed
+from hri_pipeline.testing import wait_for
 
 WAIT_S = 15.0
 
@@ -38,11 +38,12 @@ class Forger(rospy.Message):
 
 class RobotFramesTest(unittest.TestCase):
 
-    @classmethod
-    def setUpClass(cls):
-        # rospy gives the messages of a process to itself too, but its own frames are passed over: another name sends.
-        cls.static = rospy.Publisher("/tf_static", TFMessage, latch=True, queue_size=10)
-        cls.moving = rospy.Publisher("/tf", TFMessage, queue_size=100)
+    def setUp(self):
+        # Of each test alone: what is latched would reach the listener of the next one.
+        self.static = rospy.Publisher("/tf_static", TFMessage, latch=True, queue_size=10)
+        self.addCleanup(self.static.unregister)
+        self.moving = rospy.Publisher("/tf", TFMessage, queue_size=100)
+        self.addCleanup(self.moving.unregister)
 
     def feed(self):
         frames = RobotFrameFeed("map")
@@ -84,6 +85,13 @@ class RobotFramesTest(unittest.TestCase):
         pose = wait_for(seen, WAIT_S, "the camera in map")
         self.assertTrue(np.allclose(pose.translation, (0.0, 0.0, 1.6)))
 
+    def test_a_camera_on_a_fixed_face_plate(self):
+        frames = self.feed()
+        self.static.publish(TFMessage([transform("map", "face_plate_link", 1.0, rospy.Time.now()),
+                                       transform("face_plate_link", "camera", 0.2, rospy.Time.now())]))
+        pose = wait_for(lambda: frames.lookup("camera", rospy.Time()), WAIT_S, "the camera in map")
+        self.assertTrue(np.allclose(pose.translation, (0.0, 0.0, 1.2)))
+
     def test_garbage_is_counted_and_the_next_message_is_read(self):
         heard = []
         feed = TfFeed(lambda data, frames, fixed: heard.append([name for name, _ in frames]))
@@ -100,6 +108,22 @@ class RobotFramesTest(unittest.TestCase):
         self.moving.publish(TFMessage([transform("map", "late", 1.0, rospy.Time.now())]))
         wait_for(lambda: [b"late"] in heard, WAIT_S, "the good one")
         self.assertEqual(feed.refused, 4)
+
+    def test_one_bad_transform_costs_only_itself(self):
+        frames = self.feed()
+        bad = transform("map", "bad", 1.0, rospy.Time.now())
+        bad.header.stamp.secs = 2 ** 32 - 1     # tf2 ends the process that takes it
+        nan = transform("map", "nan", float("nan"), rospy.Time.now())
+
+        def seen():
+            stamp = rospy.Time.now()
+            self.moving.publish(TFMessage([bad, nan, transform("map", "camera", 0.5, stamp)]))
+            return frames.lookup("camera", stamp) and frames.lookup("camera", bad.header.stamp)
+
+        wait_for(seen, WAIT_S, "the camera beside a bad transform")
+        self.assertIsNone(frames.lookup("bad", rospy.Time()))
+        self.assertIsNone(frames.lookup("nan", rospy.Time()))
+        self.assertGreaterEqual(frames._ears.refused, 2)
 
     def test_messages_of_skeletons_are_not_even_looked_at(self):
         heard = []

@@ -7,16 +7,15 @@ import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import unittest
 from xmlrpc.client import ServerProxy
 
 import rosgraph
 import rospy
 import rostest
-from waiting import wait_for
 
 from hri_msgs.msg import IdsList
+from hri_pipeline.testing import HeardProcess, wait_for
 
 NODE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "small_node.py")
 
@@ -27,15 +26,14 @@ def free_port():
         return probe.getsockname()[1]
 
 
-class Process:
+class Process(HeardProcess):
     """A child process and what it has said so far."""
 
     def __init__(self, command, **environment):
         self.lines = []
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-                                        env=dict(os.environ, PYTHONUNBUFFERED="1", **environment))
-        self.reader = threading.Thread(target=lambda: self.lines.extend(self.process.stdout), daemon=True)
-        self.reader.start()
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                                   env=dict(os.environ, PYTHONUNBUFFERED="1", **environment))
+        super().__init__(process, lambda: self.lines.extend(process.stdout))
 
     def says(self, text, timeout=20):
         wait_for(lambda: any(text in line for line in list(self.lines)), timeout,
@@ -45,15 +43,8 @@ class Process:
         self.process.send_signal(number)
         return self.code()
 
-    def code(self):
-        code = self.process.wait(20)
-        self.reader.join(10)
-        return code
-
     def kill(self):
-        if self.process.poll() is None:
-            self.process.kill()
-        self.process.wait()
+        super().kill()
         self.process.stdout.close()
 
 

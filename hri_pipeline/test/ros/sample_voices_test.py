@@ -9,9 +9,9 @@ import unittest
 import rospy
 import rostest
 from std_msgs.msg import String
-from waiting import wait_for
 
 from hri_msgs.msg import IdsList
+from hri_pipeline.testing import wait_for
 
 LIMIT = 40.0
 

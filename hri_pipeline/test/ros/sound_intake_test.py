@@ -12,12 +12,12 @@ import rospy
 import rostest
 from audio_common_msgs.msg import AudioData, AudioInfo
 from std_msgs.msg import Header
-from waiting import wait_for
 
 from hri_pipeline.core.voices.voice_parameters import VOICES
-from hri_pipeline.ros import sound_intake
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
-from hri_pipeline.ros.sound_intake import SoundIntake
+from hri_pipeline.ros.sound import sound_intake
+from hri_pipeline.ros.sound.sound_intake import SoundIntake
+from hri_pipeline.testing import wait_for
 
 LIMIT = 20.0
 RATE = 16000

@@ -16,7 +16,8 @@ import soundfile
 from audio_common_msgs.msg import AudioData, AudioInfo
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Bool
-from waiting import wait_for
+
+from hri_pipeline.testing import wait_for
 
 LIMIT = 30.0
 RATE = 16000

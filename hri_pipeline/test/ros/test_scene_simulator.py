@@ -11,9 +11,9 @@ import rostest
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float32, String
 from tf2_msgs.msg import TFMessage
-from waiting import wait_for
 
 from hri_msgs.msg import IdsList
+from hri_pipeline.testing import wait_for
 
 PEOPLE = ["ann", "bob", "cho"]
 

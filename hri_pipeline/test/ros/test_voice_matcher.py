@@ -137,6 +137,10 @@ class TestVoiceMatcher(unittest.TestCase):
         status = self.diagnostics.get("matches")
         return status is not None and {item.key: item.value for item in status.values}["listening"] == "True"
 
+    def matched(self):
+        status = self.diagnostics.get("matches")
+        return status and {item.key: item.value for item in status.values}["matched"]
+
     def test_the_mouth_that_moves_and_its_withdrawal(self):
         self.world({"fa1": (False, units), "fb1": (True, units)})
         self.say("va1", True)
@@ -147,7 +151,8 @@ class TestVoiceMatcher(unittest.TestCase):
                       "the other mouth")
         self.say("va1", False)
         self.clear()
-        self.wait_for(lambda: self.current().get(("va1", "fa1")) == 0.0, "the withdrawal")
+        self.wait_for(lambda: self.matched() == "0", "nobody to be matched")
+        self.assertGreater(self.current()["va1", "fa1"], 0.7, "withdrawn, although they have only left")
 
     def test_a_voice_without_a_moving_mouth_is_nobodys(self):
         self.world({"fc1": (False, units)})
@@ -181,10 +186,11 @@ class TestVoiceMatcher(unittest.TestCase):
         self.wait_for(self.listening, "the node to listen")
         broken = self.topic("faces/fh1/facs", FacialActionUnits)
         self.wait_for(broken.get_num_connections, "a listener of the mouth")
-        broken.publish(FacialActionUnits(Header(stamp=rospy.Time.now()), [0.5] * 7, [float("nan")] * 99))
+        # A queue holds one message: on a busy machine the next good one may take the place of a bad one.
+        bad = FacialActionUnits(Header(stamp=rospy.Time.now()), [0.5] * 7, [float("nan")] * 99)
+        self.wait_for(lambda: broken.publish(bad) or "FacialActionUnits needs 99" in self.diagnostics["faces"].message, "the reason")
         self.tf.publish(TFMessage([transform("microphone", "voice_vh1", float("nan"), rospy.Time.now())]))
         self.wait_for(lambda: self.current().get(("vh1", "fh1"), 0.0) > 0.7, "the mouth that moves")
-        self.wait_for(lambda: "FacialActionUnits needs 99" in self.diagnostics["faces"].message, "the reason")
         self.clear()
         self.wait_for(lambda: not self.listening(), "the node to listen to nobody")
         self.assertEqual(broken.get_num_connections(), 0)

@@ -2,18 +2,23 @@
 """Topics of 2,000 ids are opened and closed; descriptors, threads and memory stay where they were."""
 
 import os
+import socket
+import threading
 import unittest
 
 import rosgraph
 import rospy
 import rostest
+from rospy.impl.tcpros_base import TCPROSTransport
+from rospy.impl.tcpros_pubsub import QueuedConnection, TCPROSPub
 from sensor_msgs.msg import RegionOfInterest
 from std_msgs.msg import String
-from waiting import held_by, pid_of, wait_for
 
 from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.ros.prompt_publishing import publish_without_yielding
 from hri_pipeline.ros.topic_lease import TopicLeases, TopicSpec
 from hri_pipeline.ros.tracked_list import TrackedList
+from hri_pipeline.testing import held_by, pid_of, wait_for
 
 IDS = 2000
 TOGETHER = 20
@@ -71,6 +76,81 @@ class TopicLeaseTest(unittest.TestCase):
         self.assertEqual(heard[1:], [("new", "0")])
         again.unregister()
 
+    def test_changes_of_a_state_in_quick_succession_all_arrive(self):
+        publish_without_yielding()      # as all nodes do
+        heard = []
+        subscriber = rospy.Subscriber("/humans/faces/abcde/name", String, lambda message: heard.append(message.data))
+        self.addCleanup(subscriber.unregister)
+        self.leases.open("abcde")
+        wait_for(lambda: self.leases.has_subscribers("abcde", "name"), 20, "a subscriber")
+        changes = [str(number) for number in range(10)]
+        for change in changes:
+            self.leases.publish("abcde", "name", String(change))
+        wait_for(lambda: heard and heard[-1] == changes[-1], 20, "the last change")
+        self.assertEqual(heard, changes)
+
+    def connection(self, topic, node):
+        """A connection as rospy's server makes one, and its other end."""
+        ours, theirs = socket.socketpair()
+        transport = TCPROSTransport(TCPROSPub(topic.resolved_name, RegionOfInterest), topic.resolved_name)
+        transport.set_socket(ours, node)
+        return transport, theirs
+
+    def senders(self):
+        """Threads of connections; those in which rospy answers the master come and go as the master likes."""
+        return {thread for thread in threading.enumerate()
+                if isinstance(getattr(getattr(thread, "_target", None), "__self__", None), QueuedConnection)}
+
+    def assert_left_alone(self, before, ends):
+        """No thread of theirs is left, and their other ends are told."""
+        wait_for(lambda: not self.senders() - before, 20, lambda: "these threads end: {}".format(self.senders() - before))
+        for end in ends:
+            self.assertEqual(end.recv(1), b"")
+            end.close()
+
+    def test_who_connects_to_a_topic_that_is_just_closed_leaves_no_thread(self):
+        """As rospy's server does: it looks the topic up, shakes hands, and adds the connection, whatever has happened."""
+        self.leases.open("abcde")
+        topic = self.leases._open["abcde"]["roi"].impl
+        add = topic.add_connection
+        before = self.senders()
+        ends = []
+
+        def connect(how):
+            transport, end = self.connection(topic, "/late")
+            ends.append(end)
+            how(transport)
+
+        connect(add)
+        self.assertEqual(len(self.senders() - before), 1)
+        self.leases.close("abcde")
+        for _ in range(5):
+            connect(add)
+            connect(topic.add_connection)
+        self.assert_left_alone(before, ends)
+
+    def test_connections_while_topics_are_closed_leave_no_thread(self):
+        before = self.senders()
+        ends = []
+
+        def connect(topic):
+            transport, end = self.connection(topic, "/racer{}".format(threading.get_ident()))
+            ends.append(end)
+            topic.add_connection(transport)
+
+        for number in range(100):
+            identity = "race{}".format(number)
+            self.leases.open(identity)
+            topic = self.leases._open[identity]["roi"].impl
+            racers = [threading.Thread(target=connect, args=(topic,)) for _ in range(4)]
+            for racer in racers:
+                racer.start()
+            self.leases.close(identity)
+            for racer in racers:
+                racer.join()
+        self.leases.close_all()     # 200 questions to the master: on a busy machine they take their time
+        self.assert_left_alone(before, ends)
+
     def churn(self, generator, tracked, received, count):
         """Open, publish, be heard, and close `count` ids, TOGETHER at a time."""
         peak = 0
@@ -118,6 +198,24 @@ class TopicLeaseTest(unittest.TestCase):
         self.assertTrue(self.leases.publish("abcde", "roi", RegionOfInterest()))
         with self.assertRaises(KeyError):
             self.leases.publish("abcde", "rio", RegionOfInterest())
+
+    def test_an_id_that_comes_again_at_once_keeps_its_topics(self):
+        heard = []
+        subscriber = rospy.Subscriber("/humans/faces/again/name", String, lambda message: heard.append(message.data))
+        for number in range(50):
+            self.leases.open("again")
+            self.leases.publish("again", "name", String(str(number)))       # latched: who connects later hears it
+            if number < 49:
+                self.leases.close("again")
+        wait_for(lambda: "49" in heard, 20, lambda: "the last one; heard {}".format(heard))
+        subscriber.unregister()
+
+    def test_when_all_are_closed_the_master_knows(self):
+        for number in range(20):
+            self.leases.open("one{}".format(number))
+        self.leases.close_all()
+        published = rosgraph.Master("/topic_lease_test").getSystemState()[0]
+        self.assertEqual([topic for topic, _ in published if topic.startswith("/humans/faces/one")], [])
 
     def test_what_is_not_an_id_is_refused(self):
         for text in ("", "1abc", "../x", "a b", "x" * 33, None):

@@ -9,7 +9,6 @@ import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from tf2_msgs.msg import TFMessage
-from waiting import wait_for
 
 from hri_msgs.msg import IdsList
 from hri_pipeline.core.geometry import Pose
@@ -17,6 +16,7 @@ from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, NodeDiagnostics
 from hri_pipeline.ros.tf_publisher import TfPublisher
 from hri_pipeline.ros.tracked_list import TrackedList
+from hri_pipeline.testing import wait_for
 
 TOPIC = "/humans/bodies/tracked"
 

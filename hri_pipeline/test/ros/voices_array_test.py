@@ -10,9 +10,9 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from microphone import RATE, Microphone, noise, speech
 from tf2_msgs.msg import TFMessage
-from waiting import wait_for
 
 from hri_msgs.msg import IdsList, LiveSpeech
+from hri_pipeline.testing import wait_for
 
 LIMIT = 30.0
 POSITIONS = np.array([(0.04, 0.04, 0.0), (-0.04, 0.04, 0.0), (-0.04, -0.04, 0.0), (0.04, -0.04, 0.0)])

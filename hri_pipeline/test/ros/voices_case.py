@@ -7,9 +7,9 @@ from audio_common_msgs.msg import AudioData
 from diagnostic_msgs.msg import DiagnosticArray
 from microphone import RATE, Microphone
 from std_msgs.msg import Bool, String
-from waiting import wait_for
 
 from hri_msgs.msg import AudioFeatures, IdsList
+from hri_pipeline.testing import wait_for
 
 LIMIT = 30.0
 

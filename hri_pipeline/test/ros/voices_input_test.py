@@ -10,7 +10,8 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticStatus
 from microphone import RATE, noise, speech, to_bytes
 from voices_case import LIMIT, VoicesCase
-from waiting import wait_for
+
+from hri_pipeline.testing import wait_for
 
 
 class VoicesInputTest(VoicesCase):

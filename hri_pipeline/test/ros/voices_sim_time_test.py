@@ -10,9 +10,9 @@ from audio_common_msgs.msg import AudioData
 from diagnostic_msgs.msg import DiagnosticArray
 from microphone import CHUNK_S, RATE, speech, to_bytes
 from rosgraph_msgs.msg import Clock
-from waiting import wait_for
 
 from hri_msgs.msg import IdsList
+from hri_pipeline.testing import wait_for
 
 LIMIT = 30.0
 BEGIN_S = 1000.0

@@ -8,9 +8,9 @@ import rostopic
 from diagnostic_msgs.msg import DiagnosticStatus
 from microphone import RATE, noise, speech
 from voices_case import LIMIT, VoicesCase
-from waiting import wait_for
 
 from hri_msgs.msg import IdsList
+from hri_pipeline.testing import wait_for
 
 
 class VoicesTest(VoicesCase):

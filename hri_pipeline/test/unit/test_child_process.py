@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from hri_pipeline.core.child_process import ends_with_parent
+from hri_pipeline.core.parent_death_signal import ends_with_parent
 
 SOURCE = str(Path(__file__).resolve().parents[2] / "src")
 
@@ -29,7 +29,7 @@ def test_without_setpriv_it_is_the_command_itself(monkeypatch, tmp_path):
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="setpriv is not installed")
 def test_the_command_ends_when_its_parent_is_killed():
     code = ("import subprocess, sys, time; sys.path.insert(0, {!r});"
-            "from hri_pipeline.core.child_process import ends_with_parent;"
+            "from hri_pipeline.core.parent_death_signal import ends_with_parent;"
             "print(subprocess.Popen(ends_with_parent(['/bin/sleep', '60'])).pid, flush=True); time.sleep(60)").format(SOURCE)
     parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
     try:

@@ -1,4 +1,4 @@
-"""No module of a core imports ROS: rospy, tf, messages."""
+"""No module of a core imports ROS: rospy, tf, messages; and packages depend on hri_pipeline alone, which depends on none of them."""
 
 import ast
 import re
@@ -36,6 +36,14 @@ def test_imports(path):
     assert not [name for name in names if ROS.match(name.split(".")[0])]
     # The ROS side of our own packages is as far away as rospy.
     assert not [name for name in names if name.split(".")[0] in PACKAGES and name.split(".")[1:2] == ["ros"]]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_packages_depend_on_the_pipeline_alone(package):
+    others = set(PACKAGES) - {package, "hri_pipeline"}
+    wrong = ["{}: {}".format(path.name, name) for path in sorted((ROOT / package / "src").rglob("*.py"))
+             for name in imported(ast.parse(path.read_text(encoding="utf-8"))) if name.split(".")[0] in others]
+    assert wrong == []
 
 
 def test_the_check_itself_sees_an_import():

@@ -181,6 +181,14 @@ def test_what_is_said():
     assert announcer.to_say([], 2.0) == []
 
 
+def test_nothing_is_withdrawn_when_the_face_or_the_body_leaves():
+    matcher, announcer = make(), MatchAnnouncer()
+    matcher.set_tracked("faces", ["f1", "f2"])
+    matcher.set_tracked("bodies", ["b2", "b3"])
+    announcer.to_say([PairMatch("f1", "b1", 0.8), PairMatch("f2", "b2", 0.8), PairMatch("f3", "b3", 0.8)], 0.0)
+    assert announcer.to_say([], 0.1, matcher.has_left) == [PairMatch("f2", "b2", 0.0)]
+
+
 def test_heads_at_one_place_are_likely_and_the_line_of_sight_is_inexact():
     face = np.array([[0.0, 0.0, 2.0]])
     across, along = (place_likelihoods(face, face + [shift])[0, 0] for shift in ((0.4, 0.0, 0.0), (0.0, 0.0, 0.4)))

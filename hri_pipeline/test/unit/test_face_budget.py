@@ -125,6 +125,35 @@ def test_a_larger_share_pays_sooner_and_nonsense_is_refused():
             share.change(wrong)
 
 
+def test_what_is_saved_up_is_there_at_once_and_comes_again_in_quiet_images():
+    share = TimeShare(0.005, saved=0.1)
+
+    def done(images):
+        count = 0
+        for _ in range(images):
+            if share.next_image():
+                share.spent(0.025)
+                count += 1
+        return count
+
+    assert share.ample
+    assert done(5) == 5                 # 0.125 of 0.1 and five shares
+    assert not share.ample
+    assert done(100) == 20              # as without savings
+    for _ in range(10):
+        share.next_image()
+    assert done(3) == 3                 # 0.05 has been saved up
+    for _ in range(1000):
+        share.next_image()
+    assert done(20) == 5 + 3            # no more than 0.1 is
+
+
+def test_savings_that_are_none_are_refused():
+    for wrong in (-0.1, float("nan")):
+        with pytest.raises(ValueError):
+            TimeShare(0.005, wrong)
+
+
 def test_what_is_left_of_the_budget_goes_to_the_next_image():
     """2.4 looks per image are two and three in turn: no face pays for the rounding."""
     budget = FaceBudget(0.0, 0.012, 0.005)

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from hri_pipeline.core.faces import face_flow
 from hri_pipeline.core.faces.face_flow import FaceFlow
 
 BOXES = [np.array([100.0, 80.0, 180.0, 170.0]), np.array([300.0, 200.0, 340.0, 250.0])]
@@ -61,6 +62,27 @@ def test_another_picture_and_one_without_marks_tell_nothing():
     flow.update(texture(), [], [])
     flat = np.full((360, 480, 3), 90, np.uint8)
     assert flow.update(flat, BOXES, STILL) == [None, None]
+
+
+def test_images_without_a_box_are_not_shrunk_until_one_follows_and_nothing_else_changes(monkeypatch):
+    shrunk = []
+    shrink = face_flow.shrink
+    monkeypatch.setattr(face_flow, "shrink", lambda image: shrunk.append(image) or shrink(image))
+    images = [moved(texture(), 2.0 * number, -1.5 * number) for number in range(8)]
+    counts, lazy, eager = [0, 0, 0, 2, 1, 2, 0, 0], FaceFlow(), FaceFlow()
+    for image, count in zip(images, counts):
+        told = lazy.update(image, BOXES[:count], STILL[:count])
+        assert all(motion is not None for motion in told)
+        wanted = eager.update(image, BOXES, STILL)[:count]      # always with boxes: each image as it comes
+        np.testing.assert_array_equal(np.array(told), np.array(wanted))
+    shrunk.clear()
+    flow, needed = FaceFlow(), []
+    for image, count in zip(images, counts):
+        flow.update(image, BOXES[:count], STILL[:count])
+        needed.append(len(shrunk))
+    assert needed == [0, 0, 0, 2, 3, 4, 4, 4]
+    flow.reset()
+    assert flow.update(images[0], BOXES, STILL) == [None, None]
 
 
 def test_another_size_starts_anew_and_so_does_a_reset():

@@ -11,7 +11,7 @@ import pytest
 
 from hri_pipeline.core.interactions.formations import find_formations, o_spaces
 from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
-from hri_pipeline.core.test_data import ABSENT, data_directory
+from hri_pipeline.evaluation.data_directory import ABSENT, data_directory
 from hri_pipeline.evaluation.group_figures import group_figures, stability
 from hri_pipeline.evaluation.group_scenes import public_scenes, simulated_scenes, with_noise
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.private_file import StoreError, Transform
-from hri_pipeline.core.recognition import person_store
+from hri_pipeline.core.recognition import person_database, person_store
 from hri_pipeline.core.recognition.gallery import KnownPerson
 from hri_pipeline.core.recognition.person_store import PersonStore, StoredPerson
 from hri_pipeline.evaluation.full_disk import no_room
@@ -178,8 +178,8 @@ def test_without_room_nothing_is_lost_and_nothing_set_aside(path):
 def test_traces_that_a_full_disk_has_left_are_erased_later(path, monkeypatch):
     store = filled(path)
     # A file system that has room for the deletion, and none for the file to be written anew.
-    whole = store._erase
-    monkeypatch.setattr(store, "_erase", lambda: _without_room(whole))
+    whole = store._database.erase
+    monkeypatch.setattr(store._database, "erase", lambda: _without_room(whole))
     with pytest.raises(StoreError, match="make room"):
         store.expire(400.0, max_age=350.0, max_persons=0)
     monkeypatch.undo()
@@ -205,10 +205,10 @@ def test_a_damaged_store_that_another_one_holds_is_left_alone(path):
 
 
 def test_a_newer_schema_is_refused_and_left_alone(path, monkeypatch):
-    newer = person_store.MIGRATIONS + (("ALTER TABLE persons ADD COLUMN shoe_size REAL",),)
+    newer = person_database.MIGRATIONS + (("ALTER TABLE persons ADD COLUMN shoe_size REAL",),)
     filled(path).close()
     with monkeypatch.context() as patched:
-        patched.setattr(person_store, "MIGRATIONS", newer)
+        patched.setattr(person_database, "MIGRATIONS", newer)
         store = PersonStore(path)
         assert len(store.load_records()) == 4, "an older one is brought to the newer schema, with all that is in it"
         store.close()

@@ -204,6 +204,14 @@ def test_matches_join_what_is_of_one_person():
     assert all(match.first_kind == FACE and owner[match.first] == match.second for match in known)
 
 
+def test_nothing_is_withdrawn_of_who_leaves():
+    matches = SceneMatches(sense_defaults())
+    _, sensed = list(run(scene(at_robot("ann", 2.0, 0.5)), 6.0, **CLEAN))[-1]
+    assert matches.update(sensed)
+    assert matches.update(replace(sensed, faces=(), bodies=(), voices=())) == []
+    assert {match.first for match in matches.update(sensed)} >= {face.id for face in sensed.faces}       # is back: said at once
+
+
 def test_a_face_is_recognised_after_the_delay():
     matches = SceneMatches(sense_defaults(recognition_delay=3.0))
     first = next(truth.stamp for truth, sensed in run(scene(at_robot("ann", 2.0, 0.5)), 8.0, **CLEAN)

@@ -23,10 +23,13 @@ NAMES = {"ann": "pa", "bob": "pb", "cho": "pc"}
 
 def write(path, names=lambda t: NAMES, shift=(0.0, 0.0, 0.0), listed=lambda t, ids: ids, gaze=True, groups=True, parent=("map", None),
           truth=True, late=0.02):
-    """A bag in which persons are where they truly are, moved by `shift`; names(t): person ids by true ids."""
+    """A bag in which persons are where they truly are, moved by `shift`; names(t): person ids by true ids.
+
+    parent: frame of the persons, and its pose in map: None, fixed, or by the time, as links that move (name, pose in the one before).
+    """
     world = World(SCENE)
     with SceneBag(path) as bag:
-        if parent[1] is not None:
+        if isinstance(parent[1], Pose):
             bag.transforms("/tf_static", [("map", parent[0], parent[1])], BASE)
         for number in range(int(SECONDS * RATE)):
             now = world.at(number / RATE)
@@ -35,10 +38,15 @@ def write(path, names=lambda t: NAMES, shift=(0.0, 0.0, 0.0), listed=lambda t, i
                 bag.truth(now, BASE)
             shown = listed(now.stamp, [ids[person.id] for person in now.people])
             bag.ids("/humans/persons/tracked", shown, stamp)
-            frames = []
+            frames, sensor = [], parent[1] or Pose.identity()
+            if callable(sensor):
+                links, sensor = sensor(now.stamp), Pose.identity()
+                for above, (link, pose) in zip(["map"] + [link for link, _ in links], links):
+                    frames.append((above, link, pose))
+                    sensor = sensor.compose(pose)
             for person in now.people:
                 place = upright(person.head + np.array(shift))
-                frames.append((parent[0], "person_" + ids[person.id], place if parent[1] is None else parent[1].inverse().compose(place)))
+                frames.append((parent[0], "person_" + ids[person.id], sensor.inverse().compose(place)))
             bag.transforms("/tf", frames, stamp, stamp + late)
             for person in ids.values():
                 bag.confidence(person, 1.0, stamp)
@@ -101,6 +109,15 @@ def test_persons_in_the_frame_of_the_camera(tmp_path):
     camera = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.array([0.3, 0.1, 1.3]))
     figures = score(read_bag(write(tmp_path / "a.bag", parent=("camera", camera))))
     assert figures["mota"] == 1.0 and figures["motp_m"] < 1e-6
+
+
+def test_a_camera_on_links_that_move_and_are_called_as_those_of_humans(tmp_path):
+    def links(t):
+        turn = np.array([[math.cos(t), -math.sin(t), 0.0], [math.sin(t), math.cos(t), 0.0], [0.0, 0.0, 1.0]])
+        return [("body_link", Pose(np.eye(3), np.array([0.1 * t, 0.0, 1.0]))), ("head_pan_link", Pose(turn, np.array([0.0, 0.1, 0.4]))),
+                ("camera", Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.array([0.05, 0.0, 0.1])))]
+    figures = score(read_bag(write(tmp_path / "a.bag", parent=("camera", links))))
+    assert figures["foreign_frames"] == 0 and figures["mota"] == 1.0 and figures["motp_m"] < 1e-6
 
 
 def test_persons_in_a_frame_that_leads_nowhere(tmp_path):

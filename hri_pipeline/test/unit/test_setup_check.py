@@ -6,7 +6,7 @@ import pytest
 
 from hri_pipeline.core.setup.check_parameters import CHECK_PARAMETERS
 from hri_pipeline.core.setup.setup_check import FAULT, HINT, as_text, check, is_well
-from hri_pipeline.core.setup.setup_facts import Calibration, Facts, Picture, Stream
+from hri_pipeline.core.setup.setup_facts import NO_IMAGE_YET, Calibration, Facts, Picture, Stream
 
 SETTINGS = CHECK_PARAMETERS.resolve({})
 IMAGE = Stream("/camera/image_raw", "sensor_msgs/Image", ("sensor_msgs/Image", ), ("/camera", ), (), 90, 30.0, 0.03, "optical")
@@ -74,3 +74,76 @@ def test_what_still_works_is_a_hint(facts, word):
 
 def test_simulated_time_that_runs_is_fine():
     assert is_well(check(replace(WELL, sim_time=True, clock_messages=100), SETTINGS))
+
+
+NO_CAMERA = image(types=(), publishers=(), messages=0, frame="")
+NO_CAMERA = replace(NO_CAMERA, picture=None, calibration=None, camera_frame="", tracked={}, statuses={
+    "hri_faces: input": (2, "no publisher on /camera/image_raw for 12 s; start the camera or remap `image`"),
+    "hri_faces: pipeline": (1, NO_IMAGE_YET),
+    "hri_faces: faces": (1, "the processor is too slow"),
+    "hri_bodies: input": (2, "no publisher on /camera/image_raw for 9 s; start the camera or remap `image`"),
+    "hri_bodies: pipeline": (1, NO_IMAGE_YET)})
+
+
+def test_what_follows_from_a_silent_camera_stands_below_it():
+    findings = check(NO_CAMERA, SETTINGS)
+    assert [finding.what for finding in findings if finding.level == FAULT] == ["nobody publishes /camera/image_raw"]
+    assert [finding.what for finding in findings if finding.level == HINT] == ["hri_faces: faces: the processor is too slow"]
+    lines = as_text(findings).split("\n")
+    fault = lines.index("FAULT  nobody publishes /camera/image_raw")
+    assert lines[fault + 1].startswith("       -> start the camera")
+    assert lines[fault + 2:fault + 4] == [
+        "       hence  hri_bodies: input: no publisher on /camera/image_raw for 9 s; pipeline: no image yet",
+        "       hence  hri_faces: input: no publisher on /camera/image_raw for 12 s; pipeline: no image yet"]
+    assert lines[-1] == "1 fault found"
+
+
+def test_a_node_with_another_topic_keeps_its_own_fault():
+    other = {"hri_faces: input": (2, "no publisher on /camera/image_raw/left for 12 s; start the camera"),
+             "hri_faces: pipeline": (1, NO_IMAGE_YET)}
+    findings = check(replace(NO_CAMERA, statuses=other), SETTINGS)
+    assert sum(finding.level == FAULT for finding in findings) == 2
+    assert [finding.what for finding in findings if finding.level == HINT] == ["hri_faces: pipeline: " + NO_IMAGE_YET]
+
+
+@pytest.mark.parametrize("facts, status, count", [
+    (replace(WELL, picture=Picture(encoding="x", problem="encoding 'x' is not supported")),
+     (2, "/camera/image_raw: encoding 'x' is not supported"), 1),
+    (replace(WELL, calibration=Calibration(1280, 720, 0.0)), (1, "/camera/camera_info: K is all zero; give fallback_fov"), 1),
+    (replace(WELL, info=replace(INFO, types=(), publishers=(), messages=0), calibration=None),
+     (1, "no camera_info on /camera/camera_info: remap it"), 1),
+    (replace(WELL, picture=Picture(1280, 720, "bgr8", "", 4.0, 3.0)),
+     (1, "/camera/image_raw: /left, /right send too, only /left is heard"), 2),
+    (image(rate=1.0), (2, "/camera/image_raw: broken"), 2),
+])
+def test_the_same_fault_is_told_once_and_others_are_not_hidden(facts, status, count):
+    findings = check(replace(facts, statuses={"hri_faces: input": status}), SETTINGS)
+    assert sum(finding.level > 0 for finding in findings) == count
+
+
+NOTHING = Facts(nodes={name: "absent" for name in SETTINGS.nodes}, image=Stream("/image", "sensor_msgs/Image"),
+                info=Stream("/camera_info", "sensor_msgs/CameraInfo"), models_directory="models")
+
+
+def test_where_nothing_of_the_stack_runs_the_first_line_says_so_and_nothing_else():
+    text = as_text(check(NOTHING, SETTINGS)).split("\n")
+    assert text == ["FAULT  nothing of ros4hri runs on this master", "       -> roslaunch ros4hri ros4hri.launch", "1 fault found"]
+
+
+def test_what_will_be_in_the_way_of_a_stack_that_does_not_run_is_told():
+    findings = check(replace(NOTHING, image=IMAGE, info=INFO, picture=WELL.picture, calibration=Calibration(1280, 720, 0.0),
+                             models_missing=("pose.onnx", )), SETTINGS)
+    assert findings[0].what == "nothing of ros4hri runs on this master"
+    assert [word in as_text(findings) for word in ("pose.onnx", "not calibrated", "nobody is tracked")] == [True, True, False]
+
+
+def test_other_nodes_of_the_stack_are_something():
+    findings = check(replace(NOTHING, publishing=("/robot/hri_faces", )), SETTINGS)
+    assert [finding.what for finding in findings if "does not run" in finding.what] == [
+        "the node {} does not run".format(name) for name in SETTINGS.nodes]
+
+
+def test_a_node_that_is_meant_to_be_off_is_left_out_by_a_command():
+    nodes = {"hri_faces": "running", "hri_bodies": "absent", "hri_person_manager": "running"}
+    mend = [finding.mend for finding in check(replace(WELL, nodes=nodes), SETTINGS) if finding.level == FAULT][0]
+    assert "rosrun hri_pipeline check _nodes:=\"[hri_faces, hri_person_manager]\"" in mend

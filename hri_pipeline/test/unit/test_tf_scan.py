@@ -6,7 +6,7 @@ import struct
 
 import pytest
 
-from hri_pipeline.core.tf_scan import RawTransform, read, scan
+from hri_pipeline.core.tf_scan import RawTransform, read, read_stamp, scan
 
 
 def packed(*transforms):
@@ -45,3 +45,26 @@ def test_a_leading_slash_is_dropped():
 def test_what_is_no_message_is_refused(data):
     with pytest.raises(ValueError):
         scan(data)
+
+
+@pytest.mark.parametrize("secs, nsecs", [(2 ** 31 - 1, 0), (2 ** 32 - 1, 2 ** 32 - 1), (12, 10 ** 9)])
+def test_a_stamp_that_is_none_is_refused(secs, nsecs):
+    data = packed(HEAD._replace(secs=secs, nsecs=nsecs))
+    for reader in (read, read_stamp):
+        with pytest.raises(ValueError, match="no time"):
+            reader(data, scan(data)[0][1])
+
+
+@pytest.mark.parametrize("secs, nsecs", [(0, 0), (2 ** 31 - 2, 999999999)])
+def test_the_first_and_the_last_stamp(secs, nsecs):
+    data = packed(HEAD._replace(secs=secs, nsecs=nsecs))
+    assert read_stamp(data, 4) == (secs, nsecs)
+    assert read(data, 4) == HEAD._replace(secs=secs, nsecs=nsecs)
+
+
+@pytest.mark.parametrize("numbers, is_pose", [
+    ({}, True), ({"rotation": (0.0, 0.0, 3.0, 4.0)}, True), ({"rotation": (0.0,) * 4}, False),
+    ({"rotation": (0.0, 0.0, 0.0, float("nan"))}, False), ({"rotation": (1e200, 0.0, 0.0, 1e200)}, False),
+    ({"translation": (0.0, float("inf"), 0.0)}, False), ({"translation": (float("nan"), 0.0, 0.0)}, False)])
+def test_numbers_that_are_a_pose(numbers, is_pose):
+    assert HEAD._replace(**numbers).is_pose is is_pose

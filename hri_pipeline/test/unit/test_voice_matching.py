@@ -320,6 +320,19 @@ def test_the_announcer_says_changes_repeats_and_withdrawals():
         Announcer(-0.1)
 
 
+def test_nothing_is_withdrawn_of_what_has_left():
+    announcer = Announcer(0.1)
+    announcer.to_say({"stays": 0.7, "leaves": 0.7}, 0.0)
+    assert announcer.to_say({}, 0.1, lambda key: key == "leaves") == [("stays", 0.0)]
+    assert announcer.to_say({}, 0.2) == []
+    assert announcer.to_say({"leaves": 0.7}, 0.3) == [("leaves", 0.7)]       # is back: said at once
+    matcher = make()
+    matcher.set_tracked("voices", ["va"])
+    matcher.set_tracked("faces", ["fa"])
+    assert not matcher.has_left(("va", FACE, "fa")) and not matcher.has_left(("va", PERSON, "ann"))
+    assert matcher.has_left(("vb", PERSON, "ann")) and matcher.has_left(("va", FACE, "fb"))
+
+
 def test_places_are_those_of_who_is_followed_and_fresh():
     places = HumanPlaces()
     places.follow("face", ["fa"])

@@ -9,11 +9,11 @@ from typing import Dict, List, Optional, Sequence
 
 import numpy as np
 
-from hri_fullbody.core.human_model import Dimensions, Layout, layout_for
-from hri_fullbody.core.joint_solver import JointSolver
-from hri_fullbody.core.keypoint_filter import FilteredPoints, FilterSettings, KeypointFilter
-from hri_fullbody.core.person_dimensions import DimensionSettings, PersonDimensions
-from hri_fullbody.core.segment_table import SegmentTable
+from hri_fullbody.core.human.human_model import Dimensions, Layout, layout_for
+from hri_fullbody.core.human.person_dimensions import DimensionSettings, PersonDimensions
+from hri_fullbody.core.human.segment_table import SegmentTable
+from hri_fullbody.core.joints.joint_solver import JointSolver
+from hri_fullbody.core.smoothing.keypoint_filter import FilteredPoints, FilterSettings, KeypointFilter
 from hri_pipeline.core.geometry import Pose
 
 _LEAST_POINTS = 4

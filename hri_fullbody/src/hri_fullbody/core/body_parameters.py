@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Tuple
 
 from hri_fullbody.core.body_modeller_parameters import MODELLER_PARAMETERS
-from hri_pipeline.core.faces.face_parameters import CAMERA_PARAMETERS, FACE_STAGE_PARAMETERS
+from hri_pipeline.core.faces.face_parameters import CAMERA_PARAMETERS, DEPTH_PARAMETERS, FACE_STAGE_PARAMETERS
 from hri_pipeline.core.parameters import Parameter, ParameterTable
 
 BODY_STAGE_PARAMETERS = (
@@ -20,8 +20,8 @@ BODY_STAGE_PARAMETERS = (
               " `full`. Larger follows fast movements better. 0: every image.",
               unit="Hz", minimum=0.0, maximum=120.0, live=True),
     Parameter("pose_budget", 3, "Most windows per image that the pose network looks at for known bodies; what is left"
-              " (one at least) goes to new ones. With more people than that the fast, the new, and those who have"
-              " waited longest come first. 0: no limit.", minimum=0, maximum=64, live=True),
+              " (one at least, and two in slow images) goes to new ones. With more people than that the fast, the new,"
+              " and those who have waited longest come first. 0: no limit.", minimum=0, maximum=64, live=True),
     Parameter("max_bodies", 10, "Most bodies tracked at the same time. Each costs 11 to 15 ms of one core `pose_rate`"
               " times a second.",
               minimum=1, maximum=64),
@@ -38,16 +38,11 @@ BODY_STAGE_PARAMETERS = (
               " Larger finds a group sooner, smaller keeps the frame rate even.", minimum=1, maximum=64, live=True),
     Parameter("body_birth_delay", 0.1, "Time for which a body must be seen before it gets its topics. Larger keeps out"
               " more flickering false bodies.", unit="s", minimum=0.0, maximum=10.0, live=True),
-    Parameter("body_death_time", 1.0, "Time after which a body that is not seen any more is dropped with its id."
-              " Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True),
+    Parameter("body_death_time", 1.0, "Time after which a body that is looked for in vain (twice at least) is dropped with its"
+              " id, and one that waits for its look is not published. Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True),
     Parameter("body_memory", 10.0, "Time for which a lost body is remembered by the colours of its clothes and its place: a new"
               " body that fits is told to be the same person (the id is a new one all the same). 0: never.", unit="s",
               minimum=0.0, maximum=300.0),
-    Parameter("use_depth", False, "Subscribe to `depth`, a depth image registered to the colour image, and place the"
-              " bodies by it. Without depth for an image the place follows from face, floor and size of the body."),
-    Parameter("depth_slop", 0.03, "Largest difference of the stamps of an image and its depth image. Larger takes more"
-              " pairs of cameras that are not synchronised, and puts moving people where they were.",
-              unit="s", minimum=0.0, maximum=1.0),
 )
 """What BodyStage needs, besides `providers`."""
 
@@ -75,20 +70,25 @@ def _but_interface(parameters: Tuple[Parameter, ...]) -> Tuple[Parameter, ...]:
     return tuple(parameter for parameter in parameters if parameter.name != "interface")
 
 
-_BODY_PARAMETERS = BODY_STAGE_PARAMETERS + _but_interface(MODELLER_PARAMETERS) + BODY_OUTPUT_PARAMETERS
+_BODY_PARAMETERS = BODY_STAGE_PARAMETERS + DEPTH_PARAMETERS + _but_interface(MODELLER_PARAMETERS) + BODY_OUTPUT_PARAMETERS
 
 # Of more images than there are joint states nothing would be seen, and each costs 3 ms even when nobody is looked at in it.
 _BODY_RATE = 15.0
+
+_NICE = Parameter("nice", 5, "How far this node stands back behind all others on a busy processor, as in nice(1). The node `bodies` does, so"
+                  " that faces, and with them persons, come first. 0: as much as they; 19: it works when nobody else has anything to"
+                  " do.", minimum=0, maximum=19)
 
 BODIES = ParameterTable(
     "bodies",
     "Node bodies: finds and follows bodies, their 18 key points, their place in front of the camera, and their joints.",
     _BODY_PARAMETERS + tuple(replace(parameter, default=_BODY_RATE) if parameter.name == "max_rate" else parameter
-                             for parameter in _but_interface(CAMERA_PARAMETERS)) + _INTERFACE,
+                             for parameter in _but_interface(CAMERA_PARAMETERS)) + _INTERFACE + (_NICE,),
 )
 
 VISION = ParameterTable(
     "vision",
     "Node vision: the nodes faces and bodies in one process; an image is received and decoded once.",
-    FACE_STAGE_PARAMETERS + _BODY_PARAMETERS + _but_interface(CAMERA_PARAMETERS) + _INTERFACE,
+    FACE_STAGE_PARAMETERS + _BODY_PARAMETERS + _but_interface(CAMERA_PARAMETERS) + _INTERFACE
+    + (replace(_NICE, default=0),),
 )

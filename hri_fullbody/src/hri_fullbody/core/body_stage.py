@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,14 +10,14 @@ from typing import Callable, Dict, List, Optional, Sequence
 
 import numpy as np
 
-from hri_fullbody.core.body_continuity import Appearance, BodyContinuity, Return
-from hri_fullbody.core.body_placement import place
-from hri_fullbody.core.body_schedule import PoseSchedule
-from hri_fullbody.core.body_shape import BodyShape, Surroundings
-from hri_fullbody.core.body_tracker import BodyTracker, PoseEstimator
-from hri_fullbody.core.body_windows import FaceBox
-from hri_fullbody.core.person_detector import CenterNetDetector, PersonDetector
-from hri_fullbody.core.pose_model import BODY_LANDMARKS, PoseEstimate, PoseModel
+from hri_fullbody.core.placement.body_placement import place
+from hri_fullbody.core.placement.body_shape import BodyShape, Surroundings
+from hri_fullbody.core.sight.body_windows import FaceBox
+from hri_fullbody.core.sight.person_detector import CenterNetDetector, PersonDetector
+from hri_fullbody.core.sight.pose_model import BODY_LANDMARKS, PoseEstimate, PoseModel
+from hri_fullbody.core.tracking.body_continuity import Appearance, BodyContinuity, Return
+from hri_fullbody.core.tracking.body_schedule import PoseSchedule
+from hri_fullbody.core.tracking.body_tracker import BodyTracker, PoseEstimator
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
@@ -28,6 +29,10 @@ from hri_pipeline.core.timing import StageTimes
 DETECTOR_MODEL = "person_centernet.onnx"
 POSE_MODELS = ("lite", "full", "heavy")
 _SEEN = 0.5
+# Images that come more slowly (s) need not take the same time each, and who is there is found in few of them: two windows
+# of the budget are for those who wait.
+SLOW_S = 0.25
+_SLOW_NEW = 2
 
 
 def pose_model_path(configured: str) -> Path:
@@ -95,7 +100,7 @@ class BodyStage:
 
     @property
     def tracked_ids(self) -> List[str]:
-        """Ids of the confirmed bodies, also of those unseen for less than the death time."""
+        """Ids of the confirmed bodies, also of those who wait for their look, or were looked for in vain only for a while."""
         return [track.id for track in self._tracker.tracks if track.life.confirmed]
 
     @property
@@ -115,22 +120,23 @@ class BodyStage:
         """
         if stamp < self._last_stamp:
             self.reset()
+        slow = SLOW_S < stamp - self._last_stamp < math.inf
         self._last_stamp = stamp
         height, width = bgr.shape[:2]
         camera = camera.resized(width, height)
         with self.times("poses"):
-            self._tracker.follow(bgr, stamp, faces, lambda estimate: self._locate(estimate, camera))
-        self._search(bgr, stamp, faces)
+            self._tracker.follow(bgr, stamp, faces, lambda estimate: self._locate(estimate, camera), _SLOW_NEW if slow else 0)
+        self._search(bgr, stamp, faces, slow)
         self.returned = self._continuity.update(
             [Appearance(track.id, track.looks, track.sight.root) for track in self._tracker.tracks if track.life.confirmed],
             stamp)
         with self.times("placement"):
             return self._observe(camera, stamp, faces, Surroundings(depth, up, camera_height))
 
-    def _search(self, bgr: np.ndarray, stamp: float, faces: Sequence[FaceBox]) -> None:
+    def _search(self, bgr: np.ndarray, stamp: float, faces: Sequence[FaceBox], slow: bool) -> None:
         """Look for new bodies: with the detector when it is due, else in a few of the places where they may be.
 
-        When the detector is due in every image, both are done in each.
+        When the detector is due in every image, or images are slow, both are done in each.
         """
         due = stamp - self._last_detection >= self._settings.person_detection_period
         detected_before, self._detected_before = self._detected_before, due
@@ -139,7 +145,7 @@ class BodyStage:
             with self.times("person detector"):
                 boxes, _ = self._detector.detect(bgr)
             self._tracker.propose(boxes, faces, stamp)
-            if not detected_before:
+            if not detected_before and not slow:
                 return
         windows, budget = self._settings.new_windows_per_image, self._settings.pose_budget
         if budget:

@@ -11,8 +11,8 @@ from typing import Dict, Tuple
 import numpy as np
 
 from hri_fullbody.core import skeleton as kp
-from hri_fullbody.core.arm_features import trunk_axes
-from hri_fullbody.core.attitude import Attitude
+from hri_fullbody.core.language.arm_features import trunk_axes
+from hri_fullbody.core.language.attitude import Attitude
 from hri_fullbody.evaluation.mocap import FACE, Motion
 
 _SIDES = {"left": (kp.LEFT_SHOULDER, 1.0), "right": (kp.RIGHT_SHOULDER, -1.0)}

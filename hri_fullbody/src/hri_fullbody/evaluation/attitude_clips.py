@@ -13,8 +13,8 @@ from typing import List, Optional, Sequence, Tuple
 import numpy as np
 
 from hri_fullbody.core import skeleton as kp
-from hri_fullbody.core.attitude import Attitude
-from hri_fullbody.core.segment_table import SegmentTable
+from hri_fullbody.core.human.segment_table import SegmentTable
+from hri_fullbody.core.language.attitude import Attitude
 from hri_fullbody.evaluation.attitude_arms import move_arms
 from hri_fullbody.evaluation.mocap import Motion, before_camera, load_motion
 from hri_fullbody.evaluation.virtual_people import virtual_people

@@ -14,9 +14,9 @@ from typing import Dict, Iterator, List, Sequence, Tuple
 
 import numpy as np
 
-from hri_fullbody.core.attitude import Attitude
-from hri_fullbody.core.body_language import BodyLanguage
-from hri_fullbody.core.keypoint_filter import KeypointFilter
+from hri_fullbody.core.language.attitude import Attitude
+from hri_fullbody.core.language.body_language import BodyLanguage
+from hri_fullbody.core.smoothing.keypoint_filter import KeypointFilter
 from hri_fullbody.evaluation.attitude_clips import (
     ALL,
     CLASSES,

@@ -13,11 +13,11 @@ import numpy as np
 
 from hri_fullbody.core import skeleton as kp
 from hri_fullbody.core.body_modeller import BodyInput, BodyModeller
-from hri_fullbody.core.forward_kinematics import forward
-from hri_fullbody.core.human_model import PAPER, Dimensions
-from hri_fullbody.core.keypoint_filter import KeypointFilter
-from hri_fullbody.core.segment_table import SegmentTable
-from hri_fullbody.core.stature import StatureEstimator
+from hri_fullbody.core.human.human_model import PAPER, Dimensions
+from hri_fullbody.core.human.segment_table import SegmentTable
+from hri_fullbody.core.human.stature import StatureEstimator
+from hri_fullbody.core.joints.forward_kinematics import forward
+from hri_fullbody.core.smoothing.keypoint_filter import KeypointFilter
 from hri_fullbody.evaluation.chain import mpjpe_mm, track
 from hri_fullbody.evaluation.mocap import Motion, before_camera, load_motion, trial_names
 from hri_fullbody.evaluation.noise import LEVELS, Level, add_noise

@@ -15,7 +15,7 @@ import numpy as np
 from hri_fullbody.core import skeleton as kp
 from hri_fullbody.evaluation.acclaim import Bone, BonePoses, pose_bones, read_motion, read_skeleton
 from hri_fullbody.evaluation.virtual_people import Person
-from hri_pipeline.core.test_data import ABSENT, data_directory
+from hri_pipeline.evaluation.data_directory import ABSENT, data_directory
 
 RECORDED_HZ = 120.0
 # Face at a stature of 1.70 m in the head frame (x out of the face, y left, z up) at the skull base, m.

@@ -12,12 +12,12 @@ from typing import Callable, Dict, List, Tuple
 import numpy as np
 
 from hri_fullbody.core.body_modeller import BodyInput, BodyModeller
-from hri_fullbody.core.forward_kinematics import TARGET_POINTS, compute_frames
-from hri_fullbody.core.human_model import PAPER, Dimensions, stack_dimensions
-from hri_fullbody.core.human_urdf import make_urdf
-from hri_fullbody.core.ikpy_solver import LIMBS, LimbChains
-from hri_fullbody.core.joint_solver import JointSolver
-from hri_fullbody.core.segment_table import SegmentTable
+from hri_fullbody.core.human.human_model import PAPER, Dimensions, stack_dimensions
+from hri_fullbody.core.human.human_urdf import make_urdf
+from hri_fullbody.core.human.segment_table import SegmentTable
+from hri_fullbody.core.joints.forward_kinematics import TARGET_POINTS, compute_frames
+from hri_fullbody.core.joints.ikpy_solver import LIMBS, LimbChains
+from hri_fullbody.core.joints.joint_solver import JointSolver
 from hri_fullbody.evaluation.fit_figures import motions
 from hri_fullbody.evaluation.noise import add_noise
 

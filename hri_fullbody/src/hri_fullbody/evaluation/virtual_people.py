@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, List
 import numpy as np
 
 if TYPE_CHECKING:
-    from hri_fullbody.core.segment_table import SegmentTable
+    from hri_fullbody.core.human.segment_table import SegmentTable
 
 
 @dataclass(frozen=True)

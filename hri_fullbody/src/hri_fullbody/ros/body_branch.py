@@ -15,7 +15,7 @@ from visualization_msgs.msg import MarkerArray
 
 from hri_fullbody.core.body_modeller import ModelledBody
 from hri_fullbody.core.body_stage import BodyStage
-from hri_fullbody.core.body_windows import FaceBox
+from hri_fullbody.core.sight.body_windows import FaceBox
 from hri_fullbody.core.stamp_pacer import StampPacer
 from hri_fullbody.ros.body_models import BodyModels
 from hri_fullbody.ros.body_persons import BodyPersons
@@ -60,7 +60,7 @@ class BodyBranch:
         self._no_frame = False
         self._closed = False
         # Few limbs need it, and no body has to wait for it.
-        threading.Thread(target=importlib.import_module, args=("hri_fullbody.core.ikpy_solver",), name="ikpy", daemon=True).start()
+        threading.Thread(target=importlib.import_module, args=("hri_fullbody.core.joints.ikpy_solver",), name="ikpy", daemon=True).start()
 
     def process(self, frame: Frame, context: dict) -> None:
         """Find the bodies in a frame, publish them, and leave them in context["bodies"]."""

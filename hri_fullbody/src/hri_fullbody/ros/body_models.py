@@ -10,12 +10,12 @@ from typing import Deque, Dict, Optional, Sequence, Tuple
 import numpy as np
 import rospy
 
-from hri_fullbody.core.body_language import BodyExpression, BodyLanguage
 from hri_fullbody.core.body_modeller import BodyInput, BodyModeller, ModelledBody
-from hri_fullbody.core.gesture import Gesture
-from hri_fullbody.core.human_urdf import make_urdf
-from hri_fullbody.core.posture import Posture, without_guessed_legs
-from hri_fullbody.core.stature import MONOCULAR
+from hri_fullbody.core.human.human_urdf import make_urdf
+from hri_fullbody.core.human.stature import MONOCULAR
+from hri_fullbody.core.language.body_language import BodyExpression, BodyLanguage
+from hri_fullbody.core.language.gesture import Gesture
+from hri_fullbody.core.language.posture import Posture, without_guessed_legs
 from hri_fullbody.ros.state_publishers import StatePublishers
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import BodyObservation

@@ -9,7 +9,7 @@ from typing import Iterable
 import rospy
 from std_msgs.msg import String
 
-from hri_fullbody.core.body_continuity import Return
+from hri_fullbody.core.tracking.body_continuity import Return
 from hri_msgs.msg import IdsMatch
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.ros.conversions import match_to_msg

@@ -8,8 +8,8 @@ import numpy as np
 from geometry_msgs.msg import PointStamped, TwistStamped
 from sensor_msgs.msg import Image, JointState
 
-from hri_fullbody.core.body_language import BodyExpression
 from hri_fullbody.core.body_modeller import ModelledBody
+from hri_fullbody.core.language.body_language import BodyExpression
 from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, Skeleton2D
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.ros.conversions import bgr_to_image, skeleton_to_msg

@@ -11,7 +11,7 @@ from xmlrpc.client import Fault, ProtocolError, ServerProxy, Transport
 import rosgraph
 import rospy
 
-from hri_fullbody.core.child_process import identity_of, is_alive
+from hri_fullbody.core.processes.process_identity import identity_of, is_alive
 from hri_pipeline.core.ids import is_valid_id
 
 NODE_PREFIX = "/rsp_"

@@ -10,11 +10,11 @@ import numpy as np
 import rospy
 from tf2_msgs.msg import TFMessage
 
-from hri_fullbody.core.body_windows import FaceBox
-from hri_msgs.msg import FacialLandmarks
+from hri_fullbody.core.sight.body_windows import FaceBox
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import landmarks_from_msg, pose_from_transform
 from hri_pipeline.ros.feature_feed import FeatureFeed
+from hri_pipeline.ros.landmark_array import LandmarkArray
 from hri_pipeline.ros.topic_release import release
 
 # A face this much older or newer than the image may be somewhere else by now.
@@ -37,7 +37,7 @@ class FaceFeed:
         self._landmarks: Dict[str, Tuple[float, str, np.ndarray]] = {}
         self._poses: Dict[str, Deque[Tuple[float, str, Pose]]] = {}
         self._ids: List[str] = []
-        self._feed = FeatureFeed("faces", {"landmarks": FacialLandmarks}, self._store, self._keep)
+        self._feed = FeatureFeed("faces", {"landmarks": LandmarkArray}, self._store, self._keep)
         self._transforms = rospy.Subscriber("/tf", rospy.AnyMsg, self._on_transforms, queue_size=100)
         self._closed = False
 
@@ -68,7 +68,7 @@ class FaceFeed:
         release(self._transforms)
         self._feed.close()
 
-    def _store(self, identity: str, name: str, message: FacialLandmarks) -> None:
+    def _store(self, identity: str, name: str, message: LandmarkArray) -> None:
         landmarks = landmarks_from_msg(message)
         with self._lock:
             self._landmarks[identity] = (message.header.stamp.to_sec(), message.header.frame_id.lstrip("/"), landmarks)

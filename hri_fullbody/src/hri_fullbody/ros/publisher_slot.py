@@ -10,7 +10,7 @@ from typing import Dict, Optional
 
 import rospy
 
-from hri_fullbody.core.child_process import ChildProcess
+from hri_fullbody.core.processes.child_process import ChildProcess
 from hri_pipeline.core.restart_policy import RestartPolicy
 
 # A process that ends with an error this soon did so because of what it was given.

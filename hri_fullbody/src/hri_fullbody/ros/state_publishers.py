@@ -10,8 +10,8 @@ from typing import Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 import rospy
 
-from hri_fullbody.core.child_process import ChildProcess
-from hri_fullbody.core.child_watch import ChildWatch
+from hri_fullbody.core.processes.child_process import ChildProcess
+from hri_fullbody.core.processes.child_watch import ChildWatch
 from hri_fullbody.ros.description_server import MASTER_ERRORS, DescriptionServer, description_name, node_name
 from hri_fullbody.ros.publisher_binary import PublisherBinary
 from hri_fullbody.ros.publisher_slot import Ending, Slot, Tally

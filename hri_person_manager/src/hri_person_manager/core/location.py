@@ -8,12 +8,13 @@ the head, else at the best guess. 3. Not seen, but located before: the last plac
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Dict, Hashable, Optional, Tuple
 
 import numpy as np
 
+from hri_person_manager.core.handover import Handover
 from hri_pipeline.core.geometry import Pose
 
 _OPTICAL = "_optical_frame"
@@ -33,6 +34,9 @@ class Source(IntEnum):
     HEAD = 1
     BODY = 2
     VOICE = 3
+
+
+_OF_BODY = (Source.HEAD, Source.BODY)
 
 
 @dataclass(frozen=True)
@@ -136,6 +140,7 @@ class Location:
         """
         self._source_timeout = source_timeout
         self._motion = Motion(coast_time)
+        self._handover = Handover()
         self._heard: Dict[Source, Tuple[float, Hashable]] = {}
         self._updated = self._seen = float("-inf")
         self.place: Optional[Place] = None
@@ -145,18 +150,25 @@ class Location:
 
         The stamps of the sources are compared with each other, `now` only dates the arrival. Of two features that
         are equally good, such as the faces that two cameras see of one person, the one that spoke first goes on. A voice
-        tells the direction only: where somebody was seen shortly before is closer to the truth.
+        tells the direction only: where somebody was seen shortly before is closer to the truth. A body goes on from where
+        the face was: see `handover`.
         """
         for better, (stamp, speaker) in self._heard.items():
             preferred = better < source or (better == source and speaker != feature)
-            if preferred and abs(place.stamp - stamp) <= self._source_timeout:
+            if preferred and -self._source_timeout <= place.stamp - stamp <= self._patience(better, source):
                 if better < source:
                     self._heard.setdefault(source, (place.stamp, feature))
+                    if better == Source.FACE and source in _OF_BODY:
+                        self._handover.body(place.frame, place.pose.translation, place.stamp, (source, feature))
                 return False
         if source != Source.VOICE:
             self._seen = place.stamp
         elif 0.0 <= place.stamp - self._seen <= VOICE_PATIENCE:
             return False
+        if source == Source.FACE:
+            self._handover.face(place.frame, place.pose.translation, place.stamp)
+        elif source in _OF_BODY:
+            place = replace(place, pose=self._handover.carried(place.frame, place.pose, place.stamp, (source, feature)))
         self._heard[source] = (place.stamp, feature)
         self._motion.see(place)
         self.place = place
@@ -177,6 +189,12 @@ class Location:
             self.place = other.place
             self._updated, self._seen = other._updated, other._seen
 
+    def _patience(self, better: Source, source: Source) -> float:
+        """How long (s) a source waits for a better one that is silent."""
+        if better == Source.FACE and source in _OF_BODY:
+            return self._handover.patience(self._source_timeout)
+        return self._source_timeout
+
     def is_silent(self, now: float) -> bool:
         """Tell whether no source has placed the person for longer than the time limit."""
         return now - self._updated > self._source_timeout
@@ -185,5 +203,6 @@ class Location:
         """Forget the place."""
         self.place = None
         self._motion.clear()
+        self._handover.clear()
         self._heard.clear()
         self._updated = self._seen = float("-inf")

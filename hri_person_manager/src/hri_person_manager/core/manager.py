@@ -200,10 +200,7 @@ class PersonManager:
         return self._view.identified()
 
     def recall(self, identified: Mapping[str, Iterable[Node]], now: float) -> None:
-        """Take it that features of an earlier run still are those of permanent persons, until a recogniser says otherwise.
-
-        Without that they would be anonymous until they are recognised again, which may take long for a face turned away.
-        """
+        """Take it that features of an earlier run are those of permanent persons still, until a recogniser says otherwise."""
         for person_id, nodes in identified.items():
             for node in nodes:
                 self.on_match(Match(node, Node(Kind.PERSON, person_id), max(self._threshold, _AS_SURE_AS_BEFORE)), now)
@@ -211,7 +208,7 @@ class PersonManager:
     def on_place(self, source: Source, feature_id: str, place: Place, now: float, sensor: str = "") -> Optional[str]:
         """Take the pose of a feature's frame in the reference frame; sensor: the frame of the camera that sees it.
 
-        Returns the id of the person whose frame moves to that place, None if no person does.
+        Returns the id of the person whose frame moves by it, to its place(), None if no person's does.
         """
         feature = Node(_KIND_OF_SOURCE[source], feature_id)
         owner = self._book.owner(feature)
@@ -222,6 +219,10 @@ class PersonManager:
         if person is not owner:
             owner.location.offer(source, place, now, feature)
         return person.id if person.location.offer(source, place, now, feature) else None
+
+    def place(self, person_id: str) -> Optional[Place]:
+        """Return where a person was seen last, in the reference frame; None where nobody has."""
+        return self._book.persons[person_id].location.place
 
     def tick(self, now: float) -> None:
         """Let time pass: unclaimed features become persons, places fade, forgotten persons go."""

@@ -65,8 +65,9 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
               "Time after which somebody who left the view of one camera may come up in that of another, where the last "
               "velocity leads, and be the same person still. 0: never.", unit="s", minimum=0.0, maximum=60.0, live=True),
     Parameter("source_timeout", 0.5,
-              "Silence of the face frame after which the body frame places the person, and of all frames "
-              "after which the last place is sent again.", unit="s", minimum=0.02, maximum=10.0),
+              "Silence of the face frame after which the body frame places the person at the latest, and of all frames "
+              "after which the last place is sent again. Where face and body were seen together, the body goes on after 0.25 s, or "
+              "three images of the face.", unit="s", minimum=0.02, maximum=10.0),
     Parameter("store", "",
               "File (SQLite) in which permanent persons are kept across runs: ids, names, languages, demographics, "
               "times; the recognisers keep their templates in the same file. Empty: in memory only."),

@@ -9,6 +9,7 @@ from typing import Dict, Iterable, List, Optional, Protocol, Sequence, Set, Tupl
 from hri_person_manager.core.demographics import Demographics, DemographicsEstimate
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.recognition.person_schema import PersonFacts
 
 LONGEST_NAME = 64
 # RFC 5646, section 2.1, as far as names of languages go: language, script, region, variants.
@@ -21,16 +22,9 @@ class RegisterError(ValueError):
 
 
 @dataclass(frozen=True)
-class PersonRecord:
-    """One permanent person. Times are seconds of wall time; alias: id of the person that this one was merged into."""
+class PersonRecord(PersonFacts):
+    """One permanent person as the register knows it."""
 
-    id: str
-    name: str = ""
-    native_language: str = ""
-    enrolled: bool = False
-    alias: str = ""
-    first_seen: float = 0.0
-    last_seen: float = 0.0
     demographics: Optional[DemographicsEstimate] = None
 
 

@@ -48,20 +48,24 @@ class RateMeter:
         return (len(self._events) - 1) / span if span > 0.0 else 0.0
 
 
-def format_table(rows: Sequence[PersonRow], face_rate: float, body_rate: float) -> str:
-    """Return the table as plain text, without a newline at the end."""
+def format_table(rows: Sequence[PersonRow], face_rate: float, body_rate: float, note: str = "") -> str:
+    """Return the table as plain text, with `note` as its last line, without a newline at the end.
+
+    Confidence is that of a place: of who has none (yet) it says nothing.
+    """
     lines = ["%-22s  %-6s %-6s %-6s %10s  %-22s %-20s %7s" % (
         "person", "face", "body", "voice", "confidence", "position x y z (m)", "frame", "age ms")]
     for row in rows:
         position = "%6.2f %6.2f %6.2f" % row.position if row.position is not None else "-"
         age = "%7.0f" % row.age_ms if row.age_ms is not None else "      -"
-        lines.append("%-22s  %-6s %-6s %-6s %10.2f  %-22s %-20s %s" % (
-            row.id, row.face or "-", row.body or "-", row.voice or "-", row.confidence, position,
+        confidence = "%.2f" % row.confidence if row.position is not None else "-"
+        lines.append("%-22s  %-6s %-6s %-6s %10s  %-22s %-20s %s" % (
+            row.id, row.face or "-", row.body or "-", row.voice or "-", confidence, position,
             row.frame or "-", age))
     if not rows:
         lines.append("nobody yet")
     lines.append("faces %.1f images/s, bodies %.1f images/s" % (face_rate, body_rate))
-    return "\n".join(lines)
+    return "\n".join(lines + [note] if note else lines)
 
 
 def format_columns(rows: Sequence[Sequence[str]]) -> str:
@@ -70,10 +74,25 @@ def format_columns(rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows)
 
 
-def redraw(text: str, lines_above: int) -> str:
-    """Return what a terminal needs to show `text` in place of the last `lines_above` lines."""
-    up = "\x1b[%dA" % lines_above if lines_above else ""
-    return up + "".join("\x1b[2K%s\n" % line for line in text.split("\n")) + "\x1b[0J"
+class Redrawing:
+    """Draws one text over another on a terminal that may change its size."""
+
+    def __init__(self) -> None:
+        self._above: List[str] = []
+
+    def draw(self, text: str, columns: int, lines: int) -> str:
+        """Return what a terminal of this size (columns, lines) needs to show `text` in place of the last one."""
+        shown = [line[:columns] for line in text.split("\n")]
+        room = max(lines - 1, 3)      # the cursor stands below the last line
+        if len(shown) > room:
+            shown[room - 2:-1] = ["... and %d lines more" % (len(shown) - room + 1)]
+        if any(len(line) > columns for line in self._above):
+            # It was made narrower; some terminals wrap what they show, so that nobody knows how far up the table begins.
+            start = "\x1b[H\x1b[2J"
+        else:
+            start = "\x1b[%dA" % len(self._above) if self._above else ""
+        self._above = shown
+        return start + "".join("\x1b[2K%s\n" % line for line in shown) + "\x1b[0J"
 
 
 def as_data(rows: Sequence[PersonRow], face_rate: float, body_rate: float, seen: Sequence[str]) -> Dict[str, object]:

@@ -24,15 +24,12 @@ class StoreOfRecords:
 
     def load_records(self) -> List[PersonRecord]:
         """Return all records."""
-        return [PersonRecord(row.id, row.name, row.native_language, row.enrolled, row.alias, row.first_seen,
-                             row.last_seen, _estimate(row.demographics)) for row in self._store.load_records()]
+        return [PersonRecord(**dict(vars(row), demographics=_estimate(row.demographics))) for row in self._store.load_records()]
 
     def put_record(self, record: PersonRecord) -> None:
         """Write one record; its templates, if there are any, stay."""
         demographics = asdict(record.demographics) if record.demographics is not None else {}
-        self._store.put_record(StoredPerson(
-            record.id, record.name, record.native_language, record.enrolled, record.alias, record.first_seen,
-            record.last_seen, demographics))
+        self._store.put_record(StoredPerson(**dict(vars(record), demographics=demographics)))
 
     def remove_record(self, person_id: str) -> None:
         """Remove one person, records and templates, without a trace."""

@@ -43,14 +43,15 @@ def run(arguments: Optional[Sequence[str]] = None) -> int:
     """Run the command and return its exit code: 0 done, 1 refused or not reachable, 2 wrong usage."""
     given = list(rospy.myargv(sys.argv)[1:] if arguments is None else arguments)
     if not given or given[0] == "watch":
-        return show_persons_command.run(given[1:])
+        return show_persons_command.run(given[1:], "people watch")
     options = _parser().parse_args(given)
     if options.command == "forget-all" and not options.yes:
         print("people: this removes everybody who is known; add --yes", file=sys.stderr)
         return 2
     if options.command == "make-key":
         return _make_key(options.file)
-    wait_for_master("people")
+    if not wait_for_master("people", 0.0):
+        return 1
     rospy.init_node("people", anonymous=True, disable_signals=True)
     try:
         return _carry_out(options)

@@ -184,6 +184,7 @@ class PersonManagerNode:
                 person_id = self._manager.on_place(stamped.sighting.source, stamped.sighting.id, place, now,
                                                    stamped.sighting.sensor)
                 if person_id is not None:
+                    place = self._manager.place(person_id)
                     self._spaces.saw(person_id, stamped.sighting.sensor)
                     moved[person_id] = transform_to_msg(place.pose, stamped.stamp, place.frame,
                                                         "person_" + person_id)

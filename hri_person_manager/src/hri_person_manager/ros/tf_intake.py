@@ -10,9 +10,10 @@ import rospy
 
 from hri_person_manager.core.association import Kind
 from hri_person_manager.core.human_frames import HumanFrames, Link, Sighting
+from hri_pipeline.core.frame_tree import is_of_human
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.tf_scan import RawTransform, read
-from hri_pipeline.ros.robot_frames import OF_HUMANS, RobotFrames
+from hri_pipeline.ros.robot_frames import RobotFrames
 from hri_pipeline.ros.tf_feed import Frames, TfFeed
 
 _LOG_PERIOD_S = 10.0
@@ -88,7 +89,7 @@ class TfIntake:
         child, offset = entry
         name = child.decode("utf-8", "replace").lstrip("/")
         owner = self._humans.wanted(name)
-        if owner is None and not fixed and (child.lstrip(b"/").startswith(OF_HUMANS) or self._is_limb(name)):
+        if owner is None and (is_of_human(child, fixed) or not fixed and self._is_limb(name)):
             return False        # a limb, or of somebody who is not tracked (any more)
         try:
             transform = read(data, offset)

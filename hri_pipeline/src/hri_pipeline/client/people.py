@@ -63,7 +63,8 @@ class Human:
         self._humans.frames.forget(self.id)
 
     def _pose(self, kind: str, frame: str) -> Optional[Pose]:
-        found = self._humans.frames.pose(kind, self.id, frame.lstrip("/"))
+        # Who has left is nowhere; to ask for their frames again would keep them for good.
+        found = self._humans.frames.pose(kind, self.id, frame.lstrip("/")) if self._present else None
         return None if found is None else found[0]
 
     def _get(self, name: str, default: Any = None) -> Any:

@@ -1,8 +1,12 @@
-"""Which likelihoods are said on the graph: new and changed ones, each once a second, and withdrawals."""
+"""Which likelihoods are said on the graph: new and changed ones, each once a second, and withdrawals.
+
+Nothing is withdrawn of what has left: who it was it still was. A withdrawal of that would race the list that it is no longer in, and
+whoever hears the withdrawal first takes the face and the body of somebody who turns away for those of two people.
+"""
 
 from __future__ import annotations
 
-from typing import Dict, Generic, Hashable, List, Mapping, Tuple, TypeVar
+from typing import Callable, Dict, Generic, Hashable, List, Mapping, Tuple, TypeVar
 
 RESEND_PERIOD_S = 1.0
 Key = TypeVar("Key", bound=Hashable)
@@ -21,11 +25,15 @@ class Announcer(Generic[Key]):
         self._step = step
         self._said: Dict[Key, Tuple[float, float]] = {}
 
-    def to_say(self, current: Mapping[Key, float], now: float) -> List[Tuple[Key, float]]:
-        """Return what to publish at time `now` (s, of a clock that never jumps), withdrawals (0) first."""
-        gone = [(key, 0.0) for key in self._said if key not in current]
+    def to_say(self, current: Mapping[Key, float], now: float, has_left: Callable[[Key], bool] = lambda key: False) -> List[Tuple[Key, float]]:
+        """Return what to publish at time `now` (s, of a clock that never jumps), withdrawals (0) first.
+
+        has_left: tells whether one of those whom a likelihood is about is no longer tracked.
+        """
+        over = [key for key in self._said if key not in current]
+        gone = [(key, 0.0) for key in over if not has_left(key)]
         due = [(key, value) for key, value in current.items() if self._is_due(key, value, now)]
-        for key, _ in gone:
+        for key in over:
             del self._said[key]
         for key, value in due:
             self._said[key] = (value, now)

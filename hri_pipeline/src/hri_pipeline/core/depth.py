@@ -7,7 +7,7 @@ from typing import Tuple, Union
 
 import numpy as np
 
-from hri_pipeline.core.images import MAX_SIDE, ImageError
+from hri_pipeline.core.images import MAX_SIDE, ImageError, raw_rows
 
 DEPTH_ENCODINGS: Tuple[str, ...] = ("16UC1", "mono16", "32FC1")
 DEPTH_RANGE = (0.15, 30.0)
@@ -35,15 +35,7 @@ def depth_from_raw(
         raise ImageError("size of the depth image is {}x{}, legal range 1 to {} px a side".format(
             width, height, MAX_SIDE))
     kind = np.dtype(np.float32 if encoding == "32FC1" else np.uint16).newbyteorder(">" if is_bigendian else "<")
-    row = width * kind.itemsize
-    if step < row:
-        raise ImageError("step is {} bytes, but a row of {} px in {} takes {}".format(step, width, encoding, row))
-    values = np.frombuffer(data, dtype=np.uint8)
-    if values.size < step * (height - 1) + row:
-        raise ImageError("{} bytes of data are too short for a depth image {}x{} {} with step {}".format(
-            values.size, width, height, encoding, step))
-    rows = np.lib.stride_tricks.as_strided(values, (height, row), (step, 1), writeable=False)
-    metres = np.ascontiguousarray(rows).view(kind).astype(np.float32)
+    metres = raw_rows(data, width, height, step, kind.itemsize, "depth in " + encoding).view(kind).astype(np.float32)
     if encoding != "32FC1":
         metres *= np.float32(1e-3)
     with np.errstate(invalid="ignore"):

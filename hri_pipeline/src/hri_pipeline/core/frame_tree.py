@@ -11,8 +11,16 @@ from typing import Generic, List, Optional, Set, Tuple, TypeVar
 
 T = TypeVar("T")
 
+# Frames of humans come and go by the thousand, and no way of the robot leads over one. Not body_ and head_: robots have links
+# of such names (head_1_link, head_pan_link, body_link) on the way to their cameras.
+_OF_HUMANS = (b"face_", b"gaze_", b"voice_", b"person_")
 MAX_FRAMES = 1000       # frames whose latest transform is remembered, in case they become relevant; 1 kB each
 MAX_RELEVANT = 500
+
+
+def is_of_human(child: bytes, fixed: bool) -> bool:
+    """Tell whether a frame of that name is a human's. A fixed one (/tf_static) never is: a robot may have a face_plate_link."""
+    return not fixed and child.lstrip(b"/").startswith(_OF_HUMANS)
 
 
 class FrameTree(Generic[T]):

@@ -76,19 +76,28 @@ def bgr_from_raw(
         raise ImageError("an image in {} needs an even width, not {}".format(encoding, width))
     if encoding.startswith("bayer") and (width < 2 or height < 2):
         raise ImageError("an image in {} needs 2x2 px at least, not {}x{}".format(encoding, width, height))
-    row = width * layout.channels * np.dtype(layout.depth).itemsize
+    pixels = raw_rows(data, width, height, step, layout.channels * np.dtype(layout.depth).itemsize, encoding)
+    if layout.depth is np.uint16:
+        pixels = pixels.view(">u2" if is_bigendian else "<u2").astype(np.uint16)
+    shape = (height, width) if layout.channels == 1 else (height, width, layout.channels)
+    return layout.convert(pixels.reshape(shape))
+
+
+def raw_rows(data: Union[bytes, bytearray, memoryview, np.ndarray], width: int, height: int, step: int, pixel: int,
+             encoding: str) -> np.ndarray:
+    """Return the bytes (height, width * pixel) of an image without the padding of its rows, a copy if there is any.
+
+    step: length of a row in `data`, bytes; pixel: length of a pixel, bytes; encoding: for the text of the error.
+    Raises ImageError for a step or data too short.
+    """
+    row = width * pixel
     if step < row:
         raise ImageError("step is {} bytes, but a row of {} px in {} takes {}".format(step, width, encoding, row))
     values = np.frombuffer(data, dtype=np.uint8)
     if values.size < step * (height - 1) + row:
         raise ImageError("{} bytes of data are too short for {}x{} {} with step {}".format(
             values.size, width, height, encoding, step))
-    rows = np.lib.stride_tricks.as_strided(values, (height, row), (step, 1), writeable=False)
-    pixels = np.ascontiguousarray(rows)
-    if layout.depth is np.uint16:
-        pixels = pixels.view(">u2" if is_bigendian else "<u2").astype(np.uint16)
-    shape = (height, width) if layout.channels == 1 else (height, width, layout.channels)
-    return layout.convert(pixels.reshape(shape))
+    return np.ascontiguousarray(np.lib.stride_tricks.as_strided(values, (height, row), (step, 1), writeable=False))
 
 
 def bgr_from_compressed(data: Union[bytes, bytearray, memoryview]) -> np.ndarray:

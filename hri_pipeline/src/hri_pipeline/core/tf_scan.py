@@ -6,6 +6,7 @@ each Python process that listens, to look at the names alone about 1 % (measured
 
 from __future__ import annotations
 
+import math
 import struct
 from functools import lru_cache
 from typing import List, NamedTuple, Tuple
@@ -18,6 +19,8 @@ _NUMBERS = struct.Struct("<7d")
 _PARENT_AT = 12
 _REMEMBERED = 2048
 _LONGEST = 256          # bytes of two names that are remembered
+_FIRST_BAD_SECOND = 2 ** 31 - 1     # durations are 32 bits with a sign: tf2 ends the process that reckons with such a stamp
+_NSECS = 10 ** 9
 
 
 class RawTransform(NamedTuple):
@@ -34,6 +37,13 @@ class RawTransform(NamedTuple):
     def stamp(self) -> float:
         """Stamp in s."""
         return self.secs + 1e-9 * self.nsecs
+
+    @property
+    def is_pose(self) -> bool:
+        """Whether all numbers are finite and the quaternion is one."""
+        # A sum is finite when all of its numbers are.
+        x, y, z, w = self.rotation
+        return math.isfinite(sum(self.translation)) and 1e-9 < x * x + y * y + z * z + w * w < math.inf
 
 
 def scan(data: bytes) -> List[Tuple[bytes, int]]:
@@ -57,9 +67,21 @@ def scan(data: bytes) -> List[Tuple[bytes, int]]:
     return found
 
 
+def is_stamp(secs: int, nsecs: int) -> bool:
+    """Tell whether ROS can reckon with a stamp."""
+    return 0 <= secs < _FIRST_BAD_SECOND and 0 <= nsecs < _NSECS
+
+
+def check_stamp(secs: int, nsecs: int) -> None:
+    """Raise ValueError for a stamp with which ROS cannot reckon."""
+    if not is_stamp(secs, nsecs):
+        raise ValueError("the stamp {} s {} ns is no time".format(secs, nsecs))
+
+
 def read(data: bytes, offset: int) -> RawTransform:
-    """Return the transform at an offset that scan() has given."""
+    """Return the transform at an offset that scan() has given. Raises ValueError if its stamp is none (check_stamp())."""
     _, secs, nsecs, length = _HEAD.unpack_from(data, offset)
+    check_stamp(secs, nsecs)
     offset += _PARENT_AT
     end = offset + 8 + length
     end += _LENGTH.unpack_from(data, end - 4)[0]
@@ -71,8 +93,13 @@ def read(data: bytes, offset: int) -> RawTransform:
 
 
 def read_stamp(data: bytes, offset: int) -> Tuple[int, int]:
-    """Return seconds and nanoseconds of the stamp of the transform at an offset that scan() has given."""
-    return _TIMES.unpack_from(data, offset + 4)
+    """Return seconds and nanoseconds of the stamp of the transform at an offset that scan() has given.
+
+    Raises ValueError if it is none.
+    """
+    secs, nsecs = _TIMES.unpack_from(data, offset + 4)
+    check_stamp(secs, nsecs)
+    return secs, nsecs
 
 
 def _names(data: bytes) -> Tuple[str, str]:

@@ -10,6 +10,7 @@ from typing import Dict, List, Optional, Tuple, Union
 
 import numpy as np
 
+from hri_pipeline.core.frame_tree import is_of_human
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.tf_scan import read, scan
 
@@ -18,7 +19,6 @@ KINDS = ("faces", "bodies", "voices")
 PERSONS = HUMANS + "persons/"
 INTERACTIONS = "/humans/interactions/"
 _PERSON_FRAME = b"person_"
-_OF_HUMANS = (b"body_", b"head_", b"face_", b"gaze_", b"voice_", _PERSON_FRAME)
 _MAX_CHAIN = 16
 
 
@@ -138,7 +138,7 @@ class _Reading:
             name = child.lstrip(b"/")
             if name.startswith(_PERSON_FRAME):
                 self._place(when, read(data, offset))
-            elif not name.startswith(_OF_HUMANS):
+            elif not is_of_human(child, connection.topic == "/tf_static"):
                 found = read(data, offset)
                 self._robot[found.child] = (found.parent, Pose.from_quaternion(found.rotation, found.translation))
 

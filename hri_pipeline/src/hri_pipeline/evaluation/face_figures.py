@@ -33,6 +33,8 @@ WARM_UP_S = 10.0
 WIDTH, HEIGHT = 1280, 720
 PHOTOGRAPH_HFOV = np.deg2rad(53.0)
 GROUP = "demo/sample5.jpg"
+GEOMETRY_ONLY = {"action_units": False, "expression": False, "age_gender": False, "recognition": False}
+"""Settings of a face stage that only finds faces."""
 FRONTAL = np.deg2rad(22.0)
 PORTRAITS = tuple("demo/sample%d.jpg" % number for number in range(1, 7)) + tuple(
     "evaluation/portrait_%02d.jpg" % number for number in (1, 2, 3, 4, 5, 6, 7, 9)) + tuple(
@@ -97,7 +99,7 @@ def pose_errors(count: int = 300, noise_px: float = 1.0, face: Optional[Canonica
 
 def portrait_pitches(models: Path) -> np.ndarray:
     """Return the pitch (degrees) against the line of sight of the open-eyed faces of PORTRAITS that look ahead."""
-    stage = FaceStage(FACES.resolve(_GEOMETRY_ONLY))
+    stage = FaceStage(FACES.resolve(GEOMETRY_ONLY))
     pitches: List[float] = []
     for name in PORTRAITS:
         for face in _faces_of(stage, models / name):
@@ -115,54 +117,11 @@ def portrait_pitch_median_deg(models: Path) -> float:
     return float(np.median(np.abs(portrait_pitches(models))))
 
 
-def face_body_depth_ratio_median(models: Path) -> float:
-    """Return the median of the distance of a face over that of the nose of its body, found without the face's pose.
-
-    Needs hri_fullbody.
-    """
-    from hri_fullbody.core.body_parameters import VISION
-    from hri_fullbody.core.body_stage import BodyStage
-    from hri_fullbody.core.body_windows import FaceBox
-
-    settings = VISION.resolve(_GEOMETRY_ONLY)
-    stages = FaceStage(settings), BodyStage(settings)
-    ratios: List[float] = []
-    for number in range(1, 7):
-        image = _read(models / "demo" / "sample{}.jpg".format(number))
-        camera = CameraModel.from_fov(image.shape[1], image.shape[0], PHOTOGRAPH_HFOV)
-        faces, bodies = [], []
-        for stage in stages:
-            stage.reset()
-        for index in range(14):
-            stamp = 1000.0 + 0.1 * index
-            faces = stages[0].update(image, camera, stamp)
-            boxes = [FaceBox.from_landmarks(face.id, face.landmarks) for face in faces]
-            bodies = stages[1].update(image, camera, stamp, boxes)
-        ratios += _depth_ratios(faces, bodies)
-    if not ratios:
-        raise RuntimeError("no face and body were found together")
-    return float(np.median(ratios))
-
-
-def _depth_ratios(faces: List[FaceObservation], bodies: list) -> List[float]:
-    """Distance of each face over that of the body whose nose is nearest to its own, within a face's size."""
-    ratios = []
-    for face in faces:
-        if face.pose is None or not bodies:
-            continue
-        apart = [float(np.linalg.norm(body.keypoints[0, :2] - face.landmarks[30, :2])) for body in bodies]
-        body = bodies[int(np.argmin(apart))]
-        depth = float(body.keypoints_3d[0, 2])
-        if min(apart) < 0.3 * float(face.box[3] - face.box[1]) and np.isfinite(depth) and depth > 0.0:
-            ratios.append(float(face.pose.translation[2]) / depth)
-    return ratios
-
-
 def eyes_closed(models: Path) -> Dict[str, int]:
     """Return the confusion table (tp: closed and found closed, fp, tn, fn, unknown) of real labelled eyes."""
     labels = labelled_eyes()
     answers: Dict[int, bool] = {}
-    stage = FaceStage(FACES.resolve(dict(_GEOMETRY_ONLY, face_birth_delay=0.0, face_min_detections=1)))
+    stage = FaceStage(FACES.resolve(dict(GEOMETRY_ONLY, face_birth_delay=0.0, face_min_detections=1)))
     canonical = load_canonical_face(models_directory() / "canonical_face.npz")
     heads, gazes = HeadPoseEstimator(canonical), GazeEstimator(EyeGeometry(canonical))
     mesh = FaceMesh(OnnxModel(models_directory() / "face_landmarks_attention.onnx"))
@@ -185,11 +144,11 @@ def eyes_closed(models: Path) -> Dict[str, int]:
 
 def ids(models: Path, seconds: float) -> int:
     """Return how many face ids the slow pan over a group of five people gives in this time (s)."""
-    still = _read(models / GROUP)
+    still = read_image(models / GROUP)
     scale = WIDTH / still.shape[1]
     still = cv2.resize(still, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     top = (still.shape[0] - HEIGHT) // 2
-    stage = FaceStage(FACES.resolve(_GEOMETRY_ONLY))
+    stage = FaceStage(FACES.resolve(GEOMETRY_ONLY))
     camera = CameraModel.from_fov(WIDTH, HEIGHT, 1.0)
     seen = set()
     for stamp, image in pan(still[top:top + HEIGHT], seconds):
@@ -200,7 +159,7 @@ def ids(models: Path, seconds: float) -> int:
 
 def churn(count: int, models: Optional[Path] = None) -> Dict[str, float]:
     """Return what `count` faces that come and go leave behind: growth of fds, threads, rss_mb, after a tenth of them."""
-    still = _read((models or models_directory()) / GROUP)
+    still = read_image((models or models_directory()) / GROUP)
     bright = cv2.resize(still, (640, 640 * still.shape[0] // still.shape[1]), interpolation=cv2.INTER_AREA)
     dark = np.zeros_like(bright)
     stage = FaceStage(FACES.resolve({"face_birth_delay": 0.0, "face_min_detections": 1, "face_death_time": 0.05,
@@ -224,9 +183,6 @@ def churn(count: int, models: Optional[Path] = None) -> Dict[str, float]:
     return {name: round(end[name] - start[name], 1) for name in end}
 
 
-_GEOMETRY_ONLY = {"action_units": False, "expression": False, "age_gender": False, "recognition": False}
-
-
 def _resources() -> Dict[str, float]:
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return {"fds": len(os.listdir("/proc/self/fd")), "threads": threading.active_count(),
@@ -235,7 +191,7 @@ def _resources() -> Dict[str, float]:
 
 def _faces_of(stage: FaceStage, path: Path) -> List[FaceObservation]:
     """Faces of a photograph, looked at as a film of a second."""
-    image = _read(path)
+    image = read_image(path)
     camera = CameraModel.from_fov(image.shape[1], image.shape[0], PHOTOGRAPH_HFOV)
     stage.reset()
     faces: List[FaceObservation] = []
@@ -244,7 +200,8 @@ def _faces_of(stage: FaceStage, path: Path) -> List[FaceObservation]:
     return faces
 
 
-def _read(path: Path) -> np.ndarray:
+def read_image(path: Path) -> np.ndarray:
+    """Return a picture (H, W, 3) of the models' directory. Raises FileNotFoundError, which tells how to get it."""
     image = cv2.imread(str(path))
     if image is None:
         raise FileNotFoundError("{} is absent; get it with `rosrun hri_pipeline fetch_models --models"

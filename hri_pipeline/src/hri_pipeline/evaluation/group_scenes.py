@@ -10,7 +10,7 @@ from typing import FrozenSet, List, Optional, Sequence, Tuple
 import numpy as np
 import scipy.io
 
-from hri_pipeline.core.test_data import ABSENT, data_directory
+from hri_pipeline.evaluation.data_directory import ABSENT, data_directory
 
 SEQUENCES = {"CoffeeBreak": ("CoffeeBreak/Seq1", "CoffeeBreak/Seq2"), "Synth": ("Synth",)}
 """Public scenes, below data/groups: M. Cristani et al., BMVC 2011; CoffeeBreak's headings are of heads, in four bins."""

@@ -15,8 +15,8 @@ from hri_pipeline.core.scene.scene_script import parse_scene
 from hri_pipeline.core.scene.scene_senses import Sensed, Senses
 from hri_pipeline.core.scene.scene_world import World
 from hri_pipeline.ros.conversions import transform_to_msg
-from hri_pipeline.ros.scene_features import SceneFeatures
-from hri_pipeline.ros.scene_persons import ScenePersons
+from hri_pipeline.ros.scene.scene_features import SceneFeatures
+from hri_pipeline.ros.scene.scene_persons import ScenePersons
 from hri_pipeline.ros.tf_publisher import TfPublisher
 
 SPACING = 1.9

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Set
 
+from hri_pipeline.core.private_file import sync_directory
 from hri_pipeline.models import names
 from hri_pipeline.models.archives import read_members, sha256_of_file
 from hri_pipeline.models.catalogue import PACKAGES, Package, Product
@@ -218,17 +219,9 @@ def _put_in_place(
             (directory / output).parent.mkdir(parents=True, exist_ok=True)
             os.replace(str(ready / output), str(directory / output))
         os.replace(str(manifest), str(directory / names.MANIFEST))
-        _sync_directory(directory)
+        sync_directory(directory)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, previous)
-
-
-def _sync_directory(directory: Path) -> None:
-    descriptor = os.open(str(directory), os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 @contextlib.contextmanager

@@ -106,7 +106,7 @@ def landmarks_to_msg(landmarks: np.ndarray, header: Header, width: int, height: 
 
 
 def landmarks_from_msg(msg: FacialLandmarks) -> np.ndarray:
-    """Return (70, 3) x, y (0 to 1 of the image's width and height) and confidence.
+    """Return (70, 3) x, y (0 to 1 of the image's width and height) and confidence, of a LandmarkArray too.
 
     Raises ValueError for another number of points or for what is not finite.
     """
@@ -263,10 +263,11 @@ def _point(x: float, y: float, c: float) -> NormalizedPointOfInterest2D:
     return point
 
 
-def _from_points(points: Sequence[NormalizedPointOfInterest2D], count: int, kind: str) -> np.ndarray:
+def _from_points(points: Union[np.ndarray, Sequence[NormalizedPointOfInterest2D]], count: int, kind: str) -> np.ndarray:
     if len(points) != count:
         raise ValueError("{} needs {} points, not {}".format(kind, count, len(points)))
-    values = np.array([(point.x, point.y, point.c) for point in points], dtype=np.float64)
+    values = points if isinstance(points, np.ndarray) else np.array([(point.x, point.y, point.c) for point in points],
+                                                                   dtype=np.float64)
     _finite(values, kind)
     return values
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Callable, Dict, Optional, Tuple, Union
 
 import numpy as np
@@ -245,6 +246,12 @@ class ImageIntake:
         text = self._silence()
         if text:
             rospy.logwarn_throttle(_LOG_PERIOD_S, "%s", text)
+
+
+def intake_of(settings: SimpleNamespace) -> ImageIntake:
+    """Return the intake of a node with CAMERA_PARAMETERS and DEPTH_PARAMETERS."""
+    depth = DepthIntake(settings.depth_slop) if settings.use_depth else None
+    return ImageIntake(settings.image_transport, settings.fallback_fov, "~fallback_fov", depth=depth)
 
 
 def _sender_of(message: ImageMessage) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
+from http.client import HTTPConnection
 from typing import Optional, Tuple
-from xmlrpc.client import ServerProxy
+from xmlrpc.client import ServerProxy, Transport
 
 import rosgraph
 import rospy
@@ -12,6 +13,31 @@ from rospy.core import get_node_uri
 from rospy.impl.registration import get_service_manager, get_topic_manager
 
 _PERIOD_S = 2.0
+_ANSWER_S = 5.0
+
+
+class MasterAway(Exception):
+    """The master does not answer; the text says why."""
+
+
+class _Impatient(Transport):
+    """HTTP that does not wait for ever for a machine that has been switched off."""
+
+    def make_connection(self, host: str) -> HTTPConnection:
+        connection = super().make_connection(host)
+        connection.timeout = _ANSWER_S
+        return connection
+
+
+def ask_master(name: str) -> Tuple[int, str]:
+    """Return process id and run id of the master, asked in the name of a node; MasterAway without an answer in 5 s."""
+    try:
+        with ServerProxy(rosgraph.get_master_uri(), transport=_Impatient()) as master:
+            pid = int(master.getPid(name)[2])
+            found, _, run_id = master.getParam(name, "/run_id")
+    except Exception as error:      # refused, reset, half an answer, no address: it is away
+        raise MasterAway(str(error)) from error
+    return pid, str(run_id) if found == 1 else ""     # a bare rosmaster has no run id
 
 
 class MasterWatch:
@@ -30,6 +56,11 @@ class MasterWatch:
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._watch, args=(period,), name="master watch", daemon=True)
         self._thread.start()
+
+    @property
+    def away(self) -> bool:
+        """Whether the master did not answer when it was asked last."""
+        return self._away
 
     def close(self) -> None:
         """Stop watching. Idempotent."""
@@ -52,15 +83,10 @@ class MasterWatch:
             self._identity, self._away = identity, False
 
     def _ask(self) -> Optional[Tuple[int, str]]:
-        """Return process id and run id of the master, None when it does not answer."""
         try:
-            pid = self._master.getPid()
-        except Exception:  # refused, reset, half an answer: it is away
+            return ask_master(rospy.get_name())
+        except MasterAway:
             return None
-        try:
-            return pid, str(self._master.getParam("/run_id"))
-        except Exception:  # a bare rosmaster has no run id
-            return pid, ""
 
     def _register_again(self) -> None:
         rospy.logwarn("the ROS master has been started again; registering all topics and services anew")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+import math
 import signal
-import socket
 import sys
 import threading
+import time
 import traceback
 from types import FrameType
 from typing import Callable, NoReturn, Optional
@@ -20,7 +21,8 @@ from hri_pipeline.core.onnx_model import ModelError
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.threads import one_thread_each
-from hri_pipeline.ros.master_watch import MasterWatch
+from hri_pipeline.ros.master_watch import MasterAway, MasterWatch, ask_master
+from hri_pipeline.ros.prompt_publishing import publish_without_yielding
 
 _RETRY_S = 1.0
 _SAY_EVERY = 10
@@ -45,6 +47,7 @@ def run_node(name: str, build: Callable[[], object]) -> NoReturn:
     logging.raiseExceptions = False
     keep_large_blocks()
     one_thread_each()
+    publish_without_yielding()
     code = 0
     try:
         wait_for_master(name)
@@ -59,23 +62,39 @@ def run_node(name: str, build: Callable[[], object]) -> NoReturn:
     sys.exit(code)
 
 
-def wait_for_master(name: str) -> None:
-    """Return as soon as the master answers; says every few seconds what is missing."""
-    master = rosgraph.Master("/" + name)
+def wait_for_master(name: str, patience: float = math.inf) -> bool:
+    """Return True as soon as the master answers, False without one after `patience` s; one line says what is missing.
+
+    Who waits for ever is told every few seconds. Ctrl-C ends the process with code 130, unless the caller has a handler of
+    its own.
+    """
+    end = time.monotonic() + patience
     tries = 0
-    while True:
-        try:
-            master.getPid()
-            break
-        except (socket.error, OSError, rosgraph.MasterException) as error:
-            if tries % _SAY_EVERY == 0:
-                sys.stderr.write("{}: no ROS master at {} ({}); start roscore or roslaunch. Waiting.\n".format(
-                    name, rosgraph.get_master_uri(), error))
-                sys.stderr.flush()
-        tries += 1
-        threading.Event().wait(_RETRY_S)
+    try:
+        while True:
+            try:
+                ask_master("/" + name)
+                break
+            except MasterAway as error:
+                left = end - time.monotonic()
+                if tries == 0 or (tries % _SAY_EVERY == 0 and left == math.inf):
+                    _say_away(name, error, left)
+            if left <= 0.0:
+                return False
+            tries += 1
+            threading.Event().wait(min(_RETRY_S, left))
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
     if tries:
         sys.stderr.write("{}: the ROS master is there\n".format(name))
+    return True
+
+
+def _say_away(name: str, error: MasterAway, left: float) -> None:
+    waiting = "." if left <= 0.0 else ". Waiting." if left == math.inf else ". Waiting for {:.0f} s.".format(left)
+    sys.stderr.write("{}: no ROS master at {} ({}); start roscore or roslaunch{}\n".format(
+        name, rosgraph.get_master_uri(), error, waiting))
+    sys.stderr.flush()
 
 
 def _run(build: Callable[[], object]) -> int:

@@ -12,13 +12,14 @@ import genpy
 from std_msgs.msg import String
 
 from hri_msgs.msg import FacialActionUnits
+from hri_pipeline.core.frame_tree import is_of_human
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.interactions.crowd import Crowd
 from hri_pipeline.core.interactions.people_frames import PeopleFrames
 from hri_pipeline.core.interactions.people_gather import Places, Seen, gather
 from hri_pipeline.core.tf_scan import read, read_stamp
 from hri_pipeline.ros.feature_feed import FeatureFeed
-from hri_pipeline.ros.robot_frames import OF_HUMANS, RobotFrames
+from hri_pipeline.ros.robot_frames import RobotFrames
 from hri_pipeline.ros.tf_feed import Frames, TfFeed
 
 MAX_PEOPLE = 100
@@ -150,8 +151,8 @@ class PeopleFeed:
                 if fixed:
                     kept.put(read(data, offset), fixed)
                     continue
-                kept.put_unread(child, data, offset)
                 candidate = (child.startswith(_STAMPED_BY), *read_stamp(data, offset))
+                kept.put_unread(child, data, offset)
                 if newest is None or candidate > newest:
                     newest = candidate
             is_news = newest is not None and self._note(newest)
@@ -163,7 +164,7 @@ class PeopleFeed:
         return time.monotonic() - self._measured_at < self._settings.frame_timeout
 
     def _take_other(self, child: bytes, data: bytes, offset: int, fixed: bool) -> None:
-        if child.startswith(OF_HUMANS) and not fixed:
+        if is_of_human(child, fixed):
             return
         try:
             transform = read(data, offset)

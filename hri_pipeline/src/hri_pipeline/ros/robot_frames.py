@@ -10,18 +10,15 @@ import rospy
 import tf2_py
 from geometry_msgs.msg import TransformStamped
 
-from hri_pipeline.core.frame_tree import FrameTree
+from hri_pipeline.core.frame_tree import FrameTree, is_of_human
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.tf_scan import RawTransform, read
+from hri_pipeline.core.tf_scan import RawTransform, check_stamp, is_stamp, read
 from hri_pipeline.ros.conversions import pose_from_transform
 from hri_pipeline.ros.tf_feed import Frames, TfFeed
 
 HISTORY_S = 10.0
 SKELETONS = "/rsp_"
 """Names of the robot_state_publishers of bodies start so."""
-# Frames of humans come and go by the thousand, and no way of the robot leads over one. Not body_ and head_: robots have links
-# of such names (head_1_link, head_pan_link, body_link) on the way to their cameras.
-OF_HUMANS = (b"face_", b"gaze_", b"voice_", b"person_")
 
 
 class RobotFrames:
@@ -38,21 +35,29 @@ class RobotFrames:
         self._buffer = tf2_py.BufferCore(rospy.Duration(HISTORY_S))
 
     def put(self, transform: RawTransform, fixed: bool) -> None:
-        """Take a transform. Raises ValueError for one that leads from a frame to itself or to nothing."""
+        """Take a transform.
+
+        Raises ValueError for one that leads from a frame to itself or to nothing, or has no pose or no stamp.
+        """
         if not transform.child or not transform.parent or transform.child == transform.parent:
             raise ValueError("a transform needs two different frames")
+        if not transform.is_pose:
+            raise ValueError("the transform to {!r} has numbers that are no pose".format(transform.child[:80]))
+        check_stamp(transform.secs, transform.nsecs)    # tf2 would end this process
         with self._lock:
             known = self._tree.latest(transform.child)
             if not fixed and known is not None and known[0][2:4] == transform[2:4]:
                 return      # tf2 would print a warning for each repeated stamp
+            if not fixed and known is not None and transform.stamp < known[0].stamp - HISTORY_S:
+                self._forget()      # tf2 would take no other one before that time comes again
             for needed in self._tree.put(transform.child, transform.parent, (transform, fixed), fixed):
                 self._feed(*needed)
 
     def lookup(self, frame: str, stamp: genpy.Time) -> Optional[Pose]:
         """Return the pose of a frame in the reference frame at `stamp`.
 
-        Where the history does not cover the stamp, the latest transform is taken. None if no chain of
-        transforms connects the two.
+        Where the history does not cover the stamp, or it is none, the latest transform is taken. None if no
+        chain of transforms connects the two.
         """
         return self.between(self._reference, frame, stamp)
 
@@ -63,7 +68,7 @@ class RobotFrames:
         with self._lock:
             for needed in self._tree.follow(target) + self._tree.follow(frame):
                 self._feed(*needed)
-            for time in (stamp, genpy.Time()):
+            for time in (stamp, genpy.Time()) if is_stamp(stamp.secs, stamp.nsecs) else (genpy.Time(),):
                 try:
                     return pose_from_transform(self._buffer.lookup_transform_core(target, frame, time))
                 except tf2_py.ExtrapolationException:
@@ -75,9 +80,7 @@ class RobotFrames:
     def reset(self) -> None:
         """Forget all moving transforms, as after a time jump."""
         with self._lock:
-            self._buffer.clear()
-            for needed in self._tree.forget_moving():
-                self._feed(*needed)
+            self._forget()
 
     @property
     def known(self) -> int:
@@ -90,6 +93,11 @@ class RobotFrames:
         """Frames whose history is kept."""
         with self._lock:
             return self._tree.relevant
+
+    def _forget(self) -> None:
+        self._buffer.clear()
+        for needed in self._tree.forget_moving():
+            self._feed(*needed)
 
     def _feed(self, transform: RawTransform, fixed: bool) -> None:
         message = TransformStamped(child_frame_id=transform.child)
@@ -120,5 +128,5 @@ class RobotFrameFeed(RobotFrames):
 
     def _take(self, data: bytes, frames: Frames, fixed: bool) -> None:
         for child, offset in frames:
-            if not child.lstrip(b"/").startswith(OF_HUMANS):
+            if not is_of_human(child, fixed):
                 self.put(read(data, offset), fixed)

@@ -18,9 +18,9 @@ class TfFeed:
     """Calls on_frames(data, frames, fixed) in rospy's thread for each message of another node.
 
     frames: (child frame, offset) of each transform; tf_scan.read(data, offset) gives the transform itself.
-    fixed: it came on /tf_static. A message that is no TFMessage, or of which on_frames says so by a ValueError, is told and
-    counted in `refused`. skip: messages of nodes whose name starts so are not even looked at. own: take those of this
-    node as well.
+    fixed: it came on /tf_static. A message that is no TFMessage is told and counted in `refused`. So is a transform that
+    on_frames refuses by a ValueError; the others of its message are then given to it one by one. skip: messages of nodes
+    whose name starts so are not even looked at. own: take those of this node as well.
     """
 
     def __init__(self, on_frames: Callable[[bytes, Frames, bool], None], skip: Optional[str] = None,
@@ -42,8 +42,24 @@ class TfFeed:
         caller = message._connection_header.get("callerid", "")
         if caller == self._name or (self._skip is not None and caller.startswith(self._skip)):
             return
+        frames: Frames = []
         try:
-            self._on_frames(message._buff, scan(message._buff), fixed)
+            frames = scan(message._buff)
+            self._on_frames(message._buff, frames, fixed)
         except ValueError as error:
-            self.refused += 1
-            rospy.logwarn_throttle(_LOG_PERIOD_S, "/tf: a message of %s is not used: %s", caller, error)
+            if len(frames) < 2:
+                self._refuse(caller, error)
+            else:
+                self._take_singly(caller, message._buff, frames, fixed)
+
+    def _take_singly(self, caller: str, data: bytes, frames: Frames, fixed: bool) -> None:
+        """Take the transforms of a message of which one is bad; to take a good one twice does no harm."""
+        for frame in frames:
+            try:
+                self._on_frames(data, [frame], fixed)
+            except ValueError as error:
+                self._refuse(caller, error)
+
+    def _refuse(self, caller: str, error: ValueError) -> None:
+        self.refused += 1
+        rospy.logwarn_throttle(_LOG_PERIOD_S, "/tf: something of %s is not used: %s", caller, error)

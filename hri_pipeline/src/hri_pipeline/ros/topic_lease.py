@@ -9,13 +9,15 @@ import genpy
 import rospy
 
 from hri_pipeline.core.ids import ID_PATTERN, is_valid_id
-from hri_pipeline.ros.topic_release import release
+from hri_pipeline.ros.topic_release import Releaser, refuse_when_closed
 
 _MOST_MET = 100
+# What is latched tells a state; none of the changes of one image or sound may replace another before it is sent.
+_CHANGES = 10
 
 
 class TopicSpec(NamedTuple):
-    """Type of a topic, whether it is latched, and how many messages wait for a slow subscriber.
+    """Type of a topic, whether it is latched, and how many messages wait for a slow subscriber (latched: ten at least).
 
     greet: a node that subscribes for the first time gets the last message at once, without the topic being a latched
     one: it need not wait for the next of a slow topic. One that comes again may have had that message.
@@ -70,6 +72,7 @@ class TopicLeases:
         self._open: Dict[str, Dict[str, rospy.Publisher]] = {}
         self._greeters: Dict[str, Dict[str, Optional[_Greeter]]] = {}
         self._lock = threading.RLock()
+        self._releaser = Releaser()
 
     @property
     def ids(self) -> List[str]:
@@ -94,7 +97,8 @@ class TopicLeases:
                 greeter = greeters[name] = _Greeter() if spec.greet else None
                 publishers[name] = rospy.Publisher(
                     "{}/{}/{}".format(self._namespace, identity, name), spec.type, subscriber_listener=greeter,
-                    latch=spec.latch, queue_size=spec.queue_size)
+                    latch=spec.latch, queue_size=max(spec.queue_size, _CHANGES) if spec.latch else spec.queue_size)
+                refuse_when_closed(publishers[name])
                 if greeter is not None:
                     greeter.publisher = publishers[name]
 
@@ -131,13 +135,13 @@ class TopicLeases:
             return publisher is not None and publisher.get_num_connections() > 0
 
     def close(self, identity: str) -> None:
-        """Take the topics of an id back; nothing happens when it is not open."""
+        """Take the topics of an id back, which the master is told soon; nothing happens when it is not open."""
         with self._lock:
             self._greeters.pop(identity, None)
-            for publisher in self._open.pop(identity, {}).values():
-                release(publisher)
+            self._releaser.put(self._open.pop(identity, {}).values())
 
     def close_all(self) -> None:
-        """Take all topics back."""
+        """Take all topics back, and return when the master knows."""
         for identity in self.ids:
             self.close(identity)
+        self._releaser.wait()

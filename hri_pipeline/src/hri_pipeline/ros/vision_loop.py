@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 import traceback
@@ -12,6 +13,8 @@ from typing import Deque, Dict, List, Optional, Protocol, Sequence, Set
 import rospy
 
 from hri_pipeline.core.pacing import Pacer
+from hri_pipeline.core.priority import stand_back
+from hri_pipeline.core.setup.setup_facts import NO_IMAGE_YET
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.image_intake import Frame, ImageIntake
@@ -21,6 +24,8 @@ _REPORT_S = 1.0
 # Time without an image after which nobody can be said to be tracked any more.
 _SILENCE_S = 2.0
 _LOG_PERIOD_S = 10.0
+# How long a node that stands back goes with the others after its first image.
+_FORWARD_S = 5.0
 
 
 class Branch(Protocol):
@@ -45,16 +50,18 @@ class VisionLoop:
     A branch that raises loses that image and nothing else. max_rate: Hz, 0 for no limit. Rate, age of the
     images, dropped images and the time of each stage are told in diagnostics. close() closes intake,
     branches and diagnostics. When no image comes for `silence` s of ROS time (the camera is gone), the
-    branches are reset, so that nobody stays tracked; a paused bag stops that time too.
+    branches are reset, so that nobody stays tracked; a paused bag stops that time too. nice: see stand_back(); from
+    some seconds after the first image on, so that a node that has just been started finds who is there.
     """
 
     def __init__(self, intake: ImageIntake, branches: Sequence[Branch], diagnostics: NodeDiagnostics,
-                 max_rate: float = 0.0, silence: float = _SILENCE_S) -> None:
+                 max_rate: float = 0.0, silence: float = _SILENCE_S, nice: int = 0) -> None:
         self._intake = intake
         self._branches = list(branches)
         self._diagnostics = diagnostics
         self._pacer = _pacer(max_rate)
         self._silence = silence
+        self._nice, self._stands_back_at = nice, math.inf
         self._lock = threading.RLock()
         self._closed = threading.Event()
         self._wake = threading.Event()
@@ -81,6 +88,7 @@ class VisionLoop:
                 if pacer is not None:
                     pacer.done(time.monotonic())
                 self.process(frame)
+                self._stand_back(time.monotonic())
                 heard, quiet = rospy.get_time(), False
             elif not quiet and rospy.get_time() - heard > self._silence:
                 quiet = True
@@ -136,6 +144,13 @@ class VisionLoop:
             except Exception:
                 rospy.logerr("%s did not close:\n%s", type(owner).__name__, traceback.format_exc())
 
+    def _stand_back(self, now: float) -> None:
+        if self._stands_back_at == math.inf:
+            self._stands_back_at = now + _FORWARD_S
+        elif now >= self._stands_back_at and self._nice:
+            stand_back(self._nice)
+            self._nice = 0
+
     def _next(self) -> Optional[Frame]:
         try:
             return self._intake.next(_WAIT_S)
@@ -180,7 +195,7 @@ class VisionLoop:
         if time.monotonic() - self._error_at < _LOG_PERIOD_S:
             return ERROR, self._last_error, values
         if not self._ended:
-            return WARN, "no image yet", values
+            return WARN, NO_IMAGE_YET, values
         return OK, "{:.1f} images/s".format(values["rate_hz"]), values
 
     def _rate(self) -> float:

@@ -1,8 +1,9 @@
 """What a face does, expresses, and whose it is: the stages behind the geometry, each only when somebody wants it.
 
 Action units are cheap and come from every look. The networks (expression, age and gender, recognition) are not: at most
-one of them runs on one face per image, the most overdue first, and rather not in an image in which the detector ran. Over
-time they take three quarters of `face_budget` at most, so that learning a crowd does not cost it its images; where several
+one of them runs per image, on one face, the most overdue first, and rather not in an image in which the detector ran. Over
+time they take three quarters of `face_budget` at most, so that learning a crowd does not cost it its images, but for what
+they have saved up while nobody was new: while that is much, some faces are recognised in one image. Where several networks
 are due, they take turns.
 """
 
@@ -32,6 +33,10 @@ _PATIENCE = 2.0
 """Overdue, in its own periods, from which a network runs in an image in which the detector ran, too."""
 _SHARE = 0.75
 """Part of the budget of looks that the networks may take besides."""
+_SAVED_S = 0.3
+"""Time of the networks that may be saved up: some ten looks."""
+_AT_ONCE = 3
+"""Faces that are recognised in one image while much is saved up; else one."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +75,7 @@ class FaceAnalysis:
         self._qualities = FaceQualities()
         self._times = times
         self._clock = clock
-        self._share = TimeShare(1e-3 * _SHARE * settings.face_budget)
+        self._share = TimeShare(1e-3 * _SHARE * settings.face_budget, _SAVED_S)
         self._images = self._waits = 0
         self._last, self._stamp = "", -np.inf
         self.matches: List[Match] = []
@@ -167,7 +172,8 @@ class FaceAnalysis:
             overdue["age_gender"] = self._age_gender.overdue(measured, qualities, stamp, demand.soft_biometrics)
         if self.recognition is not None and demand.recognition:
             # Who is who comes first: until it is known, everything else lacks its person.
-            overdue["recognition"] = 2.0 * _PATIENCE if self.recognition.due(qualities, stamp) else 0.0
+            is_due = self.recognition.due(qualities, stamp, limit=_AT_ONCE if self._share.ample else 1)
+            overdue["recognition"] = 2.0 * _PATIENCE if is_due else 0.0
         name = next_turn(overdue, self._last)
         paid = self._share.next_image(stamp - self._stamp)
         self._stamp = stamp

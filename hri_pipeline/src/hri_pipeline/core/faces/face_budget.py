@@ -20,11 +20,17 @@ _LONGEST_STEP = 1.0
 
 
 class TimeShare:
-    """Lets work that costs more than one image can spare be done now and then: `share` s per image at most, over time."""
+    """Lets work that costs more than one image can spare be done now and then: `share` s per image at most, over time.
 
-    def __init__(self, share: float) -> None:
-        """Raises ValueError when the share is not positive."""
-        self._owed = 0.0
+    saved: s that may be saved up in images that need nothing, and are there at the beginning: who has just come is then
+    known at once, and only a crowd has to wait.
+    """
+
+    def __init__(self, share: float, saved: float = 0.0) -> None:
+        """Raises ValueError when the share is not positive, or saved is negative."""
+        if not saved >= 0.0:
+            raise ValueError("{} s to be saved up; it must be 0 or more".format(saved))
+        self._saved, self._owed = saved, -saved
         self.change(share)
 
     def change(self, share: float) -> None:
@@ -35,8 +41,13 @@ class TimeShare:
 
     def next_image(self, step: float = 0.0) -> bool:
         """Tell, once for each image, `step` s after the last, whether all that was spent is paid."""
-        self._owed = max(0.0, self._owed - self._share * max(1.0, step / _USUAL_STEP))
+        self._owed = max(-self._saved, self._owed - self._share * max(1.0, step / _USUAL_STEP))
         return self._owed < 1e-9
+
+    @property
+    def ample(self) -> bool:
+        """Whether more than half of what may be saved up is there."""
+        return self._owed < -0.5 * self._saved
 
     def spent(self, seconds: float) -> None:
         """Take what the work has cost."""

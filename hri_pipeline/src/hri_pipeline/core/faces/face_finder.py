@@ -6,7 +6,7 @@ import math
 import time
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Callable, List, Mapping, Optional, Sequence, Set
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -73,26 +73,26 @@ class FaceFinder:
         self._detector = FaceDetector(detector)
         self._schedule = DetectionSchedule(settings.face_detection_period, settings.face_detection_tiles)
         self._mesh = FaceMesh(mesh)
-        self._budget = FaceBudget(settings.face_mesh_rate, 1e-3 * settings.face_budget)
-        self._tracker = FaceTracker(
-            settings.face_birth_delay, settings.face_death_time, settings.max_faces, ids,
-            settings.face_min_detections, settings.face_support_time)
+        self._budget = FaceBudget(*_share(settings))
+        self._tracker = FaceTracker(ids=ids, **_limits(settings))
         self._clock = clock
         self._times = times
         self._flow = FaceFlow()
         self._stamp = 0.0
         self.detected = False
-        self.reconfigure(settings)
+        self._set_thresholds(settings)
 
     def reconfigure(self, settings: SimpleNamespace) -> None:
         """Take up the values of the live parameters."""
+        self._schedule.set_period(settings.face_detection_period)
+        self._budget.share(*_share(settings))
+        self._tracker.limit(**_limits(settings))
+        self._set_thresholds(settings)
+
+    def _set_thresholds(self, settings: SimpleNamespace) -> None:
         self._min_score, self._min_presence = settings.min_detection_score, settings.min_face_presence
         self._support_age = _SUPPORT_AGE * settings.face_support_time
         self._detector.set_min_score(RECALL_RATIO * self._min_score)
-        self._schedule.set_period(settings.face_detection_period)
-        self._budget.share(settings.face_mesh_rate, 1e-3 * settings.face_budget)
-        self._tracker.limit(settings.face_birth_delay, settings.face_death_time, settings.max_faces,
-                            settings.face_min_detections, settings.face_support_time)
 
     @property
     def tracked_ids(self) -> List[str]:
@@ -230,6 +230,17 @@ class FaceFinder:
             box = box + np.concatenate([shift] * 2)
             presence *= math.exp(-(stamp - track.measured_at) / _PREDICTION_TIME)
         return FaceSighting(track.id, mesh, box, presence, measured, self._tracker.is_confirmed(track))
+
+
+def _share(settings: SimpleNamespace) -> Tuple[float, float]:
+    """Rate (Hz) and budget (s) of the looks, for FaceBudget."""
+    return settings.face_mesh_rate, 1e-3 * settings.face_budget
+
+
+def _limits(settings: SimpleNamespace) -> Dict[str, Any]:
+    """Arguments of FaceTracker.limit()."""
+    return {"birth_delay": settings.face_birth_delay, "death_time": settings.face_death_time, "max_faces": settings.max_faces,
+            "min_detections": settings.face_min_detections, "support_time": settings.face_support_time}
 
 
 def _touch(a: Sequence[float], b: Sequence[float]) -> bool:

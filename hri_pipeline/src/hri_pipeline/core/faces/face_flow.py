@@ -29,27 +29,34 @@ _OTHER = 20.0
 
 
 class FaceFlow:
-    """Follows boxes from each image to the next. Not safe for use from several threads at once."""
+    """Follows boxes from each image to the next. Not safe for use from several threads at once.
+
+    An image without boxes is kept as it is, and shrunk only if there are some in the next one.
+    """
 
     def __init__(self) -> None:
-        self._before: Optional[np.ndarray] = None
+        self._image: Optional[np.ndarray] = None        # the last one, where it has not been shrunk
+        self._picture: Optional[np.ndarray] = None      # the last one, shrunk
 
     def update(self, bgr: np.ndarray, boxes: Sequence[np.ndarray],
                expected: Sequence[np.ndarray]) -> List[Optional[np.ndarray]]:
         """Return how far (2,) px each box has moved from the last image to `bgr` (H, W, 3); None where that is not seen.
 
-        boxes: (4,) px each, where they were in the last image; expected: (2,) px each, where the search begins.
+        boxes: (4,) px each, where they were in the last image; expected: (2,) px each, where the search begins. Nobody
+        may write to `bgr` until the next call.
         """
-        green = cv2.extractChannel(bgr, 1)
-        size = (max(1, green.shape[1] // SHRINK), max(1, green.shape[0] // SHRINK))
-        before, self._before = self._before, cv2.resize(green, size, interpolation=cv2.INTER_AREA)
-        if before is None or before.shape != self._before.shape or not boxes:
+        if not boxes:
+            self._image, self._picture = bgr, None
+            return []
+        before = shrink(self._image) if self._image is not None else self._picture
+        self._image, self._picture = None, shrink(bgr)
+        if before is None or before.shape != self._picture.shape:
             return [None] * len(boxes)
         places = np.asarray(boxes, dtype=np.float64) / SHRINK
         points = _grids(places)
         guess = points + np.asarray(expected, dtype=np.float64)[:, None] / SHRINK
         found, status, error = cv2.calcOpticalFlowPyrLK(
-            before, self._before, _flat(points), _flat(guess), winSize=_WINDOW, maxLevel=_LEVELS, criteria=_STOP,
+            before, self._picture, _flat(points), _flat(guess), winSize=_WINDOW, maxLevel=_LEVELS, criteria=_STOP,
             flags=cv2.OPTFLOW_USE_INITIAL_FLOW)
         motions = found.reshape(points.shape).astype(np.float64) - points
         good = (status.reshape(points.shape[:2]) > 0) & (error.reshape(points.shape[:2]) < _OTHER)
@@ -57,7 +64,14 @@ class FaceFlow:
 
     def reset(self) -> None:
         """Forget the last image."""
-        self._before = None
+        self._image = self._picture = None
+
+
+def shrink(bgr: np.ndarray) -> np.ndarray:
+    """Return the picture (H / SHRINK, W / SHRINK) of an image (H, W, 3), in which points are followed."""
+    green = cv2.extractChannel(bgr, 1)
+    size = (max(1, green.shape[1] // SHRINK), max(1, green.shape[0] // SHRINK))
+    return cv2.resize(green, size, interpolation=cv2.INTER_AREA)
 
 
 def _grids(boxes: np.ndarray) -> np.ndarray:

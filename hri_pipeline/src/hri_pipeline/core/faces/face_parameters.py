@@ -30,7 +30,8 @@ FACE_FINDER_PARAMETERS = (
               " costs more. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True),
     Parameter("face_budget", 10.0, "Processor time per image for looks of the mesh network. With more faces than it"
               " allows, they take turns. On a faster machine the same budget means more looks. The networks behind it"
-              " (expression, age and gender, recognition) take three quarters of it at most, over time.",
+              " (expression, age and gender, recognition) take three quarters of it at most, over time, and 0.3 s at once"
+              " for who has just come.",
               unit="ms", minimum=1.0, maximum=1000.0, live=True),
     Parameter("face_birth_delay", 0.1, "Time for which a face must be seen before it gets its topics. Larger keeps out"
               " more flickering false faces.", unit="s", minimum=0.0, maximum=10.0, live=True),
@@ -90,9 +91,18 @@ CAMERA_PARAMETERS = (
 )
 """What every node that works on the camera's images needs."""
 
+DEPTH_PARAMETERS = (
+    Parameter("use_depth", False, "Subscribe to `depth`, a depth image registered to the colour image, and place people by it. Without"
+              " depth for an image, a face stands where its size and its irises put it, a body where face, floor and size do."),
+    Parameter("depth_slop", 0.03, "Largest difference of the stamps of an image and its depth image. Larger takes more"
+              " pairs of cameras that are not synchronised, and puts moving people where they were.",
+              unit="s", minimum=0.0, maximum=1.0),
+)
+"""What those need that can see the distance."""
+
 FACES = ParameterTable(
     "faces",
     "Node faces: finds and follows faces, their 70 landmarks, pose, gaze, action units, expression, apparent age and"
     " gender, and whose they are.",
-    FACE_STAGE_PARAMETERS + CAMERA_PARAMETERS,
+    FACE_STAGE_PARAMETERS + CAMERA_PARAMETERS + DEPTH_PARAMETERS,
 )

@@ -103,7 +103,7 @@ class PeopleFrames:
 
     def put(self, transform: RawTransform, fixed: bool) -> bool:
         """Keep a transform; False for one whose numbers are not finite or that turns by nothing."""
-        if not _is_legal(transform):
+        if not transform.is_pose:
             self.refused += 1
             return False
         name = transform.child
@@ -119,7 +119,7 @@ class PeopleFrames:
 
     def keep_fixed(self, transform: RawTransform) -> None:
         """Keep a fixed transform that may turn out to belong to somebody: it never comes again."""
-        if _is_legal(transform):
+        if transform.is_pose:
             self._unclaimed[transform.child] = Timed(transform, math.inf)
             self._unclaimed.move_to_end(transform.child)
             while len(self._unclaimed) > MAX_UNCLAIMED:
@@ -203,9 +203,3 @@ class PeopleFrames:
             self._limbs.discard(frame.encode())
             if frame not in self._frames and frame in self._unclaimed:
                 self._frames[frame] = self._unclaimed.pop(frame)
-
-
-def _is_legal(transform: RawTransform) -> bool:
-    # A sum is finite when all of its numbers are.
-    x, y, z, w = transform.rotation
-    return math.isfinite(sum(transform.translation)) and 1e-9 < x * x + y * y + z * z + w * w < math.inf

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -140,6 +140,11 @@ class FaceBodyMatcher:
         for pair in [pair for pair in self._states if pair[side] not in self._tracked[kind]]:
             del self._states[pair]
 
+    def has_left(self, pair: Pair) -> bool:
+        """Tell whether the face or the body of a pair is no longer tracked."""
+        face, body = pair
+        return face not in self._tracked["faces"] or body not in self._tracked["bodies"]
+
     def add_face(self, face: str, stamp: float, landmarks: np.ndarray, aspect: float, frame: str = "") -> None:
         """Take the landmarks (70, 3) of a face in the image of time `stamp` (s).
 
@@ -147,11 +152,11 @@ class FaceBodyMatcher:
         """
         if aspect > 0.0:
             self._aspect = aspect
-        self._add("faces", face, stamp, face_points(landmarks, self._aspect), frame)
+        self._add("faces", face, stamp, landmarks, frame)
 
     def add_body(self, body: str, stamp: float, skeleton: np.ndarray, frame: str = "") -> None:
         """Take the skeleton (18, 3) of a body in the image of time `stamp` (s); frame: as in add_face."""
-        self._add("bodies", body, stamp, body_points(skeleton, self._aspect), frame)
+        self._add("bodies", body, stamp, skeleton, frame)
 
     def add_place(self, kind: str, name: str, stamp: float, position: Sequence[float], frame: str = "") -> None:
         """Take the position (3,) m of one of the "faces", or of the head of one of the "bodies", in its camera's frame."""
@@ -188,7 +193,8 @@ class FaceBodyMatcher:
         faces = self._history.at("faces", stamp, tolerance)
         bodies = self._history.at("bodies", stamp, tolerance)
         values = combined(
-            likelihoods(np.array(list(faces.values())), np.array(list(bodies.values())),
+            likelihoods(np.array([face_points(landmarks, self._aspect) for landmarks in faces.values()]),
+                        np.array([body_points(skeleton, self._aspect) for skeleton in bodies.values()]),
                         settings.distance_scale, settings.min_point_confidence),
             place_likelihoods(self._places("faces", faces, stamp), self._places("bodies", bodies, stamp)))
         for row, face in enumerate(faces):
@@ -242,10 +248,10 @@ class MatchAnnouncer:
     def __init__(self) -> None:
         self._announcer: Announcer[Pair] = Announcer(CONFIDENCE_STEP)
 
-    def to_say(self, matches: Iterable[PairMatch], now: float) -> List[PairMatch]:
-        """Return what to publish at time `now` (s, of a clock that never jumps), withdrawals first."""
+    def to_say(self, matches: Iterable[PairMatch], now: float, has_left: Callable[[Pair], bool] = lambda pair: False) -> List[PairMatch]:
+        """Return what to publish at time `now` (s, of a clock that never jumps), withdrawals first; has_left: as of Announcer."""
         current = {(match.face, match.body): match.confidence for match in matches}
-        return [PairMatch(*pair, value) for pair, value in self._announcer.to_say(current, now)]
+        return [PairMatch(*pair, value) for pair, value in self._announcer.to_say(current, now, has_left)]
 
     def withdraw_all(self) -> List[PairMatch]:
         """Return the withdrawal of all that was said."""

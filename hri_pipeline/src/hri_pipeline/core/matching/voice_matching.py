@@ -98,6 +98,11 @@ class VoiceMatcher:
         for voice in ids - set(self._voices):
             self._voices[voice] = _Voice(SpeakingTimes(self._settings.onset_delay, self._settings.hangover))
 
+    def has_left(self, match: Tuple[str, str, str]) -> bool:
+        """Tell whether the voice, or the face, of (voice, kind, id) is no longer tracked."""
+        voice, kind, id = match
+        return voice not in self._voices or (kind == FACE and id not in self._faces)
+
     def set_persons(self, persons: Mapping[str, Tuple[str, str]], lost: Iterable[str] = ()) -> None:
         """Take the persons that are there, with the ids of their face and their voice, empty where there is none.
 

@@ -38,10 +38,13 @@ class RecognitionStage:
         self._asked = -np.inf
         self._qualities: Mapping[str, float] = {}
 
-    def due(self, qualities: Mapping[str, float], stamp: float) -> bool:
-        """Take note of the faces measured in this image; tell whether one of them is worth a template now."""
+    def due(self, qualities: Mapping[str, float], stamp: float, limit: int = 1) -> bool:
+        """Take note of the faces measured in this image; tell whether one of them is worth a template now.
+
+        limit: of how many faces look() may make one.
+        """
         self._qualities = qualities
-        self._due = self.recogniser.seen(qualities, stamp, limit=1)
+        self._due = self.recogniser.seen(qualities, stamp, limit)
         return bool(self._due)
 
     def look(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float) -> List[Match]:

@@ -19,8 +19,8 @@ MIGRATIONS: Tuple[Tuple[str, ...], ...] = (
 
 
 @dataclass(frozen=True)
-class StoredPerson:
-    """One person. Times: s; alias: the person this one was merged into; demographics: plain data, empty if unknown."""
+class PersonFacts:
+    """What is kept of one permanent person. Times: s of wall time; alias: id of the person that this one was merged into."""
 
     id: str
     name: str = ""
@@ -29,4 +29,10 @@ class StoredPerson:
     alias: str = ""
     first_seen: float = 0.0
     last_seen: float = 0.0
+
+
+@dataclass(frozen=True)
+class StoredPerson(PersonFacts):
+    """One person as a row of the store. demographics: plain data, empty if unknown."""
+
     demographics: Mapping[str, Any] = field(default_factory=dict)

@@ -18,7 +18,7 @@ _RECOGNISED = 0.9
 
 
 class Statement(NamedTuple):
-    """Two ids, what they are of, and the likelihood that they belong to one human; 0 withdraws."""
+    """Two ids, what they are of, and the likelihood that they belong to one human."""
 
     first_kind: str
     first: str
@@ -45,15 +45,14 @@ class SceneMatches:
         self._since.clear()
 
     def update(self, sensed: Sensed) -> List[Statement]:
-        """Return what is to be said at this cycle."""
+        """Return what is to be said at this cycle. Nothing is withdrawn: who has left was still that person."""
         wanted = self._pairs(sensed) if self._settings.matches else {}
         if self._settings.recognition:
             wanted.update(self._recognised(sensed))
         listed = {feature.id for features in (sensed.faces, sensed.bodies, sensed.voices) for feature in features}
+        self._said = {pair: when for pair, when in self._said.items()
+                      if pair[1] in listed and (pair[2] == PERSON or pair[3] in listed)}
         said: List[Statement] = []
-        for pair in [pair for pair in self._said if pair[1] not in listed or (pair[2] != PERSON and pair[3] not in listed)]:
-            del self._said[pair]
-            said.append(Statement(*pair, 0.0))
         for pair, likelihood in wanted.items():
             if sensed.stamp - self._said.get(pair, -REPEAT_S) >= REPEAT_S:
                 self._said[pair] = sensed.stamp

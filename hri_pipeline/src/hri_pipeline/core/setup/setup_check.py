@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import Callable, List, Tuple
+from typing import Callable, Dict, List, Tuple
 
 from hri_pipeline.core.images import ENCODINGS
-from hri_pipeline.core.setup.setup_facts import Facts, Stream
+from hri_pipeline.core.setup.setup_facts import NO_IMAGE_YET, Facts, Stream
 
 OK, HINT, FAULT = 0, 1, 2
 _ASPECT_TOLERANCE = 0.02
@@ -15,11 +15,16 @@ _ASPECT_TOLERANCE = 0.02
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing about the set-up. level: OK, HINT (works, but not as it could) or FAULT. mend: what to do, empty for OK."""
+    """One thing about the set-up. level: OK, HINT (works, but not as it could) or FAULT. mend: what to do, empty for OK.
+
+    topic: the one that it is about, where nodes tell the same of it. hence: what nodes tell that follows from it.
+    """
 
     level: int
     what: str
     mend: str = ""
+    topic: str = ""
+    hence: Tuple[str, ...] = ()
 
 
 Rule = Callable[[Facts, SimpleNamespace], List[Finding]]
@@ -27,7 +32,29 @@ Rule = Callable[[Facts, SimpleNamespace], List[Finding]]
 
 def check(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
     """Return what there is to say, the root causes first. settings: the values of CHECK_PARAMETERS."""
-    return [finding for rule in _RULES for finding in rule(facts, settings)]
+    findings = [finding for rule in _RULES for finding in rule(facts, settings)]
+    told = {name: status for name, status in facts.statuses.items() if status[0] > 0}
+    roots = [_with_consequences(finding, told) for finding in findings]
+    return roots + [Finding(FAULT if level >= 2 else HINT, "{}: {}".format(name, text), "see rostopic echo /diagnostics")
+                    for name, (level, text) in sorted(told.items())] + _people(facts, settings)
+
+
+def _with_consequences(finding: Finding, told: Dict[str, Tuple[int, str]]) -> Finding:
+    """Return the finding with what nodes tell of the same topic, and take that out of `told` ({task: (level, text)})."""
+    same = [name for name, (level, text) in told.items()
+            if finding.topic and name.endswith(": input") and level <= finding.level and _names(text, finding.topic)]
+    hence = []
+    for node in sorted(name.rpartition(":")[0] for name in same):
+        texts = ["input: " + told.pop(node + ": input")[1].partition(";")[0]]
+        if told.get(node + ": pipeline", (OK, ""))[1] == NO_IMAGE_YET:
+            texts.append("pipeline: " + told.pop(node + ": pipeline")[1])
+        hence.append("{}: {}".format(node, "; ".join(texts)))
+    return replace(finding, hence=tuple(hence))
+
+
+def _names(text: str, topic: str) -> bool:
+    """Tell whether a text names this topic, not only one that begins with it."""
+    return topic in [word.rstrip(":;,.") for word in text.split()]
 
 
 def is_well(findings: List[Finding]) -> bool:
@@ -43,9 +70,21 @@ def as_text(findings: List[Finding]) -> str:
         lines.append("{}  {}".format(marks[finding.level], finding.what))
         if finding.mend:
             lines.append("       -> " + finding.mend)
+        lines += ["       hence  " + text for text in finding.hence]
     faults = sum(finding.level == FAULT for finding in findings)
     lines.append("{} fault{} found".format(faults or "no", "" if faults == 1 else "s"))
     return "\n".join(lines)
+
+
+def _nothing_runs(facts: Facts) -> bool:
+    """Tell whether nothing of the stack is there, under these names (more than one) or others."""
+    return len(facts.nodes) > 1 and not facts.publishing and all(state == "absent" for state in facts.nodes.values())
+
+
+def _nothing(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    if not _nothing_runs(facts):
+        return []
+    return [Finding(FAULT, "nothing of ros4hri runs on this master", "roslaunch ros4hri ros4hri.launch")]
 
 
 def _clock(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
@@ -56,7 +95,9 @@ def _clock(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
 
 
 def _nodes(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
-    found = []
+    found: List[Finding] = []
+    if _nothing_runs(facts):
+        return found
     for name, state in facts.nodes.items():
         if state == "dead":
             found.append(Finding(FAULT, "the node {} is registered, but does not answer: it has crashed, or its machine "
@@ -65,7 +106,8 @@ def _nodes(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
         elif state == "absent":
             found.append(Finding(FAULT, "the node {} does not run".format(name),
                                  "roslaunch ros4hri ros4hri.launch; its messages there say why it ended. If its branch is "
-                                 "meant to be off, leave it out of the parameter nodes of this check"))
+                                 "meant to be off: rosrun hri_pipeline check _nodes:=\"[{}]\"".format(
+                                     ", ".join(other for other in facts.nodes if other != name))))
     return found
 
 
@@ -78,7 +120,7 @@ def _models(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
 
 def _image(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
     stream = facts.image
-    if stream is None:
+    if stream is None or (_nothing_runs(facts) and not stream.publishers):
         return []
     found = _stream(stream, "image")
     if found or not stream.messages:
@@ -102,18 +144,19 @@ def _stream(stream: Stream, argument: str) -> List[Finding]:
     wrong = [kind for kind in stream.types if kind != stream.wanted]
     if wrong and len(wrong) == len(stream.types):
         return [Finding(FAULT, "{} is a {}, not a {}".format(stream.topic, wrong[0], stream.wanted),
-                        _type_mend(wrong[0], argument))]
+                        _type_mend(wrong[0], argument), stream.topic)]
     if not stream.publishers:
         return [Finding(FAULT, "nobody publishes {}".format(stream.topic),
-                        "start the camera, or give its topic: {}:=/your/topic (rostopic list shows all)".format(argument))]
+                        "start the camera, or give its topic: {}:=/your/topic (rostopic list shows all)".format(argument), stream.topic)]
     if stream.unreachable and len(stream.unreachable) == len(stream.publishers):
         return [Finding(FAULT, "the publisher of {} ({}) cannot be reached".format(
             stream.topic, ", ".join(stream.unreachable)),
-            "it has died (rosnode cleanup), or its address is not known here: set ROS_IP on its machine and on this one")]
+            "it has died (rosnode cleanup), or its address is not known here: set ROS_IP on its machine and on this one",
+            stream.topic)]
     if not stream.messages:
         return [Finding(FAULT, "{} has a publisher ({}), but nothing comes".format(
             stream.topic, ", ".join(stream.publishers)),
-            "see that the camera is plugged in and its driver has no error; is the bag paused?")]
+            "see that the camera is plugged in and its driver has no error; is the bag paused?", stream.topic)]
     return []
 
 
@@ -130,7 +173,7 @@ def _picture(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
     topic = facts.image.topic if facts.image else "image"
     if picture.problem:
         return [Finding(FAULT, "images on {} cannot be read: {}".format(topic, picture.problem),
-                        "let the driver publish one of: {}".format(", ".join(ENCODINGS)))]
+                        "let the driver publish one of: {}".format(", ".join(ENCODINGS)), topic)]
     if picture.brightness < settings.min_brightness:
         return [Finding(FAULT, "the picture is too dark (mean {:.0f} of 255)".format(picture.brightness),
                         "switch the light on, take the lens cap off, let the camera expose longer")]
@@ -145,18 +188,21 @@ def _calibration(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
         return []
     missing = _stream(facts.info, "camera_info")
     if missing:
-        return [Finding(HINT, missing[0].what + ": distances are guessed from the parameter fallback_fov", missing[0].mend)]
+        return [Finding(HINT, missing[0].what + ": distances are guessed from the parameter fallback_fov", missing[0].mend,
+                        facts.info.topic)]
     calibration, picture = facts.calibration, facts.picture
     if calibration is None or picture is None or picture.problem:
         return []
     if calibration.focal <= 0.0:
         return [Finding(FAULT, "the camera is not calibrated: K on {} is all zero, so that distances are guessed".format(
-            facts.info.topic), "calibrate it (rosrun camera_calibration cameracalibrator.py), or set fallback_fov")]
+            facts.info.topic), "calibrate it (rosrun camera_calibration cameracalibrator.py), or set fallback_fov",
+            facts.info.topic)]
     ratio = (calibration.width * picture.height) / max(calibration.height * picture.width, 1)
     if abs(ratio - 1.0) > _ASPECT_TOLERANCE:
         return [Finding(FAULT, "{} is for {}x{} px, images are {}x{}".format(
             facts.info.topic, calibration.width, calibration.height, picture.width, picture.height),
-            "give the camera_info of this camera: camera_info:=/your/topic, or calibrate this resolution")]
+            "give the camera_info of this camera: camera_info:=/your/topic, or calibrate this resolution",
+            facts.info.topic)]
     return [Finding(OK, "{}: focal length {:.0f} px".format(facts.info.topic, calibration.focal))]
 
 
@@ -171,12 +217,6 @@ def _transforms(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
                     "the localisation, or: rosparam set /humans/reference_frame to a frame that exists, e.g. base_link")]
 
 
-def _diagnostics(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
-    """What the nodes say of themselves; what the rules above have said better is left out."""
-    return [Finding(FAULT if level >= 2 else HINT, "{}: {}".format(name, text), "see rostopic echo /diagnostics")
-            for name, (level, text) in sorted(facts.statuses.items()) if level > 0]
-
-
 def _people(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
     seen = {kind: count for kind, count in facts.tracked.items() if count > 0}
     if seen.get("persons"):
@@ -184,8 +224,7 @@ def _people(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
     if seen:
         told = " and ".join("{} {}".format(count, kind) for kind, count in seen.items())
         return [Finding(FAULT, "{} are tracked, but no person".format(told), "see that hri_person_manager runs, and its log")]
-    return [Finding(OK, "nobody is tracked now")]
+    return [] if _nothing_runs(facts) else [Finding(OK, "nobody is tracked now")]
 
 
-_RULES: Tuple[Rule, ...] = (
-    _clock, _models, _nodes, _image, _picture, _calibration, _transforms, _diagnostics, _people)
+_RULES: Tuple[Rule, ...] = (_nothing, _clock, _models, _nodes, _image, _picture, _calibration, _transforms)

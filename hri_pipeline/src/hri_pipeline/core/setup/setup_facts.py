@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Dict, Optional, Tuple
 
+NO_IMAGE_YET = "no image yet"       # what a pipeline tells in /diagnostics, whatever the reason
 
 @dataclass(frozen=True)
 class Stream:
@@ -51,10 +52,11 @@ class Facts:
 
     nodes: {name: "running", "dead" (registered, but does not answer) or "absent"}. statuses: {name of the task: (level,
     text)} of /diagnostics. tracked: {kind: ids in the last list, -1 without a list}. tf_reaches: whether transforms lead
-    from camera_frame to reference_frame.
+    from camera_frame to reference_frame. publishing: nodes, whatever their names, that publish below /humans.
     """
 
     nodes: Dict[str, str] = field(default_factory=dict)
+    publishing: Tuple[str, ...] = ()
     image: Optional[Stream] = None
     info: Optional[Stream] = None
     picture: Optional[Picture] = None

@@ -11,7 +11,7 @@ from typing import IO, Optional
 
 import numpy as np
 
-from hri_pipeline.core.child_process import ends_with_parent
+from hri_pipeline.core.parent_death_signal import ends_with_parent
 
 _WAIT_S = 2.0
 _KEPT_CHARACTERS = 2000

@@ -1,0 +1,1 @@
+"""The human as a chain of links: its dimensions, its stature, its URDF."""

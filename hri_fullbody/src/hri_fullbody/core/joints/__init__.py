@@ -1,0 +1,1 @@
+"""From key points to the joints of the chain."""

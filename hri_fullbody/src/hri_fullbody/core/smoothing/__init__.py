@@ -1,0 +1,1 @@
+"""From noisy key points to smooth ones."""

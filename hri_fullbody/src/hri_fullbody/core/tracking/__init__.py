@@ -1,0 +1,1 @@
+"""Which body is which, from image to image."""

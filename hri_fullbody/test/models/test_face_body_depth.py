@@ -1,0 +1,8 @@
+"""Faces and bodies of photographs stand at one distance, each measured without the other."""
+
+from hri_fullbody.evaluation.face_body_depth import face_body_depth_ratio_median
+from hri_pipeline.core.model_store import models_directory
+
+
+def test_a_face_and_its_body_are_equally_far_away():
+    assert 0.85 <= face_body_depth_ratio_median(models_directory()) <= 1.15

@@ -1,0 +1,1 @@
+"""Faces: topics, pictures, galleries."""

@@ -1,0 +1,1 @@
+"""Gaze, groups and engagement: topics and the node."""

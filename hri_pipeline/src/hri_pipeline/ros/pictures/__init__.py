@@ -1,0 +1,1 @@
+"""The source of images, and the overlay."""

@@ -1,0 +1,1 @@
+"""The simulated scene as a node."""

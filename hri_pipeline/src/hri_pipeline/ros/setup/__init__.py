@@ -1,0 +1,1 @@
+"""The check of a set-up, and the start of a bag."""

@@ -1,0 +1,1 @@
+"""Sound that comes in, and its source."""

@@ -1,0 +1,1 @@
+"""Voices: topics and the node."""

@@ -1,0 +1,73 @@
+"""For tests that run nodes: waits for conditions, in wall time, and looks at what a process holds."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+import time
+from typing import Callable, NamedTuple, Union
+from xmlrpc.client import ServerProxy
+
+import rosgraph
+
+_LOOK_S = 0.01
+
+
+class Held(NamedTuple):
+    """What a process holds: numbers of descriptors and threads, resident memory in MB."""
+
+    descriptors: int
+    threads: int
+    rss_mb: float
+
+
+def wait_for(condition: Callable[[], object], timeout: float, what: Union[str, Callable[[], str]]) -> object:
+    """Return the first value of the condition that is true.
+
+    Raises AssertionError after `timeout` s, which says `what` has not come; called then if it is a function.
+    """
+    deadline = time.monotonic() + timeout
+    while True:
+        value = condition()
+        if value:
+            return value
+        if time.monotonic() > deadline:
+            raise AssertionError("not within {:g} s: {}".format(timeout, what() if callable(what) else what))
+        time.sleep(_LOOK_S)
+
+
+def pid_of(node: str) -> int:
+    """Return the process id of a node. Raises rosgraph.MasterException when there is no such node, OSError when it is dead."""
+    master = rosgraph.Master("/testing")
+    return ServerProxy(master.lookupNode(node)).getPid("/testing")[2]
+
+
+def held_by(pid: int) -> Held:
+    """Return what a process holds. Raises OSError when there is no such process."""
+    with open("/proc/{}/status".format(pid), encoding="ascii", errors="replace") as status:
+        fields = dict(line.split(":", 1) for line in status)
+    return Held(len(os.listdir("/proc/{}/fd".format(pid))), int(fields["Threads"]),
+                int(fields["VmRSS"].split()[0]) / 1024.0)
+
+
+class HeardProcess:
+    """A child process, and a thread that runs read() until nothing more comes from it."""
+
+    def __init__(self, process: subprocess.Popen, read: Callable[[], None]) -> None:
+        self.process = process
+        self._reader = threading.Thread(target=read, daemon=True)
+        self._reader.start()
+
+    def code(self, timeout: float = 40.0) -> int:
+        """Return its exit status once it has ended and all is read. Raises subprocess.TimeoutExpired after `timeout` s."""
+        code = self.process.wait(timeout)
+        self._reader.join(10.0)
+        return code
+
+    def kill(self) -> None:
+        """End it without mercy. Idempotent."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        self._reader.join(10.0)
