@@ -124,6 +124,20 @@ class TestPersonServices(unittest.TestCase):
             topic.subscriber.unregister()
         softbiometrics.unregister()
 
+    def test_only_what_is_known_of_a_person_has_a_topic(self):
+        self.someone(self.face, "lea")
+        self.assertTrue(self.call("set_native_language", SetNativeLanguage, "lea", "fr").success)
+        language = Latest("/humans/persons/lea/native_language", String)
+        self.wait_for(lambda: language.text == "fr", "the language")
+        advertised = [name for name, _ in rospy.get_published_topics("/humans/persons/lea")]
+        self.assertIn("/humans/persons/lea/native_language", advertised)
+        self.assertNotIn("/humans/persons/lea/name", advertised)
+        self.assertTrue(self.call("set_name", SetName, "lea", "Léa").success)
+        name = Latest("/humans/persons/lea/name", String)
+        self.wait_for(lambda: name.text == "Léa", "the name, which is set later")
+        for topic in (language, name):
+            topic.subscriber.unregister()
+
     def test_what_cannot_be_done_is_answered_not_done(self):
         self.someone(self.face, "bea")
         for answer, words in (

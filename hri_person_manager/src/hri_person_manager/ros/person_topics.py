@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from typing import Dict, Optional, Tuple
+from typing import Dict, Optional, Set, Tuple
 
 import genpy
 import rospy
@@ -31,7 +31,7 @@ _TOPICS = {
     "anonymous": TopicSpec(Bool, True, 10),
     "alias": TopicSpec(String, True, 10),
 }
-# Most people have none of these; each topic costs a file descriptor and a call of the master.
+# Most people have none of these, few have all; each topic costs a file descriptor and a call of the master.
 _KNOWN_TOPICS = {
     "name": TopicSpec(String, True, 10),
     "native_language": TopicSpec(String, True, 10),
@@ -45,13 +45,31 @@ class _Person:
     def __init__(self, state: PersonState) -> None:
         self.state = state
         self.leases = TopicLeases(NAMESPACE, _TOPICS)
-        self.known_leases = TopicLeases(NAMESPACE, _KNOWN_TOPICS)
+        self.known_leases = {name: TopicLeases(NAMESPACE, {name: spec}) for name, spec in _KNOWN_TOPICS.items()}
+        self.known: Set[str] = set()
+        """Names of the topics of what is known of the person; they are there or on their way."""
         self.published: Dict[str, object] = {}
-        self.ready = self.is_known = self.known_ready = self.gone = False
+        self.ready = self.gone = False
 
-    def publish(self, name: str, message: genpy.Message, value: object) -> None:
-        (self.leases if name in _TOPICS else self.known_leases).publish(self.state.id, name, message)
+    def publish(self, name: str, message: genpy.Message, value: object) -> bool:
+        """Publish, and tell whether that could be done: the topic of what is known may be on its way."""
+        leases = self.leases if name in _TOPICS else self.known_leases[name]
+        if not leases.publish(self.state.id, name, message):
+            return False
         self.published[name] = value
+        return True
+
+    def open(self) -> None:
+        """Open what is not open yet: first what everybody has, later what has become known."""
+        if not self.ready:
+            self.leases.open(self.state.id)
+        for name in tuple(self.known):
+            self.known_leases[name].open(self.state.id)
+
+    def close(self) -> None:
+        """Take all topics back."""
+        for leases in (self.leases, *self.known_leases.values()):
+            leases.close_all()
 
 
 class PersonTopics:
@@ -116,7 +134,7 @@ class PersonTopics:
         self._work.put(person)
 
     def _open_and_close(self) -> None:
-        """Each person comes out of the queue when it is new, when something is known of it, and when it has gone."""
+        """Each person comes out of the queue when it is new, when something more is known of it, and when it has gone."""
         for person in iter(self._work.get, None):
             try:
                 self._attend(person)
@@ -126,15 +144,13 @@ class PersonTopics:
 
     def _attend(self, person: _Person) -> None:
         if person.gone:
-            person.leases.close_all()
-            person.known_leases.close_all()
+            person.close()
             return
-        again = person.ready
-        (person.known_leases if again else person.leases).open(person.state.id)
+        person.open()
         with self._lock:
             if not person.gone:
-                self._opening -= not again
-                person.ready, person.known_ready = True, again
+                self._opening -= not person.ready
+                person.ready = True
                 self._publish(person, person.state)
                 self._publish_lists()
 
@@ -158,20 +174,20 @@ class PersonTopics:
         for name, value in zip(_STATE, state[1:7]):
             if name not in last or _differs(last[name], value):
                 person.publish(name, _TOPICS[name].type(value), value)
-        record, demographics = self._register.get(state.id), self._register.demographics(state.id)
+        self._publish_known(person)
+
+    def _publish_known(self, person: _Person) -> None:
+        """Publish what is known of a person beyond the present, each on a topic that is opened when it is known first."""
+        record, demographics = self._register.get(person.state.id), self._register.demographics(person.state.id)
         name, language = (record.name, record.native_language) if record is not None else ("", "")
-        if not person.is_known:
-            if not name and not language and demographics is None:
-                return
-            person.is_known = True
-            self._work.put(person)
-        if not person.known_ready:
-            return      # their topics are on their way
-        for topic, text in (("name", name), ("native_language", language)):
-            if text != last.get(topic, ""):
-                person.publish(topic, String(text), text)
-        if demographics is not None and demographics is not last.get("demographics"):
-            person.publish("demographics", _age_and_gender(demographics), demographics)
+        for topic, value in (("name", name), ("native_language", language), ("demographics", demographics)):
+            if (not value and topic not in person.known) or value == person.published.get(topic, ""):
+                continue
+            if topic not in person.known:
+                person.known.add(topic)
+                self._work.put(person)
+            elif value is not None:
+                person.publish(topic, String(value) if isinstance(value, str) else _age_and_gender(value), value)
 
 
 def _age_and_gender(estimate: DemographicsEstimate) -> AgeAndGender:
