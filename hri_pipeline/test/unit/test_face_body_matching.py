@@ -245,3 +245,39 @@ def test_images_of_different_cameras_are_not_compared():
     matcher.add_face("face", 1.1, human(0.5)[0], ASPECT, "left")
     matcher.add_body("there", 1.1, human(0.5)[1], "right")
     assert [(match.face, match.body) for match in matcher.matches()] == [("face", "here")]
+
+
+@pytest.mark.parametrize("late", [0.3, 0.8, 1.6])
+def test_bodies_that_come_late_are_compared_with_the_faces_of_their_image(late):
+    """On a busy machine the bodies of an image come seconds after its faces; people walk past each other meanwhile."""
+    matcher, spoken = make(), MatchAnnouncer()
+    matcher.set_tracked("faces", ["f1", "f2"])
+    matcher.set_tracked("bodies", ["b1", "b2"])
+    matched, said = [], []
+    for step in range(90):
+        now = 10.0 + step / 15.0
+        places = {"1": 0.2 + 0.1 * (now - 10.0), "2": 0.8 - 0.1 * (now - 10.0)}
+        for name, x in places.items():
+            matcher.add_face("f" + name, now, human(x)[0], ASPECT)
+        if step % 14 == 0 and now - late >= 10.0:
+            seen = round((now - late - 10.0) * 15.0) / 15.0
+            for name, x in (("b1", 0.2 + 0.1 * seen), ("b2", 0.8 - 0.1 * seen)):
+                matcher.add_body(name, 10.0 + seen, human(x)[1])
+        matches = matcher.matches()
+        matched.append({(match.face, match.body) for match in matches})
+        said += spoken.to_say(matches, now, matcher.has_left)
+    assert matched[-1] == {("f1", "b1"), ("f2", "b2")}
+    assert all(pairs <= matched[-1] for pairs in matched)
+    assert all(match.confidence > 0.0 for match in said)
+
+
+def test_bodies_of_one_image_that_come_one_by_one_are_all_compared():
+    matcher = make()
+    matcher.set_tracked("faces", ["f1", "f2"])
+    matcher.set_tracked("bodies", ["b1", "b2"])
+    for name, x in (("f1", 0.2), ("f2", 0.8)):
+        matcher.add_face(name, 1.0, human(x)[0], ASPECT)
+    for name, x in (("b1", 0.2), ("b2", 0.8)):
+        matcher.add_body(name, 1.0, human(x)[1])
+        matches = matcher.matches()
+    assert {(match.face, match.body) for match in matches} == {("f1", "b1"), ("f2", "b2")}

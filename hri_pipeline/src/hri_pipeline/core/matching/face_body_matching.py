@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
@@ -14,7 +15,7 @@ from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.pictures.overlay_pairing import FeatureHistory
 
 CONFIDENCE_STEP = 0.05
-_HISTORY_S = 1.0
+_HISTORY_S = 4.0        # bodies of an image have come 1 to 2 s after its faces, on two cores with ten people and rviz
 _JUMP_BACK_S = 0.5
 _NOWHERE = np.full(3, np.nan)
 
@@ -127,8 +128,8 @@ class FaceBodyMatcher:
         self._history = FeatureHistory(_HISTORY_S)
         self._states: Dict[Pair, _PairState] = {}
         self._matched: Dict[Pair, float] = {}
-        self._newest = -math.inf
-        self._compared = -math.inf
+        self._newest: Dict[Tuple[str, str], float] = {}     # by kind and frame: each camera and node has its own delay
+        self._compared: Dict[str, float] = {}
 
     def set_tracked(self, kind: str, ids: Iterable[str]) -> None:
         """Take the ids of "faces" or "bodies" that are tracked; what is known of the others is dropped."""
@@ -139,6 +140,8 @@ class FaceBodyMatcher:
         side = 0 if kind == "faces" else 1
         for pair in [pair for pair in self._states if pair[side] not in self._tracked[kind]]:
             del self._states[pair]
+        if kind == "bodies":
+            self._compared = {body: stamp for body, stamp in self._compared.items() if body in self._tracked[kind]}
 
     def has_left(self, pair: Pair) -> bool:
         """Tell whether the face or the body of a pair is no longer tracked."""
@@ -165,33 +168,45 @@ class FaceBodyMatcher:
 
     def matches(self) -> List[PairMatch]:
         """Compare what has come in; return all pairs that match now, best first."""
-        stamp = self._stamp_to_compare()
-        if stamp is not None:
-            self._compare(stamp)
+        for stamp, bodies in sorted(self._bodies_to_compare().items()):
+            self._compare(stamp, bodies)
         self._drop_stale()
         self._assign()
         return [PairMatch(face, body, value) for (face, body), value in
                 sorted(self._matched.items(), key=lambda item: -item[1])]
 
     def _add(self, kind: str, name: str, stamp: float, points: np.ndarray, frame: str) -> None:
-        if stamp < self._newest - _JUMP_BACK_S:
+        newest = self._newest.get((kind, frame), -math.inf)
+        if stamp < newest - _JUMP_BACK_S:
             self._start_afresh()
+            newest = stamp
         if name in self._tracked[kind]:
-            self._newest = max(self._newest, stamp)
+            self._newest[kind, frame] = max(newest, stamp)
             self._frames[kind, name] = frame
             self._history.add(kind, name, stamp, points)
 
-    def _stamp_to_compare(self) -> Optional[float]:
-        faces = self._history.stamps("faces")
-        ready = [stamp for stamp in self._history.stamps("bodies") if stamp > self._compared
-                 and any(abs(stamp - face) <= self._settings.max_stamp_difference for face in faces)]
-        return max(ready, default=None)
+    def _bodies_to_compare(self) -> Dict[float, Set[str]]:
+        """Bodies by the stamp of their newest skeleton of which faces are known, where that is new."""
+        faces = sorted(self._history.stamps("faces"))
+        found: Dict[float, Set[str]] = {}
+        for body in self._tracked["bodies"]:
+            before = self._compared.get(body, -math.inf)
+            stamp = max((stamp for stamp in self._history.stamps_of("bodies", body)
+                         if stamp > before and self._near(stamp, faces)), default=None)
+            if stamp is not None:
+                found.setdefault(stamp, set()).add(body)
+        return found
 
-    def _compare(self, stamp: float) -> None:
+    def _near(self, stamp: float, others: Sequence[float]) -> bool:
+        """Tell whether one of `others`, in rising order, is near enough to be compared."""
+        tolerance = self._settings.max_stamp_difference
+        place = bisect_left(others, stamp - tolerance)
+        return place < len(others) and others[place] <= stamp + tolerance
+
+    def _compare(self, stamp: float, names: Set[str]) -> None:
         settings = self._settings
-        tolerance = settings.max_stamp_difference
-        faces = self._history.at("faces", stamp, tolerance)
-        bodies = self._history.at("bodies", stamp, tolerance)
+        faces = self._history.at("faces", stamp, settings.max_stamp_difference)
+        bodies = {body: skeleton for body, skeleton in self._history.at("bodies", stamp, 0.0).items() if body in names}
         values = combined(
             likelihoods(np.array([face_points(landmarks, self._aspect) for landmarks in faces.values()]),
                         np.array([body_points(skeleton, self._aspect) for skeleton in bodies.values()]),
@@ -201,7 +216,7 @@ class FaceBodyMatcher:
             for column, body in enumerate(bodies):
                 if not math.isnan(values[row, column]) and self._may_be_one(face, body):
                     self._follow((face, body), float(values[row, column]), stamp)
-        self._compared = stamp
+        self._compared.update(dict.fromkeys(bodies, stamp))
 
     def _places(self, kind: str, names: Iterable[str], stamp: float) -> np.ndarray:
         """Positions (N, 3) m at a time, NaN where they are not known."""
@@ -225,8 +240,9 @@ class FaceBodyMatcher:
         state.stamp = stamp
 
     def _drop_stale(self) -> None:
+        newest = max(self._newest.values(), default=-math.inf)
         for pair, state in list(self._states.items()):
-            if self._newest - state.stamp > self._settings.hold_time:
+            if newest - state.stamp > self._settings.hold_time:
                 del self._states[pair]
 
     def _assign(self) -> None:

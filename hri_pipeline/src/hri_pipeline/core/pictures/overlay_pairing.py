@@ -15,24 +15,24 @@ PREFER_COMPLETE = 1.0
 
 
 class FeatureHistory:
-    """Features of the last `keep` seconds by kind, id and image stamp (s)."""
+    """Features of the last `keep` seconds by kind, id and image stamp (s). Each kind may come late in its own way."""
 
     def __init__(self, keep: float = 2.0) -> None:
         if not keep > 0.0:
             raise ValueError("keep is {} s, it must be above 0".format(keep))
         self._keep = keep
         self._features: Dict[Tuple[str, str], Dict[float, np.ndarray]] = {}
-        self._newest = -np.inf
+        self._newest: Dict[str, float] = {}
         self._chosen_from, self._lag = -np.inf, 0.0
 
     def add(self, kind: str, name: str, stamp: float, feature: np.ndarray) -> None:
         """Keep a feature of face or body `name` for the image of time `stamp`."""
-        if stamp < self._newest - self._keep:
+        if stamp < self._newest.get(kind, -np.inf) - self._keep:
             self.clear()
-        self._newest = max(self._newest, stamp)
+        newest = self._newest[kind] = max(self._newest.get(kind, -np.inf), stamp)
         kept = self._features.setdefault((kind, name), {})
         kept[stamp] = feature
-        for old in [moment for moment in kept if moment < self._newest - self._keep]:
+        for old in [moment for moment in kept if moment < newest - self._keep]:
             del kept[old]
 
     def keep_only(self, kind: str, names: Iterable[str]) -> None:
@@ -44,12 +44,17 @@ class FeatureHistory:
     def clear(self) -> None:
         """Forget all, for example when time has jumped back."""
         self._features.clear()
-        self._newest = self._chosen_from = -np.inf
+        self._newest.clear()
+        self._chosen_from = -np.inf
         self._lag = 0.0
 
     def stamps(self, kind: str) -> Set[float]:
         """Return the stamps of all images in which something of `kind` is known."""
         return {stamp for (one, _), kept in self._features.items() if one == kind for stamp in kept}
+
+    def stamps_of(self, kind: str, name: str) -> Set[float]:
+        """Return the stamps of all images in which face or body `name` is known."""
+        return set(self._features.get((kind, name), ()))
 
     def at(self, kind: str, stamp: float, tolerance: float) -> Dict[str, np.ndarray]:
         """Return the feature of each id whose stamp is nearest to `stamp`, at most `tolerance` s away."""
