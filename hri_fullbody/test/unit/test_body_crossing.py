@@ -144,12 +144,21 @@ def test_a_window_captured_by_a_neighbour_refreshes_the_neighbour():
     assert film.ids() == before
 
 
-def test_a_body_that_nobody_sees_is_not_published_for_longer_than_the_death_time():
-    film = Film(Walkers([(300.0, 400.0)], (RED,)), death_time=0.4, schedule=PoseSchedule(1.0))
+def test_a_body_that_nobody_looks_at_is_published_for_the_death_time():
+    film = Film(Walkers([(300.0, 400.0)], (RED,)), death_time=0.4, schedule=PoseSchedule(5.0))
     film.run(2.0)
     track = film.tracker.tracks[0]
     assert film.tracker.published(track.stamp + 0.39) == [track]
     assert film.tracker.published(track.stamp + 0.41) == []
+
+
+def test_a_body_that_waits_for_its_look_is_published_until_that_is_overdue():
+    film = Film(Walkers([(300.0, 400.0)], (RED,)), death_time=0.4, schedule=PoseSchedule(1.0))
+    film.run(3.0)
+    track = film.tracker.tracks[0]
+    assert film.tracker.published(track.stamp + 1.3) == [track]
+    assert film.tracker.published(track.stamp + 1.7) == []
+    assert track.expected(track.stamp + 1.0).confidence.max() > 0.3 * track.estimate.confidence.max()
 
 
 def test_a_body_between_two_looks_moves_on_with_less_confidence():

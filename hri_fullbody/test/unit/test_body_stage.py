@@ -72,7 +72,8 @@ def test_ten_people_in_slow_images_are_found_soon_and_stay():
     ids, all_there = set(), None
     for index in range(60):
         before = len(scene.windows)
-        stage.update(IMAGE, CAMERA, 0.5 * index, faces)
+        bodies = stage.update(IMAGE, CAMERA, 0.5 * index, faces)
+        assert all_there is None or len(bodies) == 10, "those who wait for their look are where they were"
         assert len(scene.windows) - before <= 4
         ids.update(stage.tracked_ids)
         if all_there is None and len(stage.tracked_ids) == 10:

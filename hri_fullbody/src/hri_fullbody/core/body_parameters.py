@@ -39,7 +39,8 @@ BODY_STAGE_PARAMETERS = (
     Parameter("body_birth_delay", 0.1, "Time for which a body must be seen before it gets its topics. Larger keeps out"
               " more flickering false bodies.", unit="s", minimum=0.0, maximum=10.0, live=True),
     Parameter("body_death_time", 1.0, "Time after which a body that is looked for in vain (twice at least) is dropped with its"
-              " id, and one that waits for its look is not published. Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True),
+              " id. One that waits for its look is published for as long, or for one and a half rounds of looks where those"
+              " take longer. Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True),
     Parameter("body_memory", 10.0, "Time for which a lost body is remembered by the colours of its clothes and its place: a new"
               " body that fits is told to be the same person (the id is a new one all the same). 0: never.", unit="s",
               minimum=0.0, maximum=300.0),

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import List, Optional, Sequence
+from collections import deque
+from typing import Deque, List, Optional, Sequence
 
 from hri_fullbody.core.tracking.body_track import BodyTrack
 
 _FAST = 1.0             # body sizes per second from which a body counts as fast
 _NEWBORN_WEIGHT = 3.0
 _HIDDEN_WEIGHT = 0.6
+_LONGEST_ROUND = 64     # looks of which the waits are known: the most bodies there can be
 
 
 class PoseSchedule:
@@ -25,6 +27,7 @@ class PoseSchedule:
         self._earned = 0.0
         self._last: Optional[float] = None
         self._turns = 0
+        self._waits: Deque[float] = deque(maxlen=_LONGEST_ROUND)
 
     def limit(self, rate: float, budget: int) -> None:
         """rate: Hz for each body, 0 for every image. budget: most windows per image, 0 for no limit. ValueError if < 0."""
@@ -36,6 +39,7 @@ class PoseSchedule:
     def reset(self) -> None:
         """Forget what was earned."""
         self._earned, self._last = 0.0, None
+        self._waits.clear()
 
     def choose(self, tracks: Sequence[BodyTrack], stamp: float, reserved: int = 0) -> List[BodyTrack]:
         """Return the bodies to look at in the image of `stamp` (s), most urgent first.
@@ -58,6 +62,10 @@ class PoseSchedule:
         for track in chosen:
             self._turns += 1
             track.turn = self._turns
+            self._waits.append(stamp - track.looked_at)
+        wait = max(list(self._waits)[-len(tracks):], default=0.0)
+        for track in tracks:
+            track.wait = wait
         return chosen
 
 

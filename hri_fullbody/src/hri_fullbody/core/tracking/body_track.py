@@ -29,7 +29,7 @@ class BodyTrack:
     """One body over time. All stamps are seconds of the images' clock.
 
     visible: the last look found it. looked_at: stamp of that look. misses: looks in a row that did not find it.
-    turn: for the schedule, rising with every look. looks: its appearance, learnt while unoccluded.
+    turn: for the schedule, rising with every look. wait: time (s) that looks took lately to come round. looks: its appearance, learnt while unoccluded.
     """
 
     def __init__(self, body_id: str, sight: Sight, stamp: float, life: TrackLife,
@@ -43,6 +43,7 @@ class BodyTrack:
         self.looked_at = stamp
         self.misses = 0
         self.turn = 0
+        self.wait = 0.0
         self.supported_at = stamp
         self.looks: Optional[np.ndarray] = sight.looks
         self.described_at = stamp
@@ -106,7 +107,7 @@ class BodyTrack:
     def _moved_on(self, age: float, stamp: float) -> PoseEstimate:
         landmarks = self.estimate.landmarks.copy()
         landmarks[:, :2] += self.moved(stamp)
-        fade = float(np.exp(-age / _FADE_S))
+        fade = float(np.exp(-age / max(_FADE_S, self.wait)))
         return replace(self.estimate, score=self.estimate.score * fade, landmarks=landmarks,
                        confidence=self.estimate.confidence * fade)
 

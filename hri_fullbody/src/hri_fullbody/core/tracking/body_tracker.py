@@ -29,6 +29,7 @@ Locate = Callable[[PoseEstimate], Optional[np.ndarray]]
 _SECOND_OFFSET, _SECOND_SHARE = 0.12, 0.75
 _OCCLUDED_SHARE = 0.15
 _DESCRIBE_S = 0.4
+_OVERDUE = 1.5      # times as long as others lately waited for their looks
 
 
 class PoseEstimator(Protocol):
@@ -37,7 +38,6 @@ class PoseEstimator(Protocol):
     def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
                  shown: Optional[np.ndarray] = None) -> PoseEstimate:
         """Return the body in `window` of `image` (H, W, 3) BGR."""
-        ...
 
 
 class BodyTracker:
@@ -86,9 +86,9 @@ class BodyTracker:
         self.schedule.reset()
 
     def published(self, stamp: float) -> List[BodyTrack]:
-        """Confirmed bodies that the last look at each has found, no longer ago than the death time."""
+        """Confirmed bodies that the last look at each has found, no longer ago than the death time, or than looks take to come round."""
         return [track for track in self.tracks if track.life.confirmed and track.visible
-                and not track.life.dead(stamp)]
+                and stamp - track.stamp <= max(self._death_time, _OVERDUE * track.wait)]
 
     def follow(self, image: np.ndarray, stamp: float, faces: Sequence[FaceBox] = (),
                locate: Optional[Locate] = None, for_new: int = 0) -> None:
@@ -143,7 +143,7 @@ class BodyTracker:
             return self._look_below(track, image, stamp, face, faces, track.misses)
         sight = self._sight(image, self._look(image, track.window(face, stamp), track, face, faces, stamp),
                             track, stamp)
-        if face is None or (sight is not None and self._fits(track, sight, stamp, face)):
+        if face is None or (sight is not None and _fits(track, sight, stamp, face)):
             return sight
         for attempt in range(len(FACE_WINDOW_SIZES)):
             if self._retries <= 0:
@@ -160,14 +160,10 @@ class BodyTracker:
         side = track.next_anchor(attempt)
         estimate = self._look(image, window_from_face(face, side), track, face, faces, stamp)
         sight = self._sight(image, estimate, track, stamp)
-        if sight is None or not self._fits(track, sight, stamp, face):
+        if sight is None or not _fits(track, sight, stamp, face):
             return None
         track.hold_anchor(side, stamp)
         return sight
-
-    @staticmethod
-    def _fits(track: BodyTrack, sight: Sight, stamp: float, face: Optional[FaceBox]) -> bool:
-        return association_cost(track, sight, stamp, face, False) <= MAX_COST
 
     def _give(self, sights: Sequence[Sight], looked: Sequence[BodyTrack], stamp: float,
               faces: Sequence[FaceBox]) -> None:
@@ -297,3 +293,7 @@ class BodyTracker:
                 track.missed(stamp)
             else:
                 shown.append(track)
+
+
+def _fits(track: BodyTrack, sight: Sight, stamp: float, face: Optional[FaceBox]) -> bool:
+    return association_cost(track, sight, stamp, face, False) <= MAX_COST
