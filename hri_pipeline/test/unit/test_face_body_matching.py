@@ -281,3 +281,21 @@ def test_bodies_of_one_image_that_come_one_by_one_are_all_compared():
         matcher.add_body(name, 1.0, human(x)[1])
         matches = matcher.matches()
     assert {(match.face, match.body) for match in matches} == {("f1", "b1"), ("f2", "b2")}
+
+
+@pytest.mark.parametrize("frame", ["camera", "", "garbage"])
+@pytest.mark.parametrize("stamp", [4e9, 1.0])
+def test_a_message_of_another_time_or_camera_costs_a_moment(frame, stamp):
+    matcher = make()
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    for step in range(30):
+        now = 100.0 + 0.1 * step
+        matcher.add_face("f1", now, human(0.5)[0], ASPECT, "camera")
+        matcher.add_body("b1", now, human(0.5)[1], "camera")
+        if step == 10:
+            matcher.add_face("f1", stamp, human(0.5)[0], ASPECT, frame)
+        if step == 15:
+            matcher.add_body("b1", stamp, human(0.5)[1], frame)
+        matches = matcher.matches()
+        assert [(match.face, match.body) for match in matches] == [("f1", "b1")] or step in (10, 11, 15, 16)

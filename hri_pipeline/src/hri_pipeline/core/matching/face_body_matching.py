@@ -137,6 +137,8 @@ class FaceBodyMatcher:
         self._history.keep_only(kind, self._tracked[kind])
         self._history.keep_only("places of " + kind, self._tracked[kind])
         self._frames = {key: frame for key, frame in self._frames.items() if key[0] != kind or key[1] in self._tracked[kind]}
+        cameras = {(key[0], frame) for key, frame in self._frames.items()}
+        self._newest = {camera: stamp for camera, stamp in self._newest.items() if camera in cameras}
         side = 0 if kind == "faces" else 1
         for pair in [pair for pair in self._states if pair[side] not in self._tracked[kind]]:
             del self._states[pair]
@@ -240,10 +242,14 @@ class FaceBodyMatcher:
         state.stamp = stamp
 
     def _drop_stale(self) -> None:
-        newest = max(self._newest.values(), default=-math.inf)
         for pair, state in list(self._states.items()):
+            newest = max(self._newest_of(kind, name) for kind, name in zip(("faces", "bodies"), pair))
             if newest - state.stamp > self._settings.hold_time:
                 del self._states[pair]
+
+    def _newest_of(self, kind: str, name: str) -> float:
+        """Return the newest stamp of the camera that sees a face or body."""
+        return self._newest.get((kind, self._frames.get((kind, name), "")), -math.inf)
 
     def _assign(self) -> None:
         likely = {pair: state.likelihood for pair, state in self._states.items()
