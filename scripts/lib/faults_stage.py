@@ -94,7 +94,8 @@ class Stage:
     def running(self) -> "Counter[str]":
         """How many processes there are of each name of a node, or program; recognisers whose node lives are as many as it needs."""
         pids = self.pids()
-        return Counter(_name(pid) for pid in pids if RECOGNISER not in _command(pid) or _parent(pid) not in pids)
+        names = [_name(pid) for pid in pids if RECOGNISER not in _command(pid) or _parent(pid) not in pids]
+        return Counter(filter(None, names))     # one that ends at this moment has none
 
     def said(self) -> str:
         """All that the launch files have printed."""
