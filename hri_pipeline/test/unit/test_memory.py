@@ -1,9 +1,15 @@
-"""Memory of images is kept by the process."""
+"""Memory of images is kept by the process, and garbage is found."""
 
+import gc
 import subprocess
 import sys
+import threading
+import time
+import weakref
 
 import pytest
+
+from hri_pipeline.core.memory import Collector
 
 SCRIPT = """
 import resource, sys
@@ -61,3 +67,26 @@ before = resident()
 give_back()
 print(before, resident())
 """
+
+
+class Cycle:
+    def __init__(self):
+        self.own = self
+
+
+def test_what_lies_in_cycles_is_found_and_what_was_there_before_is_left_alone():
+    before = weakref.ref(Cycle())
+    kept = [[number] for number in range(1000)]
+    collector = Collector(period=0.02)
+    try:
+        assert before() is None and gc.get_freeze_count() > len(kept)
+        after = weakref.ref(Cycle())
+        deadline = time.monotonic() + 10.0
+        while after() is not None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert after() is None
+    finally:
+        collector.close()
+        collector.close()
+    assert gc.get_freeze_count() == 0
+    assert "collector" not in [thread.name for thread in threading.enumerate()]

@@ -1,8 +1,10 @@
-"""How the C library keeps the memory of images."""
+"""How the C library keeps the memory of images, and Python what is no longer used."""
 
 from __future__ import annotations
 
 import ctypes
+import gc
+import threading
 
 # Parameters of mallopt in glibc's malloc.h.
 _M_TRIM_THRESHOLD = -1
@@ -24,6 +26,33 @@ def share_arenas(count: int = 2) -> bool:
         return False
     mallopt.argtypes = (ctypes.c_int, ctypes.c_int)
     return bool(mallopt(_M_ARENA_MAX, count))
+
+
+class Collector:
+    """Looks for garbage in cycles every `period` s, among what was made since this object was. For a program that has been set up.
+
+    Python itself looks when 70,000 objects more than before are there, and never when these are less than a quarter of all: of
+    the topics of people who have left, a node held what rospy leaves of them for half an hour (measured). Without the objects
+    that were there before, mostly those of libraries, a look takes some milliseconds.
+    """
+
+    def __init__(self, period: float = 20.0) -> None:
+        gc.collect()
+        gc.freeze()
+        self._stop = threading.Event()
+        self._period = period
+        self._thread = threading.Thread(target=self._run, name="collector", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Look no more. Idempotent."""
+        self._stop.set()
+        self._thread.join()
+        gc.unfreeze()
+
+    def _run(self) -> None:
+        while not self._stop.wait(self._period):
+            gc.collect()
 
 
 def give_back() -> bool:

@@ -16,7 +16,7 @@ import rosgraph
 import rospy
 from rospy.exceptions import ROSInitException
 
-from hri_pipeline.core.memory import keep_large_blocks
+from hri_pipeline.core.memory import Collector, keep_large_blocks
 from hri_pipeline.core.onnx_model import ModelError
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.private_file import StoreError
@@ -101,11 +101,13 @@ def _run(build: Callable[[], object]) -> int:
     """Build, spin and close; return the exit code."""
     node: Optional[object] = None
     watch: Optional[MasterWatch] = None
+    collector: Optional[Collector] = None
     code = 0
     try:
         watch = MasterWatch()
         node = build()
         one_thread_each()     # for libraries that came with the node
+        collector = Collector()
         node.spin()
     except _Stop:
         pass
@@ -117,7 +119,7 @@ def _run(build: Callable[[], object]) -> int:
         code = 1
     finally:
         _ignore_signals()
-        for owner in (node, watch):
+        for owner in (node, watch, collector):
             code = max(code, _close(owner))
     return code
 

@@ -102,6 +102,9 @@ class VoiceSurroundings:
         with self._lock:
             self._matcher.set_tracked("faces", [])
             self._matcher.set_persons({})
+            # This object waits for the garbage collector, what it holds need not.
+            self._places.clear()
+            self._robot.reset()
 
     def _on_faces(self, ids: List[str]) -> None:
         with self._lock:
