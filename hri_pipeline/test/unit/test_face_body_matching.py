@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_pipeline.core.matching.face_body_matching import (
-    FaceBodyMatcher,
-    MatchAnnouncer,
-    PairMatch,
+from hri_pipeline.core.matching.face_body_likelihood import (
     body_points,
     combined,
     face_points,
     likelihoods,
     place_likelihoods,
 )
+from hri_pipeline.core.matching.face_body_matching import FaceBodyMatcher, MatchAnnouncer, PairMatch
 from hri_pipeline.core.matching.matcher_parameters import MATCHER_PARAMETERS
 
 ASPECT = 16.0 / 9.0
@@ -299,3 +297,89 @@ def test_a_message_of_another_time_or_camera_costs_a_moment(frame, stamp):
             matcher.add_body("b1", stamp, human(0.5)[1], frame)
         matches = matcher.matches()
         assert [(match.face, match.body) for match in matches] == [("f1", "b1")] or step in (10, 11, 15, 16)
+
+
+@pytest.mark.parametrize("begin", [0.0, 1.6e9])
+@pytest.mark.parametrize("rate", [15.0, 20.0, 40.0, 60.0])
+def test_a_face_that_looks_away_at_any_rate(rate, begin):
+    """The last stamp of the face then lies on the very rim of what is compared."""
+    matcher = make()
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    for step in range(200):
+        stamp = begin + step / rate
+        if step % 50 < 40:
+            matcher.add_face("f1", stamp, human(0.5)[0], ASPECT)
+        matcher.add_body("b1", stamp, human(0.5)[1])
+        assert [(match.face, match.body) for match in matcher.matches()] == [("f1", "b1")]
+
+
+@pytest.mark.parametrize("ahead", [1000.0, -5.0, 5.0])
+def test_two_cameras_whose_clocks_differ(ahead):
+    matcher = make()
+    matcher.set_tracked("faces", ["fa", "fb"])
+    matcher.set_tracked("bodies", ["ba", "bb"])
+    for step in range(60):
+        for name, x, stamp, camera in (("a", 0.5, 2000.0 + 0.1 * step, "A"), ("b", 0.8, 2000.0 + ahead + 0.1 * step, "B")):
+            matcher.add_face("f" + name, stamp, human(x)[0], ASPECT, camera)
+            if step >= 6:
+                matcher.add_body("b" + name, stamp - 0.6, human(x)[1], camera)
+        if step >= 6:
+            assert {(match.face, match.body) for match in matcher.matches()} == {("fa", "ba"), ("fb", "bb")}
+
+
+@pytest.mark.parametrize("camera", ["A", "B"])
+def test_another_face_before_the_own_one_costs_nothing(camera):
+    """At 5 images a second none but those of the same image are near enough, and each comes by itself."""
+    matcher = make()
+    matcher.set_tracked("faces", ["other", "own"])
+    matcher.set_tracked("bodies", ["b1"])
+    for step in range(20):
+        stamp = 100.0 + step / 5.0
+        matcher.add_face("other", stamp, human(0.2)[0], ASPECT, camera)
+        matcher.matches()
+        matcher.add_body("b1", stamp, human(0.5)[1], "B")
+        matcher.matches()
+        matcher.add_face("own", stamp, human(0.5)[0], ASPECT, "B")
+        assert [(match.face, match.body) for match in matcher.matches()] == [("own", "b1")]
+
+
+def test_the_place_of_a_head_may_come_after_its_skeleton():
+    matcher = make()
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    landmarks, skeleton = human(0.5)
+    skeleton[:, 2] = 0.0
+    for step in range(10):
+        stamp = 100.0 + step / 3.0
+        matcher.add_face("f1", stamp, landmarks, ASPECT)
+        matcher.add_body("b1", stamp, skeleton)
+        matcher.matches()
+        for kind, name in (("faces", "f1"), ("bodies", "b1")):
+            matcher.add_place(kind, name, stamp, (0.1, 0.2, 2.0))
+        assert [(match.face, match.body) for match in matcher.matches()] == [("f1", "b1")]
+
+
+def test_a_bag_that_loops_with_bodies_that_come_late():
+    """The last bodies of a loop come after the first faces of the next; who is there is there at once."""
+    matcher, length, late, matched = make(), 100, 15, []
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    for step in range(3 * length):
+        matcher.add_face("f1", 50.0 + 0.1 * (step % length), human(0.5)[0], ASPECT, "camera")
+        if step >= late:
+            matcher.add_body("b1", 50.0 + 0.1 * ((step - late) % length), human(0.5)[1], "camera")
+        matched.append(len(matcher.matches()))
+    assert sum(matched) >= len(matched) - 3 * (late + 2)
+
+
+def test_who_is_not_tracked_moves_no_clock():
+    matcher = make()
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    for step in range(20):
+        stamp = 100.0 + 0.1 * step
+        for name, when in (("f1", stamp), ("stranger", stamp - 1.0)):
+            matcher.add_face(name, when, human(0.5)[0], ASPECT)
+        matcher.add_body("b1", stamp, human(0.5)[1])
+        assert len(matcher.matches()) == 1

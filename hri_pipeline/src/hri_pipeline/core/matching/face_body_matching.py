@@ -12,26 +12,19 @@ import numpy as np
 
 from hri_pipeline.core.announcing import Announcer
 from hri_pipeline.core.assignment import assign
+from hri_pipeline.core.matching.face_body_likelihood import (
+    body_points,
+    combined,
+    face_points,
+    likelihoods,
+    place_likelihoods,
+)
 from hri_pipeline.core.pictures.overlay_pairing import FeatureHistory
 
 CONFIDENCE_STEP = 0.05
 _HISTORY_S = 4.0        # bodies of an image have come 1 to 2 s after its faces, on two cores with ten people and rviz
 _JUMP_BACK_S = 0.5
 _NOWHERE = np.full(3, np.nan)
-
-# Point of the skeleton (hri_msgs/Skeleton2D), landmarks of which the mean is the same point (dlib's 68
-# points), weight. The ears count less: the jaw line ends in front of them.
-_SAME_POINTS: Tuple[Tuple[int, Tuple[int, ...], float], ...] = (
-    (0, (30,), 1.0),
-    (14, (42, 43, 44, 45, 46, 47), 1.0),
-    (15, (36, 37, 38, 39, 40, 41), 1.0),
-    (16, (16,), 0.3),
-    (17, (0,), 0.3),
-)
-_MIN_WEIGHT = 1.3       # at least two points, one of them an eye or the nose
-# Two estimates of one head: across the line of sight (m), and along it, where both are inexact and more so far away.
-ACROSS_M, ALONG_M, ALONG_SHARE = 0.2, 0.3, 0.15
-PLACES_ALONE = 0.9      # likelihood of two heads at one place of which the image tells nothing
 
 Pair = Tuple[str, str]
 
@@ -44,69 +37,17 @@ class PairMatch(NamedTuple):
     confidence: float
 
 
-def face_points(landmarks: np.ndarray, aspect: float) -> np.ndarray:
-    """Return what the comparison needs of a face: (6, 3), five points x, y, confidence, and its size.
-
-    landmarks: (70, 3) x, y in 0..1 of the image and confidence; aspect: width over height of the image. The
-    points are in heights of the image. The last row holds the size of the face three times: the square root
-    of the area of the landmarks' bounding box, 0 where it has none.
-    """
-    points = landmarks * np.array([aspect, 1.0, 1.0])
-    found = [(*points[list(indices), :2].mean(axis=0), points[list(indices), 2].min())
-             for _, indices, _ in _SAME_POINTS]
-    seen = points[points[:, 2] > 0.0, :2]
-    extent = np.ptp(seen, axis=0) if len(seen) else np.zeros(2)
-    size = math.sqrt(float(extent[0] * extent[1]))
-    return np.array(found + [(size, size, size)])
-
-
-def body_points(skeleton: np.ndarray, aspect: float) -> np.ndarray:
-    """Return what the comparison needs of a skeleton (18, 3): (5, 3) x, y, confidence, as in face_points."""
-    return skeleton[[joint for joint, _, _ in _SAME_POINTS]] * np.array([aspect, 1.0, 1.0])
-
-
-def likelihoods(faces: np.ndarray, bodies: np.ndarray, distance_scale: float,
-                min_point_confidence: float) -> np.ndarray:
-    """Return (F, B) likelihoods that a face and a body are of one human, NaN where too little is seen.
-
-    faces: (F, 6, 3) of face_points, bodies: (B, 5, 3) of body_points. The likelihood is exp(-d^2 / 2 s^2)
-    with d the weighted mean distance of the points in sizes of the face and s = distance_scale.
-    """
-    size = faces[:, None, 5, 0]
-    face, body = faces[:, None, :5], bodies[None]
-    usable = (face[..., 2] >= min_point_confidence) & (body[..., 2] >= min_point_confidence)
-    weights = np.where(usable, [weight for _, _, weight in _SAME_POINTS], 0.0)
-    total = weights.sum(axis=2)
-    apart = np.hypot(face[..., 0] - body[..., 0], face[..., 1] - body[..., 1])
-    known = (total >= _MIN_WEIGHT - 1e-9) & (size > 0.0)
-    distance = (weights * apart).sum(axis=2) / np.where(known, total * size, 1.0)
-    return np.where(known, np.exp(-0.5 * (distance / distance_scale) ** 2), np.nan)
-
-
-def place_likelihoods(faces: np.ndarray, bodies: np.ndarray) -> np.ndarray:
-    """Return (F, B) likelihoods that faces (F, 3) and heads of skeletons (B, 3) are at one place; NaN where one is NaN.
-
-    Positions in m in the optical frame of one camera, which sees directions exactly and distances less so.
-    """
-    faces, bodies = faces[:, None], bodies[None]
-    apart = faces - bodies
-    distance = np.linalg.norm(faces, axis=2)
-    sight = faces / np.maximum(distance, 1e-6)[..., None]
-    along = np.abs((apart * sight).sum(axis=2))
-    across = np.linalg.norm(apart - (apart * sight).sum(axis=2)[..., None] * sight, axis=2)
-    return np.exp(-0.5 * ((across / ACROSS_M) ** 2 + (along / (ALONG_M + ALONG_SHARE * distance)) ** 2))
-
-
-def combined(image: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Fuse the likelihoods (F, B) of image and places, either of which may be NaN; the image is the more exact one."""
-    both = image * np.sqrt(places)
-    return np.where(np.isnan(places), image, np.where(np.isnan(image), PLACES_ALONE * places, both))
-
-
 @dataclass
 class _PairState:
     likelihood: float
     stamp: float
+
+
+class _Compared(NamedTuple):
+    """The newest skeleton of a body that was compared, and with whom; faces may come after it."""
+
+    stamp: float
+    faces: Set[str]
 
 
 class FaceBodyMatcher:
@@ -122,14 +63,11 @@ class FaceBodyMatcher:
         self._tracked: Dict[str, Set[str]] = {"faces": set(), "bodies": set()}
         self._frames: Dict[Tuple[str, str], str] = {}
         self._aspect = 1.0
-        self._start_afresh()
-
-    def _start_afresh(self) -> None:
         self._history = FeatureHistory(_HISTORY_S)
         self._states: Dict[Pair, _PairState] = {}
         self._matched: Dict[Pair, float] = {}
         self._newest: Dict[Tuple[str, str], float] = {}     # by kind and frame: each camera and node has its own delay
-        self._compared: Dict[str, float] = {}
+        self._compared: Dict[str, _Compared] = {}
 
     def set_tracked(self, kind: str, ids: Iterable[str]) -> None:
         """Take the ids of "faces" or "bodies" that are tracked; what is known of the others is dropped."""
@@ -143,7 +81,7 @@ class FaceBodyMatcher:
         for pair in [pair for pair in self._states if pair[side] not in self._tracked[kind]]:
             del self._states[pair]
         if kind == "bodies":
-            self._compared = {body: stamp for body, stamp in self._compared.items() if body in self._tracked[kind]}
+            self._compared = {body: done for body, done in self._compared.items() if body in self._tracked[kind]}
 
     def has_left(self, pair: Pair) -> bool:
         """Tell whether the face or the body of a pair is no longer tracked."""
@@ -170,7 +108,7 @@ class FaceBodyMatcher:
 
     def matches(self) -> List[PairMatch]:
         """Compare what has come in; return all pairs that match now, best first."""
-        for stamp, bodies in sorted(self._bodies_to_compare().items()):
+        for stamp, bodies in sorted(self._bodies_by_stamp().items()):
             self._compare(stamp, bodies)
         self._drop_stale()
         self._assign()
@@ -178,37 +116,53 @@ class FaceBodyMatcher:
                 sorted(self._matched.items(), key=lambda item: -item[1])]
 
     def _add(self, kind: str, name: str, stamp: float, points: np.ndarray, frame: str) -> None:
+        if name not in self._tracked[kind]:
+            return
         newest = self._newest.get((kind, frame), -math.inf)
+        self._frames[kind, name] = frame
         if stamp < newest - _JUMP_BACK_S:
-            self._start_afresh()
+            self._forget(kind, frame)
             newest = stamp
-        if name in self._tracked[kind]:
-            self._newest[kind, frame] = max(newest, stamp)
-            self._frames[kind, name] = frame
-            self._history.add(kind, name, stamp, points)
+        self._newest[kind, frame] = max(newest, stamp)
+        self._history.add(kind, name, stamp, points)
 
-    def _bodies_to_compare(self) -> Dict[float, Set[str]]:
-        """Bodies by the stamp of their newest skeleton of which faces are known, where that is new."""
+    def _forget(self, kind: str, frame: str) -> None:
+        """Forget those of one kind whom one camera sees: its time has jumped back."""
+        names = {name for (one, name), of in self._frames.items() if one == kind and of == frame}
+        for one in (kind, "places of " + kind):
+            self._history.keep_only(one, self._tracked[kind] - names)
+        side = 0 if kind == "faces" else 1
+        self._states = {pair: state for pair, state in self._states.items() if pair[side] not in names}
+        self._compared.clear()
+
+    def _bodies_by_stamp(self) -> Dict[float, List[str]]:
+        """Bodies by the stamp of their newest skeleton of which faces are known."""
         faces = sorted(self._history.stamps("faces"))
-        found: Dict[float, Set[str]] = {}
-        for body in self._tracked["bodies"]:
-            before = self._compared.get(body, -math.inf)
+        found: Dict[float, List[str]] = {}
+        for body in sorted(self._tracked["bodies"]):
+            before = self._compared[body].stamp if body in self._compared else -math.inf
             stamp = max((stamp for stamp in self._history.stamps_of("bodies", body)
-                         if stamp > before and self._near(stamp, faces)), default=None)
+                         if stamp >= before and self._near(stamp, faces)), default=None)
             if stamp is not None:
-                found.setdefault(stamp, set()).add(body)
+                found.setdefault(stamp, []).append(body)
         return found
 
     def _near(self, stamp: float, others: Sequence[float]) -> bool:
         """Tell whether one of `others`, in rising order, is near enough to be compared."""
-        tolerance = self._settings.max_stamp_difference
-        place = bisect_left(others, stamp - tolerance)
-        return place < len(others) and others[place] <= stamp + tolerance
+        place = bisect_left(others, stamp)
+        return any(abs(other - stamp) <= self._settings.max_stamp_difference for other in others[max(0, place - 1):place + 1])
 
-    def _compare(self, stamp: float, names: Set[str]) -> None:
+    def _compare(self, stamp: float, names: Sequence[str]) -> None:
+        """Compare bodies with the faces of their image with which they were not compared yet."""
         settings = self._settings
-        faces = self._history.at("faces", stamp, settings.max_stamp_difference)
-        bodies = {body: skeleton for body, skeleton in self._history.at("bodies", stamp, 0.0).items() if body in names}
+        seen = self._history.at("faces", stamp, settings.max_stamp_difference)
+        done = {body: self._done(body, stamp) for body in names}
+        new = {(face, body) for body in names for face in seen if face not in done[body] and self._may_be_one(face, body)}
+        faces = {face: landmarks for face, landmarks in seen.items() if any(face == one for one, _ in new)}
+        bodies = {body: skeleton for body, skeleton in self._history.at("bodies", stamp, 0.0).items()
+                  if any(body == one for _, one in new)}
+        if not faces or not bodies:
+            return
         values = combined(
             likelihoods(np.array([face_points(landmarks, self._aspect) for landmarks in faces.values()]),
                         np.array([body_points(skeleton, self._aspect) for skeleton in bodies.values()]),
@@ -216,9 +170,16 @@ class FaceBodyMatcher:
             place_likelihoods(self._places("faces", faces, stamp), self._places("bodies", bodies, stamp)))
         for row, face in enumerate(faces):
             for column, body in enumerate(bodies):
-                if not math.isnan(values[row, column]) and self._may_be_one(face, body):
+                # Without points in common their places may tell, which come later.
+                if (face, body) in new and not math.isnan(values[row, column]):
                     self._follow((face, body), float(values[row, column]), stamp)
-        self._compared.update(dict.fromkeys(bodies, stamp))
+                    done[body].add(face)
+
+    def _done(self, body: str, stamp: float) -> Set[str]:
+        """Faces with which a body of this image has been compared; to be added to."""
+        if body not in self._compared or self._compared[body].stamp != stamp:
+            self._compared[body] = _Compared(stamp, set())
+        return self._compared[body].faces
 
     def _places(self, kind: str, names: Iterable[str], stamp: float) -> np.ndarray:
         """Positions (N, 3) m at a time, NaN where they are not known."""

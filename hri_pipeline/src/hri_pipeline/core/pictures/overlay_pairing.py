@@ -15,24 +15,24 @@ PREFER_COMPLETE = 1.0
 
 
 class FeatureHistory:
-    """Features of the last `keep` seconds by kind, id and image stamp (s). Each kind may come late in its own way."""
+    """Features of the last `keep` seconds by kind, id and image stamp (s). Each may come late in its own way."""
 
     def __init__(self, keep: float = 2.0) -> None:
         if not keep > 0.0:
             raise ValueError("keep is {} s, it must be above 0".format(keep))
         self._keep = keep
         self._features: Dict[Tuple[str, str], Dict[float, np.ndarray]] = {}
-        self._newest: Dict[str, float] = {}
         self._chosen_from, self._lag = -np.inf, 0.0
 
     def add(self, kind: str, name: str, stamp: float, feature: np.ndarray) -> None:
         """Keep a feature of face or body `name` for the image of time `stamp`."""
-        if stamp < self._newest.get(kind, -np.inf) - self._keep:
-            self.clear()
-        newest = self._newest[kind] = max(self._newest.get(kind, -np.inf), stamp)
         kept = self._features.setdefault((kind, name), {})
+        newest = max(kept, default=stamp)
+        if stamp < newest - self._keep:
+            kept.clear()        # time has jumped back
+            self._chosen_from, self._lag, newest = -np.inf, 0.0, stamp
         kept[stamp] = feature
-        for old in [moment for moment in kept if moment < newest - self._keep]:
+        for old in [moment for moment in kept if moment < max(newest, stamp) - self._keep]:
             del kept[old]
 
     def keep_only(self, kind: str, names: Iterable[str]) -> None:
@@ -44,7 +44,6 @@ class FeatureHistory:
     def clear(self) -> None:
         """Forget all, for example when time has jumped back."""
         self._features.clear()
-        self._newest.clear()
         self._chosen_from = -np.inf
         self._lag = 0.0
 
