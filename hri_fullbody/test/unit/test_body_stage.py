@@ -82,6 +82,16 @@ def test_ten_people_in_slow_images_are_found_soon_and_stay():
     assert all_there is not None and all_there <= 7.0
 
 
+@pytest.mark.parametrize("interval", [0.3, 1.0, 1.5])
+@pytest.mark.parametrize("count", [8, 10])
+def test_everybody_is_found_without_faces_in_slow_images(count, interval):
+    """The detector is due in each image, and there is one window for who is new, who needs two looks."""
+    stage, _, _ = make([(80.0 + 120.0 * index, 400.0) for index in range(count)])
+    for index in range(40):
+        bodies = stage.update(IMAGE, CAMERA, index * interval)
+    assert len(bodies) == count
+
+
 def test_time_that_goes_back_starts_afresh():
     stage, _, _ = make([(400, 400)])
     stamps = itertools.count(100)
@@ -140,6 +150,18 @@ def test_a_hidden_body_is_tracked_and_not_published():
     for index in range(10):
         stage.update(IMAGE, CAMERA, 1.5 + index / 20.0)
     assert stage.tracked_ids == []
+
+
+@pytest.mark.parametrize("rate", [10.0, 2.0, 1.0])
+@pytest.mark.parametrize("pause", [8.0, 600.0, 1.7e9])
+def test_who_left_while_there_were_no_images_is_not_published(rate, pause):
+    stage, scene, _ = make([(80.0 + 150.0 * index, 400.0) for index in range(8)])
+    for index in range(60):
+        bodies = stage.update(IMAGE, CAMERA, index / rate)
+    assert len(bodies) == 8
+    scene.people = []
+    shown = [len(stage.update(IMAGE, CAMERA, (59 + index) / rate + pause)) for index in range(6)]
+    assert shown == [0] * 6
 
 
 def test_no_windows_are_spent_on_more_people_than_allowed():

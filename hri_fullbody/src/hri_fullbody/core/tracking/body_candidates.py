@@ -18,9 +18,11 @@ from hri_fullbody.core.sight.body_windows import (
 )
 from hri_fullbody.core.sight.pose_model import PoseEstimate
 from hri_fullbody.core.tracking.body_association import NOSE_IN_FACE
+from hri_pipeline.core.geometry import iou_matrix
 
 _PROMISING = 0.2
 _FACE_HEAD_SHARE = 0.4
+_SAME_BOX = 0.5
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 8.0
 
 
@@ -95,9 +97,12 @@ class CandidateQueue:
 
     def offer_boxes(self, boxes: Sequence[np.ndarray], faces: Sequence[FaceBox]) -> None:
         """Queue persons' boxes (4,) px instead of earlier ones; those with a face at the top are left to the face."""
+        begun = [item for item in self._queue if item.face_id is None and item.first is not None]
         self._queue = deque(item for item in self._queue if item.face_id is not None)
-        self._queue.extend(Candidate(box=np.asarray(box)) for box in boxes
-                           if not any(face_at_top(face, box) for face in faces))
+        free = [np.asarray(box) for box in boxes if not any(face_at_top(face, box) for face in faces)]
+        offered = [Candidate(box=box, first=_first_look(box, begun)) for box in free]
+        # In slow images there may be one look between two calls of the detector: what has begun is ended.
+        self._queue.extend(sorted(offered, key=lambda item: item.first is None))
 
     def take(self) -> Optional[Candidate]:
         """Return the next candidate, None when there is none."""
@@ -123,6 +128,15 @@ class CandidateQueue:
         self._queue.clear()
         self._rest_until.clear()
         self._pause.clear()
+
+
+def _first_look(box: np.ndarray, begun: Sequence[Candidate]) -> Optional[PoseEstimate]:
+    """Return the first look at whom an earlier box showed at the same place."""
+    if not begun:
+        return None
+    overlap = iou_matrix(box[None], np.array([item.box for item in begun]))[0]
+    best = int(np.argmax(overlap))
+    return begun[best].first if overlap[best] >= _SAME_BOX else None
 
 
 def face_at_top(face: FaceBox, box: np.ndarray) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Deque, List, Optional, Sequence
 
@@ -11,6 +12,7 @@ _FAST = 1.0             # body sizes per second from which a body counts as fast
 _NEWBORN_WEIGHT = 3.0
 _HIDDEN_WEIGHT = 0.6
 _LONGEST_ROUND = 64     # looks of which the waits are known: the most bodies there can be
+_PAUSE_S = 3.0          # without any image nobody waits for a look, but for the camera
 
 
 class PoseSchedule:
@@ -28,6 +30,7 @@ class PoseSchedule:
         self._last: Optional[float] = None
         self._turns = 0
         self._waits: Deque[float] = deque(maxlen=_LONGEST_ROUND)
+        self._resumed = -math.inf
 
     def limit(self, rate: float, budget: int) -> None:
         """rate: Hz for each body, 0 for every image. budget: most windows per image, 0 for no limit. ValueError if < 0."""
@@ -40,6 +43,7 @@ class PoseSchedule:
         """Forget what was earned."""
         self._earned, self._last = 0.0, None
         self._waits.clear()
+        self._resumed = -math.inf
 
     def choose(self, tracks: Sequence[BodyTrack], stamp: float, reserved: int = 0) -> List[BodyTrack]:
         """Return the bodies to look at in the image of `stamp` (s), most urgent first.
@@ -48,6 +52,7 @@ class PoseSchedule:
         """
         step = 0.0 if self._last is None else max(0.0, stamp - self._last)
         self._last = stamp
+        self._resumed = stamp if step > _PAUSE_S else self._resumed
         count = len(tracks)
         if self._rate > 0.0:
             # A hair more than earned: 0.1 s at 10 Hz is a whole look.
@@ -62,7 +67,7 @@ class PoseSchedule:
         for track in chosen:
             self._turns += 1
             track.turn = self._turns
-            self._waits.append(stamp - track.looked_at)
+            self._waits.append(stamp - max(track.looked_at, self._resumed))
         wait = max(list(self._waits)[-len(tracks):], default=0.0)
         for track in tracks:
             track.wait = wait
