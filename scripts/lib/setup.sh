@@ -124,12 +124,22 @@ ensure_workspace() {
     print=$(build_fingerprint)
     if [ "$(cat "$R4H_WS/.built" 2>/dev/null)" = "$print" ] && [ -e "$R4H_WS/devel/setup.bash" ]; then
         step_done "up to date: $R4H_WS"
+        write_setup_file
         return
     fi
     rm -f "$R4H_WS/.built"
     run_or_fail build "the first error above counts. After a change of system packages remove '$R4H_WS' and run $R4H_NAME again." catkin_make_here
     printf '%s\n' "$print" >"$R4H_WS/.built"
     step_done "built: $R4H_WS"
+    write_setup_file
+}
+
+write_setup_file() { # .ws/setup.bash, for users: several checkouts have a workspace each in the cache
+    mkdir -p "$R4H_ROOT/.ws" 2>/dev/null || return 0
+    {
+        printf '# Source this for the Python environment and the workspace of scripts/demo and scripts/test.\n'
+        printf '. %q\n' "$R4H_VENV/bin/activate" "$R4H_WS/devel/setup.bash"
+    } 2>/dev/null >"$R4H_ROOT/.ws/setup.bash" || true
 }
 
 use_workspace() { # the ROS environment of the workspace, with a master port of its own

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import threading
 import time
-from typing import Callable, NamedTuple, Union
+from contextlib import contextmanager
+from typing import Callable, Iterator, NamedTuple, Union
 from xmlrpc.client import ServerProxy
 
 import rosgraph
@@ -35,6 +37,28 @@ def wait_for(condition: Callable[[], object], timeout: float, what: Union[str, C
         if time.monotonic() > deadline:
             raise AssertionError("not within {:g} s: {}".format(timeout, what() if callable(what) else what))
         time.sleep(_LOOK_S)
+
+
+@contextmanager
+def without_descriptors(left: int = 0) -> Iterator[None]:
+    """No more than `left` descriptors can be opened by this process in the block."""
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(map(int, os.listdir("/proc/self/fd"))) + 5, limits[1]))
+    fillers = []
+    try:
+        while True:
+            fillers.append(os.open(os.devnull, os.O_RDONLY))
+    except OSError:
+        pass
+    try:
+        for filler in fillers[len(fillers) - left:]:
+            os.close(filler)
+        fillers = fillers[:len(fillers) - left]
+        yield
+    finally:
+        for filler in fillers:
+            os.close(filler)
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
 
 
 def pid_of(node: str) -> int:

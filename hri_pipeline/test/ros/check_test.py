@@ -124,6 +124,19 @@ class CheckTest(unittest.TestCase):
         self.names("victim is registered, but does not answer", *self.camera("mourning"), nodes="[victim]")
         subprocess.run(["rosnode", "cleanup"], input="y\n", universal_newlines=True, check=True, stdout=subprocess.DEVNULL)
 
+    def test_a_node_that_has_ended(self):
+        """Who asks for a parameter and its changes stays known to the master."""
+        subprocess.run(["python3", "-c", "import rospy; rospy.init_node('leaver'); rospy.get_param_cached('/rosdistro', ''); "
+                        "rospy.signal_shutdown('')"], check=True, timeout=30)
+        self.assertEqual(rospy.get_master().lookupNode("/leaver")[0], 1)
+        self.names("the node leaver does not run", *self.camera("left"), nodes="[leaver]")
+
+    def test_help(self):
+        done = subprocess.run(["rosrun", "hri_pipeline", "check", "--help"], stdout=subprocess.PIPE, universal_newlines=True, timeout=30)
+        self.assertEqual(done.returncode, 0)
+        for words in ("_watch_time:=", "_nodes:=", "image:="):
+            self.assertIn(words, done.stdout)
+
     def test_time_that_stands_still(self):
         rospy.set_param("/use_sim_time", True)
         self.addCleanup(rospy.delete_param, "/use_sim_time")

@@ -18,7 +18,7 @@ from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.ros.prompt_publishing import publish_without_yielding
 from hri_pipeline.ros.topic_lease import TopicLeases, TopicSpec
 from hri_pipeline.ros.tracked_list import TrackedList
-from hri_pipeline.testing import held_by, pid_of, wait_for
+from hri_pipeline.testing import held_by, pid_of, wait_for, without_descriptors
 
 IDS = 2000
 TOGETHER = 20
@@ -216,6 +216,19 @@ class TopicLeaseTest(unittest.TestCase):
         self.leases.close_all()
         published = rosgraph.Master("/topic_lease_test").getSystemState()[0]
         self.assertEqual([topic for topic, _ in published if topic.startswith("/humans/faces/one")], [])
+
+    def test_without_descriptors_no_topic_is_open_and_later_all_are(self):
+        for left in (0, 1):
+            with without_descriptors(left), self.assertRaises(OSError):
+                self.leases.open("late")
+            self.assertEqual(self.leases.ids, [])
+            self.assertFalse(self.leases.publish("late", "name", String("nobody")))
+        self.leases.open("late")
+        heard = []
+        subscriber = rospy.Subscriber("/humans/faces/late/name", String, lambda message: heard.append(message.data))
+        self.leases.publish("late", "name", String("here"))
+        wait_for(lambda: heard == ["here"], 20, "the name")
+        subscriber.unregister()
 
     def test_what_is_not_an_id_is_refused(self):
         for text in ("", "1abc", "../x", "a b", "x" * 33, None):

@@ -174,7 +174,7 @@ class PersonRegister:
         record = self._records.get(person_id)
         if record is None:
             shown = person_id if is_valid_id(person_id) else repr(person_id)[:40]
-            raise RegisterError("there is no known person {}".format(shown))
+            raise RegisterError("there is no known person {}; `people list` shows them; who is anonymous cannot be named".format(shown))
         return record
 
     def _note(self, record: PersonRecord) -> None:

@@ -21,6 +21,7 @@ from hri_pipeline.ros.tracked_list import TrackedList
 
 NAMESPACE = "/humans/persons"
 CONFIDENCE_STEP = 0.005     # a change of the confidence by less is not published
+RETRY_S = 1.0               # after topics could not be opened
 STAMP_S = 0.5               # age of the stamp of the lists that are repeated once a second
 _STATE = ("face_id", "body_id", "voice_id", "anonymous", "location_confidence", "alias")      # PersonState[1:7]
 _TOPICS = {
@@ -50,6 +51,8 @@ class _Person:
         """Names of the topics of what is known of the person; they are there or on their way."""
         self.published: Dict[str, object] = {}
         self.ready = self.gone = False
+        self.failed_at: Optional[float] = None
+        """When its topics could not be opened, of the monotonic clock."""
 
     def publish(self, name: str, message: genpy.Message, value: object) -> bool:
         """Publish, and tell whether that could be done: the topic of what is known may be on its way."""
@@ -139,8 +142,9 @@ class PersonTopics:
             try:
                 self._attend(person)
             except Exception as error:  # the topics of one person never cost those of the others
+                person.failed_at = time.monotonic()
                 if not rospy.is_shutdown():
-                    rospy.logerr("topics of person %s: %s: %s", person.state.id, type(error).__name__, error)
+                    rospy.logerr("topics of person %s: %s: %s; trying again", person.state.id, type(error).__name__, error)
 
     def _attend(self, person: _Person) -> None:
         if person.gone:
@@ -168,6 +172,9 @@ class PersonTopics:
 
     def _publish(self, person: _Person, state: PersonState) -> None:
         person.state = state
+        if person.failed_at is not None and time.monotonic() - person.failed_at > RETRY_S:
+            person.failed_at = None
+            self._work.put(person)
         if not person.ready:
             return
         last = person.published

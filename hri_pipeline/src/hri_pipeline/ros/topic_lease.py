@@ -83,7 +83,8 @@ class TopicLeases:
     def open(self, identity: str) -> None:
         """Advertise the topics of an id; nothing happens when it is open already.
 
-        Raises ValueError for an id that may not stand in a topic name.
+        Raises ValueError for an id that may not stand in a topic name, and what rospy raises where it has no descriptors or no
+        master; then none of the topics is open.
         """
         if not is_valid_id(identity):
             raise ValueError("{!r} is not an id ({}): no topics for it under {}".format(
@@ -91,16 +92,25 @@ class TopicLeases:
         with self._lock:
             if identity in self._open:
                 return
-            publishers = self._open[identity] = {}
-            greeters = self._greeters[identity] = {}
-            for name, spec in self._topics.items():
-                greeter = greeters[name] = _Greeter() if spec.greet else None
-                publishers[name] = rospy.Publisher(
-                    "{}/{}/{}".format(self._namespace, identity, name), spec.type, subscriber_listener=greeter,
-                    latch=spec.latch, queue_size=max(spec.queue_size, _CHANGES) if spec.latch else spec.queue_size)
-                refuse_when_closed(publishers[name])
-                if greeter is not None:
-                    greeter.publisher = publishers[name]
+            publishers: Dict[str, rospy.Publisher] = {}
+            greeters: Dict[str, Optional[_Greeter]] = {}
+            try:
+                for name, spec in self._topics.items():
+                    greeters[name] = _Greeter() if spec.greet else None
+                    publishers[name] = self._advertise(identity, name, spec, greeters[name])
+            except Exception:
+                self._releaser.put(publishers.values())
+                raise
+            self._open[identity], self._greeters[identity] = publishers, greeters
+
+    def _advertise(self, identity: str, name: str, spec: TopicSpec, greeter: Optional[_Greeter]) -> rospy.Publisher:
+        publisher = rospy.Publisher(
+            "{}/{}/{}".format(self._namespace, identity, name), spec.type, subscriber_listener=greeter,
+            latch=spec.latch, queue_size=max(spec.queue_size, _CHANGES) if spec.latch else spec.queue_size)
+        refuse_when_closed(publisher)
+        if greeter is not None:
+            greeter.publisher = publisher
+        return publisher
 
     def keep(self, identities: Iterable[str]) -> None:
         """Open what is new in `identities` and close what is not in it."""

@@ -22,10 +22,20 @@ from hri_pipeline.ros.setup.graph_probe import GraphProbe
 _MASTER = "FAULT  no ROS master answers at {}\n       -> start roscore or roslaunch, or set ROS_MASTER_URI"
 
 _MASTER_S = 1.0
+_HELP = """Usage: rosrun hri_pipeline check [image:=TOPIC] [camera_info:=TOPIC] [_PARAMETER:=VALUE ...]
+
+{} The exit code is 0 when people can appear.
+
+Parameters:
+{}"""
 
 
 def main() -> int:
     """Look, print, and return the exit code: 0 when people can appear, 1 with a fault, 2 for wrong parameters."""
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        print(_HELP.format(CHECK_PARAMETERS.summary, "\n".join(
+            "  _{}:={}  {}".format(one.name, one.default, one.doc) for one in CHECK_PARAMETERS.parameters)))
+        return 0
     if not _master_answers():
         return 1
     rospy.init_node("hri_check", anonymous=True, disable_signals=True)

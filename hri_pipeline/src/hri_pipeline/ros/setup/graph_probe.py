@@ -118,7 +118,11 @@ class GraphProbe:
             address = self._master.lookupNode("/" + name)
         except rosgraph.MasterException:
             return "absent"
-        return "running" if _answers(address) else "dead"
+        if _answers(address):
+            return "running"
+        # The master keeps the address of a node that has asked for a parameter, after it has ended, too.
+        registered = {node for kind in self._master.getSystemState() for _, nodes in kind for node in nodes}
+        return "dead" if "/" + name in registered else "absent"
 
     def _image_type(self, topic: str) -> str:
         return _IMAGE_TYPES["compressed" if topic.endswith("/compressed") else "raw"]

@@ -1,0 +1,63 @@
+#!/usr/bin/env python3
+"""Topics of persons that cannot be opened at first."""
+
+import time
+import unittest
+
+import genpy
+import rospy
+import rostest
+from std_msgs.msg import String
+
+from hri_msgs.msg import IdsList
+from hri_person_manager.core.person_register import PersonRegister
+from hri_person_manager.core.person_state import PersonState, Snapshot
+from hri_person_manager.ros.person_topics import PersonTopics
+from hri_pipeline.testing import wait_for, without_descriptors
+
+
+class PersonTopicsTest(unittest.TestCase):
+
+    def setUp(self):
+        self.register = PersonRegister()
+        self.topics = PersonTopics(self.register)
+        self.addCleanup(self.topics.close)
+        self.listed, self.heard = [], []
+        for topic, kind, take in (
+                ("/humans/persons/tracked", IdsList, lambda message: self.listed.append(list(message.ids))),
+                ("/humans/persons/ann/face_id", String, lambda message: self.heard.append(message.data)),
+                ("/humans/persons/ann/name", String, lambda message: self.heard.append(message.data))):
+            subscriber = rospy.Subscriber(topic, kind, take, queue_size=10)
+            self.addCleanup(subscriber.unregister)
+        self.snapshot = Snapshot((), (), ())
+        # Everybody is connected: rospy takes no connection any more after one that it had no descriptor for.
+        wait_for(lambda: self.update() and self.listed, 20, "the empty list")
+        self.snapshot = Snapshot((PersonState("ann", "f1", "", "", False, 1.0),), ("ann",), ("ann",))
+
+    def update(self):
+        self.topics.update(self.snapshot, genpy.Time.from_sec(time.time()))
+        return True
+
+    def fails(self):
+        """The topics that are to be opened now are not."""
+        with without_descriptors():
+            self.update()
+            person = self.topics._persons["ann"]
+            wait_for(lambda: person.failed_at is not None, 10, "a failure")
+
+    def test_they_are_opened_later_and_the_person_is_listed(self):
+        self.fails()
+        wait_for(lambda: self.update() and self.listed[-1:] == [["ann"]] and "f1" in self.heard, 20,
+                 lambda: "the person; heard {} {}".format(self.listed[-2:], self.heard))
+
+    def test_a_name_that_has_no_topic_yet_is_said_later(self):
+        wait_for(lambda: self.update() and self.listed[-1:] == [["ann"]], 20, "the person")
+        self.register.seen(["ann"], time.time())
+        self.register.set_name("ann", "Ann")
+        self.fails()
+        wait_for(lambda: self.update() and "Ann" in self.heard, 20, lambda: "the name; heard {}".format(self.heard))
+
+
+if __name__ == "__main__":
+    rospy.init_node("person_topics_test")
+    rostest.rosrun("hri_person_manager", "person_topics", PersonTopicsTest)
