@@ -31,7 +31,7 @@ from hri_person_manager.ros.person_topics import PersonTopics
 from hri_person_manager.ros.reference import ReferenceFrame
 from hri_person_manager.ros.restart_memory import RestartMemory
 from hri_person_manager.ros.tf_intake import StampedSighting, TfIntake
-from hri_pipeline.core.memory import give_back, share_arenas
+from hri_pipeline.core.memory import share_arenas
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.feature_feed import FeatureFeed
@@ -42,7 +42,6 @@ TICK_S = 0.1
 SWITCH_S = 0.001     # a callback waits no longer than so for a thread that computes; the default of Python is 5 ms
 DIAGNOSTICS_S = 1.0
 EXPIRY_S = 3600.0
-GIVE_BACK_S = 20.0       # between two times at which memory that is free goes back to the system
 _LOG_PERIOD_S = 30.0
 JUMP_BACK_S = 0.5
 _FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", Kind.BODY, {}),
@@ -65,7 +64,7 @@ class PersonManagerNode:
         self._memory = RestartMemory()
         self._guard = MatchGuard(settings.max_matches_per_second)
         self._last_now = rospy.get_time()
-        self._next_report = self._next_expiry = self._next_giving = 0.0
+        self._next_report = self._next_expiry = 0.0
         self._jumps = 0
         self._sensed = genpy.Time()     # stamp of the newest image or sound of which a list or a transform has come
         self._feeds: Dict[str, FeatureFeed] = {}
@@ -229,9 +228,6 @@ class PersonManagerNode:
             self._report.update(snapshot, self._jumps, self._register.problem)
             if time.monotonic() >= self._next_expiry:
                 self._expire()
-            if time.monotonic() >= self._next_giving:
-                self._next_giving = time.monotonic() + GIVE_BACK_S
-                give_back()
             self._register.keep_demographics(state.id for state in snapshot.persons)
 
     def _present(self) -> Dict[str, List[Node]]:

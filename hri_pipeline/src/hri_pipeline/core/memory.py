@@ -29,11 +29,14 @@ def share_arenas(count: int = 2) -> bool:
 
 
 class Collector:
-    """Looks for garbage in cycles every `period` s, among what was made since this object was. For a program that has been set up.
+    """Looks for garbage in cycles every `period` s, among what was made since this object was, and gives free memory back.
+
+    For a program that has been set up.
 
     Python itself looks when 70,000 objects more than before are there, and never when these are less than a quarter of all: of
     the topics of people who have left, a node held what rospy leaves of them for half an hour (measured). Without the objects
-    that were there before, mostly those of libraries, a look takes some milliseconds.
+    that were there before, mostly those of libraries, a look takes some milliseconds. What topics of people held lies between
+    what others still hold, and the C library keeps such pages: nodes grew by 15 MB in two hours of people who came and went.
     """
 
     def __init__(self, period: float = 20.0) -> None:
@@ -53,6 +56,7 @@ class Collector:
     def _run(self) -> None:
         while not self._stop.wait(self._period):
             gc.collect()
+            give_back()
 
 
 def give_back() -> bool:
