@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from hri_pipeline.core.feature_history import FeatureHistory
 from hri_pipeline.core.pictures.overlay import PersonMark, colour_of, draw_overlay, short_name
-from hri_pipeline.core.pictures.overlay_pairing import FeatureHistory
 
 
 def body(x=200.0, confidence=1.0):

@@ -54,13 +54,11 @@ class _Person:
         self.failed_at: Optional[float] = None
         """When its topics could not be opened, of the monotonic clock."""
 
-    def publish(self, name: str, message: genpy.Message, value: object) -> bool:
-        """Publish, and tell whether that could be done: the topic of what is known may be on its way."""
+    def publish(self, name: str, message: genpy.Message, value: object) -> None:
+        """Publish, and note the value where the topic is there; that of what is known may be on its way."""
         leases = self.leases if name in _TOPICS else self.known_leases[name]
-        if not leases.publish(self.state.id, name, message):
-            return False
-        self.published[name] = value
-        return True
+        if leases.publish(self.state.id, name, message):
+            self.published[name] = value
 
     def open(self) -> None:
         """Open what is not open yet: first what everybody has, later what has become known."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from hri_pipeline.core.announcing import Announcer
 from hri_pipeline.core.assignment import assign
+from hri_pipeline.core.feature_history import FeatureHistory
 from hri_pipeline.core.matching.face_body_likelihood import (
     body_points,
     combined,
@@ -19,7 +20,6 @@ from hri_pipeline.core.matching.face_body_likelihood import (
     likelihoods,
     place_likelihoods,
 )
-from hri_pipeline.core.pictures.overlay_pairing import FeatureHistory
 
 CONFIDENCE_STEP = 0.05
 _HISTORY_S = 4.0        # bodies of an image have come 1 to 2 s after its faces, on two cores with ten people and rviz
@@ -158,11 +158,11 @@ class FaceBodyMatcher:
         seen = self._history.at("faces", stamp, settings.max_stamp_difference)
         done = {body: self._done(body, stamp) for body in names}
         new = {(face, body) for body in names for face in seen if face not in done[body] and self._may_be_one(face, body)}
-        faces = {face: landmarks for face, landmarks in seen.items() if any(face == one for one, _ in new)}
-        bodies = {body: skeleton for body, skeleton in self._history.at("bodies", stamp, 0.0).items()
-                  if any(body == one for _, one in new)}
-        if not faces or not bodies:
+        if not new:
             return
+        faces = {face: seen[face] for face in sorted({face for face, _ in new})}
+        skeletons = self._history.at("bodies", stamp, 0.0)
+        bodies = {body: skeletons[body] for body in sorted({body for _, body in new})}
         values = combined(
             likelihoods(np.array([face_points(landmarks, self._aspect) for landmarks in faces.values()]),
                         np.array([body_points(skeleton, self._aspect) for skeleton in bodies.values()]),

@@ -2,55 +2,44 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from types import SimpleNamespace
 from typing import List
 
 import genpy
-import rospy
 
 from hri_msgs.msg import IdsMatch, Skeleton2D
 from hri_pipeline.core.head_places import HeadPlaces
 from hri_pipeline.core.matching.face_body_matching import FaceBodyMatcher, MatchAnnouncer, PairMatch
-from hri_pipeline.core.memory import share_arenas
-from hri_pipeline.core.parameters import take_over
 from hri_pipeline.core.tf_scan import read
 from hri_pipeline.ros.conversions import landmarks_from_msg, match_to_msg, skeleton_from_msg
-from hri_pipeline.ros.diagnostics import OK, NodeDiagnostics
+from hri_pipeline.ros.diagnostics import OK
 from hri_pipeline.ros.feature_feed import FeatureFeed
 from hri_pipeline.ros.landmark_array import LandmarkArray
+from hri_pipeline.ros.matching.matcher_base import MatcherBase
 from hri_pipeline.ros.tf_feed import Frames, TfFeed
-from hri_pipeline.ros.topic_release import release
 
 GATHER_S = 0.04         # skeletons of one image come one by one; also the shortest time between comparisons
 IDLE_S = 0.25
 DIAGNOSTICS_S = 1.0
 
 
-class FaceBodyMatcherNode:
+class FaceBodyMatcherNode(MatcherBase):
     """Publishes on /humans/candidate_matches which face and body belong to the same human.
 
     Callbacks only hand over; the caller of spin() compares soon after something has come in.
     """
 
     def __init__(self, settings: SimpleNamespace) -> None:
-        self._settings = settings
-        self._lock = threading.Lock()
-        self._news = threading.Event()
-        self._stop = threading.Event()
+        super().__init__(settings)
         self._matcher = FaceBodyMatcher(settings)
         self._places = HeadPlaces()
         self._announcer = MatchAnnouncer()
         self._last_diagnostics = 0.0
-        self._publisher = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=100)
-        self._diagnostics = NodeDiagnostics(rospy.get_name())
         self._feeds = [
             FeatureFeed("faces", {"landmarks": LandmarkArray}, self._on_landmarks, self._tracked("faces")),
             FeatureFeed("bodies", {"skeleton2d": Skeleton2D}, self._on_skeleton, self._tracked("bodies"))]
         self._transforms = TfFeed(self._on_frames)
-        share_arenas()
-        rospy.on_shutdown(self._end)
 
     def spin(self) -> None:
         """Compare and publish until ROS shuts down."""
@@ -63,26 +52,13 @@ class FaceBodyMatcherNode:
                 self._publish(self._announcer.to_say(matches, time.monotonic(), self._matcher.has_left))
             self._report(len(matches))
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
-        """Take up the values of the live parameters between two comparisons."""
-        with self._lock:
-            take_over(self._settings, settings)
-        self._news.set()
-
-    def close(self) -> None:
-        """Withdraw all matches and take everything back. Idempotent."""
-        self._end()
+    def _close_inputs(self) -> None:
         for feed in self._feeds:
             feed.close()
         self._transforms.close()
-        with self._lock:
-            self._publish(self._announcer.withdraw_all())
-        self._diagnostics.close()
-        release(self._publisher)
 
-    def _end(self) -> None:
-        self._stop.set()
-        self._news.set()
+    def _withdraw_all(self) -> None:
+        self._publish(self._announcer.withdraw_all())
 
     def _tracked(self, kind: str):
         def on_tracked(ids: List[str]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from types import SimpleNamespace
 from typing import List, Optional, Tuple
@@ -13,14 +12,12 @@ from std_msgs.msg import Bool
 from hri_msgs.msg import IdsMatch
 from hri_pipeline.core.announcing import Announcer
 from hri_pipeline.core.matching.voice_matching import FACE, VoiceMatcher
-from hri_pipeline.core.memory import share_arenas
-from hri_pipeline.core.parameters import take_over
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.conversions import match_to_msg
-from hri_pipeline.ros.diagnostics import OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.diagnostics import OK, WARN
 from hri_pipeline.ros.feature_feed import FeatureFeed
+from hri_pipeline.ros.matching.matcher_base import MatcherBase
 from hri_pipeline.ros.matching.voice_surroundings import STALE_S, VoiceSurroundings
-from hri_pipeline.ros.topic_release import release
 
 IDLE_S = 0.25
 DIAGNOSTICS_S = 1.0
@@ -28,7 +25,7 @@ CONFIDENCE_STEP = 0.1       # a likelihood that changes by less is said once a s
 JUMP_BACK_S = 0.5
 
 
-class VoiceMatcherNode:
+class VoiceMatcherNode(MatcherBase):
     """Publishes on /humans/candidate_matches whose voice it is.
 
     Callbacks only hand over; the caller of spin() compares while somebody speaks. To faces and transforms the node
@@ -36,10 +33,7 @@ class VoiceMatcherNode:
     """
 
     def __init__(self, settings: SimpleNamespace) -> None:
-        self._settings = settings
-        self._lock = threading.Lock()
-        self._news = threading.Event()
-        self._stop = threading.Event()
+        super().__init__(settings)
         self._matcher = VoiceMatcher(settings)
         self._announcer: Announcer[Tuple[str, str, str]] = Announcer(CONFIDENCE_STEP)
         self._around: Optional[VoiceSurroundings] = None
@@ -48,11 +42,7 @@ class VoiceMatcherNode:
         self._next_report = 0.0
         self._matched = 0
         self._times = StageTimes()
-        self._publisher = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=100)
-        self._diagnostics = NodeDiagnostics(rospy.get_name())
         self._voices = FeatureFeed("voices", {"is_speaking": Bool}, self._on_speaking, self._on_voices)
-        share_arenas()
-        rospy.on_shutdown(self._end)
 
     def spin(self) -> None:
         """Compare and publish until ROS shuts down."""
@@ -68,26 +58,13 @@ class VoiceMatcherNode:
                 self._stop.wait(self._settings.period)
                 self._news.set()
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
-        """Take up the values of the live parameters between two comparisons."""
-        with self._lock:
-            take_over(self._settings, settings)
-        self._news.set()
-
-    def close(self) -> None:
-        """Withdraw all matches and take everything back. Idempotent."""
-        self._end()
+    def _close_inputs(self) -> None:
         self._voices.close()
         if self._around is not None:
             self._around.close()
-        with self._lock:
-            self._publish(self._announcer.withdraw_all())
-        self._diagnostics.close()
-        release(self._publisher)
 
-    def _end(self) -> None:
-        self._stop.set()
-        self._news.set()
+    def _withdraw_all(self) -> None:
+        self._publish(self._announcer.withdraw_all())
 
     def _on_voices(self, ids: List[str]) -> None:
         with self._lock:

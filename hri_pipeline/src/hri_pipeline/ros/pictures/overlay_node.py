@@ -19,11 +19,11 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Float32, String
 
 from hri_msgs.msg import Expression, FacialLandmarks, GazesStamped, Skeleton2D
+from hri_pipeline.core.feature_history import FeatureHistory
 from hri_pipeline.core.images import ImageError
 from hri_pipeline.core.pacing import Pacer
 from hri_pipeline.core.parameters import take_over
 from hri_pipeline.core.pictures.overlay import PersonMark, draw_overlay
-from hri_pipeline.core.pictures.overlay_pairing import FeatureHistory
 from hri_pipeline.ros.conversions import (
     bgr_to_image,
     compressed_to_bgr,
