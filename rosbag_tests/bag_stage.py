@@ -21,11 +21,16 @@ from hri_pipeline import testing
 PATIENCE_S = 60.0   # a busy machine takes long to start a process
 _END_S = 20.0
 _LOOK_S = 0.05
-SCENE_TOPICS = "/tf|/tf_static|/scene/truth/.*|/humans/[^/]*/tracked|/humans/interactions/.*|/humans/persons/.*|/humans/voices/.*/speech"
+SCENE_TOPICS = "|".join(("/tf", "/tf_static", "/scene/truth/.*", "/humans/[^/]*/tracked", "/humans/interactions/.*",
+                         "/humans/persons/.*", "/humans/voices/.*/speech"))
 
 
-def wait_for(condition: Callable[[], object], what: Union[str, Callable[[], str]], seconds: float = PATIENCE_S) -> object:
-    """Return the first value of the condition that is true. Raises AssertionError, with `what`, after `seconds` of wall time."""
+def wait_for(condition: Callable[[], object], what: Union[str, Callable[[], str]],
+             seconds: float = PATIENCE_S) -> object:
+    """Return the first value of the condition that is true.
+
+    Raises AssertionError, with `what`, after `seconds` of wall time.
+    """
     return testing.wait_for(condition, seconds, what)
 
 
@@ -65,7 +70,8 @@ class Player(_Process):
     """`rosbag play --clock`, paused until go(). options: more for its command line, such as --loop and --rate 2."""
 
     def __init__(self, bag: Path, *options: str) -> None:
-        super().__init__(["rosrun", "rosbag", "play", "--clock", "--hz", "100", "--quiet", "--pause", *options, str(bag),
+        super().__init__(["rosrun", "rosbag", "play", "--clock", "--hz", "100", "--quiet", "--pause", *options,
+                          str(bag),
                           "__name:=player"], "player")
 
     def go(self, wanted: Sequence[Tuple[str, str]] = ()) -> None:
@@ -95,18 +101,20 @@ class Recorder(_Process):
 
     def __init__(self, bag: Path, topics: str = SCENE_TOPICS) -> None:
         # Not the command rosbag: it ends on SIGINT before its child, the recorder, has closed the bag.
-        super().__init__(["rosrun", "rosbag", "record", "--quiet", "-b", "0", "-O", str(bag), "-e", topics, "__name:=recorder"],
+        super().__init__(["rosrun", "rosbag", "record", "--quiet", "-b", "0", "-O", str(bag), "-e", topics,
+                          "__name:=recorder"],
                          "recorder")
 
 
 class Ears:
-    """Hears who is tracked, where persons are, and what nodes complain of."""
+    """Hears who is tracked, where persons are (parents: of their frames), and what nodes complain of."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self.tracked: Dict[str, Tuple[str, ...]] = {}
         self.errors: List[str] = []
         self._stamps: Dict[str, float] = {}
+        self.parents: Set[str] = set()
         self._subscribers = [rospy.Subscriber("/humans/{}/tracked".format(kind), IdsList, self._list, kind)
                              for kind in ("faces", "bodies", "voices", "persons")]
         self._subscribers += [rospy.Subscriber("/tf", TFMessage, self._tf, queue_size=200),
@@ -139,6 +147,7 @@ class Ears:
             for item in message.transforms:
                 if item.child_frame_id.startswith("person_"):
                     self._stamps[item.child_frame_id[len("person_"):]] = item.header.stamp.to_sec()
+                    self.parents.add(item.header.frame_id)
 
     def _log(self, message: Log) -> None:
         if message.level >= Log.ERROR or "Traceback" in message.msg:

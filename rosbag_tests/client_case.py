@@ -18,7 +18,8 @@ LEVELS = range(5)
 
 
 class ClientCase(unittest.TestCase):
-    """Starts the program of command(), which prints a line of JSON for each thing learnt, and a camera and microphones."""
+    """Starts the program of command(), which prints a line of JSON for each thing learnt, and a camera and
+    microphones."""
 
     @classmethod
     def command(cls) -> List[str]:
@@ -29,7 +30,8 @@ class ClientCase(unittest.TestCase):
     def learnt(cls) -> Dict[str, bool]:
         """Return what there is to learn, in words, and whether the program has learnt it."""
         return {"boxes of three persons' faces": len({line["person"] for line in cls.told("box")}) >= 3,
-                "the sentence, while it is said": any("forward" in line["said"] and not line["final"] for line in cls.told("said")),
+                "the sentence, while it is said": any("forward" in line["said"] and not line["final"]
+                                                      for line in cls.told("said")),
                 "the finished sentence": any("forward" in line["said"] and line["final"] for line in cls.told("said")),
                 "a gaze at the robot": any(line["gaze"][1] == ROBOT for line in cls.told("gaze")),
                 "a group": any(len(line["members"]) >= 2 for line in cls.told("members")),
@@ -84,4 +86,5 @@ class ClientCase(unittest.TestCase):
         self.assertTrue(all(line["engagement"] in LEVELS for line in self.told("engagement")))
 
     def test_nothing_was_refused_or_warned_of(self):
-        self.assertEqual([line for line in self.noise if "md5" in line or "Traceback" in line or "type mismatch" in line], [])
+        self.assertEqual([line for line in self.noise if "md5" in line or "Traceback" in line
+                          or "type mismatch" in line], [])

@@ -5,11 +5,13 @@ from __future__ import annotations
 import http.client
 import re
 from typing import Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
-from xmlrpc.client import Error, ServerProxy, Transport
+from xmlrpc.client import Error
 
 import rosgraph
 import rospy
 from std_msgs.msg import String
+
+from hri_pipeline.ros.master import node_at
 
 MEMORY = "/hri_person_manager_memory"   # what the person manager keeps on purpose across its own end
 KINDS = ("faces", "bodies", "voices", "persons")
@@ -21,19 +23,10 @@ _OF_ID = re.compile(r"^/humans/({})/([^/]+)/[^/]+$".format("|".join(KINDS)))
 _FAILURES = (OSError, Error, http.client.HTTPException, rosgraph.MasterError, rosgraph.MasterException)
 
 
-class _Hasty(Transport):
-    """Does not wait for ever for a node that hangs."""
-
-    def make_connection(self, host: object) -> http.client.HTTPConnection:
-        connection = super().make_connection(host)
-        connection.timeout = _TIMEOUT_S
-        return connection
-
-
 def pid_of(node: str) -> Optional[int]:
     """Process id of a node by its own account, None for one that does not answer."""
     try:
-        code, _, pid = ServerProxy(rosgraph.Master(_NAME).lookupNode(node), transport=_Hasty()).getPid(_NAME)
+        code, _, pid = node_at(rosgraph.Master(_NAME).lookupNode(node), _TIMEOUT_S).getPid(_NAME)
         return int(pid) if code == 1 else None
     except _FAILURES:
         return None
@@ -78,7 +71,8 @@ class Left(NamedTuple):
 
 def left(before: Iterable[str], living: Dict[str, Set[str]]) -> Left:
     """Compare with the parameters of before, and with who lives: {one of KINDS: ids}."""
-    orphans = {(kind, name): topics for (kind, name), topics in topics_of_ids().items() if name not in living.get(kind, set())
+    orphans = {(kind, name): topics for (kind, name),
+               topics in topics_of_ids().items() if name not in living.get(kind, set())
                and not (kind == "persons" and alias_of(name) in living.get(kind, set()))}
     return Left(odd_parameters(parameters(), before, living.get("bodies", set())),
                 sorted(topic for topics in orphans.values() for topic in topics), sorted(silent_nodes()))
@@ -98,4 +92,5 @@ def odd_parameters(now: Iterable[str], before: Iterable[str], bodies: Set[str]) 
         match = _OF_BODY.match(name)
         return match.group(1) if match else None
     orphans = {name for name in now if of_body(name) is not None and of_body(name) not in bodies}
-    return sorted(orphans | ({name for name in now if of_body(name) is None} ^ {name for name in before if of_body(name) is None}))
+    return sorted(orphans | ({name for name in now if of_body(name) is None} ^ {name for name in before
+                                                                                if of_body(name) is None}))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Mapping
 
-from hri_pipeline.evaluation.bag_record import read_bag
-from hri_pipeline.evaluation.golden import compare, comparison_table, load_golden
-from hri_pipeline.evaluation.score_bag import score
+from hri_pipeline.score.bag import read_bag
+from hri_pipeline.score.golden import compare, comparison_table, load_golden
+from hri_pipeline.score.metrics import score
 
 GOLDEN = Path(__file__).resolve().parent / "golden.yaml"
 

@@ -1,12 +1,14 @@
-"""Hears everything under /humans, and all transforms, and keeps what a table of topics and frames can be compared with."""
+"""Hears everything under /humans, and all transforms, and keeps what a table of topics and frames can be compared
+with."""
 
 from __future__ import annotations
 
 import io
+import re
 import socket
 import threading
 import time
-from typing import Any, Dict, List, NamedTuple, Optional, Set, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
 from urllib.parse import urlparse
 from xmlrpc.client import ServerProxy
 
@@ -15,7 +17,7 @@ import rosgraph
 import roslib.message
 import rospy
 from audio_common_msgs.msg import AudioData
-from interface_table import Topic
+from interface_table import Topic, pattern_of
 from rosgraph.network import read_ros_handshake_header, write_ros_handshake_header
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
@@ -25,6 +27,8 @@ _PATIENCE_S = 5.0
 _MOST_IDS = 9       # of each row; persons who turned out to be others stay for a while, as aliases
 _KEPT = 200
 URDF = "/human_description_"
+OF_BODIES = "/rsp_"     # nodes whose parameters another node sets
+_OF_ROS = ("/roslaunch/", "/rosdistro", "/rosversion", "/run_id", "/use_sim_time")
 
 
 class Connection(NamedTuple):
@@ -47,7 +51,8 @@ class Heard(NamedTuple):
 class GraphWatch:
     """look() finds new topics of the rows and listens to them; the rest comes by itself until close()."""
 
-    def __init__(self, rows: List[Topic]) -> None:
+    def __init__(self, rows: List[Topic], parameters: Sequence[str] = ()) -> None:
+        """parameters: names of a table, in which {body} and others stand for ids."""
         self.connections: Dict[str, List[Connection]] = {}
         self.messages: Dict[str, List[Heard]] = {}
         self.unknown: Set[str] = set()
@@ -58,11 +63,17 @@ class GraphWatch:
         self.parents: Dict[str, Set[str]] = {}
         self.urdfs: Dict[str, str] = {}
         self.transforms: Dict[str, List[Tuple[float, bool, np.ndarray, np.ndarray]]] = {}
+        self.values: Dict[str, Any] = {}
+        self._others: Set[str] = set()
+        self._nodes: Set[str] = set()
         self._rows = rows
+        # A parameter that holds several values is told as so many names below it.
+        self._parameters = [re.compile(pattern_of(name).pattern[:-1] + "(?=/|$)") for name in parameters]
         self._master = rosgraph.Master("/graph_watch")
         self._lock = threading.Lock()
         self._subscribers = [
-            rospy.Subscriber("/camera/camera_info", CameraInfo, lambda message: self.images.add(message.header.stamp.to_sec())),
+            rospy.Subscriber("/camera/camera_info", CameraInfo,
+                             lambda message: self.images.add(message.header.stamp.to_sec())),
             rospy.Subscriber("/microphone/audio", AudioData, self._on_sound),
             rospy.Subscriber("/tf", TFMessage, self._on_tf, callback_args=False, queue_size=500),
             rospy.Subscriber("/tf_static", TFMessage, self._on_tf, callback_args=True, queue_size=100)]
@@ -83,14 +94,33 @@ class GraphWatch:
                 self.unknown.add(name)
             elif sum(topic in there for topic in self.topics_of(row)) < _MOST_IDS:
                 self._meet(name, nodes, row)
+        self._nodes |= {node + "/" for part in self._master.getSystemState() for _, nodes in part for node in nodes}
         for parameter in rospy.get_param_names():
             if parameter.startswith(URDF) and parameter not in self.urdfs:
                 self.urdfs[parameter] = rospy.get_param(parameter, "")
+            self._note_parameter(parameter)
 
     def close(self) -> None:
         """Listen no more."""
         for subscriber in self._subscribers:
             subscriber.unregister()
+
+    @property
+    def unknown_parameters(self) -> Set[str]:
+        """Parameters that are neither of the table nor private ones of a node, of which its own file is the table."""
+        private = tuple(node for node in self._nodes if not node.startswith(OF_BODIES))
+        return {name for name in self._others if not name.startswith(private + _OF_ROS)}
+
+    def _note_parameter(self, parameter: str) -> None:
+        """Keep its value where it is one of the table."""
+        found = next(filter(None, (pattern.match(parameter) for pattern in self._parameters)), None)
+        if found is not None:
+            if found.group() not in self.values:
+                value = rospy.get_param(found.group(), None)
+                if value is not None:
+                    self.values[found.group()] = value
+        else:
+            self._others.add(parameter)
 
     def _meet(self, name: str, nodes: List[str], row: Topic) -> None:
         try:
@@ -105,7 +135,8 @@ class GraphWatch:
     def _on_message(self, message: Any, which: Tuple[str, str]) -> None:
         name, source = which
         header = getattr(message, "header", None)
-        heard = Heard(rospy.get_time(), header.stamp.to_sec() if header else None, header.frame_id if header else None, message)
+        heard = Heard(rospy.get_time(), header.stamp.to_sec() if header else None, header.frame_id if header else None,
+                      message)
         with self._lock:
             if len(self.messages[name]) < _KEPT:
                 self.messages[name].append(heard)
@@ -127,13 +158,17 @@ class GraphWatch:
                     self.sounds.add(stamp)
                 elif name.startswith("person_"):
                     self.persons.add(stamp)
-                if len(kept) < _KEPT:
-                    kept.append((stamp, fixed, Rotation.from_quat((turn.x, turn.y, turn.z, turn.w)).as_matrix(),
-                                 np.array((place.x, place.y, place.z))))
+                if len(kept) == _KEPT:
+                    del kept[0]
+                kept.append((stamp, fixed, Rotation.from_quat((turn.x, turn.y, turn.z, turn.w)).as_matrix(),
+                             np.array((place.x, place.y, place.z))))
 
 
 def handshake(node: str, topic: str) -> Connection:
-    """Ask the node at this address about a topic, as a subscriber does. Raises OSError or ValueError when it has no answer."""
+    """Ask the node at this address about a topic, as a subscriber does.
+
+    Raises OSError or ValueError when it has no answer.
+    """
     code, text, protocol = ServerProxy(node).requestTopic("/graph_watch", topic, [["TCPROS"]])
     if code != 1 or not protocol:
         raise ValueError(text)

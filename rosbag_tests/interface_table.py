@@ -47,8 +47,21 @@ def load(path: Path = FILE) -> Dict[str, Any]:
             raise ValueError("{}: {} stands twice in {}".format(path.name, twice[0], kind))
     for row in table["topics"]:
         if row["from"] not in _SOURCES or not isinstance(row["latched"], bool):
-            raise ValueError("{}: {}: from is one of {}, latched true or false".format(path.name, row["name"], ", ".join(_SOURCES)))
+            raise ValueError(
+                "{}: {}: from is one of {}, latched true or false".format(path.name, row["name"], ", ".join(_SOURCES))
+            )
     return table
+
+
+def released_sums() -> Dict[str, str]:
+    """Return the md5 sums of the released messages by type, which stand in the hri_msgs that rospack finds.
+
+    Raises OSError without them.
+    """
+    import rospkg
+    file = Path(rospkg.RosPack().get_path("hri_msgs")) / "test" / "msgs" / "md5sums.txt"
+    lines = file.read_text(encoding="utf-8").splitlines()
+    return dict(line.split() for line in lines if line.strip() and not line.startswith("#"))
 
 
 def topics(table: Dict[str, Any], interface: str) -> List[Topic]:

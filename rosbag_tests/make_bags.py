@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
-"""Makes the bags of these tests, without ROS: `make_bags.py DIRECTORY [scene] [jumps] [pictures] [sound]`; all without a name.
+"""Makes the bags of these tests, without ROS: `make_bags.py DIRECTORY [scene] [jumps] [pictures] [sound]`; all without
+a name.
 
-scene: three people of the scene simulator, 26 s; jumps: ten seconds of three who stand. pictures: photographs of the models' directory, as a slowly panned camera.
-sound: sentences of Debian's pocketsphinx-testdata. What is missing for one is told in a line, and the others are made.
+scene: three people of the scene simulator, 26 s; jumps: ten seconds of three who stand. pictures: photographs of the
+models' directory, as a slowly panned camera. sound: sentences of Debian's pocketsphinx-testdata. What is missing for
+one is told in a line, and the others are made.
 """
 
 from __future__ import annotations
@@ -15,12 +17,15 @@ import cv2
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.core.pictures.picture_motion import PictureMotion
-from hri_pipeline.core.scene.scene_script import load_scene
-from hri_pipeline.evaluation.bag_writer import BagWriter
-from hri_pipeline.evaluation.scene_recording import BASE, write_scene
-from hri_pipeline.evaluation.speech_files import read_speech
+from hri_pipeline.core.onnx import models_directory
+from hri_pipeline.core.simulation.scene_file import load_scene
+from hri_pipeline.core.sources.image_sources import PictureMotion
+from hri_pipeline.score.bag import BagWriter
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "scripts"))
+
+from benchmarks.recordings import BASE, write_scene  # noqa: E402
+from benchmarks.speech_files import read_speech  # noqa: E402
 
 SCENE = Path(__file__).resolve().parent / "three_meet.yaml"
 STANDING = SCENE.with_name("three_stand.yaml")
@@ -46,7 +51,10 @@ def jumps_bag(path: Path) -> None:
 
 
 def pictures_bag(path: Path) -> None:
-    """Write compressed images and camera_info, and how many there are to be found. Raises FileNotFoundError with the mend."""
+    """Write compressed images and camera_info, and how many there are to be found.
+
+    Raises FileNotFoundError with the mend.
+    """
     matrix = CameraModel.from_fov(*SIZE, FIELD_OF_VIEW).matrix
     with BagWriter(path) as bag:
         for order, (number, (faces, bodies)) in enumerate(PHOTOGRAPHS.items()):
@@ -63,7 +71,10 @@ def pictures_bag(path: Path) -> None:
 
 
 def sound_bag(path: Path) -> None:
-    """Write sentences with pauses as AudioData of 16 bit, AudioInfo, and the words. Raises FileNotFoundError with the mend."""
+    """Write sentences with pauses as AudioData of 16 bit, AudioInfo, and the words.
+
+    Raises FileNotFoundError with the mend.
+    """
     recordings = read_speech(sorted({name for name, _ in SENTENCES}))
     quiet = np.zeros(int(PAUSE_S * RATE))
     parts = [quiet]
@@ -73,7 +84,8 @@ def sound_bag(path: Path) -> None:
     samples = np.clip(np.round(32767.0 * sound), -32768, 32767).astype("<i2")
     with BagWriter(path) as bag:
         name = "audio_common_msgs/msg/AudioInfo"
-        bag.write("/microphone/audio_info", name, bag.make(name, 1, RATE, "S16LE", 16 * RATE, "wave"), BASE, latched=True)
+        bag.write("/microphone/audio_info", name, bag.make(name, 1, RATE, "S16LE", 16 * RATE, "wave"), BASE,
+                  latched=True)
         for _, words in SENTENCES:
             bag.text("/scene/truth/words", words, BASE)
         name = "audio_common_msgs/msg/AudioData"
@@ -82,7 +94,8 @@ def sound_bag(path: Path) -> None:
             bag.write("/microphone/audio", name, bag.make(name, data), BASE + (begin + BLOCK) / RATE)
 
 
-BAGS: Dict[str, Callable[[Path], None]] = {"scene": scene_bag, "jumps": jumps_bag, "pictures": pictures_bag, "sound": sound_bag}
+BAGS: Dict[str, Callable[[Path], None]] = {"scene": scene_bag, "jumps": jumps_bag, "pictures": pictures_bag,
+                                           "sound": sound_bag}
 
 
 def _picture(bag: BagWriter, image: np.ndarray, matrix: np.ndarray, stamp: float) -> None:
@@ -90,11 +103,13 @@ def _picture(bag: BagWriter, image: np.ndarray, matrix: np.ndarray, stamp: float
     name = "sensor_msgs/msg/CameraInfo"
     roi = bag.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
     projection = np.hstack([matrix, np.zeros((3, 1))]).ravel()
-    bag.write("/camera/camera_info", name, bag.make(name, header, SIZE[1], SIZE[0], "plumb_bob", np.zeros(5), matrix.ravel(),
+    bag.write("/camera/camera_info", name,
+              bag.make(name, header, SIZE[1], SIZE[0], "plumb_bob", np.zeros(5), matrix.ravel(),
                                                     np.eye(3).ravel(), projection, 0, 0, roi), stamp)
     name = "sensor_msgs/msg/CompressedImage"
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 92])
-    bag.write("/camera/image_raw/compressed", name, bag.make(name, header, "bgr8; jpeg compressed bgr8", data.ravel()), stamp)
+    bag.write("/camera/image_raw/compressed", name, bag.make(name, header, "bgr8; jpeg compressed bgr8", data.ravel()),
+              stamp)
 
 
 def main(arguments: List[str]) -> int:

@@ -3,9 +3,9 @@
 // For test_rep155_cpp_client.py (built with CATKIN_ENABLE_TESTING), and to copy from. It does what rep155_client.py does and looks
 // at more of what a face and a body have. One line of JSON for each thing learnt:
 //   {"person": id, "face": id, "box": [xmin, ymin, xmax, ymax]}, {"person": id, "engagement": level}
-//   {"face": id, "points": known, "nose": [x, y], "size": [width, height]}, {"face": id, "units": {number: intensity}}
+//   {"face": id, "points": known, "of": all, "nose": [x, y], "size": [width, height]}, {"face": id, "units": {number: intensity}}
 //   {"face": id, "expression": word, "valence": v, "arousal": a}, {"face": id, "age": years, "gender": constant}
-//   {"body": id, "points": known, "neck": [x, y]}, {"body": id, "posture": constant}, {"body": id, "gesture": constant}
+//   {"body": id, "points": known, "of": all, "neck": [x, y]}, {"body": id, "posture": constant}, {"body": id, "gesture": constant}
 //   {"voice": id, "said": text, "final": bool}, {"gaze": [sender, receiver]}, {"group": id, "members": [ids]}
 //   {"space": name, "ids": [ids]}
 
@@ -19,6 +19,7 @@
 #include <hri_msgs/Group.h>
 #include <hri_msgs/IdsList.h>
 #include <hri_msgs/LiveSpeech.h>
+#include <hri_msgs/NormalizedPointOfInterest2D.h>
 #include <hri_msgs/NormalizedRegionOfInterest2D.h>
 #include <hri_msgs/Skeleton2D.h>
 #include <hri_msgs/SoftBiometrics.h>
@@ -88,8 +89,8 @@ std::string number(const double value)
   return std::to_string(value);
 }
 
-template <class Points>
-std::string count_known(const Points& points)
+/// A vector, as the released headers have it: with arrays of a fixed length this does not compile.
+std::string count_known(const std::vector<hri_msgs::NormalizedPointOfInterest2D>& points)
 {
   std::size_t known = 0;
   for (const auto& point : points)
@@ -185,9 +186,12 @@ private:
                  }),
              listen<FacialLandmarks>(node_, prefix + "landmarks",
                                      [id](const FacialLandmarks& message) {
+                                       if (message.landmarks.size() <= FacialLandmarks::NOSE)
+                                         return;
                                        const auto& nose = message.landmarks[FacialLandmarks::NOSE];
-                                       tell({ "face", json(id), "points", count_known(message.landmarks), "nose", array(nose.x, nose.y),
-                                              "size", array(message.width, message.height) });
+                                       tell({ "face", json(id), "points", count_known(message.landmarks), "of",
+                                              std::to_string(message.landmarks.size()), "nose", array(nose.x, nose.y), "size",
+                                              array(message.width, message.height) });
                                      }),
              listen<hri_msgs::FacialActionUnits>(node_, prefix + "facs",
                                                  [id](const hri_msgs::FacialActionUnits& message) { tell({ "face", json(id), "units", units(message) }); }),
@@ -206,8 +210,11 @@ private:
     using hri_msgs::Skeleton2D;
     return { listen<Skeleton2D>(node_, prefix + "skeleton2d",
                                 [id](const Skeleton2D& message) {
+                                  if (message.skeleton.size() <= Skeleton2D::NECK)
+                                    return;
                                   const auto& neck = message.skeleton[Skeleton2D::NECK];
-                                  tell({ "body", json(id), "points", count_known(message.skeleton), "neck", array(neck.x, neck.y) });
+                                  tell({ "body", json(id), "points", count_known(message.skeleton), "of",
+                                         std::to_string(message.skeleton.size()), "neck", array(neck.x, neck.y) });
                                 }),
              listen<hri_msgs::BodyPosture>(node_, prefix + "posture",
                                            [id](const hri_msgs::BodyPosture& message) {

@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """A program written for REP-155 and hri_msgs 0.9.0: no module of this stack, only its messages.
 
-For test_rep155_client.py, and to copy from. It follows the persons that are tracked, their faces and voices, and prints what
-it learns, one line of JSON each: {"person": id, "face": id, "box": [xmin, ymin, xmax, ymax]}, {"person": id, "engagement": level},
-{"voice": id, "said": text, "final": bool}, {"gaze": [sender, receiver]}, {"group": id, "members": [ids]}, {"space": name, "ids": [ids]}.
+For test_rep155_client.py, and to copy from. It follows the persons that are tracked, their faces and voices, and prints
+what it learns, one line of JSON each: {"person": id, "face": id, "box": [xmin, ymin, xmax, ymax]}, {"person": id,
+"engagement": level}, {"voice": id, "said": text, "final": bool}, {"gaze": [sender, receiver]}, {"group": id, "members":
+[ids]}, {"space": name, "ids": [ids]}.
 """
 
 import json
@@ -48,7 +49,8 @@ class Client:
         Followed("faces", self._face)
         Followed("voices", self._voice)
         rospy.Subscriber("/humans/interactions/gazing", Gaze, lambda m: tell(gaze=[m.sender, m.receiver]))
-        rospy.Subscriber("/humans/interactions/groups", Group, lambda m: tell(group=m.group_id, members=list(m.members)))
+        rospy.Subscriber("/humans/interactions/groups", Group,
+                         lambda m: tell(group=m.group_id, members=list(m.members)))
         for name in ("personal", "social", "public"):
             rospy.Subscriber("/humans/persons/in_{}_space".format(name), IdsList, self._on_space, callback_args=name)
 
@@ -59,10 +61,12 @@ class Client:
                                  lambda m: tell(person=person, engagement=m.level))]
 
     def _face(self, face):
-        return [rospy.Subscriber("/humans/faces/{}/roi".format(face), NormalizedRegionOfInterest2D, self._on_box, callback_args=face)]
+        return [rospy.Subscriber("/humans/faces/{}/roi".format(face), NormalizedRegionOfInterest2D, self._on_box,
+                                 callback_args=face)]
 
     def _voice(self, voice):
-        return [rospy.Subscriber("/humans/voices/{}/speech".format(voice), LiveSpeech, self._on_speech, callback_args=voice)]
+        return [rospy.Subscriber("/humans/voices/{}/speech".format(voice), LiveSpeech, self._on_speech,
+                                 callback_args=voice)]
 
     def _on_box(self, message, face):
         if face in self._owners:

@@ -1,4 +1,5 @@
-"""A camera and four microphones for tests of the whole stack: the real source nodes, on a packaged photograph and a packaged sentence."""
+"""A camera and four microphones for tests of the whole stack: the real source nodes, on a packaged photograph and a
+packaged sentence."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from typing import List
 import numpy as np
 import soundfile
 
-from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.onnx import models_directory
 
 PHOTOGRAPH = "sample1.jpg"
 SENTENCE = Path("/usr/share/pocketsphinx/test/data/goforward.raw")      # "go forward ten meters", 16 kHz
@@ -40,10 +41,12 @@ class Sensors:
         soundfile.write(sound, heard_from(np.concatenate([quiet, said, quiet]), 0.2), RATE, subtype="PCM_16")
         picture = str(models_directory() / "demo" / PHOTOGRAPH)
         self._processes = [
-            _start("image_source", ["_source:=" + picture, "_rate:={}".format(rate), "_zoom:=0.0", "_dark_between_pictures:=0.0",
+            _start("image_source", ["_source:=" + picture, "_rate:={}".format(rate), "_zoom:=0.0",
+                                    "_dark_between_pictures:=0.0",
                                     "image:=/camera/image_raw", "image/compressed:=/camera/image_raw/compressed",
                                     "camera_info:=/camera/camera_info"]),
-            _start("sound_source", ["_source:=" + sound, "audio:=/microphone/audio", "audio_info:=/microphone/audio_info"])]
+            _start("sound_source", ["_source:=" + sound, "audio:=/microphone/audio",
+                                    "audio_info:=/microphone/audio_info"])]
 
     def close(self) -> None:
         """End both nodes. Idempotent."""

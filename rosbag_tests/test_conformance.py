@@ -1,18 +1,18 @@
 #!/usr/bin/env python3
-"""Every row of interface.yaml against the running nodes: topics, types, md5, latching, stamps, frames, parameters; and nothing else."""
+"""Every row of interface.yaml against the running nodes: topics, types, md5, latching, stamps, frames, parameters; and
+nothing else."""
 
 import re
 import subprocess
 import unittest
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import numpy as np
 import roslib.message
 import rospy
 import rostest
 from graph_watch import URDF, GraphWatch, wait_for
-from interface_table import load, pattern_of, topics
+from interface_table import load, pattern_of, released_sums, topics
 from sensors import Sensors
 
 from hri_person_manager.srv import SetName, SetNativeLanguage
@@ -24,7 +24,7 @@ SETTLE_S = 3.0          # sound before its first message reached this process
 FRAMES = {"camera": "camera_color_optical_frame", "microphone": "microphone_link", "reference": "map"}
 ALIGNED = 0.3           # least cosine between an axis and where it has to point; people in photographs turn their heads
 SIZE = (96, 128)        # /humans/faces/width is set by the launch file, the height is the default
-MD5_FILE = Path(__file__).resolve().parents[1] / "hri_msgs" / "test" / "msgs" / "md5sums.txt"
+KINDS = {"face": "faces", "body": "bodies", "voice": "voices", "person": "persons"}
 
 
 class ConformanceTest(unittest.TestCase):
@@ -36,7 +36,7 @@ class ConformanceTest(unittest.TestCase):
         cls.table = load()
         cls.rows = topics(cls.table, cls.interface)
         cls.released = released_sums()
-        cls.watch = GraphWatch(cls.rows)
+        cls.watch = GraphWatch(cls.rows, [row["name"] for row in cls.table["parameters"]])
         cls.told = set()
         cls.sensors = Sensors()
         wait_for(cls.look, rospy.get_param("~limit", LIMIT_S), 0.5)
@@ -51,7 +51,8 @@ class ConformanceTest(unittest.TestCase):
         """Look once more; True when nothing is missing."""
         cls.watch.look()
         cls.tell()
-        return not any(cls.fault_of_topic(row) for row in cls.rows) and not any(map(cls.fault_of_frame, cls.table["frames"])) \
+        return not any(cls.fault_of_topic(row)
+                       for row in cls.rows) and not any(map(cls.fault_of_frame, cls.table["frames"])) \
             and not any(map(cls.fault_of_parameter, cls.table["parameters"]))
 
     @classmethod
@@ -62,7 +63,8 @@ class ConformanceTest(unittest.TestCase):
             if found and found.group(1) not in cls.told:
                 try:
                     rospy.ServiceProxy("/hri_person_manager/set_name", SetName)(found.group(1), "Ada")
-                    rospy.ServiceProxy("/hri_person_manager/set_native_language", SetNativeLanguage)(found.group(1), "en-GB")
+                    rospy.ServiceProxy("/hri_person_manager/set_native_language",
+                                       SetNativeLanguage)(found.group(1), "en-GB")
                 except rospy.ServiceException:
                     continue
                 cls.told.add(found.group(1))
@@ -84,7 +86,8 @@ class ConformanceTest(unittest.TestCase):
                     return "{} is {}latched".format(name, "" if said.latched else "not ")
         if not any(cls.watch.messages[name] for name in names):
             return "no message"
-        return "; ".join(filter(None, (cls.fault_of_message(row, heard) for name in names for heard in list(cls.watch.messages[name]))))[:300]
+        return "; ".join(filter(None, (cls.fault_of_message(row, heard) for name in names
+                                       for heard in list(cls.watch.messages[name]))))[:300]
 
     @classmethod
     def fault_of_message(cls, row, heard):
@@ -96,7 +99,8 @@ class ConformanceTest(unittest.TestCase):
             return "frame_id is {!r}, not {!r}".format(heard.frame, wanted)
         if not heard.stamp:     # nobody was there yet
             return "" if getattr(heard.message, "ids", None) == [] else "no stamp"
-        return "" if cls.is_input(row.source, heard.stamp, heard.arrival) else "stamp {:.6f}, at {:.6f}, is none of {}".format(
+        return "" if cls.is_input(row.source, heard.stamp,
+                                  heard.arrival) else "stamp {:.6f}, at {:.6f}, is none of {}".format(
             heard.stamp, heard.arrival, row.source)
 
     @classmethod
@@ -121,9 +125,10 @@ class ConformanceTest(unittest.TestCase):
 
     @classmethod
     def is_known_id(cls, name, pattern):
-        """Whether a topic has the id of this frame: r_head_ID also looks like head_ID of somebody else."""
+        """Whether a topic of this kind has the id of this frame: head_camera of a robot looks like head_ID, too."""
         kind, identity = next(iter(pattern.match(name).groupdict().items()))
-        return any("/{}/".format(identity) in topic for topic in list(cls.watch.connections)) and kind != ""
+        return any(topic.startswith("/humans/{}/{}/".format(KINDS[kind], identity))
+                   for topic in list(cls.watch.connections))
 
     @classmethod
     def fault_of_transforms(cls, row, name, match):
@@ -141,7 +146,9 @@ class ConformanceTest(unittest.TestCase):
                 return "{} is not where {} is".format(name, parent)
         if not source:
             fault = cls.fault_of_person(name, kept)
-            if fault or not cls.has_face(match.group(1)):
+            since = cls.face_since(match.group(1))
+            kept = [item for item in kept if item[0] > since]
+            if fault or not kept:
                 return fault
         for axis, wanted in row.get("axes", {}).items():
             mean = np.median([turn[:, "xyz".index(axis)] for _, _, turn, _ in kept], axis=0)
@@ -150,19 +157,24 @@ class ConformanceTest(unittest.TestCase):
         return ""
 
     @classmethod
-    def has_face(cls, person):
-        """Whether a face of this person was seen; a voice does not say where somebody looks."""
-        return any(heard.message.data for heard in list(cls.watch.messages.get("/humans/persons/{}/face_id".format(person), ())))
+    def face_since(cls, person):
+        """Time (s) from which a face of this person is known, infinite without one; a voice does not say where somebody
+        looks."""
+        heard = list(cls.watch.messages.get("/humans/persons/{}/face_id".format(person), ()))
+        return min((message.arrival for message in heard if message.message.data), default=np.inf)
 
     @classmethod
     def fault_of_person(cls, name, kept):
-        """A person's frame has the stamp of an image or sound; of who is not seen any more, it stays, and is said to be there now."""
+        """A person's frame has the stamp of an image or sound; of who is not seen any more, it stays, and is said to be
+        there now."""
         inputs, last = list(cls.watch.images) + list(cls.watch.sounds), 0.0
         for stamp, _, _, _ in kept:
             if np.min(np.abs(np.subtract(inputs, stamp)), initial=1.0) < SAME_S:
                 last = stamp
             elif stamp - last < UNSEEN_S:
-                return "{} has the stamp {:.6f}, of no input, {:.3f} s after it was seen".format(name, stamp, stamp - last)
+                return "{} has the stamp {:.6f}, of no input, {:.3f} s after it was seen".format(
+                    name, stamp, stamp - last
+                )
         return ""
 
     @classmethod
@@ -171,13 +183,31 @@ class ConformanceTest(unittest.TestCase):
         if row.get("urdf"):
             faults = [cls.fault_of_urdf(name[len(URDF):], text) for name, text in cls.watch.urdfs.items()]
             return "; ".join(filter(None, faults)) if faults else "no such parameter"
+        if "holds" in row:
+            values = [value for name, value in cls.watch.values.items() if pattern_of(row["name"]).match(name)]
+            return "; ".join(filter(None, (cls.fault_of_value(row["holds"], value)
+                                           for value in values))) if values else "no such parameter"
         if "refuses" in row:
-            return ""       # see test_illegal_parameters_are_refused_by_name
+            return ""       # see test_z_illegal_parameters_are_refused_by_name
         if row["name"].rsplit("/", 1)[1] in ("width", "height"):
             sizes = {(heard.message.width, heard.message.height) for name, messages in list(cls.watch.messages.items())
-                     if name.startswith("/humans/faces") and name.endswith(("cropped", "aligned")) for heard in list(messages)}
+                     if name.startswith("/humans/faces") and name.endswith(("cropped", "aligned"))
+                     for heard in list(messages)}
             return "" if sizes == {SIZE} else "pictures of faces have the sizes {}, not {}".format(sizes, SIZE)
-        return "" if rospy.get_param(row["name"], None) == row["default"] else "it is {}".format(rospy.get_param(row["name"], None))
+        return "" if rospy.get_param(row["name"],
+                                     None) == row["default"] else "it is {}".format(rospy.get_param(row["name"], None))
+
+    @staticmethod
+    def fault_of_value(kind, value):
+        """What is wrong with a value, in words; empty when nothing is."""
+        right = {"process": lambda: value["pid"].isdigit() and value["node"].startswith("/") and value["host"],
+                 "rate": lambda: isinstance(value, float) and value > 0.0,
+                 "features": lambda: value and all(re.match(r"(FACE|BODY|VOICE) \w+$", name) for names in value.values()
+                                                   for name in names)}
+        try:
+            return "" if right[kind]() else "it is {!r}".format(value)
+        except (KeyError, TypeError, AttributeError):
+            return "{!r} is no {}".format(value, kind)
 
     @classmethod
     def fault_of_urdf(cls, body, text):
@@ -203,12 +233,18 @@ class ConformanceTest(unittest.TestCase):
 
     def test_frames(self):
         self.judge("frames", self.table["frames"], self.fault_of_frame)
+        self.assertTrue([name for name in self.watch.transforms if name.startswith("person_")
+                         and np.isfinite(self.face_since(name[len("person_"):]))],
+                         "nobody of whom a face is known has a frame")
 
     def test_parameters(self):
         self.judge("parameters", self.table["parameters"], self.fault_of_parameter)
 
     def test_no_other_topic_is_under_humans(self):
         self.assertEqual(self.watch.unknown, set())
+
+    def test_no_other_parameter_is_set(self):
+        self.assertEqual(self.watch.unknown_parameters, set())
 
     def test_z_illegal_parameters_are_refused_by_name(self):
         for row in self.table["parameters"]:
@@ -229,14 +265,6 @@ def parents_of(urdf):
     """Return {link: parent link}."""
     return {joint.find("child").get("link"): joint.find("parent").get("link")
             for joint in ElementTree.fromstring(urdf).iter("joint")}
-
-
-def released_sums():
-    """Return the md5 sums of the released messages by type; nothing in an install space, which has no tests of messages."""
-    if not MD5_FILE.is_file():
-        return {}
-    lines = MD5_FILE.read_text(encoding="utf-8").splitlines()
-    return dict(line.split() for line in lines if line.strip() and not line.startswith("#"))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""One tree of diagnostics: every status of every node in one branch, nothing beside them; a node that ends is seen there."""
+"""One tree of diagnostics: every status of every node in one branch, nothing beside them; a node that ends is seen
+there."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ def patterns(analyzers: dict, path: str = "") -> Dict[str, List[str]]:
     found: Dict[str, List[str]] = {}
     for analyzer in analyzers.values():
         here = path + analyzer["path"]
-        found.update(patterns(analyzer["analyzers"], here + "/") if "analyzers" in analyzer else {here: analyzer["contains"]})
+        found.update(patterns(analyzer["analyzers"], here + "/") if "analyzers" in analyzer
+                     else {here: analyzer["contains"]})
     return found
 
 
@@ -47,7 +49,8 @@ class Tree:
 
     def levels(self) -> Dict[str, int]:
         """Level of each path below the root."""
-        return {status.name[len(self._root):]: status.level for status in self._newest if status.name.startswith(self._root)}
+        return {status.name[len(self._root):]: status.level for status in self._newest
+                if status.name.startswith(self._root)}
 
     def leaves(self) -> Dict[str, str]:
         """{name of a status as its node gives it: path of its branch}."""
@@ -107,7 +110,8 @@ class DiagnosticsTest(unittest.TestCase):
     def test_5_a_node_that_ends_is_stale_in_its_branch(self) -> None:
         rosnode.kill_nodes(["/hri_overlay"])
         wait_for(lambda: self.tree.levels().get("Overlay") == STALE, lambda: str(self.tree.levels()))
-        wait_for(lambda: self.tree.levels().get("Overlay/hri_overlay: overlay") == STALE, lambda: str(self.tree.levels()))
+        wait_for(lambda: self.tree.levels().get("Overlay/hri_overlay: overlay") == STALE,
+                 lambda: str(self.tree.levels()))
         self.assertNotEqual(self.tree.levels()["Vision/Faces"], STALE)
 
 

@@ -12,7 +12,7 @@ from bag_stage import PATIENCE_S, Ears, wait_for
 from std_msgs.msg import String
 
 from hri_msgs.msg import GazesStamped, IdsList, IdsMatch
-from hri_pipeline.ros.feature_feed import FeatureFeed
+from hri_pipeline.ros.subscriptions import IdSubscribers
 
 PEOPLE = ["ann", "bob", "cho", "dan", "eve"]
 MANAGER, MATCHER, VOICES, INTERACTIONS, SOURCE = (
@@ -27,8 +27,9 @@ class FaultsTest(unittest.TestCase):
         cls.voices, cls.speaking = {}, []
         cls.subscribers = [rospy.Subscriber("/humans/candidate_matches", IdsMatch, cls.on_match, queue_size=100),
                            rospy.Subscriber("/scene/truth/speaking", IdsList, cls.on_speaking, queue_size=10),
-                           rospy.Subscriber("/humans/interactions/gaze", GazesStamped, lambda message: cls.gazed.extend(message.gazes))]
-        cls.feed = FeatureFeed("persons", {"voice_id": String}, cls.on_voice)
+                           rospy.Subscriber("/humans/interactions/gaze", GazesStamped,
+                                            lambda message: cls.gazed.extend(message.gazes))]
+        cls.feed = IdSubscribers("persons", {"voice_id": String}, cls.on_voice)
         cls.all_there("the beginning")
         cls.parameters = fault_graph.parameters()
 

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""A bag of pictures or of sound (the argument), played on its own clock: what the stack finds in it may only improve."""
+"""A bag of pictures or of sound (the argument), played on its own clock: what the stack finds in it may only
+improve."""
 
 import os
 import shutil
@@ -17,8 +18,10 @@ from rosbags.rosbag1 import Reader
 
 NEEDED = {
     "pictures": (("/camera/image_raw/compressed", "/hri_faces"), ("/camera/image_raw/compressed", "/hri_bodies"),
-                 ("/camera/camera_info", "/hri_faces"), ("/scene/truth/faces", "/recorder"), ("/scene/truth/bodies", "/recorder")),
-    "sound": (("/microphone/audio", "/hri_voices"), ("/microphone/audio_info", "/hri_voices"), ("/scene/truth/words", "/recorder"))}
+                 ("/camera/camera_info", "/hri_faces"), ("/scene/truth/faces", "/recorder"),
+                 ("/scene/truth/bodies", "/recorder")),
+    "sound": (("/microphone/audio", "/hri_voices"), ("/microphone/audio_info", "/hri_voices"),
+              ("/scene/truth/words", "/recorder"))}
 RECORDED = {"pictures": ("/humans/faces/tracked", "/humans/bodies/tracked"), "sound": ("/humans/voices/tracked",)}
 AFTER_S = {"pictures": 0.0, "sound": 5.0}
 KIND = "pictures"
@@ -33,7 +36,8 @@ class MediaBagTest(unittest.TestCase):
         ears = Ears()
         self.addCleanup(ears.close)
         # Nodes announce their lists once their models are loaded.
-        wait_for(lambda: set(RECORDED[KIND]) <= {"/humans/{}/tracked".format(kind) for kind in ears.tracked}, "the nodes", 90.0)
+        wait_for(lambda: set(RECORDED[KIND]) <= {"/humans/{}/tracked".format(kind) for kind in ears.tracked},
+                 "the nodes", 90.0)
         with Reader(folder / "media.bag") as reader:
             end = 1e-9 * reader.end_time
         # Time goes on after the end of the bag, so that the last sentence is recognised.
@@ -41,7 +45,8 @@ class MediaBagTest(unittest.TestCase):
         self.addCleanup(player.close)
         recorder = Recorder(folder / "record.bag")
         self.addCleanup(recorder.close)
-        wait_for(lambda: all("/recorder" in listeners().get(topic, ()) for topic in RECORDED[KIND]), "the recorder listens")
+        wait_for(lambda: all("/recorder" in listeners().get(topic, ()) for topic in RECORDED[KIND]),
+                 "the recorder listens")
         player.go(NEEDED[KIND])
         wait_for(lambda: rospy.get_time() > end + AFTER_S[KIND], "the end of the bag", 120.0)
         recorder.close()

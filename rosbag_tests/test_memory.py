@@ -25,8 +25,8 @@ from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import AgeAndGender, IdsList
 from hri_person_manager.srv import Enrol, Export, Forget, ListKnown, SetNativeLanguage
-from hri_pipeline.core.encryption import make_key_file
-from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.onnx import models_directory
+from hri_pipeline.core.private_file import make_key_file
 from hri_pipeline.ros.conversions import bgr_to_image, make_header
 from hri_pipeline.srv import Gallery, GalleryRequest
 
@@ -46,7 +46,8 @@ class Camera:
         self._timer = rospy.Timer(rospy.Duration(1.0 / RATE_HZ), self._publish)
 
     def show(self, bgr):
-        self._message = bgr_to_image(bgr, make_header(rospy.Time.now(), "test_camera_optical")) if bgr is not None else None
+        self._message = bgr_to_image(bgr,
+                                     make_header(rospy.Time.now(), "test_camera_optical")) if bgr is not None else None
 
     def _publish(self, _):
         message = self._message
@@ -162,7 +163,7 @@ class MemoryTest(unittest.TestCase):
         wait_for(lambda: person in self.tracked(), lambda: "{} is tracked: {}".format(person, self.lists))
         self.assertEqual((self.latched(person, "anonymous", Bool).data, self.latched(person, "name", String).data),
                          (False, NAME))
-        others = [other for other in self.tracked() if other != person]
+        others = wait_for(lambda: [other for other in self.tracked() if other != person], "the other persons")
         self.assertTrue(all(other.startswith("anonymous_person_") for other in others), others)
         self.assertTrue(self.call("set_native_language", SetNativeLanguage, person, "pt-BR").success)
         self.latched(person, "demographics", AgeAndGender)
@@ -191,7 +192,8 @@ class MemoryTest(unittest.TestCase):
         self.assertEqual(set(mode.values()), {0o600}, mode)
         self.assertEqual(stat.S_IMODE(self.store.parent.stat().st_mode), 0o700)
         content = self.bytes_on_disk()
-        self.assertTrue(person.encode() in content and NAME.encode() in content, "what is searched for later is there now")
+        self.assertTrue(person.encode() in content and NAME.encode() in content,
+                        "what is searched for later is there now")
 
     def second_run(self, person):
         """Known at the start, the same id when seen; then forgotten."""
@@ -203,7 +205,8 @@ class MemoryTest(unittest.TestCase):
         wait_for(lambda: person in self.tracked() and sum(
             not other.startswith("anonymous_person_") for other in self.tracked()) == PEOPLE,
             lambda: "{} and two new permanent persons: {}".format(person, self.lists))
-        self.assertEqual((self.latched(person, "name", String).data, self.latched(person, "native_language", String).data),
+        self.assertEqual((self.latched(person, "name", String).data,
+                          self.latched(person, "native_language", String).data),
                          (NAME, "pt-BR"))
         self.check_export(person)
         templates = self.templates(person)
@@ -218,7 +221,8 @@ class MemoryTest(unittest.TestCase):
 
     def templates(self, person):
         database = sqlite3.connect(str(self.store))
-        found = [bytes(row[0]) for row in database.execute("SELECT template FROM templates WHERE person = ?", (person,))]
+        found = [bytes(row[0]) for row in database.execute("SELECT template FROM templates WHERE person = ?",
+                                                           (person,))]
         database.close()
         return found
 

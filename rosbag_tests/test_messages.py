@@ -119,6 +119,7 @@ class PlayedMessages(unittest.TestCase):
     def test_simulated_clock_follows_the_recording(self) -> None:
         for topic in TYPES:
             times = [stamp for name, _, stamp in self.entries if name == topic]
+            self.assertEqual(len(self.arrived[topic]), len(times))
             for expected, (_, seen) in zip(times, self.arrived[topic]):
                 self.assertLess(abs((seen - expected).to_sec()), CLOCK_TOLERANCE)
 

@@ -13,11 +13,11 @@ from std_msgs.msg import Header, String
 
 from hri_msgs.msg import FacialLandmarks, Skeleton2D
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.core.pictures.image_sources import open_source
-from hri_pipeline.core.pictures.source_parameters import SOURCE_PARAMETERS
+from hri_pipeline.core.onnx import models_directory
+from hri_pipeline.core.sources.image_sources import open_source
+from hri_pipeline.core.sources.parameters import SOURCE_PARAMETERS
 from hri_pipeline.ros.conversions import bgr_to_image, landmarks_from_msg, skeleton_from_msg
-from hri_pipeline.ros.feature_feed import FeatureFeed
+from hri_pipeline.ros.subscriptions import IdSubscribers
 
 # People counted by eye: faces that are seen, and bodies of which enough is seen to be found at least.
 FACES = (3, 3, 3, 4, 5, 4)
@@ -72,7 +72,7 @@ class Newest:
     def __init__(self, kind, topics):
         self.messages = {}
         self.ids = []
-        self._feed = FeatureFeed(kind, topics, self._keep, self._list)
+        self._feed = IdSubscribers(kind, topics, self._keep, self._list)
 
     def get(self, identity, name):
         """Newest message of a topic, None when there is none."""

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""rep155_client.py, which knows nothing of this stack but the messages, learns everything from it with interface:=rep155."""
+"""rep155_client.py, which knows nothing of this stack but the messages, learns everything from it with
+interface:=rep155."""
 
 import re
 import sys

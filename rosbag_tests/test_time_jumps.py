@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""A bag in a loop, paused, started again, slower and faster: the same people again within seconds, no complaint, nothing left behind."""
+"""A bag in a loop, paused, started again, slower and faster: the same people again within seconds, no complaint,
+nothing left behind."""
 
 import shutil
 import tempfile
@@ -11,14 +12,13 @@ import rosgraph
 import rospy
 import rostest
 from bag_stage import Ears, Player, listeners, orphans, wait_for
-from make_bags import jumps_bag
+from make_bags import BASE, jumps_bag
 
 from hri_msgs.msg import IdsList
-from hri_pipeline.evaluation.scene_recording import BASE
 
 PEOPLE = ["ann", "bob", "cho"]
 SOON_S = 8.0        # s of the bag until everybody is there again, of which a recogniser takes 2
-PAUSED_S = 3.0      # wall time; after 5 s without a list features would be let go
+PAUSED_S = 3.0      # wall time
 NEEDED = (("/humans/candidate_matches", "/hri_person_manager"), ("/humans/bodies/tracked", "/hri_person_manager"),
           ("/tf", "/hri_person_manager"), ("/humans/faces/tracked", "/hri_face_body_matcher"))
 NODES = ("/hri_person_manager", "/hri_face_body_matcher", "/hri_voice_matcher", "/hri_interactions")
@@ -49,7 +49,8 @@ class TimeJumpsTest(unittest.TestCase):
         self.player.go(NEEDED)
 
     def all_again(self, what, rate=1.0):
-        """Wait until everybody is a person with a place of the time now; prints how long that took, in the bag's time."""
+        """Wait until everybody is a person with a place of the time now; prints how long that took, in the bag's
+        time."""
         began, back = time.monotonic(), 0.5 * SOON_S
         limit = max(30.0, 4.0 * SOON_S / rate)      # wall time; a busy machine lags behind the bag
         wait_for(lambda: self.ears.persons() == PEOPLE and self.there(rospy.get_time(), back), what, limit)
@@ -111,7 +112,8 @@ class TimeJumpsTest(unittest.TestCase):
     def test_6_nothing_is_left_behind(self):
         self.player.close()
         known = rospy.wait_for_message("/humans/persons/known", IdsList, 20.0).ids
-        wait_for(lambda: not orphans("persons", [*known, *self.ears.tracked.get("persons", ())]), "no topic of persons who are nowhere", 20.0)
+        wait_for(lambda: not orphans("persons", [*known, *self.ears.tracked.get("persons", ())]),
+                 "no topic of persons who are nowhere", 20.0)
         self.assertEqual(self.ears.errors, [])
         self.assertEqual(self.processes(), self.pids, "no node has ended or been started again")
 

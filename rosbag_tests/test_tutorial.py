@@ -44,7 +44,8 @@ class TutorialTest(unittest.TestCase):
         self.began = None
         rospy.Subscriber("/scene/truth/gaze", GazesStamped, self.on_gaze, queue_size=100)
         # The last message of a program that is ended would stay in the pipe's buffer otherwise.
-        self.process = subprocess.Popen([sys.executable, str(self.program)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        self.process = subprocess.Popen([sys.executable, str(self.program)], stdout=subprocess.PIPE,
+                                        stderr=subprocess.STDOUT, text=True,
                                         env=dict(os.environ, PYTHONUNBUFFERED="1"))
         self.addCleanup(self.end)
         threading.Thread(target=self.read, daemon=True).start()
@@ -71,7 +72,8 @@ class TutorialTest(unittest.TestCase):
         said = "".join("\n" + line for _, line in self.lines)
         self.assertTrue(wait_for(lambda: self.looks, LIMIT_S), "she never looks at the robot")
         self.assertTrue(wait_for(self.greetings, LIMIT_S), "no greeting" + said)
-        self.assertTrue(wait_for(lambda: rospy.get_time() > self.looks[0] + LEFT_S - 10.0, LIMIT_S), "the scene has stopped")
+        self.assertTrue(wait_for(lambda: rospy.get_time() > self.looks[0] + LEFT_S - 10.0, LIMIT_S),
+                        "the scene has stopped")
         self.assertEqual(len(self.greetings()), 1, "{}; she looks at {}".format(self.greetings(), self.looks[0]))
         at, line = self.greetings()[0]
         print("she looks at the robot {:.1f} s after the begin, and is greeted {:.1f} s later: {}".format(

@@ -17,10 +17,10 @@ from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import IdsList
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.core.pictures.image_fit import fit_image
+from hri_pipeline.core.onnx import models_directory
+from hri_pipeline.core.sources.image_sources import fit_image
 from hri_pipeline.ros.conversions import bgr_to_image
-from hri_pipeline.ros.feature_feed import FeatureFeed
+from hri_pipeline.ros.subscriptions import IdSubscribers
 
 PEOPLE = 3
 PHOTOGRAPH = "demo/sample1.jpg"
@@ -55,7 +55,8 @@ class Cameras:
         self._static.publish(TFMessage(transforms))
         self.covered = set()
         self._publishers = {name: (rospy.Publisher("/%s/image_raw" % name, Image, queue_size=1),
-                                   rospy.Publisher("/%s/camera_info" % name, CameraInfo, queue_size=1)) for name in TURN}
+                                   rospy.Publisher("/%s/camera_info" % name, CameraInfo, queue_size=1))
+                                   for name in TURN}
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -82,7 +83,7 @@ class TwoCamerasTest(unittest.TestCase):
     def setUpClass(cls):
         picture = cv2.imread(str(models_directory() / PHOTOGRAPH))
         cls.cameras = Cameras(fit_image(picture, WIDTH, HEIGHT, "letterbox"))
-        cls.faces = FeatureFeed("faces", {}, lambda *_: None)
+        cls.faces = IdSubscribers("faces", {}, lambda *_: None)
         cls.persons = ()
         cls.listener = rospy.Subscriber("/humans/persons/tracked", IdsList, cls.keep_persons)
 
@@ -97,7 +98,8 @@ class TwoCamerasTest(unittest.TestCase):
         cls.cameras.close()
 
     def wait_for(self, faces, persons=None):
-        """Wait until so many faces are tracked, of PEOPLE persons who have been recognised (of these persons); returns them."""
+        """Wait until so many faces are tracked, of PEOPLE persons who have been recognised (of these persons); returns
+        them."""
         deadline, held, before = time.monotonic() + PATIENCE, None, None
         while time.monotonic() < deadline:
             now = (len(self.faces.ids), self.persons)

@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
-"""Camera and perception on two machines: compressed images go over the network, raw ones do not, and people appear on both.
+"""Camera and perception on two machines: compressed images go over the network, raw ones do not, and people appear on
+both.
 
-The machines are two network namespaces with a cable (veth) between them; making them needs root and iproute2, else the test
-is skipped. The halves are started by hand, as launch/two_machines.launch describes; ssh is no part of this test.
+The machines are two network namespaces with a cable (veth) between them; making them needs root and iproute2, else the
+test is skipped. The halves are started by hand, as launch/two_machines.launch describes; ssh is no part of this test.
 """
 
 import json
@@ -18,7 +19,7 @@ from pathlib import Path
 import rostest
 from bag_stage import wait_for
 
-from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.onnx import models_directory
 
 ROBOT, COMPUTER = "10.211.7.1", "10.211.7.2"
 PORT = 11311
@@ -52,7 +53,8 @@ class Machine:
         environment = dict(os.environ, ROS_IP=self._address, ROS_MASTER_URI="http://{}:{}".format(ROBOT, PORT))
         environment.pop("ROS_HOSTNAME", None)
         with open(str(self.log(name)), "wb") as log:
-            process = subprocess.Popen(("ip", "netns", "exec", self.name) + command, env=environment, stdin=subprocess.DEVNULL,
+            process = subprocess.Popen(("ip", "netns", "exec", self.name) + command, env=environment,
+                                       stdin=subprocess.DEVNULL,
                                        stdout=log, stderr=subprocess.STDOUT)
         self._children.append(process)
         return process
@@ -79,7 +81,8 @@ class Machine:
                 process.wait()
         self._children = []
         if self.name in os.listdir("/var/run/netns"):
-            left = subprocess.run(["ip", "netns", "pids", self.name], stdout=subprocess.PIPE, check=False).stdout.split()
+            left = subprocess.run(["ip", "netns", "pids", self.name], stdout=subprocess.PIPE,
+                                  check=False).stdout.split()
             for pid in left:
                 os.kill(int(pid), signal.SIGKILL)
             run("ip", "netns", "del", self.name)
@@ -102,20 +105,26 @@ class TwoMachinesTest(unittest.TestCase):
             self.robot.plug(ends[0])
             self.computer.plug(ends[1])
         except (OSError, subprocess.CalledProcessError) as error:
-            self.skipTest("no network namespaces can be made here: {} {}".format(error, getattr(error, "output", b"") or ""))
+            self.skipTest(
+                "no network namespaces can be made here: {} {}".format(error, getattr(error, "output", b"") or "")
+            )
 
     def said(self, *names):
         """The end of some logs, for messages."""
-        return "".join("\n--- {}\n{}".format(name, self.robot.log(name).read_text(errors="replace")[-2000:]) for name in names)
+        return "".join("\n--- {}\n{}".format(name, self.robot.log(name).read_text(errors="replace")[-2000:])
+                       for name in names)
 
     def test_people_appear_on_both(self):
         picture = models_directory() / "demo" / "sample1.jpg"
-        self.robot.start("camera", "roslaunch", "-p", str(PORT), "hri_pipeline", "image_source.launch", "source:=%s" % picture,
+        self.robot.start("camera", "roslaunch", "-p", str(PORT), "hri_pipeline", "image_source.launch",
+                         "source:=%s" % picture,
                          "image:=/camera/image_raw", "camera_info:=/camera/camera_info", "rate:=10.0")
-        self.computer.start("perception", "roslaunch", "--wait", "ros4hri", "ros4hri.launch", "image_transport:=compressed", "voices:=false")
+        self.computer.start("perception", "roslaunch", "--wait", "ros4hri", "ros4hri.launch",
+                            "image_transport:=compressed", "voices:=false")
         probes = {}
         for machine, name in ((self.robot, "robot"), (self.computer, "computer")):
-            probes[name] = (machine.start("probe_" + name, sys.executable, str(PROBE), str(self.folder / (name + ".json")), str(SECONDS)),
+            probes[name] = (machine.start("probe_" + name, sys.executable, str(PROBE),
+                                          str(self.folder / (name + ".json")), str(SECONDS)),
                             self.folder / (name + ".json"))
         for name, (process, result) in probes.items():
             wait_for(lambda process=process: process.poll() is not None, "the probe of the " + name, SECONDS + 30.0)

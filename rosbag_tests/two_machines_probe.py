@@ -31,11 +31,13 @@ def main(file, seconds):
     seen = {"persons": 0, "age_s": None}
 
     def on_tf(message):
-        ages = [rospy.get_time() - one.header.stamp.to_sec() for one in message.transforms if one.child_frame_id.startswith("person_")]
+        ages = [rospy.get_time() - one.header.stamp.to_sec() for one in message.transforms
+                if one.child_frame_id.startswith("person_")]
         if ages:
             seen["age_s"] = round(max(ages), 3)
 
-    rospy.Subscriber("/humans/persons/tracked", IdsList, lambda message: seen.update(persons=len(message.ids)), queue_size=1)
+    rospy.Subscriber("/humans/persons/tracked", IdsList, lambda message: seen.update(persons=len(message.ids)),
+                     queue_size=1)
     rospy.Subscriber("/tf", TFMessage, on_tf, queue_size=100)
     end = time.monotonic() + seconds
     while seen["persons"] < PEOPLE or seen["age_s"] is None:

@@ -1,9 +1,11 @@
 # shellcheck shell=bash disable=SC2034,SC2153
-# The layers of scripts/test. Each layer_NAME adds to R4H_PASSED, R4H_FAILED and R4H_SKIPPED.
+# The layers of scripts/test. Each layer_NAME adds to R4H_PASSED, R4H_FAILED and R4H_SKIPPED; one that cannot run says why in R4H_REMARK.
 
 R4H_PACKAGES=(hri_msgs hri_pipeline hri_fullbody hri_person_manager)
 R4H_ROSTEST_LIMIT=300  # seconds for one .test file
+R4H_ROSTEST_JOBS=$(nproc)  # .test files at a time
 R4H_PYTEST_LIMIT=1200  # seconds for one run of pytest
+R4H_NO_PYTHON38="no Python 3.8 here (/usr/bin, /usr/local/bin, pyenv)"
 
 run_layer() {
     local began
@@ -12,7 +14,11 @@ run_layer() {
     printf '\n--- %s\n' "$1"
     "layer_$1"
     printf '%s\t%d\t%d\t%d\t%s\t%s\n' "$1" "$R4H_PASSED" "$R4H_FAILED" "$R4H_SKIPPED" "$(seconds_since "$began")" "$R4H_REMARK" >>"$R4H_TABLE"
-    note "$1: $R4H_PASSED passed, $R4H_FAILED failed, $R4H_SKIPPED skipped ($(seconds_since "$began") s)"
+    if [ -n "$R4H_REMARK" ] && ((R4H_PASSED + R4H_FAILED == 0)); then
+        note "$1: skipped: $R4H_REMARK"
+    else
+        note "$1: $R4H_PASSED passed, $R4H_FAILED failed, $R4H_SKIPPED skipped ($(seconds_since "$began") s)"
+    fi
 }
 
 add_counts() { # add_counts "PASSED<tab>FAILED<tab>SKIPPED"
@@ -83,7 +89,7 @@ venv38() { # sets R4H_VENV38; false where there is no 3.8 or its environment can
 }
 
 python_sources() { # NUL separated: every Python file of ours
-    find scripts/lib hri_* rosbag_tests -type f -name '*.py' -print0
+    find scripts/lib scripts/benchmarks hri_* rosbag_tests -type f -name '*.py' -print0
     find hri_*/nodes rosbag_tests scripts -maxdepth 1 -type f ! -name '*.*' -print0 2>/dev/null |
         xargs -0 -r grep -lZE '^#!.*python3' || true
 }
@@ -114,8 +120,14 @@ lint_catkin() {
 layer_static() {
     local interpreter
     check "ruff" ruff check --config scripts/ruff.toml --no-cache .
+    check "mypy" mypy --config-file scripts/mypy.ini --cache-dir "$R4H_CACHE/mypy"
     check "syntax, $(python3 -c 'import sys; print("Python %d.%d" % sys.version_info[:2])')" compile_sources python3
-    if interpreter=$(find_python38); then check "syntax, Python 3.8" compile_sources "$interpreter"; fi
+    if interpreter=$(find_python38); then
+        check "syntax, Python 3.8" compile_sources "$interpreter"
+    else
+        R4H_SKIPPED=$((R4H_SKIPPED + 1))
+        note "skipped syntax, Python 3.8: $R4H_NO_PYTHON38"
+    fi
     check "shell syntax" shell_syntax
     check "catkin_lint" lint_catkin
     check_counting "contents" python3 "$R4H_LIB/contents.py" "$R4H_ROOT"
@@ -154,7 +166,7 @@ run_pytest() { # run_pytest NAME INTERPRETER DIRECTORY...
 layer_pytest() {
     local -a dirs
     mapfile -t dirs < <(existing_dirs test/unit test/models test/msgs)
-    compgen -G 'scripts/lib/tests/test_*.py' >/dev/null && dirs+=(scripts/lib/tests)
+    dirs+=(scripts/lib/tests scripts/benchmarks/tests)
     run_pytest pytest python3 ${dirs[@]+"${dirs[@]}"}
 }
 
@@ -162,43 +174,73 @@ layer_pytest38() {
     local -a dirs
     local package path=''
     if ! venv38; then
-        R4H_REMARK="no Python 3.8 here"
-        note "$R4H_REMARK: not run"
+        R4H_REMARK=$R4H_NO_PYTHON38
         return 0
     fi
     mapfile -t dirs < <(existing_dirs test/unit test/models)
+    dirs+=(scripts/benchmarks/tests)
     for package in "${R4H_PACKAGES[@]}"; do path=${path:+$path:}$R4H_ROOT/$package/src; done
     # Without ROS: the pure layer must not need it.
     PYTHONPATH=$path run_pytest pytest38 "$R4H_VENV38/bin/python" ${dirs[@]+"${dirs[@]}"}
 }
 
-run_rostest() { # run_rostest FILE
-    local file=$1 code=0 began counts name
-    name=rostest-${file//\//_}
+run_rostest() { # run_rostest FILE NAME: leaves its counts in $R4H_TMP/NAME.counts and what is to be said in $R4H_TMP/NAME.report
+    local file=$1 name=$2 code=0 began counts
     began=$(now)
     mkdir -p "$R4H_LOGS/results/$name"
     ROS_TEST_RESULTS_DIR=$R4H_LOGS/results/$name ROS_LOG_DIR=$R4H_LOGS/results/$name/ros ROS4HRI_RUN_MARK=$R4H_MARK-$name \
         run_logged "$name" timeout -k 20 -s INT "$R4H_ROSTEST_LIMIT" rostest "$R4H_WS/src/ros4hri/$file" || code=$?
     env -u ROS4HRI_RUN_MARK "$R4H_SYSTEM_PYTHON" "$R4H_LIB/processes.py" end "$R4H_MARK-$name" || true
-    counts=$("$R4H_SYSTEM_PYTHON" "$R4H_LIB/results.py" rostest "$R4H_LOGS/results/$name" "$code" "$R4H_DATA_REQUIRED" 2>"$R4H_TMP/problems")
-    add_counts "$counts"
-    if [[ $counts == *$'\t0\t'* ]]; then
-        note "ok      $file: ${counts%%$'\t'*} passed ($(seconds_since "$began") s)"
-        sed 's/^/              /' "$R4H_TMP/problems"
-    else
-        note "FAILED  $file ($(seconds_since "$began") s)"
-        sed 's/^/              /' "$R4H_TMP/problems"
-        show_log "$name" 60
-    fi
+    counts=$("$R4H_SYSTEM_PYTHON" "$R4H_LIB/results.py" rostest "$R4H_LOGS/results/$name" "$code" "$R4H_DATA_REQUIRED" 2>"$R4H_TMP/$name.problems")
+    {
+        if [[ $counts == *$'\t0\t'* ]]; then
+            note "ok      $file: ${counts%%$'\t'*} passed ($(seconds_since "$began") s)"
+            sed 's/^/              /' "$R4H_TMP/$name.problems"
+        else
+            note "FAILED  $file ($(seconds_since "$began") s)"
+            sed 's/^/              /' "$R4H_TMP/$name.problems"
+            show_log "$name" 60
+        fi
+    } >"$R4H_TMP/$name.report"
+    printf '%s\n' "$counts" >"$R4H_TMP/$name.counts"
+}
+
+take_rostests() { # counts and reports of the files that have ended since the last call
+    local counts
+    for counts in "$R4H_TMP"/rostest-*.counts; do
+        [ -e "$counts" ] || continue
+        add_counts "$(cat "$counts")"
+        cat "${counts%.counts}.report"
+        rm -f "$counts"
+    done
+}
+
+run_rostests() { # run_rostests JOBS FILE...: so many at a time, each with a master of its own
+    local jobs=$1 running=0 file
+    shift
+    for file in "$@"; do
+        if ((running >= jobs)); then
+            wait -n || true
+            running=$((running - 1))
+            take_rostests
+        fi
+        run_rostest "$file" "rostest-${file//\//_}" &
+        running=$((running + 1))
+    done
+    wait
+    take_rostests
 }
 
 layer_rostest() {
-    local file
+    local -a files alone together
     # Programs that only tests need; roscpp may have been installed after the workspace was configured.
     check "build of the tests' programs" catkin_make_here --force-cmake tests
-    while IFS= read -r file; do
-        run_rostest "$file"
-    done < <(find hri_*/test/ros rosbag_tests -name '*.test' | LC_ALL=C sort)
+    mapfile -t files < <(find hri_*/test/ros rosbag_tests -name '*.test' | LC_ALL=C sort)
+    # Those that need the whole processor say so. The others wait most of the time.
+    mapfile -t alone < <(grep -l '<!-- runs alone' "${files[@]}" || true)
+    mapfile -t together < <(grep -L '<!-- runs alone' "${files[@]}" || true)
+    run_rostests "$R4H_ROSTEST_JOBS" ${together[@]+"${together[@]}"}
+    run_rostests 1 ${alone[@]+"${alone[@]}"}
 }
 
 layer_layout() {

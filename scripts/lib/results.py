@@ -89,14 +89,19 @@ def count_rostest(directory: Path, exit_code: int, data_required: bool = False) 
 
 
 def print_table(path: Path) -> Tuple[int, int]:
-    """Print the table of all layers; returns passed and failed. A layer that ran nothing is a failure."""
+    """Print the table of all layers; returns passed and failed. A layer that ran nothing, and does not say why, is a
+    failure."""
     passed = failed = 0
     print("%-11s %7s %7s %8s %9s" % ("layer", "passed", "failed", "skipped", "seconds"))
     for line in path.read_text().splitlines():
         name, good, bad, skipped, seconds, remark = (line.split("\t") + [""] * 6)[:6]
-        if remark == "" and int(good) + int(bad) == 0:
-            bad, remark = "1", "ran nothing"
-        passed, failed = passed + int(good), failed + int(bad)
+        if int(good) + int(bad) == 0:
+            if remark:
+                good = bad = skipped = "-"
+                remark = "skipped: " + remark
+            else:
+                bad, remark = "1", "ran nothing"
+        passed, failed = passed + int(good.replace("-", "0")), failed + int(bad.replace("-", "0"))
         print("%-11s %7s %7s %8s %9s  %s" % (name, good, bad, skipped, seconds, remark))
     return passed, failed
 

@@ -65,7 +65,7 @@ ensure_original_packages() { # what the tests of the converters compare with; ke
     local marker
     step "Original model packages, for the tests of the converters"
     export ROS4HRI_PACKAGES=${ROS4HRI_PACKAGES:-$R4H_CACHE/packages}
-    marker=$ROS4HRI_PACKAGES/.complete-$(sha256sum "$R4H_ROOT/hri_pipeline/src/hri_pipeline/models/catalogue.py" | cut -c1-12)
+    marker=$ROS4HRI_PACKAGES/.complete-$(sha256sum "$R4H_ROOT/hri_pipeline/src/hri_pipeline/models/models.yaml" | cut -c1-12)
     if [ -e "$marker" ]; then
         step_done "there: $ROS4HRI_PACKAGES"
         return

@@ -12,9 +12,9 @@ _WORTH = 100     # one thing that is needed counts as much as this many that are
 class View:
     """What is there, and what of it is drawn, at one moment.
 
-    persons, faces, bodies: ids that are tracked. skeletons: bodies that are drawn in space; marked: number of persons that are.
-    gazes, groups: numbers of arrows and of discs. overlay: faces and bodies on the camera image, None while nothing is known of it.
-    viewed: topics that the viewer listens to.
+    persons, faces, bodies: ids that are tracked. skeletons: bodies that are drawn in space; marked: number of persons
+    that are. gazes, groups: numbers of arrows and of discs. overlay: faces and bodies on the camera image, None while
+    nothing is known of it. viewed: topics that the viewer listens to.
     """
 
     persons: FrozenSet[str] = frozenset()
@@ -29,7 +29,10 @@ class View:
 
 
 class Lack(NamedTuple):
-    """What a view lacks, in words. absent: how many persons. needed: what every good picture has. wished: what not every source has."""
+    """What a view lacks, in words.
+
+    absent: how many persons. needed: what every good picture has. wished: what not every source has.
+    """
 
     absent: int
     needed: Sequence[str]
@@ -51,7 +54,8 @@ def lack(view: View, people: int, topics: Sequence[str]) -> Lack:
     """Return what a view lacks that should show `people` persons to a viewer of `topics`."""
     needed = ["{} in the viewer".format(topic) for topic in topics if topic not in view.viewed]
     needed += [name for name, there in (
-        ("a name", view.marked), ("a face", view.faces), ("a body", view.bodies), ("a skeleton in space", view.skeletons)) if not there]
+        ("a name", view.marked), ("a face", view.faces), ("a body", view.bodies),
+        ("a skeleton in space", view.skeletons)) if not there]
     wished = [name for name, there in (("gazes", view.gazes), ("groups", view.groups)) if not there]
     # Those of the camera: somebody who is only heard by one microphone has no place, and no name is drawn there.
     wished += _part("names", view.marked, max(len(view.faces), len(view.bodies)))

@@ -1,7 +1,8 @@
 """Wait until persons are there and rviz shows them, and take the picture: exit code 0 then, 1 after the time given.
 
-What rviz has drawn cannot be asked for; what it was sent can. A picture counts when nothing that it should show was missing from
-a while before it until a while after it. Until there is a complete one, the best so far is kept. The last line says what it lacks.
+What rviz has drawn cannot be asked for; what it was sent can. A picture counts when nothing that it should show was
+missing from a while before it until a while after it. Until there is a complete one, the best so far is kept. The last
+line says what it lacks.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ class Watch:
 
     def look_closely(self) -> None:
         """Listen to the markers, too: they are made for those who listen."""
-        self._subscribers += [rospy.Subscriber(topic, MarkerArray, self._on_markers, topic, queue_size=1) for topic in TOPICS[:3]]
+        self._subscribers += [rospy.Subscriber(topic, MarkerArray, self._on_markers, topic, queue_size=1)
+                              for topic in TOPICS[:3]]
         self._subscribers.append(rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics, queue_size=50))
 
     def count(self, kind: str) -> int:
@@ -66,7 +68,8 @@ class Watch:
     def _fresh(self, topic: str) -> List[Marker]:
         """Markers of the last message of a topic, none where that is old."""
         came, array = self._markers.get(topic, (float("-inf"), MarkerArray()))
-        return [marker for marker in array.markers if marker.action == Marker.ADD] if time.monotonic() - came < FRESH_S else []
+        return [marker for marker in array.markers
+                if marker.action == Marker.ADD] if time.monotonic() - came < FRESH_S else []
 
     def _on_ids(self, message: IdsList, kind: str) -> None:
         with self._lock:

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.onnx import models_directory
 
 WIDTH, HEIGHT = 1280, 720
 # Name: number of the photograph, the box around the person in parts of its width and height, how far the hues of the

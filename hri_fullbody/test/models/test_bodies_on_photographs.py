@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_fullbody.core.body_parameters import VISION
-from hri_fullbody.core.body_stage import BodyStage
-from hri_fullbody.core.sight.body_sight import body_distance
-from hri_fullbody.core.sight.body_windows import FaceBox
+from hri_fullbody.core.detection.pose_estimator import body_distance
+from hri_fullbody.core.detection.windows import FaceBox
+from hri_fullbody.core.parameters import VISION
+from hri_fullbody.core.pipeline import BodyPipeline
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.faces.face_stage import FaceStage
-from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.faces.pipeline import FacePipeline
+from hri_pipeline.core.onnx import models_directory
 
 WIDTH = 1280
 RATE = 15.0
@@ -29,7 +29,7 @@ def stages():
         pytest.fail("no models in {}: run `rosrun hri_pipeline fetch_models` or set ROS4HRI_MODELS".format(
             models_directory()))
     settings = VISION.resolve({"face_budget": 1000.0})    # the same looks on a busy machine
-    return FaceStage(settings), BodyStage(settings)
+    return FacePipeline(settings), BodyPipeline(settings)
 
 
 def photograph(number):
@@ -144,7 +144,8 @@ def test_without_faces_distances_are_near_those_of_the_faces(stages):
     ratios = np.array(ratios)
     print("distance by the body alone to that of the face: n = {}, median {:.2f}, quartiles {}".format(
         len(ratios), np.nanmedian(ratios), np.round(np.nanpercentile(ratios, [25, 75]), 2)))
-    # Both go by an average size; that of the iris says that these faces are nearer than their bodies (median 1.10 to 1.12).
+    # Both go by an average size; that of the iris says that these faces are nearer than their bodies (median 1.10 to
+    # 1.12).
     assert np.nanmedian(ratios) == pytest.approx(1.0, abs=0.15)
     assert np.nanmean(np.abs(ratios - 1.0) < 0.3) > 0.75
 
@@ -160,7 +161,7 @@ def test_a_depth_image_decides_about_the_distance(stages, number):
     depth[holes] = np.nan
     stages[1].reset()
     pairs = linked(stages, number, depth=depth)
-    assert stages[1].placed_by_depth == len(pairs) >= LEAST_BODIES[number]
+    assert stages[1].status()["placed_by_depth"] == len(pairs) >= LEAST_BODIES[number]
     for _, body in pairs:
         trunk = body.keypoints_3d[[2, 5, 8, 11], 2]
         assert np.nanmean(trunk) == pytest.approx(2.1, abs=0.08)

@@ -1,7 +1,7 @@
 """Faces and bodies of photographs stand at one distance, each measured without the other."""
 
-from hri_fullbody.evaluation.face_body_depth import face_body_depth_ratio_median
-from hri_pipeline.core.model_store import models_directory
+from benchmarks.body_fit import face_body_depth_ratio_median
+from hri_pipeline.core.onnx import models_directory
 
 
 def test_a_face_and_its_body_are_equally_far_away():

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from crossing_people import HEIGHT, WIDTH, film
 
-from hri_fullbody.core.body_parameters import BODIES
-from hri_fullbody.core.body_stage import BodyStage
+from hri_fullbody.core.parameters import BODIES
+from hri_fullbody.core.pipeline import BodyPipeline
 from hri_pipeline.core.camera import CameraModel
 
 CAMERA = CameraModel.from_fov(WIDTH, HEIGHT, 1.05)
@@ -17,7 +17,7 @@ APART = 220.0           # px between the middles of two people who do not hide e
 
 @pytest.fixture(scope="module")
 def stage():
-    return BodyStage(BODIES.resolve({}))
+    return BodyPipeline(BODIES.resolve({}))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -62,12 +62,14 @@ def ids_of(history, name):
 
 
 def cross(stage, behind, before):
-    """Two people walk past each other; both are there before and after, nobody else ever, and most of the time both are seen."""
+    """Two people walk past each other; both are there before and after, nobody else ever, and most of the time both are
+    seen."""
     history = watch(stage, (behind, before), (lambda time: 300.0 + 260.0 * time, lambda time: 980.0 - 260.0 * time),
                     3.1, 15.0, (560, 600))
     assert history[-1][2] == 2
     assert max(count for _, _, count in history) == 2
-    assert np.mean([count == 2 for stamp, _, count in history if stamp > 0.8]) > 0.33    # 0.38 to 0.9, with noise in the image
+    # 0.38 to 0.9, with noise in the image
+    assert np.mean([count == 2 for stamp, _, count in history if stamp > 0.8]) > 0.33
     return history
 
 
@@ -81,20 +83,22 @@ def test_two_who_cross_keep_their_ids(stage, behind, before):
 
 @pytest.mark.parametrize("behind, before", [("green", "twin"), ("twin", "green")])
 def test_two_in_the_same_clothes_who_cross_are_two_again(stage, behind, before):
-    """Which of them is which, nothing tells but the way they went, and trusting that more loses people who stop side by side."""
+    """Which of them is which, nothing tells but the way they went, and trusting that more loses people who stop side by
+    side."""
     history = cross(stage, behind, before)
     assert set(history[-1][1]) == {"green", "twin"}
     assert len(set(history[-1][1].values())) == 2
 
 
 def test_two_who_cross_at_a_low_frame_rate_keep_their_ids(stage):
-    history = watch(stage, ("green", "burgundy"), (lambda time: 300.0 + 200.0 * time, lambda time: 980.0 - 200.0 * time),
+    history = watch(stage, ("green", "burgundy"),
+                    (lambda time: 300.0 + 200.0 * time, lambda time: 980.0 - 200.0 * time),
                     3.9, 5.0, (560, 600))
     assert all(len(ids_of(history, name)) == 1 for name in ("green", "burgundy"))
 
 
 def test_one_who_waits_behind_another_keeps_the_id():
-    stage = BodyStage(BODIES.resolve({"body_death_time": 2.0}))
+    stage = BodyPipeline(BODIES.resolve({"body_death_time": 2.0}))
 
     def passing(time):
         return 980.0 - 340.0 * min(time, 1.0) if time < 1.4 else 640.0 - 340.0 * (time - 1.4)

@@ -1,4 +1,6 @@
-"""What the body branch makes of models: transforms, joint states, crops. Needs the message packages, no master."""
+"""Messages of bodies: transforms, joint states, crops, constants. Needs the message packages, no master."""
+
+from __future__ import annotations
 
 from dataclasses import replace
 
@@ -7,18 +9,23 @@ import numpy as np
 import pytest
 from std_msgs.msg import Header
 
-from hri_fullbody.core.body_modeller import BodyInput, BodyModeller
-from hri_fullbody.core.human.human_model import Dimensions, layout_for
-from hri_fullbody.core.human.segment_table import SegmentTable
-from hri_fullbody.core.joints.forward_kinematics import forward
-from hri_fullbody.ros.body_branch import body_transform, drawn
-from hri_fullbody.ros.body_topics import crop, joint_state
+from hri_fullbody.core.behaviour.attitude import AttitudeClass
+from hri_fullbody.core.behaviour.gesture import GestureClass
+from hri_fullbody.core.behaviour.posture import PostureClass
+from hri_fullbody.core.kinematics.forward import forward
+from hri_fullbody.core.model.anthropometry import SegmentTable
+from hri_fullbody.core.model.human import Dimensions, layout_for
+from hri_fullbody.core.pipeline import BodyInput, BodyModeller
+from hri_fullbody.ros.bodies import body_transform, drawn
+from hri_fullbody.ros.topics import crop, joint_state
 from hri_fullbody.ros.up_frame import up_and_height
+from hri_msgs.msg import BodyAttitude, BodyPosture
+from hri_msgs.msg import Gesture as GestureMessage
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.ros.conversions import pose_from_transform
-from hri_pipeline.ros.image_intake import Frame
+from hri_pipeline.ros.inputs import Frame
 
 HEADER = Header(stamp=genpy.Time(12, 345), frame_id="camera")
 FRAME = Frame(np.zeros((4, 4, 3), np.uint8), CameraModel.from_fov(4, 4, 1.0), 12.000000345, HEADER)
@@ -83,3 +90,11 @@ def test_up_is_the_z_axis_of_the_other_frame_and_a_height_must_be_one():
     up, height = up_and_height(upright)
     assert up == pytest.approx([0, -1, 0]) and height == pytest.approx(1.4)
     assert up_and_height(Pose(upright.rotation, np.array([0.0, 0, -3.0])))[1] is None
+
+
+@pytest.mark.parametrize("ours, message", [
+    (AttitudeClass, BodyAttitude), (PostureClass, BodyPosture), (GestureClass, GestureMessage)])
+def test_numbers_equal_the_constants_of_the_message(ours, message):
+    constants = {name: getattr(message, name) for name in vars(message)
+                 if name.isupper() and isinstance(getattr(message, name), int)}
+    assert {item.name: item.value for item in ours} == constants

@@ -12,11 +12,11 @@ from demo_camera import FRAME, DemoCamera, Newest, photograph
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, TwistStamped
 from sensor_msgs.msg import Image, JointState, RegionOfInterest
-from skeleton_graph import TfTree, left_of, processes
+from skeleton_graph import TfTree, processes, wait_until_gone
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
-from hri_fullbody.core.human.human_model import PAPER
+from hri_fullbody.core.model.human import PAPER
 from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, IdsList, Skeleton2D
 from hri_pipeline.testing import pid_of, wait_for
 
@@ -78,7 +78,8 @@ class BodiesTest(unittest.TestCase):
 
     def test_whole_skeletons_stand_in_front_of_the_camera_with_the_stamp_of_an_image(self):
         for identity in self.tracked.last.ids:
-            stamp = wait_for(lambda wanted=identity: self.tree.complete(wanted), WAIT_S, "all frames of " + identity)[-1]
+            stamp = wait_for(lambda wanted=identity: self.tree.complete(wanted), WAIT_S,
+                             "all frames of " + identity)[-1]
             self.assertIn(stamp, self.camera.stamps)
             body, head = (self.tree.pose(link, identity, stamp, FRAME) for link in ("body", "head"))
             self.assertTrue(0.5 < body.translation[2] < 4.0)
@@ -108,7 +109,8 @@ class BodiesTest(unittest.TestCase):
             return [message for message in list(transforms.messages)
                     if message._connection_header["callerid"] == "/hri_bodies"]
 
-        wait_for(lambda: {message.transforms[0].header.stamp for message in roots()} >= set(stamps[2:5]), WAIT_S, "roots")
+        wait_for(lambda: {message.transforms[0].header.stamp for message in roots()} >= set(stamps[2:5]), WAIT_S,
+                 "roots")
         # One message for all bodies of an image, and nothing in it but the roots.
         sent = [message.transforms[0].header.stamp for message in roots()]
         self.assertEqual(len(set(sent)), len(sent))
@@ -151,7 +153,8 @@ class BodiesTest(unittest.TestCase):
         found = wait_for(values, WAIT_S, "diagnostics")
         self.assertIn("models_ms_median", found)
         self.assertEqual(found["robot_state_publishers_restarted"], "0")
-        self.assertEqual(sum(name.startswith("stature_m_") for name in found), len(self.tracked.last.ids))
+        self.assertEqual(found["errors"], "0")
+        self.assertEqual(found["statures_m"].count(" +- "), len(self.tracked.last.ids))
 
     def test_markers_come_only_while_somebody_listens(self):
         def tracked_by_node():
@@ -177,13 +180,20 @@ class BodiesTest(unittest.TestCase):
         wait_for(lambda: late.messages, WAIT_S, "markers again")
         self.assertGreater(late.messages[0].markers[0].header.stamp, newest)
 
+    def test_a_silent_camera_empties_the_list_with_the_stamp_of_its_last_image(self):
+        before = self.tracked.last
+        self.camera.show(None)
+        wait_for(lambda: self.tracked.last.ids == [], WAIT_S, "an empty list")
+        self.assertIn(self.tracked.last.header.stamp, self.camera.stamps)
+        self.assertGreaterEqual(self.tracked.last.header.stamp, before.header.stamp)
+
     def test_black_images_empty_the_list_and_leave_nothing(self):
         gone = list(self.tracked.last.ids)
         self.camera.show_black()
         wait_for(lambda: self.tracked.last.ids == [], WAIT_S, "an empty list")
 
         for identity in gone:
-            wait_for(lambda wanted=identity: not left_of(wanted), WAIT_S, "nothing of " + identity)
+            wait_until_gone(identity, WAIT_S)
         self.camera.show(self.picture)
         wait_for(lambda: len(self.tracked.last.ids) >= 3, WAIT_S, "the bodies again")
         self.assertFalse(set(gone) & set(self.tracked.last.ids))

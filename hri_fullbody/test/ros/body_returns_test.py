@@ -46,7 +46,8 @@ class BodyReturnsTest(unittest.TestCase):
             publisher.publish(String(body))
         known = rospy.Publisher("/humans/persons/tracked", IdsList, latch=True, queue_size=1)
         known.publish(IdsList(ids=list(persons)))
-        wait_for(lambda: all(publisher.get_num_connections() for publisher in publishers), WAIT_S, "the node's interest")
+        wait_for(lambda: all(publisher.get_num_connections() for publisher in publishers), WAIT_S,
+                 "the node's interest")
         self.camera.show_black()
         wait_for(lambda: not self.tracked.last.ids, WAIT_S, "an empty list")
         self.camera.show(self.picture)

@@ -9,7 +9,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.onnx import models_directory
 from hri_pipeline.ros.conversions import bgr_to_image
 
 FRAME = "test_camera_optical"
@@ -39,7 +39,7 @@ class DemoCamera:
         self._thread.start()
 
     def show(self, picture):
-        """Show another picture."""
+        """Show another picture; None: send nothing."""
         self._picture = picture
 
     def show_black(self):
@@ -54,6 +54,8 @@ class DemoCamera:
     def _run(self):
         while not self._closed.wait(1.0 / _RATE):
             picture = self._picture
+            if picture is None:
+                continue
             header = Header(stamp=rospy.Time.now(), frame_id=FRAME)
             height, width = picture.shape[:2]
             matrix = CameraModel.from_fov(width, height, 1.05).matrix

@@ -5,10 +5,9 @@ import sys
 
 import rospy
 
-from hri_fullbody.core.human.human_model import Dimensions
-from hri_fullbody.core.human.human_urdf import make_urdf
-from hri_fullbody.core.human.segment_table import SegmentTable
-from hri_fullbody.ros.publisher_binary import PublisherBinary
+from hri_fullbody.core.model.anthropometry import SegmentTable
+from hri_fullbody.core.model.human import Dimensions
+from hri_fullbody.core.model.urdf import make_urdf
 from hri_fullbody.ros.state_publishers import StatePublishers
 from hri_pipeline.ros.node import run_node
 
@@ -18,7 +17,7 @@ class Owner:
 
     def __init__(self):
         self.publishers = StatePublishers(
-            limit=10, rate=15.0, binary=PublisherBinary(rospy.get_param("~package", "robot_state_publisher")))
+            limit=10, rate=15.0, package=rospy.get_param("~package", "robot_state_publisher"))
         dimensions = Dimensions.from_stature(1.7, SegmentTable.load())
         for identity in rospy.myargv()[1:]:
             self.publishers.set(identity, make_urdf(dimensions, identity), 1)

@@ -9,12 +9,11 @@ import rostest
 import tf2_ros
 from sensor_msgs.msg import JointState
 
-from hri_fullbody.core import skeleton
-from hri_fullbody.core.human.human_model import PAPER, REP155, Dimensions
-from hri_fullbody.core.human.human_urdf import make_urdf
-from hri_fullbody.core.human.sample_poses import sample_pose
-from hri_fullbody.core.human.segment_table import SegmentTable
-from hri_fullbody.core.joints.forward_kinematics import forward
+from hri_fullbody.core import keypoints as skeleton
+from hri_fullbody.core.kinematics.forward import forward
+from hri_fullbody.core.model.anthropometry import SegmentTable
+from hri_fullbody.core.model.human import PAPER, REP155, Dimensions, sample_pose
+from hri_fullbody.core.model.urdf import make_urdf
 
 WAIT_S = 20.0
 POINTS = {"l_wrist": skeleton.LEFT_WRIST, "r_knee": skeleton.RIGHT_KNEE, "r_ankle": skeleton.RIGHT_ANKLE,

@@ -11,14 +11,15 @@ import rospy
 from sensor_msgs.msg import JointState
 from tf2_msgs.msg import TFMessage
 
-from hri_fullbody.core import skeleton
-from hri_fullbody.core.human.human_model import PAPER, Dimensions
-from hri_fullbody.core.human.human_urdf import link_names, make_urdf
-from hri_fullbody.core.human.segment_table import SegmentTable
-from hri_fullbody.core.joints.forward_kinematics import forward
+from hri_fullbody.core import keypoints as skeleton
+from hri_fullbody.core.kinematics.forward import forward
+from hri_fullbody.core.model.anthropometry import SegmentTable
+from hri_fullbody.core.model.human import PAPER, Dimensions
+from hri_fullbody.core.model.urdf import link_names, make_urdf
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import pose_from_transform, transform_to_msg
-from hri_pipeline.ros.topic_lease import TopicLeases, TopicSpec
+from hri_pipeline.ros.publishers import IdPublishers, TopicSpec
+from hri_pipeline.testing import wait_for
 
 CAMERA = "camera"
 SIDES = (("l_", "LEFT"), ("r_", "RIGHT"))
@@ -101,7 +102,7 @@ class Movers:
         self.dimensions = {}
         self.sent = {}
         self._lock = threading.Lock()
-        self._leases = TopicLeases("/humans/bodies", {"joint_states": TopicSpec(JointState, greet=True)})
+        self._leases = IdPublishers("/humans/bodies", {"joint_states": TopicSpec(JointState, greet=True)})
         self._tf = rospy.Publisher("/tf", TFMessage, queue_size=100)
         self._rate = rate
         self._stop = threading.Event()
@@ -223,3 +224,6 @@ def left_of(identity):
     return found
 
 
+def wait_until_gone(identity, timeout):
+    """Wait until nothing of a body is left; nodes tell the master by a thread that their topics have gone."""
+    wait_for(lambda: not left_of(identity), timeout, lambda: "nothing of {}: {}".format(identity, left_of(identity)))

@@ -12,7 +12,7 @@ from collections import Counter
 import rosgraph
 import rospy
 import rostest
-from skeleton_graph import Movers, TfTree, farthest, left_of, processes
+from skeleton_graph import Movers, TfTree, farthest, left_of, processes, wait_until_gone
 
 from hri_fullbody.ros.state_publishers import StatePublishers
 from hri_pipeline.core.ids import IdGenerator
@@ -101,11 +101,11 @@ class StatePublishersTest(unittest.TestCase):
         first, second = self.bodies(2)
         self.publishers.keep([second])
         self.movers.set({second: 1.7})
-        wait_for(lambda: not left_of(first), WAIT_S, "nothing of {}: {}".format(first, left_of(first)))
+        wait_until_gone(first, WAIT_S)
         self.assertTrue(processes(second))
         self.publishers.close()
         self.movers.set({})
-        self.assertEqual(left_of(second), [])
+        wait_until_gone(second, WAIT_S)
 
     def test_a_killed_process_comes_again(self):
         identity, = self.bodies(1)
@@ -165,7 +165,7 @@ class StatePublishersTest(unittest.TestCase):
         self.anew(good)
         self.assertEqual(self.publishers.status()[2]["started"], started, "it is not tried again and again")
         self.publishers.keep([good])
-        wait_for(lambda: not left_of(bad), WAIT_S, "nothing of " + bad)
+        wait_until_gone(bad, WAIT_S)
 
     def test_ids_and_numbers_are_checked(self):
         for hostile in ("", "a;b", "a<b", "a b", "../x", "a/b", "x" * 40, "1a"):
@@ -181,7 +181,7 @@ class StatePublishersTest(unittest.TestCase):
             owner = self.owner("owner_that_stops", identity)
             owner.says("alive 1")
             owner.end(number)
-            self.assertEqual(left_of(identity), [])
+            wait_until_gone(identity, WAIT_S)
 
     def test_what_a_killed_owner_leaves_is_cleaned_up_and_nothing_of_a_living_one(self):
         living, dead = type(self).new_id(), type(self).new_id()
@@ -195,7 +195,7 @@ class StatePublishersTest(unittest.TestCase):
         rosgraph.Master("/rsp_" + dead).registerPublisher("/tf", "tf2_msgs/TFMessage", "http://127.0.0.1:1/")
         successor = self.owner("owner_that_dies", type(self).new_id())
         successor.says("swept 1")
-        self.assertEqual(left_of(dead), [])
+        wait_until_gone(dead, WAIT_S)
         self.assertEqual(len(processes(living)), 1)
         self.assertTrue(rospy.has_param("/human_description_" + living))
 
@@ -207,7 +207,7 @@ class StatePublishersTest(unittest.TestCase):
         self.assertEqual(sum("apt install ros-robot-state-publisher" in line and "[ERROR]" in line
                              for line in list(owner.lines)), 1, owner.lines)
         owner.end(signal.SIGINT)
-        self.assertEqual(left_of(identity), [])
+        wait_until_gone(identity, WAIT_S)
         rospy.delete_param("/owner_without_binary")
 
     def test_all_is_well(self):

@@ -36,14 +36,17 @@ class VisionReconfigureTest(unittest.TestCase):
         return len(newest.last.ids) if newest.last else 0
 
     def rate(self, images):
-        """Images per second that were worked on, over the newest so many images, by their stamps; 0 before there are as many."""
-        stamps = sorted({message.header.stamp.to_sec() for face in self.landmarks for message in face.messages})[-images:]
+        """Images per second that were worked on, over the newest so many images, by their stamps; 0 before there are as
+        many."""
+        stamps = sorted({message.header.stamp.to_sec() for face in self.landmarks
+                         for message in face.messages})[-images:]
         return (images - 1) / (stamps[-1] - stamps[0]) if len(stamps) == images else 0.0
 
     def test_1_rate(self):
         # Faces that are not seen for seconds have to live on.
         self.client.update_configuration({"face_death_time": 60.0})
-        self.landmarks = [Newest("/humans/faces/{}/landmarks".format(face), FacialLandmarks) for face in self.faces.last.ids]
+        self.landmarks = [Newest("/humans/faces/{}/landmarks".format(face), FacialLandmarks)
+                          for face in self.faces.last.ids]
         self.addCleanup(lambda: [face.close() for face in self.landmarks])
         # Far from what a busy machine does.
         wait_for(lambda: self.rate(3) > 0.3, WAIT_S, "images are worked on")

@@ -6,7 +6,7 @@ from typing import Optional, Sequence
 
 import numpy as np
 
-from hri_fullbody.core import skeleton as kp
+from hri_fullbody.core import keypoints as kp
 
 STATURE = 1.7
 UP = np.array([0.0, -1.0, 0.0])
@@ -72,7 +72,8 @@ class Pose:
 
     def seen(self, heading: float = 0.0, place: Place = (0.2, 0.1, 3.0), scale: float = 1.0) -> np.ndarray:
         """(18, 3) m in the optical frame of a level camera; heading: rad, turned to the person's left."""
-        turn = np.array([[np.cos(heading), -np.sin(heading), 0.0], [np.sin(heading), np.cos(heading), 0.0], [0, 0, 1.0]])
+        turn = np.array([[np.cos(heading), -np.sin(heading), 0.0], [np.sin(heading), np.cos(heading), 0.0],
+                         [0, 0, 1.0]])
         return scale * self.points @ turn.T @ FACING.T + np.array(place)
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hri_fullbody.core.human.human_model import Dimensions
-from hri_fullbody.core.human.segment_table import SEGMENTS, SegmentTable
+from hri_fullbody.core.model.anthropometry import SEGMENTS, SegmentTable
+from hri_fullbody.core.model.human import Dimensions
 
 TABLE = SegmentTable.load()
 

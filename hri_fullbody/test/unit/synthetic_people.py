@@ -6,8 +6,8 @@ from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from hri_fullbody.core.sight.body_windows import FaceBox, Window
-from hri_fullbody.core.sight.pose_model import PoseEstimate
+from hri_fullbody.core.detection.pose_estimator import PoseEstimate
+from hri_fullbody.core.detection.windows import FaceBox, Window
 
 # Metres around the middle of the hips, in the axes of an image: a person who stands and faces the camera.
 STANDING = np.zeros((33, 3))

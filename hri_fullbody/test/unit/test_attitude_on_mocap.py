@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from hri_fullbody.core.language.attitude import Attitude
-from hri_fullbody.evaluation import attitude_clips as clips
-from hri_fullbody.evaluation.attitude_arms import bend_arm
-from hri_fullbody.evaluation.attitude_figures import Event, by_class, detect, events_of
-from hri_pipeline.evaluation.data_directory import ABSENT, data_directory
+from benchmarks import attitude as clips
+from benchmarks.attitude import Event, bend_arm, by_class, detect, events_of
+from benchmarks.data_directory import ABSENT, data_directory
+from hri_fullbody.core.behaviour.attitude import AttitudeClass
 
 needs_recordings = pytest.mark.skipif(data_directory() is None, reason=ABSENT)
 
@@ -17,6 +16,7 @@ needs_recordings = pytest.mark.skipif(data_directory() is None, reason=ABSENT)
 def test_made_attitudes_are_found_on_recordings_that_nothing_was_tuned_on(noise):
     positives = clips.positive_clips(clips.HELD_OUT, 1, seed=11)
     table = by_class(positives, detect(positives, noise, seed=3), clips.HELD_OUT)
+    assert len(table) == len(AttitudeClass) - 1      # all but "other"
     for name, row in table.items():
         assert row["events"] == len(clips.HELD_OUT), name
         # One of six may be missed.
@@ -27,7 +27,7 @@ def test_made_attitudes_are_found_on_recordings_that_nothing_was_tuned_on(noise)
 @pytest.mark.parametrize("noise", (0, "rgbd"))
 def test_nobody_who_walks_or_runs_shows_anything(noise):
     walks = clips.natural_clips(clips.WALKING, 2, seed=12)
-    assert all(not clip.truths for clip in walks)
+    assert walks and all(not clip.truths for clip in walks)
     assert detect(walks, noise, seed=4) == [[] for _ in walks]
 
 
@@ -39,7 +39,7 @@ def test_moved_arms_keep_their_bones_and_all_else_stays():
         for joint in (0, 1):
             lengths = np.linalg.norm(points[:, shoulder + joint + 1] - points[:, shoulder + joint], axis=1)
             assert np.ptp(lengths) < 0.002
-    assert clip.truths[0].attitude == Attitude.ARMS_CROSSED and np.isfinite(points).all()
+    assert clip.truths[0].attitude == AttitudeClass.ARMS_CROSSED and np.isfinite(points).all()
     steps = np.linalg.norm(np.diff(points, axis=0), axis=2)
     assert steps.max() < 0.25  # no jumps: 7.5 m/s at 30 Hz
 
@@ -57,16 +57,16 @@ def test_a_bent_arm_reaches_what_is_in_reach():
 def test_runs_close_together_are_one_event():
     attitudes = np.array([0, 3, 3, 0, 3, 3, 0, 0, 0, 0, 0, 3, 0])
     assert events_of(attitudes, np.arange(13) / 10.0) == [
-        Event(Attitude.HANDS_RAISED, 0.1, 0.5), Event(Attitude.HANDS_RAISED, 1.1, 1.1)]
+        Event(AttitudeClass.HANDS_RAISED, 0.1, 0.5), Event(AttitudeClass.HANDS_RAISED, 1.1, 1.1)]
 
 
 def test_recall_and_precision_count_events():
     class Motion:
         points, rate = np.zeros((600, 18, 3)), 10.0
 
-    truth = clips.Truth(Attitude.ARMS_CROSSED, 2.0, 4.0, True)
+    truth = clips.Truth(AttitudeClass.ARMS_CROSSED, 2.0, 4.0, True)
     scored = [clips.Clip("a", Motion(), (truth,)), clips.Clip("a", Motion(), (truth,)), clips.Clip("a", Motion(), ())]
-    crossed = Attitude.ARMS_CROSSED
+    crossed = AttitudeClass.ARMS_CROSSED
     found = [[Event(crossed, 2.5, 4.2)], [Event(crossed, 3.5, 4.5)], [Event(crossed, 1.0, 2.0)]]
     row = by_class(scored, found, ["a"])["arms_crossed"]
     assert row == {"recall": 0.5, "precision": 0.5, "false_per_minute": 0.33, "events": 2, "false_events": 1}

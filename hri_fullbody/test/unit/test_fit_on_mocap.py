@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_fullbody.core import skeleton as kp
-from hri_fullbody.core.human.segment_table import SegmentTable
-from hri_fullbody.evaluation.fit_figures import fit_errors, motions, stature_errors, wave
-from hri_fullbody.evaluation.mocap import before_camera, load_motion, trial_names
-from hri_fullbody.evaluation.noise import add_noise
-from hri_fullbody.evaluation.virtual_people import virtual_people
-from hri_pipeline.evaluation.data_directory import ABSENT, data_directory
+from benchmarks.body_fit import fit_errors, motions, stature_errors, wave
+from benchmarks.data_directory import ABSENT, data_directory
+from benchmarks.mocap import add_noise, before_camera, load_motion, trial_names, virtual_people
+from hri_fullbody.core import keypoints as kp
+from hri_fullbody.core.model.anthropometry import SegmentTable
 
 TABLE = SegmentTable.load()
 with_recordings = pytest.mark.skipif(data_directory() is None, reason=ABSENT)
@@ -42,7 +40,8 @@ def test_recordings_are_people_before_a_camera() -> None:
     assert (motion.points[:, kp.NOSE, 1] < motion.points[:, kp.LEFT_ANKLE, 1]).all()
     for length, start, end in ((person.upper_arm, kp.LEFT_SHOULDER, kp.LEFT_ELBOW),
                                (person.forearm, kp.RIGHT_ELBOW, kp.RIGHT_WRIST),
-                               (person.thigh, kp.LEFT_HIP, kp.LEFT_KNEE), (person.shank, kp.RIGHT_KNEE, kp.RIGHT_ANKLE)):
+                               (person.thigh, kp.LEFT_HIP, kp.LEFT_KNEE),
+                               (person.shank, kp.RIGHT_KNEE, kp.RIGHT_ANKLE)):
         assert np.allclose(np.linalg.norm(motion.points[:, start] - motion.points[:, end], axis=1), length)
 
 

@@ -1,13 +1,14 @@
-"""The error of the fitted joints on recorded motion against the golden figures of the bag tests: it may only improve."""
+"""The error of the fitted joints on recorded motion against the golden figures of the bag tests: it may only
+improve."""
 
 from pathlib import Path
 
 import pytest
 
-from hri_fullbody.core.human.segment_table import SegmentTable
-from hri_fullbody.evaluation.fit_figures import fit_errors, motions
-from hri_pipeline.evaluation.data_directory import ABSENT, data_directory
-from hri_pipeline.evaluation.golden import compare, comparison_table, load_golden
+from benchmarks.body_fit import fit_errors, motions
+from benchmarks.data_directory import ABSENT, data_directory
+from hri_fullbody.core.model.anthropometry import SegmentTable
+from hri_pipeline.score.golden import compare, comparison_table, load_golden
 
 GOLDEN = Path(__file__).resolve().parents[3] / "rosbag_tests" / "golden.yaml"
 TRIALS, FRAMES = ("02_01", "03_01"), 240    # a walk and a walk on uneven ground, 8 s of each

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hri_fullbody.core.sight.person_detector import decode_centres, network_size
+from hri_fullbody.core.detection.person_detector import decode_centres, network_size
 
 
 @pytest.mark.parametrize("image, wanted", [

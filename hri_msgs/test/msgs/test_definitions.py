@@ -1,12 +1,13 @@
 """The message definitions are those that other packages expect.
 
 Reads the definitions that rospack finds, hence of the sourced space, devel or install. A mistake
-in one of them makes bags and nodes of others unusable: rosbag and rospy compare the md5 sums.
+in one of them makes bags and nodes of others unusable: rosbag and rospy compare the md5 sums. These
+leave out the lengths of arrays of messages, so the layouts of the bytes are compared too.
 """
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Dict, List
+from typing import Dict, List, Optional
 
 import genmsg
 import genmsg.msg_loader
@@ -24,10 +25,38 @@ OWN_FIELDS = {
 }
 
 
+def table(name: str, separator: str) -> Dict[str, str]:
+    """The lines of a data file beside this test: what stands after the separator by what stands before it."""
+    lines = (Path(__file__).parent / name).read_text().splitlines()
+    return dict(line.split(separator) for line in lines if line and not line.startswith("#"))
+
+
 def released_sums() -> Dict[str, str]:
-    """md5 sum by message type, from the data file beside this test."""
-    lines = (Path(__file__).parent / "md5sums.txt").read_text().splitlines()
-    return dict(line.split() for line in lines if line and not line.startswith("#"))
+    """md5 sum by message type."""
+    return table("md5sums.txt", " ")
+
+
+def released_layouts() -> Dict[str, str]:
+    """Layout of the bytes by message type; wire_layouts.txt says how it is written."""
+    return {"hri_msgs/" + name: layout for name, layout in table("wire_layouts.txt", ": ").items()}
+
+
+def layout_of(message_type: str) -> str:
+    """Layout of the bytes of a message type as wire_layouts.txt has it."""
+    context, definition = load(message_type)
+    return " ".join(layout_of_field(context, *genmsg.msgs.parse_type(kind)) for kind in definition.types)
+
+
+def layout_of_field(context: genmsg.MsgContext, kind: str, is_array: bool, length: Optional[int]) -> str:
+    """The same of one field; a Header stands as it is."""
+    if genmsg.msgs.is_header_type(kind):
+        name = "Header"
+    elif genmsg.msgs.is_builtin(kind):
+        name = kind
+    else:
+        types = context.get_registered(kind).types
+        name = "({})".format(" ".join(layout_of_field(context, *genmsg.msgs.parse_type(part)) for part in types))
+    return name + ("[{}]".format("" if length is None else length) if is_array else "")
 
 
 def message_directory(package: str) -> Path:
@@ -57,6 +86,15 @@ def test_every_released_message_is_listed() -> None:
 @pytest.mark.parametrize("message_type", sorted(released_sums()))
 def test_md5_equals_the_released_one(message_type: str) -> None:
     assert genmsg.compute_md5(*load(message_type)) == released_sums()[message_type]
+
+
+def test_every_released_message_has_a_layout() -> None:
+    assert sorted(released_layouts()) == sorted(name for name in released_sums() if name.startswith("hri_msgs/"))
+
+
+@pytest.mark.parametrize("message_type", sorted(released_layouts()))
+def test_bytes_have_the_layout_of_the_released_one(message_type: str) -> None:
+    assert layout_of(message_type) == released_layouts()[message_type]
 
 
 @pytest.mark.parametrize("message_type", sorted(OWN_FIELDS))

@@ -2,6 +2,7 @@
 """people and show_persons: no master, a master that goes and comes again, a narrow terminal, the end by a signal."""
 
 import fcntl
+import json
 import os
 import pty
 import re
@@ -9,12 +10,16 @@ import signal
 import socket
 import struct
 import subprocess
+import tempfile
 import termios
 import unittest
 
 import rosgraph
 import rospy
 import rostest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import TransformStamped
+from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import IdsList
 from hri_pipeline.testing import HeardProcess, wait_for
@@ -44,7 +49,8 @@ class Command(HeardProcess):
             fcntl.ioctl(out, termios.TIOCSWINSZ, struct.pack("HHHH", 24, COLUMNS, 0, 0))
         process = subprocess.Popen(["rosrun", "hri_person_manager"] + list(words), stdin=subprocess.DEVNULL, stdout=out,
                                    stderr=out, preexec_fn=deaf_to_ctrl_c if terminal else None,
-                                   env=dict(os.environ, PYTHONUNBUFFERED="1", **({"ROS_MASTER_URI": uri} if uri else {})))
+                                   env=dict(os.environ, PYTHONUNBUFFERED="1",
+                                            **({"ROS_MASTER_URI": uri} if uri else {})))
         os.close(out)
         super().__init__(process, self.read)
 
@@ -71,15 +77,18 @@ class CommandsTest(unittest.TestCase):
         return command
 
     def master(self, port):
-        process = subprocess.Popen(["rosmaster", "--core", "-p", str(port)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(["rosmaster", "--core", "-p", str(port)], stdout=subprocess.DEVNULL,
+                                   stderr=subprocess.DEVNULL)
         self.addCleanup(process.wait)
         self.addCleanup(process.kill)
-        wait_for(rosgraph.Master("/test", master_uri="http://127.0.0.1:{}".format(port)).is_online, 20, "the master is online")
+        wait_for(rosgraph.Master("/test", master_uri="http://127.0.0.1:{}".format(port)).is_online, 20,
+                 "the master is online")
         return process
 
     def test_without_a_master_only_the_table_waits(self):
         uri = "http://127.0.0.1:{}".format(free_port())
-        for words in (["people", "list"], ["people", "forget-all", "--yes"], ["people", "name", "ann", "Ann"], ["people", "reset"],
+        for words in (["people", "list"], ["people", "forget-all", "--yes"], ["people", "name", "ann", "Ann"],
+                      ["people", "reset"],
                       ["show_persons", "--once", "--duration", "1"], ["show_persons", "--duration", "1"],
                       ["people", "watch", "--duration", "1"]):
             command = self.command(*words, uri=uri)
@@ -109,7 +118,8 @@ class CommandsTest(unittest.TestCase):
         table.says(gone)
         self.master(port)
         since = len(table.text)
-        wait_for(lambda: "nobody yet" in table.text[since:] and gone not in table.text[since:].rpartition("nobody yet")[2]
+        wait_for(lambda: "nobody yet" in table.text[since:]
+                 and gone not in table.text[since:].rpartition("nobody yet")[2]
                  and "images/s" in table.text[since:].rpartition("nobody yet")[2], 30, "the note has gone")
         graph = rosgraph.Master("/test", master_uri=uri)
         wait_for(lambda: any(topic == "/humans/persons/tracked" for topic, _ in graph.getSystemState()[1]), 30,
@@ -131,6 +141,21 @@ class CommandsTest(unittest.TestCase):
             self.assertNotIn("ROS Master", table.text)
             self.assertNotIn("Traceback", table.text)
 
+    def test_no_images_and_nobody_yet_are_two_things(self):
+        told = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
+        self.addCleanup(told.unregister)
+        table = self.command("people", terminal=True)
+
+        def tells(arrive, words):
+            since = len(table.text)
+            status = DiagnosticStatus(name="hri_faces: input", message="no publisher on /image",
+                                      values=[KeyValue("images_arrive", arrive)])
+            wait_for(lambda: told.publish(DiagnosticArray(status=[status])) or words in table.text[since:], 30,
+                     lambda: "{!r}; said: {}".format(words, table.text[since:]))
+        table.says("nobody yet")
+        tells("False", "no images arrive: no publisher on /image")
+        tells("True", "nobody yet")
+
     def test_no_line_is_longer_than_the_terminal(self):
         people = rospy.Publisher("/humans/persons/tracked", IdsList, queue_size=10, latch=True)
         self.addCleanup(people.unregister)
@@ -142,6 +167,35 @@ class CommandsTest(unittest.TestCase):
         self.assertEqual(table.code(), 0)
         lines = re.sub("\x1b\\[[0-9]*[A-Z]", "", table.text).replace("\r", "").split("\n")
         self.assertEqual([line for line in lines if len(line) > COLUMNS], [])
+
+    def test_only_frames_of_tracked_faces_and_bodies_are_images(self):
+        faces = rospy.Publisher("/humans/faces/tracked", IdsList, queue_size=10, latch=True)
+        transforms = rospy.Publisher("/tf", TFMessage, queue_size=100)
+        for publisher in (faces, transforms):
+            self.addCleanup(publisher.unregister)
+        faces.publish(IdsList(ids=["fabcd"]))
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "table.json")
+            table = self.command("show_persons", "--period", "0.5", "--json", path)
+
+            def move():
+                message = TFMessage()
+                for frame in ("face_fabcd", "body_link", "face_plate"):
+                    item = TransformStamped(child_frame_id=frame)
+                    item.header.frame_id, item.header.stamp = "base_link", rospy.Time.now()
+                    item.transform.rotation.w = 1.0
+                    message.transforms.append(item)
+                transforms.publish(message)
+
+            counted = re.compile(r"faces found in (?!0\.0 )[0-9.]+ images/s")
+            wait_for(lambda: move() or counted.search(table.text), 30,
+                     lambda: "images of faces; said " + table.text[-1000:])
+            table.process.send_signal(signal.SIGINT)
+            self.assertEqual(table.code(), NOBODY)
+            with open(path) as file:
+                data = json.load(file)
+        self.assertGreater(data["faces_per_second"], 0.0)
+        self.assertEqual(data["bodies_per_second"], 0.0)
 
 
 if __name__ == "__main__":

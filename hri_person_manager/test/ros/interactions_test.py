@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""The scene simulator, the real person manager and the interactions node: who looks, stands together, is engaged, by their ids."""
+"""The scene simulator, the real person manager and the interactions node: who looks, stands together, is engaged, by
+their ids."""
 
 import threading
 import unittest
@@ -28,7 +29,8 @@ class TestInteractions(unittest.TestCase):
         rospy.Subscriber("/humans/interactions/groups", GroupsStamped, lambda message: cls.keep(
             cls.groups, {group.group_id: set(group.members) for group in message.groups}), queue_size=100)
         for person in PEOPLE:
-            rospy.Subscriber("/humans/persons/{}/engagement_status".format(person), EngagementLevel, cls.hear, callback_args=person)
+            rospy.Subscriber("/humans/persons/{}/engagement_status".format(person), EngagementLevel, cls.hear,
+                             callback_args=person)
 
     @classmethod
     def keep(cls, heard, value):
@@ -60,10 +62,12 @@ class TestInteractions(unittest.TestCase):
 
     def test_2_gazes(self):
         for wanted in sorted(LOOKS):
-            wait_for(lambda wanted=wanted: self.share(wanted) > 0.8, WAIT_S, lambda wanted=wanted: "{} in {:.0f} % of the results".format(
+            wait_for(lambda wanted=wanted: self.share(wanted) > 0.8, WAIT_S,
+                     lambda wanted=wanted: "{} in {:.0f} % of the results".format(
                 wanted, 100.0 * self.share(wanted)))
         # At first, until they are recognised, people have ids of their own.
-        wait_for(lambda: self.told() <= set(PEOPLE) | {""}, WAIT_S, lambda: "ids of persons only, not of faces: {}".format(self.told()))
+        wait_for(lambda: self.told() <= set(PEOPLE) | {""}, WAIT_S,
+                 lambda: "ids of persons only, not of faces: {}".format(self.told()))
 
     def test_3_the_two_who_talk_are_a_group_that_keeps_its_id(self):
         def pair():
@@ -82,7 +86,8 @@ class TestInteractions(unittest.TestCase):
 
         wait_for(lambda: level("cho") == EngagementLevel.ENGAGED, WAIT_S, lambda: "cho engaged; {}".format(self.levels))
         for person in ("ann", "bob"):
-            wait_for(lambda person=person: level(person) == EngagementLevel.DISENGAGED, WAIT_S, lambda: "disengaged; {}".format(self.levels))
+            wait_for(lambda person=person: level(person) == EngagementLevel.DISENGAGED, WAIT_S,
+                     lambda: "disengaged; {}".format(self.levels))
 
 
 if __name__ == "__main__":

@@ -10,9 +10,9 @@ import rostest
 from std_msgs.msg import String
 
 from hri_msgs.msg import IdsList
-from hri_person_manager.core.person_register import PersonRegister
-from hri_person_manager.core.person_state import PersonState, Snapshot
-from hri_person_manager.ros.person_topics import PersonTopics
+from hri_person_manager.core.persons import PersonState, Snapshot
+from hri_person_manager.core.register import PersonRegister
+from hri_person_manager.ros.topics import PersonTopics
 from hri_pipeline.testing import wait_for, without_descriptors
 
 

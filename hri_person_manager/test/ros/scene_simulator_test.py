@@ -15,7 +15,7 @@ from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import FacialActionUnits, FacialLandmarks, IdsList, Skeleton2D
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.scene.scene_script import load_scene
+from hri_pipeline.core.simulation.scene_file import load_scene
 from hri_pipeline.testing import wait_for
 
 PEOPLE = ["ann", "bob", "cho"]
@@ -54,7 +54,8 @@ class Ears:
                 place = item.transform.translation
                 self.frames[item.child_frame_id] = item
                 if item.child_frame_id.startswith("person_"):
-                    self.places[item.child_frame_id[7:], item.header.stamp] = (item.header.frame_id, place.x, place.y, place.z)
+                    self.places[item.child_frame_id[7:], item.header.stamp] = (item.header.frame_id, place.x, place.y,
+                                                                               place.z)
 
     def errors(self):
         """(person, error in m) wherever a place and the truth have the same stamp."""
@@ -76,7 +77,8 @@ class TestSceneSimulator(unittest.TestCase):
 
     def test_people_become_persons_where_they_are(self):
         wait_for(lambda: sorted(self.ears.lists.get("persons", [])) == PEOPLE, 20.0, "three persons, by their names")
-        wait_for(lambda: {person for person, _ in self.ears.errors()} == set(PEOPLE) and len(self.ears.errors()) > 60, 10.0,
+        wait_for(lambda: {person for person, _ in self.ears.errors()} == set(PEOPLE) and len(self.ears.errors()) > 60,
+                 10.0,
                  "places and truth of one stamp for everybody")
         errors = [error for _, error in self.ears.errors()]
         self.assertLess(float(np.median(errors)), 0.15)
@@ -87,7 +89,8 @@ class TestSceneSimulator(unittest.TestCase):
         body = wait_for(lambda: next(iter(self.ears.lists.get("bodies", [])), None), 20.0, "a body")
         self.assertTrue(all(is_valid_id(identity) for identity in self.ears.ids))
         points = rospy.wait_for_message("/humans/faces/{}/landmarks".format(face), FacialLandmarks, 10.0)
-        self.assertEqual((len(points.landmarks), points.width, points.header.frame_id), (70, 1280, "camera_color_optical_frame"))
+        self.assertEqual((len(points.landmarks), points.width, points.header.frame_id),
+                         (70, 1280, "camera_color_optical_frame"))
         units = rospy.wait_for_message("/humans/faces/{}/facs".format(face), FacialActionUnits, 10.0)
         self.assertEqual(len(units.intensity), 99)
         skeleton = rospy.wait_for_message("/humans/bodies/{}/skeleton2d".format(body), Skeleton2D, 10.0)
@@ -106,7 +109,8 @@ class TestSceneSimulator(unittest.TestCase):
         before = set(wait_for(lambda: set(self.ears.lists.get("bodies", [])), 20.0, "bodies"))
         wait_for(lambda: self.ears.lists["bodies"] == [] and self.ears.lists["faces"] == [], 25.0, "nobody")
         wait_for(lambda: not topics_of(before), 5.0, "the topics of who has gone are closed")
-        after = set(wait_for(lambda: len(self.ears.lists["bodies"]) == 3 and self.ears.lists["bodies"], 10.0, "three again"))
+        after = set(wait_for(lambda: len(self.ears.lists["bodies"]) == 3 and self.ears.lists["bodies"], 10.0,
+                             "three again"))
         self.assertFalse(before & after, "ids are given once")
         wait_for(lambda: sorted(self.ears.lists["persons"]) == PEOPLE, 10.0, "the same three persons")
 

@@ -123,7 +123,10 @@ class TestPersonManager(unittest.TestCase):
         self.matches.publish(IdsMatch(id1, type1, id2, type2, confidence))
 
     def latest(self, person, name, kind):
-        latest = Latest("/humans/persons/%s/%s" % (person, name), kind)
+        return self.keep(Latest("/humans/persons/%s/%s" % (person, name), kind))
+
+    def keep(self, latest):
+        """Close it at the end of the test."""
         self.opened.append(latest)
         return latest
 
@@ -224,6 +227,65 @@ class TestPersonManager(unittest.TestCase):
         self.assertAlmostEqual(frames[-1].transform.translation.x, self.expected_x(2.0)[1])
         self.assertEqual(len({item.header.stamp for item in frames}), len(frames))
 
+    def test_the_confidence_decays_and_the_frame_ends_when_the_transforms_of_a_listed_face_stop(self):
+        self.announce(faces=["fiiii"])
+        person = self.one_person()
+        confidence = self.latest(person, "location_confidence", Float32)
+        self.wait_for(lambda: confidence.value and confidence.value.data == 1.0, "confidence 1",
+                      act=lambda: self.show(("face_fiiii", 2.0)))
+        del confidence.messages[:-1]
+        self.wait_for(lambda: confidence.value.data == 0.0, "confidence 0")
+        values = [message.data for message in confidence.messages]
+        self.assertEqual(values, sorted(values, reverse=True))
+        self.assertTrue(any(0.0 < value < 1.0 for value in values), values)
+        self.assertEqual(list(self.tracked.value.ids), [person])
+        with self.lock:
+            frames = list(self.frames[person])
+        self.assertAlmostEqual(frames[-1].transform.translation.x, self.expected_x(2.0)[1])
+        self.wait_for(lambda: confidence.value.data == 1.0, "confidence 1 again",
+                      act=lambda: self.show(("face_fiiii", 3.0)))
+
+    def test_a_place_told_before_the_person_exists_places_it(self):
+        self.announce(voices=["vjjjj"])
+        begin, stamps = time.monotonic(), []
+        # Its person is made voice_person_delay (2 s) after the list.
+        self.wait_for(lambda: time.monotonic() > begin + 1.0, "a second",
+                      act=lambda: stamps.append(self.show(("voice_vjjjj", 2.0))))
+        self.assertEqual(self.tracked.value.ids, [])
+        person = self.one_person()
+        frame = self.wait_for(lambda: self.frames.get(person, [None])[0], "its frame")
+        self.assertAlmostEqual(frame.transform.translation.x, self.expected_x(2.0)[1])
+        self.assertGreaterEqual(frame.header.stamp, stamps[-1])
+
+    def test_a_head_without_a_body_frame_places_its_person(self):
+        self.announce(bodies=["bkkkk"])
+        person = self.one_person()
+        self.wait_for(lambda: self.last_frame(person), "its frame", act=lambda: self.show(("head_bkkkk", 2.0)))
+        self.assertAlmostEqual(self.last_frame(person).transform.translation.x, self.expected_x(2.0)[1])
+
+    def test_a_fixed_frame_that_came_before_its_list_places_the_person(self):
+        self.static.publish(TFMessage([transform(CAMERA, "face_fllll", 2.0)]))
+        self.announce(faces=["fllll"])
+        person = self.one_person()
+        self.wait_for(lambda: self.last_frame(person), "its frame")
+
+    def test_a_standing_adult_before_the_robot_is_in_personal_space(self):
+        """robot_frame is base_link, on the floor; without a map it tells what is horizontal."""
+        if not self.connected:
+            self.static.publish(TFMessage([transform("base_link", CAMERA, 1.0)]))
+        spaces = {name: self.keep(Latest("/humans/persons/in_%s_space" % name, IdsList))
+                  for name in ("personal", "social")}
+        self.announce(faces=["fmmmm", "fnnnn"])
+        self.wait_for(lambda: len(self.tracked.value.ids) == 2, "two persons")
+
+        def move():
+            near, far = transform(CAMERA, "face_fmmmm", -0.4), transform(CAMERA, "face_fnnnn", 1.0)
+            near.transform.translation.z = far.transform.translation.z = 1.6
+            self.tf.publish(TFMessage([near, far]))
+
+        self.wait_for(lambda: all(space.value and len(space.value.ids) == 1 for space in spaces.values()),
+                      "one person at 0.6 m and one at 2 m", act=move)
+
     def test_a_recognised_person_and_its_alias(self):
         self.announce(faces=["fdddd"])
         anonymous = self.one_person()
@@ -288,15 +350,15 @@ class TestPersonManager(unittest.TestCase):
         self.assertLess(after[2], before[2] + 8.0)
 
     def check_that_frames_of_nobody_are_not_kept(self):
-        reports = Latest("/diagnostics", DiagnosticArray)
-        self.opened.append(reports)
+        reports = self.keep(Latest("/diagnostics", DiagnosticArray))
 
         def kept():
             return next((int(item.value) for message in reversed(reports.messages) for status in message.status
                          if status.name == "hri_person_manager: location" for item in status.values
                          if item.key == "robot frames"), None)
 
-        self.wait_for(lambda: kept() is not None, "the diagnostics")
+        # A report tells what was the case up to a second before it: the first one may be older than this test.
+        self.wait_for(lambda: kept() is not None and len(reports.messages) > 1, "the diagnostics")
         before = kept()
         self.tf.publish(TFMessage([transform(CAMERA, "face_z%04d" % number, 1.0) for number in range(200)]
                                   + [transform("base_link", "tray_link", 1.0)]))

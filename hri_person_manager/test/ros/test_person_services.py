@@ -22,6 +22,7 @@ from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import AgeAndGender, IdsList, IdsMatch, SoftBiometrics
 from hri_person_manager.srv import Enrol, Export, Forget, ListKnown, Merge, SetName, SetNativeLanguage, Split
+from hri_pipeline.srv import Gallery, GalleryResponse
 
 NODE = "/hri_person_manager"
 WAIT_S = 15.0
@@ -190,7 +191,8 @@ class TestPersonServices(unittest.TestCase):
         exported = self.call("export", Export, "eve")
         self.assertEqual(json.loads(exported.data)["persons"][0]["name"], "Eve Secret")
         self.assertTrue(self.call("forget", Forget, "eve").success)
-        self.wait_for(lambda: all(not identity.startswith("eve") for identity in self.tracked.value.ids), "eve has gone")
+        self.wait_for(lambda: all(not identity.startswith("eve") for identity in self.tracked.value.ids),
+                      "eve has gone")
         self.assertNotIn("eve", self.known().ids)
         self.assertNotIn("Secret", self.call("export", Export, "").data)
         self.wait_for(lambda: not [topic for topic, _ in rospy.get_published_topics() if "/eve/" in topic],
@@ -198,6 +200,45 @@ class TestPersonServices(unittest.TestCase):
         self.assertFalse([name for name in rospy.get_param_names() if "eve" in str(rospy.get_param(name, ""))])
         self.assertTrue(rospy.ServiceProxy(NODE + "/forget_all", Trigger)().success)
         self.assertEqual([identity for identity in self.known().ids if not identity.startswith("anonymous")], [])
+
+    def test_forgetting_asks_all_galleries_and_nothing_else_of_that_name(self):
+        asked = []
+        answers = {"somebody_else": GalleryResponse(success=False, unknown=True, message="no such person here"),
+                   "broken": GalleryResponse(success=False, message="the disk is not known to be writable")}
+
+        def offer(name):
+            def answer(request):
+                asked.append((name, request.id))
+                return answers[name]
+            service = rospy.Service("/%s/gallery" % name, Gallery, answer)
+            self.addCleanup(service.shutdown)
+            return service
+        pictures = rospy.Service("/pictures/gallery", Trigger, lambda request: asked.append("a shop of pictures"))
+        self.addCleanup(pictures.shutdown)
+        offer("somebody_else")
+        self.someone(self.face, "liv")
+        answer = self.call("forget", Forget, "liv")
+        self.assertTrue(answer.success, answer.message)
+        self.assertEqual(asked, [("somebody_else", "liv")])
+        offer("broken")
+        self.show("faces", self.face + "two")
+        self.someone(self.face + "two", "max")
+        answer = self.call("forget", Forget, "max")
+        self.assertFalse(answer.success)
+        self.assertIn("/broken/gallery: the disk", answer.message)
+        self.assertNotIn("somebody_else", answer.message)
+
+    def test_merging_through_an_alias_is_answered_as_it_is_done(self):
+        for number, person in enumerate(("pia", "quy", "ron")):
+            self.recognise("z%d" % number, person)
+        self.show("faces", "z0", "z1", "z2")
+        self.wait_for(lambda: {"pia", "quy", "ron"} <= set(self.tracked.value.ids), "three persons")
+        self.assertIn("quy is an alias of pia", self.call("merge", Merge, "pia", "quy").message)
+        self.assertIn("pia is an alias of ron", self.call("merge", Merge, "ron", "quy").message)
+        self.wait_for(lambda: self.tracked.value.ids == ["ron"], "one person")
+        exported = json.loads(self.call("export", Export, "").data)["persons"]
+        records = {record["id"]: record["alias"] for record in exported}
+        self.assertEqual([records[person] for person in ("pia", "quy", "ron")], ["ron", "ron", ""])
 
     def test_persons_are_sorted_by_distance(self):
         self.show("faces", "n1", "m1", "p1")
@@ -246,7 +287,8 @@ class TestPersonServices(unittest.TestCase):
         self.matches.publish(match)
         self.wait_for(lambda: len(self.tracked.value.ids) == 2, "two anonymous persons")
         self.show("faces", "x1", "x2", "x3")
-        self.matches.publish(IdsMatch(id1="x3", id1_type=IdsMatch.FACE, id2="kim", id2_type=IdsMatch.PERSON, confidence=0.9))
+        self.matches.publish(IdsMatch(id1="x3", id1_type=IdsMatch.FACE, id2="kim", id2_type=IdsMatch.PERSON,
+                                      confidence=0.9))
         # A recogniser says it once; after the restart it may take long until the face is seen well again.
         self.wait_for(lambda: len(self.tracked.value.ids) == 3 and "kim" in self.tracked.value.ids, "a known one, too")
         before = set(self.tracked.value.ids)

@@ -54,7 +54,8 @@ class TestPersonTable(unittest.TestCase):
         cls.matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=FLOOD)
         cls.tf = rospy.Publisher("/tf", TFMessage, queue_size=100)
         cls.static = rospy.Publisher("/tf_static", TFMessage, latch=True, queue_size=1)
-        cls.static.publish(TFMessage([transform("map", name, 0.0, rospy.Time.now()) for name in ("left_cam", "right_cam")]))
+        cls.static.publish(TFMessage([transform("map", name, 0.0, rospy.Time.now())
+                                      for name in ("left_cam", "right_cam")]))
         cls.tracked = Latest("/humans/persons/tracked", IdsList)
         cls.diagnostics = {}
         rospy.Subscriber("/diagnostics", DiagnosticArray, cls.keep_diagnostics, queue_size=50)
@@ -97,7 +98,8 @@ class TestPersonTable(unittest.TestCase):
 
     def expect(self, person, face="", body="", voice=""):
         """Wait until the person has exactly these features."""
-        topics = {name: Latest("/humans/persons/%s/%s" % (person, name), String) for name in ("face_id", "body_id", "voice_id")}
+        topics = {name: Latest("/humans/persons/%s/%s" % (person, name), String)
+                  for name in ("face_id", "body_id", "voice_id")}
         wanted = {"face_id": face, "body_id": body, "voice_id": voice}
         try:
             self.wait_for(lambda: {name: topic.value and topic.value.data for name, topic in topics.items()} == wanted,
@@ -113,7 +115,8 @@ class TestPersonTable(unittest.TestCase):
         (first,) = self.persons(1)
         self.expect(first, face="f24ac")
         self.show(faces=["d73b"])
-        self.wait_for(lambda: len(self.tracked.value.ids) == 1 and first not in self.tracked.value.ids, "another person")
+        self.wait_for(lambda: len(self.tracked.value.ids) == 1 and first not in self.tracked.value.ids,
+                      "another person")
 
     def test_rows_3_and_4_a_body_and_its_face(self):
         self.show(bodies=["b37ef"])
@@ -153,9 +156,11 @@ class TestPersonTable(unittest.TestCase):
         self.show(faces=["left1"])
         self.wait_for(lambda: len(self.tracked.value.ids) == 1, "a person", act=lambda: walk("left_cam", "left1"))
         person = self.tracked.value.ids[0]
-        self.match("left1", FACE, person, PERSON, 0.9)      # an anonymous person is named by its own id: nothing happens
+        # an anonymous person is named by its own id: nothing happens
+        self.match("left1", FACE, person, PERSON, 0.9)
         confidence = time.monotonic() + 1.0
-        self.wait_for(lambda: time.monotonic() > confidence, "a second of walking", act=lambda: walk("left_cam", "left1"))
+        self.wait_for(lambda: time.monotonic() > confidence, "a second of walking",
+                      act=lambda: walk("left_cam", "left1"))
         self.show()
         self.wait_for(lambda: not self.tracked.value.ids, "nobody to be seen")
         self.show(faces=["right1"])

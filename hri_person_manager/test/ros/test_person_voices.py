@@ -50,7 +50,8 @@ class TestPersonVoices(unittest.TestCase):
         cls.matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=10)
         cls.tf = rospy.Publisher("/tf", TFMessage, queue_size=10)
         cls.static = rospy.Publisher("/tf_static", TFMessage, latch=True, queue_size=1)
-        cls.static.publish(TFMessage([transform("map", name, 0.0, 0.0, rospy.Time.now()) for name in ("camera", "microphone")]))
+        cls.static.publish(TFMessage([transform("map", name, 0.0, 0.0, rospy.Time.now())
+                                      for name in ("camera", "microphone")]))
         cls.publishers, cls.frames = {}, {}
         cls.persons = []
         cls.lock = threading.Lock()
@@ -123,7 +124,8 @@ class TestPersonVoices(unittest.TestCase):
 
     def expect(self, person, confidence=None, **wanted):
         """Wait until the person has exactly these features (face, body, voice)."""
-        topics = {name: Latest("/humans/persons/%s/%s_id" % (person, name), String) for name in ("face", "body", "voice")}
+        topics = {name: Latest("/humans/persons/%s/%s_id" % (person, name), String)
+                  for name in ("face", "body", "voice")}
         certain = Latest("/humans/persons/%s/location_confidence" % person, Float32)
         features = {name: wanted.get(name, "") for name in topics}
         try:

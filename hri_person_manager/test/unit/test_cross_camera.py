@@ -7,11 +7,12 @@ import itertools
 import numpy as np
 import pytest
 
-from hri_person_manager.core.association import Kind, Node
-from hri_person_manager.core.location import Place, Source
+from hri_person_manager.core.cross_camera import SensorTrack
+from hri_person_manager.core.features import Kind, MatchNode
+from hri_person_manager.core.location import Place, PlaceSource
 from hri_person_manager.core.manager import PersonManager
-from hri_person_manager.core.manager_parameters import PERSON_MANAGER_PARAMETERS
-from hri_person_manager.core.match_guard import Match
+from hri_person_manager.core.match_graph import CandidateMatch
+from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_pipeline.core.geometry import Pose
 
 RATE = 15.0
@@ -47,7 +48,8 @@ class Room:
         return self._faces[camera, person]
 
     def say(self, feature, person_id, likelihood=0.9):
-        self.manager.on_match(Match(Node(Kind.FACE, feature), Node(Kind.PERSON, person_id), likelihood), self.now)
+        self.manager.on_match(CandidateMatch(MatchNode(Kind.FACE, feature), MatchNode(Kind.PERSON, person_id),
+                                             likelihood), self.now)
 
     def _see(self, people):
         seen = {}
@@ -62,7 +64,8 @@ class Room:
         self.manager.on_tracked(Kind.FACE, sorted(self._faces.values()), self.now)
         for key, point in seen.items():
             position = np.array([*point, 1.6]) + self._chance.normal(0.0, self._noise, 3)
-            self.manager.on_place(Source.FACE, self._faces[key], Place(self.frame, Pose(np.eye(3), position), self.now),
+            self.manager.on_place(PlaceSource.FACE, self._faces[key],
+                                  Place(self.frame, Pose(np.eye(3), position), self.now),
                                   self.now, key[0])
 
 
@@ -103,7 +106,7 @@ def test_who_walks_through_overlapping_views_and_back_keeps_the_id(noise):
     # Later all is forgotten but the id and the person of the face that is seen now.
     room.run(40.0, standing(1.0))
     assert room.tracked == first
-    owner = room.manager.person_of(Node(Kind.FACE, room.face("left", 0)))
+    owner = room.manager.person_of(MatchNode(Kind.FACE, room.face("left", 0)))
     assert [owner] == list(first) and len(room.manager.snapshot(room.now).persons) == 2
 
 
@@ -151,7 +154,7 @@ def test_two_side_by_side_are_two_persons(gap, seed):
     room = Room(OVERLAPPING, 0.05, seed)
     room.run(10.0, standing(3.0), standing(3.0, gap))
     assert len(room.tracked) == 2
-    owners = [{room.manager.person_of(Node(Kind.FACE, room.face(camera, person))) for camera in room.views}
+    owners = [{room.manager.person_of(MatchNode(Kind.FACE, room.face(camera, person))) for camera in room.views}
               for person in (0, 1)]
     assert owners[0].isdisjoint(owners[1])
 
@@ -170,18 +173,16 @@ def test_people_who_cross_stay_who_they_are(speed):
     first = room.run(3.0, there, back)
     assert len(first) == 2
     room.run(3.0 / speed, there, back)
-    owners = [room.manager.person_of(Node(Kind.FACE, room.face("left", person))) for person in (0, 1)]
+    owners = [room.manager.person_of(MatchNode(Kind.FACE, room.face("left", person))) for person in (0, 1)]
     room.run(1.5, there, back)
     assert room.tracked == first and max(len(ids) for ids in room.ids[40:]) == 2
-    assert owners == [room.manager.person_of(Node(Kind.FACE, room.face("left", person))) for person in (0, 1)]
+    assert owners == [room.manager.person_of(MatchNode(Kind.FACE, room.face("left", person))) for person in (0, 1)]
 
 
 def test_people_who_pass_before_different_cameras_are_not_joined():
     """Each camera sees only one of them, as the other one is hidden."""
-    room = Room({"left": (0.0, 6.0, 0.0)}, 0.05)
+    room = Room({"left": (0.0, 6.0, 0.0), "right": (0.0, 6.0, 0.0)}, 0.05)
     there, back = walking(0.5, 1.0), walking(5.5, -1.0)
-    room.views = {"left": (0.0, 6.0, 0.0), "right": (0.0, 6.0, 0.0)}
-    see = room._see
     hidden = {("left", 1), ("right", 0)}
 
     def half(people):
@@ -191,12 +192,14 @@ def test_people_who_pass_before_different_cameras_are_not_joined():
                 faces[camera, number] = people[number]
         room.manager.on_tracked(Kind.FACE, ["f%s%d" % key for key in faces], room.now)
         for key, point in faces.items():
-            room.manager.on_place(Source.FACE, "f%s%d" % key, Place("map", Pose(np.eye(3), np.array([*point, 1.6])), room.now),
+            room.manager.on_place(PlaceSource.FACE, "f%s%d" % key,
+                                  Place("map", Pose(np.eye(3), np.array([*point, 1.6])), room.now),
                                   room.now, key[0])
 
     room._see = half
     room.run(5.0, there, back)
-    assert len(room.tracked) == 2 and {len(ids) for ids in room.ids[15:]} == {2} and see is not None
+    assert len(room.tracked) == 2 and {len(ids) for ids in room.ids[15:]} == {2}
+    assert room.manager.merges == () and not any(state.alias for state in room.manager.snapshot(room.now).persons)
 
 
 def test_who_was_taken_for_one_and_parts_is_two_again():
@@ -274,16 +277,17 @@ def test_three_cameras():
     room = Room({"a": (0.0, 4.0, 0.0), "b": (1.0, 5.0, 0.1), "c": (2.0, 6.0, -0.1)}, 0.05)
     room.run(5.0, standing(3.0), standing(3.0, 1.2))
     assert len(room.tracked) == 2
-    owners = [{room.manager.person_of(Node(Kind.FACE, room.face(camera, person))) for camera in room.views}
+    owners = [{room.manager.person_of(MatchNode(Kind.FACE, room.face(camera, person))) for camera in room.views}
               for person in (0, 1)]
     assert [len(found) for found in owners] == [1, 1]
 
 
 def test_nothing_happens_with_one_camera_without_reference_frame_or_when_switched_off():
-    for room in (Room({"left": (0.0, 6.0, 0.0)}), Room(OVERLAPPING, frame="left"), Room(OVERLAPPING, cross_camera=False)):
+    for room in (Room({"left": (0.0, 6.0, 0.0)}), Room(OVERLAPPING, frame="left"),
+                 Room(OVERLAPPING, cross_camera=False)):
         room.run(5.0, standing(3.0))
         assert len(room.tracked) == len(room.views)
-        assert room.manager.unions == ()
+        assert room.manager.merges == ()
 
 
 def test_the_ids_of_a_union_survive_a_restart():
@@ -300,6 +304,22 @@ def test_what_is_kept_is_bounded():
         start = room.now
         room.run(4.0, walking(1.5, 1.0, since=start))
         room.run(1.0, lambda time: None)
-    cross = room.manager._cameras._cross
+    cross = room.manager._cameras
     assert len(cross._tracks) <= 2 and len(cross._near) <= 2 and len(cross.links) <= 2
-    assert len(room.manager.unions) <= 2
+    assert len(room.manager.merges) <= 2
+
+
+def test_a_source_that_lags_does_not_begin_the_stretch_of_a_person_anew():
+    track = SensorTrack()
+    for number in range(60):
+        now = 10.0 + 0.05 * number
+        track.add(PlaceSource.FACE, "camera", (now, 0.0), now)
+        track.add(PlaceSource.BODY, "camera", (now - 1.5, 0.0), now - 1.5)
+        track.add(PlaceSource.BODY, "other camera", (now - 2.0, 0.0), now - 2.0)
+    assert track.began == 10.0 and track.ended == now and track.velocity[0] == pytest.approx(1.0)
+    other = SensorTrack()
+    other.add(PlaceSource.FACE, "camera", (0.0, 0.0), 10.0)
+    other.add(PlaceSource.FACE, "camera", (0.0, 0.0), 12.0)
+    assert track.overlap(other) == pytest.approx(2.0)
+    track.add(PlaceSource.FACE, "camera", (0.0, 0.0), 2.0)           # time has jumped back
+    assert track.began == track.ended == 2.0

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hri_person_manager.core.location import Decay, Location, Place, Source
+from hri_person_manager.core.location import Decay, Location, Place, PlaceSource
 from hri_pipeline.core.geometry import Pose
 
 
@@ -39,8 +39,8 @@ def test_confidence_is_below_one_at_once_and_only_falls(kind):
 
 
 def test_face_over_head_over_body_over_voice():
-    for better in Source:
-        for worse in Source:
+    for better in PlaceSource:
+        for worse in PlaceSource:
             location = Location(0.5)
             assert location.offer(better, place(1.0, 10.0), 10.0)
             taken = location.offer(worse, place(2.0, 10.1), 10.1)
@@ -50,12 +50,47 @@ def test_face_over_head_over_body_over_voice():
 
 def test_a_worse_source_speaks_once_the_better_one_is_silent_or_gone():
     location = Location(0.5)
-    location.offer(Source.FACE, place(1.0, 10.0), 10.0)
-    assert not location.offer(Source.BODY, place(2.0, 10.4), 10.4)
-    assert location.offer(Source.BODY, place(2.0, 10.6), 10.6)
-    assert location.offer(Source.FACE, place(1.0, 10.7), 10.7)
-    location.forget_source(Source.FACE)
-    assert location.offer(Source.BODY, place(2.0, 10.8), 10.8)
+    location.offer(PlaceSource.FACE, place(1.0, 10.0), 10.0)
+    assert not location.offer(PlaceSource.BODY, place(2.0, 10.4), 10.4)
+    assert location.offer(PlaceSource.BODY, place(2.0, 10.6), 10.6)
+    assert location.offer(PlaceSource.FACE, place(1.0, 10.7), 10.7)
+    location.retain((), 10.7)
+    assert location.offer(PlaceSource.BODY, place(2.0, 10.8), 10.8)
+
+
+@pytest.mark.parametrize("worse, other", [
+    (PlaceSource.HEAD, "b"), (PlaceSource.BODY, "b"), (PlaceSource.VOICE, "v"), (PlaceSource.FACE, "g")])
+@pytest.mark.parametrize("age", [-5.0, -0.65, 0.0, 0.3, 0.65, 5.0])
+def test_no_message_wins_by_its_age(worse, other, age):
+    location = Location(0.5)
+    for number in range(60):
+        now = 100.0 + 0.05 * number
+        assert location.offer(PlaceSource.FACE, place(1.0, now), now, "f")
+        if number % 2:
+            assert not location.offer(worse, place(2.0, now - age), now + 0.01, other)
+
+
+@pytest.mark.parametrize("age", [-0.65, 0.0, 0.65, 5.0])
+def test_who_lags_takes_over_when_the_better_source_is_silent(age):
+    location = Location(0.5)
+    for number in range(20):
+        location.offer(PlaceSource.FACE, place(1.0, 0.05 * number), 0.05 * number, "f")
+    taken = [number for number in range(60)
+             if location.offer(PlaceSource.BODY, place(2.0, 1.0 - age + 0.05 * number), 1.0 + 0.05 * number, "b")]
+    assert 4 <= taken[0] <= 21 and taken == list(range(taken[0], 60))       # after 0.25 s to 1 s, and from then on
+
+
+def test_stamps_that_jump_back_do_not_silence_anybody():
+    location = Location(0.5)
+    location.offer(PlaceSource.FACE, place(1.0, 1000.0), 10.0, "f")
+    location.offer(PlaceSource.BODY, place(1.0, 1000.0), 10.0, "b")
+    assert location.offer(PlaceSource.FACE, place(2.0, 3.0), 10.1, "f")          # a bag begins anew, the clock goes on
+    assert not location.offer(PlaceSource.BODY, place(2.0, 3.0), 10.1, "b")
+    location.offer(PlaceSource.FACE, place(1.0, 1000.0), 10.2, "f")
+    assert not location.offer(PlaceSource.BODY, place(2.0, 3.1), 10.3, "b")
+    assert location.offer(PlaceSource.BODY, place(2.0, 4.1), 11.3, "b")          # and there is no face at its beginning
+    location.offer(PlaceSource.FACE, place(1.0, 1000.0), 1000.0, "f")
+    assert location.offer(PlaceSource.BODY, place(2.0, 3.0), 3.0, "b")           # the clock goes back, too
 
 
 def turning_away(face_error=0.3, speed=0.5, face_rate=15.0, until=2.0, then=4.0):
@@ -63,11 +98,11 @@ def turning_away(face_error=0.3, speed=0.5, face_rate=15.0, until=2.0, then=4.0)
     location, way = Location(0.5), []
     for number in range(int(then * 30.0)):
         stamp = number / 30.0
-        sources = [(Source.HEAD, speed * stamp)]
+        sources = [(PlaceSource.HEAD, speed * stamp)]
         if stamp < until and number % round(30.0 / face_rate) == 0:
-            sources.append((Source.FACE, speed * stamp + face_error))
+            sources.append((PlaceSource.FACE, speed * stamp + face_error))
         for source, x in sources:
-            if location.offer(source, place(x, stamp), stamp, "f" if source == Source.FACE else "b"):
+            if location.offer(source, place(x, stamp), stamp, "f" if source == PlaceSource.FACE else "b"):
                 way.append((stamp, location.place.pose.translation[0]))
     return np.array(way[1:])         # the first is of the body alone
 
@@ -78,7 +113,8 @@ def test_a_body_goes_on_from_where_its_face_was():
     assert np.abs(np.diff(way[:, 1])).max() < 0.15                                  # no step of 0.3 m
     stamps, places = way[way[:, 0] > 3.9].T
     assert np.abs(places - 0.5 * stamps).max() < 0.1                                 # by and by where the body is
-    assert (way[way[:, 0] < 1.9, 1] > 0.5 * way[way[:, 0] < 1.9, 0] + 0.29).all()      # the face alone as long as it is there
+    # the face alone as long as it is there
+    assert (way[way[:, 0] < 1.9, 1] > 0.5 * way[way[:, 0] < 1.9, 0] + 0.29).all()
 
 
 def test_a_body_waits_longer_for_a_face_of_few_images():
@@ -95,47 +131,67 @@ def test_a_body_too_far_from_the_face_is_taken_as_it_is():
 def test_a_body_in_another_frame_is_taken_as_it_is():
     location = Location(0.5)
     for number in range(10):
-        location.offer(Source.FACE, place(1.0, 0.1 * number), 0.1 * number)
-        location.offer(Source.HEAD, place(1.2, 0.1 * number), 0.1 * number)
-    assert location.offer(Source.HEAD, replace(place(7.0, 2.0), frame="camera"), 2.0)
+        location.offer(PlaceSource.FACE, place(1.0, 0.1 * number), 0.1 * number)
+        location.offer(PlaceSource.HEAD, place(1.2, 0.1 * number), 0.1 * number)
+    assert location.offer(PlaceSource.HEAD, replace(place(7.0, 2.0), frame="camera"), 2.0)
     assert location.place.pose.translation[0] == 7.0
 
 
 def test_where_somebody_was_seen_is_better_than_the_direction_of_a_voice_for_a_while():
     location = Location(0.5)
-    location.offer(Source.BODY, place(2.3, 10.0), 10.0)
-    assert not location.offer(Source.VOICE, place(1.0, 11.0), 11.0)
-    location.forget_source(Source.BODY)
-    assert not location.offer(Source.VOICE, place(1.0, 12.9), 12.9)
+    location.offer(PlaceSource.BODY, place(2.3, 10.0), 10.0)
+    assert not location.offer(PlaceSource.VOICE, place(1.0, 11.0), 11.0)
+    location.retain((), 11.0)
+    assert not location.offer(PlaceSource.VOICE, place(1.0, 12.9), 12.9)
     assert location.place.pose.translation[0] == 2.3 and location.is_silent(12.9)
-    assert location.offer(Source.VOICE, place(1.0, 13.1), 13.1)
-    assert location.offer(Source.VOICE, place(1.1, 13.2), 13.2)
-    assert location.offer(Source.VOICE, place(1.2, 5.0), 5.0)      # time has jumped back
+    assert location.offer(PlaceSource.VOICE, place(1.0, 13.1), 13.1)
+    assert location.offer(PlaceSource.VOICE, place(1.1, 13.2), 13.2)
+    assert location.offer(PlaceSource.VOICE, place(1.2, 5.0), 5.0)      # time has jumped back
+
+
+def test_a_voice_that_lags_does_not_move_who_was_seen_shortly_before():
+    location = Location(0.5)
+    location.offer(PlaceSource.BODY, place(2.3, 10.0), 10.0, "b")
+    location.retain(("v",), 10.1)
+    assert not location.offer(PlaceSource.VOICE, place(1.0, 9.8), 10.5, "v")
+    assert location.place.pose.translation[0] == 2.3
 
 
 def test_silence():
     location = Location(0.5)
     assert location.is_silent(0.0)
-    location.offer(Source.FACE, place(1.0, 10.0), 10.1)
+    location.offer(PlaceSource.FACE, place(1.0, 10.0), 10.1)
     assert not location.is_silent(10.5)
     assert location.is_silent(10.7)
 
 
 def test_the_newer_place_is_inherited():
     older, newer = Location(0.5), Location(0.5)
-    older.offer(Source.BODY, place(1.0, 10.0), 10.0)
-    newer.offer(Source.FACE, place(2.0, 11.0), 11.0)
+    older.offer(PlaceSource.BODY, place(1.0, 10.0), 10.0)
+    newer.offer(PlaceSource.FACE, place(2.0, 11.0), 11.0)
     newer.inherit(older)
     assert newer.place.pose.translation[0] == 2.0
     older.inherit(newer)
     assert older.place.pose.translation[0] == 2.0
 
 
+def test_the_face_of_two_who_are_one_goes_on_beside_the_body_of_the_other():
+    body, face = Location(0.5), Location(0.5)
+    face.offer(PlaceSource.FACE, place(2.0, 11.0), 11.0, "f")
+    body.offer(PlaceSource.BODY, place(1.0, 11.1), 11.1, "b")
+    body.inherit(face)
+    assert body.place.pose.translation[0] == 2.0
+    assert not body.offer(PlaceSource.BODY, place(1.0, 11.2), 11.2, "b")
+    body.inherit(Location(0.5))
+    assert body.place.pose.translation[0] == 2.0
+
+
 def moving(coast_time, velocity=1.0, steps=20, step=0.1):
     location = Location(0.5, coast_time)
     for number in range(steps):
         stamp = number * step
-        location.offer(Source.FACE, Place("map", Pose(np.eye(3), np.array([velocity * stamp, 0.0, 2.0])), stamp), stamp)
+        location.offer(PlaceSource.FACE, Place("map", Pose(np.eye(3), np.array([velocity * stamp, 0.0, 2.0])), stamp),
+                       stamp)
     return location, (steps - 1) * step
 
 
@@ -152,9 +208,9 @@ def test_a_lost_person_goes_on_and_comes_to_rest():
 
 def test_a_jump_of_the_measurement_is_no_velocity():
     location, last = moving(2.0, velocity=0.0)
-    location.offer(Source.FACE, Place("map", Pose(np.eye(3), np.array([9.0, 0.0, 2.0])), last + 0.1), last + 0.1)
+    location.offer(PlaceSource.FACE, Place("map", Pose(np.eye(3), np.array([9.0, 0.0, 2.0])), last + 0.1), last + 0.1)
     assert location.expected(last + 3.0).pose.translation[0] < 10.0
-    location.offer(Source.FACE, Place("odom", Pose(np.eye(3), np.array([0.0, 0.0, 2.0])), last + 0.2), last + 0.2)
+    location.offer(PlaceSource.FACE, Place("odom", Pose(np.eye(3), np.array([0.0, 0.0, 2.0])), last + 0.2), last + 0.2)
     assert location.expected(last + 3.0).pose.translation[0] == 0.0
 
 

@@ -4,13 +4,13 @@ import itertools
 
 import pytest
 
-from hri_person_manager.core.association import Kind, Node
+from hri_person_manager.core.features import Kind, MatchNode
 from hri_person_manager.core.manager import PersonManager
-from hri_person_manager.core.manager_parameters import PERSON_MANAGER_PARAMETERS
-from hri_person_manager.core.match_guard import Match, MatchGuard
+from hri_person_manager.core.match_graph import CandidateMatch, MatchGuard
+from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.proxemics import Proxemics, Space
 
-FACE, BODY = Node(Kind.FACE, "face1"), Node(Kind.BODY, "body1")
+FACE, BODY = MatchNode(Kind.FACE, "face1"), MatchNode(Kind.BODY, "body1")
 
 
 def make(**given):
@@ -33,7 +33,7 @@ def test_a_higher_threshold_parts_and_a_lower_one_joins_again():
     manager, settings = make(new_person_delay=0.0)
     manager.on_tracked(Kind.FACE, ["face1"], 0.0)
     manager.on_tracked(Kind.BODY, ["body1"], 0.0)
-    manager.on_match(Match(FACE, BODY, 0.8), 0.0)
+    manager.on_match(CandidateMatch(FACE, BODY, 0.8), 0.0)
     manager.tick(0.1)
     before = manager.snapshot(0.1).tracked
     assert features(manager, 0.1) == [("face1", "body1")]
@@ -49,9 +49,9 @@ def test_a_higher_threshold_parts_and_a_lower_one_joins_again():
 def test_a_named_person_stays_and_the_union_of_two_goes_by_the_threshold():
     manager, settings = make()
     manager.on_tracked(Kind.FACE, ["face1", "face2"], 0.0)
-    manager.on_match(Match(FACE, Node(Kind.PERSON, "ann"), 0.95), 0.0)
-    manager.on_match(Match(Node(Kind.FACE, "face2"), Node(Kind.PERSON, "bea"), 0.95), 0.0)
-    manager.on_match(Match(Node(Kind.PERSON, "ann"), Node(Kind.PERSON, "bea"), 0.8), 0.0)
+    manager.on_match(CandidateMatch(FACE, MatchNode(Kind.PERSON, "ann"), 0.95), 0.0)
+    manager.on_match(CandidateMatch(MatchNode(Kind.FACE, "face2"), MatchNode(Kind.PERSON, "bea"), 0.95), 0.0)
+    manager.on_match(CandidateMatch(MatchNode(Kind.PERSON, "ann"), MatchNode(Kind.PERSON, "bea"), 0.8), 0.0)
     assert manager.snapshot(0.1).tracked == ("ann",)
     change(manager, settings, 0.2, match_threshold=0.9)
     assert set(manager.snapshot(0.2).tracked) == {"ann", "bea"}

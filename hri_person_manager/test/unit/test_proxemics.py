@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from hri_person_manager.core.proxemics import Proxemics, Space
+from hri_person_manager.core.location import Place
+from hri_person_manager.core.proxemics import Proxemics, Space, horizontal_distance
+from hri_pipeline.core.geometry import Pose
 
 
 def test_every_person_is_in_exactly_one_space():
@@ -30,3 +33,21 @@ def test_who_is_gone_is_in_no_space_and_starts_anew():
 def test_illegal_borders(borders):
     with pytest.raises(ValueError):
         Proxemics(*borders)
+
+
+def at(frame, *position):
+    return Place(frame, Pose(np.eye(3), np.array(position)), 1.0)
+
+
+@pytest.mark.parametrize("frame, position, origin, distance", [
+    ("map", (10.6, 2.0, 1.6), (10.0, 2.0, 0.0), 0.6),                               # a face before a robot on the floor
+    ("map", (13.0, 6.0, 1.6), (10.0, 2.0, 0.4), 5.0),
+    ("odom", (0.6, 0.0, -3.0), (0.0, 0.0, 0.0), 0.6),
+    ("camera_color_optical_frame", (0.3, -0.9, 0.4), (0.0, 0.0, 0.0), 0.5),         # y is down
+    ("left_optical", (0.3, -0.9, 0.4), (0.0, 0.0, 0.0), 0.5)])
+def test_distances_are_horizontal(frame, position, origin, distance):
+    assert horizontal_distance(at(frame, *position), np.array(origin)) == pytest.approx(distance)
+
+
+def test_a_camera_whose_name_does_not_say_so_looks_along_z():
+    assert horizontal_distance(at("camera", 0.3, -0.9, 0.4), np.zeros(3), optical=True) == pytest.approx(0.5)

@@ -62,7 +62,10 @@ def without_descriptors(left: int = 0) -> Iterator[None]:
 
 
 def pid_of(node: str) -> int:
-    """Return the process id of a node. Raises rosgraph.MasterException when there is no such node, OSError when it is dead."""
+    """Return the process id of a node.
+
+    Raises rosgraph.MasterException when there is no such node, OSError when it is dead.
+    """
     master = rosgraph.Master("/testing")
     return ServerProxy(master.lookupNode(node)).getPid("/testing")[2]
 
@@ -84,7 +87,10 @@ class HeardProcess:
         self._reader.start()
 
     def code(self, timeout: float = 40.0) -> int:
-        """Return its exit status once it has ended and all is read. Raises subprocess.TimeoutExpired after `timeout` s."""
+        """Return its exit status once it has ended and all is read.
+
+        Raises subprocess.TimeoutExpired after `timeout` s.
+        """
         code = self.process.wait(timeout)
         self._reader.join(10.0)
         return code

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.evaluation import array_figures
-from hri_pipeline.evaluation.array_scenes import azimuth_errors, make_scene
-from hri_pipeline.evaluation.speech_files import ABSENT, available
+from benchmarks import microphone_array as array_figures
+from benchmarks.microphone_array import azimuth_errors, make_scene
+from benchmarks.speech_files import ABSENT, available
 
 pytestmark = pytest.mark.skipif(not available(), reason=ABSENT)
 

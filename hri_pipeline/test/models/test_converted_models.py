@@ -14,14 +14,13 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from hri_pipeline.models import names
-from hri_pipeline.models.archives import read_members
 from hri_pipeline.models.catalogue import PACKAGES, PRODUCTS, Product
 from hri_pipeline.models.convert import convert
+from hri_pipeline.models.packages import read_members
 
 RELATIVE_LIMIT = 5e-5  # of the largest value; float rounding on pictures of noise
 # LiteRT does not know the attention mesh's custom operators; test/unit compares those with numpy.
-RUNNABLE = [p for p in PRODUCTS if p.converter == "tflite" and p.output != names.FACE_LANDMARKS_ATTENTION]
+RUNNABLE = [p for p in PRODUCTS if p.converter == "tflite" and p.output != "face_landmarks_attention.onnx"]
 
 
 def archive_of(product: Product) -> Path:
@@ -60,7 +59,7 @@ def test_tflite_equals_litert(product: Product) -> None:
     for row in range(len(images)):
         interpreter.set_tensor(interpreter.get_input_details()[0]["index"], images[row : row + 1])
         interpreter.invoke()
-        for name, result in zip(product.options["outputs"], results):
+        for name, result in zip(product.outputs, results):
             index = details[name] if name in details else by_shape[result.shape[1:]]
             expected = interpreter.get_tensor(index)[0]
             limit = RELATIVE_LIMIT * max(float(np.abs(expected).max()), 1.0)
@@ -73,16 +72,16 @@ def test_tflite_equals_litert(product: Product) -> None:
 def test_batch_rows_are_independent(product: Product) -> None:
     content = convert(product, read_members(archive_of(product), dict(product.members)))
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
-    assert [o.name for o in session.get_outputs()] == list(names.TENSORS[product.output].outputs)
-    assert [i.name for i in session.get_inputs()] == list(names.TENSORS[product.output].inputs)
-    if product.output == names.SILERO_VAD:
+    assert [o.name for o in session.get_outputs()] == list(product.outputs)
+    assert [i.name for i in session.get_inputs()] == list(product.inputs)
+    if product.output == "silero_vad.onnx":
         return
     given = session.get_inputs()[0]
     shape = [2] + [size if isinstance(size, int) else 64 for size in given.shape[1:]]
     images = np.random.default_rng(2).uniform(0, 1, shape).astype(np.float32)
     both = session.run(None, {given.name: images})
     second = session.run(None, {given.name: images[1:]})
-    for name, a, b in zip(names.TENSORS[product.output].outputs, both, second):
+    for name, a, b in zip(product.outputs, both, second):
         np.testing.assert_allclose(
             a[1:], b, rtol=0, atol=1e-4 * max(float(np.abs(b).max()), 1e-3), err_msg=name
         )

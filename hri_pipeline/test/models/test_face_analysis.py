@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.faces.face_analysis import STAGES, FaceDemand
-from hri_pipeline.core.faces.face_parameters import FACES
-from hri_pipeline.core.faces.face_stage import FaceStage
-from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.core.onnx_model import ModelError
+from hri_pipeline.core.faces.analysis import STAGES, FaceDemand
+from hri_pipeline.core.faces.parameters import FACES
+from hri_pipeline.core.faces.pipeline import FacePipeline
+from hri_pipeline.core.onnx import ModelError, models_directory
 
 SIZE = (960, 640)
 NETWORKS = ("expression", "age_gender", "recognition")
@@ -38,7 +37,7 @@ def networks_run(stage):
 
 
 def test_what_nobody_wants_is_not_done():
-    stage = FaceStage(FACES.resolve({}))
+    stage = FacePipeline(FACES.resolve({}))
     faces, matches = watch(stage, photograph("sample3"), 15, lambda ids: FaceDemand())
     assert len(faces) == 3 and not matches
     assert not networks_run(stage) and "action_units" not in stage.times.summary()
@@ -48,7 +47,7 @@ def test_what_nobody_wants_is_not_done():
 
 
 def test_everything_of_three_people():
-    stage = FaceStage(FACES.resolve(UNHURRIED))
+    stage = FacePipeline(FACES.resolve(UNHURRIED))
     faces, matches = watch(stage, photograph("sample3"), 50, FaceDemand.everything)
     assert networks_run(stage) == set(NETWORKS)
     assert len(faces) == 3
@@ -66,7 +65,7 @@ def test_everything_of_three_people():
 
 
 def test_one_face_of_three_is_asked_for():
-    stage = FaceStage(FACES.resolve(UNHURRIED))
+    stage = FacePipeline(FACES.resolve(UNHURRIED))
     faces, _ = watch(stage, photograph("sample3"), 25, lambda ids: FaceDemand(
         action_units=set(ids[:1]), soft_biometrics=set(ids[1:2])))
     assert [face.action_units is not None for face in faces] == [True, False, False]
@@ -75,12 +74,13 @@ def test_one_face_of_three_is_asked_for():
 
 
 def test_at_most_one_network_runs_per_image():
-    stage = FaceStage(FACES.resolve(UNHURRIED))
+    stage = FacePipeline(FACES.resolve(UNHURRIED))
     image = photograph("sample5")
     for index in range(40):
         before = {name: len(stage.times._times.get(name, ())) for name in NETWORKS}
         stage.update(image, CAMERA, 1000.0 + 0.1 * index, None, FaceDemand.everything(stage.tracked_ids))
         assert sum(len(stage.times._times.get(name, ())) - before[name] for name in NETWORKS) <= 1
+    assert networks_run(stage) == set(NETWORKS)
 
 
 @pytest.mark.parametrize("name", STAGES)
@@ -90,8 +90,8 @@ def test_each_stage_can_be_switched_off_alone(name):
     if name in models:
         settings[models[name]] = "/nowhere/absent.onnx"
         with pytest.raises(ModelError, match="absent.onnx"):
-            FaceStage(FACES.resolve(dict(settings, **{name: True})))
-    stage = FaceStage(FACES.resolve(settings))
+            FacePipeline(FACES.resolve(dict(settings, **{name: True})))
+    stage = FacePipeline(FACES.resolve(settings))
     assert name not in stage.status()["stages"].split()
     faces, matches = watch(stage, photograph("sample3"), 30, FaceDemand.everything)
     result = {"age_gender": "soft_biometrics", "recognition": None}.get(name, name)
@@ -106,12 +106,12 @@ def test_the_strict_profile_switches_everything_off():
     profile = yaml.safe_load((Path(__file__).parents[2] / "config" / "privacy_strict.yaml").read_text())
     settings = FACES.resolve(profile)
     assert not any(getattr(settings, name) for name in STAGES)
-    stage = FaceStage(settings)
+    stage = FacePipeline(settings)
     assert stage.recognition is None and stage.status()["stages"] == "none"
 
 
 def test_time_that_goes_back_forgets_faces_and_keeps_persons():
-    stage = FaceStage(FACES.resolve(UNHURRIED))
+    stage = FacePipeline(FACES.resolve(UNHURRIED))
     image = photograph("sample3")
     _, matches = watch(stage, image, 45, FaceDemand.everything)
     faces, again = watch(stage, image, 30, FaceDemand.everything, 10.0)

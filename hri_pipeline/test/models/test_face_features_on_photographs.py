@@ -7,19 +7,14 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_pipeline.core.faces.action_units import ActionUnitEstimator
-from hri_pipeline.core.faces.action_units_table import MIRROR
+from benchmarks import labels as eyes
+from benchmarks.labels import images, nearest_face, read_labels
+from hri_pipeline.core.faces.action_units import MIRROR, ActionUnitEstimator, FaceMeasures
 from hri_pipeline.core.faces.age_gender import AgeGenderFusion, load_age_gender
-from hri_pipeline.core.faces.canonical_face import load_canonical_face
-from hri_pipeline.core.faces.expression import ExpressionModel, ExpressionTracker
-from hri_pipeline.core.faces.expression_table import CATEGORIES
-from hri_pipeline.core.faces.face_detector import FaceDetector
-from hri_pipeline.core.faces.face_measures import FaceMeasures
-from hri_pipeline.core.faces.face_mesh import FaceMesh, roi_from_detection, roi_from_mesh
-from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.core.onnx_model import ModelError, OnnxModel
-from hri_pipeline.evaluation import eyes
-from hri_pipeline.evaluation.labels import images, nearest_face, read_labels
+from hri_pipeline.core.faces.detector import FaceDetector
+from hri_pipeline.core.faces.expression import CATEGORIES, ExpressionModel, ExpressionTracker
+from hri_pipeline.core.faces.mesh import FaceMesh, load_canonical_face, roi_from_detection, roi_from_mesh
+from hri_pipeline.core.onnx import ModelError, OnnxModel, models_directory
 
 LARGEST = 1600
 """Larger pictures are halved, small ones get a rim: the detector is made for faces that do not fill the image."""

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.evaluation import face_figures
-from hri_pipeline.evaluation.eyes import TABLE
+from benchmarks import face_figures
+from benchmarks.labels import TABLE
+from hri_pipeline.core.onnx import models_directory
 
 EVALUATION = models_directory() / "evaluation"
 

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.camera import CameraError, CameraModel
-from hri_pipeline.core.faces.canonical_face import load_canonical_face
-from hri_pipeline.core.faces.face_finder import FaceFinder
-from hri_pipeline.core.faces.face_parameters import FACES
-from hri_pipeline.core.faces.face_stage import FaceStage
 from hri_pipeline.core.faces.head_pose import yaw_pitch_roll
-from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.core.onnx_model import ModelError
+from hri_pipeline.core.faces.mesh import load_canonical_face
+from hri_pipeline.core.faces.parameters import FACES
+from hri_pipeline.core.faces.pipeline import FacePipeline, FaceTrackingPipeline
+from hri_pipeline.core.onnx import ModelError, models_directory
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.pictures.picture_motion import PictureMotion
+from hri_pipeline.core.sources.image_sources import PictureMotion
 from hri_pipeline.core.timing import StageTimes
 
 COUNTS = {"sample1": 3, "sample2": 3, "sample3": 3, "sample4": 4, "sample5": 5, "sample6": 4}
@@ -28,7 +26,7 @@ SETTLED = 12
 
 @pytest.fixture(scope="module")
 def stage():
-    return FaceStage(FACES.resolve({"face_budget": 1000.0}))    # the same looks on a busy machine
+    return FacePipeline(FACES.resolve({"face_budget": 1000.0}))    # the same looks on a busy machine
 
 
 def photograph(name):
@@ -172,14 +170,18 @@ def test_people_who_look_at_the_camera_do(stage):
 
 def test_closed_eyes_have_no_gaze(stage):
     """In sample2 all three look down with lowered lids; in sample3 all eyes are open."""
-    for face in watch(stage, [photograph("sample3")] * SETTLED)[-1]:
+    open_eyed = watch(stage, [photograph("sample3")] * SETTLED)[-1]
+    assert len(open_eyed) == 3
+    for face in open_eyed:
         assert face.gaze.eyes_closed < 0.2 and face.gaze.direction is not None
     shut = [face for face in watch(stage, [photograph("sample2")] * SETTLED)[-1] if face.gaze.direction is None]
     assert len(shut) >= 2
 
 
 def test_the_size_of_a_head_is_told_with_its_error(stage):
-    for face in watch(stage, [photograph("sample3")] * 20)[-1]:
+    faces = watch(stage, [photograph("sample3")] * 20)[-1]
+    assert len(faces) == 3
+    for face in faces:
         assert 0.9 < face.head_scale < 1.1 and 0.03 < face.head_scale_sd < 0.05, "the irises are large enough"
 
 
@@ -203,8 +205,9 @@ def test_a_depth_image_places_the_head(stage):
 
 def test_many_faces_take_turns_and_none_is_lost():
     """Under a budget of one look per image all eight faces stay, and those not looked at say so."""
-    stage = FaceStage(FACES.resolve({"face_budget": 1.0, "face_mesh_rate": 0.0}))
-    pictures = [cv2.resize(photograph(name), (640, 427), interpolation=cv2.INTER_AREA) for name in ("sample5", "sample3")]
+    stage = FacePipeline(FACES.resolve({"face_budget": 1.0, "face_mesh_rate": 0.0}))
+    pictures = [cv2.resize(photograph(name), (640, 427), interpolation=cv2.INTER_AREA)
+                for name in ("sample5", "sample3")]
     image = np.vstack(pictures)
     camera = CameraModel.from_fov(image.shape[1], image.shape[0], HFOV)
     measured, ids_seen, counts = {}, set(), []
@@ -220,7 +223,8 @@ def test_many_faces_take_turns_and_none_is_lost():
 
 
 def films(names, rate, swing, period, seconds):
-    """(stamp s, image) of photographs side by side, before a camera that swings by `swing` of its view in `period` s."""
+    """(stamp s, image) of photographs side by side, before a camera that swings by `swing` of its view in `period`
+    s."""
     picture = np.hstack([cv2.resize(photograph(name), (960, 640), interpolation=cv2.INTER_AREA) for name in names])
     motion = PictureMotion(picture, 1280, 720, pan=swing, period=period)
     for index in range(int(seconds * rate)):
@@ -231,7 +235,8 @@ def films(names, rate, swing, period, seconds):
     (("sample4",), 12.0, 0.03, 12.0), (("sample4",), 8.0, 0.05, 3.0), (("sample3", "sample5"), 8.0, 0.05, 4.0)])
 def test_a_camera_that_swings_and_two_looks_for_all_faces(names, rate, swing, period):
     """Nobody is lost or doubled between two looks, when they come late and the camera turns back meanwhile."""
-    finder = FaceFinder(FACES.resolve({"face_budget": 10.0, "face_mesh_rate": 0.0}), StageTimes(), clock=lambda: 0.0)
+    finder = FaceTrackingPipeline(FACES.resolve({"face_budget": 10.0, "face_mesh_rate": 0.0}), StageTimes(),
+                                  clock=lambda: 0.0)
     counts, known = [], set()
     for stamp, image in films(names, rate, swing, period, 9.0):
         finder.update(image, stamp)
@@ -250,6 +255,40 @@ def test_what_looks_like_a_face_now_and_then_is_none(stage):
         stage.update(motion.view(index / 6.0), camera, 1000.0 + index / 6.0)
         known.update(stage.tracked_ids)
     assert len(known) == 3
+
+
+def dial(seed):
+    """A round thing with letters on it, such as hang on walls; in one of ten of them the mesh network is sure of a
+    face."""
+    random = np.random.RandomState(seed)
+    image = np.full((480, 640, 3), random.randint(60, 230, 3), np.uint8)
+    radius = random.randint(40, 120)
+    for part in (1.0, random.uniform(0.5, 0.85)):
+        cv2.circle(image, (320, 240), int(part * radius), random.randint(0, 255, 3).tolist(), -1, cv2.LINE_AA)
+    text = str(random.randint(0, 99)) if random.rand() < 0.7 else random.choice(list("OSBDeamR@&"))
+    size = radius / 40.0 * random.uniform(0.6, 1.2)
+    stroke = max(1, int(3.0 * size))
+    (width, height), _ = cv2.getTextSize(text, 0, size, stroke)
+    colour = random.randint(0, 255, 3).tolist()
+    cv2.putText(image, text, (320 - width // 2, 240 + height // 2), 0, size, colour, stroke, cv2.LINE_AA)
+    return cv2.GaussianBlur(image, (0, 0), 1.0)
+
+
+DIALS = (6, 18, 23, 34, 49, 59, 92, 95, 99, 105, 108, 110, 119, 121, 129, 142, 153, 158, 164, 176, 246, 247)
+"""Those of the first 250 with a detection above 0.45 in which the mesh network is sure of a face."""
+
+
+def test_things_that_only_the_mesh_takes_for_faces_are_none():
+    finder = FaceTrackingPipeline(FACES.resolve({"face_budget": 1000.0}), StageTimes(), clock=lambda: 0.0)
+    taken = {}
+    for seed in DIALS:
+        finder.reset()
+        motion = PictureMotion(dial(seed), 640, 480)
+        for index in range(18):
+            finder.update(motion.view(index / 6.0), 100.0 * seed + index / 6.0)
+            if finder.tracked_ids:
+                taken[seed] = taken.get(seed, 0) + 1
+    assert len(taken) <= 6, "{} of {}: {}".format(len(taken), len(DIALS), taken)
 
 
 @pytest.mark.parametrize("name, side, least", [("sample6", 30, 4), ("sample6", 24, 3), ("sample3", 30, 2)])
@@ -281,19 +320,21 @@ def bad_images():
     shifted[:, :620] = image[:, 340:]       # the left face is cut by the border
     tiny = np.full((480, 640, 3), 90, np.uint8)
     tiny[200:232, 300:348] = cv2.resize(face, (48, 32), interpolation=cv2.INTER_AREA)   # faces of 6 to 8 px
-    yield "half a face at the border", shifted
-    yield "faces of 8 px", tiny
-    yield "black", np.zeros_like(image)
-    yield "white", np.full_like(image, 255)
-    yield "upside down", image[::-1, ::-1].copy()
-    yield "one row", image[:1].copy()
-    yield "not contiguous", image[::2, ::2]
+    yield "half a face at the border", shifted, 2
+    yield "faces of 8 px", tiny, 0
+    yield "black", np.zeros_like(image), 0
+    yield "white", np.full_like(image, 255), 0
+    yield "upside down", image[::-1, ::-1].copy(), None
+    yield "one row", image[:1].copy(), 0
+    yield "not contiguous", image[::2, ::2], 3
 
 
 @pytest.mark.parametrize("index", range(7))
 def test_bad_images_are_survived_with_sane_numbers(stage, index):
-    name, image = list(bad_images())[index]
-    for faces in watch(stage, [image] * 10):
+    name, image, least = list(bad_images())[index]
+    seen = watch(stage, [image] * 10)
+    assert least is None or len(seen[-1]) == least, name
+    for faces in seen:
         for face in faces:
             for values in (face.box, face.landmarks, face.mesh):
                 assert np.isfinite(values).all(), name
@@ -327,15 +368,15 @@ def test_the_sellion_is_the_deepest_point_of_the_bridge():
 @pytest.mark.parametrize("name", ["face_detector_model", "face_mesh_model", "canonical_face"])
 def test_a_missing_a_wrong_and_a_damaged_file_are_told_by_name(tmp_path, name):
     with pytest.raises(ModelError, match="absent.onnx"):
-        FaceStage(FACES.resolve({name: str(tmp_path / "absent.onnx")}))
+        FacePipeline(FACES.resolve({name: str(tmp_path / "absent.onnx")}))
     wrong = tmp_path / "wrong.onnx"
     shutil.copy(str(models_directory() / "pose_landmarks_full.onnx"), str(wrong))
     with pytest.raises(ModelError, match="wrong.onnx"):
-        FaceStage(FACES.resolve({name: str(wrong)}))
+        FacePipeline(FACES.resolve({name: str(wrong)}))
     damaged = tmp_path / "damaged.onnx"
     damaged.write_bytes(b"\x08\x07 this is no model")
     with pytest.raises(ModelError, match="damaged.onnx"):
-        FaceStage(FACES.resolve({name: str(damaged)}))
+        FacePipeline(FACES.resolve({name: str(damaged)}))
 
 
 def test_settings_are_checked_before_the_stage_is_built():

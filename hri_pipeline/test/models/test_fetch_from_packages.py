@@ -13,10 +13,11 @@ from typing import List
 
 import pytest
 
-from hri_pipeline.models import names
+import hri_pipeline.models
 from hri_pipeline.models.catalogue import PACKAGES, select
+from hri_pipeline.models.fetch import MANIFEST
 
-SOURCE = str(Path(names.__file__).resolve().parents[2])
+SOURCE = str(Path(hri_pipeline.models.__file__).resolve().parents[2])
 TIME_LIMIT = 120.0
 
 
@@ -47,12 +48,12 @@ def fetch(*options: str) -> "subprocess.CompletedProcess[str]":
 def test_default_set_then_a_quick_second_run(packages: Path, tmp_path: Path) -> None:
     first = fetch("--packages", str(packages), "--directory", str(tmp_path))
     assert (first.returncode, first.stderr) == (0, "")
-    document = json.loads((tmp_path / names.MANIFEST).read_text(encoding="utf-8"))
+    document = json.loads((tmp_path / MANIFEST).read_text(encoding="utf-8"))
     assert set(document["files"]) == {product.output for product in select(["default"])}
     for entry in document["files"].values():
         assert entry["source"]["sha256"] and entry["source"]["version"] and entry["licence"]
     present = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
-    assert present == set(document["files"]) | {names.MANIFEST}
+    assert present == set(document["files"]) | {MANIFEST}
 
     begin = time.monotonic()
     second = fetch("--directory", str(tmp_path))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hri_pipeline.models import names
+from hri_pipeline.core.onnx import models_directory
 from hri_pipeline.models.catalogue import PRODUCTS, Product
 from hri_pipeline.models.convert import describe
 
@@ -15,7 +15,7 @@ DEFAULT = [product for product in PRODUCTS if product.default]
 
 
 def model(output: str) -> Path:
-    path = names.default_directory() / output
+    path = models_directory() / output
     assert path.is_file(), "%s is absent; run fetch_models, or set $ROS4HRI_MODELS" % path
     return path
 
@@ -28,13 +28,13 @@ def test_file_is_there_and_has_the_right_tensors(product: Product) -> None:
 
 
 def test_person_detector_takes_any_size() -> None:
-    described = describe(model(names.PERSON_CENTERNET), names.PERSON_CENTERNET)
+    described = describe(model("person_centernet.onnx"), "person_centernet.onnx")
     assert described["inputs"][0]["shape"] == ["N", "H", "W", 3]
     assert [output["shape"][-1] for output in described["outputs"]] == [80, 4]
 
 
 def test_canonical_face_is_metric_and_symmetric() -> None:
-    with np.load(str(model(names.CANONICAL_FACE))) as arrays:
+    with np.load(str(model("canonical_face.npz"))) as arrays:
         vertices, index, weight = (arrays[n] for n in ("vertices", "procrustes_index", "procrustes_weight"))
     assert vertices.shape == (468, 3) and len(index) == len(weight) == 33
     assert 0.08 < np.linalg.norm(vertices[33] - vertices[263]) < 0.10  # outer corners of the eyes, metres

@@ -3,8 +3,8 @@
 import cv2
 import pytest
 
-from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.evaluation.gaze_photographs import CAMERA, CLOSED, FRAMES, NOBODY, NOT_FOUND, USE_FACS, photographs
+from benchmarks.gaze_photographs import CAMERA, CLOSED, FRAMES, NOBODY, NOT_FOUND, USE_FACS, photographs
+from hri_pipeline.core.onnx import models_directory
 
 EVALUATION = models_directory() / "evaluation"
 

@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.faces.face_analysis import FaceDemand
-from hri_pipeline.core.faces.face_parameters import FACES
-from hri_pipeline.core.faces.face_stage import FaceStage
-from hri_pipeline.core.matching.mouth_motion import MouthTrack, opening_of_landmarks, opening_of_units
-from hri_pipeline.core.matching.voice_matcher_parameters import VOICE_MATCHER_PARAMETERS
-from hri_pipeline.core.matching.voice_matching import FACE, VoiceMatcher
-from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.faces.analysis import FaceDemand
+from hri_pipeline.core.faces.parameters import FACES
+from hri_pipeline.core.faces.pipeline import FacePipeline
+from hri_pipeline.core.matching.parameters import VOICE_MATCHER_PARAMETERS
+from hri_pipeline.core.matching.voice import FACE, MouthTrack, VoiceMatcher, opening_of_landmarks, opening_of_units
+from hri_pipeline.core.onnx import models_directory
 
 STEP = 1.0 / 15.0
 HFOV = np.deg2rad(53.0)
@@ -28,7 +27,7 @@ NOISE = 4.0                # grey values of a camera in a room
 
 @pytest.fixture(scope="module")
 def stage():
-    return FaceStage(FACES.resolve({"face_budget": 1000.0}))    # the same looks on a busy machine
+    return FacePipeline(FACES.resolve({"face_budget": 1000.0}))    # the same looks on a busy machine
 
 
 def photograph(name):
@@ -39,7 +38,8 @@ def photograph(name):
 
 
 def open_mouth(image, mesh, gap):
-    """Return the picture with the lower lip and the chin of a face moved down by up to `gap` px, dark between the lips."""
+    """Return the picture with the lower lip and the chin of a face moved down by up to `gap` px, dark between the
+    lips."""
     left, right = sorted((mesh[CORNERS[0], :2], mesh[CORNERS[1], :2]), key=lambda point: point[0])
     across = (right - left) / np.linalg.norm(right - left)
     down = np.array([-across[1], across[0]])
@@ -50,7 +50,8 @@ def open_mouth(image, mesh, gap):
     below = (columns - middle[0]) * down[0] + (rows - middle[1]) * down[1]
     width = np.sqrt(np.clip(1.0 - aside ** 2, 0.0, 1.0)) * gap
     moved = np.where(below > 0.0, width * np.clip(1.0 - (below - width) / reach, 0.0, 1.0), 0.0)
-    opened = cv2.remap(image, (columns - moved * down[0]).astype(np.float32), (rows - moved * down[1]).astype(np.float32),
+    opened = cv2.remap(image, (columns - moved * down[0]).astype(np.float32),
+                       (rows - moved * down[1]).astype(np.float32),
                        cv2.INTER_LINEAR)
     opened[(below > 0.0) & (below < width)] = INSIDE
     return opened
@@ -69,7 +70,9 @@ def film(stage, image, random):
     found, place = [], np.zeros(2)
     for index in range(int((SILENCE + SECONDS) / STEP)):
         stamp = index * STEP
-        speech = max(0.0, np.sin(2.0 * np.pi * 2.1 * stamp)) * (0.6 + 0.4 * np.sin(5.1 * stamp)) if stamp > SILENCE else 0.0
+        speech = (
+            max(0.0, np.sin(2.0 * np.pi * 2.1 * stamp)) * (0.6 + 0.4 * np.sin(5.1 * stamp)) if stamp > SILENCE else 0.0
+        )
         frame = open_mouth(image, speaker.mesh, 0.14 * eyes * speech)
         place = 0.9 * place + random.normal(0.0, 0.5, 2)          # a head is never quite still, nor is a camera
         shift = np.float32([[1, 0, place[0]], [0, 1, place[1]]])

@@ -6,16 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.core.onnx_model import ModelError
-from hri_pipeline.core.recognition.face_embedding import FaceEmbedder, face_chip, load_face_embedder, similarity
-from hri_pipeline.evaluation.recognition_figures import (
-    Encounters,
-    identities,
-    images,
-    recognise_twice,
-    recognising_stage,
-)
+from benchmarks.recognition import Encounters, identities, images, recognise_twice, recognising_stage
+from hri_pipeline.core.onnx import ModelError, models_directory
+from hri_pipeline.core.recognition.embedding import FaceEmbedder, face_chip, load_face_embedder, similarity
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +92,8 @@ def test_faces_at_the_border_and_far_outside_do_no_harm(embedder):
         assert crop.shape == (150, 150, 3) and np.isfinite(embedder.embed([crop])).all()
 
 
-@pytest.mark.parametrize("crop", [np.zeros((150, 150), np.uint8), np.zeros((150, 150, 3)), np.zeros((0, 0, 3), np.uint8)])
+@pytest.mark.parametrize("crop",
+                         [np.zeros((150, 150), np.uint8), np.zeros((150, 150, 3)), np.zeros((0, 0, 3), np.uint8)])
 def test_what_is_no_crop_is_refused(embedder, crop):
     with pytest.raises(ValueError, match="crop"):
         embedder.embed([crop])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from hri_pipeline.evaluation import feature_figures, speech_figures
-from hri_pipeline.evaluation.speech_files import ABSENT, available
+from benchmarks import speech as speech_figures
+from benchmarks import voice_features as feature_figures
+from benchmarks.speech_files import ABSENT, available
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,8 @@ def test_digits_and_commands_with_a_grammar(grammar):
 
 
 def test_every_sentence_of_a_grammar_is_sure_enough_to_be_published(grammar):
-    assert all(confidence > 0.05 for outcome in grammar.values() for _, _, confidence in outcome.texts)
+    confidences = [confidence for outcome in grammar.values() for _, _, confidence in outcome.texts]
+    assert len(confidences) >= 5 and min(confidences) > 0.05
 
 
 def test_other_sentences_are_not_taken_for_commands(grammar):

@@ -3,16 +3,17 @@
 import numpy as np
 import pytest
 
+from benchmarks import speech_files, voice_figures
+from hri_pipeline.core.audio.pipeline import VoicePipeline
 from hri_pipeline.core.ids import IdGenerator
-from hri_pipeline.core.voices.voice_stage import VoiceStage
-from hri_pipeline.evaluation import speech_files, voice_figures
 
 RATE = voice_figures.RATE
 NEEDS_SPEECH = pytest.mark.skipif(not speech_files.available(), reason=speech_files.ABSENT)
 
 
 def stage(**changes):
-    return VoiceStage(voice_figures.activity_settings(**changes), voice_figures.activity_model(), None, IdGenerator(seed=5))
+    return VoicePipeline(voice_figures.activity_settings(**changes), voice_figures.activity_model(), None,
+                         IdGenerator(seed=5))
 
 
 def observe(samples, **changes):

@@ -10,13 +10,14 @@ from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
+from benchmarks.wire_layouts import serialise
 from hri_msgs.msg import Expression, FacialLandmarks, IdsMatch, Skeleton2D, SoftBiometrics
 from hri_pipeline.core.camera import Calibration, CameraError
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.images import ImageError
 from hri_pipeline.core.observations import SoftBiometrics as FaceBiometrics
 from hri_pipeline.ros import conversions
-from hri_pipeline.ros.landmark_array import LandmarkArray
+from hri_pipeline.ros.conversions import LandmarkArray, SkeletonArray
 
 BGR = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
 HEADER = Header(stamp=genpy.Time(1700000000, 123456789), frame_id="camera_optical")
@@ -62,6 +63,8 @@ def test_compressed():
     np.testing.assert_array_equal(conversions.compressed_to_bgr(CompressedImage(format="png", data=data)), BGR)
     with pytest.raises(ImageError, match="depth image"):
         conversions.compressed_to_bgr(CompressedImage(format="16UC1; compressedDepth png", data=data))
+    with pytest.raises(ImageError, match="depth image"):
+        conversions.compressed_to_bgr(CompressedImage(format="16UC1; png compressed ", data=data))
     with pytest.raises(ImageError):
         conversions.compressed_to_bgr(CompressedImage())
 
@@ -119,10 +122,45 @@ def test_landmarks_read_as_one_array_are_those_of_the_message():
     np.testing.assert_array_equal(conversions.landmarks_from_msg(array), conversions.landmarks_from_msg(points))
 
 
-@pytest.mark.parametrize("length", [0, 3, 15, 20, 200, -1])
-def test_landmarks_that_are_cut_off_are_refused(length):
-    with pytest.raises(genpy.DeserializationError):
-        LandmarkArray().deserialize(serialised_landmarks()[:length])
+def serialised_skeleton():
+    buffer = io.BytesIO()
+    keypoints = np.random.default_rng(2).uniform(size=(18, 3)) * [200, 100, 1]
+    conversions.skeleton_to_msg(keypoints, HEADER, 200, 100).serialize(buffer)
+    return buffer.getvalue()
+
+
+def test_key_points_read_as_one_array_are_those_of_the_message():
+    data = serialised_skeleton()
+    points, array = Skeleton2D().deserialize(data), SkeletonArray().deserialize(data)
+    assert SkeletonArray._md5sum == Skeleton2D._md5sum and array.header == points.header
+    np.testing.assert_array_equal(conversions.skeleton_from_msg(array), conversions.skeleton_from_msg(points))
+
+
+@pytest.mark.parametrize("length", [0, 3, 15, 20, 40, 200, -1])
+def test_points_that_are_cut_off_are_refused(length):
+    with pytest.raises(ValueError, match="FacialLandmarks: the message"):
+        conversions.landmarks_from_msg(LandmarkArray().deserialize(serialised_landmarks()[:length]))
+    with pytest.raises(ValueError, match="Skeleton2D: the message"):
+        conversions.skeleton_from_msg(SkeletonArray().deserialize(serialised_skeleton()[:length]))
+
+
+POINTS = "Header (float32 float32 float32)"
+
+
+@pytest.mark.parametrize("count", [0, 68, 71])
+def test_another_number_of_points_is_told(count):
+    with pytest.raises(ValueError, match="FacialLandmarks needs 70 points, not {}".format(count)):
+        conversions.landmarks_from_msg(LandmarkArray().deserialize(serialise(POINTS + "[] uint32 uint32", count)[0]))
+    with pytest.raises(ValueError, match="Skeleton2D needs 18 points, not {}".format(count)):
+        conversions.skeleton_from_msg(SkeletonArray().deserialize(serialise(POINTS + "[]", count)[0]))
+
+
+def test_recordings_without_the_number_of_points_are_named():
+    """A definition of `[70]` or `[18]` points has the same md5 and the same name."""
+    with pytest.raises(ValueError, match="definition of 70 points"):
+        conversions.landmarks_from_msg(LandmarkArray().deserialize(serialise(POINTS + "[70] uint32 uint32", 0)[0]))
+    with pytest.raises(ValueError, match="definition of 18 points"):
+        conversions.skeleton_from_msg(SkeletonArray().deserialize(serialise(POINTS + "[18]", 0)[0]))
 
 
 def test_an_array_of_landmarks_that_are_not_finite_is_refused():
@@ -170,14 +208,14 @@ def test_wrong_number_of_points(convert, shape):
 
 
 def test_hostile_points():
-    message = Skeleton2D()
+    message = conversions.skeleton_to_msg(np.zeros((18, 3)), HEADER, 10, 10)
     message.skeleton[5].x = float("nan")
     with pytest.raises(ValueError, match="Skeleton2D holds numbers that are not finite"):
         conversions.skeleton_from_msg(message)
     message.skeleton = message.skeleton[:4]
     with pytest.raises(ValueError, match="needs 18 points, not 4"):
         conversions.skeleton_from_msg(message)
-    landmarks = FacialLandmarks()
+    landmarks = conversions.landmarks_to_msg(np.zeros((70, 3)), HEADER, 10, 10)
     landmarks.landmarks[0].c = float("inf")
     with pytest.raises(ValueError, match="FacialLandmarks"):
         conversions.landmarks_from_msg(landmarks)
@@ -232,12 +270,15 @@ def test_expression_is_clipped_and_must_be_finite():
 @pytest.mark.parametrize("p_male, certain, gender", [
     (0.9, 0.9, SoftBiometrics.MALE), (0.1, 0.9, SoftBiometrics.FEMALE), (0.9, 0.0, SoftBiometrics.UNDEFINED)])
 def test_age_and_gender(p_male, certain, gender):
-    msg = conversions.soft_biometrics_to_msg(FaceBiometrics(33.6, 0.7, p_male, certain), conversions.make_header(1.0, "camera"))
+    msg = conversions.soft_biometrics_to_msg(FaceBiometrics(33.6, 0.7, p_male, certain),
+                                             conversions.make_header(1.0, "camera"))
     assert (msg.age, msg.gender) == (34, gender)
     assert msg.age_confidence == pytest.approx(0.7) and msg.gender_confidence == pytest.approx(certain)
 
 
 def test_an_age_out_of_range_fits_the_message():
-    assert conversions.soft_biometrics_to_msg(FaceBiometrics(400.0, 1.0, 0.5, 0.5), conversions.make_header(1.0, "")).age == 255
+    assert conversions.soft_biometrics_to_msg(FaceBiometrics(400.0, 1.0, 0.5, 0.5),
+                                              conversions.make_header(1.0, "")).age == 255
     with pytest.raises(ValueError, match="finite"):
-        conversions.soft_biometrics_to_msg(FaceBiometrics(float("nan"), 1.0, 0.5, 0.5), conversions.make_header(1.0, ""))
+        conversions.soft_biometrics_to_msg(FaceBiometrics(float("nan"), 1.0, 0.5, 0.5),
+                                           conversions.make_header(1.0, ""))

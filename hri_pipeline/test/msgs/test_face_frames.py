@@ -6,12 +6,12 @@ import pytest
 from std_msgs.msg import Header
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.faces.face_parameters import FACES
+from hri_pipeline.core.faces.parameters import FACES
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import FaceObservation, GazeEstimate
+from hri_pipeline.nodes.faces import face_transforms, privacy_line
 from hri_pipeline.ros.conversions import pose_from_transform
-from hri_pipeline.ros.faces.face_branch import face_transforms, privacy_line
-from hri_pipeline.ros.image_intake import Frame
+from hri_pipeline.ros.inputs import Frame
 
 UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 
@@ -25,10 +25,11 @@ def face(pose, gaze):
     return FaceObservation("abcde", np.array([1.0, 2, 3, 4]), 1.0, np.zeros((70, 3)), np.zeros((478, 3)), pose, gaze)
 
 
-def test_face_and_gaze_frames():
+@pytest.mark.parametrize("interface", ["paper", "rep155"])
+def test_face_and_gaze_frames(interface):
     pose = Pose(UPRIGHT, np.array([0.1, 0.2, 1.5]))
     direction = np.array([0.6, 0.0, -0.8])
-    head, gaze = face_transforms(face(pose, GazeEstimate(direction, 0.9, 0.0)), frame())
+    head, gaze = face_transforms(face(pose, GazeEstimate(direction, 0.9, 0.0)), frame(), interface)
     assert (head.header.frame_id, head.child_frame_id) == ("camera", "face_abcde")
     assert (gaze.header.frame_id, gaze.child_frame_id) == ("face_abcde", "gaze_abcde")
     assert head.header.stamp == gaze.header.stamp == genpy.Time(12, 5)
@@ -40,9 +41,19 @@ def test_face_and_gaze_frames():
 
 def test_no_gaze_frame_while_the_eyes_are_closed_and_none_at_all_without_a_pose():
     pose = Pose(UPRIGHT, np.array([0.1, 0.2, 1.5]))
-    assert len(face_transforms(face(pose, GazeEstimate(None, 0.0, 1.0)), frame())) == 1
-    assert len(face_transforms(face(pose, None), frame())) == 1
-    assert face_transforms(face(None, None), frame()) == []
+    assert len(face_transforms(face(pose, GazeEstimate(None, 0.0, 1.0)), frame(), "paper")) == 1
+    assert len(face_transforms(face(pose, None), frame(), "paper")) == 1
+    assert face_transforms(face(None, None), frame(),
+                           "paper") == face_transforms(face(None, None), frame(), "rep155") == []
+
+
+@pytest.mark.parametrize("estimate", [None, GazeEstimate(None, 0.0, 1.0)])
+def test_clients_of_rep155_always_find_a_gaze_frame_that_of_the_head_where_the_eyes_tell_nothing(estimate):
+    pose = Pose.from_quaternion((0.1, -0.2, 0.3, 0.9), (0.1, 0.2, 1.5))
+    head, gaze = face_transforms(face(pose, estimate), frame(), "rep155")
+    assert (gaze.header.frame_id, gaze.child_frame_id, gaze.header.stamp) == ("face_abcde", "gaze_abcde",
+                                                                              head.header.stamp)
+    assert pose_from_transform(gaze).rotation[:, 2] == pytest.approx([1.0, 0.0, 0.0]), "out of the face"
 
 
 def test_privacy_line():

@@ -8,13 +8,13 @@ import pytest
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
-from hri_pipeline.core.interactions.gaze_people import GazeTarget, Onlooker
-from hri_pipeline.core.interactions.group_tracker import Group
-from hri_pipeline.ros.interactions.interaction_markers import MUTUAL, ONE_WAY, InteractionMarkers, make_markers
+from hri_pipeline.core.interactions.groups import Group
+from hri_pipeline.core.interactions.people import GazeTarget, Observer
+from hri_pipeline.ros.interaction_markers import MUTUAL, ONE_WAY, InteractionMarkers, make_markers
 
 HEADER = Header(stamp=genpy.Time(12, 345), frame_id="map")
-PEOPLE = [Onlooker("a", np.array([0.0, 0.0, 1.6])), Onlooker("b", np.array([1.0, 0.0, 1.7])),
-          Onlooker("c", np.array([0.5, 1.0, 1.5])), Onlooker("nowhere")]
+PEOPLE = [Observer("a", np.array([0.0, 0.0, 1.6])), Observer("b", np.array([1.0, 0.0, 1.7])),
+          Observer("c", np.array([0.5, 1.0, 1.5])), Observer("nowhere")]
 GROUP = Group("trio", ("a", "b", "c"), 0.8, np.array([0.5, 0.3]))
 
 
@@ -92,10 +92,11 @@ def test_the_robot_as_a_member_has_a_line():
 
 
 def test_the_floor_lies_below_heads_that_are_low_or_where_it_is_said_to_be():
-    low = [Onlooker("a", np.array([0.0, 0.0, 0.1])), Onlooker("b", np.array([1.0, 0.0, 0.0]))]
+    low = [Observer("a", np.array([0.0, 0.0, 0.1])), Observer("b", np.array([1.0, 0.0, 0.0]))]
     group = Group("duo", ("a", "b"), 0.8, np.array([0.5, 0.0]))
     assert by_name(make_markers(low, [], [group], HEADER), "o-space")[0].pose.position.z < -1.0
-    assert by_name(make_markers(low, [], [group], HEADER, floor=-0.5), "o-space")[0].pose.position.z == pytest.approx(-0.49)
+    assert by_name(make_markers(low, [], [group], HEADER, floor=-0.5),
+                   "o-space")[0].pose.position.z == pytest.approx(-0.49)
 
 
 def test_every_marker_is_legal_and_expires():

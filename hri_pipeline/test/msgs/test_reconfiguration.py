@@ -31,7 +31,8 @@ def test_only_the_live_parameters_are_there_in_their_order():
 def test_type_range_default_and_text():
     found = rows(TABLE)
     assert [(row["type"], row["min"], row["max"], row["default"]) for row in found.values()] == [
-        ("double", 1.0, 60.0, 15.0), ("int", 1, 9, 3), ("bool", False, True, True), ("str", "", "", "slow"), ("str", "", "", "")]
+        ("double", 1.0, 60.0, 15.0), ("int", 1, 9, 3), ("bool", False, True, True), ("str", "", "", "slow"),
+        ("str", "", "", "")]
     assert found["rate"]["description"] == "Most results per second. (Hz)"
     assert all(row["edit_method"] == "" for name, row in found.items() if name != "decay")
 

@@ -8,10 +8,9 @@ import pytest
 from std_msgs.msg import Header, String
 
 from hri_msgs.msg import AudioFeatures, LiveSpeech
-from hri_pipeline.core.speech.speech_utterance import SpeechResult
-from hri_pipeline.core.voices.audio_features import FeatureFrame
-from hri_pipeline.ros.conversions import audio_features_to_msg
-from hri_pipeline.ros.interface import speech_message, speech_type
+from hri_pipeline.core.asr.recognition import SpeechResult
+from hri_pipeline.core.audio.features import FeatureFrame
+from hri_pipeline.ros.conversions import audio_features_to_msg, speech_message, speech_type
 
 HEADER = Header(stamp=genpy.Time(1700000000, 5), frame_id="microphone_link")
 
@@ -31,7 +30,8 @@ def test_descriptors():
 
 
 def test_what_is_not_finite_is_zero():
-    message = over_the_wire(audio_features_to_msg(FeatureFrame(0.0, np.nan, np.inf, -np.inf, np.nan, np.full(12, np.nan))))
+    message = over_the_wire(audio_features_to_msg(FeatureFrame(0.0, np.nan, np.inf, -np.inf, np.nan,
+                                                               np.full(12, np.nan))))
     assert (message.ZCR, message.RMS, message.pitch, message.HNR) == (0.0, 0.0, 0.0, 0.0) and not any(message.MFCC)
 
 

@@ -16,7 +16,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from hri_pipeline.ros.conversions import bgr_to_image
-from hri_pipeline.ros.topic_release import release
+from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.testing import wait_for
 
 PICTURE = np.random.default_rng(0).integers(60, 200, (120, 160, 3)).astype(np.uint8)
@@ -45,7 +45,8 @@ class Camera:
         else:
             message = bgr_to_image(picture, header)
             self.image.publish(message)
-        self.info.publish(CameraInfo(header=header, width=160, height=120, K=[focal, 0, 80, 0, focal, 60, 0, 0, float(focal > 0)]))
+        self.info.publish(CameraInfo(header=header, width=160, height=120,
+                                     K=[focal, 0, 80, 0, focal, 60, 0, 0, float(focal > 0)]))
 
     def close(self):
         self.stop.set()
@@ -59,7 +60,8 @@ class CheckTest(unittest.TestCase):
     def check(self, *topics, nodes="[face_body_matcher]", code=1, **environment):
         """Run the check and return what it prints."""
         command = ["rosrun", "hri_pipeline", "check", "_watch_time:=1.0", "_nodes:=" + nodes] + list(topics)
-        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True, timeout=60,
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True,
+                              timeout=60,
                               env=dict(os.environ, **environment))
         self.assertEqual(done.returncode, code, done.stdout)
         return done.stdout
@@ -122,17 +124,19 @@ class CheckTest(unittest.TestCase):
         subprocess.run(["pkill", "-9", "-f", "__name:=victim"], check=True)
         victim.wait(10)
         self.names("victim is registered, but does not answer", *self.camera("mourning"), nodes="[victim]")
-        subprocess.run(["rosnode", "cleanup"], input="y\n", universal_newlines=True, check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(["rosnode", "cleanup"], input="y\n", universal_newlines=True, check=True,
+                       stdout=subprocess.DEVNULL)
 
     def test_a_node_that_has_ended(self):
         """Who asks for a parameter and its changes stays known to the master."""
-        subprocess.run(["python3", "-c", "import rospy; rospy.init_node('leaver'); rospy.get_param_cached('/rosdistro', ''); "
-                        "rospy.signal_shutdown('')"], check=True, timeout=30)
+        subprocess.run(["python3", "-c", "import rospy; rospy.init_node('leaver'); "
+                        "rospy.get_param_cached('/rosdistro', ''); rospy.signal_shutdown('')"], check=True, timeout=30)
         self.assertEqual(rospy.get_master().lookupNode("/leaver")[0], 1)
         self.names("the node leaver does not run", *self.camera("left"), nodes="[leaver]")
 
     def test_help(self):
-        done = subprocess.run(["rosrun", "hri_pipeline", "check", "--help"], stdout=subprocess.PIPE, universal_newlines=True, timeout=30)
+        done = subprocess.run(["rosrun", "hri_pipeline", "check", "--help"], stdout=subprocess.PIPE,
+                              universal_newlines=True, timeout=30)
         self.assertEqual(done.returncode, 0)
         for words in ("_watch_time:=", "_nodes:=", "image:="):
             self.assertIn(words, done.stdout)
@@ -146,12 +150,26 @@ class CheckTest(unittest.TestCase):
         text = self.check("image:=/none/image", ROS_MASTER_URI="http://127.0.0.1:1")
         self.assertIn("no ROS master answers at http://127.0.0.1:1", text)
 
+    def test_the_launch_file_starts_no_master(self):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        uri = "http://127.0.0.1:{}".format(port)
+        done = subprocess.run(["roslaunch", "ros4hri", "check.launch"], stdout=subprocess.PIPE,
+                              stderr=subprocess.STDOUT,
+                              universal_newlines=True, timeout=60, env=dict(os.environ, ROS_MASTER_URI=uri))
+        self.assertEqual(done.returncode, 1, done.stdout)
+        self.assertIn("no ROS master answers at " + uri, done.stdout)
+        self.assertIn("roslaunch ros4hri ros4hri.launch", done.stdout)
+        self.assertNotIn("started with pid", done.stdout)
+
     def master(self):
         """Another master, and where it is."""
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             port = probe.getsockname()[1]
-        master = subprocess.Popen(["rosmaster", "--core", "-p", str(port)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        master = subprocess.Popen(["rosmaster", "--core", "-p", str(port)], stdout=subprocess.DEVNULL,
+                                  stderr=subprocess.DEVNULL)
         self.addCleanup(master.wait)
         self.addCleanup(master.kill)
         uri = "http://127.0.0.1:{}".format(port)
@@ -160,7 +178,8 @@ class CheckTest(unittest.TestCase):
 
     def test_the_master_goes_while_it_looks(self):
         master, uri = self.master()
-        check = subprocess.Popen(["rosrun", "hri_pipeline", "check", "_watch_time:=4.0"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        check = subprocess.Popen(["rosrun", "hri_pipeline", "check", "_watch_time:=4.0"], stdout=subprocess.PIPE,
+                                 stderr=subprocess.STDOUT,
                                  universal_newlines=True, env=dict(os.environ, ROS_MASTER_URI=uri))
         self.addCleanup(check.kill)
         self.assertIn("looking at the graph", check.stdout.readline())
@@ -173,16 +192,23 @@ class CheckTest(unittest.TestCase):
         _, uri = self.master()
         text = self.check(nodes="[hri_faces, hri_bodies]", ROS_MASTER_URI=uri)
         self.assertEqual(self.faults(text), ["FAULT  nothing of ros4hri runs on this master"], text)
+        done = subprocess.run(["roslaunch", "ros4hri", "check.launch"], stdout=subprocess.PIPE,
+                              stderr=subprocess.STDOUT,
+                              universal_newlines=True, timeout=60, env=dict(os.environ, ROS_MASTER_URI=uri))
+        self.assertIn("nothing of ros4hri runs on this master", done.stdout)
+        self.assertNotIn("REQUIRED process", done.stdout)
 
     def test_what_the_nodes_tell_of_the_same_topic_stands_below_the_fault(self):
         told = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1, latch=True)
         self.addCleanup(release, told)
         told.publish(DiagnosticArray(status=[DiagnosticStatus(
-            level=DiagnosticStatus.ERROR, name="hri_faces: input", message="no publisher on /none/image for 9 s; start the camera",
+            level=DiagnosticStatus.ERROR, name="hri_faces: input", message="no publisher on /none/image for 9 s; start "
+                                                                           "the camera",
             values=[KeyValue("topic", "/none/image")])]))
         camera = self.camera("beside")[1]
         text = self.check(camera, nodes="[face_body_matcher, hri_faces]")
-        self.assertEqual([line for line in self.faults(text) if "image" in line], ["FAULT  nobody publishes /none/image"], text)
+        self.assertEqual([line for line in self.faults(text) if "image" in line],
+                         ["FAULT  nobody publishes /none/image"], text)
         self.assertIn("hence  hri_faces: input: no publisher on /none/image for 9 s", text)
 
     def test_wrong_parameter(self):

@@ -24,7 +24,7 @@ from hri_msgs.msg import (
     NormalizedRegionOfInterest2D,
 )
 from hri_pipeline.client import Engagement, Humans
-from hri_pipeline.ros.topic_release import release
+from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.testing import held_by, wait_for
 
 WAIT = 10
@@ -88,7 +88,8 @@ class ClientTest(unittest.TestCase):
         self.humans.on_person(fail)
         self.humans.on_person(came.append, left.append)
         self.world.track("persons", "ann1", "bob1")
-        wait_for(lambda: [person.id for person in came] == ["ann1", "bob1"], WAIT, "both are told, the one who was there too")
+        wait_for(lambda: [person.id for person in came] == ["ann1", "bob1"], WAIT,
+                 "both are told, the one who was there too")
         self.assertTrue(raised.is_set())
         ann = self.humans.persons["ann1"]
         self.world.track("persons", "bob1")
@@ -116,7 +117,8 @@ class ClientTest(unittest.TestCase):
         self.world.track("persons", "ann3")
         ann = self.humans.persons["ann3"]
         self.assertEqual(ann.name, "Ann")
-        self.assertEqual((self.subscribers("/humans/persons/ann3/name"), self.subscribers("/humans/persons/ann3/anonymous")),
+        self.assertEqual((self.subscribers("/humans/persons/ann3/name"),
+                          self.subscribers("/humans/persons/ann3/anonymous")),
                          (1, 0))
         self.world.track("persons")
         wait_for(lambda: not self.subscribers("/humans/persons/ann3/name"), WAIT, "the topic of who left is let go")
@@ -126,7 +128,8 @@ class ClientTest(unittest.TestCase):
         self.world.track("faces", "fpa4", "fre4")
         self.world.track("voices", "vpa4", "vre4")
         self.world.publish("/humans/faces/fpa4/roi", RegionOfInterest(x_offset=10, y_offset=20, width=30, height=40))
-        self.world.publish("/humans/faces/fre4/roi", NormalizedRegionOfInterest2D(xmin=0.25, ymin=0.0, xmax=0.5, ymax=1.0))
+        self.world.publish("/humans/faces/fre4/roi",
+                           NormalizedRegionOfInterest2D(xmin=0.25, ymin=0.0, xmax=0.5, ymax=1.0))
         self.world.publish("/humans/voices/vpa4/speech", String("hello"))
         self.world.publish("/humans/voices/vre4/speech", LiveSpeech(final="good bye"))
         faces, voices = self.humans.faces, self.humans.voices
@@ -153,6 +156,15 @@ class ClientTest(unittest.TestCase):
         wait_for(lambda: [group.members for group in self.humans.groups] == [("ann6", "bob6")], WAIT, "the group")
         self.world.publish("/humans/interactions/gaze", GazesStamped())
         wait_for(lambda: ann.looks_at is None, WAIT, "an empty list ends the gazes")
+
+    def test_all_who_ask_for_gazes_are_told(self):
+        told = {"first": [], "second": []}
+        self.humans.on_gazes(told["first"].append)
+        self.humans.on_gazes(told["second"].append)
+        self.world.publish("/humans/interactions/gaze", GazesStamped(gazes=[GazeSenderReceiver("ann7", "", 0.9)]))
+        wait_for(lambda: all(calls and calls[-1] and calls[-1][0].sender == "ann7" for calls in told.values()), WAIT,
+                 lambda: "both are told, not {}".format(told))
+        wait_for(lambda: [gaze.sender for gaze in self.humans.gazes] == ["ann7"], WAIT, "who asks hears it, too")
 
     def test_places(self):
         body = self.body_in_front()

@@ -10,7 +10,7 @@ import rostest
 from sensor_msgs.msg import Image
 from tf2_msgs.msg import TFMessage
 
-from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.onnx import models_directory
 from hri_pipeline.ros.conversions import bgr_to_image, make_header
 from hri_pipeline.testing import wait_for
 
@@ -20,13 +20,15 @@ FARTHER = 1.12      # within what heads differ by
 
 def depth_message(header, metres):
     millimetres = np.full(SIZE[::-1], 1000.0 * metres, np.uint16)
-    return Image(header=header, height=SIZE[1], width=SIZE[0], encoding="16UC1", step=2 * SIZE[0], data=millimetres.tobytes())
+    return Image(header=header, height=SIZE[1], width=SIZE[0], encoding="16UC1", step=2 * SIZE[0],
+                 data=millimetres.tobytes())
 
 
 class FacesDepthTest(unittest.TestCase):
 
     def setUp(self):
-        self.photograph = cv2.resize(cv2.imread(str(models_directory() / "demo" / PHOTOGRAPH)), SIZE, interpolation=cv2.INTER_AREA)
+        self.photograph = cv2.resize(cv2.imread(str(models_directory() / "demo" / PHOTOGRAPH)), SIZE,
+                                     interpolation=cv2.INTER_AREA)
         self.images = rospy.Publisher("image", Image, queue_size=1)
         self.depths = rospy.Publisher("camera/depth", Image, queue_size=1)
         self.distance = {}

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Image
 
 from hri_msgs.msg import FacialLandmarks, IdsList
-from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.onnx import models_directory
 from hri_pipeline.ros.conversions import bgr_to_image, make_header
 from hri_pipeline.testing import wait_for
 

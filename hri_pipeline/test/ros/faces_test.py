@@ -15,7 +15,7 @@ from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
 from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import Expression, FacialActionUnits, FacialLandmarks, IdsList, IdsMatch, SoftBiometrics
-from hri_pipeline.core.model_store import models_directory
+from hri_pipeline.core.onnx import models_directory
 from hri_pipeline.ros.conversions import bgr_to_image, make_header, pose_from_transform
 from hri_pipeline.srv import Gallery, GalleryRequest
 from hri_pipeline.testing import wait_for
@@ -133,7 +133,8 @@ class FacesTest(unittest.TestCase):
 
     def test_what_is_known_of_a_face_and_whose_it_is(self):
         matches = []
-        self.addCleanup(rospy.Subscriber("/humans/candidate_matches", IdsMatch, matches.append, queue_size=100).unregister)
+        self.addCleanup(rospy.Subscriber("/humans/candidate_matches", IdsMatch, matches.append,
+                                         queue_size=100).unregister)
         ids = self.see_everybody()
         name = "/humans/faces/" + ids[0]
         facs = rospy.wait_for_message(name + "/facs", FacialActionUnits, 15)
@@ -173,7 +174,8 @@ class FacesTest(unittest.TestCase):
         self.assertLessEqual(set(said.values()), set(json.loads(known.data)))
         face, person = sorted(said.items())[0]
         self.assertTrue(gallery(GalleryRequest(command=GalleryRequest.FORGET, id=person)).success)
-        wait_for(lambda: any(match.id1 == face and match.id2 == person and match.confidence == 0.0 for match in matches),
+        wait_for(lambda: any(match.id1 == face and match.id2 == person and match.confidence == 0.0
+                             for match in matches),
                  10, "the match of the forgotten person is withdrawn")
         self.assertFalse(gallery(GalleryRequest(command=GalleryRequest.FORGET, id=person)).success)
         for request in (GalleryRequest(command="no such command"), GalleryRequest(command="forget", id="/etc/passwd"),

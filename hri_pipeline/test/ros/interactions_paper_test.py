@@ -29,7 +29,8 @@ class InteractionsPaperTest(unittest.TestCase):
             {status.name: status for status in message.status}), queue_size=10)
         ann, bob = np.array([-0.5, 0.0, 1.5]), np.array([0.5, 0.1, 1.5])
         stage.people = {"ann": (CAMERA, ann, ROBOT), "bob": (CAMERA, bob, ann)}
-        wait_for(lambda: gazes and {(gaze.sender, gaze.receiver) for gaze in gazes[-1].gazes} == {("ann", ""), ("bob", "ann")}, WAIT_S,
+        wait_for(lambda: gazes and {(gaze.sender, gaze.receiver)
+                                    for gaze in gazes[-1].gazes} == {("ann", ""), ("bob", "ann")}, WAIT_S,
                  Latest("ann at the camera, bob at ann", gazes))
         self.assertEqual(gazes[-1].header.frame_id, CAMERA)
         wait_for(lambda: groups and groups[-1].header.frame_id == CAMERA, WAIT_S, "groups, or that there is none")
@@ -39,6 +40,8 @@ class InteractionsPaperTest(unittest.TestCase):
         self.assertEqual(len([line for line in logs if "reference frame map" in line]), 1)
         wait_for(lambda: states.get("hri_interactions: location") is not None
                  and states["hri_interactions: location"].level == DiagnosticStatus.WARN, WAIT_S, "the state")
+        self.assertEqual([name for name, _ in rospy.get_published_topics("/humans/persons")
+                          if name.endswith("/engagement_status")], [])
 
 
 if __name__ == "__main__":

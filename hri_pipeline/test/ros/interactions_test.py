@@ -25,7 +25,8 @@ class InteractionsTest(unittest.TestCase):
     def setUpClass(cls):
         cls.stage = Stage()
         # Two cameras 2 m apart look along x; the robot's head is between them, and looks there too (x forward).
-        cls.stage.fix([("map", LEFT, Pose(UPRIGHT, np.array([0.0, 1.0, 1.4]))), ("map", RIGHT, Pose(UPRIGHT, np.array([0.0, -1.0, 1.4]))),
+        cls.stage.fix([("map", LEFT, Pose(UPRIGHT, np.array([0.0, 1.0, 1.4]))),
+                       ("map", RIGHT, Pose(UPRIGHT, np.array([0.0, -1.0, 1.4]))),
                        ("map", "robot_head", Pose(np.eye(3), np.array([0.0, 0.0, 1.4])))])
         cls.gazes, cls.gazing, cls.groups, cls.markers, cls.states = [], [], [], [], {}
         rospy.Subscriber("/humans/interactions/gaze", GazesStamped, cls.gazes.append, queue_size=100)
@@ -49,15 +50,18 @@ class InteractionsTest(unittest.TestCase):
         return {(gaze.sender, gaze.receiver) for gaze in message.gazes}
 
     def test_1_two_cameras_closed_eyes_and_groups(self):
-        # In map: ann at (1.5, 0.5), seen by the left camera, bob at (1.5, -0.5), by the right one; both look at each other.
+        # In map: ann at (1.5, 0.5), seen by the left camera, bob at (1.5, -0.5), by the right one; both look at each
+        # other.
         ann, bob = np.array([0.5, 0.0, 1.5]), np.array([-0.5, 0.0, 1.5])
-        self.stage.people = {"ann": (LEFT, ann, np.array([1.5, 0.0, 1.5])), "bob": (RIGHT, bob, np.array([-1.5, 0.0, 1.5]))}
+        self.stage.people = {"ann": (LEFT, ann, np.array([1.5, 0.0, 1.5])),
+                             "bob": (RIGHT, bob, np.array([-1.5, 0.0, 1.5]))}
         message = self.wait_for_gazes({("ann", "bob"), ("bob", "ann")}, "mutual gaze across two cameras")
         self.assertEqual(message.header.frame_id, "map")
         self.assertIn(message.header.stamp, self.stage.stamps)
         self.assertTrue(all(0.3 < gaze.confidence <= 1.0 for gaze in message.gazes))
         self.assertEqual(len({item.header.stamp for item in self.gazes}), len(self.gazes))
-        wait_for(lambda: {("ann", "bob"), ("bob", "ann")} <= {(gaze.sender, gaze.receiver) for gaze in self.gazing}, WAIT_S, "gazing")
+        wait_for(lambda: {("ann", "bob"), ("bob", "ann")} <= {(gaze.sender, gaze.receiver) for gaze in self.gazing},
+                 WAIT_S, "gazing")
         group = wait_for(lambda: self.groups and self.groups[-1], WAIT_S, "a group")
         self.assertTrue({"ann", "bob"} <= set(group.members), group)
         wait_for(lambda: any(item.markers for item in self.markers), WAIT_S, "markers")
@@ -67,12 +71,18 @@ class InteractionsTest(unittest.TestCase):
         # The head of the robot is 1 m to the right of the left camera.
         self.stage.people["ann"] = (LEFT, ann, np.array([1.0, 0.0, 0.0]))
         self.wait_for_gazes({("ann", ""), ("bob", "ann")}, "ann at the robot")
+        # With REP-155 the frame of the gaze goes on while the eyes are closed: the action units tell it.
+        self.stage.lids["ann"] = 0.9
+        self.wait_for_gazes({("bob", "ann")}, "closed eyes with a frame of the gaze")
+        self.stage.lids["ann"] = 0.1
+        self.wait_for_gazes({("ann", ""), ("bob", "ann")}, "open eyes")
 
     def test_2_engagement_is_latched_and_ends_unknown(self):
         heard = []
         here, robot = np.array([1.0, 0.0, 1.2]), np.array([1.0, 0.0, 0.0])
         self.stage.people = {"cho": (LEFT, here, np.array([9.0, 0.0, 1.2]))}
-        subscriber = rospy.Subscriber("/humans/persons/cho/engagement_status", EngagementLevel, heard.append, queue_size=100)
+        subscriber = rospy.Subscriber("/humans/persons/cho/engagement_status", EngagementLevel, heard.append,
+                                      queue_size=100)
 
         def course():
             return [item.level for item in heard]
@@ -81,7 +91,8 @@ class InteractionsTest(unittest.TestCase):
         self.stage.people = {"cho": (LEFT, here, robot)}
         wait_for(lambda: EngagementLevel.ENGAGED in course(), WAIT_S, "engaged")
         late = []
-        latecomer = rospy.Subscriber("/humans/persons/cho/engagement_status", EngagementLevel, late.append, queue_size=10)
+        latecomer = rospy.Subscriber("/humans/persons/cho/engagement_status", EngagementLevel, late.append,
+                                     queue_size=10)
         wait_for(lambda: late, WAIT_S, "the latched level")
         self.assertEqual(late[0].level, heard[-1].level)
         self.stage.people = {"cho": (LEFT, here, np.array([9.0, 0.0, 1.2]))}
@@ -101,7 +112,8 @@ class InteractionsTest(unittest.TestCase):
         there = np.array([9.0, 0.0, 1.2])
         ivy, hal = (LEFT, np.array([-1.0, 0.0, 1.2]), there), np.array([1.0, 0.0, 1.2])
         self.stage.people = {"hal": (LEFT, hal, there), "ivy": ivy}
-        subscriber = rospy.Subscriber("/humans/persons/hal/engagement_status", EngagementLevel, lambda message: heard.append(message.level))
+        subscriber = rospy.Subscriber("/humans/persons/hal/engagement_status", EngagementLevel,
+                                      lambda message: heard.append(message.level))
         wait_for(lambda: heard[-1:] == [EngagementLevel.DISENGAGED], WAIT_S, "disengaged")
         # Beside somebody who is seen: nobody rests, and hal is neither forgotten nor left as he was.
         self.stage.people = {"hal": (None, hal, there), "ivy": ivy}
@@ -115,7 +127,8 @@ class InteractionsTest(unittest.TestCase):
         self.wait_for_gazes({("dan", "")}, "dan at the robot")
         self.stage.people = {}
         self.wait_for_gazes(set(), "the empty list")
-        wait_for(lambda: not [name for name, _ in rospy.get_published_topics("/humans/persons/dan") if "engagement" in name], WAIT_S,
+        wait_for(lambda: not [name for name,
+                              _ in rospy.get_published_topics("/humans/persons/dan") if "engagement" in name], WAIT_S,
                  "the end of dan's topic")
 
     def test_4_time_that_goes_back_begins_anew(self):
@@ -123,7 +136,8 @@ class InteractionsTest(unittest.TestCase):
         self.wait_for_gazes({("eve", "")}, "eve at the robot")
         self.stage.shift = -30.0
         begun = rospy.Time.now()
-        message = wait_for(lambda: self.gazes[-1].header.stamp < begun - rospy.Duration(20.0) and self.gazes[-1].gazes and self.gazes[-1],
+        message = wait_for(lambda: self.gazes[-1].header.stamp < begun - rospy.Duration(20.0) and self.gazes[-1].gazes
+                           and self.gazes[-1],
                            WAIT_S, "a gaze with the earlier stamps")
         self.assertEqual(self.pairs(message), {("eve", "")})
         self.stage.shift = 0.0
@@ -135,10 +149,12 @@ class InteractionsTest(unittest.TestCase):
         self.wait_for_gazes({("gil", "")}, "gil beside a face without a place")
         state = wait_for(lambda: self.states.get("hri_interactions: location"), WAIT_S, "diagnostics")
         values = wait_for(lambda: {item.key: item.value for item in self.states["hri_interactions: location"].values
-                                   if item.key == "transforms refused" and int(item.value)}, WAIT_S, "refused transforms")
+                                   if item.key == "transforms refused" and int(item.value)}, WAIT_S,
+                                   "refused transforms")
         self.assertGreater(int(values["transforms refused"]), 0)
         self.assertEqual(state.hardware_id, "/hri_interactions")
-        self.assertEqual({item.key: item.value for item in self.states["hri_interactions: interactions"].values}["errors"], "0")
+        self.assertEqual({item.key: item.value
+                          for item in self.states["hri_interactions: interactions"].values}["errors"], "0")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,8 @@ CHUNK_S = 0.02
 
 
 def speech():
-    """"go forward ten meters", said once, with half a second of faint noise before it and two behind; (N,) of -1 to 1."""
+    """"go forward ten meters", said once, with half a second of faint noise before it and two behind; (N,) of -1 to
+    1."""
     said = np.fromfile(DATA + "goforward.raw", "<i2") / 32768.0
     random = np.random.default_rng(0)
     return np.concatenate([np.zeros(RATE // 2), said, np.zeros(2 * RATE)]) + random.normal(

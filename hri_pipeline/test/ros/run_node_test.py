@@ -19,6 +19,26 @@ from hri_pipeline.testing import HeardProcess, wait_for
 
 NODE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "small_node.py")
 
+# A master that has just begun, and takes nothing from the node at first.
+HASTY_MASTER = """
+import sys
+from rosgraph.xmlrpc import XmlRpcNode
+from rosmaster.master_api import ROSMasterHandler
+
+class Handler(ROSMasterHandler):
+    refused = 0
+
+    def registerPublisher(self, caller, *arguments):
+        if caller == "/small_node" and self.refused < int(sys.argv[2]):
+            self.refused += 1
+            print("refused", flush=True)
+            raise RuntimeError("not yet")
+        return super().registerPublisher(caller, *arguments)
+
+master = XmlRpcNode(int(sys.argv[1]), Handler(num_workers=3))
+master.run()
+"""
+
 
 def free_port():
     with socket.socket() as probe:
@@ -88,6 +108,23 @@ class RunNodeTest(unittest.TestCase):
         wait_for(lambda: self.registered(graph) == first, 20, "the new master knows {}".format(first))
         self.assertEqual(node.end(), 0)
         self.assertEqual(self.registered(graph), [[], [], []])
+
+    def test_a_new_master_that_refuses_at_first_is_told_again(self):
+        port = free_port()
+        master, graph = self.master(port)
+        node = self.node(ROS_MASTER_URI="http://127.0.0.1:{}".format(port))
+        node.says("spinning")
+        first = self.registered(graph)
+        self.assertIn("/humans/faces/tracked", first[0])
+        master.kill()
+        node.says("does not answer; running on without it")
+        refusals = 2
+        hasty = self.start([sys.executable, "-c", HASTY_MASTER, str(port), str(refusals)])
+        wait_for(lambda: "".join(hasty.lines).count("refused") == refusals, 30,
+                 lambda: "refused twice; said " + str(node.lines))
+        wait_for(lambda: self.registered(graph) == first, 20, lambda: "the new master knows {}, not {}".format(
+            first, self.registered(graph)))
+        self.assertEqual(node.end(), 0)
 
     def registered(self, graph):
         state = graph.getSystemState()

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""The sample of the node voices; nodes of its own: a parameter that is wrong, a microphone that is not there, SIGTERM."""
+"""The sample of the node voices; nodes of its own: a parameter that is wrong, a microphone that is not there,
+SIGTERM."""
 
 import os
 import signal
@@ -20,7 +21,8 @@ class SampleVoicesTest(unittest.TestCase):
 
     def start(self, *words):
         node = subprocess.Popen(["rosrun", "hri_pipeline", "voices"] + list(words), stdout=subprocess.PIPE,
-                                stderr=subprocess.STDOUT, universal_newlines=True, env=dict(os.environ, PYTHONUNBUFFERED="1"))
+                                stderr=subprocess.STDOUT, universal_newlines=True,
+                                env=dict(os.environ, PYTHONUNBUFFERED="1"))
         self.addCleanup(self.end, node)
         return node
 

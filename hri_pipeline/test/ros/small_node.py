@@ -6,12 +6,11 @@ import sys
 import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
-from hri_pipeline.core.onnx_model import OnnxModel
+from hri_pipeline.core.onnx import OnnxModel
 from hri_pipeline.core.parameters import Parameter, ParameterTable
-from hri_pipeline.ros.feature_feed import FeatureFeed
-from hri_pipeline.ros.node import run_node
-from hri_pipeline.ros.parameters_ros import read_parameters
-from hri_pipeline.ros.tracked_list import TrackedList
+from hri_pipeline.ros.node import read_parameters, run_node
+from hri_pipeline.ros.publishers import TrackedList
+from hri_pipeline.ros.subscriptions import IdSubscribers
 
 TABLE = ParameterTable("small_node", "A node for tests.", [
     Parameter("size", 5, "Any number.", "px", 1, 10),
@@ -29,7 +28,7 @@ class SmallNode:
             OnnxModel(self.parameters.model)
         self.fail("build")
         self.service = rospy.Service("~ask", Trigger, lambda request: TriggerResponse(True, "here"))
-        self.feed = FeatureFeed("bodies", {}, lambda *_: None)
+        self.feed = IdSubscribers("bodies", {}, lambda *_: None)
         self.tracked = TrackedList("/humans/faces/tracked")
         self.tracked.set(["abcde"], 1.0)
 

@@ -5,12 +5,18 @@ import sys
 import threading
 import time
 import unittest
+from pathlib import Path
 
 import rospy
 import rostest
+from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Header
 
 from hri_msgs.msg import FacialLandmarks, IdsList, IdsMatch, NormalizedPointOfInterest2D, Skeleton2D
+
+sys.path.append(str(Path(__file__).resolve().parents[3] / "scripts"))
+
+from benchmarks.wire_layouts import serialise  # noqa: E402
 
 WAIT_S = 10.0
 
@@ -35,6 +41,13 @@ def skeleton(x):
     return points
 
 
+class OlderSkeleton(Skeleton2D):
+    """The message of a definition with 18 points instead of any number: same md5, other bytes."""
+
+    def serialize(self, buff):
+        buff.write(serialise("Header (float32 float32 float32)[18]", 0)[0])
+
+
 class TestFaceBodyMatcher(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
@@ -46,6 +59,9 @@ class TestFaceBodyMatcher(unittest.TestCase):
                      for kind in ("faces", "bodies")}
         cls.received = []
         rospy.Subscriber("/humans/candidate_matches", IdsMatch, cls.received.append, queue_size=100)
+        cls.told = set()
+        rospy.Subscriber("/diagnostics", DiagnosticArray,
+                         lambda array: cls.told.update(status.message for status in array.status), queue_size=10)
 
     def current(self):
         """Return the last confidence said of each pair."""
@@ -88,8 +104,26 @@ class TestFaceBodyMatcher(unittest.TestCase):
 
         self.lists["bodies"].publish(IdsList(ids=["ba"]))
         del self.received[:]
-        self.wait_for(lambda: sum((item.id1, item.id2) == ("fb", "ba") for item in self.received) >= 3, "who has stayed", swapped)
+        self.wait_for(lambda: sum((item.id1, item.id2) == ("fb", "ba") for item in self.received) >= 3,
+                      "who has stayed", swapped)
         self.assertNotIn(("fa", "bb"), self.current(), "withdrawn, although the body has only left")
+
+    def test_points_that_are_not_those_of_the_message_are_refused_by_the_name_of_their_topic(self):
+        self.lists["faces"].publish(IdsList(ids=["fc"]))
+        self.lists["bodies"].publish(IdsList(ids=["bc"]))
+        few = rospy.Publisher("/humans/faces/fc/landmarks", FacialLandmarks, queue_size=1)
+        older = rospy.Publisher("/humans/bodies/bc/skeleton2d", OlderSkeleton, queue_size=1)
+        self.addCleanup(few.unregister)
+        self.addCleanup(older.unregister)
+
+        def told(*words):
+            few.publish(FacialLandmarks(landmarks=[point(0.5, 0.5)] * 68, height=720, width=1280))
+            older.publish(OlderSkeleton())
+            return any(all(word in message for word in words) for message in self.told.copy())
+
+        self.wait_for(lambda: told("/humans/faces/fc/landmarks", "70 points, not 68"), "the fault of the landmarks", {})
+        self.wait_for(lambda: told("/humans/bodies/bc/skeleton2d", "definition of 18 points"),
+                      "the fault of the skeleton", {})
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Float32, Header, String
 
 from hri_msgs.msg import FacialLandmarks, IdsList, Skeleton2D
-from hri_pipeline.core.pictures.overlay import colour_of
+from hri_pipeline.core.overlay import colour_of
 from hri_pipeline.ros.conversions import bgr_to_image, image_to_bgr, landmarks_to_msg, skeleton_to_msg
 
 LIMIT = 20.0

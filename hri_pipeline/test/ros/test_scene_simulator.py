@@ -26,7 +26,8 @@ class TestSceneSimulator(unittest.TestCase):
         cls.lists, cls.clock, cls.frames, cls.fixed = {}, [], {}, {}
         cls.ears = [rospy.Subscriber("/humans/{}/tracked".format(kind), IdsList, cls.hear, callback_args=kind)
                     for kind in ("faces", "bodies", "persons")]
-        cls.ears.append(rospy.Subscriber("/clock", Clock, lambda message: cls.clock.append((time.monotonic(), message.clock.to_sec()))))
+        cls.ears.append(rospy.Subscriber("/clock", Clock,
+                                         lambda message: cls.clock.append((time.monotonic(), message.clock.to_sec()))))
         cls.ears.append(rospy.Subscriber("/tf", TFMessage, cls.see, callback_args=cls.frames, queue_size=100))
         cls.ears.append(rospy.Subscriber("/tf_static", TFMessage, cls.see, callback_args=cls.fixed))
 
@@ -50,19 +51,22 @@ class TestSceneSimulator(unittest.TestCase):
         wait_for(lambda: sorted(self.lists.get("persons", [])) == PEOPLE, 20.0, "three persons")
         body = rospy.wait_for_message("/humans/persons/ann/body_id", String, 10.0).data
         wait_for(lambda: body in self.lists["bodies"] or rospy.wait_for_message(
-            "/humans/persons/ann/body_id", String, 5.0).data in self.lists["bodies"], 10.0, "the body of ann is tracked")
+            "/humans/persons/ann/body_id", String, 5.0).data in self.lists["bodies"], 10.0,
+            "the body of ann is tracked")
         self.assertEqual(rospy.wait_for_message("/humans/persons/ann/location_confidence", Float32, 10.0).data, 1.0)
         frame = wait_for(lambda: self.frames.get("person_ann"), 10.0, "the frame of ann")
         self.assertEqual(frame.header.frame_id, "map")
         self.assertTrue(1.0 < frame.transform.translation.x < 7.0)
 
     def test_the_camera_hangs_on_the_map(self):
-        wait_for(lambda: {"base_link", "camera_color_optical_frame", "microphone"} <= set(self.fixed), 10.0, "the fixed frames")
+        wait_for(lambda: {"base_link", "camera_color_optical_frame", "microphone"} <= set(self.fixed), 10.0,
+                 "the fixed frames")
         self.assertEqual(self.fixed["base_link"].header.frame_id, "map")
         self.assertAlmostEqual(self.fixed["camera_color_optical_frame"].transform.translation.z, 1.3)
 
     def test_illegal_parameters_end_the_node_with_a_word(self):
-        for given, words in (({"scene": "nowhere"}, "three_talk"), ({"speed": 3.0, "publish_clock": False}, "publish_clock"),
+        for given, words in (({"scene": "nowhere"}, "three_talk"),
+                             ({"speed": 3.0, "publish_clock": False}, "publish_clock"),
                              ({"sense_dropout": 2.0}, "sense_dropout")):
             code, text = self.run_node("bad_scene", given)
             self.assertNotEqual(code, 0)
@@ -76,10 +80,12 @@ class TestSceneSimulator(unittest.TestCase):
         ear = rospy.Subscriber("/humans/bodies/tracked", IdsList, lambda message: heard.append(
             (message._connection_header["callerid"], list(message.ids))))
         try:
-            wait_for(lambda: any(who == "/other_scene" and ids for who, ids in heard), 20.0, "bodies of the other scene")
+            wait_for(lambda: any(who == "/other_scene" and ids for who, ids in heard), 20.0,
+                     "bodies of the other scene")
             process.send_signal(signal.SIGTERM)
             self.assertEqual(process.wait(20.0), 0)
-            wait_for(lambda: [ids for who, ids in heard if who == "/other_scene"][-1] == [], 5.0, "the empty list at the end")
+            wait_for(lambda: [ids for who, ids in heard if who == "/other_scene"][-1] == [], 5.0,
+                     "the empty list at the end")
         finally:
             ear.unregister()
             if process.poll() is None:
@@ -89,7 +95,8 @@ class TestSceneSimulator(unittest.TestCase):
     def run_node(self, name, parameters):
         rospy.set_param("/" + name, parameters)
         try:
-            done = subprocess.run(self.command(name), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=30.0, check=False)
+            done = subprocess.run(self.command(name), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=30.0,
+                                  check=False)
         finally:
             rospy.delete_param("/" + name)
         return done.returncode, done.stdout.decode()

@@ -98,7 +98,8 @@ class TestVoiceMatcher(unittest.TestCase):
                         continue
                     opening = 0.25 + 0.25 * math.sin(2.0 * math.pi * 4.3 * now) if moves else 0.05
                     kind = "facs" if make is units else "landmarks"
-                    cls.topic("faces/%s/%s" % (face, kind), FacialActionUnits if make is units else FacialLandmarks).publish(
+                    cls.topic("faces/%s/%s" % (face, kind),
+                              FacialActionUnits if make is units else FacialLandmarks).publish(
                         make(opening, stamp))
                 cls.tf.publish(TFMessage([transform(parent, child, azimuth, stamp)
                                           for (parent, child), azimuth in cls.places.items()]))
@@ -147,7 +148,8 @@ class TestVoiceMatcher(unittest.TestCase):
         self.wait_for(lambda: self.current().get(("va1", "fb1"), 0.0) > 0.7, "the mouth that moves")
         self.assertEqual({(item.id1_type, item.id2_type) for item in self.received}, {(IdsMatch.VOICE, IdsMatch.FACE)})
         self.world({"fa1": (True, units), "fb1": (False, units)})
-        self.wait_for(lambda: self.current().get(("va1", "fb1")) == 0.0 and self.current().get(("va1", "fa1"), 0.0) > 0.7,
+        self.wait_for(lambda: self.current().get(("va1", "fb1")) == 0.0
+                      and self.current().get(("va1", "fa1"), 0.0) > 0.7,
                       "the other mouth")
         self.say("va1", False)
         self.clear()
@@ -188,7 +190,8 @@ class TestVoiceMatcher(unittest.TestCase):
         self.wait_for(broken.get_num_connections, "a listener of the mouth")
         # A queue holds one message: on a busy machine the next good one may take the place of a bad one.
         bad = FacialActionUnits(Header(stamp=rospy.Time.now()), [0.5] * 7, [float("nan")] * 99)
-        self.wait_for(lambda: broken.publish(bad) or "FacialActionUnits needs 99" in self.diagnostics["faces"].message, "the reason")
+        self.wait_for(lambda: broken.publish(bad) or "FacialActionUnits needs 99" in self.diagnostics["faces"].message,
+                      "the reason")
         self.tf.publish(TFMessage([transform("microphone", "voice_vh1", float("nan"), rospy.Time.now())]))
         self.wait_for(lambda: self.current().get(("vh1", "fh1"), 0.0) > 0.7, "the mouth that moves")
         self.clear()

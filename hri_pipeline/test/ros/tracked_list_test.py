@@ -13,9 +13,9 @@ from tf2_msgs.msg import TFMessage
 from hri_msgs.msg import IdsList
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import transform_to_msg
-from hri_pipeline.ros.diagnostics import ERROR, OK, NodeDiagnostics
-from hri_pipeline.ros.tf_publisher import TfPublisher
-from hri_pipeline.ros.tracked_list import TrackedList
+from hri_pipeline.ros.diagnostics import ERROR, MAX_TEXT, OK, NodeDiagnostics
+from hri_pipeline.ros.publishers import TrackedList
+from hri_pipeline.ros.tf import TfPublisher
 from hri_pipeline.testing import wait_for
 
 TOPIC = "/humans/bodies/tracked"
@@ -42,6 +42,10 @@ class TrackedListTest(unittest.TestCase):
         gaps = [later[0] - earlier[0] for earlier, later in zip(heard[count:], heard[count + 1:])]
         self.assertTrue(all(0.5 < gap < 1.5 for gap in gaps), gaps)
 
+        tracked.clear()
+        wait_for(lambda: heard[-1][1].ids == [], 10, "nobody")
+        self.assertEqual(heard[-1][1].header.stamp, genpy.Time(12, 34))
+
         start = time.monotonic()
         tracked.set(["abcde", "fghij"], 13.0)
         wait_for(lambda: heard[-1][1].ids == ["abcde", "fghij"], 10, "a change is published")
@@ -59,7 +63,8 @@ class TrackedListTest(unittest.TestCase):
         diagnostics = NodeDiagnostics("some_node", period=0.1)
         heard = self.listen("/diagnostics", DiagnosticArray)
         diagnostics.set("input", OK, "fine", {"rate": 14.98765, "n": 3})
-        diagnostics.set("output", ERROR, "broken")
+        frame = "f" * 50000
+        diagnostics.set("output", ERROR, "no transform to {}, see elsewhere".format(frame), {"frame": frame, frame: 1})
 
         def both():
             return [m for _, m in heard if len(m.status) == 2]
@@ -69,6 +74,10 @@ class TrackedListTest(unittest.TestCase):
         self.assertEqual([s.level for s in status], [0, 2])
         self.assertEqual([(v.key, v.value) for v in status[0].values], [("rate", "14.99"), ("n", "3")])
         self.assertEqual(status[0].hardware_id, rospy.get_name())
+        self.assertTrue(status[1].message.startswith("no transform to fff"))
+        self.assertTrue(status[1].message.endswith("fff, see elsewhere"))
+        texts = [status[1].message] + [text for value in status[1].values for text in (value.key, value.value)]
+        self.assertTrue(all(len(text) <= MAX_TEXT for text in texts))
         diagnostics.close()
         diagnostics.close()
 

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""The node voices with four microphones: frames of voices; LiveSpeech; a branch that is switched off; channels that do not fit."""
+"""The node voices with four microphones: frames of voices; LiveSpeech; a branch that is switched off; channels that do
+not fit."""
 
 import math
 import unittest
@@ -24,7 +25,8 @@ def from_direction(samples, azimuth):
     towards = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
     frequencies = np.fft.rfftfreq(len(samples), 1.0 / RATE)
     spectrum = np.fft.rfft(samples)
-    heard = [np.fft.irfft(spectrum * np.exp(2j * math.pi * frequencies * position.dot(towards) / SOUND_SPEED), len(samples))
+    heard = [np.fft.irfft(spectrum * np.exp(2j * math.pi * frequencies * position.dot(towards) / SOUND_SPEED),
+                          len(samples))
              for position in POSITIONS]
     return np.array(heard).T + np.random.default_rng(3).normal(0.0, 2e-4, (len(samples), 4))
 
@@ -89,7 +91,8 @@ class VoicesArrayTest(unittest.TestCase):
         self.microphone.say_format(2, RATE)
         self.microphone.play(np.stack([speech()] * 2, axis=1) + noise(1.0)[:1, None])
         wait_for(lambda: self.lists[-1].ids, LIMIT, "a voice is tracked")
-        wait_for(lambda: any("has 4 microphones and the sound 2 channels" in status.message for message in list(self.states)
+        wait_for(lambda: any("has 4 microphones and the sound 2 channels" in status.message
+                             for message in list(self.states)
                              for status in message.status), LIMIT, "the mend")
         self.assertEqual(self.transforms, [])
 

@@ -15,7 +15,10 @@ LIMIT = 30.0
 
 
 class VoicesCase(unittest.TestCase):
-    """A microphone on /test/sound, and ears for everything that the node hri_voices gives. Nobody is tracked at the begin."""
+    """A microphone on /test/sound, and ears for everything that the node hri_voices gives.
+
+    Nobody is tracked at the begin.
+    """
 
     def setUp(self):
         self.lists, self.states, self.voices = [], [], {}

@@ -23,7 +23,8 @@ class VoicesInputTest(VoicesCase):
         cases = (
             ("silence", (1, RATE), [bytes(640)], 0.02, DiagnosticStatus.WARN, "dead silence"),
             ("clipping", (1, RATE), [to_bytes(loud[:320])], 0.02, DiagnosticStatus.WARN, "the sound is clipped: "),
-            ("wrong rate", (1, 44100), good, 0.02, DiagnosticStatus.WARN, "set ~sample_rate (or the AudioInfo) to 16000"),
+            ("wrong rate", (1, 44100), good, 0.02, DiagnosticStatus.WARN, "set ~sample_rate (or the AudioInfo) to "
+                                                                          "16000"),
             ("odd bytes", (1, RATE), [bytes(641)], 0.02, DiagnosticStatus.ERROR, "641 bytes are no whole number"),
             ("no channel", (0, RATE), good, 0.02, DiagnosticStatus.ERROR, "the sound has 0 channels"),
             ("no rate", (1, 0), good, 0.02, DiagnosticStatus.ERROR, "0 samples a second"),
@@ -48,7 +49,8 @@ class VoicesInputTest(VoicesCase):
     def test_a_second_microphone_on_the_topic_is_told(self):
         self.microphone.play(noise(20.0), loop=True)
         self.wait_for_state("input", DiagnosticStatus.OK, "sound comes in")
-        other = subprocess.Popen(["rosrun", "hri_pipeline", "sound_source", "__name:=other_microphone", "audio:=/test/sound",
+        other = subprocess.Popen(["rosrun", "hri_pipeline", "sound_source", "__name:=other_microphone",
+                                  "audio:=/test/sound",
                                   "audio_info:=/nowhere", "_source:=/usr/share/pocketsphinx/test/data/goforward.raw"],
                                  stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         self.addCleanup(other.wait)

@@ -46,7 +46,8 @@ class VoicesTest(VoicesCase):
         self.assertGreater(len(messages), 15, "most of a second of speech, 25 frames each")
         for message in messages:
             self.assertEqual(len(message.MFCC), 12)
-            self.assertTrue(0.0 <= message.ZCR <= 1.0 and 0.0 <= message.RMS <= 1.0 and 0.0 <= message.pitch <= 1.0, message)
+            self.assertTrue(0.0 <= message.ZCR <= 1.0 and 0.0 <= message.RMS <= 1.0 and 0.0 <= message.pitch <= 1.0,
+                            message)
         pitches = [500.0 * message.pitch for message in messages if message.pitch > 0.0]
         self.assertTrue(60.0 < np.median(pitches) < 350.0, "a human voice, {} Hz".format(np.median(pitches)))
 

@@ -13,7 +13,8 @@ def towards(azimuth, elevation=0.0):
 
 
 def plane_wave(sound, positions, direction, speed=343.0):
-    """What microphones at `positions` (C, 3) hear of a sound (n,) from a direction: (n, C), delayed by whole spectra."""
+    """What microphones at `positions` (C, 3) hear of a sound (n,) from a direction: (n, C), delayed by whole
+    spectra."""
     frequencies = np.fft.rfftfreq(len(sound), 1.0 / RATE)
     delays = -(positions - positions.mean(axis=0)) @ direction / speed
     spectrum = np.fft.rfft(sound)[:, None] * np.exp(-2j * np.pi * frequencies[:, None] * delays[None])
@@ -21,7 +22,8 @@ def plane_wave(sound, positions, direction, speed=343.0):
 
 
 def babble(seconds, seed, rate=4.0):
-    """Something like speech: noise whose level and colour change several times a second, with pauses. (n,), rms 0.05."""
+    """Something like speech: noise whose level and colour change several times a second, with pauses. (n,), rms
+    0.05."""
     random = np.random.RandomState(seed)
     count = int(seconds * RATE)
     steps = int(seconds * rate) + 2

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from benchmarks.recordings import write_truth
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.evaluation.bag_writer import BagWriter
-from hri_pipeline.evaluation.scene_recording import write_truth
+from hri_pipeline.score.bag import BagWriter
 
 
 class SceneBag(BagWriter):
@@ -15,7 +15,8 @@ class SceneBag(BagWriter):
 
     def truth(self, truth, base, visible=None, namespace="/scene/truth"):
         """A cycle of the truth, as the simulator publishes it."""
-        write_truth(self, truth, base, [person.id for person in truth.people] if visible is None else visible, namespace)
+        write_truth(self, truth, base, [person.id for person in truth.people] if visible is None else visible,
+                    namespace)
 
 
 def upright(place):

@@ -7,11 +7,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hri_pipeline.core.faces.action_units import ActionUnitEstimator, angles_to_sight
-from hri_pipeline.core.faces.action_units_table import ACTION_UNITS, MEASURES, MIRROR, RIGID
-from hri_pipeline.core.faces.canonical_face import CanonicalFace
-from hri_pipeline.core.faces.face_measures import FaceMeasures
-from hri_pipeline.core.faces.running_neutral import MAX_DEVIATION
+from hri_pipeline.core.faces.action_units import (
+    ACTION_UNITS,
+    MAX_DEVIATION,
+    MEASURES,
+    MIRROR,
+    RIGID,
+    ActionUnitEstimator,
+    FaceMeasures,
+    angles_to_sight,
+)
+from hri_pipeline.core.faces.mesh import CanonicalFace
 from hri_pipeline.core.geometry import Pose
 
 EYES = 63.0
@@ -182,7 +188,8 @@ def test_a_face_at_the_border_that_looks_into_the_camera_is_not_turned():
     rotation = np.stack([ahead, left, np.cross(ahead, left)], axis=1)
     assert np.degrees(np.abs(angles_to_sight(rotation, place))).max() < 1e-6
     straight = looking(0, 0, 0, place)
-    assert np.degrees(angles_to_sight(straight.rotation, place))[0] == pytest.approx(np.degrees(np.arctan2(0.8, 1.0)), abs=1)
+    assert np.degrees(angles_to_sight(straight.rotation,
+                                      place))[0] == pytest.approx(np.degrees(np.arctan2(0.8, 1.0)), abs=1)
 
 
 def test_forward_and_back():

@@ -11,7 +11,7 @@ from hri_pipeline.core.faces.age_gender import (
     RetailAgeGender,
     load_age_gender,
 )
-from hri_pipeline.core.onnx_model import ModelError
+from hri_pipeline.core.onnx import ModelError
 
 HELPER, FLOAT = onnx.helper, onnx.TensorProto.FLOAT
 
@@ -35,11 +35,13 @@ def write(path, image, outputs):
 
 
 def retail(path, age="age_conv3", values=(0.314,), prob=(0.8, 0.2), shape=("N", 3, 62, 62)):
-    return write(path, ("data", list(shape)), {age: (values, (1, len(values), 1, 1)), "prob": (prob, (1, len(prob), 1, 1))})
+    return write(path, ("data", list(shape)),
+                 {age: (values, (1, len(values), 1, 1)), "prob": (prob, (1, len(prob), 1, 1))})
 
 
 def face_api(path, age=(31.4,), gender=(0.2, 0.8)):
-    return write(path, ("image", ["N", 112, 112, 3]), {"age": (age, (1, len(age))), "gender": (gender, (1, len(gender)))})
+    return write(path, ("image", ["N", 112, 112, 3]),
+                 {"age": (age, (1, len(age))), "gender": (gender, (1, len(gender)))})
 
 
 def picture_and_mesh():
@@ -130,7 +132,7 @@ def test_nothing_is_told_until_enough_was_seen():
     assert AgeGenderFusion().estimate() is None
     assert fused([AgeGender(30.0, 8.0, 0.9)], [0.3]) is None
     assert fused([AgeGender(30.0, 8.0, 0.9)], [0.95]).age == pytest.approx(30.0)
-    assert fused([AgeGender(30.0, 8.0, 0.9)] * 9, [0.3] * 9).looks == 9
+    assert fused([AgeGender(30.0, 8.0, 0.9)] * 9, [0.3] * 9).samples == 9
 
 
 def test_one_wild_look_hardly_counts():
@@ -162,7 +164,7 @@ def test_memory_is_bounded_and_follows_a_change():
     fusion = AgeGenderFusion()
     for index in range(5000):
         fusion.add(AgeGender(30.0, 8.0, 0.9), 0.5 + 0.4 * np.sin(index), 0.1 * index)
-    assert fusion.estimate().looks <= 30
+    assert fusion.estimate().samples <= 30
 
 
 def test_time_that_goes_back_and_bad_looks():
@@ -173,4 +175,4 @@ def test_time_that_goes_back_and_bad_looks():
     for look, quality in ((AgeGender(float("nan"), 8.0, 0.5), 1.0), (AgeGender(30.0, 0.0, 0.5), 1.0),
                           (AgeGender(30.0, 8.0, 0.5), 0.0), (AgeGender(30.0, 8.0, 0.5), float("nan"))):
         fusion.add(look, quality, 4.0)
-    assert fusion.estimate().looks == 1
+    assert fusion.estimate().samples == 1

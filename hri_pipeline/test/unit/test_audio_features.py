@@ -5,11 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_pipeline.core.voices.audio_features import GAP_S, PITCH_UNIT_HZ, RATE, AudioFeatureExtractor
-from hri_pipeline.core.voices.mel_cepstrum import MelCepstrum, mel, mel_filters
-from hri_pipeline.core.voices.pitch import HNR_RANGE_DB, PitchEstimator
-from hri_pipeline.evaluation.feature_figures import reference_cepstra, voice_errors
-from hri_pipeline.evaluation.synthetic_voices import VOWELS, voiced, with_noise
+from benchmarks.voice_features import VOWELS, reference_cepstra, voice_errors, voiced, with_noise
+from hri_pipeline.core.audio.features import (
+    GAP_S,
+    HNR_RANGE_DB,
+    PITCH_UNIT_HZ,
+    RATE,
+    AudioFeatureExtractor,
+    MelCepstrum,
+    PitchEstimator,
+    mel,
+    mel_filters,
+)
 
 FIELDS = ("stamp", "zcr", "rms", "pitch", "hnr")
 

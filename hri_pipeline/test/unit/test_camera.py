@@ -95,12 +95,41 @@ def changed(index, value):
     (K, [0.1] * 5, "equidistant", "coefficients"),
     (K, [np.nan] * 5, "plumb_bob", "not finite"),
     (K, [], "barrel", "unknown distortion model"),
+    (changed(0, 1e300), [], "plumb_bob", "focal length"),
+    (changed(0, 1e-300), [], "plumb_bob", "focal length"),
+    (changed(4, 1e300), [], "plumb_bob", "focal lengths"),
+    (changed(4, 1e-300), [], "plumb_bob", "focal lengths"),
+    (changed(1, 1e300), [], "plumb_bob", "skew"),
+    (changed(2, 1e300), [], "plumb_bob", "principal point"),
+    (changed(5, -5000.0), [], "plumb_bob", "principal point"),
+    ([5e-324 * (number != 0.0) for number in K], [], "plumb_bob", "0 0 1"),
+    (K, [1e300] * 5, "plumb_bob", "beyond"),
+    (K, [-1e5] * 4, "equidistant", "beyond"),
 ])
 def test_nonsense_is_refused_with_a_mend(matrix, distortion, model, text):
     with pytest.raises(CameraError, match=text) as caught:
         CameraModel.from_calibration(640, 480, matrix, distortion, model, 1.0)
     assert "calibrate the camera" in str(caught.value)
     assert isinstance(caught.value, ValueError)
+
+
+@pytest.mark.parametrize("size, region, text", [
+    ((640, 480), dict(roi_x=600, roi_width=100, roi_height=10), "region of interest"),
+    ((640, 480), dict(roi_y=4000000000), "image size|region of interest"),
+    ((640, 480), dict(roi_width=4294967295, roi_height=4294967295), "region of interest"),
+    ((640, 480), dict(binning_x=4294967295), "image size"),
+    ((4294967295, 480), {}, "image size"),
+])
+def test_sizes_that_fit_nothing_are_refused(size, region, text):
+    with pytest.raises(CameraError, match=text):
+        CameraModel.from_calibration(size[0], size[1], K, [], "plumb_bob", 1.0, **region)
+
+
+@pytest.mark.parametrize("matrix", [[8.0e4, 0, 320, 0, 8.0e4, 240, 0, 0, 1], [90.0, 0, 320, 0, 95.0, 240, 0, 0, 1],
+                                    [600.0, 0, -60.0, 0, 600.0, 240, 0, 0, 1], [300.0, 0, 320, 0, 600.0, 240, 0, 0, 1]])
+def test_odd_cameras_that_exist_are_taken(matrix):
+    """A telephoto and a very wide lens, a principal point beside the image, pixels twice as wide as high."""
+    assert CameraModel.from_calibration(640, 480, matrix, [], "plumb_bob", 1.0).matrix[0, 0] == matrix[0]
 
 
 @pytest.mark.parametrize("width, height", [(0, 480), (640, 0), (-1, 5)])

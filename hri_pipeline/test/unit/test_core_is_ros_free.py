@@ -1,4 +1,5 @@
-"""No module of a core imports ROS: rospy, tf, messages; and packages depend on hri_pipeline alone, which depends on none of them."""
+"""No module of a core imports ROS: rospy, tf, messages; and packages depend on hri_pipeline alone, which depends on
+none of them."""
 
 import ast
 import re
@@ -8,7 +9,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGES = ("hri_pipeline", "hri_fullbody", "hri_person_manager")
-ROS = re.compile(r"^(ros.*|tf.*|genpy|genmsg|message_filters|actionlib|dynamic_reconfigure|.*_msgs|cv_bridge|catkin.*)$")
+ROS = re.compile(
+    r"^(ros.*|tf.*|genpy|genmsg|message_filters|actionlib|dynamic_reconfigure|.*_msgs|cv_bridge|catkin.*)$"
+)
 
 
 def imported(tree):
@@ -47,7 +50,8 @@ def test_packages_depend_on_the_pipeline_alone(package):
 
 
 def test_the_check_itself_sees_an_import():
-    tree = ast.parse("import os\ndef f():\n    import rospy\n    from tf2_ros import Buffer\n    from hri_msgs.msg import X")
+    tree = ast.parse("import os\ndef f():\n    import rospy\n    from tf2_ros import Buffer\n    from hri_msgs.msg "
+                     "import X")
     assert [name for name in imported(tree) if ROS.match(name.split(".")[0])] == ["rospy", "tf2_ros", "hri_msgs.msg"]
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from benchmarks.gaze import engagement
 from hri_pipeline.core.interactions.engagement import LEGAL, EngagementEstimator, Level
-from hri_pipeline.core.interactions.gaze_targets import ROBOT, GazeTarget, Onlooker
-from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
-from hri_pipeline.evaluation.interaction_figures import engagement
+from hri_pipeline.core.interactions.gaze import ROBOT, GazeTarget, Observer
+from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
 
 ROBOT_AT = np.array([0.0, 0.0, 1.3])
 AHEAD = np.array([1.0, 0.0, 0.0])
@@ -22,7 +22,7 @@ class Visitor:
     def stay(self, seconds, distance=1.5, looks=True, bearing=0.0, seen=True, rate=10.0):
         """Return the level after so many seconds."""
         head = np.array([distance * np.cos(bearing), distance * np.sin(bearing), 1.6])
-        person = Onlooker("ann", head, head_direction=-AHEAD) if seen else Onlooker("ann")
+        person = Observer("ann", head, head_direction=-AHEAD) if seen else Observer("ann")
         for _ in range(max(1, int(seconds * rate))):
             self.now += 1.0 / rate
             gazes = [GazeTarget("ann", ROBOT, 0.9)] if looks else []
@@ -44,7 +44,8 @@ def test_somebody_comes_looks_glances_away_and_leaves():
     assert ann.stay(3.0) == Level.ENGAGED
     assert ann.stay(10.0, looks=False) == Level.DISENGAGED
     assert ann.stay(3.0, seen=False, looks=False) == Level.UNKNOWN
-    assert ann.course() == [Level.DISENGAGED, Level.ENGAGING, Level.ENGAGED, Level.DISENGAGING, Level.ENGAGED, Level.DISENGAGING,
+    assert ann.course() == [Level.DISENGAGED, Level.ENGAGING, Level.ENGAGED, Level.DISENGAGING, Level.ENGAGED,
+                            Level.DISENGAGING,
                             Level.DISENGAGED, Level.UNKNOWN]
 
 
@@ -52,7 +53,8 @@ def test_whatever_happens_only_legal_transitions_come():
     chance = np.random.default_rng(3)
     ann = Visitor()
     for _ in range(400):
-        ann.stay(chance.uniform(0.1, 4.0), chance.uniform(0.5, 5.0), bool(chance.random() < 0.5), chance.uniform(-3.0, 3.0),
+        ann.stay(chance.uniform(0.1, 4.0), chance.uniform(0.5, 5.0), bool(chance.random() < 0.5),
+                 chance.uniform(-3.0, 3.0),
                  bool(chance.random() < 0.8), rate=float(chance.choice([1.0, 5.0, 15.0])))
     for before, after in zip(ann.levels, ann.levels[1:]):
         assert after == before or after in LEGAL[before]
@@ -95,7 +97,7 @@ def test_the_scripted_visit_reaches_each_level():
 def test_who_is_tracked_but_has_no_place_stays_for_a_while():
     ann = Visitor()
     assert ann.stay(8.0) == Level.ENGAGED
-    bob = Onlooker("bob", np.array([1.0, 1.0, 1.6]), head_direction=-AHEAD)
+    bob = Observer("bob", np.array([1.0, 1.0, 1.6]), head_direction=-AHEAD)
 
     def update(seconds):
         ann.now += seconds

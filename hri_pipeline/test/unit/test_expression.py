@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.faces.action_units import SLOTS, ActionUnits
-from hri_pipeline.core.faces.expression import HOLD_TIME, NETWORK_MEMORY, ExpressionTracker, tempered, unit_scores
-from hri_pipeline.core.faces.expression_table import CATEGORIES, PLANE, PROTOTYPES
+from hri_pipeline.core.faces.expression import (
+    CATEGORIES,
+    HOLD_TIME,
+    NETWORK_MEMORY,
+    PLANE,
+    PROTOTYPES,
+    ExpressionTracker,
+    tempered,
+    unit_scores,
+)
 
 EMFACS = {"happy": (6, 12), "sad": (1, 4, 15, 17), "angry": (4, 5, 7, 23, 24), "scared": (1, 2, 4, 5, 20, 25, 26),
           "disgusted": (9, 10, 17), "surprised": (1, 2, 5, 26)}
@@ -49,9 +57,12 @@ def test_the_network_alone_suffices_and_nothing_is_nothing():
 def test_agreement_is_surer_and_contradiction_less_sure_than_the_network_alone():
     alone = ExpressionTracker().update(sure("happy", 0.7), None, 0.0).confidence
     agreed = ExpressionTracker().update(sure("happy", 0.7), units(EMFACS["happy"]), 0.0)
-    against = ExpressionTracker().update(sure("happy", 0.7), units(EMFACS["angry"]), 0.0)
+    doubtful, clear = (ExpressionTracker().update(sure("happy", 0.7), units(EMFACS["angry"], confidence=confidence),
+                                                  0.0)
+                       for confidence in (0.2, 1.0))
     assert agreed.category == "happy" and agreed.confidence > alone
-    assert against.category != "happy" or against.confidence < alone
+    assert doubtful.category == "happy" and doubtful.confidence < alone - 0.1
+    assert clear.category == "angry"
 
 
 def test_units_that_are_seen_badly_say_little():

@@ -5,16 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hri_pipeline.core.faces.face_crops import (
-    MAX_SIZE,
-    aligned_crop,
-    box_crop,
-    crop_quality,
-    cut,
-    turned_away,
-    upright_roi,
-)
-from hri_pipeline.core.faces.face_mesh import FaceRoi
+from hri_pipeline.core.faces.crops import MAX_SIZE, aligned_crop, box_crop, crop_quality, cut, turned_away, upright_roi
+from hri_pipeline.core.faces.mesh import FaceRoi
 from hri_pipeline.core.geometry import Pose
 
 UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
@@ -72,7 +64,8 @@ def test_a_size_that_is_not_legal_is_refused(size):
         aligned_crop(np.zeros((50, 50, 3), np.uint8), points_at((20, 20), 20), size)
 
 
-@pytest.mark.parametrize("points", [np.zeros((478, 3)), np.full((478, 3), np.nan), np.ones((12, 3)) * np.arange(12)[:, None]])
+@pytest.mark.parametrize("points",
+                         [np.zeros((478, 3)), np.full((478, 3), np.nan), np.ones((12, 3)) * np.arange(12)[:, None]])
 def test_points_that_are_no_face_are_refused(points):
     with pytest.raises(ValueError):
         upright_roi(points)

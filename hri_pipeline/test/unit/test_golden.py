@@ -5,8 +5,9 @@ import json
 import pytest
 from scene_bag import SceneBag, upright
 
-from hri_pipeline.evaluation.bag_record import read_bag
-from hri_pipeline.evaluation.golden import (
+from hri_pipeline.score.bag import read_bag
+from hri_pipeline.score.command import main
+from hri_pipeline.score.golden import (
     AS_GOOD,
     BETTER,
     MISSING,
@@ -18,8 +19,7 @@ from hri_pipeline.evaluation.golden import (
     comparison_table,
     load_golden,
 )
-from hri_pipeline.evaluation.score_bag import score
-from hri_pipeline.evaluation.score_command import main
+from hri_pipeline.score.metrics import score
 
 BASE = 1000.0
 
@@ -41,12 +41,14 @@ def test_without_a_tolerance_the_same_is_as_good():
 
 def test_figures_in_lists_have_dotted_names():
     figures = {"curve": [{"error": 0.1}, {"error": 0.3}], "deep": {"in": {"it": True}}}
-    outcomes = compare(figures, [Golden("curve.1.error", 0.3, "lower"), Golden("deep.in.it", 1.0, "same"), Golden("curve.2.error", 0.3, "lower")])
+    outcomes = compare(figures, [Golden("curve.1.error", 0.3, "lower"), Golden("deep.in.it", 1.0, "same"),
+                                 Golden("curve.2.error", 0.3, "lower")])
     assert [one.verdict for one in outcomes] == [AS_GOOD, AS_GOOD, MISSING]
 
 
 def test_the_table_names_what_is_worse_and_what_is_better():
-    text = comparison_table(compare({"a": 1.0, "b": 9.0}, [Golden("a", 2.0, "higher"), Golden("b", 2.0, "higher"), Golden("c", 2.0, "lower")]))
+    text = comparison_table(compare({"a": 1.0, "b": 9.0}, [Golden("a", 2.0, "higher"), Golden("b", 2.0, "higher"),
+                                                           Golden("c", 2.0, "lower")]))
     assert "WORSE" in text and "MISSING" in text and "2 of 3 figures" in text and text.endswith("raised: b")
     assert "No figure is worse" in comparison_table(compare({"a": 2.0}, [Golden("a", 2.0, "higher")]))
 
@@ -78,7 +80,8 @@ def test_a_section_that_is_not_there(tmp_path):
         load_golden(tmp_path / "none.yaml")
 
 
-def write(path, words=("go forward", "stop"), heard=(("v1", "go"), ("v1", "go forward"), ("v2", "stop now")), faces=(2, 2, 3)):
+def write(path, words=("go forward", "stop"), heard=(("v1", "go"), ("v1", "go forward"), ("v2", "stop now")),
+          faces=(2, 2, 3)):
     """A bag with counted faces, two in the first half and three in the second, and sentences."""
     with SceneBag(path) as bag:
         for number in range(40):
@@ -96,7 +99,8 @@ def write(path, words=("go forward", "stop"), heard=(("v1", "go"), ("v1", "go fo
 
 def test_faces_that_are_counted(tmp_path):
     figures = score(read_bag(write(tmp_path / "a.bag")))
-    assert (figures["faces_true"], figures["faces_missed"], figures["faces_extra"], figures["faces_ids"]) == (5, 0, 0, 3)
+    assert (figures["faces_true"], figures["faces_missed"], figures["faces_extra"],
+            figures["faces_ids"]) == (5, 0, 0, 3)
     figures = score(read_bag(write(tmp_path / "b.bag", faces=(1, 1, 4))))
     assert (figures["faces_missed"], figures["faces_extra"]) == (1, 1)
     assert figures["has_truth"] and "bodies_true" not in figures
@@ -112,7 +116,8 @@ def test_words_that_are_heard(tmp_path):
 
 def test_the_command(tmp_path, capsys):
     bag, golden = str(write(tmp_path / "a.bag")), tmp_path / "golden.yaml"
-    golden.write_text("sound: {word_errors: {value: 1, better: lower}}\nall: {faces_missed: {value: -1, better: lower}}", encoding="utf-8")
+    golden.write_text("sound: {word_errors: {value: 1, better: lower}}\nall: {faces_missed: {value: -1, better: "
+                      "lower}}", encoding="utf-8")
     assert main([bag, "--golden", str(golden), "--section", "sound"]) == 0
     assert "No figure is worse" in capsys.readouterr().out
     assert main([bag, "--golden", str(golden), "--section", "all", "--json"]) == 3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hri_pipeline.evaluation.scores import group_scores
+from hri_pipeline.score.metrics import group_scores
 
 
 def test_two_thirds_of_the_larger_group_are_enough_at_two_thirds_only() -> None:

@@ -9,21 +9,22 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.interactions.group_tracker import ROBOT, Group, GroupTracker, Stander, fuse_directions
-from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.groups import ROBOT, Group, GroupTracker, Individual, fuse_directions
+from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
 
 SETTINGS = INTERACTION_PARAMETERS.resolve({})
 STEP = 0.1
 
 
-def circle(ids: Sequence[str], x: float = 0.0, y: float = 0.0, radius: float = 0.6) -> List[Stander]:
+def circle(ids: Sequence[str], x: float = 0.0, y: float = 0.0, radius: float = 0.6) -> List[Individual]:
     angles = 2.0 * math.pi * np.arange(len(ids)) / max(1, len(ids))
-    return [Stander(name, np.array([x + radius * math.cos(angle), y + radius * math.sin(angle)]), angle + math.pi, 0.05, 0.2)
+    return [Individual(name, np.array([x + radius * math.cos(angle), y + radius * math.sin(angle)]), angle + math.pi,
+                       0.05, 0.2)
             for name, angle in zip(ids, angles)]
 
 
-def alone(ids: Iterable[str]) -> List[Stander]:
-    return [Stander(name, np.array([20.0 + 5.0 * index, 0.0]), 0.0) for index, name in enumerate(ids)]
+def alone(ids: Iterable[str]) -> List[Individual]:
+    return [Individual(name, np.array([20.0 + 5.0 * index, 0.0]), 0.0) for index, name in enumerate(ids)]
 
 
 class Film:
@@ -34,7 +35,7 @@ class Film:
         self.stamp = 1000.0
         self.groups: List[Group] = []
 
-    def run(self, people: Sequence[Stander], seconds: float) -> Dict[tuple, str]:
+    def run(self, people: Sequence[Individual], seconds: float) -> Dict[tuple, str]:
         for _ in range(int(round(seconds / STEP))):
             self.stamp += STEP
             self.groups = self.tracker.update(people, self.stamp)
@@ -69,12 +70,13 @@ def test_a_passer_by_for_half_a_second_is_no_member() -> None:
     assert film.run(circle("abc") + alone("d"), 1.0) == before
 
 
-def walk(film: Film, company: Sequence[Stander], begin: Sequence[float], velocity: Sequence[float], seconds: float) -> float:
+def walk(film: Film, company: Sequence[Individual], begin: Sequence[float], velocity: Sequence[float],
+         seconds: float) -> float:
     """Let w walk beside the others; return for how long (s) it was in a group."""
     inside, place = 0.0, np.array(begin, dtype=float)
     for _ in range(int(round(seconds / STEP))):
         place = place + STEP * np.asarray(velocity)
-        groups = film.run(list(company) + [Stander("w", place.copy(), None, 0.05, 0.3)], STEP)
+        groups = film.run(list(company) + [Individual("w", place.copy(), None, 0.05, 0.3)], STEP)
         inside += STEP * any("w" in members for members in groups)
     return inside
 
@@ -95,7 +97,7 @@ def test_people_who_walk_side_by_side_are_a_group() -> None:
     found = {}
     for index in range(50):
         x = 0.1 * index
-        found = film.run([Stander("a", np.array([x, 0.0]), 0.0), Stander("b", np.array([x, 0.6]), 0.0)], STEP)
+        found = film.run([Individual("a", np.array([x, 0.0]), 0.0), Individual("b", np.array([x, 0.6]), 0.0)], STEP)
     assert set(found) == {("a", "b")}
 
 
@@ -176,8 +178,9 @@ def test_after_a_long_gap_only_who_is_there_counts() -> None:
 
 def test_what_comes_from_outside_is_checked() -> None:
     film = Film()
-    broken = Stander("x", np.array([math.nan, 0.0]), 0.0)
-    odd = [Stander("y", np.array([30.0, 0.0]), math.nan, 0.1, math.inf), Stander("z", np.array([40.0, 0.0]), None)]
+    broken = Individual("x", np.array([math.nan, 0.0]), 0.0)
+    odd = [Individual("y", np.array([30.0, 0.0]), math.nan, 0.1, math.inf),
+           Individual("z", np.array([40.0, 0.0]), None)]
     assert set(film.run(circle("abc") + [broken] + odd, 3.0)) == {("a", "b", "c")}
     with pytest.raises(ValueError, match="twice"):
         film.tracker.update(circle("aa"), film.stamp + 1.0)
@@ -190,7 +193,12 @@ def test_nobody_is_kept_of_people_who_come_and_go() -> None:
     for turn in range(200):
         film.run(circle(["a%d" % turn, "b%d" % turn]), STEP)
     film.run([], 5.0)
-    assert film.tracker._people == [] and film.tracker._known == [] and film.tracker._standers == {} and film.tracker._ways == {}
+    assert (
+        film.tracker._people == []
+        and film.tracker._known == []
+        and film.tracker._individuals == {}
+        and film.tracker._paths == {}
+    )
 
 
 def test_the_trunk_comes_before_the_head() -> None:

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_pipeline.core.pictures.image_sources import PictureSource, SourceError, is_live, open_source, pictures_in
-from hri_pipeline.core.pictures.source_parameters import SOURCE_PARAMETERS
+from hri_pipeline.core.sources.image_sources import PictureSource, SourceError, is_live, open_source, pictures_in
+from hri_pipeline.core.sources.parameters import SOURCE_PARAMETERS
 
 RED, GREEN, BLUE, BLACK = (0, 0, 255), (0, 255, 0), (255, 0, 0), (0, 0, 0)
 
@@ -97,7 +97,8 @@ def test_it_is_dark_between_pictures(tmp_path):
     for elapsed, colour in ((2.9, RED), (3.1, BLACK), (3.9, BLACK), (4.0, GREEN), (7.5, BLACK), (8.0, RED)):
         assert source.advance(elapsed)
         assert tuple(source.image()[24, 32]) == colour
-    alone, _ = open_and_note(settings(tmp_path / "1.png", seconds_per_picture=4.0, dark_between_pictures=1.0, fit="crop"))
+    alone, _ = open_and_note(settings(tmp_path / "1.png", seconds_per_picture=4.0, dark_between_pictures=1.0,
+                                      fit="crop"))
     assert alone.advance(3.9)
     assert tuple(alone.image()[24, 32]) == RED
 

@@ -1,10 +1,19 @@
-"""Image data of all encodings, and data that must be refused."""
+"""Image data and depth of all encodings, and data that must be refused."""
+
+from __future__ import annotations
 
 import cv2
 import numpy as np
 import pytest
 
-from hri_pipeline.core.images import ENCODINGS, ImageError, bgr_from_compressed, bgr_from_raw
+from hri_pipeline.core.images import (
+    ENCODINGS,
+    ImageError,
+    bgr_from_compressed,
+    bgr_from_raw,
+    depth_from_raw,
+    sample_depth,
+)
 
 BGR = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
 GREY = BGR[:, :, 0]
@@ -27,7 +36,6 @@ def padded(pixels, padding=5):
     ("mono8", GREY, np.dstack([GREY] * 3)),
     ("8UC1", GREY, np.dstack([GREY] * 3)),
     ("mono16", WIDE, np.dstack([GREY] * 3)),
-    ("16UC1", WIDE, np.dstack([GREY] * 3)),
 ])
 @pytest.mark.parametrize("padding", [0, 5])
 def test_exact_encodings_with_and_without_padding(encoding, pixels, expected, padding):
@@ -66,7 +74,9 @@ def test_every_encoding_is_read():
 
 
 @pytest.mark.parametrize("width, height, step, encoding, length, text", [
-    (8, 6, 24, "32FC1", 999, "not supported; publish one of: bgr8"),
+    (8, 6, 24, "64FC1", 999, "not supported; publish one of: bgr8"),
+    (8, 6, 32, "32FC1", 999, "depth image; give the topic of the colour image"),
+    (8, 6, 16, "16UC1", 999, "depth image; give the topic of the colour image"),
     (8, 6, 24, "", 999, "not supported"),
     (8, 6, 24, "x" * 5000, 999, "not supported"),
     (0, 6, 24, "bgr8", 999, "nothing in it"),
@@ -91,6 +101,16 @@ def test_compressed():
     np.testing.assert_array_equal(bgr_from_compressed(png.tobytes()), BGR)
     ok, jpeg = cv2.imencode(".jpg", np.full((32, 32, 3), 99, np.uint8))
     np.testing.assert_allclose(bgr_from_compressed(jpeg.tobytes()), 99, atol=2)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_tag_of_orientation_turns_nothing(orientation):
+    """The calibration is that of the camera, whichever way up somebody would show its picture."""
+    ok, jpeg = cv2.imencode(".jpg", np.tile(np.arange(0, 240, 5, dtype=np.uint8), (24, 1)))
+    tags = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01" + orientation.to_bytes(2, "big") + b"\0\0\0\0\0\0"
+    exif = b"Exif\0\0" + tags
+    turned = jpeg.tobytes()[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + jpeg.tobytes()[2:]
+    np.testing.assert_array_equal(bgr_from_compressed(turned), bgr_from_compressed(jpeg.tobytes()))
 
 
 def test_grey_and_deep_png_come_out_as_bgr8():
@@ -124,3 +144,63 @@ def test_a_jpeg_that_claims_to_be_huge_is_refused_before_it_is_decoded():
     bomb[start:start + 4] = (60000).to_bytes(2, "big") * 2
     with pytest.raises(ImageError, match="limit of 8192"):
         bgr_from_compressed(bytes(bomb))
+
+
+MILLIMETRES = np.array([[0, 500, 1500], [2345, 65535, 30001]], np.uint16)
+METRES = np.array([[np.nan, 0.5, 1.5], [2.345, np.inf, -1.0]], np.float32)
+WANTED = np.array([[np.nan, 0.5, 1.5], [2.345, np.nan, np.nan]])
+
+
+def raw(values, big=False, padding=0):
+    """Bytes and step of a depth image, as a driver sends it."""
+    rows = values.astype(values.dtype.newbyteorder(">" if big else "<"))
+    return b"".join(row.tobytes() + b"\x7f" * padding for row in rows), rows.shape[1] * rows.itemsize + padding
+
+
+@pytest.mark.parametrize("big", [False, True], ids=["little", "big"])
+@pytest.mark.parametrize("padding", [0, 5])
+@pytest.mark.parametrize("values, encoding", [(MILLIMETRES, "16UC1"), (MILLIMETRES, "mono16"), (METRES, "32FC1")])
+def test_every_way_to_write_it_gives_metres(values, encoding, padding, big):
+    data, step = raw(values, big, padding)
+    depth = depth_from_raw(data, 3, 2, step, encoding, big)
+    assert depth.dtype == np.float32
+    np.testing.assert_allclose(depth, WANTED, atol=1e-6)
+
+
+def test_the_last_row_needs_no_padding():
+    data, step = raw(MILLIMETRES, padding=4)
+    np.testing.assert_allclose(depth_from_raw(data[:-4], 3, 2, step, "16UC1"), WANTED, atol=1e-6)
+
+
+@pytest.mark.parametrize("change, text", [
+    (dict(encoding="rgb8"), "encoding 'rgb8'"), (dict(width=0), "0x2"), (dict(height=9000), "9000"),
+    (dict(step=5), "step is 5"), (dict(data=b"\0" * 11), "too short"), (dict(encoding="32FC1"), "step is 6")])
+def test_what_cannot_be_read_is_told(change, text):
+    data, step = raw(MILLIMETRES)
+    fields = dict(data=data, width=3, height=2, step=step, encoding="16UC1")
+    fields.update(change)
+    with pytest.raises(ImageError, match=text):
+        depth_from_raw(**fields)
+
+
+def test_the_median_forgives_holes_and_flying_pixels():
+    depth = np.full((20, 30), 2.0, np.float32)
+    depth[10, 10], depth[10, 11], depth[9, 9] = np.nan, 0.0, 7.0
+    assert sample_depth(depth, np.array([[10.5, 10.5]]), 30, 20) == pytest.approx([2.0])
+
+
+def test_too_few_known_cells_and_points_outside_give_nan():
+    depth = np.full((20, 30), np.nan, np.float32)
+    depth[5, 5:7] = 2.0
+    depth[12, 12:15] = 2.0
+    points = np.array([[5.5, 5.5], [13.5, 12.5], [-0.5, 3.0], [30.0, 3.0], [3.0, 20.5], [np.nan, 3.0], [1e9, 1.0]])
+    found = sample_depth(depth, points, 30, 20)
+    assert found[1] == pytest.approx(2.0)
+    assert np.all(np.isnan(found[[0, 2, 3, 4, 5, 6]]))
+
+
+def test_a_smaller_depth_image_is_read_at_the_same_place():
+    depth = np.full((10, 15), 1.0, np.float32)
+    depth[:, 8:] = 3.0
+    assert sample_depth(depth, np.array([[10.0, 5.0], [25.0, 15.0]]), 30, 20) == pytest.approx([1.0, 3.0])
+    assert sample_depth(depth, np.zeros((0, 2)), 30, 20).shape == (0,)

@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core import parameter_docs
-from hri_pipeline.core.faces.face_budget import FaceBudget
-from hri_pipeline.core.faces.face_schedule import DetectionSchedule
-from hri_pipeline.core.faces.face_tracker import FaceMeasurement, FaceTracker
+from hri_pipeline.core.audio.parameters import VOICES
+from hri_pipeline.core.audio.vad import check_thresholds
+from hri_pipeline.core.faces.scheduler import DetectionScheduler, MeshScheduler
+from hri_pipeline.core.faces.tracker import FaceMeasurement, FaceTracker
 from hri_pipeline.core.interactions.engagement import check_levels
-from hri_pipeline.core.interactions.interaction_parameters import INTERACTION_PARAMETERS
-from hri_pipeline.core.parameters import Parameter, ParameterError, ParameterTable, take_over
-from hri_pipeline.core.track_life import TrackLife
-from hri_pipeline.core.voices.voice_parameters import VOICES
-from hri_pipeline.core.voices.voice_turns import check_thresholds
+from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.parameters import Parameter, ParameterError, ParameterTable, apply_settings
+from hri_pipeline.core.tracks import TrackLife
 
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGES = ("hri_pipeline", "hri_fullbody", "hri_person_manager")
@@ -59,7 +58,7 @@ def test_changed_leaves_the_given_settings_alone():
     changed = TABLE.changed(settings, {"rate": 2})
     assert (changed.rate, changed.shown, changed.file) == (2.0, True, "x")
     assert settings.rate == 15.0
-    take_over(settings, changed)
+    apply_settings(settings, changed)
     assert settings.rate == 2.0
 
 
@@ -112,7 +111,7 @@ def test_limits_hold_for_the_faces_that_are_tracked():
 
 
 def test_other_share_of_looks():
-    budget = FaceBudget(0.0, 0.010, 0.005)
+    budget = MeshScheduler(0.0, 0.010, 0.005)
     assert len(budget.choose(list("abcd"), 0.0)) == 2
     budget.share(0.0, 0.020)
     assert len(budget.choose(list("abcd"), 0.1)) == 4
@@ -122,7 +121,7 @@ def test_other_share_of_looks():
 
 def test_other_period_of_the_detector():
     image = np.zeros((480, 640, 3), np.uint8)
-    schedule = DetectionSchedule(10.0, 1)
+    schedule = DetectionScheduler(10.0, 1)
     assert schedule.due(image, 0.0) and not schedule.due(image, 1.0)
     schedule.set_period(0.5)
     schedule.hurry(1.0)

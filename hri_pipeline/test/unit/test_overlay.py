@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.feature_history import FeatureHistory
-from hri_pipeline.core.pictures.overlay import PersonMark, colour_of, draw_overlay, short_name
+from hri_pipeline.core.overlay import PersonMark, colour_of, draw_overlay, short_name
 
 
 def body(x=200.0, confidence=1.0):
@@ -48,11 +48,14 @@ def test_uncertain_and_hostile_points_are_left_out(image):
     hostile = body()
     hostile[:, 0] = np.nan
     hostile[::2, 0] = 1e300
-    draw_overlay(image, {"f": np.full((70, 3), np.inf)}, {"b": hostile}, [PersonMark("p", "f", "b")])
+    picture = draw_overlay(image, {"f": np.full((70, 3), np.inf)}, {"b": hostile}, [PersonMark("p", "f", "b")])
+    assert (picture[lower] == empty[lower]).all()
 
 
 def test_a_person_without_features_and_a_tiny_image():
-    draw_overlay(np.zeros((4, 4, 3), np.uint8), {"f": face()}, {"b": body()}, [PersonMark("p", "f"), PersonMark("q")])
+    tiny = np.zeros((4, 4, 3), np.uint8)
+    picture = draw_overlay(tiny, {"f": face()}, {"b": body()}, [PersonMark("p", "f"), PersonMark("q")])
+    assert picture.shape == tiny.shape and not tiny.any()
 
 
 def test_plates_of_neighbours_do_not_cover_each_other(image):

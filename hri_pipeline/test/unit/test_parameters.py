@@ -101,6 +101,18 @@ def test_yaml_tells_text_unit_range_and_default():
     assert "# Time before a face is published.\n# float; 0 to 10; unit s; default 0.2\nbirth_delay: 0.2\n" in text
 
 
+def test_a_parameter_of_the_whole_stack_counts_where_the_own_one_is_not_set():
+    """So the file with the defaults must not set it."""
+    yaml = pytest.importorskip("yaml")
+    table = ParameterTable("faces", "Finds faces.", [Parameter("frame", "map", "Frame.", shared="/humans/frame"),
+                                                     Parameter("rate", 1.0, "Rate.")])
+    assert yaml.safe_load(table.to_yaml()) == {"rate": 1.0}
+    assert (
+        '# string; default "map"; where it is not set here, /humans/frame counts\n# frame: "map"\n' in table.to_yaml()
+    )
+    assert "Frame. Where it is not set, `/humans/frame` counts. |" in table.to_markdown()
+
+
 @pytest.mark.parametrize("value, text", [
     (True, "true"), (1, "1"), (1e-5, "1.0e-05"), (1e22, "1.0e+22"), (0.1, "0.1"), ("a: #b", '"a: #b"'), ([], "[]"),
     ([1, 2], "[1, 2]")])

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.pictures.image_fit import BAR_GREY, fit_image
-from hri_pipeline.core.pictures.picture_motion import PictureMotion
+from hri_pipeline.core.sources.image_sources import BAR_GREY, PictureMotion, fit_image
 
 
 def gradient(width=200, height=100):

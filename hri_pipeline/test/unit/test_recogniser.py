@@ -1,18 +1,20 @@
 """Recognition of tracked faces, on synthetic templates: who is known, who is new, who is nobody twice."""
 
+import threading
+import time
+
 import numpy as np
 import pytest
 
+from benchmarks.recognition import SIZE, template
+from benchmarks.store import write_locked
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
-from hri_pipeline.core.recognition.face_evidence import FaceEvidence, Sight
-from hri_pipeline.core.recognition.face_identity import SamePersons
-from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
-from hri_pipeline.core.recognition.gallery_file import FileGallery
-from hri_pipeline.core.recognition.likelihood import Calibration
+from hri_pipeline.core.recognition.face_identity import FaceEvidence, FaceTemplate, SamePersons
+from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery, open_gallery
+from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.recogniser import SAME, Recogniser
-from hri_pipeline.evaluation.synthetic_templates import SIZE, template
 
-CALIBRATION = Calibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)
+CALIBRATION = TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)
 STEP = 0.1
 
 
@@ -84,10 +86,10 @@ def test_the_same_person_under_another_face_id():
 
 def test_the_same_person_in_another_run(tmp_path):
     path = tmp_path / "private" / "faces.gallery"
-    first = Scene(FileGallery(path, "synthetic", SIZE, CALIBRATION))
+    first = Scene(open_gallery(path, "synthetic", SIZE, CALIBRATION))
     first.show({"f1": (1, 0.2), "f2": (2, 0.2)}, 6.0)
     first.gallery.close()
-    second = Scene(FileGallery(path, "synthetic", SIZE, CALIBRATION))
+    second = Scene(open_gallery(path, "synthetic", SIZE, CALIBRATION))
     second.show({"a": (2, 0.2), "b": (1, 0.2)}, 3.0)
     assert (second.person("a"), second.person("b")) == (first.person("f2"), first.person("f1"))
     assert len(second.gallery) == 2
@@ -257,6 +259,32 @@ def test_forget_withdraws_and_is_not_learnt_again_while_in_view():
     assert scene.recogniser.enrol("f1") in scene.gallery, "but when asked to"
 
 
+@pytest.mark.parametrize("forget", [lambda one, person: one.forget(person), lambda one, person: one.forget_all(),
+                                    lambda one, person: one.merge(person, "anna")])
+def test_images_do_not_wait_for_a_disk(tmp_path, forget):
+    """While somebody is forgotten and another process holds the store."""
+    path = tmp_path / "private" / "people.sqlite"
+    scene = Scene(open_gallery(str(path), "synthetic", SIZE, CALIBRATION))
+    scene.gallery.add_person("anna", template(5)[None])
+    scene.show({"f1": (1, 0.2)}, 4.0)
+    scene.gallery.flush()
+    recogniser, waits = scene.recogniser, []
+    service = threading.Thread(target=lambda: (forget(recogniser, scene.person("f1")), scene.gallery.flush()))
+    with write_locked(path):
+        service.start()
+        end = time.monotonic() + 1.0
+        while time.monotonic() < end:
+            began = time.monotonic()
+            recogniser.seen({"f1": 0.8}, scene.stamp)
+            recogniser.changes()
+            waits.append(time.monotonic() - began)
+        assert service.is_alive(), "it waits for the disk"
+    service.join(20.0)
+    assert not service.is_alive()
+    scene.gallery.close()
+    assert np.median(waits) < 0.05 and max(waits) < 0.5
+
+
 def test_forget_all():
     scene = Scene()
     scene.show({"f1": (1, 0.2), "f2": (2, 0.2)}, 6.0)
@@ -382,6 +410,6 @@ def test_the_middle_of_the_crops_is_nearer_than_each_of_them():
     evidence = FaceEvidence(contradiction=0.4)
     assert evidence.mean() is None and evidence.duration == 0.0
     for number in range(6):
-        evidence.add(Sight(template(1, 0.3, number), 0.8, 0.5 * number))
+        evidence.add(FaceTemplate(template(1, 0.3, number), 0.8, 0.5 * number))
     assert np.linalg.norm(evidence.mean() - template(1)) < 0.2
     assert evidence.duration == pytest.approx(2.5) and evidence.good(0.7) == 6 and evidence.good(0.9) == 0

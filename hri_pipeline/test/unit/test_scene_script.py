@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hri_pipeline.core.scene.scene_formations import slots
-from hri_pipeline.core.scene.scene_model import CIRCLE, ROBOT, SEMICIRCLE, SIDE_BY_SIDE, Formation
-from hri_pipeline.core.scene.scene_script import SceneError, load_scene, parse_scene
+from hri_pipeline.core.simulation.scene import CIRCLE, ROBOT, SEMICIRCLE, SIDE_BY_SIDE, Formation, slots
+from hri_pipeline.core.simulation.scene_file import SceneError, load_scene, parse_scene
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
@@ -57,10 +56,13 @@ def test_there_are_four_scenes():
     (person(orders=[{"at": 1.0}]), ["people[0].orders[0]", "look_at"]),
     (person(orders=[{"look_at": "eve"}]), ["people[0].orders[0].look_at", "ann, robot, away"]),
     (person(orders=[{"close_eyes": -1.0}]), ["people[0].orders[0].close_eyes", "0.01"]),
-    (scene(formations=[{"shape": "star", "centre": [1, 1], "members": ["ann", "bob"]}]), ["formations[0].shape", "vis_a_vis"]),
+    (scene(formations=[{"shape": "star", "centre": [1, 1], "members": ["ann", "bob"]}]),
+     ["formations[0].shape", "vis_a_vis"]),
     (scene(formations=[{"shape": "circle", "centre": [1, 1], "members": ["ann"]}]), ["formations[0].members", "2 to"]),
-    (scene(formations=[{"shape": "circle", "centre": [1, 1], "members": ["ann", "eve"]}]), ["formations[0].members", "bob"]),
-    (scene(formations=[{"shape": "L", "centre": [1, 1], "members": ["ann", "bob", "robot"]}]), ["formations[0].members", "two"]),
+    (scene(formations=[{"shape": "circle", "centre": [1, 1], "members": ["ann", "eve"]}]),
+     ["formations[0].members", "bob"]),
+    (scene(formations=[{"shape": "L", "centre": [1, 1], "members": ["ann", "bob", "robot"]}]),
+     ["formations[0].members", "two"]),
     (scene(habits={"look_robot": 0.8, "look_away": 0.5}), ["habits.look_away", "1 together"]),
     (scene(habits={"closed": 1.0}), ["habits.closed", "0.9"]),
     (scene(crowd={"people": 40}), ["crowd.area", "40 people"]),
@@ -147,6 +149,7 @@ def test_a_crowd_is_the_same_for_the_same_seed_and_keeps_its_number():
 
 def test_in_a_crowd_only_members_of_a_group_share_a_place():
     crowd = parse_scene({"duration": 400.0, "crowd": {"people": 10, "meet": 15.0}})
+    strangers = 0
     for when in range(50, 400, 7):
         stand = {}
         for script in crowd.people:
@@ -156,4 +159,6 @@ def test_in_a_crowd_only_members_of_a_group_share_a_place():
         for one in stand.values():
             for other in stand.values():
                 if one is not other and one.formation != other.formation:
+                    strangers += 1
                     assert math.hypot(one.position[0] - other.position[0], one.position[1] - other.position[1]) > 0.65
+    assert strangers > 100

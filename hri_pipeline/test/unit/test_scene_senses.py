@@ -9,13 +9,12 @@ import pytest
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.scene.scene_matches import BODY, FACE, PERSON, SceneMatches
-from hri_pipeline.core.scene.scene_noise import Alternation, Noise
-from hri_pipeline.core.scene.scene_parameters import sense_defaults
-from hri_pipeline.core.scene.scene_projection import keypoints, landmarks
-from hri_pipeline.core.scene.scene_script import parse_scene
-from hri_pipeline.core.scene.scene_senses import Senses
-from hri_pipeline.core.scene.scene_world import World
+from hri_pipeline.core.simulation.agents import Alternation, Noise
+from hri_pipeline.core.simulation.parameters import sense_defaults
+from hri_pipeline.core.simulation.projection import keypoints, landmarks
+from hri_pipeline.core.simulation.scene_file import parse_scene
+from hri_pipeline.core.simulation.sensors import BODY, FACE, PERSON, SceneMatches, Senses
+from hri_pipeline.core.simulation.world import World
 
 QUIET = {"look_robot": 1.0, "look_away": 0.0, "dwell": 5.0, "turn": 0.0}
 CLEAN = {"sense_dropout": 0.0, "sense_lid_errors": 0.0, "sense_birth_delay": 0.0, "sense_position_noise": 0.0,
@@ -28,7 +27,8 @@ def scene(*people, **changes):
 
 
 def at_robot(name, x, y, **more):
-    return dict({"name": name, "at": [x, y], "yaw": math.degrees(math.atan2(-y, -x)), "orders": [{"look_at": "robot"}]}, **more)
+    return dict({"name": name, "at": [x, y], "yaw": math.degrees(math.atan2(-y, -x)), "orders": [{"look_at": "robot"}]},
+                **more)
 
 
 def run(the_scene, seconds, rate=15.0, seed=0, **settings):
@@ -60,14 +60,16 @@ def test_without_faults_everything_is_as_it_is():
 
 @pytest.mark.parametrize("place, face, body", [
     ((2.0, 0.0), True, True), ((8.0, 0.0), False, True), ((20.0, 0.0), False, False),     # too far
-    ((2.0, 2.5), False, False), ((-2.0, 0.0), False, False)])                             # outside the image, behind the robot
+    # outside the image, behind the robot
+    ((2.0, 2.5), False, False), ((-2.0, 0.0), False, False)])
 def test_field_of_view_and_range(place, face, body):
     last = list(run(scene(at_robot("ann", *place)), 1.0, **CLEAN))[-1][1]
     assert (bool(last.faces), bool(last.bodies)) == (face, body)
 
 
 def test_somebody_from_behind_has_a_body_and_no_face():
-    last = list(run(scene({"name": "ann", "at": [2.0, 0.0], "yaw": 0.0}, habits=dict(QUIET, dwell=0.0)), 1.0, **CLEAN))[-1][1]
+    last = list(run(scene({"name": "ann", "at": [2.0, 0.0], "yaw": 0.0}, habits=dict(QUIET, dwell=0.0)), 1.0,
+                    **CLEAN))[-1][1]
     assert (len(last.faces), len(last.bodies)) == (0, 1)
 
 
@@ -81,7 +83,8 @@ def test_who_stands_in_front_hides_who_stands_behind():
 
 
 def test_a_tall_head_is_seen_over_a_small_one():
-    last = list(run(scene(at_robot("ann", 2.0, 0.0, stature=1.2), at_robot("bob", 3.0, 0.0, stature=1.9)), 1.0, **CLEAN))[-1][1]
+    last = list(run(scene(at_robot("ann", 2.0, 0.0, stature=1.2), at_robot("bob", 3.0, 0.0, stature=1.9)), 1.0,
+                    **CLEAN))[-1][1]
     assert {face.person for face in last.faces} == {"ann", "bob"}
 
 
@@ -90,7 +93,8 @@ def test_the_noise_has_the_size_that_was_asked_for(name, degrees):
     angles = []
     for truth, sensed in run_still(scene(at_robot("ann", 2.0, 0.0)), 400.0, **dict(CLEAN, **{name: degrees})):
         person, face = truth.people[0], sensed.faces[0]
-        seen, true = (face.gaze, person.gaze) if "gaze" in name else (face.pose.rotation[:, 0], person.head_rotation[:, 0])
+        seen, true = (face.gaze, person.gaze) if "gaze" in name else (face.pose.rotation[:, 0],
+                                                                      person.head_rotation[:, 0])
         angles.append(math.degrees(math.acos(min(1.0, float(sensed.camera.rotation @ seen @ true)))))
     # On two axes: Rayleigh, whose mean square is twice the variance of an axis.
     assert math.sqrt(np.mean(np.square(angles)) / 2.0) == pytest.approx(degrees, rel=0.12)
@@ -106,7 +110,8 @@ def test_distance_is_less_exact_than_direction():
 
 def test_gaps_have_their_share_and_ids_outlive_short_ones():
     measured, ids = [], set()
-    for _, sensed in run_still(scene(at_robot("ann", 2.0, 0.0)), 500.0, sense_dropout=0.2, sense_dropout_time=0.5, sense_hold=5.0):
+    for _, sensed in run_still(scene(at_robot("ann", 2.0, 0.0)), 500.0, sense_dropout=0.2, sense_dropout_time=0.5,
+                               sense_hold=5.0):
         for face in sensed.faces:
             measured.append(face.measured)
             ids.add(face.id)
@@ -116,7 +121,8 @@ def test_gaps_have_their_share_and_ids_outlive_short_ones():
 
 def test_a_long_gap_ends_an_id():
     ids, shown = [], []
-    for _, sensed in run_still(scene(at_robot("ann", 2.0, 0.0)), 120.0, sense_dropout=0.4, sense_dropout_time=3.0, sense_hold=0.5):
+    for _, sensed in run_still(scene(at_robot("ann", 2.0, 0.0)), 120.0, sense_dropout=0.4, sense_dropout_time=3.0,
+                               sense_hold=0.5):
         shown.append(bool(sensed.faces))
         ids += [face.id for face in sensed.faces if face.id not in ids]
     assert len(ids) > 5
@@ -125,7 +131,8 @@ def test_a_long_gap_ends_an_id():
 
 
 def test_ids_change_out_of_nothing_as_often_as_asked():
-    ids = {face.id for _, sensed in run_still(scene(at_robot("ann", 2.0, 0.0)), 300.0, sense_id_changes=6.0, sense_dropout=0.0)
+    ids = {face.id for _, sensed in run_still(scene(at_robot("ann", 2.0, 0.0)), 300.0, sense_id_changes=6.0,
+                                              sense_dropout=0.0)
            for face in sensed.faces}
     assert 15 <= len(ids) <= 50
 
@@ -147,7 +154,8 @@ def test_ghosts_are_faces_of_nobody():
 
 
 def test_each_kind_has_its_rate():
-    fresh = [sensed.fresh for _, sensed in run(scene(at_robot("ann", 2.0, 0.0)), 10.0, sense_face_rate=5.0, sense_body_rate=10.0)]
+    fresh = [sensed.fresh for _, sensed in run(scene(at_robot("ann", 2.0, 0.0)), 10.0, sense_face_rate=5.0,
+                                               sense_body_rate=10.0)]
     assert sum("faces" in kinds for kinds in fresh) == pytest.approx(50, abs=2)
     assert sum("bodies" in kinds for kinds in fresh) == pytest.approx(100, abs=2)
     assert sum("voices" in kinds for kinds in fresh) == 150
@@ -170,7 +178,8 @@ def test_closed_eyes_have_no_gaze():
     assert faces[70].gaze is not None and faces[70].eyes_closed < 0.1
 
 
-@pytest.mark.parametrize("name, value", [("sense_dropout", 1.0), ("sense_hfov", 0.0), ("sense_hold", -1.0), ("rate", 0.0)])
+@pytest.mark.parametrize("name, value",
+                         [("sense_dropout", 1.0), ("sense_hfov", 0.0), ("sense_hold", -1.0), ("rate", 0.0)])
 def test_illegal_settings(name, value):
     with pytest.raises(ParameterError, match=name):
         sense_defaults(**{name: value})
@@ -209,7 +218,8 @@ def test_nothing_is_withdrawn_of_who_leaves():
     _, sensed = list(run(scene(at_robot("ann", 2.0, 0.5)), 6.0, **CLEAN))[-1]
     assert matches.update(sensed)
     assert matches.update(replace(sensed, faces=(), bodies=(), voices=())) == []
-    assert {match.first for match in matches.update(sensed)} >= {face.id for face in sensed.faces}       # is back: said at once
+    # is back: said at once
+    assert {match.first for match in matches.update(sensed)} >= {face.id for face in sensed.faces}
 
 
 def test_a_face_is_recognised_after_the_delay():
@@ -235,4 +245,6 @@ def test_points_lie_where_the_face_is():
     assert joints.shape == (18, 3)
     assert joints[2, 0] < joints[5, 0]                                          # right shoulder left in the image
     assert np.linalg.norm(joints[0, :2] - points[30, :2]) < 10.0                # nose to nose
-    assert joints[10, 2] == 0.0 or joints[10, 1] > joints[8, 1]
+    # hip, knee, and an ankle below the image
+    assert joints[8, 1] < joints[9, 1] < camera.height < joints[10, 1]
+    assert joints[8, 2] > 0.0 and joints[9, 2] > 0.0 and joints[10, 2] == 0.0

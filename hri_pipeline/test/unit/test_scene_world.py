@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from hri_pipeline.core.scene.scene_model import ROBOT
-from hri_pipeline.core.scene.scene_script import parse_scene
-from hri_pipeline.core.scene.scene_world import World
+from hri_pipeline.core.simulation.scene import ROBOT
+from hri_pipeline.core.simulation.scene_file import parse_scene
+from hri_pipeline.core.simulation.world import World
 
 STILL = {"look_robot": 0.0, "look_away": 0.0, "dwell": 0.0, "turn": 0.0}
 
@@ -20,7 +20,8 @@ def two(**changes):
 
 
 def crowded(duration=60.0):
-    return parse_scene({"duration": duration, "seed": 3, "habits": {"closed": 0.1}, "crowd": {"people": 10, "meet": 15.0, "stay": 40.0}})
+    return parse_scene({"duration": duration, "seed": 3, "habits": {"closed": 0.1},
+                        "crowd": {"people": 10, "meet": 15.0, "stay": 40.0}})
 
 
 def by_name(truth):
@@ -28,7 +29,8 @@ def by_name(truth):
 
 
 def text(truth):
-    return repr([(p.id, p.position.tolist(), p.head.tolist(), p.gaze.tolist(), p.target, p.group, p.speaking, p.eyes_closed)
+    return repr([(p.id, p.position.tolist(), p.head.tolist(), p.gaze.tolist(), p.target, p.group, p.speaking,
+                  p.eyes_closed)
                  for p in truth.people])
 
 
@@ -67,7 +69,8 @@ def test_nobody_jumps_or_starts_at_once():
 
 def test_way_points_are_reached_in_time():
     scene = parse_scene({"duration": 20.0, "habits": STILL, "people": [
-        {"name": "ann", "at": [2.0, 0.0], "path": [{"to": [2.0, 3.0], "speed": 1.0}, {"to": [4.0, 3.0], "speed": 1.0, "yaw": 180.0}]}]})
+        {"name": "ann", "at": [2.0, 0.0],
+         "path": [{"to": [2.0, 3.0], "speed": 1.0}, {"to": [4.0, 3.0], "speed": 1.0, "yaw": 180.0}]}]})
     world = World(scene)
     assert by_name(world.at(2.0))["ann"].velocity[1] == pytest.approx(1.0, abs=0.05)
     end = by_name(world.at(12.0))["ann"]
@@ -91,7 +94,8 @@ def test_two_who_meet_head_on_pass_each_other():
 
 def test_an_ordered_look_reaches_its_target_and_ends():
     scene = two(people=[
-        {"name": "ann", "at": [2.0, -0.5], "yaw": 90.0, "orders": [{"at": 2.0, "look_at": "bob", "for": 3.0}, {"at": 6.0, "look_at": "robot", "for": 3.0}]},
+        {"name": "ann", "at": [2.0, -0.5], "yaw": 90.0,
+         "orders": [{"at": 2.0, "look_at": "bob", "for": 3.0}, {"at": 6.0, "look_at": "robot", "for": 3.0}]},
         {"name": "bob", "at": [2.5, 0.9], "yaw": -90.0}])
     world = World(scene)
     assert by_name(world.at(1.5))["ann"].aim is None
@@ -104,7 +108,8 @@ def test_an_ordered_look_reaches_its_target_and_ends():
 
 
 def test_the_eyes_are_there_before_the_head():
-    scene = two(people=[{"name": "ann", "at": [2.0, -0.5], "yaw": 90.0, "orders": [{"at": 1.0, "look_at": "robot", "for": 9.0}]}])
+    scene = two(people=[{"name": "ann", "at": [2.0, -0.5], "yaw": 90.0,
+                         "orders": [{"at": 1.0, "look_at": "robot", "for": 9.0}]}])
     world = World(scene)
     looked = [time for time in np.arange(1.0, 3.0, 0.05) if by_name(world.at(float(time)))["ann"].target == ROBOT]
     assert 1.1 < looked[0] < 2.0
@@ -127,14 +132,16 @@ def test_who_looks_away_looks_at_nobody():
     world = World(scene)
     for time in np.arange(2.0, 20.0, 0.5):
         for person in world.at(float(time)).people:
-            others = [other.head for other in world.at(float(time)).people if other.id != person.id] + [np.array([0.0, 0.0, 1.3])]
+            others = [other.head for other in world.at(float(time)).people
+                      if other.id != person.id] + [np.array([0.0, 0.0, 1.3])]
             for head in others:
                 towards = (head - person.head) / np.linalg.norm(head - person.head)
                 assert float(towards @ person.gaze) < math.cos(math.radians(9.0))
 
 
 def test_habits_have_their_shares():
-    scene = parse_scene({"duration": 300.0, "habits": {"look_robot": 0.3, "look_away": 0.2, "dwell": 1.5, "closed": 0.2, "closed_length": 0.6}, "people": [
+    scene = parse_scene({"duration": 300.0, "habits": {"look_robot": 0.3, "look_away": 0.2, "dwell": 1.5, "closed": 0.2,
+                                                       "closed_length": 0.6}, "people": [
         {"name": "ann"}, {"name": "bob"}], "formations": [
         {"shape": "vis_a_vis", "centre": [2.5, 0.0], "yaw": 90.0, "members": ["ann", "bob"]}]})
     world = World(scene)
@@ -148,7 +155,8 @@ def test_habits_have_their_shares():
 
 
 def test_a_group_is_there_while_its_members_stand_in_it():
-    scene = two(formations=[{"shape": "circle", "centre": [4.0, 0.0], "members": ["ann", "bob"], "from": 2.0, "until": 10.0}])
+    scene = two(formations=[{"shape": "circle", "centre": [4.0, 0.0], "members": ["ann", "bob"], "from": 2.0,
+                             "until": 10.0}])
     world = World(scene)
     assert world.at(1.0).groups == ()
     assert by_name(world.at(3.0))["ann"].group is None
@@ -175,12 +183,14 @@ def test_one_speaks_at_a_time_in_a_group():
     scene = two(habits=dict(STILL, turn=1.0, pause=0.2), formations=[
         {"shape": "vis_a_vis", "centre": [2.0, 0.0], "members": ["ann", "bob"]}])
     world = World(scene)
-    speakers = [tuple(person.id for person in world.at(float(time)).people if person.speaking) for time in np.arange(1.0, 20.0, 0.1)]
+    speakers = [tuple(person.id for person in world.at(float(time)).people if person.speaking)
+                for time in np.arange(1.0, 20.0, 0.1)]
     assert all(len(said) <= 1 for said in speakers)
     assert {("ann",), ("bob",)} <= set(speakers)
 
 
 def test_people_come_and_go():
-    scene = two(people=[{"name": "ann", "at": [2.0, 0.0], "enter": 2.0, "leave": 5.0}, {"name": "bob", "at": [3.0, 0.0]}])
+    scene = two(people=[{"name": "ann", "at": [2.0, 0.0], "enter": 2.0, "leave": 5.0},
+                        {"name": "bob", "at": [3.0, 0.0]}])
     world = World(scene)
     assert [sorted(by_name(world.at(time))) for time in (1.0, 3.0, 6.0)] == [["bob"], ["ann", "bob"], ["bob"]]

@@ -8,11 +8,11 @@ import pytest
 from scene_bag import SceneBag, upright
 
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.scene.scene_script import parse_scene
-from hri_pipeline.core.scene.scene_world import World
-from hri_pipeline.evaluation.bag_record import RecordError, read_bag
-from hri_pipeline.evaluation.score_bag import score
-from hri_pipeline.evaluation.score_command import main
+from hri_pipeline.core.simulation.scene_file import parse_scene
+from hri_pipeline.core.simulation.world import World
+from hri_pipeline.score.bag import RecordError, read_bag
+from hri_pipeline.score.command import main
+from hri_pipeline.score.metrics import score
 
 BASE, RATE, SECONDS = 1000.0, 10.0, 12.0
 SCENE = parse_scene({"duration": 12.0, "habits": {"look_away": 0.1, "dwell": 2.0}, "people": [
@@ -21,11 +21,13 @@ SCENE = parse_scene({"duration": 12.0, "habits": {"look_away": 0.1, "dwell": 2.0
 NAMES = {"ann": "pa", "bob": "pb", "cho": "pc"}
 
 
-def write(path, names=lambda t: NAMES, shift=(0.0, 0.0, 0.0), listed=lambda t, ids: ids, gaze=True, groups=True, parent=("map", None),
+def write(path, names=lambda t: NAMES, shift=(0.0, 0.0, 0.0), listed=lambda t, ids: ids, gaze=True, groups=True,
+          parent=("map", None),
           truth=True, late=0.02):
     """A bag in which persons are where they truly are, moved by `shift`; names(t): person ids by true ids.
 
-    parent: frame of the persons, and its pose in map: None, fixed, or by the time, as links that move (name, pose in the one before).
+    parent: frame of the persons, and its pose in map: None, fixed, or by the time, as links that move (name, pose in
+    the one before).
     """
     world = World(SCENE)
     with SceneBag(path) as bag:
@@ -51,10 +53,12 @@ def write(path, names=lambda t: NAMES, shift=(0.0, 0.0, 0.0), listed=lambda t, i
             for person in ids.values():
                 bag.confidence(person, 1.0, stamp)
             if gaze:
-                bag.gaze("/humans/interactions/gaze", [(ids[person.id], ids.get(person.target, "")) for person in now.people
+                bag.gaze("/humans/interactions/gaze",
+                         [(ids[person.id], ids.get(person.target, "")) for person in now.people
                                                        if person.target is not None], stamp)
             if groups:
-                bag.groups("/humans/interactions/groups", [[ids[member] for member in group.members] for group in now.groups], stamp)
+                bag.groups("/humans/interactions/groups",
+                           [[ids[member] for member in group.members] for group in now.groups], stamp)
     return path
 
 
@@ -114,8 +118,10 @@ def test_persons_in_the_frame_of_the_camera(tmp_path):
 def test_a_camera_on_links_that_move_and_are_called_as_those_of_humans(tmp_path):
     def links(t):
         turn = np.array([[math.cos(t), -math.sin(t), 0.0], [math.sin(t), math.cos(t), 0.0], [0.0, 0.0, 1.0]])
-        return [("body_link", Pose(np.eye(3), np.array([0.1 * t, 0.0, 1.0]))), ("head_pan_link", Pose(turn, np.array([0.0, 0.1, 0.4]))),
-                ("camera", Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.array([0.05, 0.0, 0.1])))]
+        return [("body_link", Pose(np.eye(3), np.array([0.1 * t, 0.0, 1.0]))),
+                ("head_pan_link", Pose(turn, np.array([0.0, 0.1, 0.4]))),
+                ("camera", Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
+                                np.array([0.05, 0.0, 0.1])))]
     figures = score(read_bag(write(tmp_path / "a.bag", parent=("camera", links))))
     assert figures["foreign_frames"] == 0 and figures["mota"] == 1.0 and figures["motp_m"] < 1e-6
 
@@ -147,7 +153,8 @@ def test_the_command(tmp_path, capsys):
     assert "no truth" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name, content", [("none.bag", None), ("text.bag", b"hello"), ("empty.bag", b""), ("a.txt", b"x")])
+@pytest.mark.parametrize("name, content",
+                         [("none.bag", None), ("text.bag", b"hello"), ("empty.bag", b""), ("a.txt", b"x")])
 def test_files_that_are_no_bags(tmp_path, capsys, name, content):
     path = tmp_path / name
     if content is not None:
@@ -156,6 +163,17 @@ def test_files_that_are_no_bags(tmp_path, capsys, name, content):
         read_bag(path)
     assert main([str(path)]) == 1
     assert name in capsys.readouterr().err
+
+
+def test_messages_of_another_type_are_damaged_ones(tmp_path):
+    with SceneBag(tmp_path / "a.bag") as bag:
+        for number, topic in enumerate(("/humans/persons/tracked", "/humans/interactions/gaze",
+                                        "/humans/interactions/groups",
+                                        "/scene/truth/persons", "/scene/truth/visible", "/humans/faces/tracked",
+                                        "/humans/persons/pa/location_confidence", "/humans/voices/v/speech",
+                                        "/scene/truth/words")):
+            bag.poses(topic, [upright((1.0, 2.0, 3.0))], BASE + 0.1 * number)
+    assert score(read_bag(tmp_path / "a.bag"))["damaged_messages"] == 9
 
 
 def test_damaged_messages_are_counted(tmp_path):

@@ -4,17 +4,30 @@ from dataclasses import replace
 
 import pytest
 
-from hri_pipeline.core.setup.check_parameters import CHECK_PARAMETERS
-from hri_pipeline.core.setup.setup_check import FAULT, HINT, as_text, check, is_well
-from hri_pipeline.core.setup.setup_facts import NO_IMAGE_YET, Calibration, Facts, Picture, Stream
+from hri_pipeline.core.setup_check import (
+    CHECK_PARAMETERS,
+    FAULT,
+    HINT,
+    NO_IMAGE_YET,
+    CalibrationFacts,
+    Facts,
+    Picture,
+    Stream,
+    as_text,
+    check,
+    is_well,
+)
 
 SETTINGS = CHECK_PARAMETERS.resolve({})
-IMAGE = Stream("/camera/image_raw", "sensor_msgs/Image", ("sensor_msgs/Image", ), ("/camera", ), (), 90, 30.0, 0.03, "optical")
-INFO = Stream("/camera/camera_info", "sensor_msgs/CameraInfo", ("sensor_msgs/CameraInfo", ), ("/camera", ), (), 90, 30.0, 0.03,
+IMAGE = Stream("/camera/image_raw", "sensor_msgs/Image", ("sensor_msgs/Image", ), ("/camera", ), (), 90, 30.0, 0.03,
+               "optical")
+INFO = Stream("/camera/camera_info", "sensor_msgs/CameraInfo", ("sensor_msgs/CameraInfo", ), ("/camera", ), (), 90,
+              30.0, 0.03,
               "optical")
 WELL = Facts(nodes={"hri_faces": "running", "hri_person_manager": "running"}, image=IMAGE, info=INFO,
-             picture=Picture(1280, 720, "bgr8", "", 110.0, 50.0), calibration=Calibration(1280, 720, 900.0),
-             camera_frame="optical", tf_reaches=True, models_directory="models", statuses={"hri_faces: input": (0, "fine")},
+             picture=Picture(1280, 720, "bgr8", "", 110.0, 50.0), calibration=CalibrationFacts(1280, 720, 900.0),
+             camera_frame="optical", tf_reaches=True, models_directory="models",
+             statuses={"hri_faces: input": (0, "fine")},
              tracked={"faces": 2, "persons": 2})
 
 
@@ -34,30 +47,34 @@ def test_nobody_in_view_is_no_fault():
 
 @pytest.mark.parametrize("facts, words", [
     (image(types=(), publishers=(), messages=0), ["nobody publishes /camera/image_raw", "image:="]),
-    (image(types=("sensor_msgs/CompressedImage", ), messages=0), ["is a sensor_msgs/CompressedImage", "image_transport:=compressed"]),
+    (image(types=("sensor_msgs/CompressedImage", ), messages=0),
+     ["is a sensor_msgs/CompressedImage", "image_transport:=compressed"]),
     (image(types=("std_msgs/String", ), messages=0), ["is a std_msgs/String, not a sensor_msgs/Image"]),
     (image(unreachable=("/camera", ), messages=0), ["cannot be reached", "ROS_IP"]),
     (image(messages=0), ["has a publisher (/camera), but nothing comes"]),
     (image(age=7.5), ["7.5 s old", "clocks"]),
     (image(age=-3.0), ["3.0 s in the future"]),
     (image(frame=""), ["no frame_id"]),
-    (replace(WELL, picture=Picture(encoding="jpeg2000", problem="encoding 'jpeg2000' is not supported")), ["jpeg2000", "bgr8"]),
+    (replace(WELL, picture=Picture(encoding="jpeg2000", problem="encoding 'jpeg2000' is not supported")),
+     ["jpeg2000", "bgr8"]),
     (replace(WELL, picture=Picture(1280, 720, "bgr8", "", 4.0, 3.0)), ["too dark", "light"]),
     (replace(WELL, picture=Picture(1280, 720, "bgr8", "", 128.0, 0.4)), ["shows nothing", "lens"]),
-    (replace(WELL, calibration=Calibration(1280, 720, 0.0)), ["not calibrated", "cameracalibrator"]),
-    (replace(WELL, calibration=Calibration(640, 480, 500.0)), ["is for 640x480 px, images are 1280x720"]),
+    (replace(WELL, calibration=CalibrationFacts(1280, 720, 0.0)), ["not calibrated", "cameracalibrator"]),
+    (replace(WELL, calibration=CalibrationFacts(640, 480, 500.0)), ["is for 640x480 px, images are 1280x720"]),
     (replace(WELL, tf_reaches=False), ["no transform leads from the camera (optical) to the reference frame map"]),
     (replace(WELL, sim_time=True), ["nobody publishes /clock", "--clock"]),
     (replace(WELL, models_missing=("pose.onnx", )), ["pose.onnx", "fetch_models"]),
     (replace(WELL, nodes={"hri_faces": "absent"}), ["hri_faces does not run"]),
     (replace(WELL, nodes={"hri_faces": "dead"}), ["hri_faces is registered, but does not answer", "rosnode cleanup"]),
-    (replace(WELL, statuses={"hri_faces: faces": (2, "everything is broken")}), ["hri_faces: faces: everything is broken"]),
-    (replace(WELL, tracked={"faces": 2, "bodies": 1, "persons": 0}), ["2 faces and 1 bodies are tracked, but no person"]),
+    (replace(WELL, statuses={"hri_faces: faces": (2, "everything is broken")}),
+     ["hri_faces: faces: everything is broken"]),
+    (replace(WELL, tracked={"faces": 2, "bodies": 1, "persons": 0}), ["2 faces and 1 bodies are tracked, but no "
+                                                                      "person"]),
 ])
 def test_each_fault_is_named_and_nothing_else(facts, words):
     faults = [finding for finding in check(facts, SETTINGS) if finding.level == FAULT]
     assert len(faults) == 1
-    told = faults[0].what + " -> " + faults[0].mend
+    told = faults[0].what + " -> " + faults[0].hint
     assert all(word in told for word in words), told
 
 
@@ -88,7 +105,8 @@ NO_CAMERA = replace(NO_CAMERA, picture=None, calibration=None, camera_frame="", 
 def test_what_follows_from_a_silent_camera_stands_below_it():
     findings = check(NO_CAMERA, SETTINGS)
     assert [finding.what for finding in findings if finding.level == FAULT] == ["nobody publishes /camera/image_raw"]
-    assert [finding.what for finding in findings if finding.level == HINT] == ["hri_faces: faces: the processor is too slow"]
+    assert [finding.what for finding in findings if finding.level == HINT] == ["hri_faces: faces: the processor is too "
+                                                                               "slow"]
     lines = as_text(findings).split("\n")
     fault = lines.index("FAULT  nobody publishes /camera/image_raw")
     assert lines[fault + 1].startswith("       -> start the camera")
@@ -109,7 +127,8 @@ def test_a_node_with_another_topic_keeps_its_own_fault():
 @pytest.mark.parametrize("facts, status, count", [
     (replace(WELL, picture=Picture(encoding="x", problem="encoding 'x' is not supported")),
      (2, "/camera/image_raw: encoding 'x' is not supported"), 1),
-    (replace(WELL, calibration=Calibration(1280, 720, 0.0)), (1, "/camera/camera_info: K is all zero; give fallback_fov"), 1),
+    (replace(WELL, calibration=CalibrationFacts(1280, 720, 0.0)), (1, "/camera/camera_info: K is all zero; give "
+                                                                      "fallback_fov"), 1),
     (replace(WELL, info=replace(INFO, types=(), publishers=(), messages=0), calibration=None),
      (1, "no camera_info on /camera/camera_info: remap it"), 1),
     (replace(WELL, picture=Picture(1280, 720, "bgr8", "", 4.0, 3.0)),
@@ -127,14 +146,17 @@ NOTHING = Facts(nodes={name: "absent" for name in SETTINGS.nodes}, image=Stream(
 
 def test_where_nothing_of_the_stack_runs_the_first_line_says_so_and_nothing_else():
     text = as_text(check(NOTHING, SETTINGS)).split("\n")
-    assert text == ["FAULT  nothing of ros4hri runs on this master", "       -> roslaunch ros4hri ros4hri.launch", "1 fault found"]
+    assert text == ["FAULT  nothing of ros4hri runs on this master", "       -> roslaunch ros4hri ros4hri.launch",
+                    "1 fault found"]
 
 
 def test_what_will_be_in_the_way_of_a_stack_that_does_not_run_is_told():
-    findings = check(replace(NOTHING, image=IMAGE, info=INFO, picture=WELL.picture, calibration=Calibration(1280, 720, 0.0),
+    findings = check(replace(NOTHING, image=IMAGE, info=INFO, picture=WELL.picture,
+                             calibration=CalibrationFacts(1280, 720, 0.0),
                              models_missing=("pose.onnx", )), SETTINGS)
     assert findings[0].what == "nothing of ros4hri runs on this master"
-    assert [word in as_text(findings) for word in ("pose.onnx", "not calibrated", "nobody is tracked")] == [True, True, False]
+    assert [word in as_text(findings)
+            for word in ("pose.onnx", "not calibrated", "nobody is tracked")] == [True, True, False]
 
 
 def test_other_nodes_of_the_stack_are_something():
@@ -145,5 +167,5 @@ def test_other_nodes_of_the_stack_are_something():
 
 def test_a_node_that_is_meant_to_be_off_is_left_out_by_a_command():
     nodes = {"hri_faces": "running", "hri_bodies": "absent", "hri_person_manager": "running"}
-    mend = [finding.mend for finding in check(replace(WELL, nodes=nodes), SETTINGS) if finding.level == FAULT][0]
-    assert "rosrun hri_pipeline check _nodes:=\"[hri_faces, hri_person_manager]\"" in mend
+    hint = [finding.hint for finding in check(replace(WELL, nodes=nodes), SETTINGS) if finding.level == FAULT][0]
+    assert "rosrun hri_pipeline check _nodes:=\"[hri_faces, hri_person_manager]\"" in hint

@@ -1,6 +1,7 @@
 """Sound files, directories of them and ALSA devices as one stream."""
 
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -12,9 +13,15 @@ import numpy as np
 import pytest
 import soundfile
 
-from hri_pipeline.core.sound.sound_device import SoundDevice, SoundDeviceError
-from hri_pipeline.core.sound.sound_source_parameters import SOUND_SOURCE_PARAMETERS
-from hri_pipeline.core.sound.sound_sources import SoundSourceError, is_live, open_sound_source, sounds_in
+from hri_pipeline.core.sources.parameters import SOUND_SOURCE_PARAMETERS
+from hri_pipeline.core.sources.sound_sources import (
+    SoundDevice,
+    SoundDeviceError,
+    SoundSourceError,
+    is_live,
+    open_sound_source,
+    sounds_in,
+)
 
 needs_alsa = pytest.mark.skipif(shutil.which("arecord") is None, reason="alsa-utils is not installed")
 
@@ -119,6 +126,23 @@ def test_a_missing_microphone_is_named():
 
 
 @needs_alsa
+def test_a_device_is_read_by_a_program_that_has_many_files_open():
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if limits[1] < 1200:
+        pytest.skip("no more than {} descriptors here".format(limits[1]))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (1200, limits[1]))
+    files = [os.open(os.devnull, os.O_RDONLY) for _ in range(1050)]     # select() takes none above 1023
+    try:
+        device = SoundDevice("null", 16000, 2)
+        assert device.read(320).shape == (320, 2)
+        device.close()
+    finally:
+        for file in files:
+            os.close(file)
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+
+@needs_alsa
 def test_a_device_is_read_in_its_time_and_its_end_is_told():
     device = SoundDevice("null", 16000, 2)          # ALSA's own device of zeros, which has no clock
     begun = time.monotonic()
@@ -136,13 +160,14 @@ def test_a_device_is_read_in_its_time_and_its_end_is_told():
 def test_the_recording_ends_with_its_parent():
     code = textwrap.dedent("""
         import os, signal
-        from hri_pipeline.core.sound.sound_device import SoundDevice
+        from hri_pipeline.core.sources.sound_sources import SoundDevice
         device = SoundDevice("null", 16000, 1)
         device.read(160)
         print(device.pid, flush=True)
         os.kill(os.getpid(), signal.SIGKILL)
     """)
-    said = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, universal_newlines=True, timeout=60).stdout
+    said = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, universal_newlines=True,
+                          timeout=60).stdout
     path = "/proc/{}/stat".format(int(said))
     deadline = time.monotonic() + 20.0
     while os.path.exists(path) and open(path).read().rsplit(")", 1)[1].split()[0] not in "ZX":

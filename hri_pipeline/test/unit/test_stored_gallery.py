@@ -1,17 +1,19 @@
 """The gallery in the store of people: two recognisers and a person manager on one file."""
 
+import threading
+
 import numpy as np
 import pytest
 
-from hri_pipeline.core.recognition.gallery import MemoryGallery
-from hri_pipeline.core.recognition.gallery_file import FileGallery
-from hri_pipeline.core.recognition.likelihood import Calibration
-from hri_pipeline.core.recognition.person_store import PersonStore, StoredPerson
-from hri_pipeline.core.recognition.stored_gallery import StoredGallery, open_gallery
-from hri_pipeline.evaluation.synthetic_templates import SIZE
-from hri_pipeline.evaluation.synthetic_templates import template as face
+from benchmarks.recognition import SIZE
+from benchmarks.recognition import template as face
+from benchmarks.store import forget_undone, no_room, write_locked
+from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.recognition.gallery import MemoryGallery, StoredGallery, open_gallery
+from hri_pipeline.core.recognition.likelihood import TemplateCalibration
+from hri_pipeline.core.recognition.store import PersonStore, StoredPerson
 
-CALIBRATION = Calibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)
+CALIBRATION = TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)
 
 
 @pytest.fixture
@@ -28,8 +30,8 @@ def other(store):
     other.close()
 
 
-def gallery(store):
-    return StoredGallery(store, "net", SIZE, CALIBRATION, clock=lambda: 100.0)
+def gallery(store, **options):
+    return StoredGallery(store, "net", SIZE, CALIBRATION, **dict({"clock": lambda: 100.0}, **options))
 
 
 def nearest(gallery, number):
@@ -68,6 +70,7 @@ def test_who_is_forgotten_by_one_is_forgotten_by_all(store, other):
     first.flush()
     second.flush()
     first.remove("anna")
+    first.flush()
     other.remove_record("bert")
     second.flush()
     first.flush()
@@ -75,6 +78,7 @@ def test_who_is_forgotten_by_one_is_forgotten_by_all(store, other):
     held = b"".join(file.read_bytes() for file in store.path.parent.iterdir())
     assert b"anna" not in held and b"bert" not in held and face(1).tobytes()[:12] not in held
     second.clear()
+    second.flush()
     first.flush()
     assert first.ids() == [] and store.load_records() == []
 
@@ -98,6 +102,7 @@ def test_merging_moves_the_templates_and_leaves_the_record(store, other):
     first.add_person("bert", face(2)[None])
     first.flush()
     first.merge("anna", "bert")
+    first.flush()
     assert [(person.id, len(person.templates)) for person in store.load_templates("net", SIZE)] == [("bert", 2)]
     assert [record.id for record in store.load_records()] == ["anna", "bert"], "the alias is the manager's to note"
     second = gallery(other)
@@ -135,7 +140,95 @@ def test_consent_is_not_lost_when_a_template_is_learnt_at_the_same_time(store, o
     assert record.enrolled and len(other.load_templates("net", SIZE)[0].templates) == 2
 
 
-@pytest.mark.parametrize("name, kind", [("", MemoryGallery), ("faces.gallery", FileGallery),
+def test_who_is_forgotten_while_another_one_writes_stays_forgotten(store, other):
+    """Another process forgets after the gallery was read and before it is written, if it can."""
+    forgetting = threading.Thread(target=lambda: other.remove_record("anna"))
+
+    def clock():
+        if forgetting.ident is None:
+            forgetting.start()
+        forgetting.join(0.5)
+        return 100.0
+
+    setup = gallery(store)
+    setup.add_person("anna", face(1)[None])
+    setup.flush()
+    first = gallery(store, clock=clock)
+    first.add_template("anna", face(1, 0.3))
+    first.flush()
+    forgetting.join(20.0)
+    assert not forgetting.is_alive()
+    first.flush()
+    assert first.ids() == [] and store.load_records() == []
+
+
+def test_old_views_do_not_come_back_for_somebody_who_is_learnt_anew(store, other):
+    first, second = gallery(store), gallery(other)
+    first.add_person("anna", face(1)[None])
+    first.flush()
+    second.flush()
+    second.remove("anna")
+    second.flush()
+    second.add_person("anna", face(7)[None])
+    second.flush()
+    first.add_template("anna", face(1, 0.3))
+    first.flush()
+    assert np.array_equal(first.export("anna").templates, face(7)[None])
+    assert np.array_equal(store.load_templates("net", SIZE)[0].templates, face(7)[None])
+
+
+def test_a_gallery_without_room_takes_nothing_from_the_others(store, other):
+    first, second = gallery(store), gallery(other, max_persons=1)
+    first.add_person("anna", face(1)[None])
+    first.add_person("bert", face(2)[None])
+    first.flush()
+    second.flush()
+    assert len(second) == 1
+    second.add_template("anna", face(1, 0.3))
+    second.flush()
+    first.flush()
+    assert sorted(first.ids()) == ["anna", "bert"] and len(first.export("anna").templates) == 2
+
+
+@pytest.mark.parametrize("forget", [lambda gallery: gallery.remove("anna"), lambda gallery: gallery.clear()])
+def test_forgetting_that_finds_no_room_is_done_later(store, other, forget):
+    first, second = gallery(store), gallery(other)
+    first.add_person("anna", face(1)[None])
+    first.flush()
+    with no_room():
+        forget(first)
+        with pytest.raises(StoreError, match="make room"):
+            first.flush()
+    assert first.ids() == []
+    second.add_person("bert", face(2)[None])
+    second.flush()
+    first.flush()
+    second.flush()
+    assert "anna" not in first.ids() + second.ids() + [record.id for record in store.load_records()]
+
+
+def test_nobody_waits_for_a_store_that_another_process_holds(store):
+    first = gallery(store)
+    first.add_person("anna", face(1)[None])
+    first.flush()
+    with write_locked(store.path):
+        writer = threading.Thread(target=first.flush)
+        first.remove("anna")
+        writer.start()
+        first.add_person("bert", face(2)[None])
+        first.remove("anna")
+        assert nearest(first, 2) == "bert"
+        assert writer.is_alive(), "it waits"
+    writer.join(20.0)
+    first.flush()
+    assert [record.id for record in store.load_records()] == ["bert"]
+
+
+def test_two_processes_that_learn_and_forget_at_random(tmp_path):
+    assert forget_undone(4.0, tmp_path) == 0
+
+
+@pytest.mark.parametrize("name, kind", [("", MemoryGallery), ("faces.gallery", StoredGallery),
                                         ("people.sqlite", StoredGallery)])
 def test_the_ending_tells_the_kind_of_file(tmp_path, name, kind):
     path = str(tmp_path / "private" / name) if name else ""

@@ -10,10 +10,9 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from hri_pipeline.models.errors import ConversionError
+from hri_pipeline.models.catalogue import ConversionError
 from hri_pipeline.models.faceapi_to_onnx import convert_faceapi
-from hri_pipeline.models.tfjs_to_onnx import convert_tfjs
-from hri_pipeline.models.tfjs_weights import read_weights
+from hri_pipeline.models.tfjs_to_onnx import convert_tfjs, read_weights
 
 
 def random(*shape: int) -> np.ndarray:

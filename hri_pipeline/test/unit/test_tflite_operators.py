@@ -8,11 +8,9 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from hri_pipeline.models.errors import ConversionError
-from hri_pipeline.models.sparse import SparseDimension, densify
-from hri_pipeline.models.tflite_graph import Operator, Tensor, TfliteGraph, read_tflite
-from hri_pipeline.models.tflite_operators import same_padding
-from hri_pipeline.models.tflite_to_onnx import convert_graph
+from hri_pipeline.models.catalogue import ConversionError
+from hri_pipeline.models.tflite_graph import Operator, SparseDimension, Tensor, TfliteGraph, densify, read_tflite
+from hri_pipeline.models.tflite_to_onnx import convert_graph, same_padding
 
 PLAIN = {"FusedActivationFunction": 0}
 

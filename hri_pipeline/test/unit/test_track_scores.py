@@ -2,7 +2,7 @@
 
 import pytest
 
-from hri_pipeline.evaluation.scores import MotFrame, clear_mot, pair_scores
+from hri_pipeline.score.metrics import MotFrame, clear_mot, pair_scores
 
 A, B = (0.0, 0.0), (3.0, 0.0)
 
@@ -77,7 +77,11 @@ def test_illegal_distance(distance):
 def test_pairs():
     scores = pair_scores([{("a", "b")}, {("a", ""), ("b", "a")}, set()], [{("a", "b")}, {("a", "")}, {("b", "a")}])
     assert (scores.right, scores.wrong, scores.missed) == (2, 1, 1)
-    assert scores.precision == pytest.approx(2 / 3) and scores.recall == pytest.approx(2 / 3) and scores.f1 == pytest.approx(2 / 3)
+    assert (
+        scores.precision == pytest.approx(2 / 3)
+        and scores.recall == pytest.approx(2 / 3)
+        and scores.f1 == pytest.approx(2 / 3)
+    )
 
 
 def test_pairs_with_slack_forgive_what_comes_late():

@@ -25,13 +25,15 @@ def expand(text: str) -> List[str]:
     found = re.search(r"\{([\w,]+)\}", text)
     if not found:
         return [text]
-    return [name for choice in found.group(1).split(",") for name in expand(text[:found.start()] + choice + text[found.end():])]
+    return [name for choice in found.group(1).split(",")
+            for name in expand(text[:found.start()] + choice + text[found.end():])]
 
 
 def names_of(text: str, prefix: str) -> List[str]:
     """Return the names of topics of a code span as interface.yaml writes them."""
     names = [name if name.startswith("/") else prefix + name for name in expand(text)]
-    return [re.sub(r"^(/humans/(\w+)/)ID/", lambda found: found.group(1) + KINDS[found.group(2)] + "/", name) for name in names]
+    return [re.sub(r"^(/humans/(\w+)/)ID/", lambda found: found.group(1) + KINDS[found.group(2)] + "/", name)
+            for name in names]
 
 
 def rows(page: str, heading: str = "") -> Iterator[List[str]]:
@@ -62,6 +64,19 @@ def types_in(cell: str) -> Set[str]:
         package = span.split("/")[0] if "/" in span else package
         found.add("{}/{}".format(package, span.split("/")[-1]))
     return found
+
+
+def test_sums_of_released_messages_are_those_of_the_package_that_is_found(tmp_path: Path,
+                                                                          monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in an install space, where no package stands beside another one as in the sources."""
+    share = tmp_path / "share" / "hri_msgs"
+    (share / "test" / "msgs").mkdir(parents=True)
+    (share / "package.xml").write_text("<package><name>hri_msgs</name></package>")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "share"))
+    with pytest.raises(OSError):
+        interface_table.released_sums()
+    (share / "test" / "msgs" / "md5sums.txt").write_text("# md5\nhri_msgs/Gaze 1408\n")
+    assert interface_table.released_sums() == {"hri_msgs/Gaze": "1408"}
 
 
 def test_readme_has_every_topic_once_and_no_other() -> None:
@@ -102,7 +117,8 @@ def test_rep155_page_tells_both_types(name: str) -> None:
 
 
 def test_rep155_page_tells_what_only_one_knows() -> None:
-    told = {name: known for names, (_, known) in topics_in("docs/rep155.md") for name in names if PAPER[name] == REP155[name]}
+    told = {name: known for names, (_, known) in topics_in("docs/rep155.md") for name in names
+            if PAPER[name] == REP155[name]}
     whose = {"REP-155": "rep155", "neither": "own"}
     of = {row["name"]: row["of"] for row in TABLE["topics"]}
     for name, known in told.items():
@@ -121,4 +137,5 @@ def test_a_row_that_stands_twice_is_refused(tmp_path: Path) -> None:
 def test_patterns_match_ids_only() -> None:
     pattern = interface_table.pattern_of("/humans/faces/{face}/roi")
     assert pattern.match("/humans/faces/abcde/roi").group(1) == "abcde"
-    assert not any(pattern.match(name) for name in ("/humans/faces/a/b/roi", "/humans/faces/1bcde/roi", "/humans/faces/abcde/roi/x"))
+    assert not any(pattern.match(name)
+                   for name in ("/humans/faces/a/b/roi", "/humans/faces/1bcde/roi", "/humans/faces/abcde/roi/x"))

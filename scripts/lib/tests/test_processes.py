@@ -10,12 +10,15 @@ import sys
 
 import processes
 
-STUBBORN = "import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); print('ready', flush=True); time.sleep(600)"
+STUBBORN = (
+    "import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); print('ready', flush=True); time.sleep(600)"
+)
 
 
 def _start(mark: str) -> "subprocess.Popen[bytes]":
     child = subprocess.Popen(
-        [sys.executable, "-c", STUBBORN], env=dict(os.environ, ROS4HRI_RUN_MARK=mark), stdout=subprocess.PIPE, start_new_session=True)
+        [sys.executable, "-c", STUBBORN], env=dict(os.environ, ROS4HRI_RUN_MARK=mark), stdout=subprocess.PIPE,
+        start_new_session=True)
     assert child.stdout is not None and child.stdout.readline() == b"ready\n"
     return child
 

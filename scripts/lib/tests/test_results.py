@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
+import pytest
 import results
+
+LIB = Path(__file__).resolve().parent.parent
 
 CASES = """<testsuite tests="4">
   <testcase classname="a" name="good"/>
@@ -45,10 +49,41 @@ def test_rostest_that_crashed_or_ran_nothing_is_a_failure(tmp_path: Path) -> Non
     assert results.count_rostest(tmp_path, 1).failed == 1
     _write(tmp_path / "p" / "rosunit-x.xml", '<testsuite><testcase name="a"/></testsuite>')
     assert results.count_rostest(tmp_path, 124).failed == 1
-    _write(tmp_path / "p" / "rostest-x.xml", '<testsuite><testcase name="x"><failure message="time-limit"/></testcase></testsuite>')
+    _write(tmp_path / "p" / "rostest-x.xml", '<testsuite><testcase name="x"><failure '
+                                             'message="time-limit"/></testcase></testsuite>')
     assert results.count_rostest(tmp_path, 1)[:2] == (1, 1)
 
 
-def test_table_adds_up_and_an_empty_layer_fails(tmp_path: Path) -> None:
-    table = _write(tmp_path / "t", "static\t5\t0\t0\t1.0\t\nrostest\t0\t0\t0\t0.1\t\npytest38\t0\t0\t0\t0.0\tno Python 3.8 here\n")
+def test_table_adds_up_and_an_empty_layer_fails(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    table = _write(tmp_path / "t", "static\t5\t0\t0\t1.0\t\nrostest\t0\t0\t0\t0.1\t\npytest38\t0\t0\t0\t0.0\tno Python "
+                                   "3.8 here\n")
     assert results.print_table(table) == (5, 1)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2].split() == ["rostest", "0", "1", "0", "0.1", "ran", "nothing"]
+    assert lines[3].split() == ["pytest38", "-", "-", "-", "0.0", "skipped:", "no", "Python", "3.8", "here"]
+
+
+def run_layers(directory: Path, commands: str) -> "subprocess.CompletedProcess[str]":
+    """Run commands of scripts/lib/layers.sh; their table is directory/table."""
+    start = 'R4H_NAME=test R4H_STEPS=1; . "$1/common.sh"; . "$1/layers.sh"; R4H_TABLE=$2/table; cd "$R4H_ROOT"; '
+    return subprocess.run(["bash", "-euc", start + commands, "bash", str(LIB), str(directory)], check=True,
+                          stdout=subprocess.PIPE,
+                          universal_newlines=True)
+
+
+def test_a_layer_that_cannot_run_is_told_as_skipped_with_the_reason(tmp_path: Path) -> None:
+    done = run_layers(tmp_path, "find_python38() { return 1; }; run_layer pytest38")
+    assert "pytest38: skipped: no Python 3.8 here" in done.stdout and "0 passed" not in done.stdout
+    assert results.print_table(tmp_path / "table") == (0, 0)
+
+
+def test_a_check_that_cannot_run_is_told_as_skipped(tmp_path: Path) -> None:
+    done = run_layers(tmp_path, "find_python38() { return 1; }; check() { R4H_PASSED=$((R4H_PASSED + 1)); }; "
+                      "check_counting() { :; }; run_layer static")
+    assert "skipped syntax, Python 3.8: no Python 3.8 here" in done.stdout and "0 failed, 1 skipped" in done.stdout
+
+
+def test_a_layer_that_ran_is_counted(tmp_path: Path) -> None:
+    done = run_layers(tmp_path, "layer_other() { add_counts $'3\\t1\\t2'; }; run_layer other")
+    assert "other: 3 passed, 1 failed, 2 skipped" in done.stdout
+    assert results.print_table(tmp_path / "table") == (3, 1)

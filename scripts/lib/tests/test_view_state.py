@@ -17,8 +17,10 @@ def test_a_full_view_lacks_nothing() -> None:
 
 def test_what_is_missing_is_named() -> None:
     for change, word in ((dict(marked=0), "a name"), (dict(faces=frozenset(), overlay=(0, 2)), "a face"),
-                         (dict(skeletons=frozenset()), "a skeleton in space"), (dict(overlay=(0, 2)), "faces on the camera image"),
-                         (dict(overlay=None), "bodies on the camera image"), (dict(viewed=frozenset(["/overlay"])), "/skeletons in the viewer")):
+                         (dict(skeletons=frozenset()), "a skeleton in space"),
+                         (dict(overlay=(0, 2)), "faces on the camera image"),
+                         (dict(overlay=None), "bodies on the camera image"),
+                         (dict(viewed=frozenset(["/overlay"])), "/skeletons in the viewer")):
         assert word in lack(replace(FULL, **change), 2, TOPICS).needed, word
 
 
@@ -38,7 +40,8 @@ def test_a_voice_without_a_place_needs_no_name() -> None:
 
 
 def test_persons_weigh_most_then_what_is_needed() -> None:
-    views = [FULL, replace(FULL, gazes=0, groups=0), replace(FULL, overlay=(0, 2)), replace(FULL, persons=frozenset("p"))]
+    views = [FULL, replace(FULL, gazes=0, groups=0), replace(FULL, overlay=(0, 2)),
+             replace(FULL, persons=frozenset("p"))]
     weights = [lack(view, 2, TOPICS).weight for view in views]
     assert weights == sorted(weights) and len(set(weights)) == len(weights)
 

@@ -9,29 +9,28 @@ import genpy
 import numpy as np
 import rospy
 
+from hri_fullbody.core.pipeline import IMAGE_UP
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.diagnostics import OK, WARN
-from hri_pipeline.ros.robot_frames import RobotFrameFeed
+from hri_pipeline.ros.tf import RobotTfListener
 
-IMAGE_UP = np.array([0.0, -1.0, 0.0])
-"""Up in the optical frame of a camera that stands upright and looks ahead."""
 _GRACE_S = 3.0
 _LOWEST_M, _HIGHEST_M = 0.05, 10.0
 
 
 class UpFrame:
-    """Looks the camera up in a frame whose z axis points up and whose z = 0 is the floor.
+    """Pose of the camera in a frame whose z axis points up and whose z = 0 is the floor.
 
     name: that frame; empty: there is none, and the image's own upright is taken.
     """
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._frames: Optional[RobotFrameFeed] = RobotFrameFeed(name) if name else None
+        self._frames: Optional[RobotTfListener] = RobotTfListener(name) if name else None
         self._missing_since: Optional[float] = None
         self._told = False
 
-    def look(self, camera: str, stamp: genpy.Time) -> Tuple[np.ndarray, Optional[float]]:
+    def lookup(self, camera: str, stamp: genpy.Time) -> Tuple[np.ndarray, Optional[float]]:
         """Return up (3,) in the frame `camera`, and its height above the floor, m; None while that is not known."""
         pose = self._frames.lookup(camera, stamp) if self._frames is not None and camera else None
         if pose is None:
@@ -61,14 +60,16 @@ class UpFrame:
             rospy.logwarn("%s", self._problem(camera))
 
     def _problem(self, camera: str) -> str:
-        return "no transform leads from {} to ~up_frame {}; the image is taken for upright. Mend: start what publishes " \
-               "it, or set ~up_frame to a frame that exists or to nothing".format(camera, self._name)
+        return (
+            "no transform leads from {} to ~up_frame {}; the image is taken for upright. Mend: start what publishes "
+            "it, or set ~up_frame to a frame that exists or to nothing".format(camera, self._name)
+        )
 
 
 def up_and_height(camera: Pose) -> Tuple[np.ndarray, Optional[float]]:
     """Return up (3,) in the camera's frame and its height (m) of the camera's pose in a frame whose z is up.
 
-    A height that no camera has that looks at people (below 5 cm, above 10 m) is None: z = 0 is not the floor there.
+    A height that no camera has (below 5 cm, above 10 m) is None: z = 0 is not the floor there.
     """
     height = float(camera.translation[2])
     return camera.rotation[2].copy(), height if _LOWEST_M <= height <= _HIGHEST_M else None

@@ -1,33 +1,103 @@
 """Where a person is, and how sure that is: the four rules of the person frame.
 
-1. Not identified: no frame. 2. Tracked: confidence 1, at the face, else at the skeleton frame closest to
-the head, else at the best guess. 3. Not seen, but located before: the last place, with a confidence below
-1 that decays, until it reaches 0. 4. Never located: confidence 0 and no frame.
+1. Not identified: no frame. 2. Tracked, and a feature has given a place within the last second: confidence 1, at the
+face, else at the skeleton frame closest to the head, else at the best guess. 3. No such place, but located before: the
+last place, with a confidence below 1 that decays, until it reaches 0. 4. Never located: confidence 0 and no frame.
+
+When the face of a person disappears, the body takes over, without a pause and without a jump (`FaceBodyTransition`).
+
+Stamps are times of measurements; they tell how old a place is. `now` is the time at which a place arrives; it tells
+whether a source is still active, so that the age of its messages neither favours nor harms a source.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections import deque
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Dict, Hashable, Optional, Tuple
+from typing import Callable, Container, Deque, Dict, Hashable, Iterable, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from hri_person_manager.core.handover import Handover
+from hri_person_manager.core.features import MatchNode
+from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
 
-_OPTICAL = "_optical_frame"
+# s without a face after which the body goes on; bodies may be ahead of faces by the age of an image
+SHORTEST = 0.25
+PERIODS = 3.0              # the same, in periods of the face, where these are longer
+SAME_TIME = 0.1            # s between a face and a body that are compared
+LARGEST_STEP = 1.0         # m; farther apart a face and a body are of two people, or one of them is wrong
+# s in which half of the step is given up: the longer the face is away, the more the body is right
+HALF_LIFE = 1.0
+_GAIN = 0.3                # of a new step
+_HISTORY = 30              # faces
 DECAY_KINDS = ("exponential", "linear", "step")
 UNSEEN_CEILING = 0.99      # a person who is not seen is never at 1, not even in the first instant
 STEP_CONFIDENCE = 0.5
 SMOOTHING = 0.5            # s, of the velocity
 LONGEST_STEP = 1.0         # s between two places that tell a velocity
 VOICE_PATIENCE = 3.0       # s for which a place that was seen is better than the direction of a voice
+FRESH_TIME = 1.0           # s for which a place counts as that of now,
+FRESH_PERIODS = 3.0        # and so many image periods, where these are longer
+LONGEST_PERIOD = 10.0      # s; what comes less often is no sequence of images
+JUMP_BACK = 0.5            # s; a clock that goes back by more has been set
 HIGHEST_SPEED = 3.0        # m/s, a person who runs; more is a jump of the measurement
 
 
-class Source(IntEnum):
+class FaceBodyTransition:
+    """Follows how far the place of a face is from that of its body, while both are seen.
+
+    Times are stamps, s; places m in a named frame.
+    """
+
+    def __init__(self) -> None:
+        self._faces: Deque[Tuple[float, str, np.ndarray]] = deque(maxlen=_HISTORY)
+        self._period: Optional[float] = None
+        self._step: Optional[np.ndarray] = None
+        self._of: Tuple[str, Hashable] = ("", None)
+
+    def face(self, frame: str, position: np.ndarray, stamp: float) -> None:
+        """Take the place of the face."""
+        since = stamp - self._faces[-1][0] if self._faces else 0.0
+        if since < 0.0:
+            self.clear()
+        elif 0.0 < since < 1.0:
+            self._period = since if self._period is None else self._period + _GAIN * (since - self._period)
+        self._faces.append((stamp, frame, position))
+
+    def body(self, frame: str, position: np.ndarray, stamp: float, feature: Hashable) -> None:
+        """Take the place of the body while the face is there; feature: which frame of which body."""
+        near = min(self._faces, key=lambda face: abs(face[0] - stamp), default=None)
+        if near is None or abs(near[0] - stamp) > SAME_TIME or near[1] != frame:
+            return
+        step = near[2] - position
+        known = self._step is not None and self._of == (frame, feature)
+        self._step = self._step + _GAIN * (step - self._step) if known else step
+        self._of = (frame, feature)
+
+    def patience(self, longest: float) -> float:
+        """Return how long (s) the body waits for the face, `longest` s at most and where the two were never seen
+        together."""
+        if self._step is None or self._period is None:
+            return longest
+        return min(longest, max(SHORTEST, PERIODS * self._period))
+
+    def shifted(self, frame: str, pose: Pose, stamp: float, feature: Hashable) -> Pose:
+        """Return where the person is by the body alone: its place and what is left of the step to the face."""
+        if self._step is None or self._of != (frame, feature) or np.linalg.norm(self._step) > LARGEST_STEP:
+            return pose
+        away = max(0.0, stamp - self._faces[-1][0])
+        return Pose(pose.rotation, pose.translation + 0.5 ** (away / HALF_LIFE) * self._step)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._faces.clear()
+        self._period = self._step = None
+
+
+class PlaceSource(IntEnum):
     """Frames that can place a person, the best one first."""
 
     FACE = 0
@@ -36,22 +106,26 @@ class Source(IntEnum):
     VOICE = 3
 
 
-_OF_BODY = (Source.HEAD, Source.BODY)
+_OF_BODY = (PlaceSource.HEAD, PlaceSource.BODY)
 
 
 @dataclass(frozen=True)
 class Place:
-    """A pose in a named frame at a time: `pose` maps person coordinates to `frame` (m), `stamp` in s."""
+    """A pose in a named frame at a time: `pose` maps person coordinates to `frame` (m), `stamp` in s.
+
+    exact_stamp: the same time as the caller knows it, for the caller; a float of seconds loses nanoseconds.
+    """
 
     frame: str
     pose: Pose
     stamp: float
+    exact_stamp: object = None
 
     @property
     def horizontal(self) -> Tuple[float, float]:
-        """The two horizontal coordinates, m; in a frame of a camera y points down, REP-103."""
+        """The two horizontal coordinates, m."""
         x, y, z = self.pose.translation.tolist()
-        return (x, z) if self.frame.endswith(_OPTICAL) else (x, y)
+        return (x, z) if is_optical(self.frame) else (x, y)
 
 
 @dataclass(frozen=True)
@@ -88,7 +162,7 @@ class Decay:
         return min(value, UNSEEN_CEILING)
 
 
-class Motion:
+class CoastingMotion:
     """Velocity of one person, for going on a little after it was lost (constant velocity, coming to rest)."""
 
     def __init__(self, coast_time: float) -> None:
@@ -122,7 +196,7 @@ class Motion:
             return place
         time = min(elapsed, self._coast_time)
         way = self._velocity * (time - 0.5 * time * time / self._coast_time)
-        return Place(place.frame, Pose(place.pose.rotation, place.pose.translation + way), place.stamp)
+        return replace(place, pose=Pose(place.pose.rotation, place.pose.translation + way))
 
     def clear(self) -> None:
         """Forget the velocity."""
@@ -130,79 +204,170 @@ class Motion:
         self._velocity = np.zeros(3)
 
 
+@dataclass
+class FeaturePlace:
+    """The last place of a tracked feature: by which of its frames, received at the time `now` (s), seen by `sensor`."""
+
+    source: PlaceSource
+    place: Place
+    now: float
+    sensor: str = ""
+    periods: Deque[float] = field(default_factory=lambda: deque(maxlen=5))
+
+    @property
+    def fresh(self) -> float:
+        """For how long (s) the place counts as that of now."""
+        # The median: neither an image without the feature nor two that come at once tell the period.
+        period = sorted(self.periods)[(len(self.periods) - 1) // 2] if self.periods else 0.0
+        return max(FRESH_TIME, FRESH_PERIODS * period)
+
+
+class FeaturePlaces:
+    """The last place of each feature that is tracked, whether it belongs to somebody or not yet."""
+
+    def __init__(self) -> None:
+        self._known: Dict[MatchNode, FeaturePlace] = {}
+
+    def add(self, feature: MatchNode, source: PlaceSource, place: Place, now: float, sensor: str = "") -> FeaturePlace:
+        """Take a place of a tracked feature that arrives at `now` (s)."""
+        known = self._known.get(feature)
+        latest = FeaturePlace(source, place, now, sensor)
+        if known is not None:
+            period = place.stamp - known.place.stamp
+            if period >= 0.0:
+                latest.periods = known.periods
+            if 0.0 < period <= LONGEST_PERIOD:
+                latest.periods.append(period)
+        self._known[feature] = latest
+        return latest
+
+    def of(self, features: Iterable[MatchNode]) -> List[Tuple[MatchNode, FeaturePlace]]:
+        """Return those of the features that have a place, with it, the one that was received first comes first."""
+        found = [(feature, self._known[feature]) for feature in features if feature in self._known]
+        return sorted(found, key=lambda entry: (entry[1].now, entry[1].source))
+
+    def retain(self, is_tracked: Callable[[MatchNode], bool]) -> None:
+        """Forget the features that are not tracked any more."""
+        self._known = {feature: latest for feature, latest in self._known.items() if is_tracked(feature)}
+
+
+class _LastReport(NamedTuple):
+    """The last place of a source: its stamp, when it arrived, and for how long it counts as current; all s."""
+
+    stamp: float
+    arrived: float
+    fresh: float
+
+
 class Location:
     """Last known place of one person, fed by transforms of its face, head, body and voice frames."""
 
     def __init__(self, source_timeout: float, coast_time: float = 0.0) -> None:
-        """Let a worse source speak once the better ones are silent for `source_timeout` seconds.
+        """Use a worse source once the better ones are silent for `source_timeout` seconds.
 
         coast_time: s, for which a person that is not seen any more goes on as it went; 0 lets it stand.
         """
         self._source_timeout = source_timeout
-        self._motion = Motion(coast_time)
-        self._handover = Handover()
-        self._heard: Dict[Source, Tuple[float, Hashable]] = {}
-        self._updated = self._seen = float("-inf")
-        self.place: Optional[Place] = None
-
-    def offer(self, source: Source, place: Place, now: float, feature: Hashable = None) -> bool:
-        """Take a new place unless a better source spoke recently; return whether it was taken.
-
-        The stamps of the sources are compared with each other, `now` only dates the arrival. Of two features that
-        are equally good, such as the faces that two cameras see of one person, the one that spoke first goes on. A voice
-        tells the direction only: where somebody was seen shortly before is closer to the truth. A body goes on from where
-        the face was: see `handover`.
-        """
-        for better, (stamp, speaker) in self._heard.items():
-            preferred = better < source or (better == source and speaker != feature)
-            if preferred and -self._source_timeout <= place.stamp - stamp <= self._patience(better, source):
-                if better < source:
-                    self._heard.setdefault(source, (place.stamp, feature))
-                    if better == Source.FACE and source in _OF_BODY:
-                        self._handover.body(place.frame, place.pose.translation, place.stamp, (source, feature))
-                return False
-        if source != Source.VOICE:
-            self._seen = place.stamp
-        elif 0.0 <= place.stamp - self._seen <= VOICE_PATIENCE:
-            return False
-        if source == Source.FACE:
-            self._handover.face(place.frame, place.pose.translation, place.stamp)
-        elif source in _OF_BODY:
-            place = replace(place, pose=self._handover.carried(place.frame, place.pose, place.stamp, (source, feature)))
-        self._heard[source] = (place.stamp, feature)
-        self._motion.see(place)
-        self.place = place
-        self._updated = now
-        return True
-
-    def expected(self, now: float) -> Optional[Place]:
-        """Return where the person is now when nobody has seen it since its last place; None without one."""
-        return None if self.place is None else self._motion.coast(self.place, now - self._updated)
-
-    def forget_source(self, source: Source) -> None:
-        """Stop waiting for a source whose feature is gone."""
-        self._heard.pop(source, None)
-
-    def inherit(self, other: "Location") -> None:
-        """Take over the place of a person that turned out to be the same, if it is the newer one."""
-        if other.place is not None and other._updated > self._updated:
-            self.place = other.place
-            self._updated, self._seen = other._updated, other._seen
-
-    def _patience(self, better: Source, source: Source) -> float:
-        """How long (s) a source waits for a better one that is silent."""
-        if better == Source.FACE and source in _OF_BODY:
-            return self._handover.patience(self._source_timeout)
-        return self._source_timeout
-
-    def is_silent(self, now: float) -> bool:
-        """Tell whether no source has placed the person for longer than the time limit."""
-        return now - self._updated > self._source_timeout
+        self._motion = CoastingMotion(coast_time)
+        self._transition = FaceBodyTransition()
+        self._reports: Dict[Tuple[PlaceSource, Hashable], _LastReport] = {}
+        self.clear()
 
     def clear(self) -> None:
         """Forget the place."""
-        self.place = None
+        self.place: Optional[Place] = None
+        self._active: Tuple[PlaceSource, Hashable] = (PlaceSource.VOICE, None)
         self._motion.clear()
-        self._handover.clear()
-        self._heard.clear()
-        self._updated = self._seen = float("-inf")
+        self._transition.clear()
+        self._reports.clear()
+        self.updated = self._seen = self._fresh_until = float("-inf")
+
+    def offer(self, source: PlaceSource, place: Place, now: float, feature: Hashable = None,
+              fresh: float = FRESH_TIME) -> bool:
+        """Take a new place, received at `now` (s), unless a better source is active; return whether it was taken.
+
+        Of two features that are equally good, such as the faces that two cameras see of one person, the one that was
+        used first goes on. A voice tells the direction only: where somebody was seen shortly before is closer to the
+        truth. A body goes on from where the face was: see `FaceBodyTransition`. fresh: s for which the place counts as
+        that of now.
+        """
+        better = self._better(source, place.stamp, now, feature)
+        self._reports[source, feature] = _LastReport(place.stamp, now, fresh)
+        if better is not None:
+            if better == PlaceSource.FACE and source in _OF_BODY:
+                self._transition.body(place.frame, place.pose.translation, place.stamp, (source, feature))
+            return False
+        if source != PlaceSource.VOICE:
+            self._seen = now
+        elif -JUMP_BACK <= now - self._seen <= VOICE_PATIENCE:
+            return False
+        if source == PlaceSource.FACE:
+            self._transition.face(place.frame, place.pose.translation, place.stamp)
+        elif source in _OF_BODY:
+            place = replace(place, pose=self._transition.shifted(place.frame, place.pose, place.stamp,
+                                                                 (source, feature)))
+        self._active = (source, feature)
+        self._motion.see(place)
+        self.place = place
+        self.updated = now
+        return True
+
+    def confidence(self, now: float, decay: Decay) -> float:
+        """Return how far the place is to be trusted at `now` (s): 1 while it is fresh, then less, 0 without one."""
+        if self.place is None:
+            return 0.0
+        until = max((report.arrived + report.fresh for report in self._reports.values()), default=float("-inf"))
+        return 1.0 if now <= until else decay.confidence(now - max(until, self._fresh_until))
+
+    def expected(self, now: float) -> Optional[Place]:
+        """Return where the person is now when nobody has seen it since its last place; None without one."""
+        return None if self.place is None else self._motion.coast(self.place, now - self.updated)
+
+    def retain(self, features: Container[Hashable], now: float) -> None:
+        """Let go of all sources but those of these features; at `now` (s) the others have left."""
+        for key in [key for key in self._reports if key[1] not in features]:
+            report = self._reports.pop(key)
+            self._fresh_until = max(self._fresh_until, min(now, report.arrived + report.fresh))
+
+    def inherit(self, other: "Location") -> None:
+        """Take over the sources of a person that turned out to be the same, and its place, if that is the better."""
+        for key, report in other._reports.items():
+            known = self._reports.get(key)
+            self._reports[key] = report if known is None or report.arrived > known.arrived else known
+        self._fresh_until = max(self._fresh_until, other._fresh_until)
+        if other.place is None:
+            return
+        newer_by = other.updated - self.updated
+        worth, own = other._active[0], self._active[0]
+        if worth < own if worth != own and abs(newer_by) <= self._source_timeout else newer_by > 0.0:
+            self.place, self._active = other.place, other._active
+            self.updated = other.updated
+        self._seen = max(self._seen, other._seen)
+
+    def is_silent(self, now: float) -> bool:
+        """Tell whether no source has placed the person for longer than the time limit."""
+        return now - self.updated > self._source_timeout
+
+    def _better(self, source: PlaceSource, stamp: float, now: float, feature: Hashable) -> Optional[PlaceSource]:
+        """Return the best of the active sources with priority over this one; None where it is the best itself."""
+        return min((key[0] for key, report in self._reports.items()
+                    if (key[0] < source or (key == self._active and key[0] == source and key[1] != feature))
+                    and _is_active(report, stamp, now, self._patience(key[0], source))), default=None)
+
+    def _patience(self, better: PlaceSource, source: PlaceSource) -> float:
+        """How long (s) a source waits for a better one that is silent."""
+        if better == PlaceSource.FACE and source in _OF_BODY:
+            return self._transition.patience(self._source_timeout)
+        return self._source_timeout
+
+
+def _is_active(report: _LastReport, stamp: float, now: float, patience: float) -> bool:
+    """Tell whether a source is still there for one that has a place of `stamp` at `now`.
+
+    It is while it has not been silent for `patience` s, and while the other one has nothing newer to tell, which a
+    source that lags has not at once. Stamps that jump back end the wait when the first one is not fresh any more.
+    """
+    silence = now - report.arrived
+    if not -JUMP_BACK <= silence <= max(report.fresh, patience):
+        return False
+    return silence <= patience or stamp - report.stamp <= patience

@@ -6,24 +6,26 @@ All times are seconds of one clock and are given by the caller. Not thread-safe:
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Tuple
+from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Set, Tuple
 
-from hri_person_manager.core.association import Kind, Node
-from hri_person_manager.core.camera_unions import CameraUnions
-from hri_person_manager.core.known_ids import KnownIds
-from hri_person_manager.core.live_association import LiveAssociation
-from hri_person_manager.core.location import Decay, Location, Place, Source
-from hri_person_manager.core.match_guard import Match
-from hri_person_manager.core.person_book import ANONYMOUS_PREFIX, PersonBook
-from hri_person_manager.core.person_state import Snapshot
-from hri_person_manager.core.person_view import PersonView
-from hri_person_manager.core.presence import Presence
-from hri_person_manager.core.presumptions import Presumptions
-from hri_person_manager.core.unions import Unions
+from hri_person_manager.core.cross_camera import CameraPerson, CrossCamera
+from hri_person_manager.core.features import Kind, MatchNode, TrackedFeatures
+from hri_person_manager.core.location import Decay, FeaturePlaces, Location, Place, PlaceSource
+from hri_person_manager.core.match_graph import Association, CandidateMatch
+from hri_person_manager.core.merges import Merges
+from hri_person_manager.core.persons import (
+    ANONYMOUS_PREFIX,
+    KnownIds,
+    PersonEntry,
+    PersonTable,
+    PublishedPersons,
+    Snapshot,
+)
 from hri_pipeline.core.ids import IdGenerator
 
 MAX_UNSEEN_PERSONS = 32       # permanent persons kept with their topics although nobody sees them
-_KIND_OF_SOURCE = {Source.FACE: Kind.FACE, Source.HEAD: Kind.BODY, Source.BODY: Kind.BODY, Source.VOICE: Kind.VOICE}
+_KIND_OF_SOURCE = {PlaceSource.FACE: Kind.FACE, PlaceSource.HEAD: Kind.BODY, PlaceSource.BODY: Kind.BODY,
+                   PlaceSource.VOICE: Kind.VOICE}
 # Likelihood of a match that an earlier run has left; the recogniser's own takes its place.
 _AS_SURE_AS_BEFORE = 0.9
 
@@ -32,42 +34,45 @@ class PersonManager:
     """Fuses faces, bodies and voices into persons and knows where they are."""
 
     def __init__(self, settings: SimpleNamespace, new_id: Optional[Callable[[], str]] = None) -> None:
-        """Take the settings of `manager_parameters.PERSON_MANAGER_PARAMETERS`; `new_id` makes ids of 5 characters."""
+        """Take the settings of `parameters.PERSON_MANAGER_PARAMETERS`; `new_id` makes ids of 5 characters."""
         self._settings = settings
         self._threshold = settings.match_threshold
         self._decay = Decay(settings.decay, settings.half_life, settings.confidence_floor)
         self._new_id = new_id or IdGenerator().new
-        self._presence = Presence()
-        self._start_afresh(KnownIds(), Unions(self._threshold))
+        self._tracked = TrackedFeatures()
+        self._start_afresh(KnownIds(), Merges(self._threshold))
 
-    def _start_afresh(self, known: KnownIds, unions: Unions) -> None:
-        self._known, self._unions = known, unions
-        self._book = PersonBook(self._new_id, lambda: Location(self._settings.source_timeout, self._settings.coast_time),
+    def _start_afresh(self, known: KnownIds, merges: Merges) -> None:
+        self._known, self._merges = known, merges
+        self._places = FeaturePlaces()
+        self._framed: Set[str] = set()      # persons whose frame was published
+        self._table = PersonTable(self._new_id,
+                                  lambda: Location(self._settings.source_timeout, self._settings.coast_time),
                                 self._settings.new_person_delay, self._settings.anonymous_persons,
                                 self._settings.voice_person_delay)
-        self._view = PersonView(self._book, self._unions, self._decay)
-        self._association = LiveAssociation(self._threshold, self._is_present, self._make_permanent)
-        self._presumptions = Presumptions(self._presence, self._association, self._settings.features_from_matches)
-        self._cameras = CameraUnions(self._settings, self._book, self._association, self._unions)
+        self._published = PublishedPersons(self._table, self._merges, self._decay)
+        self._association = Association(self._threshold, self._is_present, self._make_permanent)
+        self._cameras = CrossCamera(*_camera_limits(self._settings))
 
     def reconfigure(self, settings: SimpleNamespace, now: float) -> None:
-        """Take up the values of the live parameters at `now` (s): persons and matches stay, who belongs together is solved anew."""
+        """Take up the values of the live parameters at `now` (s): persons and matches stay, who belongs together is
+        solved anew."""
         self._settings = settings
-        self._threshold = self._association.threshold = self._unions.threshold = settings.match_threshold
-        self._decay = self._view.decay = Decay(settings.decay, settings.half_life, settings.confidence_floor)
-        self._book.set_delays(settings.new_person_delay, settings.voice_person_delay)
-        self._cameras.reconfigure(settings)
-        self._association.solve(self._presence.features())
-        self._settle(now)
+        self._threshold = self._association.threshold = self._merges.threshold = settings.match_threshold
+        self._decay = self._published.decay = Decay(settings.decay, settings.half_life, settings.confidence_floor)
+        self._table.set_delays(settings.new_person_delay, settings.voice_person_delay)
+        self._cameras.limit(*_camera_limits(settings))
+        self._association.solve(self._tracked.features())
+        self._associate(now)
 
     @property
     def refused_ids(self) -> int:
         """How many ids of tracked lists were refused so far."""
-        return self._presence.refused
+        return self._tracked.refused
 
     @property
-    def groups(self) -> Tuple[FrozenSet[Node], ...]:
-        """Return the current association: every living feature and known person in exactly one group."""
+    def groups(self) -> Tuple[FrozenSet[MatchNode], ...]:
+        """Return the current association: every tracked feature and known person in exactly one group."""
         return self._association.groups
 
     @property
@@ -77,35 +82,38 @@ class PersonManager:
 
     def reset(self, now: float) -> None:
         """Start afresh with the features that are tracked; persons and matches are forgotten."""
-        self._start_afresh(KnownIds(), Unions(self._threshold))
-        self._association.solve(self._presence.features())
-        self._settle(now)
+        self._start_afresh(KnownIds(), Merges(self._threshold))
+        self._association.solve(self._tracked.features())
+        self._associate(now)
 
     def rewind(self, now: float) -> None:
         """Go on after time has jumped back to `now` (s): the same persons and matches; places and delays start anew."""
         anonymous, matches = self.anonymous(), self.matches
-        self._start_afresh(self._known, self._unions)
-        self._presence.rewind(now)
+        permanent = [person for person in self._table.persons.values() if not person.anonymous]
+        self._start_afresh(self._known, self._merges)
+        for person in sorted(permanent, key=lambda item: item.lost_at or 0.0):
+            self._table.permanent(person.id).lost_at = now       # unless it has features
+        self._tracked.rewind(now)
         self.expect(anonymous)
         for edge in matches:
-            self._association.keep(Match(*edge))
-        self._association.solve(self._presence.features())
-        self._settle(now)
+            self._association.add(CandidateMatch(*edge))
+        self._association.solve(self._tracked.features())
+        self._associate(now)
 
     def on_tracked(self, kind: Kind, ids: Iterable[str], now: float) -> None:
         """Take the list of features of one kind that are tracked; malformed ids are left out and counted."""
-        gone, new, presumed = self._presence.tracked(kind, ids)
+        gone, new, inferred = self._tracked.update(kind, ids)
         if not gone and not new:
             return
-        kept = self._association.set_aside(presumed)
-        touched = [node for gone_node in gone for node in self._association.leave(gone_node)]
+        kept = self._association.matches_of(inferred)
+        touched = [node for gone_node in gone for node in self._association.remove(gone_node)]
         for match in kept:
-            self._association.keep(match)
-        self._association.arrive(new)
+            self._association.add(match)
+        self._association.add_pending(new)
         self._association.solve(touched + new)
-        self._settle(now)
+        self._associate(now)
 
-    def on_match(self, match: Match, now: float) -> bool:
+    def on_match(self, match: CandidateMatch, now: float) -> bool:
         """Take a candidate match; return whether it changed who belongs together."""
         nodes = (match.first, match.second)
         if match.likelihood >= self._threshold:
@@ -113,73 +121,85 @@ class PersonManager:
                 if node.kind == Kind.PERSON and not node.id.startswith(ANONYMOUS_PREFIX):
                     self._remember(node.id)
         if nodes[0].kind == nodes[1].kind == Kind.PERSON:
-            changed = self._unions.set(nodes[0].id, nodes[1].id, match.likelihood)
-            return self._settle_unions(now) and changed
+            changed = self._merges.set(nodes[0].id, nodes[1].id, match.likelihood)
+            return self._update_merges(now) and changed
         for feature, person in (nodes, nodes[::-1]):
             if person.kind == Kind.PERSON and person.id.startswith(ANONYMOUS_PREFIX):
-                return self._claim(feature, person.id, match.likelihood, now)
-        arrived = self._presumptions.begin(nodes, now) if match.likelihood > 0.0 else []
-        worth = self._association.keep(match)
+                return self._match_anonymous(feature, person.id, match.likelihood, now)
+        arrived = self._begin_inferred(nodes, now) if match.likelihood > 0.0 else []
+        worth = self._association.add(match)
         changed = self._association.solve(nodes) if worth or arrived else False
-        if self._presumptions.end(nodes) or arrived or changed or (worth and Kind.VOICE in {node.kind for node in nodes}):
-            self._settle(now)
+        if self._end_inferred(nodes) or arrived or changed or (worth and Kind.VOICE in {node.kind for node in nodes}):
+            self._associate(now)
             return True
         return False
 
     @property
-    def matches(self) -> List[Tuple[Node, Node, float]]:
+    def matches(self) -> List[Tuple[MatchNode, MatchNode, float]]:
         """All candidate matches that are kept between features and persons."""
         return self._association.matches
 
     @property
-    def unions(self) -> Tuple[Tuple[str, str, float], ...]:
+    def merges(self) -> Tuple[Tuple[str, str, float], ...]:
         """All candidate matches that are kept between persons, and those whom several cameras see at one place."""
-        return self._unions.pairs + self._unions.seen
+        return self._merges.pairs + self._merges.observed
 
     def merge(self, person_id: str, other: str, now: float) -> Tuple[str, str]:
-        """Join two persons for good, until they are split; returns the one that stays and its alias.
+        """Join two persons for good, until they are split; returns who stands for both, and who does so no longer.
 
-        `person_id` stays, unless it is anonymous and the other is not. ValueError when one of them does not exist.
+        The representative of `person_id` stays, unless it is anonymous and the other is not. ValueError when one of
+        them does not exist.
         """
+        person_id, other = (self._table.aliases[name].target if name in self._table.aliases else name
+                            for name in (person_id, other))
         for name in (person_id, other):
-            if name not in self._book.persons and name not in self._known:
+            if name not in self._table.persons and name not in self._known:
                 raise ValueError("there is no person {!r}".format(name))
-        if not self.is_permanent(person_id) and self.is_permanent(other):
-            person_id, other = other, person_id
-        self._unions.set(person_id, other, 1.0)
-        self._unions.prefer(person_id, other)
-        self._settle_unions(now)
-        return person_id, other
+        kept, alias = self.representative(person_id), self.representative(other)
+        if kept == alias:       # they are joined already
+            kept, alias = person_id, other
+        if not self.is_permanent(kept) and self.is_permanent(alias):
+            kept, alias = alias, kept
+        self._merges.set(kept, alias, 1.0)
+        if self.is_permanent(person_id) and self.is_permanent(other):
+            self._merges.set(person_id, other, 1.0)     # also when the others are parted from them
+        self._merges.prefer(kept)
+        self._update_merges(now)
+        return kept, alias
+
+    def representative(self, person_id: str) -> str:
+        """Return the person that stands for this one when all are there with whom it is joined."""
+        return self._merges.representative_of_all(person_id, self._rank)
 
     def is_permanent(self, person_id: str) -> bool:
         """Tell whether a person is known by more than its present features."""
         return person_id in self._known
 
-    def person_of(self, feature: Node) -> Optional[str]:
-        """Return the id of the person that a feature is published for, None if nobody has claimed it."""
-        owner = self._book.owner(feature)
-        return self._view.standing_for(owner).id if owner is not None else None
+    def person_of(self, feature: MatchNode) -> Optional[str]:
+        """Return the id of the person that a feature is published for, None if it is assigned to nobody."""
+        owner = self._table.owner(feature)
+        return self._published.representative(owner).id if owner is not None else None
 
     def split(self, person_id: str, now: float) -> None:
-        """Undo the unions of a person. ValueError when it is joined with nobody."""
-        if not self._unions.split(person_id):
+        """Undo the merges of a person. ValueError when it is merged with nobody."""
+        if not self._merges.split(person_id):
             raise ValueError("person {!r} is joined with nobody".format(person_id))
-        self._settle_unions(now)
+        self._update_merges(now)
 
     def forget(self, person_id: str, now: float) -> bool:
-        """Forget a person with all its matches; its features, while they are tracked, are strangers again.
+        """Forget a person with all its matches; its features, while they are tracked, are assigned to nobody.
 
         Returns False for somebody who does not exist.
         """
-        members = {person_id} | {id for id, alias in self._book.aliases.items() if alias.target == person_id}
-        if not members & (set(self._book.persons) | set(self._known) | set(self._book.aliases)):
+        members = {person_id} | {id for id, alias in self._table.aliases.items() if alias.target == person_id}
+        if not members & (set(self._table.persons) | set(self._known) | set(self._table.aliases)):
             return False
-        touched = self._association.forget(Node(Kind.PERSON, person_id))
+        touched = self._association.forget(MatchNode(Kind.PERSON, person_id))
         self._known.remove(person_id)
-        self._unions.remove(person_id)
-        self._book.remove(person_id)
+        self._merges.remove(person_id)
+        self._table.remove(person_id)
         self._association.solve(touched)
-        self._settle(now)
+        self._associate(now)
         return True
 
     def know(self, person_ids: Iterable[str]) -> None:
@@ -187,114 +207,210 @@ class PersonManager:
         for person_id in person_ids:
             self._remember(person_id)
 
-    def expect(self, anonymous: Mapping[str, Iterable[Node]]) -> None:
+    def expect(self, anonymous: Mapping[str, Iterable[MatchNode]]) -> None:
         """Give anonymous persons of an earlier run their ids again when their features are tracked still."""
-        self._book.expect(anonymous)
+        self._table.expect(anonymous)
 
-    def anonymous(self) -> Dict[str, List[Node]]:
+    def anonymous(self) -> Dict[str, List[MatchNode]]:
         """The anonymous persons with their features, for `expect` after a restart."""
-        return self._view.anonymous()
+        return self._published.anonymous()
 
-    def identified(self) -> Dict[str, List[Node]]:
+    def identified(self) -> Dict[str, List[MatchNode]]:
         """The permanent persons with their faces, or other features, for `recall` after a restart."""
-        return self._view.identified()
+        return self._published.identified()
 
-    def recall(self, identified: Mapping[str, Iterable[Node]], now: float) -> None:
-        """Take it that features of an earlier run are those of permanent persons still, until a recogniser says otherwise."""
+    def recall(self, identified: Mapping[str, Iterable[MatchNode]], now: float) -> None:
+        """Assume that features seen before the restart still belong to the same permanent persons, until a recogniser
+        says otherwise."""
         for person_id, nodes in identified.items():
             for node in nodes:
-                self.on_match(Match(node, Node(Kind.PERSON, person_id), max(self._threshold, _AS_SURE_AS_BEFORE)), now)
+                self.on_match(CandidateMatch(node, MatchNode(Kind.PERSON, person_id),
+                                             max(self._threshold, _AS_SURE_AS_BEFORE)), now)
 
-    def on_place(self, source: Source, feature_id: str, place: Place, now: float, sensor: str = "") -> Optional[str]:
+    def on_place(self, source: PlaceSource, feature_id: str, place: Place, now: float,
+                 sensor: str = "") -> Optional[str]:
         """Take the pose of a feature's frame in the reference frame; sensor: the frame of the camera that sees it.
 
         Returns the id of the person whose frame moves by it, to its place(), None if no person's does.
         """
-        feature = Node(_KIND_OF_SOURCE[source], feature_id)
-        owner = self._book.owner(feature)
+        feature = MatchNode(_KIND_OF_SOURCE[source], feature_id)
+        if feature not in self._tracked:
+            return None
+        latest = self._places.add(feature, source, place, now, sensor)
+        owner = self._table.owner(feature)
         if owner is None:
             return None
-        self._cameras.saw(owner, source, place, sensor)
-        person = self._view.standing_for(owner)
+        if (
+            self._settings.cross_camera
+            and source != PlaceSource.VOICE
+            and place.frame == self._settings.reference_frame
+        ):
+            # Only places in the reference frame can be compared.
+            self._cameras.add_place(owner.id, int(source), sensor, place.horizontal, place.stamp)
+        person = self._published.representative(owner)
         if person is not owner:
-            owner.location.offer(source, place, now, feature)
-        return person.id if person.location.offer(source, place, now, feature) else None
+            owner.location.offer(source, place, now, feature, latest.fresh)
+        if not person.location.offer(source, place, now, feature, latest.fresh):
+            return None
+        self._framed.add(person.id)
+        return person.id
 
     def place(self, person_id: str) -> Optional[Place]:
         """Return where a person was seen last, in the reference frame; None where nobody has."""
-        return self._book.persons[person_id].location.place
+        return self._table.persons[person_id].location.place
+
+    def newly_placed(self, now: float) -> List[Tuple[str, Place]]:
+        """Return id and place of the persons that got a frame since the last call, but no new place since then.
+
+        Persons without a recent place are in silent(). now: s.
+        """
+        placed = self._published.placed(now)
+        framed, self._framed = self._framed, {person.id for person in placed}
+        new = [(person.id, person.location.place) for person in placed
+               if person.id not in framed and not person.location.is_silent(now)]
+        return [(person_id, place) for person_id, place in new if place is not None]
 
     def tick(self, now: float) -> None:
-        """Let time pass: unclaimed features become persons, places fade, forgotten persons go."""
-        lapsed = self._presumptions.lapse(now)
-        waiting = self._book.waiting_until()
-        if lapsed or (waiting is not None and now >= waiting):
-            self._settle(now)
-        gone = self._view.fade(now) + self._view.long_unseen()[:-MAX_UNSEEN_PERSONS]
+        """Let time pass: unassigned features become persons, places fade, forgotten persons go."""
+        expired = self._expire_inferred(now)
+        waiting = self._table.waiting_until()
+        if expired or (waiting is not None and now >= waiting):
+            self._associate(now)
+        gone = self._published.fade(now) + self._published.long_unseen()[:-MAX_UNSEEN_PERSONS]
         for person_id in gone:
-            if self._book.persons[person_id].anonymous:
-                self._unions.remove(person_id)
-            self._book.remove(person_id)
-        if self._cameras.update() or gone:
-            self._settle_unions(now)
+            if self._table.persons[person_id].anonymous:
+                self._merges.remove(person_id)
+            self._table.remove(person_id)
+        if self._join_across_cameras() or gone:
+            self._update_merges(now)
 
     def silent(self, now: float) -> List[Tuple[str, Place]]:
-        """Return id and place of the persons that have a frame although no source speaks now."""
-        return self._view.silent(now)
+        """Return id and place of the persons that have a frame although no source is active now."""
+        return self._published.silent(now)
 
     def snapshot(self, now: float) -> Snapshot:
         """Return the state of all persons at time `now`."""
-        return self._view.snapshot(self._known, now)
+        return self._published.snapshot(self._known, now)
 
-    def _is_present(self, node: Node) -> bool:
-        return node.id in self._known if node.kind == Kind.PERSON else node in self._presence
+    def _is_present(self, node: MatchNode) -> bool:
+        return node.id in self._known if node.kind == Kind.PERSON else node in self._tracked
 
-    def _claim(self, feature: Node, person_id: str, likelihood: float, now: float) -> bool:
-        """Take a match with an anonymous person: one without features gets this one, else its person is joined with it."""
-        if person_id not in self._book.persons:
+    def _begin_inferred(self, nodes: Iterable[MatchNode], now: float) -> List[MatchNode]:
+        """Count features that a match names as present before their list does; returns those that were not. now: s."""
+        if not self._settings.features_from_matches:
+            return []
+        arrived = [node for node in nodes if node.kind != Kind.PERSON and self._tracked.infer(node, now)]
+        if arrived:
+            self._association.add_pending(arrived)
+        return arrived
+
+    def _end_inferred(self, nodes: Iterable[MatchNode]) -> bool:
+        """Drop inferred features of which all matches are withdrawn; returns whether there was one."""
+        over = [node for node in nodes if node.kind != Kind.PERSON and self._tracked.is_inferred(node)
+                and not self._association.neighbours(node)]
+        for node in over:
+            self._tracked.drop(node)
+            self._association.drop_group(node)
+        return bool(over)
+
+    def _expire_inferred(self, now: float) -> bool:
+        """Drop inferred features that no match has named for long; returns whether there was one. now: s."""
+        expired = self._tracked.expired(now)
+        for node in expired:
+            self._tracked.drop(node)
+        self._association.solve([other for node in expired for other in self._association.remove(node)])
+        return bool(expired)
+
+    def _join_across_cameras(self) -> bool:
+        """Join and part persons by what several cameras see; returns whether any merge may have changed."""
+        if self._cameras.is_idle:
+            self._cameras.retain(self._table.persons)
             return False
-        seen = sorted(node for node in self._book.persons[person_id].features if node.kind != Kind.VOICE)
+        merged = {id: alias.target for id, alias in self._table.aliases.items()}
+        changed = False
+        for link in self._cameras.update([self._camera_person(person) for person in self._table.persons.values()],
+                                         merged):
+            likelihood = max(link.likelihood, self._threshold) if link.likelihood > 0.0 else 0.0
+            changed |= self._merges.set_observed(link.first, link.second, likelihood)
+        return changed
+
+    def _camera_person(self, person: PersonEntry) -> CameraPerson:
+        names = {name for feature in person.features for name in self._association.recognised_as(feature)}
+        return CameraPerson(person.id, self._merges.representative(person.id), bool(person.features), person.anonymous,
+                           frozenset(names if person.anonymous else names | {person.id}))
+
+    def _match_anonymous(self, feature: MatchNode, person_id: str, likelihood: float, now: float) -> bool:
+        """Take a match with an anonymous person: one without features gets this feature, else the owner of the feature
+        is merged with it."""
+        if person_id not in self._table.persons:
+            return False
+        seen = sorted(node for node in self._table.persons[person_id].features if node.kind != Kind.VOICE)
         if seen and feature.kind == Kind.VOICE:
-            # To what is seen of the person: the voice needs no person of its own in between.
-            return any([self.on_match(Match(feature, node, likelihood), now) for node in (seen[:1] if likelihood else seen)])
-        if self._book.owner(feature) is None and likelihood >= self._threshold:
-            self._presumptions.begin((feature,), now)
+            # To what is seen of the person: the voice needs no person of its own in between. Where it is linked
+            # already, the new likelihood takes the place of the old one.
+            linked = [node for node in seen if node in self._association.neighbours(feature)]
+            return any([self.on_match(CandidateMatch(feature, node, likelihood), now) for node in linked or seen[:1]])
+        if self._table.owner(feature) is None and likelihood >= self._threshold:
+            self._begin_inferred((feature,), now)
             if not self._is_present(feature):
                 return False
             self._association.solve((feature,))
-            self._book.claim(feature, person_id)
-            self._settle(now)
-        owner = self._book.owner(feature)
+            self._table.expect_feature(feature, person_id)
+            self._associate(now)
+        owner = self._table.owner(feature)
         if owner is None:
             return False
         if owner.id != person_id:
-            self._unions.set(owner.id, person_id, likelihood)
-        self._settle_unions(now)
+            self._merges.set(owner.id, person_id, likelihood)
+        self._update_merges(now)
         return True
 
-    def _settle(self, now: float) -> None:
-        self._book.settle(self._association.claimants, now)
-        self._settle_unions(now)
+    def _associate(self, now: float) -> None:
+        moved = self._table.associate(self._association.assignable, now)
+        self._update_merges(now)
+        self._places.retain(self._tracked.__contains__)
+        self._place_moved(moved)
 
-    def _settle_unions(self, now: float) -> bool:
-        """Choose anew who stands for whom; returns whether that has changed."""
-        persons = self._book.persons
-        for first, second, likelihood in self._unions.pairs:
+    def _place_moved(self, features: Iterable[MatchNode]) -> None:
+        """Give the last places of features to the persons that they belong to now, where nothing newer is known."""
+        for feature, latest in self._places.of(features):
+            owner = self._table.owner(feature)
+            if owner is None:
+                continue
+            person = self._published.representative(owner)
+            for location in [owner.location] if person is owner else [owner.location, person.location]:
+                if latest.now > location.updated:
+                    location.offer(latest.source, latest.place, latest.now, feature, latest.fresh)
+
+    def _update_merges(self, now: float) -> bool:
+        """Choose the representatives anew; returns whether one has changed."""
+        persons = self._table.persons
+        for first, second, likelihood in self._merges.pairs:
             for present, other in ((first, second), (second, first)):
                 if likelihood >= self._threshold and present in persons and other in self._known:
-                    self._book.permanent(other)
-        changed = self._unions.settle(
-            persons, lambda id: (persons[id].anonymous, not self._unions.is_preferred(id),
-                                 self._known.number(id, persons[id].number), id))
-        self._view.stale()
+                    self._table.permanent(other)
+        changed = self._merges.update(persons, self._rank)
+        self._published.invalidate()
         if changed:
-            self._view.inherit_places()
+            self._published.inherit_places()
+        self._published.retain_sources(now)
         return changed
 
+    def _rank(self, person_id: str) -> Tuple[bool, bool, int, str]:
+        """Sort key of the representative of merged persons: the least one."""
+        person = self._table.persons.get(person_id)
+        return (not self.is_permanent(person_id) if person is None else person.anonymous,
+                not self._merges.is_preferred(person_id),
+                self._known.number(person_id, person.number if person is not None else 0), person_id)
+
     def _make_permanent(self, person_id: str) -> None:
-        self._book.permanent(person_id)
-        self._view.stale()
+        self._table.permanent(person_id)
+        self._published.invalidate()
 
     def _remember(self, person_id: str) -> None:
         if self._known.add(person_id):
-            self._view.stale()
+            self._published.invalidate()
+
+
+def _camera_limits(settings: SimpleNamespace) -> Tuple[float, float, float]:
+    return settings.cross_camera_distance, settings.cross_camera_time, settings.cross_camera_handover

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from enum import Enum
-from typing import Dict, Iterable, List, Mapping
+from typing import Dict, Iterable, List, Mapping, Optional
+
+import numpy as np
+
+from hri_person_manager.core.location import Place
+from hri_pipeline.core.frames import is_optical
 
 HYSTERESIS_M = 0.1
 
@@ -14,6 +20,15 @@ class Space(Enum):
     PERSONAL = "in_personal_space"
     SOCIAL = "in_social_space"
     PUBLIC = "in_public_space"
+
+
+def horizontal_distance(place: Place, origin: np.ndarray, optical: bool = False) -> float:
+    """Return the horizontal distance (m) of a place from `origin` (3,), m in the frame of the place.
+
+    How high a face or a camera is does not matter. optical: the frame is a camera's, whatever its name says.
+    """
+    x, y, z = (place.pose.translation - origin).tolist()
+    return math.hypot(x, z if optical or is_optical(place.frame) else y)
 
 
 class Proxemics:
@@ -40,7 +55,7 @@ class Proxemics:
     def _members(self, space: Space) -> List[str]:
         return sorted(person_id for person_id, found in self._space.items() if found == space)
 
-    def _sort(self, before: Space, distance: float) -> Space:
+    def _sort(self, before: Optional[Space], distance: float) -> Space:
         spaces = list(Space)
         margins = self._margins(spaces, before)
         for space, border, margin in zip(spaces, self._borders, margins):
@@ -48,7 +63,7 @@ class Proxemics:
                 return space
         return Space.PUBLIC
 
-    def _margins(self, spaces: Iterable[Space], before: Space) -> List[float]:
+    def _margins(self, spaces: Iterable[Space], before: Optional[Space]) -> List[float]:
         """Shift of each border (m): away from a person who was on one side of it."""
         if before is None:
             return [0.0, 0.0]

@@ -9,9 +9,8 @@
 docs/tutorial.md leads through it.
 """
 
-from hri_pipeline.client.humans import Humans
-from hri_pipeline.client.people import Body, Face, Person, Voice
-from hri_pipeline.client.values import (
+from hri_pipeline.client.humans import Body, Face, Humans, Person, Voice
+from hri_pipeline.client.topics import (
     Attitude,
     Demographics,
     Engagement,

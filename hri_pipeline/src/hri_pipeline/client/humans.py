@@ -1,20 +1,293 @@
-"""Everybody whom the stack perceives now."""
+"""Faces, bodies, voices and persons as objects that come and go, and everybody whom the stack perceives now.
+
+Values are read from the graph when they are asked for.
+"""
 
 from __future__ import annotations
 
 import threading
 import time
 from types import TracebackType
-from typing import Any, Callable, Dict, Generic, List, Optional, Tuple, Type, TypeVar
+from typing import Any, Callable, Dict, Generic, List, NamedTuple, Optional, Tuple, Type, TypeVar
 
+import numpy as np
 import rospy
 
-from hri_pipeline.client import values
-from hri_pipeline.client.frames import PeopleFrames
-from hri_pipeline.client.people import Body, Face, Human, Person, Voice
-from hri_pipeline.client.topics import LazyTopic
-from hri_pipeline.client.values import GazeOfPerson, GroupOfPersons
-from hri_pipeline.ros.feature_feed import FeatureFeed
+from hri_pipeline.client import topics
+from hri_pipeline.client.frames import HumanPoses
+from hri_pipeline.client.topics import (
+    Attitude,
+    Demographics,
+    Engagement,
+    Expression,
+    GazeOfPerson,
+    Gesture,
+    GroupOfPersons,
+    LazyTopic,
+    Posture,
+    Region,
+)
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.ros.subscriptions import IdSubscribers
+
+
+class _Topic(NamedTuple):
+    convert: Callable[[Any], Any]
+    latched: bool = False
+
+
+def _data(message: Any) -> Any:
+    return message.data
+
+
+class Human:
+    """What faces, bodies, voices and persons have in common. It stays valid, with its last values, when it has left.
+
+    A value is None until it has come. Latched values that the stack has published already are there at the first
+    question; others come with the next image or sound after it.
+    """
+
+    KIND = ""
+    FRAME = ""
+    TOPICS: Dict[str, _Topic] = {}
+
+    def __init__(self, identity: str, humans: "Humans") -> None:
+        self.id = identity
+        self._humans = humans
+        self._topics = {name: LazyTopic("/humans/{}/{}/{}".format(self.KIND, identity, name), topic.convert,
+                                        topic.latched,
+                                        humans.patience) for name, topic in self.TOPICS.items()}
+        self._present = True
+
+    @property
+    def present(self) -> bool:
+        """Whether it is tracked now."""
+        return self._present
+
+    def pose(self, frame: str = "") -> Optional[Pose]:
+        """Return where it is (m) in `frame`; None while that is not known.
+
+        Without a frame: in the frame in which the stack publishes it, which is that of the sensor or, for a person,
+        /humans/reference_frame.
+        """
+        return self._pose(self.FRAME, frame)
+
+    def close(self) -> None:
+        """Unsubscribe from all topics. Done by Humans when it leaves. Idempotent."""
+        self._present = False
+        for topic in self._topics.values():
+            topic.close()
+        self._humans.frames.forget(self.id)
+
+    def _pose(self, kind: str, frame: str) -> Optional[Pose]:
+        # Who has left is nowhere; to ask for their frames again would keep them for good.
+        found = self._humans.frames.pose(kind, self.id, frame.lstrip("/")) if self._present else None
+        return None if found is None else found[0]
+
+    def _get(self, name: str, default: Any = None) -> Any:
+        return self._topics[name].get(default)
+
+    def __repr__(self) -> str:
+        """Return kind and id."""
+        return "{}({!r})".format(type(self).__name__, self.id)
+
+
+class Face(Human):
+    """A face. pose(): origin at the sellion, x out of the face, z to the scalp."""
+
+    KIND, FRAME = "faces", "face"
+    TOPICS = {"roi": _Topic(topics.region), "landmarks": _Topic(topics.landmarks), "facs": _Topic(topics.action_units),
+              "expression": _Topic(topics.expression), "softbiometrics": _Topic(topics.soft_biometrics),
+              "cropped": _Topic(topics.picture), "aligned": _Topic(topics.picture)}
+
+    @property
+    def roi(self) -> Optional[Region]:
+        """Its box in the image."""
+        return self._get("roi")
+
+    @property
+    def landmarks(self) -> Optional[np.ndarray]:
+        """(70, 3) x, y (0 to 1 of the image), confidence."""
+        return self._get("landmarks")
+
+    @property
+    def action_units(self) -> Optional[Dict[int, float]]:
+        """Intensity (0 to 1) by the number of the action unit."""
+        return self._get("facs")
+
+    @property
+    def expression(self) -> Optional[Expression]:
+        """What it expresses."""
+        return self._get("expression")
+
+    @property
+    def demographics(self) -> Optional[Demographics]:
+        """Apparent age and gender."""
+        return self._get("softbiometrics")
+
+    @property
+    def cropped(self) -> Optional[np.ndarray]:
+        """(H, W, 3) uint8 BGR picture of the face; made for those who ask, unless privacy settings forbid."""
+        return self._get("cropped")
+
+    @property
+    def aligned(self) -> Optional[np.ndarray]:
+        """The same, turned so that the eyes are level."""
+        return self._get("aligned")
+
+    def gaze(self, frame: str = "") -> Optional[Pose]:
+        """Return the pose of gaze_ID: z along the gaze. None while it is not known, as with closed eyes.
+
+        With `interface:=rep155` it is the direction of the head then.
+        """
+        return self._pose("gaze", frame)
+
+
+class Body(Human):
+    """A body. pose(): origin between the hips, x forward, z to the head."""
+
+    KIND, FRAME = "bodies", "body"
+    TOPICS = {"roi": _Topic(topics.region), "skeleton2d": _Topic(topics.skeleton),
+              "joint_states": _Topic(topics.joints), "cropped": _Topic(topics.picture),
+              "attitude": _Topic(lambda message: topics.choice(Attitude, message.attitude)),
+              "posture": _Topic(lambda message: topics.choice(Posture, message.posture)),
+              "gesture": _Topic(lambda message: topics.choice(Gesture, message.gesture))}
+
+    @property
+    def roi(self) -> Optional[Region]:
+        """Its box in the image."""
+        return self._get("roi")
+
+    @property
+    def skeleton(self) -> Optional[np.ndarray]:
+        """(18, 3) x, y (0 to 1 of the image), confidence, in the order of hri_msgs/Skeleton2D."""
+        return self._get("skeleton2d")
+
+    @property
+    def joints(self) -> Optional[Dict[str, float]]:
+        """Angle (rad) by name of the joint."""
+        ending, joints = "_" + self.id, self._get("joint_states")
+        return joints and {name[:-len(ending)] if name.endswith(ending) else name: angle for name,
+                           angle in joints.items()}
+
+    @property
+    def attitude(self) -> Optional[Attitude]:
+        """What the arms do."""
+        return self._get("attitude")
+
+    @property
+    def posture(self) -> Optional[Posture]:
+        """Standing, sitting, lying ..."""
+        return self._get("posture")
+
+    @property
+    def gesture(self) -> Optional[Gesture]:
+        """What the hands do."""
+        return self._get("gesture")
+
+    @property
+    def cropped(self) -> Optional[np.ndarray]:
+        """(H, W, 3) uint8 BGR picture of the body; made for those who ask."""
+        return self._get("cropped")
+
+    def link(self, name: str, frame: str = "") -> Optional[Pose]:
+        """Return the pose of a link of the skeleton, for instance head, l_wrist or torso."""
+        return self._pose(name, frame)
+
+
+class Voice(Human):
+    """A voice. pose(): in the direction that it comes from; its orientation means nothing."""
+
+    KIND, FRAME = "voices", "voice"
+    TOPICS = {"is_speaking": _Topic(_data, True), "speech": _Topic(topics.speech),
+              "features": _Topic(topics.audio_features)}
+
+    @property
+    def is_speaking(self) -> Optional[bool]:
+        """Whether it speaks now."""
+        return self._get("is_speaking")
+
+    @property
+    def speech(self) -> Optional[str]:
+        """What it has said last."""
+        return self._get("speech")
+
+    @property
+    def features(self) -> Optional[Dict[str, float]]:
+        """The 16 descriptors of its sound, by name."""
+        return self._get("features")
+
+
+class Person(Human):
+    """A person, who keeps the id whatever is seen. pose(): that of face, head or voice, or the last known place."""
+
+    KIND, FRAME = "persons", "person"
+    TOPICS = {"face_id": _Topic(_data, True), "body_id": _Topic(_data, True), "voice_id": _Topic(_data, True),
+              "name": _Topic(_data, True), "native_language": _Topic(_data, True), "alias": _Topic(_data, True),
+              "anonymous": _Topic(_data, True), "location_confidence": _Topic(_data, True),
+              "demographics": _Topic(topics.demographics, True),
+              "engagement_status": _Topic(lambda message: topics.choice(Engagement, message.level), True)}
+
+    @property
+    def face(self) -> Optional[Face]:
+        """The face that is seen of this person now."""
+        return self._humans.faces.get(self._get("face_id", ""))
+
+    @property
+    def body(self) -> Optional[Body]:
+        """The body that is seen of this person now."""
+        return self._humans.bodies.get(self._get("body_id", ""))
+
+    @property
+    def voice(self) -> Optional[Voice]:
+        """The voice that is heard of this person now."""
+        return self._humans.voices.get(self._get("voice_id", ""))
+
+    @property
+    def name(self) -> str:
+        """The name that somebody has given; empty without one."""
+        return self._get("name", "")
+
+    @property
+    def native_language(self) -> str:
+        """IETF tag, for instance en-GB; empty where not known."""
+        return self._get("native_language", "")
+
+    @property
+    def alias(self) -> str:
+        """The id that this person goes by since two turned out to be one; empty while it is its own."""
+        return self._get("alias", "")
+
+    @property
+    def anonymous(self) -> bool:
+        """Whether no recogniser has confirmed yet who this is."""
+        return self._get("anonymous", True)
+
+    @property
+    def location_confidence(self) -> float:
+        """1 while seen or heard, less with time, 0 when it is not known any more where the person is."""
+        return self._get("location_confidence", 0.0)
+
+    @property
+    def demographics(self) -> Optional[Demographics]:
+        """Apparent age and gender, from all that was seen of this person."""
+        return self._get("demographics")
+
+    @property
+    def engagement(self) -> Engagement:
+        """How far this person is engaged with the robot."""
+        return self._get("engagement_status", Engagement.UNKNOWN)
+
+    @property
+    def looks_at(self) -> Optional[str]:
+        """Id of the person whom this one looks at, "" for the robot; None for nobody."""
+        return next((gaze.receiver for gaze in self._humans.gazes if gaze.sender == self.id), None)
+
+    @property
+    def looks_at_robot(self) -> bool:
+        """Whether this person looks at the robot now."""
+        return self.looks_at == topics.ROBOT
+
 
 Kind = TypeVar("Kind", bound=Human)
 
@@ -26,46 +299,47 @@ _MAX_OF_A_KIND = 100
 class Humans:
     """Live faces, bodies, voices and persons, gazes and groups.
 
-    rospy.init_node must have been called. Nothing is subscribed to before it is asked for: a program that reads the names of
-    persons costs nothing for faces. Callbacks run in rospy's threads; what they raise is logged. patience: s that a
-    first question waits for an answer that is there already. Use it in a `with`, or call close().
+    rospy.init_node must have been called. Nothing is subscribed to before it is asked for: a program that reads the
+    names of persons costs nothing for faces. Callbacks run in rospy's threads; what they raise is logged. patience: s
+    that a first question waits for an answer that is there already. Use it in a `with`, or call close().
     """
 
     def __init__(self, patience: float = 0.5) -> None:
         if not 0.0 <= patience <= 60.0:
             raise ValueError("patience is {} s, legal range 0 to 60".format(patience))
         self.patience = patience
-        self.frames = PeopleFrames()
+        self.frames = HumanPoses()
         self._lock = threading.RLock()
-        self._crowds: Dict[str, _Crowd] = {}
+        self._lists: Dict[str, _Tracked] = {}
         self._interactions: Dict[str, LazyTopic] = {}
+        self._gaze_calls: List[Callable[[List[GazeOfPerson]], None]] = []
         self._groups: Dict[str, Tuple[GroupOfPersons, float]] = {}
         self._closed = False
 
     @property
     def faces(self) -> Dict[str, Face]:
         """The faces that are tracked now, by id."""
-        return self._crowd(Face).present()
+        return self._list(Face).present()
 
     @property
     def bodies(self) -> Dict[str, Body]:
         """The bodies that are tracked now, by id."""
-        return self._crowd(Body).present()
+        return self._list(Body).present()
 
     @property
     def voices(self) -> Dict[str, Voice]:
         """The voices that are tracked now, by id."""
-        return self._crowd(Voice).present()
+        return self._list(Voice).present()
 
     @property
     def persons(self) -> Dict[str, Person]:
         """The persons who are tracked now, by id."""
-        return self._crowd(Person).present()
+        return self._list(Person).present()
 
     @property
     def gazes(self) -> List[GazeOfPerson]:
         """Who looks at whom now."""
-        topic = self._interaction("gaze", values.gazes)
+        topic = self._interaction("gaze", topics.gazes, self._on_gazes)
         found = topic.get([])
         return list(found) if topic.age < _SILENCE_S else []
 
@@ -79,36 +353,35 @@ class Humans:
     def on_face(self, came: Optional[Callable[[Face], None]] = None,
                 left: Optional[Callable[[Face], None]] = None) -> None:
         """Call `came` for each face that is there or comes, `left` when it has gone."""
-        self._crowd(Face).listen(came, left)
+        self._list(Face).listen(came, left)
 
     def on_body(self, came: Optional[Callable[[Body], None]] = None,
                 left: Optional[Callable[[Body], None]] = None) -> None:
         """Call `came` for each body that is there or comes, `left` when it has gone."""
-        self._crowd(Body).listen(came, left)
+        self._list(Body).listen(came, left)
 
     def on_voice(self, came: Optional[Callable[[Voice], None]] = None,
                  left: Optional[Callable[[Voice], None]] = None) -> None:
         """Call `came` for each voice that is there or comes, `left` when it has gone."""
-        self._crowd(Voice).listen(came, left)
+        self._list(Voice).listen(came, left)
 
     def on_person(self, came: Optional[Callable[[Person], None]] = None,
                   left: Optional[Callable[[Person], None]] = None) -> None:
         """Call `came` for each person who is there or comes, `left` when they have gone."""
-        self._crowd(Person).listen(came, left)
+        self._list(Person).listen(came, left)
 
     def on_gazes(self, call: Callable[[List[GazeOfPerson]], None]) -> None:
-        """Call `call` with all gazes, each time that they are told: some times a second."""
+        """Call `call` with all gazes, each time that they are published: some times a second."""
         with self._lock:
-            self._close_interaction("gaze")
-            self._interactions["gaze"] = LazyTopic("/humans/interactions/gaze", values.gazes, on_value=_guarded(call))
-            self._interactions["gaze"].get()
+            self._gaze_calls.append(_guarded(call))
+        self._interaction("gaze", topics.gazes, self._on_gazes).get()
 
     def close(self) -> None:
-        """Let go of everything. Idempotent."""
+        """Unsubscribe from everything. Idempotent."""
         with self._lock:
             self._closed = True
-            owners: List[Any] = list(self._crowds.values()) + list(self._interactions.values())
-            self._crowds, self._interactions = {}, {}
+            owners: List[Any] = list(self._lists.values()) + list(self._interactions.values())
+            self._lists, self._interactions = {}, {}
         for owner in owners:
             owner.close()
         self.frames.close()
@@ -122,29 +395,32 @@ class Humans:
         """Close."""
         self.close()
 
-    def _crowd(self, kind: Type[Kind]) -> "_Crowd[Kind]":
+    def _list(self, kind: Type[Kind]) -> "_Tracked[Kind]":
         with self._lock:
             self._check_open()
-            if kind.KIND not in self._crowds:
-                self._crowds[kind.KIND] = _Crowd(kind, self)
-            crowd = self._crowds[kind.KIND]
-        crowd.start(self.patience)
-        return crowd
+            if kind.KIND not in self._lists:
+                self._lists[kind.KIND] = _Tracked(kind, self)
+            tracked = self._lists[kind.KIND]
+        tracked.start(self.patience)
+        return tracked
 
-    def _interaction(self, name: str, convert: Callable[[Any], Any]) -> LazyTopic:
+    def _interaction(self, name: str, convert: Callable[[Any], Any],
+                     on_value: Optional[Callable[[Any], None]] = None) -> LazyTopic:
         with self._lock:
             self._check_open()
             if name not in self._interactions:
-                self._interactions[name] = LazyTopic("/humans/interactions/" + name, convert)
+                self._interactions[name] = LazyTopic("/humans/interactions/" + name, convert, on_value=on_value)
             return self._interactions[name]
 
-    def _close_interaction(self, name: str) -> None:
-        if name in self._interactions:
-            self._interactions.pop(name).close()
+    def _on_gazes(self, gazes: List[GazeOfPerson]) -> None:
+        with self._lock:
+            calls = list(self._gaze_calls)
+        for call in calls:
+            call(gazes)
 
     def _note_groups(self, message: Any) -> None:
         """Take all groups of a message, or the one of a message of REP-155's type."""
-        groups, now = values.groups(message), time.monotonic()
+        groups, now = topics.groups(message), time.monotonic()
         with self._lock:
             if hasattr(message, "groups"):
                 self._groups.clear()
@@ -160,7 +436,7 @@ class Humans:
             raise RuntimeError("call rospy.init_node before the first use of Humans")
 
 
-class _Crowd(Generic[Kind]):
+class _Tracked(Generic[Kind]):
     """Everybody of one kind: objects that come and go with the tracked list."""
 
     def __init__(self, kind: Type[Kind], humans: Humans) -> None:
@@ -171,14 +447,15 @@ class _Crowd(Generic[Kind]):
         self._people: Dict[str, Kind] = {}
         self._came: List[Callable[[Kind], None]] = []
         self._left: List[Callable[[Kind], None]] = []
-        self._feed: Optional[FeatureFeed] = None
+        self._feed: Optional[IdSubscribers] = None
 
     def start(self, patience: float) -> None:
         """Listen, and wait a moment for the first list, which is latched."""
         with self._lock:
             fresh = self._feed is None
             if fresh:
-                self._feed = FeatureFeed(self._kind.KIND, {}, lambda *_: None, self._on_tracked, max_ids=_MAX_OF_A_KIND)
+                self._feed = IdSubscribers(self._kind.KIND, {}, lambda *_: None, self._on_tracked,
+                                           max_ids=_MAX_OF_A_KIND)
         if fresh:
             self._first.wait(patience)
 
@@ -200,7 +477,7 @@ class _Crowd(Generic[Kind]):
                 _guarded(came)(human)
 
     def close(self) -> None:
-        """Let go of everybody. Idempotent."""
+        """Forget everybody. Idempotent."""
         if self._feed is not None:
             self._feed.close()
         with self._lock:
@@ -233,3 +510,5 @@ def _guarded(call: Callable[[Any], None]) -> Callable[[Any], None]:
         except Exception as error:
             rospy.logerr("a callback of Humans failed: %s: %s", type(error).__name__, error)
     return guarded
+
+

@@ -1,16 +1,33 @@
-"""A topic that is listened to from the first time that somebody asks for its value."""
+"""Topics of humans: subscribed to when somebody first asks for their value, and their messages as plain Python
+values."""
 
 from __future__ import annotations
 
+import enum
 import threading
 import time
-from typing import Any, Callable, Dict, Optional, Type
+from dataclasses import dataclass
+from typing import Any, Callable, Dict, List, Optional, Tuple, Type, TypeVar
 
 import genpy
+import numpy as np
 import roslib.message
 import rospy
 
-from hri_pipeline.ros.topic_release import release
+from hri_msgs.msg import (
+    AgeAndGender,
+    AudioFeatures,
+    BodyAttitude,
+    BodyPosture,
+    EngagementLevel,
+    FacialActionUnits,
+    FacialLandmarks,
+    SoftBiometrics,
+)
+from hri_msgs.msg import Expression as ExpressionMessage
+from hri_msgs.msg import Gesture as GestureMessage
+from hri_pipeline.ros.conversions import image_to_bgr, landmarks_from_msg, skeleton_from_msg
+from hri_pipeline.ros.rospy_compat import release
 
 Convert = Callable[[Any], Any]
 
@@ -18,11 +35,12 @@ _LOG_PERIOD_S = 10.0
 
 
 class LazyTopic:
-    """The latest value of one topic. Nothing is subscribed to before the first `get`; close() lets go of it.
+    """The latest value of one topic. Nothing is subscribed to before the first `get`; close() unsubscribes.
 
-    The type is that of the publisher, so that both types of a topic that differs between the paper and REP-155 are read.
-    convert turns a message into a value; a message that it refuses by a ValueError is passed over and told. latched: the
-    first `get` waits up to `patience` s for the value that is there already. on_value is called with each value.
+    The type is that of the publisher, so that both types of a topic that differs between the paper and REP-155 are
+    read. convert turns a message into a value; a message that it refuses by a ValueError is left out, with a warning.
+    latched: the first `get` waits up to `patience` s for the value that is there already. on_value is called with each
+    value.
     """
 
     def __init__(self, name: str, convert: Convert, latched: bool = False, patience: float = 0.0,
@@ -53,7 +71,7 @@ class LazyTopic:
         return time.monotonic() - self._heard
 
     def close(self) -> None:
-        """Let go of the topic. Idempotent; a `get` afterwards returns what came last."""
+        """Unsubscribe. Idempotent; a `get` afterwards returns what came last."""
         with self._condition:
             subscriber, self._subscriber, self._closed = self._subscriber, None, True
             self._condition.notify_all()
@@ -84,3 +102,193 @@ class LazyTopic:
         if kind is None or message._connection_header.get("md5sum") not in (kind._md5sum, "*"):
             raise ValueError("its type {} is not known here, or is another version of it".format(name[:60]))
         return kind().deserialize(message._buff)
+
+
+ROBOT = ""
+"""The id that stands for the robot, in gazes and groups."""
+
+
+class Attitude(enum.IntEnum):
+    """What the arms of a body do, by the paper's three classes."""
+
+    OTHER = BodyAttitude.OTHER
+    HANDS_ON_FACE = BodyAttitude.HANDS_ON_FACE
+    ARMS_CROSSED = BodyAttitude.ARMS_CROSSED
+    HANDS_RAISED = BodyAttitude.HANDS_RAISED
+
+
+class Posture(enum.IntEnum):
+    """How a body stands, sits or lies."""
+
+    OTHER = BodyPosture.OTHER
+    STANDING = BodyPosture.STANDING
+    SITTING = BodyPosture.SITTING
+    CROUCHING = BodyPosture.CROUCHING
+    LAYING = BodyPosture.LAYING
+
+
+class Gesture(enum.IntEnum):
+    """What the hands of a body do, by REP-155. Left and right are the body's own."""
+
+    OTHER = GestureMessage.OTHER
+    HANDS_ON_FACE = GestureMessage.HANDS_ON_FACE
+    ARMS_CROSSED = GestureMessage.ARMS_CROSSED
+    LEFT_HAND_RAISED = GestureMessage.LEFT_HAND_RAISED
+    RIGHT_HAND_RAISED = GestureMessage.RIGHT_HAND_RAISED
+    BOTH_HANDS_RAISED = GestureMessage.BOTH_HANDS_RAISED
+    WAVING = GestureMessage.WAVING
+
+
+class Engagement(enum.IntEnum):
+    """How far a person is engaged with the robot."""
+
+    UNKNOWN = EngagementLevel.UNKNOWN
+    DISENGAGED = EngagementLevel.DISENGAGED
+    ENGAGING = EngagementLevel.ENGAGING
+    ENGAGED = EngagementLevel.ENGAGED
+    DISENGAGING = EngagementLevel.DISENGAGING
+
+
+@dataclass(frozen=True)
+class Region:
+    """A box in the image: pixels, or, with REP-155's type of the topic, parts of its width and height (0 to 1)."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+    normalised: bool
+
+
+@dataclass(frozen=True)
+class Expression:
+    """An expression of a face.
+
+    category: Ekman's word, for instance happy; valence, arousal: -1 to 1; confidence: 0 to 1.
+    """
+
+    category: str
+    valence: float
+    arousal: float
+    confidence: float
+
+
+@dataclass(frozen=True)
+class Demographics:
+    """Apparent age (years) and gender ("female", "male", "other", "" where not known); confidences 0 to 1."""
+
+    age: float
+    age_confidence: float
+    gender: str
+    gender_confidence: float
+
+
+@dataclass(frozen=True)
+class GazeOfPerson:
+    """Somebody looks at somebody. sender, receiver: person ids, empty for the robot. confidence: 0 to 1."""
+
+    sender: str
+    receiver: str
+    confidence: float = 1.0
+
+
+@dataclass(frozen=True)
+class GroupOfPersons:
+    """People who stand together. members: person ids, empty for the robot. confidence: 0 to 1."""
+
+    id: str
+    members: Tuple[str, ...]
+    confidence: float = 1.0
+
+
+_GENDERS = {SoftBiometrics.FEMALE: "female", SoftBiometrics.MALE: "male", SoftBiometrics.OTHER: "other"}
+
+Choice = TypeVar("Choice", bound=enum.IntEnum)
+
+
+def choice(kind: Type[Choice], value: int) -> Choice:
+    """Return the constant; the first one, which stands for not known or other, for a number that is none."""
+    try:
+        return kind(value)
+    except ValueError:
+        return kind(0)
+
+
+def region(message: genpy.Message) -> Region:
+    """Return the box of a sensor_msgs/RegionOfInterest or a NormalizedRegionOfInterest2D."""
+    if hasattr(message, "xmin"):
+        return Region(message.xmin, message.ymin, message.xmax - message.xmin, message.ymax - message.ymin, True)
+    return Region(float(message.x_offset), float(message.y_offset), float(message.width), float(message.height), False)
+
+
+def landmarks(message: FacialLandmarks) -> np.ndarray:
+    """Return (70, 3): x, y (0 to 1 of the image) and confidence."""
+    return landmarks_from_msg(message)
+
+
+def action_units(message: FacialActionUnits) -> Dict[int, float]:
+    """Return the intensity (0 to 1) of each action unit that is known, by its number in the Facial Action Coding
+    System."""
+    return {number: value for number,
+            (value, sure) in enumerate(zip(message.intensity, message.confidence)) if sure > 0.0}
+
+
+def expression(message: ExpressionMessage) -> Expression:
+    """Return the expression; some publishers send the constants with their quotation marks."""
+    return Expression(message.expression.strip('"'), message.valence, message.arousal, message.confidence)
+
+
+def soft_biometrics(message: SoftBiometrics) -> Optional[Demographics]:
+    """Return apparent age and gender of a face; None while nothing is known."""
+    return _demographics(float(message.age), message.age_confidence, message.gender, message.gender_confidence)
+
+
+def demographics(message: AgeAndGender) -> Optional[Demographics]:
+    """Return apparent age and gender of a person; None while nothing is known."""
+    return _demographics(message.age, message.age_confidence, message.gender, message.gender_confidence)
+
+
+def _demographics(age: float, age_confidence: float, gender: int, confidence: float) -> Optional[Demographics]:
+    if age_confidence <= 0.0 and confidence <= 0.0:
+        return None
+    return Demographics(age, age_confidence, _GENDERS.get(gender, ""), confidence)
+
+
+def skeleton(message: genpy.Message) -> np.ndarray:
+    """Return (18, 3): x, y (0 to 1 of the image) and confidence, in the order of hri_msgs/Skeleton2D."""
+    return skeleton_from_msg(message)
+
+
+def joints(message: genpy.Message) -> Dict[str, float]:
+    """Return the angles (rad) of a sensor_msgs/JointState by the name of the joint."""
+    return dict(zip(message.name, message.position))
+
+
+def picture(message: genpy.Message) -> np.ndarray:
+    """Return (H, W, 3) uint8 BGR."""
+    return image_to_bgr(message)
+
+
+def audio_features(message: AudioFeatures) -> Dict[str, float]:
+    """Return the 16 descriptors of a voice: zcr, rms, pitch (Hz, 0 where not voiced), hnr (dB), mfcc1 to mfcc12."""
+    values = {"zcr": message.ZCR, "rms": message.RMS, "pitch": 500.0 * message.pitch, "hnr": message.HNR}
+    values.update({"mfcc{}".format(number + 1): value for number, value in enumerate(message.MFCC)})
+    return values
+
+
+def speech(message: genpy.Message) -> str:
+    """Return what was said last: std_msgs/String or hri_msgs/LiveSpeech."""
+    return message.data if hasattr(message, "data") else message.final or message.incremental
+
+
+def gazes(message: genpy.Message) -> List[GazeOfPerson]:
+    """Return the gazes of a hri_msgs/GazesStamped."""
+    return [GazeOfPerson(gaze.sender, gaze.receiver, gaze.confidence) for gaze in message.gazes]
+
+
+def groups(message: genpy.Message) -> List[GroupOfPersons]:
+    """Return the groups of a hri_msgs/GroupsStamped, or the one of a hri_msgs/Group."""
+    if not hasattr(message, "groups"):
+        return [GroupOfPersons(message.group_id, tuple(message.members))]
+    sure = list(message.confidences) + [1.0] * len(message.groups)
+    return [GroupOfPersons(group.group_id, tuple(group.members), value) for group, value in zip(message.groups, sure)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Sequence
+from typing import Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -16,13 +16,20 @@ EQUIDISTANT = "equidistant"
 
 # Legal numbers of coefficients; none means no distortion.
 _COEFFICIENTS = {PLUMB_BOB: (0, 4, 5), RATIONAL: (0, 4, 5, 8, 12, 14), EQUIDISTANT: (0, 4)}
+# Limits of every real camera: focal length in image widths, aspect ratio of a pixel, distance of the optical axis from
+# the middle of the sensor in sensor sizes, distortion coefficients, and size of the sensor, px.
+_FOCAL_WIDTHS = (0.02, 500.0)
+_MAX_ASPECT = 10.0
+_MAX_OFF_CENTRE = 1.5
+_MAX_COEFFICIENT = 1e4
+_MAX_SENSOR = 65536
 _ALIASES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
-_MEND = "calibrate the camera, or publish an all-zero K to use the field of view parameter"
+_HINT = "calibrate the camera, or publish an all-zero K to use the field of view parameter"
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
 
 
 class CameraError(ValueError):
-    """A calibration that cannot be true."""
+    """A calibration that no real camera has."""
 
 
 class Calibration(Enum):
@@ -37,7 +44,23 @@ class Calibration(Enum):
 class CameraModel:
     """Maps rays of the optical frame (x right, y down, z forward) to pixels and back.
 
-    width, height: px. matrix: (3, 3) px. distortion: (n,) in OpenCV's order; n = 0 for none.
+    Attributes
+    ----------
+    width, height : int
+        Size of the image, px.
+    matrix : numpy.ndarray, shape (3, 3)
+        Camera matrix K, px.
+    distortion : numpy.ndarray, shape (n,)
+        Coefficients in OpenCV's order; n = 0 without distortion.
+    distortion_model : str
+        PLUMB_BOB, RATIONAL or EQUIDISTANT.
+    calibration : Calibration
+        Where the numbers come from.
+
+    Raises
+    ------
+    CameraError
+        For numbers that no real camera has.
     """
 
     width: int
@@ -55,6 +78,7 @@ class CameraModel:
         model = _ALIASES.get(self.distortion_model, self.distortion_model)
         _check_matrix(matrix)
         _check_distortion(model, distortion)
+        _check_focal(matrix, self.width)
         object.__setattr__(self, "matrix", matrix)
         object.__setattr__(self, "distortion", distortion)
         object.__setattr__(self, "distortion_model", model)
@@ -67,7 +91,22 @@ class CameraModel:
         horizontal_fov_rad: float,
         calibration: Calibration = Calibration.MISSING,
     ) -> "CameraModel":
-        """Make an ideal camera with square pixels of its horizontal field of view, rad, 0 to pi."""
+        """Make an ideal camera with square pixels.
+
+        Parameters
+        ----------
+        width, height : int
+            Size of the image, px.
+        horizontal_fov_rad : float
+            Horizontal field of view, rad, 0 to pi.
+        calibration : Calibration
+            Where this field of view comes from.
+
+        Raises
+        ------
+        CameraError
+            For a field of view out of this range.
+        """
         if not 0.0 < horizontal_fov_rad < math.pi:
             raise CameraError("horizontal field of view is {} rad, legal range 0 to pi".format(horizontal_fov_rad))
         focal = width / (2.0 * math.tan(horizontal_fov_rad / 2.0))
@@ -90,21 +129,40 @@ class CameraModel:
         roi_width: int = 0,
         roi_height: int = 0,
     ) -> "CameraModel":
-        """Make the model of the image that a sensor_msgs/CameraInfo goes with.
+        """Make the model of the image that belongs to a sensor_msgs/CameraInfo.
 
-        width, height, K9 and D are those of the full sensor; the image is its region of interest (0 for all),
-        then binned (0 and 1 for not). An all-zero K means uncalibrated: fallback_hfov_rad is the horizontal
-        field of view instead. Raises CameraError for numbers that cannot be true.
+        Parameters
+        ----------
+        width, height : int
+            Size of the full sensor, px.
+        K9 : sequence of 9 float
+            Camera matrix of the full sensor, row by row, px. All zero means uncalibrated.
+        D : sequence of float
+            Distortion coefficients in the order of OpenCV.
+        distortion_model : str
+            As in sensor_msgs/CameraInfo.
+        fallback_hfov_rad : float
+            Horizontal field of view, rad, of an uncalibrated camera.
+        binning_x, binning_y : int
+            Sensor pixels per image pixel; 0 and 1 mean no binning.
+        roi_x, roi_y, roi_width, roi_height : int
+            Region of interest on the full sensor, px, before binning; width and height 0 mean all of it.
+
+        Raises
+        ------
+        CameraError
+            For numbers that no real camera has.
         """
         bin_x, bin_y = max(1, int(binning_x)), max(1, int(binning_y))
         image_width = (int(roi_width) or int(width) - int(roi_x)) // bin_x
         image_height = (int(roi_height) or int(height) - int(roi_y)) // bin_y
         matrix = np.asarray(K9, dtype=np.float64).reshape(-1)
         if matrix.size != 9:
-            raise CameraError("K has {} numbers instead of 9; {}".format(matrix.size, _MEND))
+            raise CameraError("K has {} numbers instead of 9; {}".format(matrix.size, _HINT))
         if not np.any(matrix):
             return cls.from_fov(image_width, image_height, fallback_hfov_rad, Calibration.UNCALIBRATED)
         matrix = matrix.reshape(3, 3).copy()
+        _check_sensor(matrix, int(width), int(height), (int(roi_x), int(roi_y), int(roi_width), int(roi_height)))
         matrix[0, 2] -= roi_x
         matrix[1, 2] -= roi_y
         matrix[0] /= bin_x
@@ -113,7 +171,18 @@ class CameraModel:
         return cls(image_width, image_height, matrix, distortion, distortion_model, Calibration.CALIBRATED)
 
     def normalise(self, pixels: np.ndarray) -> np.ndarray:
-        """Map pixels (N, 2) to undistorted rays (N, 2): x/z and y/z in the optical frame."""
+        """Map pixels to undistorted rays of the optical frame.
+
+        Parameters
+        ----------
+        pixels : numpy.ndarray, shape (N, 2)
+            x and y, px.
+
+        Returns
+        -------
+        numpy.ndarray, shape (N, 2)
+            x/z and y/z.
+        """
         pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
         if not np.any(self.distortion):
             rays = np.empty_like(pixels)
@@ -129,10 +198,21 @@ class CameraModel:
         else:
             rays = cv2.undistortPointsIter(
                 points, self.matrix, self.distortion, np.eye(3), np.eye(3), _UNDISTORT_CRITERIA)
-        return rays.reshape(-1, 2)
+        return np.asarray(rays).reshape(-1, 2)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """Map points (N, 3) of the optical frame, m, to pixels (N, 2); NaN for a point with z <= 0."""
+        """Map points to pixels.
+
+        Parameters
+        ----------
+        points : numpy.ndarray, shape (N, 3)
+            Points in the optical frame, m.
+
+        Returns
+        -------
+        numpy.ndarray, shape (N, 2)
+            x and y, px; NaN for a point with z <= 0.
+        """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         result = np.full((len(points), 2), np.nan)
         ahead = np.isfinite(points).all(axis=1) & (points[:, 2] > 0.0)
@@ -144,11 +224,11 @@ class CameraModel:
             pixels, _ = cv2.fisheye.projectPoints(seen, none, none, self.matrix, self._fisheye())
         else:
             pixels, _ = cv2.projectPoints(seen, none, none, self.matrix, self.distortion)
-        result[ahead] = pixels.reshape(-1, 2)
+        result[ahead] = np.asarray(pixels).reshape(-1, 2)
         return result
 
     def resized(self, width: int, height: int) -> "CameraModel":
-        """Return the model of the same view, scaled to another image size in px; itself when it has that size."""
+        """Return the model of the same view in an image of another size, px; itself when it has that size."""
         if (self.width, self.height) == (width, height):
             return self
         scale = np.diag([width / self.width, height / self.height, 1.0])
@@ -161,21 +241,53 @@ class CameraModel:
 
 def _check_matrix(matrix: np.ndarray) -> None:
     if not np.all(np.isfinite(matrix)):
-        raise CameraError("K holds numbers that are not finite; {}".format(_MEND))
+        raise CameraError("K holds numbers that are not finite; {}".format(_HINT))
     if matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0:
         raise CameraError("focal lengths in K are {:g} and {:g} px and must be positive; {}".format(
-            matrix[0, 0], matrix[1, 1], _MEND))
+            matrix[0, 0], matrix[1, 1], _HINT))
     below = (matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2])
     if not np.allclose(below, (0.0, 0.0, 0.0, 1.0), atol=1e-6):
-        raise CameraError("K is not [fx s cx; 0 fy cy; 0 0 1]; {}".format(_MEND))
+        raise CameraError("K is not [fx s cx; 0 fy cy; 0 0 1]; {}".format(_HINT))
+
+
+def _check_focal(matrix: np.ndarray, width: int) -> None:
+    """Raise CameraError for focal lengths, px, that no camera has whose image is so wide, px."""
+    across, down = matrix[0, 0], matrix[1, 1]
+    least, most = (limit * width for limit in _FOCAL_WIDTHS)
+    if not least <= across <= most:
+        raise CameraError(
+            "the focal length in K is {:g} px for an image {} px wide, legal range {:g} to {:g}; {}".format(
+                across, width, least, most, _HINT
+            )
+        )
+    if not 1.0 / _MAX_ASPECT <= down / across <= _MAX_ASPECT or abs(matrix[0, 1]) > across:
+        raise CameraError("focal lengths {:g} and {:g} px with a skew of {:g} in K fit no camera; {}".format(
+            across, down, matrix[0, 1], _HINT))
+
+
+def _check_sensor(matrix: np.ndarray, width: int, height: int, roi: Tuple[int, int, int, int]) -> None:
+    """Raise CameraError where K, size (px) and region of interest (x, y, width, height px) do not fit each other."""
+    if not (1 <= width <= _MAX_SENSOR and 1 <= height <= _MAX_SENSOR):
+        raise CameraError("image size in camera_info is {}x{}, legal range 1 to {} px; {}".format(
+            width, height, _MAX_SENSOR, _HINT))
+    if roi[0] + roi[2] > width or roi[1] + roi[3] > height:
+        raise CameraError("the region of interest {}x{} at {}, {} lies outside of {}x{} px; {}".format(
+            roi[2], roi[3], roi[0], roi[1], width, height, _HINT))
+    _check_matrix(matrix)
+    off = abs(matrix[0, 2] - width / 2.0) / max(width, 1), abs(matrix[1, 2] - height / 2.0) / max(height, 1)
+    if max(off) > _MAX_OFF_CENTRE:
+        raise CameraError("the principal point in K, {:g}, {:g}, lies far outside of {}x{} px; {}".format(
+            matrix[0, 2], matrix[1, 2], width, height, _HINT))
 
 
 def _check_distortion(model: str, distortion: np.ndarray) -> None:
     if model not in _COEFFICIENTS:
         raise CameraError("unknown distortion model {!r}, known: {}; {}".format(
-            model, ", ".join(_COEFFICIENTS), _MEND))
+            model, ", ".join(_COEFFICIENTS), _HINT))
     if distortion.size not in _COEFFICIENTS[model]:
         raise CameraError("{} takes {} coefficients in D, not {}; {}".format(
-            model, " or ".join(str(n) for n in _COEFFICIENTS[model]), distortion.size, _MEND))
+            model, " or ".join(str(n) for n in _COEFFICIENTS[model]), distortion.size, _HINT))
     if not np.all(np.isfinite(distortion)):
-        raise CameraError("D holds numbers that are not finite; {}".format(_MEND))
+        raise CameraError("D holds numbers that are not finite; {}".format(_HINT))
+    if np.any(np.abs(distortion) > _MAX_COEFFICIENT):
+        raise CameraError("D holds numbers beyond {:g}; {}".format(_MAX_COEFFICIENT, _HINT))

@@ -4,18 +4,29 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import List, Sequence, Tuple
+from typing import List, Sequence, Tuple, Union
 
 import cv2
 import numpy as np
+
+Numbers = Union[Sequence[float], np.ndarray]
 
 
 @dataclass(frozen=True)
 class Pose:
     """Rigid transform that maps coordinates of a child frame to its parent frame.
 
-    rotation: (3, 3), its columns are the child's axes seen in the parent.
-    translation: (3,) m, the child's origin seen in the parent.
+    Attributes
+    ----------
+    rotation : numpy.ndarray, shape (3, 3)
+        Its columns are the axes of the child frame in the parent frame.
+    translation : numpy.ndarray, shape (3,)
+        Origin of the child frame in the parent frame, m.
+
+    Raises
+    ------
+    ValueError
+        For other shapes.
     """
 
     rotation: np.ndarray
@@ -49,10 +60,20 @@ class Pose:
         return _quaternion(self.rotation.tolist())
 
     @classmethod
-    def from_quaternion(cls, quaternion: Sequence[float], translation: Sequence[float]) -> "Pose":
-        """Make a pose of a quaternion (x, y, z, w), normalised here, and a translation (3,) m.
+    def from_quaternion(cls, quaternion: Numbers, translation: Numbers) -> "Pose":
+        """Make a pose of a quaternion and a translation.
 
-        Raises ValueError for a quaternion that is zero or not finite.
+        Parameters
+        ----------
+        quaternion : sequence of 4 float
+            x, y, z, w; it is normalised here.
+        translation : sequence of 3 float
+            m.
+
+        Raises
+        ------
+        ValueError
+            For a quaternion that is zero or not finite.
         """
         # Thousands a second pass here; scipy's Rotation takes ten times as long for a single one.
         values = tuple(map(float, quaternion))
@@ -74,7 +95,8 @@ class Pose:
 
 
 def _quaternion(matrix: List[List[float]]) -> Tuple[float, float, float, float]:
-    """Unit quaternion (x, y, z, w) of a rotation matrix, as rows: S. W. Shepperd, J. Guidance and Control 1 (1978) 223."""
+    """Unit quaternion (x, y, z, w) of a rotation matrix, as rows: S. W. Shepperd, J. Guidance and Control 1 (1978)
+    223."""
     (a, b, c), (d, e, f), (g, h, i) = matrix
     largest = max(a, e, i, a + e + i)
     if largest == a:
@@ -90,9 +112,19 @@ def _quaternion(matrix: List[List[float]]) -> Tuple[float, float, float, float]:
 
 
 def iou_matrix(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Intersection over union of each box of `a` (N, 4) with each of `b` (M, 4): (N, M), 0 to 1.
+    """Return the intersection over union of each box of `a` with each box of `b`.
 
-    Boxes are x0, y0, x1, y1 in pixels; a box without area has no overlap with anything.
+    Parameters
+    ----------
+    a : numpy.ndarray, shape (N, 4)
+        Boxes x0, y0, x1, y1, px. A box without area overlaps with nothing.
+    b : numpy.ndarray, shape (M, 4)
+        The same.
+
+    Returns
+    -------
+    numpy.ndarray, shape (N, M)
+        0 to 1.
     """
     a = np.asarray(a, dtype=np.float64).reshape(-1, 4)
     b = np.asarray(b, dtype=np.float64).reshape(-1, 4)
@@ -107,17 +139,35 @@ def iou_matrix(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def crop_rotated(
     image: np.ndarray,
-    centre_xy: Sequence[float],
+    centre_xy: Numbers,
     size_px: float,
     angle_rad: float,
     output_size: int,
 ) -> Tuple[np.ndarray, np.ndarray]:
-    """Cut a rotated square out of `image` and scale it to `output_size` pixels a side.
+    """Cut a rotated square out of an image and scale it. Outside of the image its border is repeated.
 
-    centre_xy and size_px are in pixels of `image`. angle_rad turns the square's x axis from the
-    image's x towards the image's y (clockwise on the screen). Outside the image its border is repeated.
-    Returns the patch (output_size, output_size, C) and the (2, 3) affine from patch to image pixels.
-    Raises ValueError for a size that is not positive or anything that is not finite.
+    Parameters
+    ----------
+    image : numpy.ndarray, shape (H, W, C)
+    centre_xy : sequence of 2 float
+        Centre of the square in the image, px.
+    size_px : float
+        Side of the square in the image, px.
+    angle_rad : float
+        Turns the x axis of the square from the image's x towards the image's y (clockwise on the screen).
+    output_size : int
+        Side of the patch, px.
+
+    Returns
+    -------
+    patch : numpy.ndarray, shape (output_size, output_size, C)
+    affine : numpy.ndarray, shape (2, 3)
+        Maps pixels of the patch to pixels of the image.
+
+    Raises
+    ------
+    ValueError
+        For a size that is not positive, or a number that is not finite.
     """
     values = np.array([centre_xy[0], centre_xy[1], size_px, angle_rad], dtype=np.float64)
     if not np.all(np.isfinite(values)) or size_px <= 0.0 or output_size < 1:

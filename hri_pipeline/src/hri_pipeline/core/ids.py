@@ -24,11 +24,24 @@ def is_valid_id(text: object) -> bool:
 
 
 class IdGenerator:
-    """Random ids that start with a letter; one generator never gives the same id twice, and remembers none.
+    """Random ids that start with a letter; one generator never gives the same id twice, and keeps no list of them.
 
-    With the default length of 5 there are 43.7 million ids. They are 0, 1, 2, ... in an order of its own: a generalised Feistel
-    network, which maps the pairs of the numbers below a and below b to themselves (Black and Rogaway, Ciphers with arbitrary
-    finite domains, CT-RSA 2002).
+    With the default length of 5 there are 43.7 million ids. The n-th id is the n-th number of a random permutation,
+    computed by a generalised Feistel network (Black and Rogaway, Ciphers with arbitrary finite domains, CT-RSA 2002).
+    Ids that follow each other are as unlike as any two, so that people who come together are not mistaken for each
+    other.
+
+    Parameters
+    ----------
+    seed : int, optional
+        For tests; without one, the system's random source is used.
+    length : int
+        Characters of an id, 1 to 32.
+
+    Raises
+    ------
+    ValueError
+        For another length.
     """
 
     def __init__(self, seed: Optional[int] = None, length: int = 5) -> None:
@@ -57,7 +70,8 @@ class IdGenerator:
 
     def _mixed(self, turn: int, side: bytes, number: int) -> int:
         """A number of 128 bits that this generator alone makes of these."""
-        return int.from_bytes(hashlib.blake2s(b"%d%s%d" % (turn, side, number), key=self._key, digest_size=16).digest(), "big")
+        return int.from_bytes(hashlib.blake2s(b"%d%s%d" % (turn, side, number), key=self._key, digest_size=16).digest(),
+                              "big")
 
     def _text(self, number: int) -> str:
         letters = []

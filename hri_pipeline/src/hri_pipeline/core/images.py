@@ -1,13 +1,19 @@
-"""Raw and compressed image data to BGR arrays, without cv_bridge."""
+"""Image messages to arrays, without cv_bridge: colour images to BGR, depth images to metres, and the depth at a
+point."""
 
 from __future__ import annotations
 
+import warnings
 from typing import Callable, Dict, NamedTuple, Optional, Tuple, Union
 
 import cv2
 import numpy as np
 
 MAX_SIDE = 8192
+DEPTH_ENCODINGS: Tuple[str, ...] = ("16UC1", "mono16", "32FC1")
+DEPTH_RANGE = (0.15, 30.0)
+"""Depths (m) out of this range are unknown: no depth camera measures them, and 65535 mm or 0 stand for unknown."""
+_LEAST_CELLS = 3
 
 
 class ImageError(ValueError):
@@ -30,7 +36,6 @@ def _high_byte(pixels: np.ndarray) -> np.ndarray:
 
 _MONO = _Layout(1, np.uint8, _colour(cv2.COLOR_GRAY2BGR))
 _BGR = _Layout(3, np.uint8, np.array)
-_MONO16 = _Layout(1, np.uint16, _high_byte)
 
 # OpenCV names a Bayer pattern by the second row and column, ROS by the first.
 _LAYOUTS: Dict[str, _Layout] = {
@@ -41,8 +46,7 @@ _LAYOUTS: Dict[str, _Layout] = {
     "mono8": _MONO,
     "8UC1": _MONO,
     "8UC3": _BGR,
-    "mono16": _MONO16,
-    "16UC1": _MONO16,
+    "mono16": _Layout(1, np.uint16, _high_byte),
     "yuv422": _Layout(2, np.uint8, _colour(cv2.COLOR_YUV2BGR_UYVY)),
     "yuv422_yuy2": _Layout(2, np.uint8, _colour(cv2.COLOR_YUV2BGR_YUY2)),
     "bayer_rggb8": _Layout(1, np.uint8, _colour(cv2.COLOR_BayerBG2BGR)),
@@ -52,6 +56,7 @@ _LAYOUTS: Dict[str, _Layout] = {
 }
 
 ENCODINGS: Tuple[str, ...] = tuple(_LAYOUTS)
+_DEPTH = ("16UC1", "32FC1")
 
 
 def bgr_from_raw(
@@ -62,12 +67,33 @@ def bgr_from_raw(
     encoding: str,
     is_bigendian: bool = False,
 ) -> np.ndarray:
-    """Return (height, width, 3) uint8 BGR, a copy, of the fields of a sensor_msgs/Image.
+    """Return a BGR image of the fields of a sensor_msgs/Image. Of 16 bits the upper 8 are used.
 
-    step is the length of a row in bytes, padding included. Of 16 bits the upper 8 are used.
-    Raises ImageError for an unknown encoding, a size of zero or more than MAX_SIDE px, a step or data too short.
+    Parameters
+    ----------
+    data : bytes or numpy.ndarray
+        Rows of `step` bytes.
+    width, height : int
+        px, 1 to MAX_SIDE.
+    step : int
+        Length of a row in bytes, padding included.
+    encoding : str
+        One of ENCODINGS.
+    is_bigendian : bool
+        Order of the bytes of 16-bit numbers.
+
+    Returns
+    -------
+    numpy.ndarray, shape (height, width, 3), uint8
+        A copy.
+
+    Raises
+    ------
+    ImageError
+        For an unknown encoding, a size out of range, and a step or data that are too short.
     """
     layout = _LAYOUTS.get(encoding)
+    check_colour(encoding)
     if layout is None:
         raise ImageError("encoding {!r} is not supported; publish one of: {}".format(
             encoding[:40], ", ".join(ENCODINGS)))
@@ -83,12 +109,37 @@ def bgr_from_raw(
     return layout.convert(pixels.reshape(shape))
 
 
+def check_colour(encoding: str) -> None:
+    """Raise ImageError for an encoding that only depth images have."""
+    if encoding in _DEPTH:
+        raise ImageError("encoding {!r} is that of a depth image; give the topic of the colour image".format(encoding))
+
+
 def raw_rows(data: Union[bytes, bytearray, memoryview, np.ndarray], width: int, height: int, step: int, pixel: int,
              encoding: str) -> np.ndarray:
-    """Return the bytes (height, width * pixel) of an image without the padding of its rows, a copy if there is any.
+    """Return the bytes of an image without the padding of its rows, a copy if there is padding.
 
-    step: length of a row in `data`, bytes; pixel: length of a pixel, bytes; encoding: for the text of the error.
-    Raises ImageError for a step or data too short.
+    Parameters
+    ----------
+    data : bytes or numpy.ndarray
+        Rows of `step` bytes.
+    width, height : int
+        px.
+    step : int
+        Length of a row in bytes, padding included.
+    pixel : int
+        Length of a pixel in bytes.
+    encoding : str
+        For the text of the error.
+
+    Returns
+    -------
+    numpy.ndarray, shape (height, width * pixel), uint8
+
+    Raises
+    ------
+    ImageError
+        For a step or data that are too short.
     """
     row = width * pixel
     if step < row:
@@ -101,9 +152,21 @@ def raw_rows(data: Union[bytes, bytearray, memoryview, np.ndarray], width: int, 
 
 
 def bgr_from_compressed(data: Union[bytes, bytearray, memoryview]) -> np.ndarray:
-    """Return (H, W, 3) uint8 BGR of JPEG or PNG data.
+    """Return a BGR image of JPEG or PNG data. Orientation tags are ignored, as camera_info knows none.
 
-    Raises ImageError for other or damaged data, or an image beyond MAX_SIDE px (before it is decoded).
+    Parameters
+    ----------
+    data : bytes
+        A whole file.
+
+    Returns
+    -------
+    numpy.ndarray, shape (H, W, 3), uint8
+
+    Raises
+    ------
+    ImageError
+        For other or damaged data, and, before it is decoded, for an image of more than MAX_SIDE px a side.
     """
     values = np.frombuffer(data, dtype=np.uint8)
     if values.size == 0:
@@ -113,12 +176,98 @@ def bgr_from_compressed(data: Union[bytes, bytearray, memoryview]) -> np.ndarray
         raise ImageError("the compressed image ({} bytes) is not JPEG or PNG, or is damaged".format(values.size))
     _check_size(*size)
     try:
-        image = cv2.imdecode(values, cv2.IMREAD_COLOR)
+        image = cv2.imdecode(values, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise ImageError("the compressed image cannot be decoded: {}".format(error)) from error
     if image is None:
         raise ImageError("the compressed image ({} bytes) is damaged".format(values.size))
     return image
+
+
+def depth_from_raw(
+    data: Union[bytes, bytearray, memoryview, np.ndarray],
+    width: int,
+    height: int,
+    step: int,
+    encoding: str,
+    is_bigendian: bool = False,
+) -> np.ndarray:
+    """Return a depth image in metres of the fields of a sensor_msgs/Image.
+
+    16UC1 (also called mono16) is in mm and 32FC1 in m (REP-118).
+
+    Parameters
+    ----------
+    data : bytes or numpy.ndarray
+        Rows of `step` bytes.
+    width, height : int
+        px, 1 to MAX_SIDE.
+    step : int
+        Length of a row in bytes, padding included.
+    encoding : str
+        One of DEPTH_ENCODINGS.
+    is_bigendian : bool
+        Order of the bytes of a number.
+
+    Returns
+    -------
+    numpy.ndarray, shape (height, width), float32
+        m, NaN where the depth is unknown.
+
+    Raises
+    ------
+    ImageError
+        For another encoding, a size out of range, and a step or data that are too short.
+    """
+    if encoding not in DEPTH_ENCODINGS:
+        raise ImageError("encoding {!r} is not one of a depth image; publish one of: {}".format(
+            encoding[:40], ", ".join(DEPTH_ENCODINGS)))
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise ImageError("size of the depth image is {}x{}, legal range 1 to {} px a side".format(
+            width, height, MAX_SIDE))
+    kind = np.dtype(np.float32 if encoding == "32FC1" else np.uint16).newbyteorder(">" if is_bigendian else "<")
+    metres = raw_rows(data, width, height, step, kind.itemsize, "depth in " + encoding).view(kind).astype(np.float32)
+    if encoding != "32FC1":
+        metres *= np.float32(1e-3)
+    with np.errstate(invalid="ignore"):
+        metres[~((metres >= DEPTH_RANGE[0]) & (metres <= DEPTH_RANGE[1]))] = np.nan
+    return metres
+
+
+def sample_depth(depth: np.ndarray, pixels: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Return the depth at points of the colour image: the median of 3 x 3 pixels of the depth image.
+
+    Parameters
+    ----------
+    depth : numpy.ndarray, shape (h, w)
+        m, NaN or 0 where unknown; registered to the colour image, but perhaps of another size.
+    pixels : numpy.ndarray, shape (N, 2)
+        Points in the colour image, px.
+    width, height : int
+        Size of the colour image, px.
+
+    Returns
+    -------
+    numpy.ndarray, shape (N,)
+        m; NaN outside of the image, and where fewer than three of the nine pixels are known.
+    """
+    rows, columns = depth.shape
+    pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+    inside = np.all(np.isfinite(pixels), axis=1)
+    scaled = np.where(inside[:, None], pixels, -1.0) * np.array([columns / width, rows / height])
+    inside &= np.all((scaled >= 0.0) & (scaled < np.array([columns, rows])), axis=1)
+    cells = np.floor(np.where(inside[:, None], scaled, 0.0)).astype(np.int64)
+    around = np.arange(-1, 2)
+    y = np.clip(cells[:, 1, None, None] + around[None, :, None], 0, rows - 1)
+    x = np.clip(cells[:, 0, None, None] + around[None, None, :], 0, columns - 1)
+    values = np.asarray(depth[y, x], dtype=np.float64).reshape(len(pixels), 9)
+    with np.errstate(invalid="ignore"):
+        values[~((values >= DEPTH_RANGE[0]) & (values <= DEPTH_RANGE[1]))] = np.nan
+    known = np.isfinite(values).sum(axis=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", category=RuntimeWarning)    # rows that are all NaN give NaN
+        median = np.nanmedian(values, axis=1)
+    return np.where(inside & (known >= _LEAST_CELLS), median, np.nan)
 
 
 def _png_size(start: bytes) -> Optional[Tuple[int, int]]:
@@ -130,7 +279,7 @@ def _png_size(start: bytes) -> Optional[Tuple[int, int]]:
 
 def _jpeg_size(values: np.ndarray) -> Optional[Tuple[int, int]]:
     """Width and height in the frame header (SOF marker) of a JPEG file, else None."""
-    data = memoryview(np.ascontiguousarray(values))
+    data = np.ascontiguousarray(values).data
     if bytes(data[:2]) != b"\xff\xd8":
         return None
     position = 2

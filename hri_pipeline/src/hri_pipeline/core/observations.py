@@ -1,4 +1,4 @@
-"""What the stages see of one person in one image: the value types at the boundary to ROS."""
+"""What is measured of one person in one image: the value types at the boundary to ROS."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ class FaceObservation:
     mesh: (478, 3) px; z grows away from the camera and has the scale of x.
     pose: face frame in the optical frame, m; None when it is not known.
     gaze: None when it was not estimated. action_units: core.faces.action_units.ActionUnits; expression:
-    core.faces.expression.ExpressionEstimate; soft_biometrics: SoftBiometrics; each None when not estimated in this image.
-    head_scale: size of this head over the canonical one, and its standard deviation; None without a pose.
-    measured: False when the face was predicted and not looked at in this image: there were too many for it.
+    core.faces.expression.ExpressionEstimate; soft_biometrics: SoftBiometrics; each None when not estimated in this
+    image. head_scale: size of this head over the canonical one, and its standard deviation; None without a pose.
+    measured: False when the face was predicted and not measured in this image, because there were too many faces.
     """
 
     id: str
@@ -74,7 +74,7 @@ class BodyObservation:
     pose: body frame in the optical frame, m; None when it is not known.
     head: face frame in the optical frame, m, of the tracked face that is this body's; None without one.
     velocity: (3,) m/s of the body in the optical frame; None while it is not known.
-    measured: False when the body was not looked at in this image and is where its motion takes it.
+    measured: False when the body was predicted by its motion and not measured in this image.
     by_depth: True when a depth image gave its distance and its joints, not the size of an average person.
     """
 

@@ -11,9 +11,21 @@ import numpy as np
 class OneEuro:
     """Low-pass filter whose cutoff grows with speed; every element of the array has its own cutoff.
 
-    Casiez, Roussel, Vogel, "1 Euro Filter", CHI 2012.
-    min_cutoff: Hz, cutoff at rest. beta: Hz per (unit/s), how fast it grows with speed.
-    d_cutoff: Hz, cutoff for the speed itself. Elements that are not finite restart their own filter.
+    Casiez, Roussel, Vogel, "1 Euro Filter", CHI 2012. Elements that are not finite restart their own filter.
+
+    Parameters
+    ----------
+    min_cutoff : float
+        Cutoff at rest, Hz.
+    beta : float
+        How fast the cutoff grows with speed, Hz per (unit/s).
+    d_cutoff : float
+        Cutoff for the speed itself, Hz.
+
+    Raises
+    ------
+    ValueError
+        For numbers that are not finite, negative, or 0 where they must be positive.
     """
 
     def __init__(self, min_cutoff: float = 1.5, beta: float = 6.0, d_cutoff: float = 1.0) -> None:
@@ -34,9 +46,19 @@ class OneEuro:
         self._stamp = 0.0
 
     def __call__(self, value: np.ndarray, stamp: float) -> np.ndarray:
-        """Filter `value` (any shape) taken at `stamp` (s); same shape, float64.
+        """Filter one value. A stamp that goes back, or another shape, restarts the filter.
 
-        A stamp that goes back, or a new shape, restarts the filter; an equal stamp returns the last result.
+        Parameters
+        ----------
+        value : numpy.ndarray
+            Any shape.
+        stamp : float
+            When it was measured, s.
+
+        Returns
+        -------
+        numpy.ndarray
+            Of the same shape, float64; the last result for an equal stamp.
         """
         value = np.asarray(value, dtype=np.float64)
         if self._value is None or self._value.shape != value.shape or stamp < self._stamp:
@@ -45,6 +67,7 @@ class OneEuro:
         step = float(stamp) - self._stamp
         if step <= 0.0:
             return self._value.copy()
+        assert self._speed is not None      # set together with _value
         known = np.isfinite(self._value) & np.isfinite(value)
         difference = np.where(known, value - np.where(known, self._value, 0.0), 0.0)
         smooth = _smoothing(np.asarray(self._d_cutoff), step)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import pkgutil
+import re
 from pathlib import Path
 from typing import Iterator, List, Tuple, Union
 
@@ -13,6 +14,7 @@ from hri_pipeline.core.parameters import ParameterTable
 PACKAGES = ("hri_pipeline", "hri_fullbody", "hri_person_manager")
 BEGIN = "<!-- parameters:begin -->"
 END = "<!-- parameters:end -->"
+_DEFINITION = re.compile(r"^[A-Z]\w* = ParameterTable\(", re.MULTILINE)
 COMMAND = "rosrun hri_pipeline parameter_docs --write"
 
 PathLike = Union[str, Path]
@@ -23,17 +25,17 @@ class ParameterDocsError(AssertionError):
 
 
 def tables(package: str) -> List[ParameterTable]:
-    """Return the parameter tables in the modules `<package>.core.*_parameters`, by node name.
+    """Return the parameter tables that stand as constants in modules of `<package>.core`, by node name.
 
-    Modules are found by name and imported here, so that hri_pipeline needs no package that depends on it.
-    A package that is not installed has no tables.
+    Only modules whose text defines a table are imported, as others may need libraries that are not there; they are
+    found here, so that hri_pipeline needs no package that depends on it. A package that is not installed has no tables.
     """
     if importlib.util.find_spec(package) is None:
         return []
     core = importlib.import_module(package + ".core")
     found = {}
     for module_info in pkgutil.walk_packages(core.__path__, core.__name__ + "."):
-        if module_info.name.endswith("_parameters"):
+        if _defines_table(module_info.name):
             module = importlib.import_module(module_info.name)
             for value in vars(module).values():
                 # A table that one module imports from another package belongs to the other.
@@ -99,6 +101,14 @@ def _with(table: ParameterTable, page: str) -> str:
     if start < 0 or stop < start:
         return page.rstrip("\n") + "\n\n## Parameters\n\n" + block + "\n"
     return page[:start] + block + page[stop + len(END):]
+
+
+def _defines_table(module: str) -> bool:
+    """Return whether the text of a module assigns a ParameterTable to a constant."""
+    spec = importlib.util.find_spec(module)
+    if spec is None or spec.origin is None:
+        return False
+    return _DEFINITION.search(Path(spec.origin).read_text(encoding="utf-8")) is not None
 
 
 def _foreign(package: str, table: ParameterTable) -> bool:

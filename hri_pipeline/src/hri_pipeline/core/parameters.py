@@ -20,11 +20,30 @@ class ParameterError(ValueError):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter; its type is that of `default`: bool, int, float, str, or a list of one of them.
+    """One parameter of a node. Its type is that of `default`: bool, int, float, str, or a list of one of them.
 
-    An empty list is a list of strings. minimum and maximum (both legal values) and choices hold for each
-    item of a list. live: it may be changed while the node runs; then it is no list, and a number with a minimum and a
-    maximum. Raises ValueError when the entry contradicts itself.
+    Attributes
+    ----------
+    name : str
+    default : bool, int, float, str or list
+        An empty list is a list of strings.
+    doc : str
+        Its effect, for users.
+    unit : str
+    minimum, maximum : int or float, optional
+        Both are legal values; they hold for each item of a list.
+    choices : tuple
+        Legal values, of each item of a list; empty if there are others.
+    live : bool
+        It may be changed while the node runs. A list cannot be live, and a number needs minimum and maximum.
+    shared : str
+        Parameter of the whole stack that is used where the node's own is not set; the annotated file leaves the own one
+        out.
+
+    Raises
+    ------
+    ValueError
+        When the entry contradicts itself.
     """
 
     name: str
@@ -35,6 +54,7 @@ class Parameter:
     maximum: Optional[Number] = None
     choices: Tuple = ()
     live: bool = False
+    shared: str = ""
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
@@ -52,8 +72,8 @@ class Parameter:
         except ParameterError as error:
             raise ValueError("the default is not legal: {}".format(error)) from error
         if self.live and (self.is_list or self.item_type in (int, float) and None in (self.minimum, self.maximum)):
-            raise ValueError("parameter {} cannot change while the node runs: it is a list, or a number without minimum "
-                             "and maximum".format(self.name))
+            raise ValueError("parameter {} cannot change while the node runs: it is a list, or a number without "
+                             "minimum and maximum".format(self.name))
 
     @property
     def is_list(self) -> bool:
@@ -63,7 +83,7 @@ class Parameter:
     @property
     def item_type(self) -> type:
         """Type of the value, or of each item of a list."""
-        if not self.is_list:
+        if not isinstance(self.default, list):
             return type(self.default)
         return type(self.default[0]) if self.default else str
 
@@ -87,7 +107,7 @@ class Parameter:
         return ""
 
     def check(self, value: object) -> object:
-        """Return `value` in the parameter's type; ParameterError with value and legal range otherwise."""
+        """Return `value` in the type of the parameter. Raises ParameterError with the value and the legal range."""
         if not self.is_list:
             return self._check_item(value)
         if not isinstance(value, (list, tuple)):
@@ -103,7 +123,7 @@ class Parameter:
             raise self._refused(value)
         if self.choices and value not in self.choices:
             raise self._refused(value)
-        if wanted in (int, float):
+        if wanted in (int, float) and isinstance(value, (int, float)):
             if not math.isfinite(value):
                 raise self._refused(value)
             if self.minimum is not None and value < self.minimum:
@@ -160,8 +180,8 @@ class ParameterTable:
     def changed(self, settings: SimpleNamespace, changes: Mapping[str, object]) -> SimpleNamespace:
         """Return `settings` (of resolve) with some values changed, checked; the given ones stay as they are.
 
-        Raises ParameterError for a name that is not there, one that cannot change while the node runs, and a value that is
-        not legal.
+        Raises ParameterError for a name that is not there, one that cannot change while the node runs, and a value that
+        is not legal.
         """
         live = {parameter.name for parameter in self.live}
         fixed = sorted(name for name in changes if name not in live and name in vars(settings))
@@ -180,10 +200,12 @@ class ParameterTable:
             facts += ["unit " + parameter.unit] if parameter.unit else []
             facts += ["default " + format_value(parameter.default)]
             facts += ["may change while the node runs"] if parameter.live else []
+            facts += ["where it is not set here, {} counts".format(parameter.shared)] if parameter.shared else []
             lines += [""]
             lines += ["# " + line for line in textwrap.wrap(parameter.doc, 96)]
             lines += ["# " + line for line in textwrap.wrap("; ".join(facts), 96, break_long_words=False)]
-            lines += ["{}: {}".format(parameter.name, format_value(parameter.default))]
+            lines += ["{}{}: {}".format("# " if parameter.shared else "", parameter.name,
+                                        format_value(parameter.default))]
         return "\n".join(lines) + "\n"
 
     def to_markdown(self) -> str:
@@ -194,13 +216,21 @@ class ParameterTable:
         for parameter in self.parameters:
             cells = ("`~{}`".format(parameter.name), parameter.type_name,
                      "`{}`".format(format_value(parameter.default)), parameter.unit,
-                     parameter.range_text, "yes" if parameter.live else "", " ".join(parameter.doc.split()))
+                     parameter.range_text, "yes" if parameter.live else "", _meaning(parameter))
             lines.append("| " + " | ".join(cells[number].replace("|", "\\|") for number in shown) + " |")
         return "\n".join(lines) + "\n"
 
 
-def take_over(settings: SimpleNamespace, changed: SimpleNamespace) -> None:
-    """Give `settings`, which many objects of a node hold, the values of ParameterTable.changed. Their owner holds its lock."""
+def _meaning(parameter: Parameter) -> str:
+    text = " ".join(parameter.doc.split())
+    return "{} Where it is not set, `{}` counts.".format(text, parameter.shared) if parameter.shared else text
+
+
+def apply_settings(settings: SimpleNamespace, changed: SimpleNamespace) -> None:
+    """Copy the values of ParameterTable.changed into `settings`, which many objects of a node share.
+
+    The caller holds the lock that guards `settings`.
+    """
     vars(settings).update(vars(changed))
 
 
@@ -215,3 +245,11 @@ def format_value(value: object) -> str:
         # YAML 1.1 reads 1e-05 as a string: it wants a point.
         return text.replace("e", ".0e") if "e" in text and "." not in text else text
     return json.dumps(value, ensure_ascii=False)
+
+
+LIST_TIMEOUT = Parameter(
+    "list_timeout", 0.0,
+    "A list of ids (/humans/*/tracked) that its publisher does not repeat for so long counts as empty. 0: never; a "
+    "list then ends with its publisher, and one that is said once holds. The nodes of this stack repeat theirs once a "
+    "second.",
+    unit="s", minimum=0.0, maximum=3600.0)

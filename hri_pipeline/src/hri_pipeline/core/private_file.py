@@ -1,4 +1,4 @@
-"""Files with personal data: readable by their owner only, replaced as a whole, overwritten when they go."""
+"""Files with personal data: readable by their owner only, encrypted where that is wanted, overwritten when they go."""
 
 from __future__ import annotations
 
@@ -7,32 +7,18 @@ import io
 import os
 import stat
 import time
-from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Optional, Sequence
+from typing import Sequence, Union
 
 DAMAGED = ".damaged-"
 """What stands between the name of a file that was set aside and the time of that."""
 MAX_FILE_BYTES = 2 ** 30
 """Largest file that is read."""
+_PAUSE_S = 0.02
 
 
 class StoreError(RuntimeError):
-    """A store cannot be used; the text names the file and the mend."""
-
-
-class Transform(ABC):
-    """What is done to bytes on their way to the disk and back, such as encryption. name: written beside them."""
-
-    name: str
-
-    @abstractmethod
-    def pack(self, content: bytes) -> bytes:
-        """Return the bytes to write."""
-
-    @abstractmethod
-    def unpack(self, stored: bytes) -> bytes:
-        """Return what `pack` was given; ValueError when that cannot be."""
+    """A store cannot be used; the text names the file and what to do."""
 
 
 def set_aside(path: Path, now: float, also: Sequence[Path] = ()) -> Path:
@@ -49,32 +35,8 @@ def set_aside(path: Path, now: float, also: Sequence[Path] = ()) -> Path:
     return target
 
 
-def replace_file(path: Path, content: bytes) -> None:
-    """Put `content` in place of a file, mode 0600: at any moment there is the old one or the new one.
-
-    What the old file held is overwritten, so that it does not stay on the disk (a file system that writes elsewhere,
-    or a solid-state disk, keeps it all the same). Raises OSError.
-    """
-    beside = path.parent / "{}.new-{}".format(path.name, os.getpid())
-    descriptor = os.open(str(beside), os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        old = _open_old(path)
-        os.replace(str(beside), str(path))
-    except BaseException:
-        beside.unlink()
-        raise
-    sync_directory(path.parent)
-    if old is not None:
-        with os.fdopen(old, "r+b") as file:
-            _overwrite(file)
-
-
 def wipe(path: Path) -> None:
-    """Overwrite a file with zeros and remove it; one that is not there is none."""
+    """Overwrite a file with zeros and remove it; nothing is done where there is none."""
     try:
         with open(str(path), "r+b") as file:
             _overwrite(file)
@@ -92,18 +54,14 @@ def _overwrite(file: io.BufferedRandom) -> None:
     os.fsync(file.fileno())
 
 
-def _open_old(path: Path) -> Optional[int]:
-    try:
-        return os.open(str(path), os.O_RDWR | os.O_NOFOLLOW)
-    except OSError:
-        return None
+def _without_links(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NOFOLLOW)
 
 
 def read_private(path: Path) -> bytes:
     """Return the content of a file, which is made private where it is not. Raises OSError."""
     # Without blocking: a pipe in the place of the file is refused, not waited for.
-    descriptor = os.open(str(path), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    with os.fdopen(descriptor, "rb") as file:
+    with open(str(path), "rb", opener=lambda name, flags: _without_links(name, flags | os.O_NONBLOCK)) as file:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode) or status.st_size > MAX_FILE_BYTES:
             raise OSError("not a plain file of at most {} bytes".format(MAX_FILE_BYTES))
@@ -124,21 +82,28 @@ def make_private_directory(directory: Path) -> None:
                          "written".format(directory, error)) from error
 
 
-def hold(path: Path) -> int:
-    """Lock a store against a second writer; returns the descriptor, with which the lock ends. Raises StoreError."""
+def hold(path: Path, patience: float = 5.0) -> int:
+    """Lock a file against other processes that call this; returns the descriptor, with which the lock ends.
+
+    Raises StoreError when another one still holds it after `patience` (s).
+    """
     lock = path.parent / (path.name + ".lock")
     try:
         descriptor = os.open(str(lock), os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     except OSError as error:
         raise StoreError("the lock {} cannot be made ({}); correct the permissions of its directory".format(
             lock, error)) from error
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        os.close(descriptor)
-        raise StoreError("{} is in use by another process; end that one, or give each its own "
-                         "file".format(path)) from error
-    return descriptor
+    end = time.monotonic() + patience
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return descriptor
+        except OSError as error:
+            if time.monotonic() >= end:
+                os.close(descriptor)
+                raise StoreError("{} is in use by another process; end that one, or give each its own "
+                                 "file".format(path)) from error
+            time.sleep(_PAUSE_S)
 
 
 def sync_directory(directory: Path) -> None:
@@ -148,3 +113,59 @@ def sync_directory(directory: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+class TemplateCipher:
+    """Encrypts bytes on their way to the disk and decrypts them on their way back.
+
+    Encrypts and signs with Fernet (AES-128-CBC and HMAC-SHA256) of the library cryptography.
+
+    key_file: made by `make_key_file`. Who has the store without the key has no templates; who loses the key has lost
+    them. Raises StoreError that names the file and what to do.
+    """
+
+    name = "fernet"
+    """Written to the store beside the templates."""
+
+    def __init__(self, key_file: Union[str, Path]) -> None:
+        from cryptography.fernet import Fernet, InvalidToken  # only those who encrypt need the library
+        path = Path(key_file).expanduser().absolute()
+        try:
+            mode = path.stat().st_mode
+            key = path.read_bytes().strip()
+        except OSError as error:
+            raise StoreError("key file {}: {}; make one with `rosrun hri_person_manager people make-key FILE`".format(
+                path, error.strerror)) from None
+        if stat.S_IMODE(mode) & 0o077:
+            raise StoreError("key file {} can be read by others (mode {:04o}); mend: chmod 600".format(
+                path, stat.S_IMODE(mode)))
+        try:
+            self._fernet = Fernet(key)
+        except ValueError:
+            raise StoreError("key file {} holds no key; make one with `rosrun hri_person_manager people make-key "
+                             "FILE`".format(path)) from None
+        self._invalid = InvalidToken
+
+    def encrypt(self, content: bytes) -> bytes:
+        """Return the bytes to write."""
+        return self._fernet.encrypt(content)
+
+    def decrypt(self, stored: bytes) -> bytes:
+        """Return what `encrypt` was given; raises ValueError for another key or changed bytes."""
+        try:
+            return self._fernet.decrypt(stored)
+        except self._invalid:
+            raise ValueError("encrypted with another key, or changed") from None
+
+
+def make_key_file(path: Union[str, Path]) -> Path:
+    """Write a new key, mode 0600, and return its path. Raises StoreError when the file exists or cannot be written."""
+    from cryptography.fernet import Fernet
+    path = Path(path).expanduser().absolute()
+    try:
+        descriptor = os.open(str(path), os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except OSError as error:
+        raise StoreError("key file {}: {}; an existing key is never overwritten".format(path, error.strerror)) from None
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(Fernet.generate_key() + b"\n")
+    return path

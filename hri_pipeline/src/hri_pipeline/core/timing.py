@@ -1,4 +1,4 @@
-"""How long the stages of a pipeline take."""
+"""How long the stages of a pipeline take, and a constant rate by the wall clock."""
 
 from __future__ import annotations
 
@@ -63,3 +63,31 @@ class StageTimes:
         """Forget all times."""
         with self._lock:
             self._times.clear()
+
+
+class Pacer:
+    """A constant rate, Hz, by the wall clock, as rospy.Rate: says how long to wait for the next cycle.
+
+    The cycles are counted from the first one, so that delays do not add up. After a delay of more than one period they
+    are counted anew, so that there are no bursts. Raises ValueError for a rate that is not above 0.
+    """
+
+    def __init__(self, rate: float) -> None:
+        if not rate > 0.0:
+            raise ValueError("rate is {} Hz, it must be above 0".format(rate))
+        self._period = 1.0 / rate
+        self._start = 0.0
+        self._count = -1
+
+    def wait(self, now: float) -> float:
+        """Return the time in s from `now` (s, monotonic) to the next cycle; 0 when it is due."""
+        if self._count < 0:
+            return 0.0
+        return max(0.0, self._start + self._count * self._period - now)
+
+    def done(self, now: float) -> None:
+        """Note that a cycle has begun at `now` (s)."""
+        late = now - (self._start + self._count * self._period)
+        if self._count < 0 or late > self._period:
+            self._start, self._count = now, 0
+        self._count += 1

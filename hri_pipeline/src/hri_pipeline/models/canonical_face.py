@@ -15,7 +15,7 @@ from typing import Iterator, List, Tuple, Union
 
 import numpy as np
 
-from hri_pipeline.models.errors import ConversionError
+from hri_pipeline.models.catalogue import ConversionError
 
 METADATA_FILE = "geometry_pipeline_metadata_landmarks.binarypb"
 VERTICES = 468

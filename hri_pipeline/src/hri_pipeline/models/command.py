@@ -10,9 +10,8 @@ from pathlib import Path
 from types import FrameType
 from typing import List, Optional, Sequence
 
-from hri_pipeline.models import names
-from hri_pipeline.models.catalogue import PACKAGES, PRODUCTS, select
-from hri_pipeline.models.errors import FetchError
+from hri_pipeline.core.onnx import MODELS_VARIABLE, models_directory
+from hri_pipeline.models.catalogue import PACKAGES, PRODUCTS, FetchError, select
 from hri_pipeline.models.fetch import FetchSettings, fetch_models
 
 PROGRAM = "fetch_models"
@@ -47,7 +46,7 @@ def build_parser() -> argparse.ArgumentParser:
         "--directory",
         type=Path,
         default=None,
-        help="where the files go (default: $%s or ~/.cache/ros4hri/models)" % names.DIRECTORY_VARIABLE,
+        help="where the files go (default: $%s or ~/.cache/ros4hri/models)" % MODELS_VARIABLE,
     )
     parser.add_argument(
         "--packages",
@@ -88,7 +87,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     previous = {number: signal.signal(number, _interrupt) for number in SIGNALS}
     try:
         settings = FetchSettings(
-            (options.directory or names.default_directory()).expanduser().absolute(),
+            (options.directory or models_directory()).expanduser().absolute(),
             select([name.strip() for name in options.models.split(",") if name.strip()]),
             options.packages.absolute() if options.packages else None,
             options.keep_packages,

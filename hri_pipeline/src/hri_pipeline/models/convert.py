@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path, PurePosixPath
 from typing import Any, Callable, Dict, List, Mapping, Optional
 
-from hri_pipeline.models import names
-from hri_pipeline.models.catalogue import Product
-from hri_pipeline.models.errors import FetchError
+from hri_pipeline.models.catalogue import PRODUCT_OF, FetchError, Product
 
 JPEG_START = b"\xff\xd8\xff"
 MP4_MARK = b"ftyp"
@@ -26,7 +24,7 @@ def _tflite(product: Product, contents: Mapping[str, bytes]) -> bytes:
     from hri_pipeline.models.tflite_to_onnx import convert_tflite
 
     content = next(iter(contents.values()))
-    return _serialised(convert_tflite(content, product.name, product.options["outputs"]))
+    return _serialised(convert_tflite(content, product.name, product.outputs))
 
 
 def _tfjs(product: Product, contents: Mapping[str, bytes]) -> bytes:
@@ -130,8 +128,8 @@ def _describe_onnx(path: Path, output: str) -> Dict[str, List[Dict[str, Any]]]:
         "outputs": [{"name": t.name, "shape": t.shape} for t in session.get_outputs()],
     }
     for kind, needed in (
-        ("inputs", names.TENSORS[output].inputs),
-        ("outputs", names.TENSORS[output].outputs),
+        ("inputs", PRODUCT_OF[output].inputs),
+        ("outputs", PRODUCT_OF[output].outputs),
     ):
         present = [tensor["name"] for tensor in found[kind]]
         missing = [name for name in needed if name not in present]

@@ -12,9 +12,9 @@ from typing import Any, Callable, Dict, Mapping, Sequence
 
 import numpy as np
 
-from hri_pipeline.models.errors import ConversionError
+from hri_pipeline.models.catalogue import ConversionError
 from hri_pipeline.models.onnx_graph import GraphBuilder
-from hri_pipeline.models.tfjs_weights import read_weights
+from hri_pipeline.models.tfjs_to_onnx import read_weights
 
 MEAN_RGB = (122.782, 117.001, 104.298)  # mean colour of the training pictures, 0..255
 SIZES = {"age_gender": 112, "face_expression": 112, "face_recognition": 150}

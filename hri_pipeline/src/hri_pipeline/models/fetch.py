@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import json
 import os
 import shutil
 import signal
@@ -18,20 +19,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Set
 
+from hri_pipeline.core.onnx import MODELS_VARIABLE
 from hri_pipeline.core.private_file import sync_directory
-from hri_pipeline.models import names
-from hri_pipeline.models.archives import read_members, sha256_of_file
-from hri_pipeline.models.catalogue import PACKAGES, Package, Product
-from hri_pipeline.models.clients import Downloader
+from hri_pipeline.models.catalogue import CONVERTER_REVISION, PACKAGES, FetchError, Package, Product
 from hri_pipeline.models.convert import convert, describe, problem
-from hri_pipeline.models.errors import FetchError
-from hri_pipeline.models.manifest import (
-    entry_from_package,
-    entry_from_user,
-    manifest_text,
-    missing_products,
-    read_manifest,
-)
+from hri_pipeline.models.packages import Downloader, read_members, sha256_of_file
 
 _WORK_PREFIX = ".fetch-"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -112,7 +104,7 @@ def _accept_unlisted(
     if accepted:
         say(
             "accepted as they are, not listed in %s: %s"
-            % (names.MANIFEST, ", ".join(p.output for p in accepted))
+            % (MANIFEST, ", ".join(p.output for p in accepted))
         )
     absent_pictures = [product for product in remaining if product.is_picture]
     if accepted and not entries and len(absent_pictures) == len(remaining):
@@ -211,14 +203,14 @@ def _put_in_place(
     """Move the finished files, then the manifest; signals wait until it is done (milliseconds)."""
     entries = {output: entry for output, entry in old.items() if (directory / output).is_file()}
     entries.update(new)
-    manifest = _write(ready / names.MANIFEST, manifest_text(entries).encode("utf-8"))
+    manifest = _write(ready / MANIFEST, manifest_text(entries).encode("utf-8"))
     blocked: Set[int] = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
     previous = signal.pthread_sigmask(signal.SIG_BLOCK, blocked)
     try:
         for output in new:
             (directory / output).parent.mkdir(parents=True, exist_ok=True)
             os.replace(str(ready / output), str(directory / output))
-        os.replace(str(manifest), str(directory / names.MANIFEST))
+        os.replace(str(manifest), str(directory / MANIFEST))
         sync_directory(directory)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, previous)
@@ -259,5 +251,87 @@ def _explain(error: OSError, directory: Path) -> str:
         )
     if path not in [directory, *directory.parents] and directory not in path.parents:
         return "cannot use %s: %s; check that it exists and its permissions" % (path, error.strerror)
-    mend = "give a directory that can be written with --directory or $%s" % names.DIRECTORY_VARIABLE
+    mend = "give a directory that can be written with --directory or $%s" % MODELS_VARIABLE
     return "cannot write to %s: %s (%s); %s" % (directory, error.strerror, path, mend)
+
+
+# -- manifest.json: where every file of the models directory comes from, and its sha256
+
+MANIFEST = "manifest.json"
+FORMAT = 1
+USER = "user"
+
+
+def read_manifest(directory: Path) -> Dict[str, Dict[str, Any]]:
+    """Entries by file name; empty when there is no manifest that can be read."""
+    try:
+        document = json.loads((directory / MANIFEST).read_text(encoding="utf-8"))
+        entries = document["files"] if document["format"] == FORMAT else {}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+    return entries if isinstance(entries, dict) else {}
+
+
+def manifest_text(entries: Mapping[str, Mapping[str, Any]]) -> str:
+    """The content of manifest.json."""
+    return (
+        json.dumps({"format": FORMAT, "files": dict(sorted(entries.items()))}, indent=1, sort_keys=True)
+        + "\n"
+    )
+
+
+def entry_from_package(product: Product, path: Path, tensors: Mapping[str, List[Any]]) -> Dict[str, Any]:
+    """The entry of a file made from a package."""
+    package = PACKAGES[product.package]
+    source: Dict[str, Any] = {
+        "package": package.name,
+        "version": package.version,
+        "registry": package.registry,
+        "file": package.filename,
+        "sha256": package.sha256,
+        "members": dict(product.members),
+    }
+    return _entry(product, path, tensors, source, product.licence)
+
+
+def entry_from_user(
+    product: Product, path: Path, tensors: Mapping[str, List[Any]], origin: str
+) -> Dict[str, Any]:
+    """The entry of a file that the user gave."""
+    return _entry(product, path, tensors, {"package": USER, "file": origin}, "not known")
+
+
+def _entry(
+    product: Product, path: Path, tensors: Mapping[str, List[Any]], source: Mapping[str, Any], licence: str
+) -> Dict[str, Any]:
+    return {
+        "source": dict(source),
+        "licence": licence,
+        "purpose": product.purpose,
+        "sha256": sha256_of_file(path),
+        "size": path.stat().st_size,
+        "converter": CONVERTER_REVISION,
+        "inputs": tensors["inputs"],
+        "outputs": tensors["outputs"],
+    }
+
+
+def up_to_date(directory: Path, product: Product, entries: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Whether a file is there, as the manifest says, from the pinned package (or from the user)."""
+    entry, path = entries.get(product.output), directory / product.output
+    if entry is None or not path.is_file() or path.stat().st_size != entry.get("size"):
+        return False
+    source = entry.get("source", {})
+    if source.get("package") != USER and (
+        source.get("sha256") != PACKAGES[product.package].sha256
+        or entry.get("converter") != CONVERTER_REVISION
+    ):
+        return False
+    return sha256_of_file(path) == entry.get("sha256")
+
+
+def missing_products(
+    directory: Path, products: Sequence[Product], entries: Mapping[str, Mapping[str, Any]]
+) -> List[Product]:
+    """The products that are absent, changed or of another version than the catalogue's."""
+    return [product for product in products if not up_to_date(directory, product, entries)]

@@ -9,7 +9,7 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
-from hri_pipeline.models.errors import ConversionError, FetchError
+from hri_pipeline.models.catalogue import ConversionError, FetchError
 
 OPSET = 17
 IR_VERSION = 8

@@ -6,11 +6,11 @@ images stay N x H x W x C at the border.
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Optional, Sequence
+from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from hri_pipeline.models.errors import ConversionError
+from hri_pipeline.models.catalogue import ConversionError
 from hri_pipeline.models.onnx_graph import GraphBuilder
 from hri_pipeline.models.tflite_graph import Operator, TfliteGraph, read_tflite
 
@@ -127,9 +127,6 @@ def _needed_operators(graph: TfliteGraph, outputs: Sequence[int]) -> List[Operat
 
 
 def _convert_operator(conversion: TfliteConversion, operator: Operator) -> None:
-    from hri_pipeline.models.tflite_custom_operators import CUSTOM_OPERATORS
-    from hri_pipeline.models.tflite_operators import OPERATORS
-
     convert = OPERATORS.get(operator.kind) or CUSTOM_OPERATORS.get(operator.kind)
     if convert is None:
         raise ConversionError(
@@ -143,3 +140,337 @@ def _convert_operator(conversion: TfliteConversion, operator: Operator) -> None:
             "model %s: operator %s has unexpected options or shapes (%s: %s)"
             % (conversion.model_name, operator.kind, type(error).__name__, error)
         ) from error
+
+
+# -- the standard TFLite operators, each a function that returns the ONNX value of its output
+
+OperatorConverter = Callable[["TfliteConversion", Operator], str]
+CHANNELS_FIRST_AXIS = {0: 0, 1: 2, 2: 3, 3: 1}  # axis of N x H x W x C -> axis of N x C x H x W
+_PADDING_SAME = 0
+
+
+def same_padding(
+    size: Sequence[int], kernel: Sequence[int], stride: Sequence[int], dilation: Sequence[int]
+) -> Tuple[int, int, int, int]:
+    """TensorFlow's "same" padding (top, left, bottom, right); the odd pixel goes to the bottom and right."""
+    before, after = [], []
+    for n, k, s, d in zip(size, kernel, stride, dilation):
+        outputs = -(-n // s)
+        total = max((outputs - 1) * s + (k - 1) * d + 1 - n, 0)
+        before.append(total // 2)
+        after.append(total - total // 2)
+    return before[0], before[1], after[0], after[1]
+
+
+def _activate(conversion: "TfliteConversion", operator: Operator, value: str) -> str:
+    kind = operator.options["FusedActivationFunction"]
+    if kind == 0:
+        return value
+    if kind == 1:
+        return conversion.builder.node("Relu", [value])
+    if kind == 2:
+        return conversion.builder.clip(value, -1.0, 1.0)
+    if kind == 3:
+        return conversion.builder.clip(value, 0.0, 6.0)
+    if kind == 4:
+        return conversion.builder.node("Tanh", [value])
+    raise ConversionError(
+        "model %s: operator %s has the fused activation number %d, which is not known"
+        % (conversion.model_name, operator.kind, kind)
+    )
+
+
+def _convolution(conversion: "TfliteConversion", operator: Operator) -> str:
+    options, depthwise = operator.options, operator.kind == "DEPTHWISE_CONV_2D"
+    source_shape = conversion.shape(operator.inputs[0])
+    weights = conversion.weights(operator.inputs[1])  # O H W I, depthwise 1 H W (I * multiplier)
+    weights = weights.transpose(3, 0, 1, 2) if depthwise else weights.transpose(0, 3, 1, 2)
+    kernel = list(weights.shape[2:])
+    stride = [options["StrideH"], options["StrideW"]]
+    dilation = [options["DilationHFactor"], options["DilationWFactor"]]
+    pads = (0, 0, 0, 0)
+    if options["Padding"] == _PADDING_SAME:
+        pads = same_padding(source_shape[1:3], kernel, stride, dilation)
+    inputs = [conversion.value(operator.inputs[0]), conversion.builder.floats(weights)]
+    if len(operator.inputs) > 2 and operator.inputs[2] >= 0:
+        inputs.append(conversion.builder.floats(conversion.weights(operator.inputs[2])))
+    value = conversion.builder.node(
+        "Conv",
+        inputs,
+        kernel_shape=kernel,
+        strides=stride,
+        dilations=dilation,
+        pads=list(pads),
+        group=source_shape[3] if depthwise else 1,
+    )
+    return _activate(conversion, operator, value)
+
+
+def _pool(conversion: "TfliteConversion", operator: Operator) -> str:
+    options = operator.options
+    kernel, stride = (
+        [options["FilterHeight"], options["FilterWidth"]],
+        [options["StrideH"], options["StrideW"]],
+    )
+    pads = (0, 0, 0, 0)
+    if options["Padding"] == _PADDING_SAME:
+        pads = same_padding(conversion.shape(operator.inputs[0])[1:3], kernel, stride, (1, 1))
+    kind = "MaxPool" if operator.kind == "MAX_POOL_2D" else "AveragePool"
+    value = conversion.builder.node(
+        kind, [conversion.value(operator.inputs[0])], kernel_shape=kernel, strides=stride, pads=list(pads)
+    )
+    return _activate(conversion, operator, value)
+
+
+def _pad(conversion: "TfliteConversion", operator: Operator) -> str:
+    amounts = conversion.weights(operator.inputs[1])  # rank x (before, after)
+    if len(amounts) == 4:
+        amounts = amounts[[0, 3, 1, 2]]
+    pads = conversion.builder.integers(amounts.T.reshape(-1))
+    return conversion.builder.node("Pad", [conversion.value(operator.inputs[0]), pads])
+
+
+def _elementwise(conversion: "TfliteConversion", operator: Operator) -> str:
+    rank = len(conversion.shape(operator.outputs[0]))
+    operands = [conversion.operand(index, rank) for index in operator.inputs]
+    value = conversion.builder.node({"ADD": "Add", "MUL": "Mul"}[operator.kind], operands)
+    return _activate(conversion, operator, value)
+
+
+def _unary(onnx_type: str) -> OperatorConverter:
+    def convert(conversion: "TfliteConversion", operator: Operator) -> str:
+        return conversion.builder.node(onnx_type, [conversion.value(operator.inputs[0])])
+
+    return convert
+
+
+def _prelu(conversion: "TfliteConversion", operator: Operator) -> str:
+    slope = conversion.weights(operator.inputs[1])
+    source = conversion.value(operator.inputs[0])
+    per_channel = slope.size == slope.shape[-1] and len(conversion.shape(operator.inputs[0])) == 4
+    if per_channel:
+        return conversion.builder.prelu(source, slope.reshape(-1))
+    if slope.ndim >= 3:
+        slope = slope.reshape(slope.shape[-3:]).transpose(2, 0, 1)
+    return conversion.builder.node("PRelu", [source, conversion.builder.floats(slope)])
+
+
+def _resize(conversion: "TfliteConversion", operator: Operator) -> str:
+    source, target = conversion.shape(operator.inputs[0]), conversion.shape(operator.outputs[0])
+    mode = "asymmetric"
+    if operator.options["AlignCorners"]:
+        mode = "align_corners"
+    elif operator.options["HalfPixelCenters"]:
+        mode = "half_pixel"
+    scales = conversion.builder.floats([1, 1, target[1] / source[1], target[2] / source[2]])
+    return conversion.builder.node(
+        "Resize",
+        [conversion.value(operator.inputs[0]), "", scales],
+        mode="linear",
+        coordinate_transformation_mode=mode,
+    )
+
+
+def _depth_to_space(conversion: "TfliteConversion", operator: Operator) -> str:
+    return conversion.builder.node(
+        "DepthToSpace",
+        [conversion.value(operator.inputs[0])],
+        mode="DCR",
+        blocksize=operator.options["BlockSize"],
+    )
+
+
+def _reshape(conversion: "TfliteConversion", operator: Operator) -> str:
+    target = conversion.shape(operator.outputs[0])
+    value = conversion.builder.reshape(conversion.natural(operator.inputs[0]), [0] + target[1:])
+    return conversion.from_natural(value, operator.outputs[0])
+
+
+def _concatenate(conversion: "TfliteConversion", operator: Operator) -> str:
+    rank = len(conversion.shape(operator.outputs[0]))
+    axis = operator.options["Axis"] % rank
+    operands = [conversion.operand(index, rank) for index in operator.inputs]
+    value = conversion.builder.node("Concat", operands, axis=CHANNELS_FIRST_AXIS[axis] if rank == 4 else axis)
+    return _activate(conversion, operator, value)
+
+
+def _mean(conversion: "TfliteConversion", operator: Operator) -> str:
+    axes = sorted(int(axis) % 4 for axis in conversion.weights(operator.inputs[1]).reshape(-1))
+    if axes != [1, 2] or len(conversion.shape(operator.inputs[0])) != 4:
+        raise ConversionError(
+            "model %s: operator MEAN over the axes %s is not known to the TFLite converter"
+            % (conversion.model_name, axes)
+        )
+    return conversion.builder.node(
+        "ReduceMean",
+        [conversion.value(operator.inputs[0])],
+        axes=[2, 3],
+        keepdims=int(bool(operator.options["KeepDims"])),
+    )
+
+
+def _fully_connected(conversion: "TfliteConversion", operator: Operator) -> str:
+    source = conversion.builder.reshape(conversion.natural(operator.inputs[0]), [0, -1])
+    inputs = [source, conversion.builder.floats(conversion.weights(operator.inputs[1]))]
+    if len(operator.inputs) > 2 and operator.inputs[2] >= 0:
+        inputs.append(conversion.builder.floats(conversion.weights(operator.inputs[2])))
+    return _activate(conversion, operator, conversion.builder.node("Gemm", inputs, transB=1))
+
+
+def _strided_slice(conversion: "TfliteConversion", operator: Operator) -> str:
+    options, shape = operator.options, conversion.shape(operator.inputs[0])
+    if options["ShrinkAxisMask"] or options["NewAxisMask"] or options["EllipsisMask"]:
+        raise ConversionError(
+            "model %s: operator STRIDED_SLICE with shrink, new-axis or ellipsis mask is not known"
+            " to the TFLite converter" % conversion.model_name
+        )
+    begin, end, stride = (conversion.weights(index).astype(np.int64) for index in operator.inputs[1:4])
+    axes = list(range(1, len(shape)))  # the batch is never sliced
+    starts = [0 if options["BeginMask"] >> axis & 1 else begin[axis] for axis in axes]
+    ends = [shape[axis] if options["EndMask"] >> axis & 1 else end[axis] for axis in axes]
+    limits = [conversion.builder.integers(v) for v in (starts, ends, axes, stride[1:])]
+    value = conversion.builder.node("Slice", [conversion.natural(operator.inputs[0])] + limits)
+    return conversion.from_natural(value, operator.outputs[0])
+
+
+OPERATORS: Dict[str, OperatorConverter] = {
+    "CONV_2D": _convolution,
+    "DEPTHWISE_CONV_2D": _convolution,
+    "MAX_POOL_2D": _pool,
+    "AVERAGE_POOL_2D": _pool,
+    "PAD": _pad,
+    "ADD": _elementwise,
+    "MUL": _elementwise,
+    "RELU": _unary("Relu"),
+    "LOGISTIC": _unary("Sigmoid"),
+    "HARD_SWISH": _unary("HardSwish"),
+    "PRELU": _prelu,
+    "RESIZE_BILINEAR": _resize,
+    "DEPTH_TO_SPACE": _depth_to_space,
+    "RESHAPE": _reshape,
+    "CONCATENATION": _concatenate,
+    "MEAN": _mean,
+    "FULLY_CONNECTED": _fully_connected,
+    "STRIDED_SLICE": _strided_slice,
+}
+
+
+# -- MediaPipe's custom operators of the attention face mesh, in standard ONNX operators. Their meaning is that of the
+# public sources of MediaPipe (Apache-2.0), `util/tflite/operations`: a first mesh gives, for each region (lips, eyes),
+# a crop of a feature map; a small network refines the landmarks in the crop; the result is mapped back.
+
+
+def _rotations(build: GraphBuilder, ends: str) -> Tuple[str, str]:
+    """Left and right landmark (N, 2, 2) -> rotation that levels their line, and its inverse (N, 2, 2)."""
+    line = build.node("MatMul", [build.floats([[[-1, 1]]]), ends])  # N, 1, 2
+    along = build.node("Div", [line, build.node("ReduceL2", [line], axes=[2], keepdims=1)])  # (cos, sin)
+    across = build.node("MatMul", [along, build.floats([[[0, 1], [-1, 0]]])])  # (-sin, cos)
+    to_level = build.node("Concat", [along, across], axis=1)
+    return to_level, build.node("Transpose", [to_level], perm=[0, 2, 1])
+
+
+def _homogeneous(build: GraphBuilder, linear: str, shift: str) -> str:
+    """Linear part (N, 2, 2) and shift (N, 2, 1) in the image plane -> matrix (N, 4, 4)."""
+    shift = build.node("Pad", [shift, build.integers([0, 0, 1, 0, 0, 0])])  # a zero column for z before it
+    top = build.node("Concat", [linear, shift], axis=2)  # N, 2, 4
+    bottom = build.node("Expand", [build.floats([[[0, 0, 1, 0], [0, 0, 0, 1]]]), build.node("Shape", [top])])
+    return build.node("Concat", [top, bottom], axis=1)
+
+
+def _landmarks_to_transform_matrix(conversion: "TfliteConversion", operator: Operator) -> str:
+    """Landmarks (N, L, 3) -> matrix (N, 4, 4) from crop pixels to source pixels.
+
+    The crop is the bounding box of a subset of the landmarks in axes turned by the angle between a left and a
+    right landmark, grown by a scale and mapped to output_width x output_height.
+    """
+    build, options = conversion.builder, operator.options
+    if options["target_rotation_radians"] != 0:
+        raise ConversionError(
+            "model %s: operator Landmarks2TransformMatrix with a target rotation is not known to "
+            "the TFLite converter" % conversion.model_name
+        )
+    width, height = float(options["output_width"]), float(options["output_height"])
+    points = build.node(
+        "Slice",
+        [conversion.value(operator.inputs[0]), build.integers([0]), build.integers([2]), build.integers([2])],
+    )  # N, L, 2
+    ends = build.node(
+        "Gather",
+        [points, build.integers([options["left_rotation_idx"], options["right_rotation_idx"]])],
+        axis=1,
+    )
+    to_level, from_level = _rotations(build, ends)
+    subset = build.node("Gather", [points, build.integers(options["subset_idxs"])], axis=1)
+    levelled = build.node("MatMul", [subset, from_level])  # rows times transpose: turned by -angle
+    upper = build.node("ReduceMax", [levelled], axes=[1], keepdims=1)
+    lower = build.node("ReduceMin", [levelled], axes=[1], keepdims=1)
+    pixel = build.node(
+        "Mul",
+        [
+            build.node("Sub", [upper, lower]),  # size of a crop pixel, N, 1, 2
+            build.floats([[[options["scale_x"] / width, options["scale_y"] / height]]]),
+        ],
+    )
+    middle = build.node("Mul", [build.node("Add", [upper, lower]), build.floats(0.5)])
+    centre = build.node("Transpose", [build.node("MatMul", [middle, to_level])], perm=[0, 2, 1])  # N, 2, 1
+
+    linear = build.node("Mul", [from_level, pixel])  # columns scaled, N, 2, 2
+    half = build.node("MatMul", [linear, build.floats([[[width / 2], [height / 2]]])])
+    shift = build.node("Sub", [centre, half])  # N, 2, 1
+    return _homogeneous(build, linear, shift)
+
+
+def _transform_tensor_bilinear(conversion: "TfliteConversion", operator: Operator) -> str:
+    """Feature map (N, H, W, C) and matrix (N, 4, 4) -> crop (N, h, w, C), bilinear, zero outside of the map.
+
+    Pixel centres lie at +0.5 on both sides; a sample counts as inside from the first to the last pixel
+    centre.
+    """
+    build = conversion.builder
+    _, source_height, source_width, _ = conversion.shape(operator.inputs[0])
+    _, height, width, _ = conversion.shape(operator.outputs[0])
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    centres = np.stack([x.ravel(), y.ravel(), np.zeros(x.size), np.ones(x.size)])  # 4, h * w
+    matrix = build.node(
+        "Slice",
+        [conversion.value(operator.inputs[1]), build.integers([0]), build.integers([2]), build.integers([1])],
+    )  # N, 2, 4
+    position = build.node("Sub", [build.node("MatMul", [matrix, build.floats(centres)]), build.floats(0.5)])
+    to_unit = build.floats([[[2 / (source_width - 1)], [2 / (source_height - 1)]]])
+    unit = build.node("Sub", [build.node("Mul", [position, to_unit]), build.floats(1)])  # inside: -1..1
+    farthest = build.node("ReduceMax", [build.node("Abs", [unit])], axes=[1], keepdims=1)
+    inside = build.node("Cast", [build.node("LessOrEqual", [farthest, build.floats(1)])], to=1)
+    grid = build.reshape(build.node("Transpose", [unit], perm=[0, 2, 1]), [0, height, width, 2])
+    sampled = build.node(
+        "GridSample",
+        [conversion.value(operator.inputs[0]), grid],
+        align_corners=1,
+        mode="bilinear",
+        padding_mode="border",
+    )
+    return build.node("Mul", [sampled, build.reshape(inside, [0, 1, height, width])])
+
+
+def _transform_landmarks(conversion: "TfliteConversion", operator: Operator) -> str:
+    """Points (N, L, 2) and matrix (N, 4, 4) -> points mapped by the matrix."""
+    build = conversion.builder
+    if conversion.shape(operator.outputs[0])[-1] != 2:
+        raise ConversionError(
+            "model %s: operator TransformLandmarks on points that are not 2D is not known to the "
+            "TFLite converter" % conversion.model_name
+        )
+    matrix = conversion.value(operator.inputs[1])
+    axes = build.integers([1, 2])
+    linear = build.node("Slice", [matrix, build.integers([0, 0]), build.integers([2, 2]), axes])
+    shift = build.node("Slice", [matrix, build.integers([0, 3]), build.integers([2, 4]), axes])
+    turned = build.node(
+        "MatMul", [conversion.value(operator.inputs[0]), build.node("Transpose", [linear], perm=[0, 2, 1])]
+    )
+    return build.node("Add", [turned, build.node("Transpose", [shift], perm=[0, 2, 1])])
+
+
+CUSTOM_OPERATORS: Dict[str, "OperatorConverter"] = {
+    "Landmarks2TransformMatrix": _landmarks_to_transform_matrix,
+    "TransformTensorBilinear": _transform_tensor_bilinear,
+    "TransformLandmarks": _transform_landmarks,
+}

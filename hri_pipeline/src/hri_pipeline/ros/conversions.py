@@ -1,15 +1,21 @@
-"""Between ROS messages and the arrays and values of the core. Pixels in the core, 0 to 1 in messages."""
+"""Between ROS messages and the arrays and values of the core. Pixels in the core, 0 to 1 in messages.
+
+The functions that take `interface` are the only place that knows the difference between the topics of the paper and
+those of REP-155. LandmarkArray and SkeletonArray are message types to subscribe with, which read all points as one
+array.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Sequence, Tuple, Union
+import struct
+from typing import TYPE_CHECKING, List, Optional, Sequence, Tuple, Type, Union
 
 import genpy
 import numpy as np
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, RegionOfInterest
-from std_msgs.msg import Header
+from std_msgs.msg import Header, String
 
 from hri_msgs.msg import (
     AudioFeatures,
@@ -24,25 +30,39 @@ from hri_msgs.msg import (
     GroupsStamped,
     IdsList,
     IdsMatch,
+    LiveSpeech,
     NormalizedPointOfInterest2D,
+    NormalizedRegionOfInterest2D,
     Skeleton2D,
     SoftBiometrics,
 )
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.images import ImageError, bgr_from_compressed, bgr_from_raw
-from hri_pipeline.core.interactions.gaze_people import GazeTarget
+from hri_pipeline.core.geometry import Numbers, Pose
+from hri_pipeline.core.images import ImageError, bgr_from_compressed, bgr_from_raw, check_colour
+from hri_pipeline.core.interactions.people import GazeTarget
 from hri_pipeline.core.observations import SoftBiometrics as FaceBiometrics
 
 if TYPE_CHECKING:  # a module that needs scipy, of which most nodes need nothing
-    from hri_pipeline.core.interactions.group_tracker import Group as SocialGroup
-    from hri_pipeline.core.voices.audio_features import FeatureFrame
+    from hri_pipeline.core.asr.recognition import SpeechResult
+    from hri_pipeline.core.audio.features import FeatureFrame
+    from hri_pipeline.core.interactions.groups import Group as SocialGroup
+
+PAPER, REP155 = "paper", "rep155"
 
 Stamp = Union[genpy.Time, float]
+RoiMessage = Union[RegionOfInterest, NormalizedRegionOfInterest2D]
+SpeechMessage = Union[String, LiveSpeech]
 
 LANDMARKS = 70
 ACTION_UNITS = 99
 KEYPOINTS = 18
+
+# Parts of serialised messages: the header up to the frame_id, the length of a list, and height and width of an image.
+_STAMP_AND_LENGTH = struct.Struct("<3II")
+_COUNT = struct.Struct("<I")
+_SIZE = struct.Struct("<II")
+_POINT_BYTES = 3 * 4
+_NO_POINTS = np.zeros((0, 3))
 
 
 def to_time(stamp: Stamp) -> genpy.Time:
@@ -65,6 +85,7 @@ def compressed_to_bgr(msg: CompressedImage) -> np.ndarray:
     if "compressedDepth" in msg.format:
         raise ImageError("format {!r} is a depth image; give the compressed topic of the colour image".format(
             msg.format))
+    check_colour(msg.format.partition(";")[0].strip())
     return bgr_from_compressed(msg.data)
 
 
@@ -89,7 +110,17 @@ def camera_from_info(msg: CameraInfo, fallback_hfov: float, width: int = 0, heig
         roi_x=roi.x_offset, roi_y=roi.y_offset, roi_width=roi.width, roi_height=roi.height)
 
 
-def roi_to_msg(box: Sequence[float], width: int, height: int) -> RegionOfInterest:
+def camera_info(width: int, height: int, hfov: float, header: Header) -> CameraInfo:
+    """Return the CameraInfo of an ideal camera with a horizontal field of view of `hfov` rad."""
+    matrix = CameraModel.from_fov(width, height, hfov).matrix
+    info = CameraInfo(header=header, width=width, height=height, distortion_model="plumb_bob", D=[0.0] * 5)
+    info.K = matrix.ravel().tolist()
+    info.R = np.eye(3).ravel().tolist()
+    info.P = np.hstack([matrix, np.zeros((3, 1))]).ravel().tolist()
+    return info
+
+
+def roi_to_msg(box: Numbers, width: int, height: int) -> RegionOfInterest:
     """Return the whole pixels that hold the box x0, y0, x1, y1 (px), clipped to the image."""
     values = np.asarray(box, dtype=np.float64)
     _finite(values, "a box")
@@ -108,9 +139,9 @@ def landmarks_to_msg(landmarks: np.ndarray, header: Header, width: int, height: 
 def landmarks_from_msg(msg: FacialLandmarks) -> np.ndarray:
     """Return (70, 3) x, y (0 to 1 of the image's width and height) and confidence, of a LandmarkArray too.
 
-    Raises ValueError for another number of points or for what is not finite.
+    Raises ValueError for another number of points, for what is not finite, and for what could not be read.
     """
-    return _from_points(msg.landmarks, LANDMARKS, "FacialLandmarks")
+    return _from_points(msg, msg.landmarks, LANDMARKS, "FacialLandmarks")
 
 
 def action_units_to_msg(intensity: np.ndarray, confidence: np.ndarray, header: Header) -> FacialActionUnits:
@@ -174,11 +205,11 @@ def skeleton_to_msg(keypoints: np.ndarray, header: Header, width: int, height: i
 
 
 def skeleton_from_msg(msg: Skeleton2D) -> np.ndarray:
-    """Return (18, 3) x, y (0 to 1 of the image's width and height) and confidence.
+    """Return (18, 3) x, y (0 to 1 of the image's width and height) and confidence, of a SkeletonArray too.
 
-    Raises ValueError for another number of points or for what is not finite.
+    Raises ValueError for another number of points, for what is not finite, and for what could not be read.
     """
-    return _from_points(msg.skeleton, KEYPOINTS, "Skeleton2D")
+    return _from_points(msg, msg.skeleton, KEYPOINTS, "Skeleton2D")
 
 
 def transform_to_msg(pose: Pose, stamp: Stamp, parent: str, child: str) -> TransformStamped:
@@ -241,6 +272,145 @@ def engagement_to_msg(level: int, header: Header) -> EngagementLevel:
     return EngagementLevel(header=header, level=int(level))
 
 
+def roi_type(interface: str) -> Type[genpy.Message]:
+    """Message type of the topics `roi`. Raises ValueError for an unknown interface."""
+    types = {PAPER: RegionOfInterest, REP155: NormalizedRegionOfInterest2D}
+    if interface not in types:
+        raise ValueError("interface is {!r}; legal: {}".format(interface, ", ".join(types)))
+    return types[interface]
+
+
+def roi_message(box: np.ndarray, width: int, height: int, interface: str,
+                header: Optional[Header] = None, confidence: float = 1.0) -> RoiMessage:
+    """Message of a box (4,) x0, y0, x1, y1 px in an image of width x height px, clipped to the image.
+
+    header and confidence (0 to 1) go into the type that has fields for them only.
+    """
+    if roi_type(interface) is RegionOfInterest:
+        return roi_to_msg(box, width, height)
+    values = np.asarray(box, dtype=np.float64)
+    if not np.isfinite(values).all():
+        raise ValueError("a box holds numbers that are not finite")
+    x0, y0, x1, y1 = np.clip(values / (width, height, width, height), 0.0, 1.0).tolist()
+    return NormalizedRegionOfInterest2D(
+        header=header or Header(), xmin=x0, ymin=y0, xmax=x1, ymax=y1, c=float(np.clip(confidence, 0.0, 1.0)))
+
+
+def groups_type(interface: str) -> Type[genpy.Message]:
+    """Message type of the topic `groups`: all at once, or one by one. Raises ValueError for an unknown interface."""
+    roi_type(interface)
+    return Group if interface == REP155 else GroupsStamped
+
+
+def groups_messages(groups: Sequence[SocialGroup], header: Header, interface: str) -> List[genpy.Message]:
+    """Return the messages of the groups of one time."""
+    if groups_type(interface) is GroupsStamped:
+        return [groups_to_msg(groups, header)]
+    return [group_to_msg(group, header) for group in groups]
+
+
+def has_gazing(interface: str) -> bool:
+    """Tell whether each gaze is sent on `gazing`, too. Raises ValueError for an unknown interface."""
+    return groups_type(interface) is Group
+
+
+def has_gaze_of_closed_eyes(interface: str) -> bool:
+    """Tell whether gaze_ID goes on while the eyes tell nothing. Raises ValueError for an unknown interface."""
+    roi_type(interface)
+    return interface == REP155
+
+
+def told_gaze(face: Pose, direction: Optional[np.ndarray], interface: str) -> Optional[np.ndarray]:
+    """Return the direction (3,) of gaze_ID in the sensor's frame, None where there is no such frame.
+
+    face: in the sensor's frame; direction: None while the eyes are closed, or where nothing is known. Clients of
+    REP-155 take a face without gaze_ID for a fault: for them the direction of the head stands in.
+    """
+    return face.rotation[:, 0] if direction is None and has_gaze_of_closed_eyes(interface) else direction
+
+
+def speech_type(interface: str) -> Type[genpy.Message]:
+    """Message type of the topics `speech`. Raises ValueError for an unknown interface."""
+    roi_type(interface)
+    return LiveSpeech if interface == REP155 else String
+
+
+def speech_message(result: SpeechResult, interface: str, header: Header) -> SpeechMessage:
+    """Message of what a voice has said, up to now or in all; header goes into the type that has one."""
+    if speech_type(interface) is String:
+        return String(result.final or result.incremental)
+    return LiveSpeech(header=header, incremental=result.incremental, final=result.final,
+                      confidence=float(np.clip(result.confidence, 0.0, 1.0)), language=result.language)
+
+
+class _PointArray:
+    """What both have in common: a header, points, and what stands behind them.
+
+    Ten faces send hundreds of these a second to each of several nodes, and 70 objects for each take ten times as long
+    to read. They are only received: they cannot be published. `fault` says why the bytes cannot be read; rospy would
+    close the connection and open it again for each such message, without a word. The conversions raise it as a
+    ValueError.
+    """
+
+    fault = ""
+
+    def _read(self, data: bytes, count: int, rest: int) -> np.ndarray:
+        """Read the header; return the points, none where there is a fault.
+
+        count: usual number of points; rest: bytes behind them.
+        """
+        try:
+            seq, secs, nsecs, length = _STAMP_AND_LENGTH.unpack_from(data)
+            begin = _STAMP_AND_LENGTH.size + length
+            told, = _COUNT.unpack_from(data, begin)
+        except struct.error as error:
+            return self._refuse("the message is cut off: {}".format(error))
+        header = self.header
+        header.seq, header.frame_id = seq, data[_STAMP_AND_LENGTH.size:begin].decode("utf-8", "replace")
+        header.stamp.secs, header.stamp.nsecs = secs, nsecs
+        there = len(data) - begin - rest
+        if there == count * _POINT_BYTES:
+            return self._refuse("the message does not tell the number of its points: its sender, or the program that "
+                                "recorded it, has a definition of {} points instead of any number".format(count))
+        if there != _COUNT.size + told * _POINT_BYTES:
+            return self._refuse("the message tells of {} points and has bytes for {:.1f}".format(
+                told, max(0, there - _COUNT.size) / _POINT_BYTES))
+        points = np.frombuffer(data, "<f4", 3 * told, begin + _COUNT.size)
+        return points.reshape(told, 3).astype(np.float64)
+
+    def _refuse(self, fault: str) -> np.ndarray:
+        self.fault = fault
+        return _NO_POINTS
+
+
+class LandmarkArray(_PointArray, FacialLandmarks):
+    """A FacialLandmarks, the type to subscribe with, whose `landmarks` is an array (N, 3) of x, y, c."""
+
+    def __init__(self) -> None:
+        # Not the generated one, which looks at its arguments first.
+        self.header, self.landmarks = Header(), _NO_POINTS
+        self.height = self.width = 0
+
+    def deserialize(self, data: bytes) -> LandmarkArray:
+        """Read a serialised message; `fault` says what is wrong with it."""
+        self.landmarks = self._read(data, 70, _SIZE.size)
+        if not self.fault:
+            self.height, self.width = _SIZE.unpack_from(data, len(data) - _SIZE.size)
+        return self
+
+
+class SkeletonArray(_PointArray, Skeleton2D):
+    """A Skeleton2D, the type to subscribe with, whose `skeleton` is an array (N, 3) of x, y, c."""
+
+    def __init__(self) -> None:
+        self.header, self.skeleton = Header(), _NO_POINTS
+
+    def deserialize(self, data: bytes) -> SkeletonArray:
+        """Read a serialised message; `fault` says what is wrong with it."""
+        self.skeleton = self._read(data, 18, 0)
+        return self
+
+
 def _points(values: np.ndarray, count: int, width: int, height: int) -> list:
     """Points in 0 to 1; one that is not finite has confidence 0, all are clipped to the image."""
     values = np.asarray(values, dtype=np.float64)
@@ -263,7 +433,11 @@ def _point(x: float, y: float, c: float) -> NormalizedPointOfInterest2D:
     return point
 
 
-def _from_points(points: Union[np.ndarray, Sequence[NormalizedPointOfInterest2D]], count: int, kind: str) -> np.ndarray:
+def _from_points(msg: genpy.Message, points: Union[np.ndarray, Sequence[NormalizedPointOfInterest2D]], count: int,
+                 kind: str) -> np.ndarray:
+    fault = getattr(msg, "fault", "")
+    if fault:
+        raise ValueError("{}: {}".format(kind, fault))
     if len(points) != count:
         raise ValueError("{} needs {} points, not {}".format(kind, count, len(points)))
     values = points if isinstance(points, np.ndarray) else np.array([(point.x, point.y, point.c) for point in points],

@@ -8,19 +8,26 @@ from typing import Dict, Mapping, Optional
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from hri_pipeline.ros.topic_release import release
+from hri_pipeline.core.error_log import without_middle
+from hri_pipeline.ros.rospy_compat import descriptors_status, release
 
 OK = DiagnosticStatus.OK
 WARN = DiagnosticStatus.WARN
 ERROR = DiagnosticStatus.ERROR
 
 _PERIOD_S = 1.0
+_DESCRIPTORS = "file descriptors"
+MAX_TEXT = 500
+"""Most characters of a text: names of frames and topics come from outside, and may have any length."""
+_TAIL = 150
 
 
 class NodeDiagnostics:
     """Keeps one status per task and publishes all of them every second of wall time.
 
-    A status is called `node: task`; its hardware_id is the resolved name of the node.
+    A status is called `node: task`; its hardware_id is the resolved name of the node. The task `file descriptors`
+    is there once they have been short. Keys of values name a figure and hold no id: those who plot them expect the same
+    keys all the time. Texts longer than MAX_TEXT lose their middle.
     """
 
     def __init__(self, node_name: str, period: float = _PERIOD_S) -> None:
@@ -35,9 +42,9 @@ class NodeDiagnostics:
     def set(self, task: str, level: int, message: str, values: Optional[Mapping[str, object]] = None) -> None:
         """Set the state of a task; it goes out with the next message, a worse level at once."""
         status = DiagnosticStatus(
-            level=level, name="{}: {}".format(self._name, task), message=message,
+            level=level, name="{}: {}".format(self._name, task), message=_shortened(message),
             hardware_id=rospy.get_name(),
-            values=[KeyValue(key=str(key), value=_text(value)) for key, value in (values or {}).items()])
+            values=[KeyValue(key=_shortened(key), value=_text(value)) for key, value in (values or {}).items()])
         with self._lock:
             worse = level > (self._tasks[task].level if task in self._tasks else OK)
             self._tasks[task] = status
@@ -45,7 +52,7 @@ class NodeDiagnostics:
             self._publish()
 
     def close(self) -> None:
-        """Take the topic back. Idempotent."""
+        """Stop publishing, and unregister the topic. Idempotent."""
         if self._closed.is_set():
             return
         self._closed.set()
@@ -54,6 +61,9 @@ class NodeDiagnostics:
 
     def _repeat(self, period: float) -> None:
         while not self._closed.wait(period):
+            level, message, values = descriptors_status()
+            if level != OK or _DESCRIPTORS in self._tasks:
+                self.set(_DESCRIPTORS, level, message, values)
             self._publish()
 
     def _publish(self) -> None:
@@ -68,5 +78,9 @@ class NodeDiagnostics:
             self._closed.set()
 
 
+def _shortened(text: object) -> str:
+    return without_middle(str(text), MAX_TEXT, _TAIL, " [...] ")
+
+
 def _text(value: object) -> str:
-    return "{:.4g}".format(value) if isinstance(value, float) else str(value)
+    return "{:.4g}".format(value) if isinstance(value, float) else _shortened(value)

@@ -1,4 +1,4 @@
-"""Start and end of a node."""
+"""Start and end of a node, and its parameters."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import sys
 import threading
 import time
 import traceback
-from types import FrameType
-from typing import Callable, NoReturn, Optional
+from types import FrameType, SimpleNamespace
+from typing import Callable, Dict, NoReturn, Optional, Protocol
 
 import rosgraph
 import rospy
 from rospy.exceptions import ROSInitException
 
-from hri_pipeline.core.memory import Collector, keep_large_blocks
-from hri_pipeline.core.onnx_model import ModelError
-from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.error_log import ShortWords
+from hri_pipeline.core.onnx import ModelError
+from hri_pipeline.core.parameters import ParameterError, ParameterTable
 from hri_pipeline.core.private_file import StoreError
-from hri_pipeline.core.threads import one_thread_each
-from hri_pipeline.ros.master_watch import MasterAway, MasterWatch, ask_master
-from hri_pipeline.ros.prompt_publishing import publish_without_yielding
+from hri_pipeline.core.process import GarbageCollector, keep_large_blocks, one_thread_each
+from hri_pipeline.ros.master import MasterAway, MasterWatch, ask_master
+from hri_pipeline.ros.rospy_compat import prepare_rospy
 
 _RETRY_S = 1.0
 _SAY_EVERY = 10
@@ -31,11 +31,23 @@ _SAY_EVERY = 10
 SETUP_ERRORS = (ParameterError, ModelError, StoreError)
 
 
+class _Closable(Protocol):
+    def close(self) -> None:
+        """Give everything back. Idempotent."""
+
+
+class RunnableNode(_Closable, Protocol):
+    """What run_node runs."""
+
+    def spin(self) -> None:
+        """Work until ROS shuts down."""
+
+
 class _Stop(BaseException):
     """SIGINT or SIGTERM came. No `except Exception` on the way holds it up."""
 
 
-def run_node(name: str, build: Callable[[], object]) -> NoReturn:
+def run_node(name: str, build: Callable[[], RunnableNode]) -> NoReturn:
     """Run a node and end the process.
 
     Waits for the master, initialises rospy as `name`, calls build() and spin() of what it returns. On SIGINT,
@@ -45,9 +57,10 @@ def run_node(name: str, build: Callable[[], object]) -> NoReturn:
     _install_handlers()
     # Without room for its log, Python would print a traceback for each line that it cannot write.
     logging.raiseExceptions = False
+    logging.getLogger("rosout").addFilter(ShortWords())
     keep_large_blocks()
     one_thread_each()
-    publish_without_yielding()
+    prepare_rospy()
     code = 0
     try:
         wait_for_master(name)
@@ -62,11 +75,28 @@ def run_node(name: str, build: Callable[[], object]) -> NoReturn:
     sys.exit(code)
 
 
+def read_parameters(table: ParameterTable) -> SimpleNamespace:
+    """Return the parameters of `table` out of the private namespace, as attributes.
+
+    Where one is not set there, its parameter of the whole stack counts (Parameter.shared), and then its default.
+    Raises ParameterError that names the parameter, its value and what is legal.
+    """
+    namespace = rospy.get_name()
+    given = rospy.get_param(namespace, {})
+    if not isinstance(given, dict):
+        raise ParameterError("{} is a value on the parameter server, not a set of parameters".format(namespace))
+    given = {**_shared(table), **given}
+    try:
+        return table.resolve(given)
+    except ParameterError as error:
+        raise ParameterError("{}: {}".format(namespace, error)) from error
+
+
 def wait_for_master(name: str, patience: float = math.inf) -> bool:
     """Return True as soon as the master answers, False without one after `patience` s; one line says what is missing.
 
-    Who waits for ever is told every few seconds. Ctrl-C ends the process with code 130, unless the caller has a handler of
-    its own.
+    With the default patience, the line is repeated every few seconds. Ctrl-C ends the process with code 130, unless the
+    caller has a handler of its own.
     """
     end = time.monotonic() + patience
     tries = 0
@@ -90,6 +120,21 @@ def wait_for_master(name: str, patience: float = math.inf) -> bool:
     return True
 
 
+def end_simulated_time() -> None:
+    """Delete /use_sim_time: the publisher of /clock ends, and a node that is started later would wait for ever."""
+    try:
+        if rospy.get_param("/use_sim_time", False):
+            rospy.delete_param("/use_sim_time")
+    except Exception as error:      # the master has gone, and its parameters with it; rospy raises many kinds
+        rospy.logdebug("/use_sim_time is left: %s", error)
+
+
+def _shared(table: ParameterTable) -> Dict[str, object]:
+    """Return the parameters of the whole stack that are set, by the names that they have in this table."""
+    return {parameter.name: rospy.get_param(parameter.shared) for parameter in table.parameters
+            if parameter.shared and rospy.has_param(parameter.shared)}
+
+
 def _say_away(name: str, error: MasterAway, left: float) -> None:
     waiting = "." if left <= 0.0 else ". Waiting." if left == math.inf else ". Waiting for {:.0f} s.".format(left)
     sys.stderr.write("{}: no ROS master at {} ({}); start roscore or roslaunch{}\n".format(
@@ -97,17 +142,17 @@ def _say_away(name: str, error: MasterAway, left: float) -> None:
     sys.stderr.flush()
 
 
-def _run(build: Callable[[], object]) -> int:
+def _run(build: Callable[[], RunnableNode]) -> int:
     """Build, spin and close; return the exit code."""
-    node: Optional[object] = None
+    node: Optional[RunnableNode] = None
     watch: Optional[MasterWatch] = None
-    collector: Optional[Collector] = None
+    collector: Optional[GarbageCollector] = None
     code = 0
     try:
         watch = MasterWatch()
         node = build()
         one_thread_each()     # for libraries that came with the node
-        collector = Collector()
+        collector = GarbageCollector()
         node.spin()
     except _Stop:
         pass
@@ -124,7 +169,7 @@ def _run(build: Callable[[], object]) -> int:
     return code
 
 
-def _close(owner: Optional[object]) -> int:
+def _close(owner: Optional[_Closable]) -> int:
     if owner is None:
         return 0
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from types import SimpleNamespace
-from typing import Callable, Dict, Iterable, Mapping, NoReturn, Optional, Protocol
+from typing import Callable, Dict, Iterable, Mapping, NoReturn, Protocol
 
 import rospy
 from dynamic_reconfigure.msg import (
@@ -21,39 +21,28 @@ from dynamic_reconfigure.msg import (
 from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
 
 from hri_pipeline.core.parameters import Parameter, ParameterError, ParameterTable, format_value
-from hri_pipeline.ros.node import run_node
-from hri_pipeline.ros.parameters_ros import read_parameters
-from hri_pipeline.ros.topic_release import release
+from hri_pipeline.ros.node import RunnableNode, read_parameters, run_node
+from hri_pipeline.ros.rospy_compat import release
 
 _TYPES = {bool: "bool", int: "int", float: "double", str: "str"}
 _ALL = "Default"
 
 
-class LiveNode(Protocol):
+class LiveNode(RunnableNode, Protocol):
     """A node some of whose parameters may be changed while it runs."""
 
-    def spin(self) -> None:
-        """Work until ROS shuts down."""
-
     def reconfigure(self, settings: SimpleNamespace) -> None:
-        """Take up the values of all parameters, between two images or cycles, from any thread.
+        """Apply the values of all parameters, between two images or cycles, from any thread.
 
         Raises ValueError when they contradict each other; then nothing has changed.
         """
 
-    def close(self) -> None:
-        """Give everything back. Idempotent."""
 
-
-def run_live_node(name: str, table: ParameterTable, build: Callable[[SimpleNamespace], LiveNode],
-                  shared: Optional[Mapping[str, str]] = None) -> NoReturn:
-    """Run the node that build(settings) makes, as run_node does, and let its live parameters be changed.
-
-    shared: {name: parameter of the whole stack that goes before it where it is set}.
-    """
+def run_live_node(name: str, table: ParameterTable, build: Callable[[SimpleNamespace], LiveNode]) -> NoReturn:
+    """Run the node that build(settings) makes, as run_node does, and let its live parameters be changed."""
     def make() -> _Live:
-        settings = read_parameters(table, shared)
-        return _Live(build(settings), table, settings, shared)
+        settings = read_parameters(table)
+        return _Live(build(settings), table, settings)
 
     run_node(name, make)
 
@@ -61,11 +50,10 @@ def run_live_node(name: str, table: ParameterTable, build: Callable[[SimpleNames
 class _Live:
     """A node with its reconfiguration."""
 
-    def __init__(self, node: LiveNode, table: ParameterTable, settings: SimpleNamespace,
-                 shared: Optional[Mapping[str, str]]) -> None:
+    def __init__(self, node: LiveNode, table: ParameterTable, settings: SimpleNamespace) -> None:
         self._node = node
         try:
-            self._reconfiguration = Reconfiguration(table, settings, node.reconfigure, shared)
+            self._reconfiguration = Reconfiguration(table, settings, node.reconfigure)
         except BaseException:
             node.close()
             raise
@@ -81,20 +69,20 @@ class _Live:
 class Reconfiguration:
     """Serves `~set_parameters`, and latches `~parameter_descriptions` and `~parameter_updates`.
 
-    table: of the node; only its live parameters can be changed. settings: their values now. take_up: called with all values
-    after a change, in a thread of rospy; ValueError means that they contradict each other. shared: as in run_live_node.
+    table: of the node; only its live parameters can be changed. settings: their values now. apply: called with all
+    values after a change, in a thread of rospy; ValueError means that they contradict each other.
 
-    A value outside its range is an error of the service that says what is legal. One that contradicts others is told in the
-    log, and the answer says what is in force: a slider does not know of the others. Nothing is changed by halves.
-    What is in force stands on the parameter server, too: a node that is started again goes on with it.
+    A value outside its range is an error of the service that says what is legal. One that contradicts others is told in
+    the log, and the answer says what is in force: a slider does not know of the others. Nothing is changed by halves.
+    What is in force stands in the private namespace of the parameter server, too: a node that is started again goes on
+    with it.
     """
 
-    def __init__(self, table: ParameterTable, settings: SimpleNamespace, take_up: Callable[[SimpleNamespace], None],
-                 shared: Optional[Mapping[str, str]] = None) -> None:
+    def __init__(self, table: ParameterTable, settings: SimpleNamespace,
+                 apply: Callable[[SimpleNamespace], None]) -> None:
         self._table = table
         self._settings = SimpleNamespace(**vars(settings))
-        self._take_up = take_up
-        self._shared = dict(shared or {})
+        self._apply = apply
         self._lock = threading.Lock()
         self._closed = False
         self._descriptions = rospy.Publisher("~parameter_descriptions", ConfigDescription, queue_size=1, latch=True)
@@ -133,7 +121,7 @@ class Reconfiguration:
         if not changed:
             return
         try:
-            self._take_up(wanted)
+            self._apply(wanted)
         except ValueError as error:
             rospy.logwarn("nothing is changed: %s", error)
             return
@@ -143,10 +131,9 @@ class Reconfiguration:
             self._keep(name, value)
 
     def _keep(self, name: str, value: object) -> None:
-        """Put a value on the parameter server, where it was read from."""
-        path = self._shared.get(name, "")
+        """Put a value on the parameter server, as the node's own: that counts before the one of the whole stack."""
         try:
-            rospy.set_param(path if path and rospy.has_param(path) else "~" + name, value)
+            rospy.set_param("~" + name, value)
         except Exception as error:  # the master is away; the value counts all the same
             rospy.logwarn("%s could not be put on the parameter server: %s", name, error)
 
@@ -166,7 +153,8 @@ def describe(table: ParameterTable) -> ConfigDescription:
 def config_of(parameters: Iterable[Parameter], values: Mapping[str, object]) -> Config:
     """Return the message with the values of these parameters."""
     config = Config(groups=[GroupState(_ALL, True, 0, 0)])
-    lists = {bool: (config.bools, BoolParameter), int: (config.ints, IntParameter), float: (config.doubles, DoubleParameter),
+    lists = {bool: (config.bools, BoolParameter), int: (config.ints, IntParameter),
+             float: (config.doubles, DoubleParameter),
              str: (config.strs, StrParameter)}
     for parameter in parameters:
         found, kind = lists[parameter.item_type]
@@ -176,7 +164,8 @@ def config_of(parameters: Iterable[Parameter], values: Mapping[str, object]) -> 
 
 def values_of(config: Config) -> Dict[str, object]:
     """Return the values of a message by name."""
-    return {item.name: item.value for items in (config.bools, config.ints, config.strs, config.doubles) for item in items}
+    return {item.name: item.value for items in (config.bools, config.ints, config.strs, config.doubles)
+            for item in items}
 
 
 def _end(parameter: Parameter, value: object, highest: bool) -> object:

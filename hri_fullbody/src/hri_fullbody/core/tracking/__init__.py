@@ -1,1 +1,1 @@
-"""Which body is which, from image to image."""
+"""Tracking of several bodies from image to image."""

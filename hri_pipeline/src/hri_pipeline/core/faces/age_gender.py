@@ -1,6 +1,6 @@
-"""Apparent age and gender: networks behind one interface, and their fusion over the looks at one face.
+"""Apparent age and gender: networks behind one interface, and the fusion of their estimates of one face over time.
 
-An estimate of how somebody looks, trained on pictures of famous people; no statement about who somebody is.
+An estimate of somebody's appearance, trained on pictures of famous people; no statement about who somebody is.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Callable, Dict, List, Optional, Protocol, Sequence, Tuple, Ty
 
 import numpy as np
 
-from hri_pipeline.core.faces.face_crops import aligned_crop
-from hri_pipeline.core.onnx_model import ModelError, OnnxModel
+from hri_pipeline.core.faces.crops import aligned_crop
+from hri_pipeline.core.onnx import ModelError, OnnxModel
 
 MIN_AGE, MAX_AGE = 0.0, 110.0
 """Legal range (years); an answer outside is left out."""
@@ -22,7 +22,7 @@ MIN_AGE, MAX_AGE = 0.0, 110.0
 
 @dataclass(frozen=True)
 class AgeGender:
-    """What one look gave: age and its standard deviation (years), probability 0 to 1 of a female appearance."""
+    """One estimate: age and its standard deviation (years), probability 0 to 1 of a female appearance."""
 
     age: float
     age_sd: float
@@ -49,7 +49,7 @@ class _OnnxAgeGender(ABC):
     MARGIN = 1.0
     """Side of the crop over that of the mesh."""
     AGE_SD = 8.0
-    """Standard deviation (years) of the age of one good look."""
+    """Standard deviation (years) of the age of one good estimate."""
 
     def __init__(self, path: Union[str, Path], providers: Sequence[str] = ("cpu",),
                  notify: Optional[Callable[[str], None]] = None) -> None:
@@ -66,7 +66,8 @@ class _OnnxAgeGender(ABC):
         return aligned_crop(bgr, points, self.SIZE, self.MARGIN)
 
     def estimate(self, crops: Sequence[np.ndarray]) -> List[AgeGender]:
-        """Return one answer per crop, in order; an age that is not finite is told as NaN with an infinite deviation."""
+        """Return one answer per crop, in order; an age that is not finite is returned as NaN with an infinite
+        deviation."""
         return [self._answer(self._run(crop[None].astype(np.float32))) for crop in crops]
 
     @abstractmethod
@@ -75,7 +76,7 @@ class _OnnxAgeGender(ABC):
 
     @abstractmethod
     def _answer(self, out: Dict[str, np.ndarray]) -> AgeGender:
-        """What the outputs for one face say."""
+        """Estimate from the outputs for one face."""
 
     def _checked(self, age: float, p_female: float) -> AgeGender:
         if not (MIN_AGE <= age <= MAX_AGE and 0.0 <= p_female <= 1.0):
@@ -120,8 +121,8 @@ class RetailAgeGender(_OnnxAgeGender):
         found = signature(path)
         ages = [name for name in self.AGE_NAMES if name in found[1]]
         if not ages or len(found[0]) != 1:
-            raise ModelError("model file {} has the inputs {} and outputs {}; age-gender-recognition-retail-0013 has one"
-                             " input, and the outputs prob and {}".format(
+            raise ModelError("model file {} has the inputs {} and outputs {}; age-gender-recognition-retail-0013 has "
+                             "one input, and the outputs prob and {}".format(
                                  path, ", ".join(found[0]), ", ".join(found[1]), " or ".join(self.AGE_NAMES)))
         self._age, self._input = ages[0], found[0][0]
         self.INPUTS, self.OUTPUTS = (self._input,), {self._age: 1, "prob": 2}
@@ -166,81 +167,81 @@ def load_age_gender(path: Union[str, Path], kind: str = "auto", providers: Seque
 @dataclass(frozen=True)
 class FusedAgeGender:
     """age and age_sd: years; age_confidence: 0 to 1, probability that the age is right within AGE_TOLERANCE;
-    p_female: 0 to 1; gender_known: False while neither is sure enough; looks: how many contributed."""
+    p_female: 0 to 1; gender_known: False while neither is sure enough; samples: how many estimates contributed."""
 
     age: float
     age_sd: float
     age_confidence: float
     p_female: float
     gender_known: bool
-    looks: int
+    samples: int
 
 
 AGE_TOLERANCE = 10.0
 """Half the width (years) of the range of which age_confidence speaks."""
 _KEPT = 30
-"""Looks that are kept, the best and youngest of them."""
+"""Estimates that are kept, the best and latest of them."""
 _COMMON_SD = 5.0
-"""Standard deviation (years) of the error that all looks at one face share: the network's, not the picture's."""
+"""Standard deviation (years) of the error that all estimates of one face share: the network's, not the picture's."""
 _HALF_LIFE = 120.0
-"""Time (s) after which a look counts half: a face is one track, of minutes."""
+"""Time (s) after which an estimate counts half: a face is one track, of minutes."""
 _NEEDED_WEIGHT = 0.6
-"""Sum of qualities from which anything is told: one very good look or several mediocre ones."""
-_EVIDENCE_CAP = 3.0
-"""Most log-odds that one look gives to a gender."""
+"""Sum of weights from which there is a result: one very good estimate or several mediocre ones."""
+_MAX_LOG_ODDS = 3.0
+"""Most log-odds that one estimate gives to a gender."""
 _MIN_SURE = 0.75
 _HUBER = 1.5
 """Residuals beyond so many standard deviations count less (Huber 1964)."""
 
 
 class AgeGenderFusion:
-    """Fuses the looks at one face over time: weighted by their quality, robust against single wild ones."""
+    """Fuses the estimates of one face over time: weighted by picture quality, robust against outliers."""
 
     def __init__(self) -> None:
-        self._looks: List[Tuple[float, float, float, float, float]] = []
+        self._samples: List[Tuple[float, float, float, float, float]] = []
         self._last = -math.inf
 
-    def add(self, look: AgeGender, quality: float, stamp: float) -> None:
-        """Take note of a look of a quality (0 to 1, see `face_crops.crop_quality`) at a time (s).
+    def add(self, estimate: AgeGender, quality: float, stamp: float) -> None:
+        """Add an estimate from a picture of a quality (0 to 1, see `crops.crop_quality`) at a time (s).
 
         A stamp that goes back is a new start. What is not finite, or of quality 0, is left out.
         """
         if stamp < self._last:
-            self._looks = []
+            self._samples = []
         self._last = stamp
-        numbers = (stamp, look.age, look.age_sd, look.p_female, quality)
-        if not all(math.isfinite(number) for number in numbers) or not quality > 0.0 or not look.age_sd > 0.0:
+        numbers = (stamp, estimate.age, estimate.age_sd, estimate.p_female, quality)
+        if not all(math.isfinite(number) for number in numbers) or not quality > 0.0 or not estimate.age_sd > 0.0:
             return
-        self._looks.append((stamp, look.age, look.age_sd, min(max(look.p_female, 1e-3), 1.0 - 1e-3),
+        self._samples.append((stamp, estimate.age, estimate.age_sd, min(max(estimate.p_female, 1e-3), 1.0 - 1e-3),
                             min(quality, 1.0)))
-        if len(self._looks) > _KEPT:
+        if len(self._samples) > _KEPT:
             weights = self._weights(stamp)
-            self._looks.pop(int(np.argmin(weights)))
+            self._samples.pop(int(np.argmin(weights)))
 
     def estimate(self) -> Optional[FusedAgeGender]:
         """Return what is known, None while that is not enough.
 
-        The deviation falls with the looks, but never below what the network itself errs.
+        The deviation falls with the number of estimates, but never below the error of the network itself.
         """
-        if not self._looks:
+        if not self._samples:
             return None
         weights = self._weights(self._last)
         total = float(weights.sum())
         if total < _NEEDED_WEIGHT:
             return None
-        looks = np.array(self._looks)
-        age, sd = _robust_mean(looks[:, 1], looks[:, 2], weights)
+        samples = np.array(self._samples)
+        age, sd = _robust_mean(samples[:, 1], samples[:, 2], weights)
         age_sd = math.hypot(sd, _COMMON_SD)
-        odds = np.clip(np.log(looks[:, 3] / (1.0 - looks[:, 3])), -_EVIDENCE_CAP, _EVIDENCE_CAP)
-        # Looks at one face err together: their mean counts, not their sum.
+        odds = np.clip(np.log(samples[:, 3] / (1.0 - samples[:, 3])), -_MAX_LOG_ODDS, _MAX_LOG_ODDS)
+        # Estimates of one face have a common error: their mean counts, not their sum.
         p_female = 1.0 / (1.0 + math.exp(-float((weights * odds).sum()) / total))
         confidence = math.erf(AGE_TOLERANCE / (age_sd * math.sqrt(2.0)))
         sure = max(p_female, 1.0 - p_female) >= _MIN_SURE
-        return FusedAgeGender(age, age_sd, confidence, p_female, sure, len(looks))
+        return FusedAgeGender(age, age_sd, confidence, p_female, sure, len(samples))
 
     def _weights(self, now: float) -> np.ndarray:
-        looks = np.array(self._looks)
-        return looks[:, 4] ** 2 * 0.5 ** ((now - looks[:, 0]) / _HALF_LIFE)
+        samples = np.array(self._samples)
+        return samples[:, 4] ** 2 * 0.5 ** ((now - samples[:, 0]) / _HALF_LIFE)
 
 
 def _robust_mean(ages: np.ndarray, deviations: np.ndarray, weights: np.ndarray) -> Tuple[float, float]:

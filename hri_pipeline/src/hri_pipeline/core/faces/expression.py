@@ -1,31 +1,74 @@
-"""The expression of a face: a network's opinion and the action units, fused and steadied over time."""
+"""Expression of a face: a network and the action units, fused and filtered over time.
+
+Tables: which action units make which expression (FACS, EMFACS), and where expressions lie in the plane of valence and
+arousal.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable, Optional, Sequence, Union
+from typing import Callable, Dict, Optional, Sequence, Tuple, Union
 
 import cv2
 import numpy as np
 
 from hri_pipeline.core.faces.action_units import SLOTS, ActionUnits
-from hri_pipeline.core.faces.expression_table import CATEGORIES, NEUTRAL, NEUTRAL_WEIGHT, PLANE, PROTOTYPES
-from hri_pipeline.core.faces.face_crops import aligned_crop
-from hri_pipeline.core.onnx_model import FETCH_MEND, ModelError, OnnxModel
+from hri_pipeline.core.faces.crops import aligned_crop
+from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel
+
+NEUTRAL, HAPPY, SAD, ANGRY = "neutral", "happy", "sad", "angry"
+SCARED, DISGUSTED, SURPRISED = "scared", "disgusted", "surprised"
+
+CATEGORIES: Tuple[str, ...] = (NEUTRAL, HAPPY, SAD, ANGRY, SCARED, DISGUSTED, SURPRISED)
+"""Ekman's categories under the names of hri_msgs/Expression, in the order of the network's outputs."""
+
+PROTOTYPES: Dict[str, Tuple[Tuple[int, float], ...]] = {
+    NEUTRAL: (),
+    HAPPY: ((12, 4.0), (6, 1.5), (15, -2.0), (4, -1.0)),
+    SAD: ((15, 3.0), (1, 1.5), (4, 1.5), (17, 1.0), (12, -4.0), (25, -0.5)),
+    ANGRY: ((4, 2.5), (7, 1.0), (23, 1.5), (24, 1.5), (5, 1.0), (17, 0.5), (1, -1.5), (12, -4.0)),
+    SCARED: ((20, 2.0), (5, 1.5), (1, 1.0), (2, 0.5), (4, 1.0), (26, 0.5), (25, 0.5), (12, -4.0)),
+    DISGUSTED: ((9, 3.0), (10, 2.0), (17, 0.5), (4, 0.5), (12, -4.0)),
+    SURPRISED: ((5, 1.5), (26, 2.0), (1, 1.5), (2, 1.5), (27, 1.5), (4, -2.0), (12, -3.0)),
+}
+"""Action unit and weight in the category's log-probability, per full intensity.
+
+The units with positive weights are those of the prototypes in the FACS Investigator's Guide and EMFACS (Ekman, Friesen
+and Hager 2002; Ekman and Friesen 1983): happy 6+12; sad 1+4+15(+17); angry 4+5+7+23/24; scared 1+2+4+5+20+25/26;
+disgusted 9/10+17; surprised 1+2+5B+26/27. The weights are ours: larger for units that few other categories share and
+that the mesh measures well; negative ones stand for units that contradict the category.
+"""
+
+NEUTRAL_WEIGHT = 1.5
+"""Log-probability that a face without action units is neutral, over that of any other category."""
+
+PLANE: Dict[str, Tuple[float, float]] = {
+    NEUTRAL: (0.0, 0.0),
+    HAPPY: (0.76, 0.48),
+    SAD: (-0.63, -0.27),
+    ANGRY: (-0.51, 0.59),
+    SCARED: (-0.64, 0.60),
+    DISGUSTED: (-0.60, 0.35),
+    SURPRISED: (0.40, 0.67),
+}
+"""Valence and arousal of each category: ratings of emotion words by Russell and Mehrabian (1977), "Evidence for a
+three-factor theory of emotions", J. Research in Personality 11; neutral is the origin."""
+
 
 INPUT_SIZE = 112
 MARGIN = 1.3
 """Side of the network's crop over that of the mesh: 1.0, 1.15, 1.3, 1.5 gave 27, 29, 30, 29 of 36 evident faces."""
 TEMPERATURE = 2.5
 """Divisor of the network's log-probabilities, which are too sure of themselves: on the 43 faces of
-evaluation/expressions.txt it is right in 38 and says 0.98 on average; 2.5 gives the least negative log-likelihood."""
+scripts/benchmarks/expressions.txt it is right in 38 and gives 0.98 on average; 2.5 gives the least negative
+log-likelihood."""
 NETWORK_MEMORY = 1.0
-"""Time (s) for which the network's last opinion is used: it need not run on every image."""
+"""Time (s) for which the network's last output is used: it need not run on every image."""
 SMOOTHING_TIME = 0.3
 """Time constant (s) of the running mean of the probabilities."""
 HOLD_TIME, HOLD_MARGIN = 0.25, 0.10
-"""Another category must lead by this margin for this time (s) before it is told."""
+"""Another category must lead by this margin for this time (s) before it is published."""
 LONGEST_GAP = 2.0
 """Time (s) without anything after which the past is forgotten."""
 
@@ -62,7 +105,7 @@ class ExpressionModel:
         trial = self._model.run({"image": np.zeros((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)})["expression"]
         if trial.shape != (1, len(CATEGORIES)):
             raise ModelError("model file {} gives {} instead of {} expressions; it is another model: {}".format(
-                path, trial.shape, len(CATEGORIES), FETCH_MEND))
+                path, trial.shape, len(CATEGORIES), FETCH_HINT))
 
     @staticmethod
     def crop(bgr: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -80,10 +123,13 @@ class ExpressionModel:
 
 
 class ExpressionTracker:
-    """Expression of one face over time. Not safe for use from several threads at once."""
+    """Expression of one face over time. Not thread-safe."""
 
     def __init__(self) -> None:
-        self.reset()
+        self._last = self._network_stamp = self._rival_since = -np.inf
+        self._network: Optional[np.ndarray] = None
+        self._mean: Optional[np.ndarray] = None
+        self._shown = self._rival = -1
 
     def update(self, probabilities: Optional[np.ndarray], action_units: Optional[ActionUnits],
                stamp: float) -> Optional[ExpressionEstimate]:
@@ -100,24 +146,20 @@ class ExpressionTracker:
         if now is None:
             return None
         if self._mean is None:
-            self._mean = now
+            mean = now
         else:
-            self._mean = self._mean + (now - self._mean) * (1.0 - np.exp((self._last - stamp) / SMOOTHING_TIME))
-        self._last = stamp
+            mean = self._mean + (now - self._mean) * (1.0 - np.exp((self._last - stamp) / SMOOTHING_TIME))
+        self._mean, self._last = mean, stamp
         self._decide(stamp)
-        valence, arousal = self._mean @ _PLANE
+        valence, arousal = mean @ _PLANE
         return ExpressionEstimate(CATEGORIES[self._shown], float(valence), float(arousal),
-                                  float(self._mean[self._shown]))
+                                  float(mean[self._shown]))
 
     def reset(self) -> None:
         """Forget the past."""
-        self._last = -np.inf
-        self._network: Optional[np.ndarray] = None
-        self._network_stamp = -np.inf
-        self._mean: Optional[np.ndarray] = None
-        self._shown = -1
-        self._rival = -1
-        self._rival_since = -np.inf
+        self._last = self._network_stamp = self._rival_since = -np.inf
+        self._network = self._mean = None
+        self._shown = self._rival = -1
 
     def _remember(self, probabilities: Optional[np.ndarray], stamp: float) -> None:
         if probabilities is None:
@@ -129,7 +171,7 @@ class ExpressionTracker:
             self._network, self._network_stamp = probabilities / probabilities.sum(), stamp
 
     def _fuse(self, action_units: Optional[ActionUnits], stamp: float) -> Optional[np.ndarray]:
-        """Product of both opinions (7,), None when there is neither."""
+        """Product of both probabilities (7,), None when there is neither."""
         logs = []
         if self._network is not None and stamp - self._network_stamp <= NETWORK_MEMORY:
             logs.append(np.log(np.maximum(self._network, _FLOOR)))
@@ -140,7 +182,7 @@ class ExpressionTracker:
         return _softmax(np.sum(logs, axis=0)) if logs else None
 
     def _decide(self, stamp: float) -> None:
-        """Hysteresis: the category told changes only for one that leads clearly, for some time."""
+        """Hysteresis: the published category changes only for one that leads clearly, for some time."""
         assert self._mean is not None
         best = int(np.argmax(self._mean))
         if self._shown < 0 or best == self._shown:
@@ -157,8 +199,8 @@ class ExpressionTracker:
 def unit_scores(units: ActionUnits) -> Optional[np.ndarray]:
     """Log-probabilities (7,), up to a constant, that the action units give; None when none of them can be seen.
 
-    What is seen badly says little: everything is scaled with the confidence. That nothing is seen to move says that the
-    face is neutral only as far as the person's own neutral is known.
+    Intensities are scaled with their confidence. A face without movement counts as neutral only as far as the person's
+    own neutral is known.
     """
     confidence = units.confidence.astype(np.float64)
     seen = float(confidence[_USED].mean())

@@ -1,25 +1,32 @@
-"""Where a face looks, from the irises and the head together, and whether its eyes are closed.
+"""Gaze direction and eye closure of a face, from the irises, the eyelids and the head pose together.
 
-The irises say more than the head while they are large enough to be measured; below that the direction is the head's
-and the confidence says so. While the eyes are closed there is no direction.
+The irises are more accurate than the head while they are large enough to be measured; below that the direction is the
+head's, with a lower confidence. While the eyes are closed there is no direction.
+
+Eyeball constants: fitted on 36 open-eyed faces of portraits, most of which look at the camera. The two eyes then
+disagree by 7.0 degrees and the mean of both is 4.5 degrees off the camera (medians); with an eyeball of 12 mm radius
+7.5 mm behind the corners it is 6.7 and 9.1. They belong to the points of `head_pose`: others need other constants.
+Eyelid aspect ratio: Soukupova and Cech, "Real-time eye blink detection using facial landmarks" (2016). Visible iris:
+11.7 mm across in adults, standard deviation 0.5 mm (Ruefer, Schroeder, Erb, Cornea 24, 2005).
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.faces.eyes import EyeGeometry, EyeMeasures
+from hri_pipeline.core.faces.mesh import CanonicalFace
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import GazeEstimate
 from hri_pipeline.core.one_euro import OneEuro
 
 CLOSED_RATIO = 0.17
-"""Aspect ratio of the lids (geometric mean of both eyes) below which they are closed: right for all of 62 closed and 120
-open labelled faces (evaluation/eyes.txt), on which it was set; 0.175 takes one laughing face for closed."""
+"""Aspect ratio of the lids (geometric mean of both eyes) below which they are closed: right for all of 62 closed and
+120 open labelled faces (scripts/benchmarks/eyes.txt), on which it was set; 0.175 takes one laughing face for closed."""
 _RATIO_WIDTH = 0.02
 """Change of the aspect ratio that makes the odds of closed e times as large: its noise."""
 CLOSED, OPEN = 0.65, 0.35
@@ -27,14 +34,28 @@ CLOSED, OPEN = 0.65, 0.35
 _CLOSED_TIME = 0.06
 """Time constant (s) of the closedness: shorter than a blink (0.1 to 0.3 s), longer than one image's noise."""
 LEAST_IRIS, GOOD_IRIS = 5.0, 10.0
-"""Diameter (px) of the iris up to which it tells nothing, and from which it decides alone."""
+"""Diameter (px) of the iris up to which it is not used, and from which the head pose is not used."""
 MAX_AWAY = np.deg2rad((40.0, 30.0))
 """Largest turn (rad) of eyes in the head, to the sides and up or down (Stahl 1999: people turn the head before)."""
 _AGREE, _DISAGREE = np.deg2rad(8.0), np.deg2rad(25.0)
-"""Angle (rad) between the two eyes' directions up to which they agree, and from which they tell nothing."""
+"""Angle (rad) between the two eyes' directions up to which they agree, and from which they are not used."""
 HEAD_CONFIDENCE, EYES_CONFIDENCE = 0.4, 0.9
 _LEAST_FACE, _GOOD_FACE = 20.0, 50.0
-"""Width (px) of a face below which its lids tell nothing, and from which they can be relied on."""
+"""Width (px) of a face below which its eyelids are not used, and from which they have full weight."""
+RIGHT, LEFT = 0, 1
+"""The subject's right and left eye; place in the arrays below."""
+CORNERS = np.array([[33, 133], [263, 362]])
+"""(2, 2) outer and inner corner."""
+_USED = np.array([33, 263, 133, 362, 160, 158, 387, 385, 144, 153, 373, 380, 468, 473,
+                  469, 470, 471, 472, 474, 475, 476, 477])
+"""Vertices that the measures need: corners outer and inner, upper and lower lids, centres and rims of the irises."""
+_OUTER, _INNER, _UPPER, _LOWER = slice(0, 2), slice(2, 4), slice(4, 8), slice(8, 12)
+_CENTRES, _RIMS = slice(12, 14), slice(14, 22)
+IRIS_DIAMETER = 0.0117
+"""m."""
+EYE_OUT, EYE_UP, EYE_BACK, EYE_RADIUS = 0.0, 0.002, 0.005, 0.017
+"""Centre of the eyeball from the middle of its corners, and its radius, m at the canonical size."""
+_PROFILE_COSINE = 0.3
 
 
 class GazeEstimator:
@@ -49,10 +70,20 @@ class GazeEstimator:
 
     def estimate_all(self, meshes: Sequence[np.ndarray], poses: Sequence[Pose], camera: CameraModel,
                      presences: Sequence[float]) -> Tuple[List[GazeEstimate], np.ndarray]:
-        """Return direction and closedness of each face, and the diameters of the irises (F, 2) px.
+        """Return direction and eye closure of each face, and the diameters of the irises (F, 2) px.
 
-        The direction is there for closed eyes too (`GazeFilter` withholds it). meshes: (478, 2 or more) px; poses: face
-        frames in the optical frame at the canonical size; presences: 0 to 1.
+        There is a direction for closed eyes too (`GazeSmoother` withholds it).
+
+        Parameters
+        ----------
+        meshes
+            (478, 2 or more) px each.
+        poses
+            Face frames in the optical frame at the canonical size.
+        camera
+            Camera model of the image's size.
+        presences
+            Probability 0 to 1 of each face.
         """
         if not len(meshes):
             return [], np.zeros((0, 2))
@@ -61,12 +92,12 @@ class GazeEstimator:
         measures = self._eyes.measure(stack, rotations, np.stack([pose.translation for pose in poses]), camera)
         widths = stack[..., 0].max(axis=1) - stack[..., 0].min(axis=1)
         closed = _closedness(measures, widths)
-        directions, trusts = _directions(measures, rotations)
+        directions, iris_weights = _directions(measures, rotations)
         gazes = []
         for index, presence in enumerate(presences):
-            confidence = HEAD_CONFIDENCE + trusts[index] * (EYES_CONFIDENCE - HEAD_CONFIDENCE)
+            confidence = HEAD_CONFIDENCE + iris_weights[index] * (EYES_CONFIDENCE - HEAD_CONFIDENCE)
             gazes.append(GazeEstimate(directions[index], float(confidence * presence), float(closed[index]),
-                                      float(trusts[index])))
+                                      float(iris_weights[index])))
         return gazes, measures.irises
 
 
@@ -77,36 +108,36 @@ def _closedness(measures: EyeMeasures, widths: np.ndarray) -> np.ndarray:
     # The geometric mean: hair over one eye makes it look wide open, and nothing makes an open one look shut.
     logs = np.log(np.maximum(measures.openness, 1e-3))
     ratio = np.exp((weights * logs).sum(axis=1) / weights.sum(axis=1))
-    trust = np.minimum(np.maximum((widths - _LEAST_FACE) / (_GOOD_FACE - _LEAST_FACE), 0.0), 1.0)
+    known = np.minimum(np.maximum((widths - _LEAST_FACE) / (_GOOD_FACE - _LEAST_FACE), 0.0), 1.0)
     odds = np.minimum(np.maximum((CLOSED_RATIO - ratio) / _RATIO_WIDTH, -30.0), 30.0)
-    closed = 0.5 + trust * (1.0 / (1.0 + np.exp(-odds)) - 0.5)
+    closed = 0.5 + known * (1.0 / (1.0 + np.exp(-odds)) - 0.5)
     return np.where(np.isfinite(ratio), closed, 0.5)
 
 
 def _directions(measures: EyeMeasures, rotations: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """(F, 3) directions of the gaze, and (F,) how far the irises decide them: 0 is the head alone."""
+    """(F, 3) directions of the gaze, and (F,) weight of the irises, 0 to 1: 0 is the head alone."""
     sizes = (measures.irises - LEAST_IRIS) / (GOOD_IRIS - LEAST_IRIS)
     weights = measures.visibility * np.minimum(np.maximum(sizes, 0.0), 1.0)
     lines = measures.lines
     apart = np.arccos(np.minimum(np.maximum((lines[:, 0] * lines[:, 1]).sum(axis=1), -1.0), 1.0))
     agree = np.minimum(np.maximum((_DISAGREE - apart) / (_DISAGREE - _AGREE), 0.0), 1.0)
-    trust = weights.max(axis=1) * np.where(measures.visibility.min(axis=1) > 0.3, agree, 1.0)
-    trust = np.where(np.isfinite(lines).all(axis=(1, 2)), trust, 0.0)
+    iris_weight = weights.max(axis=1) * np.where(measures.visibility.min(axis=1) > 0.3, agree, 1.0)
+    iris_weight = np.where(np.isfinite(lines).all(axis=(1, 2)), iris_weight, 0.0)
     mean = (np.nan_to_num(lines) * (weights + 1e-9)[..., None]).sum(axis=1)
     # In the head: x out of the face, y to the subject's left, z up.
     inside = (mean[:, None] @ rotations)[:, 0]
     left = np.arctan2(inside[:, 1], inside[:, 0])
     up = np.arctan2(inside[:, 2], np.sqrt(inside[:, 0] ** 2 + inside[:, 1] ** 2))
-    # What eyes cannot turn to is an error; and where they tell nothing, the head does.
+    # A larger turn than eyes can make is an error; where the irises have no weight, the head is used.
     left = np.minimum(np.maximum(left, -MAX_AWAY[0]), MAX_AWAY[0])
     up = np.minimum(np.maximum(up, -MAX_AWAY[1]), MAX_AWAY[1])
-    inside = trust[:, None] * np.stack([np.cos(up) * np.cos(left), np.cos(up) * np.sin(left), np.sin(up)], axis=1)
-    inside[:, 0] += 1.0 - trust
+    inside = iris_weight[:, None] * np.stack([np.cos(up) * np.cos(left), np.cos(up) * np.sin(left), np.sin(up)], axis=1)
+    inside[:, 0] += 1.0 - iris_weight
     inside /= np.sqrt((inside ** 2).sum(axis=1))[:, None]
-    return (rotations @ inside[..., None])[..., 0], trust
+    return (rotations @ inside[..., None])[..., 0], iris_weight
 
 
-class GazeFilter:
+class GazeSmoother:
     """Smooths the gaze of one face and withholds it while the eyes are closed."""
 
     def __init__(self, min_cutoff: float = 2.0, beta: float = 6.0) -> None:
@@ -119,13 +150,13 @@ class GazeFilter:
     def __call__(self, gaze: GazeEstimate, stamp: float) -> GazeEstimate:
         """Return the filtered gaze at `stamp` (s); its direction is None while the eyes are closed."""
         if self._closed is None or stamp < self._stamp:
-            self._closed = gaze.eyes_closed
+            closed = gaze.eyes_closed
         else:
             gain = 1.0 - np.exp(-(stamp - self._stamp) / _CLOSED_TIME)
-            self._closed += gain * (gaze.eyes_closed - self._closed)
-        self._stamp = stamp
-        self.is_closed = self._closed > (OPEN if self.is_closed else CLOSED)
-        closed = float(self._closed)
+            closed = self._closed + gain * (gaze.eyes_closed - self._closed)
+        self._closed, self._stamp = closed, stamp
+        self.is_closed = bool(closed > (OPEN if self.is_closed else CLOSED))
+        closed = float(closed)
         if self.is_closed or gaze.direction is None:
             self._direction.reset()
             return GazeEstimate(None, 0.0, closed)
@@ -149,3 +180,99 @@ def gaze_frame(face: Pose, direction: np.ndarray) -> Pose:
     u, v, w = down[0] / length, down[1] / length, down[2] / length
     return Pose(np.array([[v * z - w * y, u, x], [w * x - u * z, v, y], [u * y - v * x, w, z]]), np.zeros(3))
 
+
+@dataclass(frozen=True)
+class EyeMeasures:
+    """Measures of the eyes of F faces, the subject's right eye first.
+
+    openness: (F, 2) aspect ratio of the lids, about 0.3 open and under 0.175 closed, without foreshortening;
+    visibility: (F, 2) 0 (hidden by the nose) to 1; lines: (F, 2, 3) unit directions in the optical frame; irises: (F,
+    2) diameters, px.
+    """
+
+    openness: np.ndarray
+    visibility: np.ndarray
+    lines: np.ndarray
+    irises: np.ndarray
+
+
+class EyeGeometry:
+    """Measures of the eyes with the geometry of the canonical face; all faces of an image are measured together."""
+
+    def __init__(self, face: CanonicalFace) -> None:
+        inverse = face.face_frame().inverse()
+        corners = face.vertices[CORNERS.ravel()].reshape(2, 2, 3)
+        in_face = inverse.apply(corners.reshape(-1, 3)).reshape(2, 2, 3)
+        self._middles = in_face.mean(axis=1)
+        axes = in_face[:, 0] - in_face[:, 1]
+        self._axes = axes / _length(axes)[:, None]
+        self._frontal = np.sqrt(1.0 - self._axes[:, 0] ** 2)
+        shift = np.array([[-EYE_OUT, -EYE_UP, EYE_BACK], [EYE_OUT, -EYE_UP, EYE_BACK]])
+        self._centres = inverse.apply(corners.mean(axis=1) + shift)
+        normals = np.array([[1.0, -0.5, 0.0], [1.0, 0.5, 0.0]])
+        self._normals = normals / _length(normals)[:, None]
+
+    def measure(self, meshes: np.ndarray, rotations: np.ndarray, translations: np.ndarray,
+                camera: CameraModel) -> EyeMeasures:
+        """Return the measures of F faces.
+
+        meshes: (F, 478, 2 or more) px; rotations: (F, 3, 3), translations: (F, 3) m: face frames in the optical frame
+        at the canonical size.
+        """
+        points = meshes[:, _USED, :2]
+        rays = camera.normalise(points.reshape(-1, 2)).reshape(points.shape)
+        turned = rotations.transpose(0, 2, 1)
+        to_camera = -translations / _length(translations)[:, None]
+        facing = ((self._normals @ turned) @ to_camera[..., None])[..., 0]
+        visibility = _limited((facing - _PROFILE_COSINE) / 0.4)
+        openness = _aspect_ratios(rays) * self._foreshortening(turned, translations, rotations[:, :, 2])
+        return EyeMeasures(openness, visibility, self._sight_lines(rays[:, _CENTRES], turned, translations),
+                           iris_diameters(points[:, _RIMS]))
+
+    def depth(self, pose: Pose) -> float:
+        """Return the mean depth (m) of the middles of both eyes' corners along the optical axis."""
+        return float((self._middles @ pose.rotation[2] + pose.translation[2]).mean())
+
+    def _foreshortening(self, turned: np.ndarray, translations: np.ndarray, ups: np.ndarray) -> np.ndarray:
+        """(F, 2) how much narrower than high the view of each eye has become, 1 for a head seen from the front."""
+        sights = self._middles @ turned + translations[:, None]
+        sights /= _length(sights)[..., None]
+        along = ((self._axes @ turned) * sights).sum(axis=2)
+        up = (sights @ ups[..., None])[..., 0]
+        width = np.sqrt(np.maximum(1.0 - along ** 2, 0.0))
+        height = np.sqrt(np.maximum(1.0 - up ** 2, 0.09))
+        return np.minimum(np.maximum(width / height / self._frontal, 0.2), 2.0)
+
+    def _sight_lines(self, rays: np.ndarray, turned: np.ndarray, translations: np.ndarray) -> np.ndarray:
+        """(F, 2, 3) from the centres of the eyeballs to where the rays through the irises meet them."""
+        directions = np.concatenate([rays, np.ones(rays.shape[:2] + (1,))], axis=2)
+        directions /= _length(directions)[..., None]
+        centres = self._centres @ turned + translations[:, None]
+        along = (directions * centres).sum(axis=2)
+        beneath = along ** 2 - ((centres ** 2).sum(axis=2) - EYE_RADIUS ** 2)
+        # A ray that misses the eyeball is taken to touch it: the iris is at its edge.
+        iris = directions * (along - np.sqrt(np.maximum(beneath, 0.0)))[..., None]
+        lines = iris - centres
+        return lines / _length(lines)[..., None]
+
+
+def _aspect_ratios(rays: np.ndarray) -> np.ndarray:
+    """(F, 2) height over width of the lids, of rays (F, U, 2) of the points _USED."""
+    width = _length(rays[:, _OUTER] - rays[:, _INNER])
+    heights = _length(rays[:, _UPPER] - rays[:, _LOWER]).reshape(len(rays), 2, 2).sum(axis=2) / 2.0
+    return heights / np.maximum(width, 1e-9)
+
+
+def _length(vectors: np.ndarray) -> np.ndarray:
+    return np.sqrt((vectors * vectors).sum(axis=-1))
+
+
+def _limited(values: np.ndarray) -> np.ndarray:
+    return np.minimum(np.maximum(values, 0.0), 1.0)
+
+
+def iris_diameters(rims: np.ndarray) -> np.ndarray:
+    """Return the larger diameter of each iris, (F, 2) px, of points on their rims (F, 8, 2): a turned head narrows the
+    other one."""
+    points = rims.reshape(len(rims), 2, 4, 2)
+    return np.maximum(_length(points[:, :, 0] - points[:, :, 2]), _length(points[:, :, 1] - points[:, :, 3]))

@@ -9,8 +9,7 @@ from typing import Dict, FrozenSet, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
-from hri_pipeline.core.interactions.crowd import Crowd
-from hri_pipeline.core.interactions.gaze_people import ROBOT, GazeTarget, Onlooker
+from hri_pipeline.core.interactions.people import ROBOT, GazeTarget, Observer, PeopleSnapshot
 
 
 class Level(IntEnum):
@@ -43,17 +42,21 @@ class _Person:
 
 
 def check_levels(settings: SimpleNamespace) -> None:
-    """Raise ValueError when the levels of engagement are in the wrong order. settings: the values of INTERACTION_PARAMETERS."""
+    """Raise ValueError when the levels of engagement are in the wrong order.
+
+    settings: the values of INTERACTION_PARAMETERS.
+    """
     if not (settings.disengaged_level < settings.engaging_level < settings.engaged_level
             and settings.disengaged_level < settings.disengaging_level < settings.engaged_level):
         raise ValueError(
-            "disengaged_level {:g}, engaging_level {:g}, disengaging_level {:g}, engaged_level {:g}: the first has to be "
-            "the lowest and the last the highest".format(settings.disengaged_level, settings.engaging_level,
+            "disengaged_level {:g}, engaging_level {:g}, disengaging_level {:g}, engaged_level {:g}: the first has to "
+            "be the lowest and the last the highest".format(settings.disengaged_level, settings.engaging_level,
                                                          settings.disengaging_level, settings.engaged_level))
 
 
 class EngagementEstimator:
-    """Smooths mutual gaze into an attention of 0 to 1 and moves each person from level to level, one step per update."""
+    """Smooths mutual gaze into an attention of 0 to 1 and moves each person from level to level, one step per
+    update."""
 
     def __init__(self, settings: SimpleNamespace) -> None:
         """settings: the values of INTERACTION_PARAMETERS; ValueError for levels in the wrong order."""
@@ -65,18 +68,31 @@ class EngagementEstimator:
         """Forget everybody, as after a time jump."""
         self._persons.clear()
 
-    def update(self, people: Union[Crowd, Sequence[Onlooker]], gazes: Sequence[GazeTarget], robot: Optional[np.ndarray],
+    def update(self, people: Union[PeopleSnapshot, Sequence[Observer]], gazes: Sequence[GazeTarget],
+               robot: Optional[np.ndarray],
                stamp: float, heading: Optional[np.ndarray] = None, unplaced: Sequence[str] = ()) -> Dict[str, Level]:
-        """Return the level of everybody at `stamp` (s).
+        """Return the level of everybody, by id.
 
-        robot: (3,) m; heading: (3,) unit vector, where the robot looks; None: it is taken to look at everybody. unplaced: ids of
-        those who are tracked, but of whom nothing is seen.
+        Parameters
+        ----------
+        people: PeopleSnapshot or sequence of Observer
+            Everybody who has a place.
+        gazes: sequence of GazeTarget
+            Who looks at whom now.
+        robot: (3,) array or None
+            Place of the robot in the reference frame (m).
+        stamp: float
+            Time (s) of the image.
+        heading: (3,) array or None
+            Unit vector to where the robot looks; None: it is taken to look at everybody.
+        unplaced: sequence of str
+            Ids of those who are tracked, but have no place.
         """
-        crowd = Crowd.of(people)
+        people = PeopleSnapshot.of(people)
         attentive = {gaze.sender for gaze in gazes if gaze.receiver == ROBOT}
         gain = _Gain(self._settings.engagement_time)
         persons: Dict[str, _Person] = {}
-        for identity, seen, distance, ahead in zip(crowd.ids, *self._places(crowd, robot, heading)):
+        for identity, seen, distance, ahead in zip(people.ids, *self._places(people, robot, heading)):
             person = persons[identity] = self._person(identity, stamp)
             if seen:
                 person.seen_at = stamp
@@ -92,15 +108,20 @@ class EngagementEstimator:
         person = self._persons.get(identity)
         return _Person(stamp) if person is None or stamp < person.stamp else person
 
-    def _places(self, crowd: Crowd, robot: Optional[np.ndarray], heading: Optional[np.ndarray]
+    def _places(self, people: PeopleSnapshot, robot: Optional[np.ndarray], heading: Optional[np.ndarray]
                 ) -> Tuple[List[bool], List[float], List[bool]]:
-        """Of each: whether place and direction are known, the distance (m) from the robot, and whether the robot looks there."""
-        count = len(crowd)
+        """Of each: whether place and direction are known, the distance (m) from the robot, and whether the robot looks
+        there."""
+        count = len(people)
         if robot is None or not count:
             return [False] * count, [math.inf] * count, [True] * count
-        ways = crowd.heads - robot
-        unknown = np.isnan(crowd.heads[:, 0]) | (np.isnan(crowd.closed) & np.isnan(crowd.gazes[:, 0]) & np.isnan(crowd.faces[:, 0])
-                                                 & np.isnan(crowd.trunks[:, 0]))
+        ways = people.heads - robot
+        unknown = np.isnan(people.heads[:, 0]) | (
+            np.isnan(people.closed)
+            & np.isnan(people.gazes[:, 0])
+            & np.isnan(people.faces[:, 0])
+            & np.isnan(people.trunks[:, 0])
+        )
         # Over the floor: a child and a low robot are as near as they stand.
         distances = np.sqrt(ways[:, 0] ** 2 + ways[:, 1] ** 2)
         ahead = [True] * count
@@ -132,7 +153,8 @@ class EngagementEstimator:
     def _is_near(self, person: _Person, distance: float) -> bool:
         if not math.isfinite(distance):
             return False
-        border = self._settings.engagement_distance + (self._settings.engagement_distance_margin if person.near else 0.0)
+        border = self._settings.engagement_distance + (self._settings.engagement_distance_margin if person.near
+                                                       else 0.0)
         person.near = distance < border
         return person.near
 

@@ -1,102 +1,59 @@
 """The people a recogniser knows: several face templates per person, and who a new template is like.
 
-`Gallery` is the interface; `MemoryGallery` keeps everything in memory and `gallery_file.FileGallery` on disk as well.
+`MemoryGallery` keeps them in memory; `StoredGallery` also in the store of people, which several recognisers and the
+person manager share. `open_gallery` makes the one that the parameter `gallery` asks for.
 """
 
 from __future__ import annotations
 
 import threading
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import Dict, List, Optional
+import time
+from pathlib import Path
+from typing import Callable, Dict, List, Optional, Set, Tuple, Union
 
 import numpy as np
 
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.recognition.alike_persons import Candidate, MatchResult, join_alike
-from hri_pipeline.core.recognition.likelihood import Calibration
+from hri_pipeline.core.private_file import TemplateCipher
+from hri_pipeline.core.recognition.gallery_import import import_gallery
+from hri_pipeline.core.recognition.likelihood import (
+    UNIT_TOLERANCE,
+    MatchResult,
+    PersonCandidate,
+    TemplateCalibration,
+    join_alike,
+)
+from hri_pipeline.core.recognition.store import KnownPerson, PersonStore
 
+SHARED_ENDINGS = (".sqlite", ".sqlite3", ".db")
+"""How the file of a store of people ends, which recognisers and the person manager share."""
 MAX_TEMPLATES, MAX_PERSONS = 5, 10000
-UNIT_TOLERANCE = 1e-3
 
 
 class GalleryError(ValueError):
     """What was asked of a gallery cannot be done: unknown person, malformed template, no room."""
 
 
-@dataclass(frozen=True)
-class KnownPerson:
-    """All that is kept of one person. templates: (K, D) float32 unit vectors; enrolled: agreed to be recognised."""
-
-    id: str
-    templates: np.ndarray
-    enrolled: bool = False
+class UnknownPersonError(GalleryError):
+    """Nobody in the gallery has this id."""
 
 
-class Gallery(ABC):
+class MemoryGallery:
     """Persons with face templates (D,): unit vectors. All methods are safe from several threads.
 
-    `revision` grows with every change. Errors are GalleryError.
+    The templates are kept in one array of `max_templates` places per person, so that a match is one product. `revision`
+    grows with every change. All methods raise GalleryError. Only flush() and close() may take as long as a disk does.
+
+    Parameters
+    ----------
+    model : name of the network that the templates come from.
+    dimension : D, how many numbers a template has.
+    calibration : of the distances of that network's templates.
+    max_templates : of more templates of a person the most different ones are kept, and always the first one.
+    max_persons : how many persons there is room for.
     """
 
-    revision: int
-
-    @abstractmethod
-    def add_person(self, person_id: str, templates: np.ndarray, enrolled: bool = False) -> None:
-        """Add somebody new with templates (K, D), K at least 1."""
-
-    @abstractmethod
-    def add_template(self, person_id: str, template: np.ndarray) -> bool:
-        """Keep a template (D,) of a known person if it tells something new, and is not too far; tells whether."""
-
-    @abstractmethod
-    def enrol(self, person_id: str, enrolled: bool = True) -> None:
-        """Note that a person has agreed to be recognised, or no longer does."""
-
-    @abstractmethod
-    def match(self, templates: np.ndarray, most: int = 5, enrolled_only: bool = False) -> List[MatchResult]:
-        """Compare templates (N, D) with everybody, or with those who are enrolled."""
-
-    @abstractmethod
-    def remove(self, person_id: str) -> bool:
-        """Forget a person; tells whether there was one."""
-
-    @abstractmethod
-    def clear(self) -> None:
-        """Forget everybody."""
-
-    @abstractmethod
-    def merge(self, source: str, target: str) -> None:
-        """`source` is the same person as `target`: its templates go there and its id is gone."""
-
-    @abstractmethod
-    def rename(self, person_id: str, new_id: str) -> None:
-        """Give a person another id."""
-
-    @abstractmethod
-    def ids(self) -> List[str]:
-        """Ids of everybody, oldest first."""
-
-    @abstractmethod
-    def export(self, person_id: str) -> KnownPerson:
-        """Return a copy of all that is kept of a person."""
-
-    def flush(self) -> None:  # noqa: B027  (nothing to do is the rule for a gallery without a file)
-        """Put what has changed on disk, where there is one."""
-
-    def close(self) -> None:
-        """Put what has changed on disk and give the file back. May be called again."""
-        self.flush()
-
-
-class MemoryGallery(Gallery):
-    """Keeps templates in one array of `max_templates` places per person, so that a match is one product.
-
-    model: name of the network the templates come from; calibration: of its distances. Of more than max_templates
-    templates of a person the most different ones are kept; the first one always.
-    """
-
-    def __init__(self, model: str, dimension: int, calibration: Calibration, max_templates: int = MAX_TEMPLATES,
+    def __init__(self, model: str, dimension: int, calibration: TemplateCalibration, max_templates: int = MAX_TEMPLATES,
                  max_persons: int = MAX_PERSONS) -> None:
         if not (1 <= max_templates <= 100 and 1 <= max_persons <= 10 ** 6 and 1 <= dimension <= 10 ** 5):
             raise ValueError("legal ranges: max_templates 1..100, max_persons 1..1e6, dimension 1..1e5; got {}".format(
@@ -119,7 +76,7 @@ class MemoryGallery(Gallery):
         return person_id in self._row
 
     def add_person(self, person_id: str, templates: np.ndarray, enrolled: bool = False) -> None:
-        """See Gallery."""
+        """Add somebody new with templates (K, D), K at least 1."""
         templates = self._checked(templates)
         if not is_valid_id(person_id):
             raise GalleryError("{!r} is no identifier".format(person_id))
@@ -137,11 +94,11 @@ class MemoryGallery(Gallery):
             self._changed()
 
     def add_template(self, person_id: str, template: np.ndarray) -> bool:
-        """See Gallery."""
+        """Keep a template (D,) of a known person if it differs from the others, and not too much; return whether."""
         template = self._checked(np.asarray(template)[None])[0]
         with self._lock:
             row = self._row_of(person_id)
-            # No chain of small changes shall lead from this person to another one.
+            # Small changes must not add up and lead from this person to another one.
             far = 1.0 - self.calibration.fair_midpoint ** 2 / 2.0
             kept = float(self._templates[row, 0] @ template) >= far and self._place(row, template)
             if kept:
@@ -149,13 +106,13 @@ class MemoryGallery(Gallery):
             return kept
 
     def enrol(self, person_id: str, enrolled: bool = True) -> None:
-        """See Gallery."""
+        """Note that a person has agreed to be recognised, or no longer does."""
         with self._lock:
             self._enrolled[self._row_of(person_id)] = enrolled
             self._changed()
 
     def match(self, templates: np.ndarray, most: int = 5, enrolled_only: bool = False) -> List[MatchResult]:
-        """See Gallery."""
+        """Compare templates (N, D) with everybody, or with those who are enrolled."""
         templates = self._checked(templates)
         with self._lock:
             count = len(self._ids)
@@ -170,8 +127,20 @@ class MemoryGallery(Gallery):
             names = [self._ids[row] for row in rows] if enrolled_only else list(self._ids)
         return [self._result(line, names, most) for line in distances]
 
+    def distance(self, first: str, second: str) -> Optional[float]:
+        """Return the distance of the nearest templates of two persons; None for two who were both enrolled, as two
+        people."""
+        with self._lock:
+            if first not in self._row or second not in self._row:
+                return None
+            rows = self._row[first], self._row[second]
+            if self._enrolled[rows[0]] and self._enrolled[rows[1]]:
+                return None
+            views = [self._templates[row, :self._count[row]] for row in rows]
+            return float(np.sqrt(max(0.0, 2.0 - 2.0 * float((views[0] @ views[1].T).max()))))
+
     def remove(self, person_id: str) -> bool:
-        """See Gallery."""
+        """Forget a person; return whether the person was known."""
         with self._lock:
             found = person_id in self._row
             if found:
@@ -180,7 +149,7 @@ class MemoryGallery(Gallery):
             return found
 
     def clear(self) -> None:
-        """See Gallery."""
+        """Forget everybody."""
         with self._lock:
             self._row, self._ids = {}, []
             self._templates[:] = 0.0
@@ -189,7 +158,7 @@ class MemoryGallery(Gallery):
             self._changed()
 
     def merge(self, source: str, target: str) -> None:
-        """See Gallery."""
+        """`source` is the same person as `target`: its templates go there and its id is gone."""
         if source == target:
             raise GalleryError("person {} cannot be merged into itself".format(source))
         with self._lock:
@@ -200,28 +169,22 @@ class MemoryGallery(Gallery):
             self._drop(source)
             self._changed()
 
-    def rename(self, person_id: str, new_id: str) -> None:
-        """See Gallery."""
-        if not is_valid_id(new_id):
-            raise GalleryError("{!r} is no identifier".format(new_id))
-        with self._lock:
-            row = self._row_of(person_id)
-            if new_id in self._row:
-                raise GalleryError("person {} is there already".format(new_id))
-            self._ids[row] = new_id
-            self._row = {name: index for index, name in enumerate(self._ids)}
-            self._changed()
-
     def ids(self) -> List[str]:
-        """See Gallery."""
+        """Ids of everybody, oldest first."""
         with self._lock:
             return list(self._ids)
 
     def export(self, person_id: str) -> KnownPerson:
-        """See Gallery."""
+        """Return a copy of all that is kept of a person."""
         with self._lock:
             row = self._row_of(person_id)
             return KnownPerson(person_id, self._templates[row, :self._count[row]].copy(), bool(self._enrolled[row]))
+
+    def flush(self) -> None:
+        """Bring the disk and the gallery in line, where there is a disk."""
+
+    def close(self) -> None:
+        """Write what has changed and give the file back, where there is one. May be called again."""
 
     def _drop(self, person_id: str) -> None:
         row, last = self._row[person_id], len(self._ids) - 1
@@ -236,7 +199,7 @@ class MemoryGallery(Gallery):
 
     def _row_of(self, person_id: str) -> int:
         if person_id not in self._row:
-            raise GalleryError("there is no person {!r}".format(person_id))
+            raise UnknownPersonError("there is no person {!r}".format(person_id))
         return self._row[person_id]
 
     def _checked(self, templates: np.ndarray) -> np.ndarray:
@@ -251,10 +214,9 @@ class MemoryGallery(Gallery):
 
     def _make_room(self, count: int) -> None:
         if count > len(self._count):
-            room = 2 * len(self._count)
-            self._templates = np.concatenate([self._templates, np.zeros_like(self._templates)])
-            self._count = np.resize(self._count, room)
-            self._enrolled = np.resize(self._enrolled, room)
+            self._templates, self._count, self._enrolled = (
+                np.concatenate([values, np.zeros_like(values)])
+                for values in (self._templates, self._count, self._enrolled))
 
     def _place(self, row: int, template: np.ndarray) -> bool:
         """Keep a template if it differs; when there is no room, instead of the one that is nearest to the others."""
@@ -268,30 +230,220 @@ class MemoryGallery(Gallery):
             return True
         if count == 1:
             return False
-        everyone = np.vstack([self._templates[row], template])
-        likeness = everyone @ everyone.T
-        np.fill_diagonal(likeness, -1.0)
-        closest = likeness.max(axis=1)
-        dullest = 1 + int(closest[1:count].argmax())
-        if closest[count] >= closest[dullest]:
+        candidates = np.vstack([self._templates[row], template])
+        similarity = candidates @ candidates.T
+        np.fill_diagonal(similarity, -1.0)
+        nearest = similarity.max(axis=1)
+        redundant = 1 + int(nearest[1:count].argmax())
+        if nearest[count] >= nearest[redundant]:
             return False
-        self._templates[row, dullest] = template
+        self._templates[row, redundant] = template
         return True
 
     def _result(self, distances: np.ndarray, names: List[str], most: int) -> MatchResult:
         likelihoods = self.calibration.likelihoods(distances, len(names))
         order = np.argsort(distances)[:most]
-        candidates = tuple(Candidate(names[i], float(distances[i]), float(likelihoods[i])) for i in order)
+        candidates = tuple(PersonCandidate(names[i], float(distances[i]), float(likelihoods[i])) for i in order)
         place = {name: number for number, name in enumerate(names)}
         return join_alike(MatchResult(candidates, len(names)), self.distance, place.__getitem__, self.calibration)
 
-    def distance(self, first: str, second: str) -> Optional[float]:
-        """Distance of the nearest templates of two persons; None for two who were both enrolled, as two people."""
+
+class StoredGallery(MemoryGallery):
+    """A MemoryGallery that `flush` synchronises with a PersonStore, in both directions.
+
+    What was changed here is written, and who was forgotten here is removed; who was learnt by another process is added
+    here, and who was forgotten by another process is forgotten here. All of that is one transaction: no other process
+    can forget somebody between the reading and the writing. No other method waits for the store or for flush().
+
+    Parameters
+    ----------
+    store : the store, which close() closes as well.
+    clock : time (s) at which somebody new was first seen.
+    others : see MemoryGallery.
+
+    Raises
+    ------
+    StoreError
+        The store cannot be used, here and in flush() and close().
+    """
+
+    def __init__(self, store: PersonStore, model: str, dimension: int, calibration: TemplateCalibration,
+                 max_templates: int = MAX_TEMPLATES, max_persons: int = MAX_PERSONS,
+                 clock: Callable[[], float] = time.time) -> None:
+        super().__init__(model, dimension, calibration, max_templates, max_persons)
+        self._store, self._clock = store, clock
+        self._in_step = threading.RLock()       # of flush() and close()
+        self._stored: Dict[str, KnownPerson] = {}
+        self._version = -1
+        self._written = self.revision
+        self._forgotten: Set[str] = set()       # they are in the store still
+        self._forgets_all = False
+        self._closed = False
+        self.flush()
+
+    def close(self) -> None:
+        """Write what has changed and close the store. May be called again."""
+        with self._in_step:
+            if not self._closed:
+                self._closed = True
+                try:
+                    self.flush()
+                finally:
+                    self._store.close()
+
+    def flush(self) -> None:
+        """Apply what other processes have changed, and write what has changed here; cheap when nothing has."""
+        with self._in_step:
+            if self._forgotten or self._forgets_all or self._written != self.revision:
+                self._exchange()
+            else:
+                self._read()
+            self._store.erase_traces()
+
+    def remove(self, person_id: str) -> bool:
+        """Forget a person, and with the next flush() in the store too: the record, the name and all."""
         with self._lock:
-            if first not in self._row or second not in self._row:
-                return None
-            rows = self._row[first], self._row[second]
-            if self._enrolled[rows[0]] and self._enrolled[rows[1]]:
-                return None
-            views = [self._templates[row, :self._count[row]] for row in rows]
-            return float(np.sqrt(max(0.0, 2.0 - 2.0 * float((views[0] @ views[1].T).max()))))
+            found = super().remove(person_id) or person_id in self._forgotten
+            self._forgotten.add(person_id)
+            return found
+
+    def clear(self) -> None:
+        """Forget everybody, with the next flush() in the store too."""
+        with self._lock:
+            super().clear()
+            self._forgets_all = True
+
+    def _exchange(self) -> None:
+        with self._lock:
+            everybody, self._forgets_all = self._forgets_all, False
+            forgotten, self._forgotten = self._forgotten, set()
+        try:
+            with self._store.change():
+                self._remove_stored(forgotten, everybody)
+                self._read()
+                present, revision = self._write()
+        except BaseException:
+            with self._lock:
+                self._forgets_all |= everybody
+                self._forgotten |= forgotten
+            raise
+        self._stored, self._written = present, revision
+
+    def _remove_stored(self, forgotten: Set[str], everybody: bool) -> None:
+        if everybody:
+            self._store.remove_all()
+            self._stored = {}
+        for person_id in forgotten:
+            self._store.remove_record(person_id)
+            self._stored.pop(person_id, None)
+
+    def _read(self) -> None:
+        """Apply what other processes have changed."""
+        version = self._store.version()
+        if version != self._version:
+            stored = self._store.load_templates(self.model, self.dimension)
+            self._apply({person.id: person for person in stored})
+            self._version = version
+
+    def _apply(self, stored: Dict[str, KnownPerson]) -> None:
+        with self._lock:
+            is_written = self._written == self.revision
+            for person_id in [name for name in self._stored if name not in stored and name in self]:
+                super().remove(person_id)
+            for person_id, person in list(stored.items()):
+                if not (self._forgets_all or person_id in self._forgotten) and not self._take_person(person):
+                    del stored[person_id]
+            self._stored = stored
+            if is_written:
+                self._written = self.revision
+
+    def _take_person(self, person: KnownPerson) -> bool:
+        """Let a person be here as in the store; False where there is no room, or a template is none."""
+        before = self._stored.get(person.id)
+        if person.id in self:
+            here = self.export(person.id)
+            if _same(here, person):
+                return True
+            # What was changed here since the last time is the newer one, and will be written; but for the consent.
+            if not _same(here, before) and (before is None or _has_same_first_template(before, person)):
+                if before is None or before.enrolled != person.enrolled:
+                    self.enrol(person.id, person.enrolled)
+                return True
+        super().remove(person.id)
+        try:
+            self.add_person(person.id, person.templates, person.enrolled)
+        except GalleryError:
+            return False
+        return True
+
+    def _write(self) -> Tuple[Dict[str, KnownPerson], int]:
+        """Write what has changed here; returns who is in the store then, and the revision that this is."""
+        with self._lock:
+            revision = self.revision
+            present = {person_id: self.export(person_id) for person_id in self.ids()}
+        for person_id, person in present.items():
+            if not _same(person, self._stored.get(person_id)):
+                self._store.put_templates(person, self.model, self._clock(), is_new=person_id not in self._stored)
+        for person_id, person in self._stored.items():
+            if person_id not in present:
+                # Merged: the templates have gone elsewhere.
+                nothing = np.empty((0, self.dimension), np.float32)
+                self._store.put_templates(KnownPerson(person_id, nothing, person.enrolled), self.model, self._clock(),
+                                          is_new=False)
+        return present, revision
+
+
+def _has_same_first_template(before: KnownPerson, now: KnownPerson) -> bool:
+    """Tell whether nobody has forgotten a person meanwhile and learnt it anew: the first template stays for life."""
+    return np.array_equal(before.templates[0], now.templates[0])
+
+
+def _same(person: KnownPerson, other: object) -> bool:
+    return (isinstance(other, KnownPerson) and person.enrolled == other.enrolled
+            and np.array_equal(person.templates, other.templates))
+
+
+def store_path(path: Union[str, Path]) -> Path:
+    """Return the absolute path of the store for the path of a gallery.
+
+    A path that ends as in SHARED_ENDINGS is the store itself. Galleries of earlier versions had a format of their own
+    and any other ending: then the store is the file beside it that ends in .sqlite (faces.sqlite for faces.npz and
+    faces, faces.bin.sqlite for faces.bin).
+    """
+    path = Path(path).expanduser().absolute()
+    if path.suffix in SHARED_ENDINGS:
+        return path
+    return path.with_name((path.stem if path.suffix == ".npz" else path.name) + ".sqlite")
+
+
+def open_gallery(path: str, model: str, dimension: int, calibration: TemplateCalibration,
+                 cipher: Optional[TemplateCipher] = None,
+                 notify: Optional[Callable[[str], None]] = None) -> MemoryGallery:
+    """Return the gallery for the parameter `gallery`: a StoredGallery in store_path(path), or in memory for an empty
+    path.
+
+    Parameters
+    ----------
+    path : of the store, or of a gallery of an earlier version, whose people are moved to the store, once.
+    model, dimension, calibration : see MemoryGallery.
+    cipher : of the templates in the file; None where they are not.
+    notify : called with one line about people who were moved, a store that is not at `path`, and a damaged file.
+
+    Raises
+    ------
+    StoreError
+        The file cannot be used; the text names the file and what to do.
+    """
+    if not path:
+        return MemoryGallery(model, dimension, calibration)
+    file, named = store_path(path), Path(path).expanduser().absolute()
+    store = PersonStore(file, cipher, notify)
+    try:
+        if file != named:
+            tell = notify or (lambda text: None)
+            import_gallery(named, store, model, dimension, cipher, tell)
+            tell("the gallery of faces is kept in {}; name that file instead of {}".format(file, named))
+        return StoredGallery(store, model, dimension, calibration)
+    except BaseException:
+        store.close()
+        raise

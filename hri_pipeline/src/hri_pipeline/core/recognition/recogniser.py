@@ -3,23 +3,36 @@
 A face is compared with the gallery by the mean of its crops. Close to one person and to no other: known, and a view of
 that person that is new is learnt. Far from everybody, seen well and for long enough: a new person, where learning is
 allowed. Between the two: candidates, with lower likelihoods. Two faces in one image are never the same person.
+
+`FaceRecognition` is what the face pipeline uses: the network, the gallery and the `Recogniser` put together.
 """
 
 from __future__ import annotations
 
 import threading
-from typing import Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+from types import SimpleNamespace
+from typing import Callable, Collection, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
 from hri_pipeline.core.ids import IdGenerator
-from hri_pipeline.core.recognition.alike_persons import MatchResult
-from hri_pipeline.core.recognition.face_evidence import FaceEvidence, Sight
-from hri_pipeline.core.recognition.face_identity import FaceIdentity, Match, SamePersons, settle
-from hri_pipeline.core.recognition.gallery import GalleryError, KnownPerson, MemoryGallery
+from hri_pipeline.core.observations import FaceObservation
+from hri_pipeline.core.private_file import TemplateCipher
+from hri_pipeline.core.recognition.embedding import load_face_embedder
+from hri_pipeline.core.recognition.face_identity import (
+    FaceEvidence,
+    FaceIdentity,
+    FaceTemplate,
+    PersonMatch,
+    SamePersons,
+    assign_persons,
+)
+from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery, open_gallery
+from hri_pipeline.core.recognition.likelihood import MatchResult
+from hri_pipeline.core.recognition.store import KnownPerson
 
 POLICIES = ("learn", "enrolled")
-"""learn: whoever is seen well and unknown gets an id; enrolled: only people who were enrolled are recognised."""
+"""learn: an unknown person who is seen well gets an id; enrolled: only people who were enrolled are recognised."""
 NEW_BELOW = 0.4
 """Likelihood, without caution, of being anybody known, below which a face is somebody new."""
 LEARN_CROPS, LEARN_QUALITY = 4, 0.5
@@ -27,14 +40,28 @@ LEARN_CROPS, LEARN_QUALITY = 4, 0.5
 SURE = 0.95
 """Likelihood from which a new view of a known person is learnt."""
 SAME = 0.95
-"""Likelihood that is told of two known persons who are the same by their templates."""
+"""Likelihood that is published of two known persons who are the same by their templates."""
+ASK_PERIOD = 0.2
+"""Time (s) between two comparisons without a new template."""
+
+Notify = Callable[[str], None]
 
 
 class Recogniser:
     """Recognises tracked faces. Safe from several threads.
 
-    gallery: the known people; policy: one of POLICIES; learn_delay: s for which an unknown face must have been seen;
-    min_quality: least quality (0..1) of a crop that is looked at; ids: makes person ids. Raises ValueError.
+    Parameters
+    ----------
+    gallery : the known people.
+    policy : one of POLICIES.
+    learn_delay : time (s) for which an unknown face must have been seen before it becomes a person.
+    min_quality : least quality (0 to 1) of a crop that is used.
+    ids : makes the ids of new persons.
+
+    Raises
+    ------
+    ValueError
+        A parameter is outside of its range.
     """
 
     def __init__(self, gallery: MemoryGallery, policy: str = "learn", learn_delay: float = 1.5,
@@ -53,14 +80,15 @@ class Recogniser:
         self._newest = -np.inf
         self._revision = -1
         self._same: Set[Tuple[str, str]] = set()
-        self._same_told: Set[Tuple[str, str]] = set()
+        self._same_published: Set[Tuple[str, str]] = set()
         self._same_revision = -1
         self._refused = 0
         self._learnt = 0
 
     def seen(self, qualities: Mapping[str, float], stamp: float, limit: int = 1) -> List[str]:
-        """Take note of all faces in an image, with the qualities of their crops; returns at most `limit` of them
-        that are worth a template now, the most urgent first. stamp: s; one that goes back is a new start.
+        """Note all faces in an image; return at most `limit` of them that are worth a template now, most urgent first.
+
+        qualities: by face id, 0 to 1, of the crops; stamp: s; one earlier than the last one is a new start (reset).
         """
         with self._lock:
             if stamp < self._newest:
@@ -76,10 +104,10 @@ class Recogniser:
             return sorted(waiting, key=lambda face_id: self._faces[face_id].due)[:limit]
 
     def update(self, face_ids: Sequence[str], templates: np.ndarray, qualities: Sequence[float],
-               stamp: float) -> List[Match]:
-        """Take templates (N, D) of faces in the image at `stamp` (s), and return what `changes` does.
+               stamp: float) -> List[PersonMatch]:
+        """Add templates (N, D) of faces in the image at `stamp` (s), and return what `changes` returns.
 
-        One that is no unit vector is refused and counted. Raises ValueError when the lengths differ.
+        A template that is no unit vector is refused and counted. Raises ValueError when the lengths differ.
         """
         if not len(face_ids) == len(templates) == len(qualities):
             raise ValueError("{} faces, {} templates and {} qualities".format(
@@ -89,25 +117,25 @@ class Recogniser:
                 self._take(face_id, np.asarray(template, dtype=np.float32), float(quality), stamp)
             return self.changes()
 
-    def changes(self) -> List[Match]:
+    def changes(self) -> List[PersonMatch]:
         """Decide, and return the matches that have changed since the last time; cheap when nothing has."""
         with self._lock:
             self._compare()
-            settle(list(self._faces.values()), self._newest)
+            assign_persons(list(self._faces.values()), self._newest)
             self._learn()
             taken = {face.person for face in self._faces.values() if face.person}
-            news = [match for face in self._faces.values() for match in face.news(face.holds(taken))]
-            # Withdrawals first: so nobody is two faces, not even for the time between two messages.
-            return sorted(news, key=lambda match: match.likelihood > 0.0)
+            changed = [match for face in self._faces.values() for match in face.take_changes(face.holds(taken))]
+            # Withdrawals first: nobody is two faces, not even between two messages.
+            return sorted(changed, key=lambda match: match.likelihood > 0.0)
 
-    def current(self) -> List[Match]:
+    def current(self) -> List[PersonMatch]:
         """Return all matches that hold."""
         with self._lock:
-            return [Match(face_id, person_id, likelihood) for face_id, face in self._faces.items()
-                    for person_id, likelihood in face.told.items()]
+            return [PersonMatch(face_id, person_id, likelihood) for face_id, face in self._faces.items()
+                    for person_id, likelihood in face.published.items()]
 
     def same_persons(self) -> List[Tuple[str, str]]:
-        """Return pairs (id that is told, other id) of known persons who turned out to be one human: worth a merge."""
+        """Return pairs (id that is published, other id) of known persons who turned out to be one human."""
         with self._lock:
             if self._same and self._same_revision != self.gallery.revision:
                 self._same_revision = self.gallery.revision
@@ -121,13 +149,13 @@ class Recogniser:
     def same_changes(self) -> List[SamePersons]:
         """Return what has changed in `same_persons` since the last time, withdrawals first; cheap when nothing has."""
         with self._lock:
-            now, told = set(self.same_persons()), self._same_told
-            self._same_told = now
-            return ([SamePersons(*pair, 0.0) for pair in sorted(told - now)]
-                    + [SamePersons(*pair, SAME) for pair in sorted(now - told)])
+            now, before = set(self.same_persons()), self._same_published
+            self._same_published = now
+            return ([SamePersons(*pair, 0.0) for pair in sorted(before - now)]
+                    + [SamePersons(*pair, SAME) for pair in sorted(now - before)])
 
     def keep(self, face_ids: Iterable[str]) -> None:
-        """Drop all other faces. Nothing is withdrawn for them: who is gone was still that person."""
+        """Drop all other faces. Their matches are not withdrawn: they were right when the face left."""
         living = set(face_ids)
         with self._lock:
             self._faces = {face_id: face for face_id, face in self._faces.items() if face_id in living}
@@ -163,10 +191,13 @@ class Recogniser:
             return person_id
 
     def forget(self, person_id: str) -> bool:
-        """Forget a person; a face in view is not learnt again. Tells whether there was one."""
+        """Forget a person; a face in view is not learnt again. Returns whether the person was known.
+
+        On the disk the person is forgotten with the next flush() of the gallery.
+        """
         with self._lock:
             for face in self._faces.values():
-                if person_id in face.told or face.person == person_id:
+                if person_id in face.published or face.person == person_id:
                     face.evidence.clear()
                     face.barred = True
             return self.gallery.remove(person_id)
@@ -206,13 +237,13 @@ class Recogniser:
             self._refused += 1
             return
         swaps = face.evidence.swaps
-        agrees = face.evidence.add(Sight(template, quality, stamp))
+        agrees = face.evidence.add(FaceTemplate(template, quality, stamp))
         swapped = face.evidence.swaps != swaps
         face.barred = face.barred and not swapped
-        face.looked(stamp, again=swapped or not agrees)
+        face.note_crop(stamp, again=swapped or not agrees)
 
     def _compare(self) -> None:
-        """Match the faces that have changed; all of them when the gallery has."""
+        """PersonMatch the faces that have changed; all of them when the gallery has."""
         every, self._revision = self._revision != self.gallery.revision, self.gallery.revision
         stale = [face for face in self._faces.values() if every or face.result is None]
         known = [(face, mean) for face, mean in ((face, face.evidence.mean()) for face in stale) if mean is not None]
@@ -239,7 +270,10 @@ class Recogniser:
         first = face.candidates[0]
         near = self.gallery.calibration.midpoint - 4.0 * self.gallery.calibration.scale
         if first.person_id == face.person and first.likelihood >= SURE and first.distance <= near:
-            self.gallery.add_template(face.person, mean)
+            try:
+                self.gallery.add_template(face.person, mean)
+            except GalleryError:
+                pass    # forgotten or merged in this moment, by another thread: the next comparison knows
 
     def _is_new(self, face: FaceIdentity) -> bool:
         """Whether a face was seen well, for long enough, and is like nobody, those in view included."""
@@ -266,10 +300,91 @@ class Recogniser:
             return
         self._learnt += 1
         self._compare()
-        settle(list(self._faces.values()), self._newest)
+        assign_persons(list(self._faces.values()), self._newest)
 
     def _new_id(self) -> str:
         while True:
             person_id = self._ids.new()
             if person_id not in self.gallery:
                 return person_id
+
+
+class FaceRecognition:
+    """Says which faces are of which persons: network, gallery and Recogniser together.
+
+    `recogniser` and flush() may be used from other threads, the rest may not.
+
+    Parameters
+    ----------
+    settings : those of faces.parameters.ANALYSIS_PARAMETERS and `providers`.
+    notify : called with one line about the gallery's file and about the network's execution provider.
+
+    Raises
+    ------
+    ModelError
+        The network cannot be loaded.
+    StoreError
+        The gallery's file cannot be used.
+    """
+
+    def __init__(self, settings: SimpleNamespace, notify: Optional[Notify] = None) -> None:
+        self._embedder = load_face_embedder(settings.recognition_model, settings.providers, notify)
+        embedder = self._embedder
+        cipher = TemplateCipher(settings.gallery_key) if settings.gallery_key else None
+        self._gallery = open_gallery(settings.gallery, embedder.kind, embedder.dimension, embedder.calibration,
+                                     cipher, notify)
+        self.recogniser = Recogniser(self._gallery, settings.recognition_policy, settings.recognition_learn_delay)
+        self._due: List[str] = []
+        self._asked = -np.inf
+        self._qualities: Mapping[str, float] = {}
+
+    def due(self, qualities: Mapping[str, float], stamp: float, limit: int = 1) -> bool:
+        """Note the faces measured in this image; return whether one of them is worth a template now.
+
+        limit: how many templates look() may make.
+        """
+        self._qualities = qualities
+        self._due = self.recogniser.seen(qualities, stamp, limit)
+        return bool(self._due)
+
+    def look(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float) -> List[PersonMatch]:
+        """Make the templates that are due; returns what has changed, withdrawals (likelihood 0) first."""
+        chosen = [face for face in faces if face.id in self._due]
+        self._due = []
+        if not chosen:
+            return self.recogniser.changes()
+        templates = self._embedder.embed([self._embedder.crop(bgr, face.mesh) for face in chosen])
+        return self.recogniser.update([face.id for face in chosen], templates,
+                                      [self._qualities[face.id] for face in chosen], stamp)
+
+    def changes(self, stamp: float) -> List[PersonMatch]:
+        """Return what has changed without a new template at `stamp` (s): a person was forgotten, merged or enrolled, or
+        an unknown face has been seen long enough. Computed a few times per second only, because the comparison costs
+        time.
+        """
+        if 0.0 <= stamp - self._asked < ASK_PERIOD:
+            return []
+        self._asked = stamp
+        return self.recogniser.changes()
+
+    def keep(self, ids: Collection[str]) -> None:
+        """Forget all faces but these; the persons stay."""
+        self.recogniser.keep(ids)
+
+    def reset(self) -> None:
+        """Forget all faces; the persons stay."""
+        self.recogniser.reset()
+        self._due = []
+        self._asked = -np.inf
+
+    def flush(self) -> None:
+        """Write what has changed to the gallery file; may be called from another thread."""
+        self._gallery.flush()
+
+    def status(self) -> Dict[str, object]:
+        """Return values for diagnostics."""
+        return {"recognition_" + name: value for name, value in self.recogniser.status().items()}
+
+    def close(self) -> None:
+        """Write and close the gallery. Idempotent."""
+        self._gallery.close()

@@ -1,0 +1,219 @@
+"""The attitude that a body shows with its arms: hands on face, arms crossed, hands raised, or none of these.
+
+Each attitude has a score from 0 to 1, made of soft geometric rules in statures (arm_features), and a latch with two
+thresholds and times in seconds, so that neither the frame rate nor a flicker of one frame changes the result.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Callable, List, Tuple
+
+from hri_fullbody.core.behaviour.arms import ArmFeatures, Pair
+
+_UNKNOWN = math.nan
+_TIME_SLACK_S = 1e-6
+_SMOOTHING_S = 0.1
+
+
+class AttitudeClass(IntEnum):
+    """Attitudes; the numbers are the constants of hri_msgs/BodyAttitude."""
+
+    OTHER = 0
+    HANDS_ON_FACE = 1
+    ARMS_CROSSED = 2
+    HANDS_RAISED = 3
+
+
+@dataclass(frozen=True)
+class Rule:
+    """When a latch closes and opens: scores 0 to 1, times in s.
+
+    unknown_time: for how long a closed latch holds while the score is not known.
+    """
+
+    on: float
+    off: float
+    on_time: float
+    off_time: float
+    unknown_time: float = 1.0
+
+
+RAISED_RULE = Rule(on=0.7, off=0.3, on_time=0.15, off_time=0.3)
+FACE_RULE = Rule(on=0.6, off=0.2, on_time=0.2, off_time=0.4)
+CROSSED_RULE = Rule(on=0.4, off=0.15, on_time=0.3, off_time=0.5)
+
+
+class Latch:
+    """A switch that closes after its score was high for a while, and opens after it was low for a while."""
+
+    def __init__(self, rule: Rule) -> None:
+        self._rule = rule
+        self.active = False
+        self._held = self._unknown = 0.0
+        self._running = False
+
+    def update(self, score: float, elapsed: float) -> bool:
+        """Take a score (0 to 1, NaN unknown) `elapsed` s after the one before; return whether the latch is closed.
+
+        Time counts from the first score beyond the threshold, so that one score alone never turns the latch, at
+        whatever frame rate.
+        """
+        if math.isnan(score):
+            self._unknown += elapsed
+            if self._unknown > self._rule.unknown_time:
+                self.active, self._running, self._held = False, False, 0.0
+            return self.active
+        self._unknown = 0.0
+        rule = self._rule
+        towards = score < rule.off if self.active else score >= rule.on
+        back = score >= rule.on if self.active else score < rule.off
+        if towards:
+            self._held += elapsed if self._running else 0.0
+            self._running = True
+            if self._held >= (rule.off_time if self.active else rule.on_time) - _TIME_SLACK_S:
+                self.active, self._running, self._held = not self.active, False, 0.0
+        elif back:
+            self._running, self._held = False, 0.0
+        return self.active
+
+
+class _Smoothed:
+    """A latch behind a first-order low pass of its score; `score` is NaN when it was not known for a second."""
+
+    def __init__(self, rule: Rule) -> None:
+        self.latch = Latch(rule)
+        self.score = _UNKNOWN
+        self._unknown = 0.0
+        self._patience = rule.unknown_time
+
+    def update(self, score: float, weight: float, elapsed: float) -> bool:
+        if math.isnan(score):
+            self._unknown += elapsed
+            if self._unknown > self._patience:
+                self.score = _UNKNOWN
+            return self.latch.update(_UNKNOWN, elapsed)
+        self._unknown = 0.0
+        self.score = score if math.isnan(self.score) else self.score + weight * (score - self.score)
+        return self.latch.update(self.score, elapsed)
+
+
+class AttitudeEstimator:
+    """The attitude of one body over time."""
+
+    def __init__(self) -> None:
+        self._raised = (_Smoothed(RAISED_RULE), _Smoothed(RAISED_RULE))
+        self._face, self._crossed = _Smoothed(FACE_RULE), _Smoothed(CROSSED_RULE)
+        self.attitude, self.confidence = AttitudeClass.OTHER, 0.0
+
+    @property
+    def raised(self) -> Tuple[bool, bool]:
+        """Whether the left and the right hand are raised."""
+        return self._raised[0].latch.active, self._raised[1].latch.active
+
+    def update(self, features: ArmFeatures, elapsed: float) -> AttitudeClass:
+        """Take the arms `elapsed` s after the last call; return the attitude and keep it with its confidence."""
+        weight = 1.0 - math.exp(-elapsed / _SMOOTHING_S)
+        near = [face_score(features, side) for side in (0, 1)]
+        raised = [self._raised[side].update(_but_not(raised_score(features, side), near_face_score(features, side)),
+                                            weight, elapsed) for side in (0, 1)]
+        active = {
+            AttitudeClass.HANDS_ON_FACE: self._face.update(_highest(*near), weight, elapsed),
+            AttitudeClass.ARMS_CROSSED: self._crossed.update(crossed_score(features), weight, elapsed),
+            AttitudeClass.HANDS_RAISED: any(raised)}
+        self._choose([name for name, on in active.items() if on])
+        return self.attitude
+
+    def _choose(self, candidates: List[AttitudeClass]) -> None:
+        """Of several active attitudes the surest counts; the present one stays unless another is surer by 0.2."""
+        sure = {
+            AttitudeClass.HANDS_ON_FACE: self._face.score, AttitudeClass.ARMS_CROSSED: self._crossed.score,
+            AttitudeClass.HANDS_RAISED: _highest(*(arm.score for arm in self._raised))}
+        if candidates:
+            self.attitude = max(candidates, key=lambda name: _or(sure[name], 0.0) + 0.2 * (name == self.attitude))
+            self.confidence = _or(sure[self.attitude], 0.0)
+            return
+        self.attitude = AttitudeClass.OTHER
+        most = _highest(*sure.values())
+        self.confidence = 0.0 if math.isnan(most) else 1.0 - most
+
+
+def raised_score(features: ArmFeatures, side: int) -> float:
+    """How much the hand of a side (0 left, 1 right) is above shoulder and elbow, by gravity and for the trunk too.
+
+    The trunk counts so that arms that hang from somebody who is bent down or upside down are not raised.
+    """
+    return _lowest(
+        soft(features.rise[side], 0.02, 0.10),
+        soft(features.above_elbow[side], -0.02, 0.06),
+        _or(soft(features.rise_trunk[side], -0.02, 0.06), 1.0))
+
+
+def face_score(features: ArmFeatures, side: int) -> float:
+    """How near the hand of a side (0 left, 1 right) is to the face."""
+    return soft(features.to_face[side], 0.128, 0.072)
+
+
+def near_face_score(features: ArmFeatures, side: int) -> float:
+    """The same in a wider zone, where a hand on its way to the face or just off it is not a raised hand."""
+    return soft(features.to_face[side], 0.135, 0.095)
+
+
+def crossed_score(features: ArmFeatures) -> float:
+    """How much the forearms cross in front of the chest.
+
+    Both run inward, each hand is beyond the mid-plane and near the other elbow, at the height of the chest. That the
+    forearms run across and not ahead tells them from two hands at one handle. One elbow may be hidden.
+    """
+    inward = (-features.lateral[0], features.lateral[1])
+    return _lowest(
+        soft(0.5 * sum(features.outward), 0.018, -0.005),
+        soft(_both(max, features.outward), 0.06, 0.02),
+        soft(_mean(inward), 0.09, 0.11),
+        soft(_mean(features.to_other_elbow), 0.20, 0.165),
+        soft(_mean(features.elbow), math.radians(140.0), math.radians(120.0)),
+        soft(0.5 * sum(features.forward), 0.0, 0.03),
+        soft(_both(min, features.level), -0.30, -0.25),
+        soft(_both(max, features.level), -0.03, -0.08))
+
+
+def soft(value: float, zero: float, one: float) -> float:
+    """0 at or before `zero`, 1 at or beyond `one`, linear between; NaN for NaN."""
+    if value != value:
+        return _UNKNOWN
+    return min(1.0, max(0.0, (value - zero) / (one - zero)))
+
+
+def _both(function: Callable[[Pair], float], pair: Pair) -> float:
+    """The function of two values; NaN when one is not known."""
+    return function(pair) if pair[0] == pair[0] and pair[1] == pair[1] else _UNKNOWN
+
+
+def _mean(pair: Pair) -> float:
+    """Mean of those of two values that are known."""
+    first, second = pair
+    return 0.5 * (_or(first, second) + _or(second, first))
+
+
+def _lowest(*scores: float) -> float:
+    """Least of the scores; NaN when one is not known and none is zero."""
+    known = [score for score in scores if score == score]
+    if known and min(known) <= 0.0:
+        return 0.0
+    return min(known) if len(known) == len(scores) else _UNKNOWN
+
+
+def _highest(*scores: float) -> float:
+    """Greatest of the scores that are known; NaN when none is."""
+    return max((score for score in scores if score == score), default=_UNKNOWN)
+
+
+def _but_not(score: float, other: float) -> float:
+    """The score as far as the other one, 0 when that is not known, leaves it."""
+    return score * (1.0 - _or(other, 0.0))
+
+
+def _or(value: float, otherwise: float) -> float:
+    return value if value == value else otherwise

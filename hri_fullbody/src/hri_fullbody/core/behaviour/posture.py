@@ -1,0 +1,171 @@
+"""Posture of a whole body: standing, sitting, crouching, laying, other; from trunk, thighs and shanks against
+gravity."""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from typing import NamedTuple, Optional
+
+import numpy as np
+
+from hri_fullbody.core.keypoints import LEFT_ANKLE, LEFT_HIP, LEFT_KNEE, RIGHT_ANKLE, RIGHT_HIP, RIGHT_KNEE
+
+# Angles in degrees from the vertical, lengths in statures.
+_UPRIGHT, _LYING = 50.0, 60.0
+_STRAIGHT_THIGH, _STRAIGHT_KNEE = 38.0, 50.0
+_HANGING_THIGH = 22.0
+_SEAT_THIGH_LOW, _SEAT_THIGH_HIGH = 60.0, 135.0
+_SEAT_TRUNK = 30.0
+_CROUCH_KNEE, _CROUCH_SHANK = 85.0, 60.0
+_OVER_FEET = 0.12
+_SHORT_LEG = 0.62
+_LEG = 0.481  # thigh and shank
+_HOLD_S = 0.4
+_UNKNOWN_S = 1.0
+
+
+class PostureClass(IntEnum):
+    """Postures; the numbers are the constants of hri_msgs/BodyPosture."""
+
+    OTHER = 0
+    STANDING = 1
+    SITTING = 2
+    CROUCHING = 3
+    LAYING = 4
+
+
+class Leg(NamedTuple):
+    """Measures of one leg; NaN unknown.
+
+    thigh: degrees of the thigh from straight down; more than 90 with the knee above the hip. shank: degrees of the
+    shank from straight down. knee: degrees of flexion, 0 for a straight leg. height: hip above ankle, statures.
+    """
+
+    thigh: float
+    shank: float
+    knee: float
+    height: float
+
+
+class PostureEstimator:
+    """The posture of one body over time: a new one counts after 0.4 s, an unknown one after 1 s."""
+
+    def __init__(self) -> None:
+        self.posture = PostureClass.OTHER
+        self._next: Optional[PostureClass] = None
+        self._held = 0.0
+        self._unknown = 0.0
+
+    def update(self, points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray,
+               elapsed: float) -> PostureClass:
+        """Take the body `elapsed` s after the last call; see `posture_now`."""
+        seen = posture_now(points, axes, stature, up)
+        if seen is None:
+            self._unknown += elapsed
+            if self._unknown > _UNKNOWN_S:
+                self.posture, self._next = PostureClass.OTHER, None
+            return self.posture
+        self._unknown = 0.0
+        if seen != self._next:
+            self._next, self._held = seen, 0.0
+        else:
+            self._held += elapsed
+        if self._held >= _HOLD_S - 1e-6:
+            self.posture = seen
+        return self.posture
+
+
+def without_guessed_legs(points: np.ndarray, keypoints: np.ndarray, width: float, height: float) -> np.ndarray:
+    """Return the key points (18, 3) m without the knees and ankles outside the image of width x height px.
+
+    keypoints: (18, 2 or more) px. A pose network places what lies below the image, too, mostly hanging down: that is
+    its habit and no detection of a leg.
+    """
+    legs = np.array([LEFT_KNEE, RIGHT_KNEE, LEFT_ANKLE, RIGHT_ANKLE])
+    x, y = keypoints[legs, 0], keypoints[legs, 1]
+    inside = (x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)
+    seen = np.array(points, dtype=np.float64)
+    seen[legs[~inside]] = np.nan
+    return seen
+
+
+def posture_now(points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray) -> Optional[PostureClass]:
+    """Return the posture of one frame, None when too little is seen to say anything.
+
+    points: (18, 3) m, NaN unknown. axes: trunk_axes of them. stature: m. up: (3,) unit vector against gravity.
+    With the legs hidden only somebody on the back or on a side is sure to lie; all else is None.
+    """
+    hips = 0.5 * (points[LEFT_HIP] + points[RIGHT_HIP])
+    if not (np.isfinite(hips[0]) and np.isfinite(axes[2, 0])):
+        return None
+    tilt = _degrees(float(axes[2] @ up))
+    legs = [leg for leg in (_leg(points, LEFT_HIP, LEFT_KNEE, LEFT_ANKLE, stature, up),
+                            _leg(points, RIGHT_HIP, RIGHT_KNEE, RIGHT_ANKLE, stature, up)) if leg.thigh == leg.thigh]
+    if tilt > 180.0 - _UPRIGHT:
+        return PostureClass.OTHER
+    if tilt > _UPRIGHT:
+        return _bent_or_lying(tilt, axes, up, legs)
+    if not legs:
+        return None
+    return _upright(points, hips, tilt, legs, stature, up)
+
+
+def _bent_or_lying(tilt: float, axes: np.ndarray, up: np.ndarray, legs: list) -> Optional[PostureClass]:
+    if tilt <= _LYING:
+        return PostureClass.OTHER
+    if not legs:
+        # Nobody bends backward or sideways this far; forward they may, so that is not known.
+        on_back, on_side = float(axes[0] @ up) > 0.5, abs(float(axes[1] @ up)) > 0.7
+        return PostureClass.LAYING if on_back or on_side else None
+    flat = max(leg.thigh for leg in legs) > 50.0
+    low = all(not leg.height > 0.15 for leg in legs)
+    return PostureClass.LAYING if flat and low else PostureClass.OTHER
+
+
+def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stature: float,
+             up: np.ndarray) -> PostureClass:
+    whole = [leg for leg in legs if leg.height == leg.height]
+    if not whole:
+        if all(leg.thigh < _HANGING_THIGH for leg in legs):
+            return PostureClass.STANDING
+        seated = tilt < _SEAT_TRUNK and all(_SEAT_THIGH_LOW < leg.thigh < 110.0 for leg in legs)
+        return PostureClass.SITTING if seated else PostureClass.OTHER
+    if any(leg.thigh < _STRAIGHT_THIGH and leg.knee < _STRAIGHT_KNEE and leg.shank < _CROUCH_SHANK for leg in whole):
+        return PostureClass.STANDING
+    if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
+        return PostureClass.OTHER
+    if _over_feet(points, hips, stature, up):
+        deep = all(leg.knee > _CROUCH_KNEE and leg.shank < _CROUCH_SHANK for leg in whole)
+        return PostureClass.CROUCHING if deep else PostureClass.OTHER
+    seated = all(_SEAT_THIGH_LOW < leg.thigh < _SEAT_THIGH_HIGH for leg in whole)
+    return PostureClass.SITTING if seated else PostureClass.OTHER
+
+
+def _over_feet(points: np.ndarray, hips: np.ndarray, stature: float, up: np.ndarray) -> bool:
+    """Whether the trunk's middle is so near above the ankles that the feet can carry it."""
+    ankles = points[[LEFT_ANKLE, RIGHT_ANKLE]]
+    known = np.isfinite(ankles[:, 0])
+    offset = 0.5 * (hips + 0.5 * (points[2] + points[5])) - ankles[known].mean(axis=0)
+    if not np.isfinite(offset[0]):
+        offset = hips - ankles[known].mean(axis=0)
+    level = offset - float(offset @ up) * up
+    return float(level @ level) ** 0.5 < _OVER_FEET * stature
+
+
+def _leg(points: np.ndarray, hip: int, knee: int, ankle: int, stature: float, up: np.ndarray) -> Leg:
+    thigh, shank = points[knee] - points[hip], points[ankle] - points[knee]
+    thigh_length, shank_length = float(thigh @ thigh) ** 0.5, float(shank @ shank) ** 0.5
+    if not thigh_length > 1e-6:
+        return Leg(math.nan, math.nan, math.nan, math.nan)
+    thigh_down = -float(thigh @ up)
+    if not shank_length > 1e-6:
+        return Leg(_degrees(thigh_down / thigh_length), math.nan, math.nan, math.nan)
+    shank_down = -float(shank @ up)
+    return Leg(
+        _degrees(thigh_down / thigh_length), _degrees(shank_down / shank_length),
+        _degrees(float(thigh @ shank) / (thigh_length * shank_length)), (thigh_down + shank_down) / stature)
+
+
+def _degrees(cosine: float) -> float:
+    return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))

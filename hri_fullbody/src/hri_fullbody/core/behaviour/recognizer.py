@@ -1,0 +1,127 @@
+"""Attitude, posture and gesture of one body over time, from its 18 key points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Optional, Sequence, Tuple, Union
+
+import numpy as np
+
+from hri_fullbody.core.behaviour.arms import arm_features, trunk_axes
+from hri_fullbody.core.behaviour.attitude import AttitudeEstimator
+from hri_fullbody.core.behaviour.gesture import WaveDetector, gesture_of
+from hri_fullbody.core.behaviour.posture import PostureEstimator
+from hri_fullbody.core.keypoints import LEFT_SHOULDER, NECK, RIGHT_SHOULDER
+
+# After a longer silence everything starts anew.
+MAX_GAP_S = 1.0
+_MIN_STATURE_M, _MAX_STATURE_M = 0.4, 2.6
+
+
+@dataclass(frozen=True)
+class BodyBehaviour:
+    """What a body expresses at one instant.
+
+    attitude, posture, gesture: constants of hri_msgs/BodyAttitude, BodyPosture and Gesture (0: other or not known).
+    attitude_confidence: 0 (nothing is seen) to 1 (certain).
+    """
+
+    attitude: int
+    attitude_confidence: float
+    posture: int
+    gesture: int
+
+
+class BehaviourRecognizer:
+    """Attitude, posture and gesture of one body, for any frame rate from 5 to 60 Hz. Make one per body id."""
+
+    def __init__(self) -> None:
+        self._last: Optional[float] = None
+        self._result = BodyBehaviour(0, 0.0, 0, 0)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all that was seen."""
+        self._last = None
+        self._hold = KeypointHold()
+        self._attitude, self._waves, self._posture = AttitudeEstimator(), WaveDetector(), PostureEstimator()
+        self._result = BodyBehaviour(0, 0.0, 0, 0)
+
+    def update(self, points: np.ndarray, stature: float, stamp: float,
+               up: Union[Sequence[float], np.ndarray]) -> BodyBehaviour:
+        """Take one frame and return what the body expresses.
+
+        points: (18, 3) m in a sensor's frame, key points in the order of hri_msgs/Skeleton2D, NaN or infinite
+        unknown. stature: m. stamp: s; the same stamp again changes nothing, and one that is before the last or more
+        than 1 s after it starts anew. up: (3,), against gravity in the sensor's frame, any length.
+        Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
+        an `up` without a direction.
+        """
+        points, upwards = _checked(points, stature, stamp, up)
+        elapsed = 0.0 if self._last is None else stamp - self._last
+        if elapsed < 0.0 or elapsed > MAX_GAP_S:
+            self.reset()
+            elapsed = 0.0
+        elif self._last is not None and elapsed == 0.0:
+            return self._result
+        self._last = stamp
+        points = self._hold.fill(points, stamp)
+        axes = trunk_axes(points, upwards)
+        features = arm_features(points, stature, upwards, axes)
+        attitude = self._attitude.update(features, elapsed)
+        waving = self._waves.update(features, elapsed)
+        posture = self._posture.update(points, axes, stature, upwards, elapsed)
+        self._result = BodyBehaviour(
+            int(attitude), self._attitude.confidence, int(posture),
+            int(gesture_of(attitude, self._attitude.raised, waving)))
+        return self._result
+
+
+def _checked(points: np.ndarray, stature: float, stamp: float,
+             up: Union[Sequence[float], np.ndarray]) -> Tuple[np.ndarray, np.ndarray]:
+    """Return points with every point that is not finite made NaN, and `up` at length 1."""
+    points = np.array(points, dtype=np.float64)
+    if points.shape != (18, 3):
+        raise ValueError("a body has key points of shape (18, 3), not {}".format(points.shape))
+    points[~np.isfinite(points).all(axis=1)] = np.nan
+    if not _MIN_STATURE_M <= stature <= _MAX_STATURE_M:
+        raise ValueError("a stature of {} m is outside {} to {} m".format(stature, _MIN_STATURE_M, _MAX_STATURE_M))
+    if not math.isfinite(stamp):
+        raise ValueError("the stamp {} is not finite".format(stamp))
+    upwards = np.asarray(up, dtype=np.float64)
+    length = float(np.sqrt((upwards * upwards).sum()))
+    if upwards.shape != (3,) or not 1e-6 < length < math.inf:
+        raise ValueError("`up` must be a direction of three numbers, not {}".format(upwards.tolist()))
+    return points, upwards / length
+
+
+class KeypointHold:
+    """Fills missing key points of one body for `hold` s with their last place relative to the neck."""
+
+    def __init__(self, hold: float = 0.7) -> None:
+        self._hold = hold
+        self._origin = np.full(3, np.nan)
+        self._origin_seen = -math.inf
+        self._offsets = np.full((18, 3), np.nan)
+        self._seen = np.full(18, -np.inf)
+
+    def fill(self, points: np.ndarray, stamp: float) -> np.ndarray:
+        """Return the points (18, 3) m, NaN unknown, of time `stamp` (s), with remembered ones filled in.
+
+        Without a neck it is the middle of the shoulders, and for `hold` s where it was. Stamps must not go back.
+        """
+        known = np.isfinite(points[:, 0])
+        origin = points[NECK] if known[NECK] else 0.5 * (points[LEFT_SHOULDER] + points[RIGHT_SHOULDER])
+        if math.isfinite(origin[0]):
+            self._origin, self._origin_seen = origin.copy(), stamp
+        elif stamp - self._origin_seen <= self._hold:
+            origin = self._origin
+        else:
+            return points
+        self._offsets[known] = points[known] - origin
+        self._seen[known] = stamp
+        missing = ~known & (self._seen >= stamp - self._hold)
+        missing[NECK] = not known[NECK]
+        self._offsets[NECK] = 0.0
+        return np.where(missing[:, None], origin + self._offsets, points)

@@ -1,0 +1,1 @@
+"""Person detector and pose network."""

@@ -1,0 +1,96 @@
+"""Where in the image there are people, as boxes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Callable, List, Optional, Protocol, Sequence, Tuple, Union
+
+import cv2
+import numpy as np
+
+from hri_pipeline.core.geometry import iou_matrix
+from hri_pipeline.core.onnx import OnnxModel
+
+_STEP = 32
+_STRIDE = 4
+_PERSON_CLASS = 0
+
+
+class PersonDetector(Protocol):
+    """Anything that finds people in an image. threshold: score from which they are returned; it may be changed."""
+
+    threshold: float
+
+    def detect(self, image: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """Return boxes (N, 4) x0, y0, x1, y1 px and scores (N,), best first, of `image` (H, W, 3) BGR."""
+        ...
+
+
+def network_size(width: int, height: int, long_side: int) -> Tuple[int, int]:
+    """Size (width, height) in px, multiples of 32, with the image's aspect and `long_side` at the longer side."""
+    scale = long_side / float(max(width, height))
+    steps = [max(1, int(round(side * scale / _STEP))) for side in (width, height)]
+    return steps[0] * _STEP, steps[1] * _STEP
+
+
+def decode_centres(
+    heat: np.ndarray, extents: np.ndarray, threshold: float, max_overlap: float,
+) -> Tuple[np.ndarray, np.ndarray]:
+    """Boxes (N, 4) in px of the network's input and scores (N,), best first.
+
+    heat: (h, w) 0 to 1, one peak for each person. extents: (h, w, 4) distances left, top, right, bottom in px from the
+    peak to the sides. A peak is the largest of its 3 x 3 cells. max_overlap: IoU above which the worse box is dropped.
+    X. Zhou et al., "Objects as Points", 2019.
+    """
+    peaks = (heat >= threshold) & (heat >= cv2.dilate(heat, np.ones((3, 3), np.uint8)))
+    rows, columns = np.nonzero(peaks)
+    scores = heat[rows, columns].astype(np.float64)
+    centres = np.stack([columns, rows], axis=1) * float(_STRIDE)
+    sides = extents[rows, columns].astype(np.float64)
+    boxes = np.concatenate([centres - sides[:, :2], centres + sides[:, 2:]], axis=1)
+    order = np.argsort(-scores)
+    boxes, scores = boxes[order], scores[order]
+    overlap = iou_matrix(boxes, boxes)
+    kept: List[int] = []
+    for index in range(len(boxes)):
+        if all(overlap[index, other] <= max_overlap for other in kept):
+            kept.append(index)
+    return boxes[kept], scores[kept]
+
+
+class CenterNetDetector:
+    """CenterNet on MobileNetV3, trained on COCO; only its class `person` is used."""
+
+    def __init__(
+        self,
+        path: Union[str, Path],
+        providers: Sequence[str] = ("cpu",),
+        threads: int = 1,
+        notify: Optional[Callable[[str], None]] = None,
+        threshold: float = 0.3,
+        max_overlap: float = 0.6,
+        long_side: int = 512,
+    ) -> None:
+        """threshold, max_overlap: 0 to 1. long_side: px of the network's input. Raises ValueError outside of these."""
+        if not 0.0 < threshold < 1.0 or not 0.0 < max_overlap <= 1.0:
+            raise ValueError("threshold {} and max_overlap {} must lie between 0 and 1".format(threshold, max_overlap))
+        if long_side < _STEP:
+            raise ValueError("long_side is {} px, legal range {} and more".format(long_side, _STEP))
+        self._model = OnnxModel(path, providers, threads, inputs=("images",), outputs=("heat", "ltrb"), notify=notify)
+        self.threshold = threshold
+        self._max_overlap = max_overlap
+        self._long_side = long_side
+
+    def detect(self, image: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """Return boxes (N, 4) px inside `image` (H, W, 3) BGR and scores (N,) 0 to 1, best first."""
+        height, width = image.shape[:2]
+        size = network_size(width, height, self._long_side)
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        feed = cv2.cvtColor(small, cv2.COLOR_BGR2RGB).astype(np.float32)
+        output = self._model.run({"images": feed[None]})
+        heat = np.ascontiguousarray(output["heat"][0, :, :, _PERSON_CLASS])
+        boxes, scores = decode_centres(heat, output["ltrb"][0], self.threshold, self._max_overlap)
+        boxes = boxes * np.array([width / size[0], height / size[1]] * 2)
+        boxes = np.clip(boxes, 0.0, [width, height, width, height])
+        solid = np.all(boxes[:, 2:] - boxes[:, :2] >= 2.0, axis=1)
+        return boxes[solid], scores[solid]

@@ -1,0 +1,266 @@
+"""BlazePose: the landmarks of the one body in a window of the image, and how two estimates compare."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Callable, List, Optional, Protocol, Sequence, Tuple, Union
+
+import cv2
+import numpy as np
+
+from hri_fullbody.core.detection.windows import CENTRE_LANDMARK, REACH_LANDMARK, Window, window_from_landmarks
+from hri_fullbody.core.keypoints import (
+    BLAZE_LEFT_HIP,
+    BLAZE_LEFT_SHOULDER,
+    BLAZE_NOSE,
+    BLAZE_RIGHT_HIP,
+    BLAZE_RIGHT_SHOULDER,
+)
+from hri_pipeline.core.geometry import crop_rotated, iou_matrix
+from hri_pipeline.core.onnx import OnnxModel
+
+INPUT_SIZE = 256
+LANDMARKS = 39
+BODY_LANDMARKS = 33
+_HEAD_LANDMARKS = 11
+_KNOWN = 0.3
+_LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT = "Identity", "Identity_1", "Identity_4"
+_GREY = (128, 128, 128)
+
+
+@dataclass(frozen=True)
+class PoseEstimate:
+    """One body as the network sees it.
+
+    score: 0 to 1, that there is a body. landmarks: (39, 3) x, y, px in the image, and depth in px around the hips.
+    confidence: (39,) 0 to 1. world: (33, 3) m around the middle of the hips, for a person of average height, in the
+    axes of the image (x right, y down, z away).
+    """
+
+    score: float
+    landmarks: np.ndarray
+    confidence: np.ndarray
+    world: np.ndarray
+
+    @property
+    def nose(self) -> np.ndarray:
+        """The nose (2,) px."""
+        return self.landmarks[BLAZE_NOSE, :2]
+
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """Middle of the trunk (2,) px."""
+        points = self.landmarks
+        return (points[BLAZE_LEFT_SHOULDER, :2] + points[BLAZE_RIGHT_SHOULDER, :2]
+                + points[BLAZE_LEFT_HIP, :2] + points[BLAZE_RIGHT_HIP, :2]) / 4.0
+
+    @cached_property
+    def extent(self) -> float:
+        """Size of the body as the network reports it for the next window, px: does not depend on what is hidden."""
+        x, y = self.landmarks[REACH_LANDMARK, :2] - self.landmarks[CENTRE_LANDMARK, :2]
+        return max(2.0 * math.hypot(x, y), 1.0)
+
+    @cached_property
+    def box(self) -> np.ndarray:
+        """Bounding box (4,) px of the landmarks that are seen, of all when fewer than four are."""
+        points = self.landmarks[:BODY_LANDMARKS, :2]
+        seen = self.confidence[:BODY_LANDMARKS] > _KNOWN
+        points = points[seen] if seen.sum() >= 4 else points
+        return np.concatenate([points.min(axis=0), points.max(axis=0)])
+
+    def head_box(self) -> np.ndarray:
+        """Box (4,) px of the head, around the landmarks of nose, eyes, ears and mouth."""
+        points = self.landmarks[:_HEAD_LANDMARKS, :2]
+        low, high = points.min(axis=0), points.max(axis=0)
+        half = 0.7 * float(np.linalg.norm(high - low))
+        middle = (low + high) / 2.0
+        return np.concatenate([middle - half, middle + half])
+
+    def next_window(self) -> Window:
+        """Window for the next image. Raises ValueError when the landmarks are degenerate."""
+        return window_from_landmarks(self.landmarks)
+
+
+def decode(landmarks: np.ndarray, score: float, world: np.ndarray, affine: np.ndarray, angle: float) -> PoseEstimate:
+    """Turn the network's numbers into image coordinates.
+
+    landmarks: (195,) 39 x (x, y, z px of the input, logits of visibility and presence). world: (117,) 39 x 3 m in the
+    window's axes. affine: (2, 3) from input to image pixels. angle: rad, that of the window.
+    A landmark counts as much as the less sure of being in the image and being unhidden.
+    """
+    raw = np.asarray(landmarks, dtype=np.float64).reshape(LANDMARKS, 5)
+    metric = np.asarray(world, dtype=np.float64).reshape(LANDMARKS, 3)[:BODY_LANDMARKS].copy()
+    points = np.empty((LANDMARKS, 3))
+    points[:, :2] = raw[:, :2] @ affine[:, :2].T + affine[:, 2]
+    points[:, 2] = raw[:, 2] * float(np.hypot(affine[0, 0], affine[1, 0]))
+    sure = 1.0 / (1.0 + np.exp(-np.clip(raw[:, 3:].min(axis=1), -50.0, 50.0)))
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    metric[:, :2] = metric[:, :2] @ turn.T
+    return PoseEstimate(float(score), points, sure, metric)
+
+
+class PoseEstimator(Protocol):
+    """Anything that finds the one body in a window; see BlazePose.estimate."""
+
+    def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
+                 shown: Optional[np.ndarray] = None) -> PoseEstimate:
+        """Return the body in `window` of `image` (H, W, 3) BGR."""
+
+
+class BlazePose:
+    """The pose network. One window at a time: batches are no faster on a CPU (measured). Not for several threads."""
+
+    def __init__(
+        self,
+        path: Union[str, Path],
+        providers: Sequence[str] = ("cpu",),
+        threads: int = 1,
+        notify: Optional[Callable[[str], None]] = None,
+    ) -> None:
+        self._model = OnnxModel(path, providers, threads, inputs=("input_1",),
+                                outputs=(_LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT), notify=notify)
+        self._feed = np.empty((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)
+
+    def estimate(
+        self,
+        image: np.ndarray,
+        window: Window,
+        hidden: Sequence[np.ndarray] = (),
+        shown: Optional[np.ndarray] = None,
+    ) -> PoseEstimate:
+        """Find the body in `window` of `image` (H, W, 3) BGR.
+
+        hidden: boxes (4,) px painted grey first, such as the faces of neighbours, so that the network cannot take them.
+        shown: a box (4,) px that stays visible even where a hidden one covers it.
+        """
+        patch, affine = crop_rotated(image, window.centre, window.size, window.angle, INPUT_SIZE)
+        _hide(patch, affine, hidden, shown)
+        np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB), np.float32(1.0 / 255.0), out=self._feed[0])
+        output = self._model.run({"input_1": self._feed})
+        return decode(output[_LANDMARK_OUTPUT][0], float(np.ravel(output[_SCORE_OUTPUT])[0]),
+                      output[_WORLD_OUTPUT][0], affine, window.angle)
+
+
+def _hide(patch: np.ndarray, affine: np.ndarray, hidden: Sequence[np.ndarray], shown: Optional[np.ndarray]) -> None:
+    """Paint boxes (image px) grey in the patch, but not `shown`."""
+    if not len(hidden):
+        return
+    inverse = cv2.invertAffineTransform(affine)
+    corners = _corners(np.asarray(hidden), inverse)
+    outside = np.any((corners.max(axis=1) < 0) | (corners.min(axis=1) > max(patch.shape[:2])), axis=1)
+    if outside.all():
+        return
+    cover = np.zeros(patch.shape[:2], np.uint8)
+    for corner in corners[~outside]:
+        cv2.fillConvexPoly(cover, corner, (1.0,))
+    if shown is not None:
+        cv2.fillConvexPoly(cover, _corners(shown[None], inverse)[0], (0.0,))
+    patch[cover > 0] = _GREY
+
+
+def _corners(boxes: np.ndarray, affine: np.ndarray) -> np.ndarray:
+    """Corners (N, 4, 2) in whole px of the patch of boxes (N, 4) px in the image."""
+    corners = boxes[:, [[0, 1], [2, 1], [2, 3], [0, 3]]] @ affine[:, :2].T + affine[:, 2]
+    return np.clip(np.rint(corners), -4096, 4096).astype(np.int32)
+
+
+SAME_BODY = 0.1
+"""Distance, in sizes of the larger body, below which two estimates show one human."""
+# In sizes of the larger body.
+_FAR = 0.6
+# No landmark of a body is farther from the image's corner (px), or from the hips (m), whatever the network says.
+_LARGEST_PX, _LARGEST_M = 1e5, 5.0
+# Of what is smaller (px) no key points can be told: letters and spots resemble people far away.
+_LEAST_PX = 24.0
+_SAME_TRUNK, _SAME_NOSE = 0.09, 0.12
+
+
+@dataclass(frozen=True)
+class PoseDetection:
+    """What the pose network found in one window.
+
+    points: (33, 3) m, the landmarks placed in the optical frame, None when they cannot be. appearance: see
+    `tracking.appearance.describe`. source: id of the body whose window it was, None for a new one.
+    """
+
+    estimate: PoseEstimate
+    points: Optional[np.ndarray] = field(default=None, repr=False)
+    appearance: Optional[np.ndarray] = field(default=None, repr=False)
+    source: Optional[str] = None
+
+    @cached_property
+    def root(self) -> Optional[np.ndarray]:
+        """Middle of the hips (3,) m in the optical frame, None when it is not known."""
+        return None if self.points is None else (self.points[BLAZE_LEFT_HIP] + self.points[BLAZE_RIGHT_HIP]) / 2.0
+
+
+def body_size(estimate: PoseEstimate) -> float:
+    """Longer side of the box of the landmarks that are seen, px."""
+    box = estimate.box
+    return float(max(box[2] - box[0], box[3] - box[1], 1.0))
+
+
+def body_distance(a: PoseEstimate, b: PoseEstimate) -> float:
+    """Median distance of the landmarks that both see, in units of the larger body."""
+    both = (a.confidence[:BODY_LANDMARKS] > _KNOWN) & (b.confidence[:BODY_LANDMARKS] > _KNOWN)
+    both = both if both.sum() > 4 else np.ones(BODY_LANDMARKS, bool)
+    offset = (a.landmarks[:BODY_LANDMARKS, :2] - b.landmarks[:BODY_LANDMARKS, :2])[both]
+    return float(np.median(np.hypot(*offset.T))) / max(body_size(a), body_size(b))
+
+
+def same_body(a: PoseEstimate, b: PoseEstimate) -> bool:
+    """Tell whether two estimates show one human: the same landmarks, or trunk and nose at the same place.
+
+    Most pairs are told apart by the trunks alone. Of two people whose trunks and heads coincide one is hidden.
+    """
+    size = max(a.extent, b.extent)
+    offset = math.hypot(*(a.centre - b.centre)) / size
+    if offset > _FAR:
+        return False
+    if offset < _SAME_TRUNK and math.hypot(*(a.nose - b.nose)) < _SAME_NOSE * size:
+        return True
+    return body_distance(a, b) < SAME_BODY
+
+
+def is_sound(estimate: PoseEstimate, min_score: float) -> bool:
+    """Tell whether an estimate is sure enough, of possible numbers, and has a window to follow it."""
+    # A comparison with NaN is false.
+    possible = (np.abs(estimate.landmarks).max() < _LARGEST_PX and np.abs(estimate.world).max() < _LARGEST_M
+                and np.isfinite(estimate.confidence).all())
+    if not (possible and estimate.score >= min_score):
+        return False
+    try:
+        window = estimate.next_window()
+    except ValueError:
+        return False
+    return (window.size >= _LEAST_PX and body_size(estimate) >= _LEAST_PX
+            and int((estimate.confidence[:BODY_LANDMARKS] > _KNOWN).sum()) >= 4)
+
+
+def covers(estimate: PoseEstimate, box: np.ndarray, min_iou: float = 0.35) -> bool:
+    """Tell whether a person's box (4,) px is that of this body."""
+    return bool(iou_matrix(estimate.box[None], np.asarray(box)[None])[0, 0] > min_iou)
+
+
+def inside(box: np.ndarray, other: np.ndarray) -> float:
+    """Part of the area of a box (4,) px that lies in another."""
+    x0, y0, x1, y1 = box.tolist()
+    a0, b0, a1, b1 = other.tolist()
+    width, height = min(x1, a1) - max(x0, a0), min(y1, b1) - max(y0, b0)
+    return max(width, 0.0) * max(height, 0.0) / (max(x1 - x0, 1e-6) * max(y1 - y0, 1e-6))
+
+
+def distinct(detections: Sequence[PoseDetection], faces: Sequence[Optional[str]]) -> List[PoseDetection]:
+    """Keep one of several detections of one human: the surest.
+
+    faces: for each detection the id of the face in which its nose lies, or None; two faces are two humans.
+    """
+    kept: List[Tuple[PoseDetection, Optional[str]]] = []
+    for detection, face in sorted(zip(detections, faces), key=lambda pair: -pair[0].estimate.score):
+        if not any(same_body(detection.estimate, other.estimate) for other, its in kept
+                   if face is None or its is None or face == its):
+            kept.append((detection, face))
+    return [detection for detection, _ in kept]

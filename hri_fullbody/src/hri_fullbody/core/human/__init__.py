@@ -1,1 +1,0 @@
-"""The human as a chain of links: its dimensions, its stature, its URDF."""

@@ -1,1 +1,0 @@
-"""From key points to the joints of the chain."""

@@ -1,0 +1,67 @@
+"""The 18 key points of hri_msgs/Skeleton2D, and how they come from the 33 landmarks of BlazePose."""
+
+from __future__ import annotations
+
+from typing import Tuple
+
+import numpy as np
+
+POINT_NAMES: Tuple[str, ...] = (
+    "nose", "neck",
+    "right_shoulder", "right_elbow", "right_wrist",
+    "left_shoulder", "left_elbow", "left_wrist",
+    "right_hip", "right_knee", "right_ankle",
+    "left_hip", "left_knee", "left_ankle",
+    "left_eye", "right_eye", "left_ear", "right_ear",
+)
+(NOSE, NECK, RIGHT_SHOULDER, RIGHT_ELBOW, RIGHT_WRIST, LEFT_SHOULDER, LEFT_ELBOW, LEFT_WRIST,
+ RIGHT_HIP, RIGHT_KNEE, RIGHT_ANKLE, LEFT_HIP, LEFT_KNEE, LEFT_ANKLE,
+ LEFT_EYE, RIGHT_EYE, LEFT_EAR, RIGHT_EAR) = range(18)
+
+# BlazePose's own numbers (left and right are the subject's).
+BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER = 11, 12
+BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP = 23, 24
+BLAZE_LEFT_KNEE, BLAZE_RIGHT_KNEE = 25, 26
+BLAZE_LEFT_ANKLE, BLAZE_RIGHT_ANKLE = 27, 28
+BLAZE_INNER_EYES = (1, 4)
+BLAZE_NOSE = 0
+
+# Pairs of BlazePose landmarks whose mean is the key point; equal numbers where it is one landmark.
+_SOURCES = np.array([
+    (0, 0), (BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER),
+    (12, 12), (14, 14), (16, 16),
+    (11, 11), (13, 13), (15, 15),
+    (24, 24), (26, 26), (28, 28),
+    (23, 23), (25, 25), (27, 27),
+    (2, 2), (5, 5), (7, 7), (8, 8),
+])
+
+EDGES: Tuple[Tuple[int, int], ...] = (
+    (NECK, RIGHT_SHOULDER), (NECK, LEFT_SHOULDER),
+    (RIGHT_SHOULDER, RIGHT_ELBOW), (RIGHT_ELBOW, RIGHT_WRIST),
+    (LEFT_SHOULDER, LEFT_ELBOW), (LEFT_ELBOW, LEFT_WRIST),
+    (NECK, RIGHT_HIP), (RIGHT_HIP, RIGHT_KNEE), (RIGHT_KNEE, RIGHT_ANKLE),
+    (NECK, LEFT_HIP), (LEFT_HIP, LEFT_KNEE), (LEFT_KNEE, LEFT_ANKLE),
+    (RIGHT_HIP, LEFT_HIP), (NECK, NOSE),
+    (NOSE, RIGHT_EYE), (RIGHT_EYE, RIGHT_EAR), (NOSE, LEFT_EYE), (LEFT_EYE, LEFT_EAR),
+)
+
+
+def to_18_points(points: np.ndarray) -> np.ndarray:
+    """Pick the 18 key points out of BlazePose landmarks (33 or more, D), any unit: (18, D).
+
+    The neck is the middle between the shoulders. Raises ValueError for fewer than 33 landmarks.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or len(points) < 33:
+        raise ValueError("BlazePose gives 33 landmarks, not an array of shape {}".format(points.shape))
+    return (points[_SOURCES[:, 0]] + points[_SOURCES[:, 1]]) / 2.0
+
+
+def confidence_18(landmark_confidence: np.ndarray) -> np.ndarray:
+    """Confidence of the 18 key points (18,) of that of the landmarks (33 or more,), 0 to 1.
+
+    The neck is as sure as the less sure shoulder.
+    """
+    values = np.asarray(landmark_confidence, dtype=np.float64)
+    return np.minimum(values[_SOURCES[:, 0]], values[_SOURCES[:, 1]])

@@ -1,0 +1,310 @@
+"""How large a body is and how far away: the metric scale of its landmarks from depth image, face, or floor.
+
+The pose network's landmarks are those of a person of average height.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Deque, Dict, Optional, Tuple
+
+import numpy as np
+
+from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS
+from hri_fullbody.core.keypoints import (
+    BLAZE_INNER_EYES,
+    BLAZE_LEFT_ANKLE,
+    BLAZE_LEFT_HIP,
+    BLAZE_LEFT_SHOULDER,
+    BLAZE_RIGHT_ANKLE,
+    BLAZE_RIGHT_HIP,
+    BLAZE_RIGHT_SHOULDER,
+    confidence_18,
+    to_18_points,
+)
+from hri_fullbody.core.localization.pnp import body_pose
+from hri_fullbody.core.tracking.track import BodyTrack
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.images import sample_depth
+from hri_pipeline.core.observations import BodyObservation
+from hri_pipeline.core.one_euro import OneEuro
+
+_TRUNK = np.array([BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER, BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP])
+# Each trunk joint is sampled a part of the way to the middle of the trunk: at the rim the background shows through.
+_INSET = 0.2
+_TRUNK_BEHIND = 0.10
+_LEAST_TRUNK = 2
+_LARGEST_SPREAD = 0.25
+# How far a joint lies behind the surface that a camera sees, m: half the thickness of the limb.
+_BEHIND: Dict[int, float] = {
+    11: 0.07, 12: 0.07, 13: 0.045, 14: 0.045, 15: 0.03, 16: 0.03, 23: 0.10, 24: 0.10, 25: 0.055, 26: 0.055,
+    27: 0.04, 28: 0.04}
+_JOINTS = np.array(sorted(_BEHIND))
+_BEHIND_JOINTS = np.array([_BEHIND[joint] for joint in _JOINTS])
+_PARENT: Dict[int, int] = {13: 11, 14: 12, 15: 13, 16: 14, 25: 23, 26: 24, 27: 25, 28: 26}
+# A surface further than this from where the body is expected is something before or behind it.
+_LARGEST_JUMP = 0.25
+_STRETCH, _SLACK = 1.15, 0.05
+
+
+def trunk_ratio(depth: np.ndarray, pixels: np.ndarray, points: np.ndarray, confidence: np.ndarray,
+                size: Tuple[int, int]) -> Optional[float]:
+    """How many times farther away the trunk is than `points` (33, 3) m say; None when the depth does not tell.
+
+    depth: (h, w) m. pixels: (33, 2) px in the image of `size` (width, height). confidence: (33,) 0 to 1.
+    The median of those of shoulders and hips that are seen and lie at one depth.
+    """
+    middle = pixels[_TRUNK].mean(axis=0)
+    seen = confidence[_TRUNK] > 0.3
+    surface = sample_depth(depth, pixels[_TRUNK] + _INSET * (middle - pixels[_TRUNK]), *size)
+    centre = points[_TRUNK].mean(axis=0)
+    modelled = (points[_TRUNK] + _INSET * (centre - points[_TRUNK]))[:, 2]
+    known = seen & np.isfinite(surface) & (modelled > 0.1)
+    if known.sum() < _LEAST_TRUNK:
+        return None
+    behind = surface[known] + _TRUNK_BEHIND - (modelled[known] - centre[2])
+    near = behind[np.abs(behind - np.median(behind)) < _LARGEST_SPREAD]
+    return None if len(near) < _LEAST_TRUNK else float(np.median(near) / centre[2])
+
+
+def measured_joints(depth: np.ndarray, pixels: np.ndarray, rays: np.ndarray, points: np.ndarray,
+                    confidence: np.ndarray, size: Tuple[int, int]) -> np.ndarray:
+    """Put the landmarks (33, 3) m of a body, which is at the right distance, on their rays (33, 2) at measured depths.
+
+    A joint whose surface lies off by more than 0.25 m, or farther from the joint before it than the limb is long, is
+    hidden behind something, or its pixel shows the background: it keeps its depth on its ray.
+    """
+    found = points.copy()
+    depths = points[:, 2].copy()
+    surface = sample_depth(depth, pixels[_JOINTS], *size) + _BEHIND_JOINTS
+    usable = (confidence[_JOINTS] > 0.3) & (np.abs(surface - points[_JOINTS, 2]) < _LARGEST_JUMP)
+    for joint, good, value in zip(_JOINTS, usable, surface):
+        parent = _PARENT.get(int(joint))
+        if good and parent is not None:
+            limb = float(np.linalg.norm(points[joint] - points[parent]))
+            good = abs(value - depths[parent]) <= _STRETCH * limb + _SLACK
+        if good:
+            depths[joint] = value
+    sure = confidence[:BODY_LANDMARKS] > 0.3
+    found[sure] = np.column_stack([rays[sure] * depths[sure, None], depths[sure]])
+    return found
+
+
+FLOOR_RANGE = (0.75, 1.3)
+"""Ratios of a body's size to the average for which a foot is believed to stand on the floor."""
+_FACE_RANGE = (0.7, 1.3)
+_DEPTH_RANGE = (0.55, 1.35)
+# Beyond their range a face and a depth image still tell where the body is, but the landmarks are too wrong for a scale.
+_PLACE_RANGE = (0.4, 2.5)
+_STATURE_CV = 0.065         # of adults and of the network's own error, the two together
+_DRIFT = 0.01               # per root second: how fast the scale may change
+_FACE_SD, _FLOOR_SD, _DEPTH_SD = 0.04, 0.05, 0.03
+# The distance of a face is wrong by as much as its size differs from the average one's (about 6 % with the error of the
+# landmarks), for as long as it is measured: as much as statures differ. So half of what a face says is taken for the
+# body's size.
+_FACE_SIZE_SHARE = 0.5
+_OUTLIER = 3.0              # standard deviations: what differs by more counts as this much
+_ANKLE_HEIGHT = 0.07        # m, centre of the ankle above the floor
+_LEAST_SLOPE = 0.05         # of the ray to the ankle: a flatter one meets the floor anywhere
+_FLOOR_SIGHTS = 45
+
+
+@dataclass(frozen=True)
+class ScaleCue:
+    """A measurement of how many times farther away (and larger) a body is than its landmarks say.
+
+    sd: standard deviation of its logarithm, inf when it says nothing about the size. reference: the point (3,) m of
+    the landmarks that was measured; it is the one that must lie on its ray. size_share: part of
+    the ratio's logarithm that is due to the size of the body, the rest to a lasting error of the measurement.
+
+    exact: the body is to be at this distance now, not only to be scaled by it in the long run.
+    """
+
+    ratio: float
+    sd: float
+    exact: bool
+    reference: np.ndarray
+    size_share: float = 1.0
+
+
+def face_cue(points: np.ndarray, face: Optional[Pose]) -> Optional[ScaleCue]:
+    """Cue of the tracked face's pose: the sellion of `points` (33, 3) m must be at the depth of the face's origin."""
+    if face is None or not np.all(np.isfinite(face.translation)):
+        return None
+    sellion = points[list(BLAZE_INNER_EYES)].mean(axis=0)
+    return _cue(float(face.translation[2]) / max(float(sellion[2]), 1e-3), _FACE_SD, _FACE_RANGE, sellion,
+                _FACE_SIZE_SHARE)
+
+
+def depth_cue(ratio: Optional[float], trunk: np.ndarray) -> Optional[ScaleCue]:
+    """Cue of a depth image, see trunk_ratio. trunk: its middle (3,) m."""
+    return None if ratio is None else _cue(ratio, _DEPTH_SD, _DEPTH_RANGE, trunk)
+
+
+def floor_ratio(points: np.ndarray, rays: np.ndarray, confidence: np.ndarray, up: np.ndarray,
+                camera_height: float) -> Optional[float]:
+    """Ratio of the depth at which the standing foot meets the floor to that of `points` (33, 3) m.
+
+    rays: (33, 2). up: (3,) unit, away from the floor, in the optical frame. camera_height: m above the floor.
+    Of two ankles the one whose ray meets the floor nearer is on it; a lifted one seems to be farther away.
+    """
+    best = None
+    for ankle in (BLAZE_LEFT_ANKLE, BLAZE_RIGHT_ANKLE):
+        slope = -float(np.array([rays[ankle, 0], rays[ankle, 1], 1.0]) @ up)
+        if confidence[ankle] > 0.5 and slope > _LEAST_SLOPE and points[ankle, 2] > 0.1:
+            depth = (camera_height - _ANKLE_HEIGHT) / slope
+            best = min(best or (np.inf, 0.0), (depth, depth / points[ankle, 2]))
+    if best is None or not FLOOR_RANGE[0] < best[1] < FLOOR_RANGE[1]:
+        return None
+    return best[1]
+
+
+class BodyScale:
+    """Scale of one body: a slowly changing number learnt from its cues, kept while there are none."""
+
+    def __init__(self) -> None:
+        self._log, self._variance = 0.0, _STATURE_CV ** 2
+        self._stamp: Optional[float] = None
+        self._floor: Deque[float] = deque(maxlen=_FLOOR_SIGHTS)
+
+    @property
+    def value(self) -> float:
+        """Size of the body, that of the network's average person being 1."""
+        return math.exp(self._log)
+
+    def floor_cue(self, ratio: Optional[float]) -> Optional[ScaleCue]:
+        """Cue of the floor: the median of what was seen of it, with `ratio` when it is not None."""
+        if ratio is None:
+            return None
+        self._floor.append(ratio)
+        return ScaleCue(float(np.median(list(self._floor))), _FLOOR_SD, False, np.zeros(3))
+
+    def update(self, cue: Optional[ScaleCue], stamp: float) -> None:
+        """Learn from a cue at `stamp` (s)."""
+        if cue is None:
+            return
+        step = 0.0 if self._stamp is None else max(0.0, stamp - self._stamp)
+        self._stamp = stamp
+        variance = min(self._variance + _DRIFT ** 2 * step, _STATURE_CV ** 2)
+        gain = variance / (variance + cue.sd ** 2)
+        limit = _OUTLIER * math.sqrt(variance + min(cue.sd, 1.0) ** 2)
+        self._log += gain * min(max(cue.size_share * math.log(cue.ratio) - self._log, -limit), limit)
+        self._variance = (1.0 - gain) * variance
+
+
+def _cue(ratio: float, sd: float, limits: Tuple[float, float], reference: np.ndarray,
+         size_share: float = 1.0) -> Optional[ScaleCue]:
+    if limits[0] < ratio < limits[1]:
+        return ScaleCue(ratio, sd, True, reference, size_share)
+    return ScaleCue(ratio, math.inf, True, reference) if _PLACE_RANGE[0] < ratio < _PLACE_RANGE[1] else None
+
+
+# A body is about as large as this: makes pixels comparable with metres, for which the filters are tuned.
+_BODY_METRES = 1.76
+_KNOWN = 0.3
+_BOX_MARGIN = 0.04
+_HIPS = [BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP]
+
+
+@dataclass(frozen=True)
+class SceneContext:
+    """What else is known of an image.
+
+    depth: (h, w) m, registered to it. up: (3,) unit, in the optical frame. camera_height: m above the floor.
+    """
+
+    depth: Optional[np.ndarray] = None
+    up: Optional[np.ndarray] = None
+    camera_height: Optional[float] = None
+
+
+class BodyLocalizer:
+    """Filters of one body. The key points in the image go through a one euro filter, 1.5 Hz and 6 per m/s, which lags
+    21 ms behind a waving wrist. In space only the distance is filtered, and only where no depth image gives it: it
+    trembles most. What becomes of the rest is left to whoever fits a model to it."""
+
+    def __init__(self) -> None:
+        self._image = OneEuro(1.5, 6.0)
+        self._distance = OneEuro(0.8, 4.0)
+        self._scale = BodyScale()
+        self._pixels_per_metre: Optional[float] = None
+        self._pixels: Optional[np.ndarray] = None
+        self._points: Optional[np.ndarray] = None
+        self.by_depth = False
+        """Whether a depth image gave the distance of the last detection."""
+
+    def observe(self, track: BodyTrack, camera: CameraModel, stamp: float, face: Optional[Pose],
+                context: SceneContext) -> BodyObservation:
+        """Make the observation of a body at `stamp` (s). face: the pose of its own tracked face."""
+        measured = track.stamp == stamp or self._pixels is None
+        if measured:
+            self._measure(track, camera, face, context)
+        assert self._pixels is not None
+        estimate = track.expected(stamp)
+        confidence = estimate.confidence[:BODY_LANDMARKS]
+        age = max(0.0, stamp - track.stamp)
+        velocity = track.motion.velocity
+        velocity = None if velocity is None else velocity * self._scale.value
+        pixels: np.ndarray = self._pixels if measured else self._pixels + track.moved(stamp)
+        in_space, pose = np.full((18, 3), np.nan), None
+        sure = confidence_18(confidence)
+        known = confidence_18(track.estimate.confidence[:BODY_LANDMARKS]) >= _KNOWN
+        if self._points is not None:
+            points = self._points if measured or velocity is None else self._points + velocity * age
+            in_space[known] = to_18_points(points)[known]
+            pose = body_pose(points)
+        box = visible_box(pixels, track.estimate.confidence[:BODY_LANDMARKS], camera.width, camera.height)
+        return BodyObservation(track.id, box, estimate.score, np.column_stack([to_18_points(pixels), sure]), in_space,
+                               pose, face, velocity, measured, self.by_depth)
+
+    def _measure(self, track: BodyTrack, camera: CameraModel, face: Optional[Pose], context: SceneContext) -> None:
+        estimate = track.estimate
+        if self._pixels_per_metre is None:
+            self._pixels_per_metre = estimate.extent / _BODY_METRES
+        pixels = estimate.landmarks[:BODY_LANDMARKS, :2]
+        self._pixels = self._image(pixels / self._pixels_per_metre, track.stamp) * self._pixels_per_metre
+        points = track.detection.points
+        if points is None:
+            self._points, self.by_depth = None, False
+            self._distance.reset()
+        else:
+            self._points = self._rescale(points, track, camera, face, context)
+
+    def _rescale(self, points: np.ndarray, track: BodyTrack, camera: CameraModel, face: Optional[Pose],
+                 context: SceneContext) -> np.ndarray:
+        """Landmarks (33, 3) m at the size and the distance that depth image, face, or floor tell, the first that
+        does."""
+        pixels = track.estimate.landmarks[:BODY_LANDMARKS, :2]
+        confidence = track.estimate.confidence[:BODY_LANDMARKS]
+        size = (camera.width, camera.height)
+        rays = camera.normalise(pixels)
+        cue: Optional[ScaleCue] = None
+        if context.depth is not None:
+            cue = depth_cue(trunk_ratio(context.depth, pixels, points, confidence, size), points[_TRUNK].mean(axis=0))
+        self.by_depth = cue is not None
+        cue = cue or face_cue(points, face)
+        if cue is None and context.up is not None and context.camera_height is not None:
+            cue = self._scale.floor_cue(floor_ratio(points, rays, confidence, context.up, context.camera_height))
+        self._scale.update(cue, track.stamp)
+        scale = self._scale.value
+        anchor, placed = points[_HIPS].mean(axis=0), points * scale
+        if cue is not None and cue.exact:
+            anchor = cue.reference
+            placed = placed + anchor * (cue.ratio - scale)
+        if self.by_depth and context.depth is not None:
+            self._distance.reset()
+            return measured_joints(context.depth, pixels, rays, placed, confidence, size)
+        depth = np.array([placed[_HIPS, 2].mean()])
+        return placed + anchor / anchor[2] * (self._distance(depth, track.stamp) - depth)
+
+
+def visible_box(points: np.ndarray, confidence: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Box (4,) px, inside the image, of the points (N, 2) px that are seen, with a margin of 4 % of its longer side."""
+    seen = confidence > _KNOWN
+    points = points[seen] if seen.sum() >= 4 else points
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = _BOX_MARGIN * float((high - low).max())
+    return np.clip(np.concatenate([low - margin, high + margin]), 0.0, [width, height, width, height])

@@ -1,0 +1,1 @@
+"""The kinematic model of a human: dimensions, anthropometry, URDF."""

@@ -1,0 +1,528 @@
+"""The pipeline of bodies: from an image to tracked bodies in metres, their joints, and what they express.
+
+`BodyPipeline.update` is the main road: pose network on the known bodies, search for new ones, re-identification,
+metric localization, kinematic model (`BodyModeller`), behaviour.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import deque
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Callable, Deque, Dict, List, Optional, Sequence, Tuple
+
+import numpy as np
+
+from hri_fullbody.core.behaviour.gesture import GestureClass
+from hri_fullbody.core.behaviour.posture import PostureClass, without_guessed_legs
+from hri_fullbody.core.behaviour.recognizer import BehaviourRecognizer, BodyBehaviour
+from hri_fullbody.core.detection.person_detector import CenterNetDetector, PersonDetector
+from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, BlazePose, PoseEstimate, PoseEstimator
+from hri_fullbody.core.detection.windows import FaceBox
+from hri_fullbody.core.filtering import FilteredPoints, FilterSettings, KeypointFilter
+from hri_fullbody.core.kinematics.solver import JointSolver
+from hri_fullbody.core.localization.localizer import BodyLocalizer, SceneContext
+from hri_fullbody.core.localization.pnp import place
+from hri_fullbody.core.model.anthropometry import MONOCULAR, SegmentTable
+from hri_fullbody.core.model.dimensions import DimensionSettings, PersonDimensions
+from hri_fullbody.core.model.human import Dimensions, Layout, layout_for
+from hri_fullbody.core.tracking.reidentification import BodyReidentifier, Reidentification, TrackAppearance
+from hri_fullbody.core.tracking.scheduler import PoseScheduler
+from hri_fullbody.core.tracking.tracker import BodyTracker
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.error_log import ItemGuard
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.observations import BodyObservation
+from hri_pipeline.core.onnx import FETCH_HINT, ModelError, model_path, models_directory
+from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.timing import StageTimes
+
+DETECTOR_MODEL = "person_centernet.onnx"
+POSE_MODELS = ("lite", "full", "heavy")
+IMAGE_UP = np.array([0.0, -1.0, 0.0])
+"""Up in the optical frame of a camera that stands upright and looks ahead."""
+_SEEN = 0.5
+# Images that come more slowly (s) need not take the same time each, and who is there is found in few of them: two
+# windows of the budget are for those who wait.
+SLOW_S = 0.25
+_SLOW_NEW = 2
+# Boxes of the person detector from this part of the score that starts a body confirm that somebody is there.
+_FAINT = 0.5
+_HEAD_SAMPLES = 200
+_LEAST_POINTS = 4
+_WORST_RESIDUAL_M = 0.5
+_SURELY_SEEN = 0.65  # confidence from which a guessed point counts for the lengths
+
+
+@dataclass(frozen=True)
+class _LastModel:
+    """The last model of a body, of the image of `stamp` (s), and where the body was then by its observation (m)."""
+
+    stamp: float
+    model: ModelledBody
+    origin: Optional[np.ndarray]
+    behaviour: Optional[BodyBehaviour]
+
+
+class BodyPipeline:
+    """Detects, tracks, localizes and models all bodies of one camera.
+
+    After `update`, `model` and `behaviour` tell what is known of a body beyond its observation.
+    """
+
+    def __init__(self, settings: SimpleNamespace, notify: Optional[Callable[[str], None]] = None,
+                 pose: Optional[PoseEstimator] = None, detector: Optional[PersonDetector] = None,
+                 guard: Optional[ItemGuard] = None) -> None:
+        """Load the networks.
+
+        Parameters
+        ----------
+        settings : values of `parameters.BODIES` or `parameters.VISION`.
+        notify : gets one line of text when an execution provider is missing.
+        pose, detector : used instead of the networks of the settings.
+        guard : counts errors; an error costs one body at most.
+
+        Raises
+        ------
+        ModelError
+            A network is missing or damaged.
+        ParameterError
+            A segments file cannot be used, or settings contradict each other.
+        ValueError
+            Illegal settings.
+        """
+        options = dict(providers=settings.providers, notify=notify)
+        self._pose = pose or BlazePose(pose_model_path(settings.pose_model), **options)
+        self._detector = detector or CenterNetDetector(
+            model_path(settings.person_detector_model, DETECTOR_MODEL), threshold=_FAINT * settings.min_person_score,
+            long_side=settings.person_detection_size, **options)
+        self._guard = guard or ItemGuard()
+        self._tracker = BodyTracker(
+            self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time, settings.min_body_score,
+            settings.max_bodies, schedule=PoseScheduler(settings.pose_rate, settings.pose_budget), guard=self._guard)
+        self._settings = settings
+        self._localizers: Dict[str, BodyLocalizer] = {}
+        self._reidentifier = BodyReidentifier(settings.body_memory)
+        try:
+            self._modeller = BodyModeller.from_parameters(settings)
+        except (ValueError, OSError) as error:
+            raise ParameterError("bodies cannot be modelled: {}".format(error)) from error
+        self._recognizers: Dict[str, BehaviourRecognizer] = {}
+        self._last_models: Dict[str, _LastModel] = {}
+        self._head_distances: Deque[float] = deque(maxlen=_HEAD_SAMPLES)
+        self.reidentified: List[Reidentification] = []
+        """Bodies confirmed since the last image that were there before under another id."""
+        self.modelled: List[ModelledBody] = []
+        """Models of the bodies that were detected in the last image."""
+        self._last_stamp = self._last_detection = -math.inf
+        self._detected_before = False
+        self.times = StageTimes()
+
+    def update(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Sequence[FaceBox] = (),
+               depth: Optional[np.ndarray] = None, up: Optional[np.ndarray] = None,
+               camera_height: Optional[float] = None) -> List[BodyObservation]:
+        """Process one image and return its confirmed bodies.
+
+        Bodies without an inference in this image are where their motion takes them, with `measured` False.
+
+        Parameters
+        ----------
+        bgr : (H, W, 3) image, taken by `camera` at `stamp` (s). A stamp older than the last one starts afresh.
+        faces : those of this image or a moment before; optional, but they keep neighbours apart and give the distance.
+        depth : (h, w) m, registered to the image, NaN or 0 where unknown.
+        up : (3,) unit vector against gravity in the optical frame; None: the image's own upright.
+        camera_height : m above the floor; None: the floor is not used.
+        """
+        if stamp < self._last_stamp:
+            self.reset()
+        slow = SLOW_S < stamp - self._last_stamp < math.inf
+        self._last_stamp = stamp
+        height, width = bgr.shape[:2]
+        camera = camera.resized(width, height)
+        upwards = IMAGE_UP if up is None else up
+        self._follow_known(bgr, camera, stamp, faces, slow)
+        self._search_new(bgr, stamp, faces, slow)
+        self._reidentify(stamp)
+        bodies = self._localize(camera, stamp, faces, SceneContext(depth, up, camera_height))
+        self._forget_all_but(self.tracked_ids)
+        self.fit(bodies, stamp, upwards, (width, height))
+        return bodies
+
+    def fit(self, bodies: Sequence[BodyObservation], stamp: float, up: np.ndarray, size: Tuple[int, int]) -> None:
+        """Fit the kinematic models to the bodies that were detected at `stamp` (s), and recognise their behaviour.
+
+        up: (3,) unit vector against gravity, optical frame. size: width and height of the image, px.
+        """
+        seen = {body.id: body for body in bodies if body.measured}
+        with self.times("models"):
+            self.modelled = self._modeller.update(
+                [BodyInput(body.id, body.keypoints_3d, body.keypoints[:, 2], body.head,
+                           0.0 if body.by_depth else MONOCULAR)
+                 for body in seen.values()], stamp, up)
+        with self.times("attitude"):
+            self._guard.each("body", lambda model: self._express(model, seen[model.id], stamp, up, size), self.modelled)
+
+    def _follow_known(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
+                      slow: bool) -> None:
+        """Run the pose network for the known bodies whose turn it is."""
+        with self.times("poses"):
+            self._tracker.follow(bgr, stamp, faces, lambda estimate: self._solve_pnp(estimate, camera),
+                                 _SLOW_NEW if slow else 0)
+
+    def _search_new(self, bgr: np.ndarray, stamp: float, faces: Sequence[FaceBox], slow: bool) -> None:
+        """Search for new bodies: with the person detector when it is due, else in a few of the candidate windows.
+
+        When the detector is due in every image, or images are slow, both are done in each. It is asked at once for a
+        body that was found without it.
+        """
+        due = stamp - self._last_detection >= self._settings.person_detection_period or self._tracker.awaits_detector
+        detected_before, self._detected_before = self._detected_before, due
+        if due:
+            self._last_detection = stamp
+            with self.times("person detector"):
+                boxes, scores = self._detector.detect(bgr)
+            self._tracker.propose(list(boxes[scores >= self._settings.min_person_score]), faces, stamp, list(boxes))
+            if not detected_before and not slow:
+                return
+        windows, budget = self._settings.new_windows_per_image, self._settings.pose_budget
+        if budget:
+            windows = min(windows, max(1, budget - self._tracker.windows))
+        with self.times("new bodies"):
+            self._tracker.try_new(bgr, stamp, faces, windows)
+
+    def _reidentify(self, stamp: float) -> None:
+        """Compare new bodies with those lost in the last seconds."""
+        self.reidentified = self._reidentifier.update(
+            [TrackAppearance(track.id, track.appearance, track.detection.root) for track in self._tracker.tracks
+             if track.confirmed],
+            stamp)
+
+    def _solve_pnp(self, estimate: PoseEstimate, camera: CameraModel) -> Optional[np.ndarray]:
+        """Place the landmarks of an estimate in the optical frame: (33, 3) m, or None."""
+        with self.times("perspective"):
+            return place(camera.normalise(estimate.landmarks[:BODY_LANDMARKS, :2]), estimate.world,
+                         estimate.confidence[:BODY_LANDMARKS] > _SEEN)
+
+    def _localize(self, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
+                  context: SceneContext) -> List[BodyObservation]:
+        """Observations of the bodies to publish, at their metric scale and distance."""
+        with self.times("placement"):
+            living = {track.id for track in self._tracker.tracks}
+            self._localizers = {key: localizer for key, localizer in self._localizers.items() if key in living}
+            poses: Dict[str, Optional[Pose]] = {face.id: face.pose for face in faces}
+            return self._guard.each(
+                "body", lambda track: self._localizers.setdefault(track.id, BodyLocalizer()).observe(
+                    track, camera, stamp, poses.get(track.face_id or ""), context), self._tracker.published(stamp))
+
+    def _express(self, model: ModelledBody, body: BodyObservation, stamp: float, up: np.ndarray,
+                 size: Tuple[int, int]) -> None:
+        """Keep the model of a detected body, and recognise its attitude, posture and gesture."""
+        points = without_guessed_legs(model.points, body.keypoints, *size)
+        recognizer = self._recognizers.setdefault(model.id, BehaviourRecognizer())
+        behaviour = self._guard.each(
+            "behaviour of a body", lambda one: recognizer.update(points, one.stature, stamp, up), [model])
+        self._last_models[model.id] = _LastModel(
+            stamp, model, None if body.pose is None else body.pose.translation, behaviour[0] if behaviour else None)
+        if body.head is not None:
+            self._head_distances.append(float(np.linalg.norm(model.head.translation - body.head.translation)))
+
+    def model(self, body: BodyObservation) -> Optional[ModelledBody]:
+        """Return the model of a body that is in the image, None while there is none.
+
+        One that was not detected in this image keeps its joints and moves as its observation does.
+        """
+        last = self._last_models.get(body.id)
+        if last is None or body.id in self._modeller.failures:
+            return None
+        if body.measured or body.pose is None or last.origin is None:
+            return last.model
+        moved = body.pose.translation - last.origin
+        return replace(last.model, pose=_shifted(last.model.pose, moved), head=_shifted(last.model.head, moved))
+
+    def behaviour(self, body_id: str, stamp: float) -> Optional[BodyBehaviour]:
+        """Return what a body expresses in the image of `stamp` (s), None when it was not detected in that image."""
+        last = self._last_models.get(body_id)
+        return None if last is None or last.stamp != stamp else last.behaviour
+
+    def label(self, body_id: str) -> str:
+        """Return what is known of a body in a few words, such as `1.72 m, sitting, arms crossed`."""
+        last = self._last_models.get(body_id)
+        if last is None:
+            return ""
+        words = ["{:.2f} m".format(last.model.stature)]
+        if last.behaviour is not None:
+            words += [value.name.lower().replace("_", " ") for value in (
+                PostureClass(last.behaviour.posture), GestureClass(last.behaviour.gesture)) if value]
+        return ", ".join(words)
+
+    @property
+    def tracked_ids(self) -> List[str]:
+        """Ids of the confirmed bodies, also of those that wait for their turn, or were missed only for a while."""
+        return [track.id for track in self._tracker.tracks if track.confirmed]
+
+    @property
+    def layout(self) -> Layout:
+        """Joints of the models."""
+        return self._modeller.layout
+
+    def status(self) -> Dict[str, object]:
+        """Return values for diagnostics: numbers of bodies, statures, times."""
+        values: Dict[str, object] = {
+            "tracked": len(self.tracked_ids),
+            "placed_by_depth": sum(localizer.by_depth for localizer in list(self._localizers.values())),
+            "modelled": len(self._last_models),
+            "statures_m": ", ".join(
+                "{} {:.2f} +- {:.2f}".format(body_id, last.model.stature, last.model.stature_sd)
+                for body_id, last in list(self._last_models.items()))}
+        if self._head_distances:
+            values["head_to_face_m_median"] = float(np.median(list(self._head_distances)))
+        values.update(self.times.values())
+        return values
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters; the bodies stay."""
+        self._settings = settings
+        self._detector.threshold = _FAINT * settings.min_person_score
+        self._tracker.limit(settings.body_birth_delay, settings.body_death_time, settings.min_body_score)
+        self._tracker.schedule.limit(settings.pose_rate, settings.pose_budget)
+        self._modeller.reconfigure(settings)
+
+    def reset(self) -> None:
+        """Forget all bodies, for example because time went back."""
+        self._tracker.reset()
+        self._reidentifier.reset()
+        self._localizers.clear()
+        self._modeller.reset()
+        self._forget_all_but([])
+        self._last_stamp = self._last_detection = -math.inf
+        self._detected_before = False
+
+    def _forget_all_but(self, ids: Sequence[str]) -> None:
+        self._modeller.retain(ids)
+        for known in (self._recognizers, self._last_models):
+            for gone in [body_id for body_id in known if body_id not in ids]:
+                del known[gone]
+
+
+@dataclass(frozen=True)
+class BodyInput:
+    """Key points of one body in one image.
+
+    points: (18, 3) m in the optical frame, NaN where unknown. confidence: (18,) 0 to 1. head: the face frame in
+    the optical frame when this human's face is tracked. systematic: relative error of the lengths between the points
+    that does not go away with time: 0 for points measured in space, stature.MONOCULAR for those that are guessed from
+    a colour image; points of less than 0.65 confidence then say nothing about the stature.
+    """
+
+    id: str
+    points: np.ndarray
+    confidence: Optional[np.ndarray] = None
+    head: Optional[Pose] = None
+    systematic: float = 0.0
+
+
+@dataclass(frozen=True)
+class ModelledBody:
+    """A posed model of one body.
+
+    pose: body frame in the optical frame. joints: (J,) rad in the order of the layout. head: head frame in the
+    optical frame. points: (18, 3) filtered key points, NaN where unknown; fitted: (18, 3) those of the model, m.
+    stature, stature_sd: the newest estimate, m. dimensions: those of the model; revision: 0 while they are not
+    settled, then 1, 2, ...: the URDF is to be made anew when it grows. residual: mean distance of points and
+    fitted, m.
+    """
+
+    id: str
+    pose: Pose
+    joints: np.ndarray
+    head: Pose
+    points: np.ndarray
+    fitted: np.ndarray
+    stature: float
+    stature_sd: float
+    dimensions: Dimensions
+    revision: int
+    residual: float
+
+
+class BodyModeller:
+    """Models of all bodies of one camera. Time is an argument; a stamp that goes back starts the filters anew."""
+
+    def __init__(self, interface: str = "paper", ik_solver: str = "gauss_newton",
+                 table: Optional[SegmentTable] = None, stature_tolerance: float = 0.03, limb_lengths: bool = True,
+                 min_confidence: float = 0.3, model_delay: float = 0.2, stature_window: float = 5.0,
+                 filter_settings: Optional[FilterSettings] = None) -> None:
+        """interface, ik_solver: see Layout and JointSolver. table: None: the package's own. min_confidence: points
+        below it are missing. The others: see DimensionSettings and FilterSettings. Raises ValueError."""
+        if not 0.0 <= min_confidence <= 1.0:
+            raise ValueError("min_confidence is {}, legal: 0 to 1".format(min_confidence))
+        self._table = SegmentTable.load() if table is None else table
+        self.layout: Layout = layout_for(interface)
+        self._solver = JointSolver(self.layout, ik_solver)
+        self._filter = KeypointFilter(filter_settings or FilterSettings())
+        self._settings = DimensionSettings(stature_tolerance, limb_lengths, model_delay, stature_window)
+        self._min_confidence = min_confidence
+        self._people: Dict[str, PersonDimensions] = {}
+        self._states: Dict[str, np.ndarray] = {}
+        self._stamp = -math.inf
+        self.failures: Dict[str, str] = {}
+        """Bodies of the last update that have no model, and why."""
+
+    @classmethod
+    def from_parameters(cls, values: SimpleNamespace) -> "BodyModeller":
+        """Build it from the values of MODELLER_PARAMETERS. Raises ValueError."""
+        return cls(values.interface, values.ik_solver, SegmentTable.load(values.segments or None),
+                   values.stature_tolerance, values.limb_lengths, values.min_keypoint_confidence,
+                   values.model_delay, values.stature_window,
+                   FilterSettings(process_noise_scale=values.keypoint_agility, gate=values.keypoint_gate))
+
+    def reconfigure(self, values: SimpleNamespace) -> None:
+        """Take up the values of the live parameters; the bodies stay."""
+        self._min_confidence = values.min_keypoint_confidence
+        self._filter.settings = FilterSettings(process_noise_scale=values.keypoint_agility, gate=values.keypoint_gate)
+
+    def reset(self) -> None:
+        """Forget all bodies."""
+        self._filter.reset()
+        self._people.clear()
+        self._states.clear()
+        self.failures, self._stamp = {}, -math.inf
+
+    def retain(self, ids: Sequence[str]) -> None:
+        """Forget all bodies but these."""
+        wanted = set(ids)
+        self._filter.retain(ids)
+        for known in (self._people, self._states):
+            for name in [name for name in known if name not in wanted]:
+                del known[name]
+
+    def update(self, bodies: Sequence[BodyInput], stamp: float,
+               up: Optional[np.ndarray] = None) -> List[ModelledBody]:
+        """Model the bodies seen at `stamp` (s). up: (3,) unit vector against gravity in the optical frame.
+
+        Bodies that are not among them stay known till `retain`. One without enough points, or whose solution
+        fails, is left out and named in `failures`. Raises ValueError for one id twice or a bad stamp.
+        """
+        if len({body.id for body in bodies}) != len(bodies) or not math.isfinite(stamp):
+            raise ValueError("bodies need different ids and a finite time, not {} and {}".format(
+                [body.id for body in bodies], stamp))
+        if stamp < self._stamp:
+            self._start_anew()
+            self._stamp = stamp
+        step = stamp - self._stamp if math.isfinite(self._stamp) else 0.0
+        self._stamp, self.failures = stamp, {}
+        known = [(body, points) for body, points in ((body, self._checked(body)) for body in bodies)
+                 if points is not None]
+        if not known:
+            return []
+        ids = [body.id for body, _ in known]
+        filtered = self._filter.update(ids, np.stack([points for _, points in known]), stamp)
+        for (body, _), gated in zip(known, filtered.gated):
+            if body.id not in self._people:
+                self._people[body.id] = PersonDimensions(self._table, self._settings)
+            if body.systematic > 0.0 and body.confidence is not None:
+                gated = np.where((np.asarray(body.confidence) >= _SURELY_SEEN)[:, None], gated, np.nan)
+            self._people[body.id].update(gated, stamp, body.systematic)
+        return self._solve([body for body, _ in known], filtered, step, up)
+
+    def _start_anew(self) -> None:
+        self._filter.reset()
+        self._states.clear()
+        for person in self._people.values():
+            person.restart()
+
+    def _checked(self, body: BodyInput) -> Optional[np.ndarray]:
+        """Points (18, 3) with NaN for all that is not to be used; None, with the reason noted, without any."""
+        points = np.asarray(body.points, dtype=np.float64)
+        if not 0.0 <= body.systematic <= 1.0:
+            self.failures[body.id] = "its systematic error is {}, not 0 to 1".format(body.systematic)
+            return None
+        if points.shape != (18, 3):
+            self.failures[body.id] = "its key points have the shape {}, not (18, 3)".format(points.shape)
+            return None
+        if body.confidence is not None:
+            confidence = np.asarray(body.confidence, dtype=np.float64)
+            if confidence.shape != (18,):
+                self.failures[body.id] = "its confidences have the shape {}, not (18,)".format(confidence.shape)
+                return None
+            points = np.where((confidence >= self._min_confidence)[:, None], points, np.nan)
+        if np.isfinite(points).all(axis=1).sum() < _LEAST_POINTS:
+            self.failures[body.id] = "fewer than {} of its key points are known".format(_LEAST_POINTS)
+            return None
+        return points
+
+    def _solve(self, bodies: Sequence[BodyInput], filtered: FilteredPoints, step: float,
+               up: Optional[np.ndarray]) -> List[ModelledBody]:
+        """Solve all bodies, one by one where that fails together, so that one cannot take the others with it."""
+        try:
+            return self._solve_batch(bodies, filtered, step, up)
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            if len(bodies) == 1:
+                self._fail(bodies[0].id, "no solution: {}".format(error))
+                return []
+        return [model for number, body in enumerate(bodies)
+                for model in self._solve([body], filtered.only(number), step, up)]
+
+    def _solve_batch(self, bodies: Sequence[BodyInput], filtered: FilteredPoints, step: float,
+                     up: Optional[np.ndarray]) -> List[ModelledBody]:
+        points = filtered.smooth
+        people = [self._people[body.id] for body in bodies]
+        dimensions = [person.dimensions for person in people]
+        solution = self._solver.solve(points, dimensions, [self._states.get(body.id) for body in bodies], step, up,
+                                      [body.head for body in bodies], filtered.noise)
+        residual = _mean_distance(points, solution.keypoints)
+        models = []
+        for n, (body, person) in enumerate(zip(bodies, people)):
+            if not solution.solved[n]:
+                self.failures[body.id] = "its trunk cannot be told: neither shoulders nor hips are known"
+                self._states[body.id] = solution.states[n]
+                continue
+            if not residual[n] <= _WORST_RESIDUAL_M or not np.isfinite(solution.q[n]).all():
+                self._fail(body.id, "the model misses its key points by {:.2f} m".format(residual[n]))
+                continue
+            self._states[body.id] = solution.states[n]
+            models.append(ModelledBody(
+                body.id, Pose(solution.rotation[n], solution.position[n]), solution.q[n],
+                Pose(solution.head_rotation[n], solution.head_position[n]), points[n], solution.keypoints[n],
+                person.estimate.stature, person.estimate.stature_sd, person.dimensions, person.revision,
+                float(residual[n])))
+        return models
+
+    def _fail(self, name: str, reason: str) -> None:
+        self.failures[name] = reason
+        self._states.pop(name, None)
+
+
+def _mean_distance(points: np.ndarray, fitted: np.ndarray) -> np.ndarray:
+    """Mean distance (N,) m over the known points (N, 18, 3); NaN when the fit is not finite, 0 without points."""
+    apart = points - fitted
+    distance = np.sqrt(np.einsum("nki,nki->nk", apart, apart))
+    seen = ~np.isnan(points[..., 0])
+    return np.where(seen, distance, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+
+
+def _shifted(pose: Pose, by: np.ndarray) -> Pose:
+    return Pose(pose.rotation, pose.translation + by)
+
+
+def pose_model_path(configured: str) -> Path:
+    """Return the file of the pose network: that of a short name (lite, full, heavy; empty for full) or a path.
+
+    Raises ModelError that says how to get it.
+    """
+    name = configured or "full"
+    if name not in POSE_MODELS:
+        if os.sep not in name and not name.endswith(".onnx"):
+            raise ModelError("parameter pose_model is {!r}; legal: {}, or the path of an ONNX file".format(
+                name, ", ".join(POSE_MODELS)))
+        return model_path(name, "pose_landmarks_full.onnx")
+    model = "pose_landmarks_" + name
+    path = models_directory() / (model + ".onnx")
+    if not path.is_file():
+        raise ModelError("model file {} for pose_model {} does not exist; {} --models {}`".format(
+            path, name, FETCH_HINT.rstrip("`"), model))
+    return path

@@ -1,1 +1,0 @@
-"""Where people are in an image, and what the pose network sees in one window of it."""

@@ -1,1 +1,0 @@
-"""From noisy key points to smooth ones."""

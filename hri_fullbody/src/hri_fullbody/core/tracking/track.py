@@ -1,0 +1,261 @@
+"""One tracked body: its state, its motion (constant velocity, in the image and in metres), and its next window."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Optional, Tuple, Union
+
+import numpy as np
+
+from hri_fullbody.core.detection.pose_estimator import PoseDetection, PoseEstimate
+from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, FaceBox, Window, window_from_face
+from hri_fullbody.core.tracking.appearance import blend
+from hri_pipeline.core.tracks import TrackLife
+
+# Standard deviations of the model, measured in body sizes (px) where the image is meant.
+_IMAGE_ACCELERATION = 1.5      # 1/s2
+_IMAGE_SPEED = 0.8             # 1/s, of a body seen for the first time
+_IMAGE_NOISE = 0.02
+_SPACE_ACCELERATION = 2.0      # m/s2: a person who starts to walk
+_SPACE_SPEED = 1.0             # m/s
+_SPACE_NOISE = 0.03            # m, across the view
+_DEPTH_NOISE = 0.06            # of the depth: statures and the network's error
+_LARGEST_GAP = 2.0             # s: after a longer one the velocity says nothing any more
+
+
+class ConstantVelocity:
+    """Kalman filter of points that move with a constant velocity but for random accelerations, each axis alone.
+
+    value: (D,). sd: (D,) or a number, its standard deviation. speed_sd: that of the unknown velocity at the start.
+    R. E. Kalman, "A New Approach to Linear Filtering and Prediction Problems", 1960.
+    """
+
+    def __init__(self, value: np.ndarray, sd: Union[float, np.ndarray], speed_sd: float, stamp: float) -> None:
+        self.value = np.array(value, dtype=np.float64)
+        self.velocity = np.zeros_like(self.value)
+        self.stamp = float(stamp)
+        self._pp = np.broadcast_to(np.square(sd), self.value.shape).astype(np.float64)
+        self._pv = np.zeros_like(self.value)
+        self._vv = np.full_like(self.value, speed_sd ** 2)
+
+    def predict(self, stamp: float, acceleration: float) -> Tuple[np.ndarray, np.ndarray]:
+        """Return value (D,) and standard deviation (D,) at `stamp` (s); nothing changes.
+
+        acceleration: standard deviation of the random acceleration, unit/s2.
+        """
+        step = min(max(0.0, stamp - self.stamp), _LARGEST_GAP)
+        pp, _, _ = self._grown(step, acceleration)
+        return self.value + self.velocity * step, np.sqrt(pp)
+
+    def update(self, value: np.ndarray, sd: Union[float, np.ndarray], stamp: float, acceleration: float) -> None:
+        """Take a measurement of `stamp` (s); one that is not newer than the last changes nothing."""
+        step = min(stamp - self.stamp, _LARGEST_GAP)
+        if step <= 0.0:
+            return
+        pp, pv, vv = self._grown(step, acceleration)
+        error = np.asarray(value, dtype=np.float64) - (self.value + self.velocity * step)
+        gain_p, gain_v = pp / (pp + np.square(sd)), pv / (pp + np.square(sd))
+        self.value = self.value + self.velocity * step + gain_p * error
+        self.velocity = self.velocity + gain_v * error
+        self._pp, self._pv, self._vv = (1.0 - gain_p) * pp, (1.0 - gain_p) * pv, vv - gain_v * pv
+        self.stamp = float(stamp)
+
+    def _grown(self, step: float, acceleration: float) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Variance of value, covariance with the velocity, variance of the velocity after `step` s."""
+        noise = acceleration ** 2
+        pp = self._pp + 2.0 * step * self._pv + step ** 2 * self._vv + noise * step ** 4 / 4.0
+        pv = self._pv + step * self._vv + noise * step ** 3 / 2.0
+        return pp, pv, self._vv + noise * step ** 2
+
+
+class BodyMotion:
+    """Where one body is and will be: the middle of its trunk (px) and its root (m, optical frame) where it is known."""
+
+    def __init__(self, centre: np.ndarray, size: float, root: Optional[np.ndarray], stamp: float) -> None:
+        """centre: (2,) px. size: px, that of the body in the image. root: (3,) m or None. stamp: s."""
+        self.size = float(size)
+        self._image = ConstantVelocity(centre, _IMAGE_NOISE * size, _IMAGE_SPEED * size, stamp)
+        self._space: Optional[ConstantVelocity] = None
+        self._locate(root, stamp)
+
+    def update(self, centre: np.ndarray, size: float, root: Optional[np.ndarray], stamp: float,
+               noise: float = 1.0) -> None:
+        """Take over a detection of the body at `stamp` (s). noise: factor of its standard deviation."""
+        self.size = float(size)
+        self._image.update(centre, noise * _IMAGE_NOISE * size, stamp, _IMAGE_ACCELERATION * size)
+        self._locate(root, stamp)
+
+    def predicted_centre(self, stamp: float) -> np.ndarray:
+        """Middle of the trunk (2,) px at `stamp`."""
+        return self._image.predict(stamp, _IMAGE_ACCELERATION * self.size)[0]
+
+    @property
+    def velocity(self) -> Optional[np.ndarray]:
+        """Velocity (3,) m/s in the optical frame, None when the root was never known."""
+        return None if self._space is None else self._space.velocity.copy()
+
+    def speed(self) -> float:
+        """Speed in the image, body sizes per second."""
+        return float(np.hypot(*self._image.velocity)) / max(self.size, 1.0)
+
+    def image_distance(self, centre: np.ndarray, stamp: float, noise: float) -> float:
+        """How far `centre` (2,) px is from the prediction, in standard deviations.
+
+        noise: standard deviation of the measurement in body sizes.
+        """
+        value, sd = self._image.predict(stamp, _IMAGE_ACCELERATION * self.size)
+        return float(np.linalg.norm((np.asarray(centre) - value) / np.hypot(sd, noise * self.size)))
+
+    def depth_distance(self, root: Optional[np.ndarray], stamp: float) -> float:
+        """How far the depth of `root` (3,) m is from the prediction, in standard deviations; 0 when one is not
+        known."""
+        if root is None or self._space is None:
+            return 0.0
+        value, sd = self._space.predict(stamp, _SPACE_ACCELERATION)
+        return float(abs(root[2] - value[2]) / math.hypot(sd[2], 2.0 * _DEPTH_NOISE * max(abs(value[2]), 0.5)))
+
+    def _locate(self, root: Optional[np.ndarray], stamp: float) -> None:
+        if root is None:
+            return
+        sd = np.array([_SPACE_NOISE, _SPACE_NOISE, _DEPTH_NOISE * max(abs(float(root[2])), 0.5)])
+        if self._space is None or stamp - self._space.stamp > _LARGEST_GAP:
+            self._space = ConstantVelocity(root, sd, _SPACE_SPEED, stamp)
+        else:
+            self._space.update(root, sd, stamp, _SPACE_ACCELERATION)
+
+
+_FACE_HOLD = 0.5
+_ANCHOR_HOLD = 2.0
+_FADE_S = 0.4
+_OCCLUDED_NOISE = 4.0     # times as much, while somebody else is in the same place
+_APPEARANCE_LEARN_S = 1.5
+_LEAST_MISSES = 2
+# A body slower than this (sizes per second) stays where it was: what seems to move a little is the network's noise, and
+# a window that follows it would drift away.
+_STILL = 0.25
+
+
+class BodyTrack:
+    """One body over time. All stamps are seconds of the images' clock.
+
+    visible: its last inference found it. inferred_at: stamp of that. misses: inferences in a row that did not find it.
+    box_confirmed: None until the person detector was asked for the body, then whether it has ever seen a person there.
+    turn: for the scheduler, rising with every inference. wait: time (s) between two turns lately. appearance: see
+    `appearance.describe`, learnt while unoccluded.
+    """
+
+    def __init__(self, body_id: str, detection: PoseDetection, stamp: float, life: TrackLife,
+                 face: Optional[FaceBox] = None, anchor: Optional[float] = None,
+                 box_confirmed: Optional[bool] = None) -> None:
+        """anchor: side (in face sizes) of the face's window that found the body; None when its own landmarks did."""
+        self.id = body_id
+        self.life = life
+        self.detection = detection
+        self.stamp = stamp
+        self.visible = True
+        self.inferred_at = stamp
+        self.misses = 0
+        self.turn = 0
+        self.wait = 0.0
+        self.box_confirmed_at = self.born_at = stamp
+        self.box_confirmed = box_confirmed
+        self.appearance: Optional[np.ndarray] = detection.appearance
+        self.described_at = stamp
+        self.motion = BodyMotion(detection.estimate.centre, detection.estimate.extent, detection.root, stamp)
+        self.face_id: Optional[str] = None
+        self._expected: Optional[Tuple[float, PoseEstimate]] = None
+        self._face_stamp = stamp
+        self._anchor_side = FACE_WINDOW_SIZES[0] if anchor is None else anchor
+        self._anchored_until = -np.inf if anchor is None else stamp + _ANCHOR_HOLD
+        if face is not None:
+            self.link(face, stamp)
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the body has been seen for long enough, and not only by the pose network."""
+        return self.life.confirmed and self.box_confirmed is not False
+
+    @property
+    def estimate(self) -> PoseEstimate:
+        """The body as it was last seen."""
+        return self.detection.estimate
+
+    def link(self, face: FaceBox, stamp: float) -> None:
+        """Note that `face` is this body's own."""
+        self.face_id = face.id
+        self._face_stamp = stamp
+
+    def forget_lost_face(self, stamp: float) -> None:
+        """Let go of a face that has not been reported for half a second."""
+        if self.face_id is not None and stamp - self._face_stamp > _FACE_HOLD:
+            self.face_id = None
+
+    def window(self, face: Optional[FaceBox], stamp: float) -> Window:
+        """Window of the inference at `stamp`: where the landmarks will be, or below the face while it is the anchor."""
+        if face is not None and stamp < self._anchored_until:
+            return window_from_face(face, self._anchor_side)
+        window = self.estimate.next_window()
+        x, y = np.asarray(window.centre) + self.moved(stamp)
+        return Window((float(x), float(y)), window.size, window.angle)
+
+    def next_anchor(self, attempt: int) -> float:
+        """Side, in face sizes, of the face's window to try in attempt 0, 1, ...: first the one that last worked."""
+        start = FACE_WINDOW_SIZES.index(self._anchor_side) if self._anchor_side in FACE_WINDOW_SIZES else 0
+        return FACE_WINDOW_SIZES[(start + attempt) % len(FACE_WINDOW_SIZES)]
+
+    def hold_anchor(self, side: float, stamp: float) -> None:
+        """Use the window below the face, of `side` face sizes, for the next two seconds."""
+        self._anchor_side = side
+        self._anchored_until = stamp + _ANCHOR_HOLD
+
+    def moved(self, stamp: float) -> np.ndarray:
+        """Way (2,) px in the image since the body was last seen, as its motion tells; 0 at rest."""
+        if self.motion.speed() < _STILL:
+            return np.zeros(2)
+        return self.motion.predicted_centre(stamp) - self.detection.estimate.centre
+
+    def expected(self, stamp: float) -> PoseEstimate:
+        """The body at `stamp` where its motion takes it; the longer it was not seen the lower the confidence."""
+        age = max(0.0, stamp - self.stamp)
+        if age == 0.0:
+            return self.estimate
+        if self._expected is None or self._expected[0] != stamp:
+            self._expected = (stamp, self._moved_on(age, stamp))
+        return self._expected[1]
+
+    def _moved_on(self, age: float, stamp: float) -> PoseEstimate:
+        landmarks = self.estimate.landmarks.copy()
+        landmarks[:, :2] += self.moved(stamp)
+        fade = float(np.exp(-age / max(_FADE_S, self.wait)))
+        return replace(self.estimate, score=self.estimate.score * fade, landmarks=landmarks,
+                       confidence=self.estimate.confidence * fade)
+
+    def update(self, detection: PoseDetection, stamp: float, unhidden: bool) -> None:
+        """Take over a detection of this body.
+
+        unhidden: nobody stands before it, so that its appearance may be learnt.
+        """
+        step = max(0.0, stamp - self.stamp)
+        self.detection, self.stamp, self._expected = detection, stamp, None
+        self.described_at = self.described_at if detection.appearance is None else stamp
+        self.visible, self.inferred_at, self.misses = True, stamp, 0
+        self.motion.update(detection.estimate.centre, detection.estimate.extent, detection.root, stamp,
+                           1.0 if unhidden else _OCCLUDED_NOISE)
+        if unhidden:
+            self.appearance = blend(self.appearance, detection.appearance,
+                                    float(1.0 - np.exp(-step / _APPEARANCE_LEARN_S)))
+        self.life.seen(stamp)
+
+    def dead(self, stamp: float) -> bool:
+        """Tell whether the body was missed twice, and is unseen for longer than the death time.
+
+        Without an inference a body is not gone: with many people, or few images, turns are rarer than that; the id
+        stays.
+        """
+        return self.misses >= _LEAST_MISSES and self.life.dead(stamp)
+
+    def missed(self, stamp: float) -> None:
+        """Note that an inference did not find the body."""
+        self.visible, self.inferred_at = False, stamp
+        self.misses += 1

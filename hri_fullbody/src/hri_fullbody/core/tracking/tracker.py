@@ -1,0 +1,330 @@
+"""Multi-body tracker: follows several bodies through the images and keeps their ids."""
+
+from __future__ import annotations
+
+from typing import Callable, List, Optional, Sequence
+
+import numpy as np
+
+from hri_fullbody.core.detection.pose_estimator import (
+    PoseDetection,
+    PoseEstimate,
+    PoseEstimator,
+    covers,
+    distinct,
+    inside,
+    is_sound,
+    same_body,
+)
+from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, FaceBox, Window, head_box, window_from_face
+from hri_fullbody.core.tracking.appearance import describe
+from hri_fullbody.core.tracking.association import (
+    MAX_COST,
+    NOSE_IN_FACE,
+    association_cost,
+    confirm_by_boxes,
+    cost_matrix,
+    drop_unconfirmed,
+    nearest_face,
+)
+from hri_fullbody.core.tracking.candidates import BodyCandidate, CandidateQueue
+from hri_fullbody.core.tracking.scheduler import PoseScheduler
+from hri_fullbody.core.tracking.track import BodyTrack
+from hri_pipeline.core.assignment import assign
+from hri_pipeline.core.error_log import ItemGuard
+from hri_pipeline.core.tracks import TrackLife
+
+Locate = Callable[[PoseEstimate], Optional[np.ndarray]]
+
+_SECOND_OFFSET, _SECOND_SHARE = 0.12, 0.75
+_OCCLUDED_SHARE = 0.15
+_DESCRIBE_S = 0.4
+_OVERDUE = 1.5      # times as long as others lately waited for their inference
+
+
+class BodyTracker:
+    """Bodies by id. Call `follow` for every image, then `propose` and `try_new` as time allows.
+
+    Each detection of an image is assigned to the body that it fits best by place, depth, appearance and face, whatever
+    window it came from: two people who cross keep their ids, and a detection of a neighbour in the window of a hidden
+    body updates the neighbour, while the hidden body is kept until its death time. The heads of the neighbours are
+    painted over: in a tight group the network otherwise detects the wrong person (of 21 people in six photographs, 17
+    were found in the window below their face without it, 21 with it). A body whose nose leaves its own face is searched
+    again below its face.
+    """
+
+    def __init__(self, pose: PoseEstimator, new_id: Callable[[], str], birth_delay: float, death_time: float,
+                 min_score: float = 0.5, max_bodies: int = 10, max_retries: int = 3,
+                 schedule: Optional[PoseScheduler] = None, guard: Optional[ItemGuard] = None) -> None:
+        """birth_delay, death_time: s. min_score: 0 to 1. max_retries: extra windows per image for captured bodies.
+
+        schedule: which bodies get an inference; None: all in every image. guard: counts inferences that raised; each
+        costs one body only. Raises ValueError for values outside their ranges.
+        """
+        if max_bodies < 1 or max_retries < 0:
+            raise ValueError(
+                "max_bodies is {} (1 and more), max_retries {} (0 and more)".format(max_bodies, max_retries)
+            )
+        self._pose = pose
+        self._new_id = new_id
+        self._max_bodies, self._max_retries = max_bodies, max_retries
+        self.schedule = schedule or PoseScheduler()
+        self._guard = guard or ItemGuard()
+        self._candidates = CandidateQueue()
+        self._locate: Locate = lambda estimate: None
+        self.tracks: List[BodyTrack] = []
+        self.windows = 0
+        """Inferences since the last `follow`."""
+        self.limit(birth_delay, death_time, min_score)
+
+    def limit(self, birth_delay: float, death_time: float, min_score: float) -> None:
+        """Set what the constructor takes under these names, for the bodies that are tracked, too. Raises ValueError."""
+        if not 0.0 < min_score < 1.0:
+            raise ValueError("min_score is {}, legal range above 0 and below 1".format(min_score))
+        for life in [TrackLife(0.0, birth_delay, death_time)] + [track.life for track in self.tracks]:
+            life.limit(birth_delay, death_time)
+        self._birth_delay, self._death_time, self._min_score = birth_delay, death_time, min_score
+
+    def reset(self) -> None:
+        """Forget all bodies."""
+        self.tracks = []
+        self._candidates.clear()
+        self.schedule.reset()
+
+    def published(self, stamp: float) -> List[BodyTrack]:
+        """Confirmed bodies that their last inference found, not longer ago than the death time or their turn takes."""
+        return [track for track in self.tracks if track.confirmed and track.visible
+                and stamp - track.stamp <= max(self._death_time, _OVERDUE * track.wait)]
+
+    def follow(self, image: np.ndarray, stamp: float, faces: Sequence[FaceBox] = (),
+               locate: Optional[Locate] = None, for_new: int = 0) -> None:
+        """Update the known bodies whose turn it is from `image` (H, W, 3) BGR; hide duplicates, remove the dead.
+
+        locate: places the landmarks of an estimate in the optical frame, (33, 3) m or None.
+        for_new: windows of the schedule's budget that are left for new bodies.
+        """
+        self._locate = locate or (lambda estimate: None)
+        self.windows = 0
+        own = {track.id: self._own_face(track, faces, stamp) for track in self.tracks}
+        chosen = self.schedule.choose(self.tracks, stamp, min(for_new, len(self._candidates)))
+        self._retries = self._max_retries
+        results = self._guard.each("body", lambda track: self._infer_track(track, image, stamp, own[track.id], faces),
+                                   chosen)
+        detections = [detection for detection in results if detection is not None]
+        near = [nearest_face(detection, faces) for detection in detections]
+        self._associate(distinct(detections, [face.id if face else None for face in near]), chosen, stamp, faces)
+        self._hide_duplicates(stamp)
+        self._link_faces(faces, stamp)
+        self.tracks = [track for track in self.tracks if not track.dead(stamp)]
+
+    @property
+    def awaits_detector(self) -> bool:
+        """Whether there is a body for which the person detector was not asked yet."""
+        return any(track.box_confirmed is None for track in self.tracks)
+
+    def propose(self, boxes: Sequence[np.ndarray], faces: Sequence[FaceBox], stamp: float,
+                faint: Optional[Sequence[np.ndarray]] = None) -> None:
+        """Note where the person detector sees people: boxes (4,) px. faint: these and less sure ones, which start no
+        body."""
+        confirm_by_boxes(self.tracks, boxes if faint is None else faint, stamp,
+                         {face.id: face.pose for face in faces if face.pose is not None})
+        kept = drop_unconfirmed(self.tracks, boxes, stamp)
+        for track in self.tracks:
+            if track.box_confirmed:
+                self._candidates.found(track.face_id)
+            elif track not in kept:
+                self._candidates.give_up(track.face_id, stamp)
+        self.tracks = kept
+        free = [box for box in boxes if not self._has_track(box, stamp)]
+        self._candidates.offer_boxes(free, faces)
+
+    def try_new(self, image: np.ndarray, stamp: float, faces: Sequence[FaceBox], max_windows: int) -> None:
+        """Run at most `max_windows` inferences for bodies that are not tracked yet."""
+        if len(self.tracks) >= self._max_bodies and all(track.visible for track in self.tracks):
+            return
+        alone = [face for face in faces if self._owner(face) is None]
+        self._candidates.offer_faces(alone, stamp)
+        by_id = {face.id: face for face in alone}
+        for _ in range(max_windows):
+            candidate = self._candidates.take()
+            if candidate is None:
+                return
+            face = by_id.get(candidate.face_id) if candidate.face_id is not None else None
+            if candidate.box is not None and self._has_track(candidate.box, stamp):
+                continue
+            if not self._guard.attempt("place of a new body", self._try_candidate, candidate, image, stamp, face,
+                                       faces):
+                self._candidates.give_up(candidate.face_id, stamp)
+
+    def _has_track(self, box: np.ndarray, stamp: float) -> bool:
+        return any(track.visible and covers(track.expected(stamp), box) for track in self.tracks)
+
+    def _infer_track(self, track: BodyTrack, image: np.ndarray, stamp: float, face: Optional[FaceBox],
+                  faces: Sequence[FaceBox]) -> Optional[PoseDetection]:
+        """Detect one body in its window; while a neighbour occludes it also below its own face."""
+        track.inferred_at = stamp
+        if face is not None and not track.visible:
+            return self._infer_below_face(track, image, stamp, face, faces, track.misses)
+        detection = self._make_detection(image,
+                                         self._infer(image, track.window(face, stamp), track, face, faces, stamp),
+                            track, stamp)
+        if face is None or (detection is not None and _fits(track, detection, stamp, face)):
+            return detection
+        for attempt in range(len(FACE_WINDOW_SIZES)):
+            if self._retries <= 0:
+                break
+            self._retries -= 1
+            again = self._infer_below_face(track, image, stamp, face, faces, attempt)
+            if again is not None:
+                return again
+        return detection
+
+    def _infer_below_face(self, track: BodyTrack, image: np.ndarray, stamp: float, face: FaceBox,
+                    faces: Sequence[FaceBox], attempt: int) -> Optional[PoseDetection]:
+        """Detect a body below its own face; None when it is not there."""
+        side = track.next_anchor(attempt)
+        estimate = self._infer(image, window_from_face(face, side), track, face, faces, stamp)
+        detection = self._make_detection(image, estimate, track, stamp)
+        if detection is None or not _fits(track, detection, stamp, face):
+            return None
+        track.hold_anchor(side, stamp)
+        return detection
+
+    def _associate(self, detections: Sequence[PoseDetection], chosen: Sequence[BodyTrack], stamp: float,
+              faces: Sequence[FaceBox]) -> None:
+        """Assign each detection to a track; chosen tracks without one are marked as missed."""
+        found = set()
+        for row, column in assign(cost_matrix(self.tracks, detections, stamp, faces), MAX_COST):
+            track, detection = self.tracks[row], detections[column]
+            found.add(track.id)
+            track.update(detection, stamp, self._unhidden(track, detection, stamp))
+        for track in chosen:
+            if track.id not in found:
+                track.missed(stamp)
+
+    def _unhidden(self, track: BodyTrack, detection: PoseDetection, stamp: float) -> bool:
+        """Tell whether nobody else is near enough to stand before this body."""
+        box = detection.estimate.box
+        return all(inside(box, other.expected(stamp).box) < _OCCLUDED_SHARE
+                   for other in self.tracks if other is not track)
+
+    def _try_candidate(self, candidate: BodyCandidate, image: np.ndarray, stamp: float, face: Optional[FaceBox],
+             faces: Sequence[FaceBox]) -> None:
+        estimate = self._infer(image, candidate.window(face), None, face, faces, stamp)
+        result = candidate.judge(estimate, face, self._min_score)
+        if result.found is not None:
+            detection = self._make_detection(image, result.found, None, stamp)
+            if detection is not None:
+                self._start_track(detection, stamp, face, result.anchor, faces)
+        elif result.failed:
+            self._candidates.give_up(candidate.face_id, stamp)
+        else:
+            self._candidates.put_back(candidate)
+
+    def _start_track(self, detection: PoseDetection, stamp: float, face: Optional[FaceBox], anchor: Optional[float],
+               faces: Sequence[FaceBox]) -> None:
+        """Start a track with a new detection, or give it to a body lost a moment ago.
+
+        face None: it came from a person's box.
+        """
+        boxed = face is None
+        if face is None:
+            face = nearest_face(detection, faces)
+            if face is not None and self._owner(face) is not None:
+                return
+        doubles = [track for track in self.tracks if track.visible
+                   and self._is_duplicate(track, detection, stamp, face)]
+        if any(face is None or track.face_id is not None for track in doubles):
+            return
+        lost = [track for track in self.tracks if not track.visible or track in doubles]
+        cost = cost_matrix(lost, [detection], stamp, faces)
+        best = int(np.argmin(cost[:, 0])) if lost else -1
+        if best >= 0 and cost[best, 0] <= MAX_COST:
+            lost[best].update(detection, stamp, False)
+            lost[best].box_confirmed = lost[best].box_confirmed or boxed or None
+            if face is not None:
+                lost[best].link(face, stamp)
+            if anchor is not None:
+                lost[best].hold_anchor(anchor, stamp)
+        elif len(self.tracks) < self._max_bodies and not doubles:
+            life = TrackLife(stamp, self._birth_delay, self._death_time)
+            self.tracks.append(BodyTrack(self._new_id(), detection, stamp, life, face, anchor, boxed or None))
+
+    @staticmethod
+    def _is_duplicate(track: BodyTrack, detection: PoseDetection, stamp: float, face: Optional[FaceBox]) -> bool:
+        """Tell whether a new detection shows a body that is followed: the same landmarks, or, without a face, its
+        trunk."""
+        expected = track.expected(stamp)
+        if same_body(expected, detection.estimate):
+            return True
+        offset = float(np.hypot(*(expected.centre - detection.estimate.centre))) / track.motion.size
+        return face is None and offset < _SECOND_OFFSET and inside(detection.estimate.box, expected.box) > _SECOND_SHARE
+
+    def _make_detection(self, image: np.ndarray, estimate: PoseEstimate, track: Optional[BodyTrack],
+               stamp: float) -> Optional[PoseDetection]:
+        """Make a detection of an estimate from the window of `track`, None when it is no body."""
+        if not is_sound(estimate, self._min_score):
+            return None
+        appearance = describe(image, estimate) if track is None or self._needs_appearance(track, stamp) else None
+        return PoseDetection(estimate, self._locate(estimate), appearance, None if track is None else track.id)
+
+    def _needs_appearance(self, track: BodyTrack, stamp: float) -> bool:
+        """Tell whether the appearance matters: somebody may be mistaken for this body, or it was long not learnt."""
+        if stamp - track.described_at >= _DESCRIBE_S or not track.visible:
+            return True
+        here = track.motion.predicted_centre(stamp)
+        return any(np.hypot(*(other.motion.predicted_centre(stamp) - here)) < track.motion.size + other.motion.size
+                   for other in self.tracks if other is not track)
+
+    def _infer(self, image: np.ndarray, window: Window, track: Optional[BodyTrack], own: Optional[FaceBox],
+              faces: Sequence[FaceBox], stamp: float) -> PoseEstimate:
+        """Estimate with the neighbours' heads hidden: all faces but the own one, or those known to be others'.
+
+        Only where there are no faces at all, or the body was lost, the heads of the other bodies are hidden: they are
+        less sure, and with a human's own head hidden the network may make a second body of the trunk.
+        """
+        self.windows += 1
+        if own is not None:
+            hidden = [head_box(face) for face in faces if face.id != own.id]
+        else:
+            hidden = [head_box(face) for face in faces if self._owner(face) not in (None, track)]
+            if not faces or (track is not None and not track.visible):
+                hidden += [other.expected(stamp).head_box() for other in self.tracks
+                           if other is not track and other.visible]
+        return self._pose.estimate(image, window, hidden, None if own is None else own.box)
+
+    def _owner(self, face: FaceBox) -> Optional[BodyTrack]:
+        return next((track for track in self.tracks if track.face_id == face.id), None)
+
+    @staticmethod
+    def _own_face(track: BodyTrack, faces: Sequence[FaceBox], stamp: float) -> Optional[FaceBox]:
+        for face in faces:
+            if face.id == track.face_id:
+                track.link(face, stamp)
+                return face
+        track.forget_lost_face(stamp)
+        return None
+
+    def _link_faces(self, faces: Sequence[FaceBox], stamp: float) -> None:
+        """Give free faces to the bodies just seen whose nose lies in them."""
+        tracks = [track for track in self.tracks if track.visible and track.stamp == stamp and track.face_id is None]
+        free = [face for face in faces if self._owner(face) is None]
+        cost = np.array([[face.distance(track.estimate.nose) for face in free] for track in tracks])
+        for row, column in assign(cost.reshape(len(tracks), len(free)), NOSE_IN_FACE):
+            tracks[row].link(free[column], stamp)
+
+    def _hide_duplicates(self, stamp: float) -> None:
+        """Of two tracks on one human show one: that with a face, else the one just seen, else the older."""
+        order = sorted((track for track in self.tracks if track.visible),
+                       key=lambda track: (track.face_id is None, -track.stamp, track.life.first_seen))
+        shown: List[BodyTrack] = []
+        for track in order:
+            if any(same_body(track.expected(stamp), other.expected(stamp)) for other in shown
+                   if track.face_id is None or other.face_id is None):
+                track.missed(stamp)
+            else:
+                shown.append(track)
+
+
+def _fits(track: BodyTrack, detection: PoseDetection, stamp: float, face: Optional[FaceBox]) -> bool:
+    return association_cost(track, detection, stamp, face, False) <= MAX_COST

@@ -1,1 +1,0 @@
-"""Measures the body pipeline on recorded motion. Nothing here runs in a node."""

@@ -1,0 +1,238 @@
+"""The ROS side of the body pipeline: topics, frames, URDFs and diagnostics of all bodies."""
+
+from __future__ import annotations
+
+import importlib
+import threading
+from collections import OrderedDict
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Dict, Iterable, List, Optional, Sequence, Tuple
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import TransformStamped
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+
+from hri_fullbody.core.detection.windows import FaceBox, face_boxes
+from hri_fullbody.core.model.urdf import make_urdf
+from hri_fullbody.core.pipeline import BodyPipeline, ModelledBody
+from hri_fullbody.core.tracking.reidentification import Reidentification
+from hri_fullbody.core.tracking.scheduler import StampPacer
+from hri_fullbody.ros.face_input import FaceInput
+from hri_fullbody.ros.markers import SkeletonMarkers
+from hri_fullbody.ros.state_publishers import StatePublishers
+from hri_fullbody.ros.topics import NAMESPACE, BodyTopics
+from hri_fullbody.ros.up_frame import UpFrame
+from hri_msgs.msg import IdsMatch
+from hri_pipeline.core.error_log import ItemGuard
+from hri_pipeline.core.ids import is_valid_id
+from hri_pipeline.core.observations import BodyObservation, FaceObservation
+from hri_pipeline.ros.conversions import match_to_msg, transform_to_msg
+from hri_pipeline.ros.diagnostics import OK, WARN
+from hri_pipeline.ros.inputs import Frame
+from hri_pipeline.ros.publishers import TrackedList
+from hri_pipeline.ros.rospy_compat import release
+from hri_pipeline.ros.subscriptions import IdSubscribers
+from hri_pipeline.ros.tf import TfPublisher
+
+_LOG_PERIOD_S = 10.0
+_MOST_BODIES = 500
+_NO_FRAME = "images have no frame_id, so bodies have no TF frame; set the camera driver's frame_id"
+
+
+class BodyProcessor:
+    """Runs BodyPipeline on each frame and publishes its results. A body that cannot be published costs no other.
+
+    settings: the values of `parameters.BODIES`. listen_for_faces: follow the faces of another process; with False only
+    those that a processor before this one has put into context["faces"] are used.
+    Raises ModelError when a network is missing or damaged, ParameterError for a segments file that cannot be used.
+    """
+
+    name = "bodies"
+
+    def __init__(self, settings: SimpleNamespace, listen_for_faces: bool = True) -> None:
+        self._guard = ItemGuard(rospy.logerr)
+        self._pipeline = BodyPipeline(settings, notify=rospy.logwarn, guard=self._guard)
+        self._publishers: Optional[StatePublishers] = None
+        if settings.state_publishers:
+            self._publishers = StatePublishers(settings.max_bodies, settings.joint_state_rate)
+        self._pacer = StampPacer(settings.joint_state_rate)
+        self._topics = BodyTopics(settings.interface)
+        self._tracked = TrackedList(NAMESPACE + "/tracked")
+        self._transforms = TfPublisher()
+        self._markers = rospy.Publisher("visualization/skeletons", MarkerArray, queue_size=1)
+        self._drawing = SkeletonMarkers()
+        self._up = UpFrame(settings.up_frame)
+        self._matches = ReidentificationMatches(settings.list_timeout) if settings.body_memory > 0.0 else None
+        self._faces = FaceInput(settings.list_timeout) if listen_for_faces else None
+        self._no_frame = False
+        self._closed = False
+        # Few limbs need it, and no body has to wait for it.
+        threading.Thread(target=importlib.import_module, args=("hri_fullbody.core.kinematics.ikpy_backend",),
+                         name="ikpy", daemon=True).start()
+
+    def process(self, frame: Frame, context: dict) -> None:
+        """Find the bodies in a frame, publish them, and leave them in context["bodies"]."""
+        up, height = self._up.lookup(frame.header.frame_id, frame.header.stamp)
+        bodies = self._pipeline.update(
+            frame.bgr, frame.camera, frame.stamp, self._face_boxes(frame, context), depth=frame.depth,
+            up=up, camera_height=height)
+        context["bodies"] = bodies
+        ids = self._pipeline.tracked_ids
+        self._topics.keep(ids)
+        self._tracked.set(ids, frame.header.stamp)
+        self._guard.each("body", lambda body: self._topics.publish_seen(body, frame), bodies)
+        if self._matches is not None:
+            self._matches.publish(self._pipeline.reidentified)
+        if self._publishers is not None:
+            self._publishers.keep(ids)
+            self._guard.each("body", self._describe, self._pipeline.modelled)
+        self._publish_models(bodies, frame)
+        if self._markers.get_num_connections() and not self._no_frame:
+            self._draw(bodies, frame, up)
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters; the bodies stay."""
+        self._pipeline.reconfigure(settings)
+        self._pacer.set_rate(settings.joint_state_rate)
+
+    def reset(self) -> None:
+        """Forget all bodies: time has jumped back."""
+        self._pipeline.reset()
+        if self._publishers is not None:
+            self._publishers.keep([])
+        self._pacer.reset()
+        self._tracked.clear()
+        self._topics.close()
+
+    def status(self) -> Tuple[int, str, Dict[str, object]]:
+        """Return level, message and values for diagnostics."""
+        values = self._pipeline.status()
+        values["errors"] = self._guard.errors
+        level, text = OK, ""
+        if self._publishers is not None:
+            level, text, counts = self._publishers.status()
+            values.update({"robot_state_publishers_" + name: value for name, value in counts.items()})
+            text = "" if level == OK else text
+        if self._no_frame:
+            return WARN, _NO_FRAME, values
+        error = self._guard.news()
+        if error:
+            return WARN, error, values
+        if level == OK:
+            level, text = self._up.status()
+        return level, text or "{} bodies".format(values["tracked"]), values
+
+    def close(self) -> None:
+        """Publish that nobody is tracked any more and take everything back. Idempotent."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._faces is not None:
+            self._faces.close()
+        self._up.close()
+        if self._matches is not None:
+            self._matches.close()
+        self._tracked.close()
+        if self._publishers is not None:
+            self._publishers.close()
+        self._topics.close()
+        self._transforms.close()
+        release(self._markers)
+
+    def _face_boxes(self, frame: Frame, context: dict) -> List[FaceBox]:
+        observed: Optional[Sequence[FaceObservation]] = context.get("faces")
+        if observed is not None:
+            return face_boxes((face.id, face.landmarks, face.pose) for face in observed)
+        if self._faces is None:
+            return []
+        height, width = frame.bgr.shape[:2]
+        return self._faces.boxes(frame.stamp, width, height, frame.header.frame_id)
+
+    def _describe(self, model: ModelledBody) -> None:
+        """Hand over the URDF of a body when it is new or has changed."""
+        publishers = self._publishers
+        if publishers is None or model.revision <= publishers.revision(model.id):
+            return
+        urdf = make_urdf(model.dimensions, model.id, self._pipeline.layout)
+        if not publishers.set(model.id, urdf, model.revision):
+            rospy.logwarn_throttle(_LOG_PERIOD_S, "more bodies than ~max_bodies: %s has no skeleton frames", model.id)
+
+    def _publish_models(self, bodies: Sequence[BodyObservation], frame: Frame) -> None:
+        self._no_frame = not frame.header.frame_id
+        if self._no_frame:
+            rospy.logwarn_throttle(_LOG_PERIOD_S, _NO_FRAME)
+            return
+        models = {body.id: self._pipeline.model(body) for body in bodies}
+        if self._pacer.is_due(frame.stamp):
+            self._publish_joints([model for model in models.values() if model is not None], frame)
+        self._guard.each("body", lambda body: self._publish_model(body, models[body.id], frame), bodies)
+
+    def _publish_model(self, body: BodyObservation, model: Optional[ModelledBody], frame: Frame) -> None:
+        if model is not None:
+            self._topics.publish_place(body.id, model.pose.translation, body.velocity, frame)
+        behaviour = self._pipeline.behaviour(body.id, frame.stamp)
+        if behaviour is not None:
+            self._topics.publish_behaviour(body.id, behaviour, frame)
+
+    def _draw(self, bodies: Sequence[BodyObservation], frame: Frame, up: np.ndarray) -> None:
+        labels = {body.id: self._pipeline.label(body.id) for body in bodies}
+        self._markers.publish(self._drawing.update(
+            [drawn(body, self._pipeline.model(body)) for body in bodies], frame.header, labels, up))
+
+    def _publish_joints(self, models: Sequence[ModelledBody], frame: Frame) -> None:
+        """Joint states and roots go out together, so that the frames of a stamp make whole skeletons."""
+        names = self._pipeline.layout.joint_names
+        self._transforms.send(self._guard.each("body", lambda model: body_transform(model, frame), models))
+        self._guard.each("body", lambda model: self._topics.publish_joints(model, names, frame), models)
+
+
+class ReidentificationMatches:
+    """Publishes candidate matches of re-identified bodies with the persons of their earlier bodies.
+
+    Follows which person has which body; without a person manager nothing is published.
+    """
+
+    def __init__(self, list_timeout: float) -> None:
+        """list_timeout: see IdSubscribers."""
+        self._lock = threading.Lock()
+        self._person_of: "OrderedDict[str, str]" = OrderedDict()
+        self._publisher = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=20)
+        self._feed = IdSubscribers("persons", {"body_id": String}, self._on_body_id, max_ids=200,
+                                 list_timeout=list_timeout)
+
+    def publish(self, found: Iterable[Reidentification]) -> None:
+        """Publish a match for each body whose earlier one had a person."""
+        for item in found:
+            with self._lock:
+                person = self._person_of.get(item.earlier)
+            if person is not None:
+                self._publisher.publish(match_to_msg(item.id, IdsMatch.BODY, person, IdsMatch.PERSON, item.likelihood))
+
+    def close(self) -> None:
+        """Release the topics. Idempotent."""
+        self._feed.close()
+        release(self._publisher)
+
+    def _on_body_id(self, person: str, name: str, message: String) -> None:
+        if not is_valid_id(message.data):
+            return      # the person has no body now; the match with the last one stays known
+        with self._lock:
+            self._person_of[message.data] = person
+            self._person_of.move_to_end(message.data)
+            while len(self._person_of) > _MOST_BODIES:
+                self._person_of.popitem(last=False)
+
+
+def body_transform(model: ModelledBody, frame: Frame) -> TransformStamped:
+    """Transform of body_ID in the image's frame; all frames below it are those of the URDF."""
+    return transform_to_msg(model.pose, frame.header.stamp, frame.header.frame_id, "body_" + model.id)
+
+
+def drawn(body: BodyObservation, model: Optional[ModelledBody]) -> BodyObservation:
+    """Return the body with the key points that are worth drawing: the filtered ones where there is a model."""
+    if model is None or not body.measured or not np.any(np.isfinite(model.points)):
+        return body
+    return replace(body, keypoints_3d=model.points)

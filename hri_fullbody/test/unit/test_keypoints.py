@@ -1,0 +1,48 @@
+import numpy as np
+import pytest
+
+from hri_fullbody.core import keypoints as skeleton
+
+# BlazePose's own numbers, left and right being the subject's.
+BLAZE = {
+    "nose": 0, "left_eye": 2, "right_eye": 5, "left_ear": 7, "right_ear": 8,
+    "left_shoulder": 11, "right_shoulder": 12, "left_elbow": 13, "right_elbow": 14, "left_wrist": 15,
+    "right_wrist": 16, "left_hip": 23, "right_hip": 24, "left_knee": 25, "right_knee": 26,
+    "left_ankle": 27, "right_ankle": 28,
+}
+# Constants of hri_msgs/Skeleton2D.
+ORDER = (
+    "nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
+    "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle",
+    "left_eye", "right_eye", "left_ear", "right_ear")
+
+
+def test_order_is_that_of_the_message():
+    assert skeleton.POINT_NAMES == ORDER
+    assert (skeleton.LEFT_EYE, skeleton.RIGHT_EYE, skeleton.LEFT_EAR, skeleton.RIGHT_EAR) == (14, 15, 16, 17)
+
+
+@pytest.mark.parametrize("name", [name for name in ORDER if name != "neck"])
+def test_each_point_has_its_own_landmark(name):
+    landmarks = np.arange(39.0)[:, None] * np.ones(3)
+    assert skeleton.to_18_points(landmarks)[ORDER.index(name)] == pytest.approx([BLAZE[name]] * 3)
+
+
+def test_neck_is_between_the_shoulders_and_as_sure_as_the_less_sure():
+    landmarks = np.zeros((33, 2))
+    landmarks[11], landmarks[12] = (4.0, 0.0), (0.0, 2.0)
+    confidence = np.ones(33)
+    confidence[12] = 0.2
+    assert skeleton.to_18_points(landmarks)[1] == pytest.approx([2.0, 1.0])
+    assert skeleton.confidence_18(confidence)[1] == pytest.approx(0.2)
+
+
+def test_too_few_landmarks_are_refused():
+    with pytest.raises(ValueError, match="33"):
+        skeleton.to_18_points(np.zeros((17, 2)))
+
+
+def test_edges_join_known_points_and_never_left_with_right_limbs():
+    for a, b in skeleton.EDGES:
+        sides = {ORDER[a].split("_")[0], ORDER[b].split("_")[0]} & {"left", "right"}
+        assert len(sides) < 2 or {ORDER[a], ORDER[b]} == {"left_hip", "right_hip"}

@@ -1,0 +1,224 @@
+"""Size and distance by face, floor and depth image."""
+
+import cv2
+import numpy as np
+import pytest
+from synthetic_people import STANDING, standing_at
+
+from hri_fullbody.core.detection.pose_estimator import PoseDetection, PoseEstimate
+from hri_fullbody.core.localization.localizer import (
+    BodyLocalizer,
+    BodyScale,
+    SceneContext,
+    depth_cue,
+    face_cue,
+    floor_ratio,
+    measured_joints,
+    trunk_ratio,
+)
+from hri_fullbody.core.localization.pnp import place
+from hri_fullbody.core.tracking.track import BodyTrack
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.tracks import TrackLife
+
+CAMERA = CameraModel.from_fov(1280, 720, 1.05)
+FOCAL = CAMERA.matrix[0, 0]
+SURE = np.full(39, 0.95)
+UP = np.array([0.0, -1.0, 0.0])
+
+
+def human(size, position):
+    """A person `size` times as tall as the average at `position` (hips, m): true points and the network's estimate."""
+    points = STANDING * size + np.asarray(position)
+    landmarks = np.zeros((39, 3))
+    landmarks[:33, :2] = CAMERA.project(points)
+    hips = landmarks[[23, 24], :2].mean(axis=0)
+    landmarks[33, :2] = hips
+    landmarks[34, :2] = hips - (0.0, 0.9 * size * FOCAL / position[2])
+    return points, PoseEstimate(0.95, landmarks, SURE.copy(), STANDING.copy())
+
+
+def observe(size, position, face=None, frames=1, shape=None, start=0.0, **around):
+    """The last of some observations of such a person, and its shape."""
+    shape = shape or BodyLocalizer()
+    points, estimate = human(size, position)
+    rays = CAMERA.normalise(estimate.landmarks[:33, :2])
+    detection = PoseDetection(estimate, place(rays, estimate.world, np.ones(33, bool)))
+    track = BodyTrack("b", detection, start, TrackLife(start, 0.0, 1.0))
+    for index in range(frames):
+        stamp = start + index * 0.1
+        if index:
+            track.update(detection, stamp, False)
+        body = shape.observe(track, CAMERA, stamp, face, SceneContext(**around))
+    return body, points, shape
+
+
+def stature(body):
+    """Nose to ankle of an observation, m."""
+    return float(np.linalg.norm(body.keypoints_3d[0] - body.keypoints_3d[[10, 13]].mean(axis=0)))
+
+
+@pytest.mark.parametrize("size", [0.85, 1.0, 1.15])
+def test_with_a_face_the_head_is_there_and_the_size_follows(size):
+    position = np.array([0.3, 0.2, 2.5])
+    points = STANDING * size + position
+    face = Pose(np.eye(3), points[[1, 4]].mean(axis=0))
+    body, points, _ = observe(size, position, face, frames=20)
+    eyes = body.keypoints_3d[[14, 15]].mean(axis=0)
+    assert np.linalg.norm(eyes - points[[2, 5]].mean(axis=0)) < 0.03
+    # A near face may be a large one: the size is half-way between the average and what the face says.
+    average = np.linalg.norm(STANDING[0] - STANDING[[27, 28]].mean(axis=0))
+    assert stature(body) == pytest.approx(average * size ** 0.5, rel=0.03)
+    assert body.head is face
+
+
+def test_the_size_learnt_from_a_face_stays_when_the_face_is_gone():
+    position = np.array([0.0, 0.2, 3.0])
+    points = STANDING * 0.88 + position
+    _, _, shape = observe(0.88, position, Pose(np.eye(3), points[[1, 4]].mean(axis=0)), frames=30)
+    body, points, _ = observe(0.88, position, None, frames=40, shape=shape, start=3.0)
+    without, _, _ = observe(0.88, position, frames=40)
+    assert without.pose.translation[2] == pytest.approx(3.0 / 0.88, abs=0.1)
+    assert body.pose.translation[2] == pytest.approx(3.0 / 0.88 ** 0.5, abs=0.1)
+
+
+def test_a_face_that_contradicts_the_landmarks_places_the_body_but_is_no_size():
+    position = np.array([0.0, 0.2, 3.0])
+    body, _, shape = observe(1.0, position, Pose(np.eye(3), np.array([0.0, -0.27, 1.7])), frames=30)
+    assert body.keypoints_3d[[14, 15]].mean(axis=0) == pytest.approx([0.0, -0.26, 1.7], abs=0.05)
+    assert shape._scale.value == 1.0
+
+
+@pytest.mark.parametrize("pose", [None, Pose(np.eye(3), np.array([0.0, 0.0, np.nan])),
+                                  Pose(np.eye(3), np.array([0.0, 0.0, 40.0]))])
+def test_impossible_faces_are_no_cue(pose):
+    assert face_cue(STANDING + (0.0, 0.0, 3.0), pose) is None
+
+
+@pytest.mark.parametrize("size, lifted", [(0.9, None), (1.1, None), (1.1, 27), (1.1, 28)])
+def test_the_standing_foot_on_the_floor_tells_size_and_distance(size, lifted):
+    position = np.array([0.2, 0.0, 3.5])
+    points = STANDING * size + position
+    height = points[27, 1] + 0.07
+    rays = points[:, :2] / points[:, 2:]
+    wrong = STANDING + position / size
+    if lifted is not None:
+        rays[lifted, 1] -= 0.08
+    ratio = floor_ratio(wrong, rays, np.ones(33), UP, height)
+    assert ratio == pytest.approx(size, rel=0.03)
+
+
+def test_feet_that_cannot_stand_on_the_floor_say_nothing():
+    points = STANDING + (0.0, 0.0, 3.0)
+    rays = points[:, :2] / points[:, 2:]
+    assert floor_ratio(points, rays, np.ones(33), UP, 2.5) is None         # would be twice as far
+    assert floor_ratio(points, rays, np.zeros(33), UP, 0.9) is None        # not seen
+    assert floor_ratio(points, rays, np.ones(33), -UP, 0.9) is None        # above the horizon
+
+
+def test_without_cues_the_scale_is_the_average_and_one_outlier_moves_it_little():
+    scale = BodyScale()
+    scale.update(None, 0.0)
+    assert scale.value == 1.0
+    for index in range(30):
+        scale.update(depth_cue(1.1, np.array([0.0, 0.0, 3.0])), index * 0.1)
+    assert scale.value == pytest.approx(1.1, abs=0.01)
+    scale.update(depth_cue(0.8, np.array([0.0, 0.0, 3.0])), 3.0)
+    assert scale.value == pytest.approx(1.1, abs=0.03)
+
+
+def depth_of(points, behind=5.0, noise=0.0):
+    """A depth image of a flat person at the depth of the trunk's front, holes in a tenth of it, a wall behind."""
+    depth = np.full((720, 1280), behind, np.float32)
+    pixels = CAMERA.project(points)
+    hull = cv2.convexHull(np.rint(pixels).astype(np.int32))
+    cover = np.zeros(depth.shape, np.uint8)
+    cv2.fillConvexPoly(cover, hull, 1)
+    cover = cv2.dilate(cover, np.ones((15, 15), np.uint8))
+    depth[cover > 0] = points[[11, 12, 23, 24], 2].mean() - 0.10
+    random = np.random.default_rng(0)
+    depth += (random.normal(size=depth.shape) * noise).astype(np.float32)
+    depth[random.random(depth.shape) < 0.1] = np.nan
+    return depth
+
+
+@pytest.mark.parametrize("size", [0.7, 1.0, 1.2])
+def test_a_depth_image_gives_distance_and_size(size):
+    position = np.array([0.1, 0.1, 2.4])
+    points = STANDING * size + position
+    body, points, shape = observe(size, position, frames=15, depth=depth_of(points, noise=0.01))
+    assert shape.by_depth
+    assert body.pose.translation[2] == pytest.approx(2.4, abs=0.05)
+    assert stature(body) == pytest.approx(np.linalg.norm(points[0] - points[[27, 28]].mean(axis=0)), rel=0.05)
+    assert np.nanmax(np.linalg.norm(body.keypoints_3d[8:14] - points[[24, 26, 28, 23, 25, 27]], axis=1)) < 0.12
+
+
+@pytest.mark.parametrize("depth", [np.full((720, 1280), np.nan, np.float32), np.zeros((720, 1280), np.float32),
+                                   np.full((4, 4), 9.0, np.float32) * np.nan], ids=["nan", "zero", "small"])
+def test_without_a_single_depth_the_colour_image_places_the_body(depth):
+    body, _, shape = observe(1.0, np.array([0.0, 0.0, 3.0]), depth=depth)
+    assert not shape.by_depth
+    assert body.pose.translation[2] == pytest.approx(3.0, abs=0.1)
+
+
+def test_something_before_a_wrist_does_not_move_it():
+    points = STANDING + np.array([0.0, 0.0, 2.5])
+    depth = depth_of(points)
+    pixels = CAMERA.project(points)
+    x, y = pixels[15].astype(int)
+    depth[y - 10:y + 10, x - 10:x + 10] = 1.0
+    rays = points[:, :2] / points[:, 2:]
+    found = measured_joints(depth, pixels, rays, points, np.ones(33), (1280, 720))
+    assert found[15] == pytest.approx(points[15], abs=1e-6)
+
+
+@pytest.mark.parametrize("hidden, ratio", [
+    ([], 1.0), ([12], 1.0), ([12, 24], None), ([11, 23], None), ([11, 12, 23], 0.52), ([11, 12, 23, 24], 0.52)])
+def test_a_trunk_half_hidden_by_something_else_is_no_measurement(hidden, ratio):
+    points = STANDING + np.array([0.0, 0.0, 2.5])
+    depth, pixels = depth_of(points), CAMERA.project(points)
+    middle = pixels[[11, 12, 23, 24]].mean(axis=0)
+    for joint in hidden:
+        x, y = (pixels[joint] + 0.2 * (middle - pixels[joint])).astype(int)
+        depth[y - 15:y + 15, x - 15:x + 15] = 1.2
+    found = trunk_ratio(depth, pixels, points, np.ones(33), (1280, 720))
+    assert found is None if ratio is None else found == pytest.approx(ratio, abs=0.05)
+
+
+def test_a_predicted_observation_moves_with_the_body_and_says_so():
+    shape = BodyLocalizer()
+    _, estimate = human(1.0, np.array([0.0, 0.0, 3.0]))
+    rays = CAMERA.normalise(estimate.landmarks[:33, :2])
+    track = BodyTrack("b", PoseDetection(estimate, place(rays, estimate.world, np.ones(33, bool))), 0.0,
+                      TrackLife(0.0, 0.0, 1.0))
+    seen = shape.observe(track, CAMERA, 0.0, None, SceneContext())
+    for index in range(1, 20):
+        _, estimate = human(1.0, np.array([0.05 * index, 0.0, 3.0]))
+        rays = CAMERA.normalise(estimate.landmarks[:33, :2])
+        track.update(PoseDetection(estimate, place(rays, estimate.world, np.ones(33, bool))), 0.05 * index, False)
+        seen = shape.observe(track, CAMERA, 0.05 * index, None, SceneContext())
+    assert seen.measured
+    assert seen.velocity[0] == pytest.approx(1.0, abs=0.2)
+    later = shape.observe(track, CAMERA, 1.05, None, SceneContext())
+    assert not later.measured
+    assert later.pose.translation[0] - seen.pose.translation[0] == pytest.approx(0.1, abs=0.03)
+    assert later.keypoints[0, 0] > seen.keypoints[0, 0] + 15.0
+    assert later.keypoints[0, 2] < seen.keypoints[0, 2]
+    assert np.isfinite(later.keypoints_3d).sum() == np.isfinite(seen.keypoints_3d).sum()
+
+
+def test_key_points_in_space_are_not_filtered():
+    shape = BodyLocalizer()
+    _, estimate = human(1.0, np.array([0.0, 0.0, 3.0]))
+    moved = standing_at(0, 0).world.copy()
+    moved[16] += (0.0, -0.5, 0.0)
+    rays = CAMERA.normalise(estimate.landmarks[:33, :2])
+    points = place(rays, estimate.world, np.ones(33, bool))
+    track = BodyTrack("b", PoseDetection(estimate, points), 0.0, TrackLife(0.0, 0.0, 1.0))
+    first = shape.observe(track, CAMERA, 0.0, None, SceneContext())
+    raised = points.copy()
+    raised[16, 1] -= 0.5
+    track.update(PoseDetection(estimate, raised), 0.05, False)
+    second = shape.observe(track, CAMERA, 0.05, None, SceneContext())
+    assert second.keypoints_3d[4, 1] - first.keypoints_3d[4, 1] == pytest.approx(-0.5, abs=1e-6)

@@ -1,0 +1,366 @@
+import itertools
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from synthetic_people import Scene, face_of, standing_at
+
+from hri_fullbody.core.detection.windows import face_boxes
+from hri_fullbody.core.parameters import BODIES, VISION
+from hri_fullbody.core.pipeline import BodyPipeline, pose_model_path
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.onnx import ModelError
+from hri_pipeline.core.parameters import ParameterError
+
+IMAGE = np.zeros((720, 1280, 3), np.uint8)
+CAMERA = CameraModel.from_fov(1280, 720, 1.05)
+
+
+class Boxes:
+    """A person detector that knows the scene."""
+
+    def __init__(self, scene):
+        self.scene, self.calls = scene, 0
+
+    def detect(self, image):
+        self.calls += 1
+        boxes = np.array([standing_at(x, y).box for x, y in self.scene.people]).reshape(-1, 4)
+        return boxes, np.ones(len(boxes))
+
+
+def make(people, **given):
+    scene = Scene(people)
+    detector = Boxes(scene)
+    return BodyPipeline(BODIES.resolve(given), pose=scene, detector=detector), scene, detector
+
+
+def test_bodies_come_with_everything():
+    stage, _, _ = make([(400, 400), (800, 380)])
+    for index in range(10):
+        bodies = stage.update(IMAGE, CAMERA, index / 20.0)
+    assert len(bodies) == 2 and sorted(stage.tracked_ids) == sorted(body.id for body in bodies)
+    body = min(bodies, key=lambda body: body.keypoints[0, 0])
+    assert body.keypoints.shape == (18, 3) and body.keypoints_3d.shape == (18, 3)
+    assert body.keypoints[0, :2] == pytest.approx(standing_at(400, 400).nose, abs=0.1)
+    depth = CAMERA.matrix[0, 0] / 200.0
+    assert body.pose.translation[2] == pytest.approx(depth, rel=0.15)
+    assert CAMERA.project(body.pose.translation[None])[0] == pytest.approx([400.0, 400.0], abs=15.0)
+    x0, y0, x1, y1 = body.box
+    assert 0 <= x0 < 370 and 430 < x1 <= 1280 and 0 <= y0 < y1 <= 720
+
+
+def test_the_detector_runs_by_time_and_not_with_new_windows():
+    stage, scene, detector = make([(400, 400)], person_detection_period=0.5)
+    stage.update(IMAGE, CAMERA, 0.0)
+    assert (detector.calls, len(scene.windows)) == (1, 0)
+    for index in range(1, 40):
+        stage.update(IMAGE, CAMERA, index * 0.05)
+    assert detector.calls == 4
+
+
+@pytest.mark.parametrize("period, interval", [(0.0, 0.05), (1.0, 1.4)])
+def test_bodies_come_also_when_the_detector_is_due_in_every_image(period, interval):
+    stage, _, detector = make([(400, 400), (800, 380)], person_detection_period=period)
+    ids = [sorted(body.id for body in stage.update(IMAGE, CAMERA, index * interval)) for index in range(12)]
+    assert len(ids[-1]) == 2 and ids[-1] == ids[-6]
+    assert detector.calls >= 11
+
+
+def test_ten_people_in_slow_images_are_found_soon_and_stay():
+    """Two images a second: windows are few, and what is known can wait for those who are not."""
+    people = [(80.0 + 120.0 * index, 400.0) for index in range(10)]
+    stage, scene, _ = make(people)
+    faces = [face_of(standing_at(*place), "f{}".format(index)) for index, place in enumerate(people)]
+    ids, all_there = set(), None
+    for index in range(60):
+        before = len(scene.windows)
+        bodies = stage.update(IMAGE, CAMERA, 0.5 * index, faces)
+        assert all_there is None or len(bodies) == 10, "those who wait for their look are where they were"
+        assert len(scene.windows) - before <= 4
+        ids.update(stage.tracked_ids)
+        if all_there is None and len(stage.tracked_ids) == 10:
+            all_there = 0.5 * index
+    assert len(ids) == len(stage.tracked_ids) == 10
+    assert all_there is not None and all_there <= 7.0
+
+
+@pytest.mark.parametrize("interval", [0.3, 1.0, 1.5])
+@pytest.mark.parametrize("count", [8, 10])
+def test_everybody_is_found_without_faces_in_slow_images(count, interval):
+    """The detector is due in each image, and there is one window for who is new, who needs two looks."""
+    stage, _, _ = make([(80.0 + 120.0 * index, 400.0) for index in range(count)])
+    for index in range(40):
+        bodies = stage.update(IMAGE, CAMERA, index * interval)
+    assert len(bodies) == count
+
+
+def test_time_that_goes_back_starts_afresh():
+    stage, _, _ = make([(400, 400)])
+    stamps = itertools.count(100)
+    for _ in range(8):
+        stage.update(IMAGE, CAMERA, next(stamps) * 0.1)
+    assert len(stage.tracked_ids) == 1
+    assert stage.update(IMAGE, CAMERA, 1.0) == []
+    assert stage.tracked_ids == []
+
+
+def test_camera_of_another_size_is_scaled():
+    stage, _, _ = make([(400, 400)])
+    for index in range(10):
+        bodies = stage.update(IMAGE, CameraModel.from_fov(640, 360, 1.05), index / 20.0,
+                              [face_of(standing_at(400, 400), "f0")])
+    assert bodies[0].pose.translation[2] == pytest.approx(CAMERA.matrix[0, 0] / 200.0, rel=0.15)
+
+
+@pytest.mark.parametrize("name, value", [
+    ("max_bodies", 0), ("min_body_score", 1.5), ("body_death_time", 0.0), ("providers", ["abacus"]),
+    ("body_birth_dely", 1.0)])
+def test_illegal_parameters_are_named(name, value):
+    with pytest.raises(ParameterError, match=name):
+        BODIES.resolve({name: value})
+
+
+def test_vision_has_the_parameters_of_both():
+    names = {parameter.name for parameter in VISION.parameters}
+    assert {parameter.name for parameter in BODIES.parameters} < names
+    assert "face_detection_period" in names
+
+
+def test_bodies_are_published_in_every_image_but_looked_at_at_their_rate():
+    stage, scene, _ = make([(400, 400), (800, 380)], pose_rate=5.0, person_detection_period=10.0)
+    measured, published = 0, 0
+    for index in range(100):
+        if index == 40:
+            scene.windows.clear()
+        bodies = stage.update(IMAGE, CAMERA, index / 20.0)
+        if index >= 40:
+            published += len(bodies)
+            measured += sum(body.measured for body in bodies)
+    assert published == 120
+    assert measured == pytest.approx(30, abs=1)
+    assert len(scene.windows) == pytest.approx(30, abs=1)
+
+
+def test_a_hidden_body_is_tracked_and_not_published():
+    stage, scene, _ = make([(400, 400)], body_death_time=0.8, pose_rate=10.0)
+    for index in range(20):
+        stage.update(IMAGE, CAMERA, index / 20.0)
+    scene.people = []
+    shown = [len(stage.update(IMAGE, CAMERA, 1.0 + index / 20.0)) for index in range(10)]
+    assert sum(shown) <= 1                  # until the next look
+    assert len(stage.tracked_ids) == 1
+    for index in range(10):
+        stage.update(IMAGE, CAMERA, 1.5 + index / 20.0)
+    assert stage.tracked_ids == []
+
+
+@pytest.mark.parametrize("rate", [10.0, 2.0, 1.0])
+@pytest.mark.parametrize("pause", [8.0, 600.0, 1.7e9])
+def test_who_left_while_there_were_no_images_is_not_published(rate, pause):
+    stage, scene, _ = make([(80.0 + 150.0 * index, 400.0) for index in range(8)])
+    for index in range(60):
+        bodies = stage.update(IMAGE, CAMERA, index / rate)
+    assert len(bodies) == 8
+    scene.people = []
+    shown = [len(stage.update(IMAGE, CAMERA, (59 + index) / rate + pause)) for index in range(6)]
+    assert shown == [0] * 6
+
+
+def test_no_windows_are_spent_on_more_people_than_allowed():
+    people = [(150 + 150 * index, 400) for index in range(6)]
+    stage, scene, _ = make(people, max_bodies=3, pose_rate=0.0, person_detection_period=0.0)
+    faces = [face_of(standing_at(*person), "f{}".format(index)) for index, person in enumerate(people)]
+    for index in range(40):
+        if index == 20:
+            scene.windows.clear()
+        stage.update(IMAGE, CAMERA, index / 20.0, faces)
+    assert len(stage.tracked_ids) <= 3
+    assert len(scene.windows) <= 20 * 3
+
+
+def test_the_budget_is_kept_with_many_people():
+    people = [(100 + 110 * index, 400) for index in range(10)]
+    stage, scene, _ = make(people, pose_rate=0.0, pose_budget=4, new_windows_per_image=3)
+    for index in range(60):
+        scene.windows.clear()
+        bodies = stage.update(IMAGE, CAMERA, index / 20.0)
+        assert len(scene.windows) <= 5
+    assert len(bodies) == 10
+
+
+@pytest.mark.parametrize("name, model", [("lite", "pose_landmarks_lite"), ("heavy", "pose_landmarks_heavy"),
+                                         ("", "pose_landmarks_full")])
+def test_a_pose_model_that_was_not_fetched_names_the_command(name, model, tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS4HRI_MODELS", str(tmp_path))
+    with pytest.raises(ModelError, match="fetch_models --models {}`".format(model)):
+        pose_model_path(name)
+    (tmp_path / (model + ".onnx")).write_bytes(b"")
+    assert pose_model_path(name) == tmp_path / (model + ".onnx")
+
+
+def test_a_pose_model_is_a_name_or_a_path(tmp_path):
+    with pytest.raises(ModelError, match="lite, full, heavy"):
+        pose_model_path("ful")
+    with pytest.raises(ModelError, match="nowhere"):
+        pose_model_path("/nowhere/model.onnx")
+    (tmp_path / "own.onnx").write_bytes(b"")
+    assert pose_model_path(str(tmp_path / "own.onnx")) == tmp_path / "own.onnx"
+
+
+class OneBad(Scene):
+    """A scene whose last person comes out of the network spoilt, or not at all."""
+
+    def __init__(self, people, spoil):
+        super().__init__(people)
+        self.spoil, self.since = spoil, 0
+
+    def estimate(self, image, window, hidden=(), shown=None):
+        estimate = super().estimate(image, window, hidden, shown)
+        if estimate.score > 0.5 and abs(estimate.centre[0] - self.people[-1][0]) < 10.0:
+            self.since += 1
+            if self.since > 3:
+                return self.spoil(estimate)
+        return estimate
+
+
+def spoilt(name, value, where=slice(None)):
+    def spoil(estimate):
+        array = np.array(getattr(estimate, name))
+        array[where] = value
+        return replace(estimate, **{name: array})
+    return spoil
+
+
+def broken(estimate):
+    raise RuntimeError("the network has no answer")
+
+
+@pytest.mark.parametrize("spoil", [
+    broken, spoilt("landmarks", 1e300, 15), spoilt("landmarks", 1e200), spoilt("landmarks", -1e300, 34),
+    spoilt("landmarks", np.nan, 7),
+    spoilt("world", 1e300), spoilt("world", 0.0), spoilt("world", np.inf, 3), spoilt("confidence", np.nan),
+    spoilt("confidence", np.inf), lambda estimate: replace(estimate, score=math.nan),
+    lambda estimate: replace(estimate, confidence=estimate.confidence[:5]),
+    lambda estimate: replace(estimate, world=estimate.world[:5])])
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_one_bad_look_costs_that_body_alone(spoil):
+    scene = OneBad([(400, 400), (900, 380)], spoil)
+    stage = BodyPipeline(BODIES.resolve({"pose_rate": 0.0}), pose=scene, detector=Boxes(scene))
+    alone, _, _ = make([(400, 400)], pose_rate=0.0)
+    for index in range(30):
+        bodies = stage.update(IMAGE, CAMERA, index / 20.0)
+        expected = alone.update(IMAGE, CAMERA, index / 20.0)
+        first = [body for body in bodies if abs(body.box[:3:2].mean() - 400.0) < 50.0]
+        assert len(first) == len(expected)
+    assert len(expected) == 1 and scene.since > 10
+    assert first[0].keypoints_3d == pytest.approx(expected[0].keypoints_3d, nan_ok=True)
+
+
+@pytest.mark.parametrize("box",
+                         [[np.nan] * 4, [100.0, 100.0, 100.0, 100.0], [np.inf] * 4, [300.0, 300.0, 100.0, 100.0]])
+def test_one_bad_box_costs_that_box_alone(box):
+    stage, _, detector = make([(400, 400)], person_detection_period=0.0)
+    good = detector.detect
+    detector.detect = lambda image: (np.concatenate([[box], good(image)[0]]), np.ones(2))
+    for index in range(10):
+        bodies = stage.update(IMAGE, CAMERA, index / 20.0)
+    assert len(bodies) == 1
+
+
+@pytest.mark.parametrize("pose", [None, Pose(np.eye(3), np.full(3, np.nan)),
+                                  Pose(np.eye(3) * np.nan, np.array([0.0, 0.0, 2.0]))])
+@pytest.mark.parametrize("landmarks", [np.full((70, 3), np.nan), np.full((70, 3), 500.0), np.full((70, 3), 1e300),
+                                       np.zeros((0, 3)), face_of(standing_at(900, 380), "bad").box.reshape(2, 2)])
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_one_bad_face_costs_no_body(landmarks, pose):
+    stage, _, _ = make([(400, 400)], pose_rate=0.0)
+    good = face_of(standing_at(400, 400), "good")
+    corners = np.array([[*good.box[:2], 1.0], [*good.box[2:], 1.0]])
+    for index in range(10):
+        faces = face_boxes([("bad", landmarks, pose), ("good", corners, Pose(np.eye(3), np.array([0.0, -0.6, 6.0])))])
+        bodies = stage.update(IMAGE, CAMERA, index / 20.0, faces)
+    own = [body for body in bodies if body.head is not None]
+    assert len(own) == 1 and np.isfinite(own[0].keypoints_3d).all()
+
+
+def looks(stage, faces, count=60, start=0):
+    """How many bodies there were in each of the images at 20 Hz."""
+    return [len(stage.update(IMAGE, CAMERA, (start + index) / 20.0, faces)) for index in range(count)]
+
+
+def test_a_body_below_a_face_where_the_detector_sees_nobody_is_not_published():
+    """The pose network makes a body of a pattern that was taken for a face."""
+    stage, scene, detector = make([(400, 400)])
+    detector.scene = Scene([])
+    face = face_of(standing_at(400, 400), "pattern")
+    assert set(looks(stage, [face])) == {0} and stage.tracked_ids == []
+    # It is tried again now and then, not all the time.
+    scene.windows.clear()
+    looks(stage, [face], 400, 60)
+    assert len(scene.windows) < 150
+    assert detector.calls < 40
+    # When it is a human after all, it comes.
+    detector.scene = scene
+    assert looks(stage, [face], 400, 460)[-1] == 1
+
+
+@pytest.mark.parametrize("score, count", [(0.2, 1), (0.1, 0)])
+def test_a_faint_box_is_enough_for_a_body_that_a_face_has_shown(score, count):
+    stage, scene, detector = make([(400, 400)])
+    boxes = detector.detect(IMAGE)[0]
+    detector.detect = lambda image: (boxes,
+                                     np.array([score])) if score >= detector.threshold else (boxes[:0], np.zeros(0))
+    detector.threshold = 0.15
+    assert looks(stage, [])[-1] == 0
+    assert looks(stage, [face_of(standing_at(400, 400), "f")], 20, 60)[-1] == count
+
+
+def test_a_new_body_waits_no_longer_for_the_detector():
+    stage, scene, detector = make([(400, 400)], person_detection_period=10.0)
+    detector.scene = Scene([])
+    looks(stage, [], 2)
+    detector.scene = scene
+    shown = looks(stage, [face_of(standing_at(400, 400), "f")], 8, 2)
+    assert shown[-1] == 1 and shown.index(1) <= 4 and detector.calls == 2
+
+
+@pytest.mark.parametrize("distance, count", [(6.0, 1), (60.0, 0), (0.5, 0)])
+def test_a_small_body_on_a_person_is_none_and_a_face_at_another_distance_needs_a_box_of_its_own(distance, count):
+    """The knot of a tie lies in the box of who wears it."""
+    stage, _, detector = make([(400, 400)])
+    x0, y0, x1, y1 = standing_at(400, 400).box
+    wide = np.array([x0 - 60.0, y0 - 100.0, x1 + 500.0, y1 + 20.0])     # of a group
+    detector.detect = lambda image: (wide[None], np.full(1, 0.2))     # too faint to start a body
+    face = replace(face_of(standing_at(400, 400), "f"), pose=Pose(np.eye(3), np.array([-1.2, 0.0, distance])))
+    assert looks(stage, [face], 20)[-1] == count
+    stage, _, detector = make([(400, 400)])
+    detector.detect = lambda image: (np.array([[0.0, -1000.0, 1280.0, 1000.0]]), np.full(1, 0.2))
+    assert looks(stage, [face_of(standing_at(400, 400), "knot")], 20)[-1] == 0
+
+
+class Reads:
+    """Settings that note which of them are read."""
+
+    def __init__(self, values):
+        self._values = values
+        self.read = set()
+
+    def __getattr__(self, name):
+        self.read.add(name)
+        return getattr(self._values, name)
+
+
+def test_the_pipeline_takes_up_every_live_parameter():
+    settings = BODIES.resolve({})
+    pipeline = BodyPipeline(settings, pose=SimpleNamespace(), detector=SimpleNamespace(
+        threshold=0.5, detect=lambda image: (np.zeros((0, 4)), np.zeros(0))))
+    changed = Reads(BODIES.changed(settings, {"min_person_score": 0.4}))
+    pipeline.reconfigure(changed)
+    pipeline.update(np.zeros((48, 64, 3), np.uint8), SimpleNamespace(resized=lambda width, height: None), 0.0)
+    pipeline.update(np.zeros((48, 64, 3), np.uint8), SimpleNamespace(resized=lambda width, height: None), 0.1)
+    of_the_node = {"max_rate", "joint_state_rate"}
+    assert {parameter.name for parameter in BODIES.live} - of_the_node <= changed.read
+    assert pipeline._detector.threshold == 0.2     # what is fainter than 0.4 starts no body, and confirms one

@@ -1,0 +1,36 @@
+import numpy as np
+import pytest
+
+from hri_fullbody.core.detection.pose_estimator import decode
+from hri_pipeline.core.geometry import crop_rotated
+
+
+def raw_landmarks(points, visibility=4.0, presence=4.0):
+    raw = np.zeros((39, 5))
+    raw[:, :3] = points
+    raw[:, 3], raw[:, 4] = visibility, presence
+    return raw.reshape(-1)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4, -2.0])
+def test_middle_of_the_input_is_the_middle_of_the_window(angle):
+    _, affine = crop_rotated(np.zeros((100, 200, 3), np.uint8), (120.0, 30.0), 64.0, angle, 256)
+    estimate = decode(raw_landmarks((128.0, 128.0, 16.0)), 0.9, np.zeros(117), affine, angle)
+    assert estimate.landmarks[5] == pytest.approx([120.0, 30.0, 4.0])
+    assert estimate.score == 0.9
+
+
+def test_confidence_is_the_less_sure_of_visible_and_present():
+    affine = np.eye(2, 3)
+    sure = decode(raw_landmarks((0, 0, 0), 30.0, 0.0), 1.0, np.zeros(117), affine, 0.0).confidence
+    assert sure == pytest.approx(np.full(39, 0.5))
+    hidden = decode(raw_landmarks((0, 0, 0), -900.0, 9.0), 1.0, np.zeros(117), affine, 0.0).confidence
+    assert np.all(hidden < 1e-6)
+
+
+def test_world_landmarks_turn_back_with_the_window():
+    world = np.tile([0.0, -1.0, 0.5], (39, 1)).reshape(-1)
+    estimate = decode(raw_landmarks((0, 0, 0)), 1.0, world, np.eye(2, 3), np.pi / 2)
+    # Up in a window turned a quarter clockwise is right in the image.
+    assert estimate.world[0] == pytest.approx([1.0, 0.0, 0.5])
+    assert estimate.world.shape == (33, 3)

@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+from synthetic_people import standing_at
+
+from hri_fullbody.core.tracking.appearance import blend, describe, difference
+from hri_fullbody.core.tracking.track import BodyMotion, ConstantVelocity
+
+
+def test_a_constant_velocity_is_found_and_goes_on():
+    random = np.random.default_rng(0)
+    known = ConstantVelocity(np.zeros(2), 1.0, 50.0, 0.0)
+    for index in range(1, 60):
+        known.update(np.array([30.0, -20.0]) * index * 0.05 + random.normal(size=2), 1.0, index * 0.05, 5.0)
+    assert known.velocity == pytest.approx([30.0, -20.0], abs=4.0)
+    value, sd = known.predict(3.45, 5.0)
+    assert value == pytest.approx([103.5, -69.0], abs=4.0)
+    assert np.all(sd > known.predict(2.95, 5.0)[1])
+
+
+def test_an_older_stamp_changes_nothing():
+    known = ConstantVelocity(np.zeros(1), 1.0, 1.0, 5.0)
+    known.update(np.array([100.0]), 1.0, 4.0, 1.0)
+    assert (known.value[0], known.stamp) == (0.0, 5.0)
+
+
+def test_velocity_in_metres():
+    motion = BodyMotion(np.array([300.0, 300.0]), 300.0, np.array([0.0, 0.0, 3.0]), 0.0)
+    for index in range(1, 40):
+        motion.update(np.array([300.0, 300.0]), 300.0, np.array([0.0, 0.0, 3.0 - 0.05 * index]), index * 0.05)
+    assert motion.velocity == pytest.approx([0.0, 0.0, -1.0], abs=0.15)
+    assert motion.depth_distance(np.array([0.0, 0.0, 3.0]), 2.0) > 3.0
+    assert motion.depth_distance(None, 2.0) == 0.0
+    assert BodyMotion(np.zeros(2), 1.0, None, 0.0).velocity is None
+
+
+def picture(colour):
+    image = np.full((720, 1280, 3), 128, np.uint8)
+    image[250:650, 200:400] = colour
+    return image
+
+
+def test_appearance_tells_colours_apart_and_forgives_light():
+    body = standing_at(300, 400)
+    red, dim, blue = (describe(picture(colour), body) for colour in ((30, 30, 220), (22, 22, 160), (220, 60, 30)))
+    assert difference(red, red) == pytest.approx(0.0, abs=1e-6)
+    assert difference(red, dim) < 0.1
+    assert difference(red, blue) > 0.9
+    assert difference(describe(picture((20, 20, 20)), body), describe(picture((230, 230, 230)), body)) > 0.8
+    assert difference(red, None) is None
+
+
+def test_an_unseen_trunk_has_no_appearance():
+    body = standing_at(300, 400)
+    body.confidence[11] = 0.1
+    assert describe(picture((30, 30, 220)), body) is None
+    assert describe(picture((30, 30, 220)), standing_at(-800, 400)) is None
+
+
+def test_appearance_is_learnt_slowly():
+    body = standing_at(300, 400)
+    red, blue = describe(picture((30, 30, 220)), body), describe(picture((220, 60, 30)), body)
+    mixed = blend(red, blue, 0.1)
+    assert difference(mixed, red) < difference(mixed, blue)
+    assert blend(None, blue, 0.1) is blue and blend(red, None, 0.1) is red

@@ -1,0 +1,182 @@
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from synthetic_people import Scene, face_of, standing_at
+
+from hri_fullbody.core.tracking.scheduler import PoseScheduler
+from hri_fullbody.core.tracking.tracker import BodyTracker
+
+IMAGE = np.zeros((720, 1280, 3), np.uint8)
+STEP = 0.05
+
+
+def make(scene, **changes):
+    numbers = itertools.count()
+    options = dict(birth_delay=0.1, death_time=0.5)
+    options.update(changes)
+    return BodyTracker(scene, lambda: "b{}".format(next(numbers)), **options)
+
+
+def box_of(x, y):
+    return standing_at(x, y).box
+
+
+def run(tracker, start, count, faces=(), boxes=()):
+    """Feed `count` images and return the stamp of the next one."""
+    for index in range(count):
+        stamp = start + index * STEP
+        tracker.follow(IMAGE, stamp, faces)
+        tracker.propose(boxes, faces, stamp)
+        tracker.try_new(IMAGE, stamp, faces, 4)
+    return start + count * STEP
+
+
+def confirmed(tracker):
+    return [track.id for track in tracker.tracks if track.life.confirmed]
+
+
+@pytest.mark.parametrize("changes", [
+    {"birth_delay": -0.1}, {"death_time": 0.0}, {"min_score": 0.0}, {"min_score": 1.0}, {"max_bodies": 0},
+    {"max_retries": -1}, {"death_time": float("nan")}])
+def test_illegal_settings_are_refused(changes):
+    with pytest.raises(ValueError):
+        make(Scene([]), **changes)
+
+
+def test_birth_needs_the_delay_and_not_a_number_of_images():
+    tracker = make(Scene([(300, 400)]))
+    run(tracker, 0.0, 2, boxes=[box_of(300, 400)])
+    assert len(tracker.tracks) == 1
+    assert confirmed(tracker) == []
+    run(tracker, 0.1, 2)
+    assert confirmed(tracker) == ["b0"]
+
+
+def test_id_stays_while_the_person_walks_and_dies_after_the_death_time():
+    scene = Scene([(300, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 4, boxes=[box_of(300, 400)])
+    for step in range(30):
+        scene.people = [(300 + 10 * step, 400)]
+        stamp = run(tracker, stamp, 1)
+    assert confirmed(tracker) == ["b0"]
+    scene.people = []
+    stamp = run(tracker, stamp, 9)
+    assert confirmed(tracker) == ["b0"]
+    assert not tracker.tracks[0].visible
+    run(tracker, stamp, 3)
+    assert tracker.tracks == []
+
+
+def test_who_is_not_looked_at_is_not_gone():
+    """Ten people, three looks and two images a second: each is looked at every other second."""
+    scene = Scene([(80 + 120 * index, 400) for index in range(10)])
+    tracker = make(scene, death_time=1.0, schedule=PoseScheduler(10.0, 3))
+    boxes = [box_of(*place) for place in scene.people]
+    for index in range(40):
+        tracker.follow(IMAGE, 0.5 * index)
+        tracker.propose(boxes, [], 0.5 * index)
+        tracker.try_new(IMAGE, 0.5 * index, [], 3)
+    assert sorted(confirmed(tracker)) == sorted("b{}".format(index) for index in range(10))
+    scene.people = scene.people[1:]
+    for index in range(40, 56):
+        tracker.follow(IMAGE, 0.5 * index)
+    assert len(confirmed(tracker)) == 9, "who is looked for in vain is gone"
+
+
+def test_a_person_who_comes_back_in_time_has_the_same_id():
+    scene = Scene([(300, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 4, boxes=[box_of(300, 400)])
+    scene.people = []
+    stamp = run(tracker, stamp, 5)
+    scene.people = [(340, 400)]
+    run(tracker, stamp, 4, boxes=[box_of(340, 400)])
+    assert confirmed(tracker) == ["b0"]
+
+
+def test_two_boxes_on_one_human_give_one_body():
+    tracker = make(Scene([(300, 400)]))
+    boxes = [box_of(300, 400), box_of(300, 400) + np.array([0, 0, 0, -120.0]), box_of(320, 400)]
+    run(tracker, 0.0, 10, boxes=boxes)
+    assert confirmed(tracker) == ["b0"]
+
+
+def test_two_tracks_that_end_up_on_one_human_become_one():
+    scene = Scene([(300, 400), (420, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 4, boxes=[box_of(300, 400), box_of(420, 400)])
+    assert sorted(confirmed(tracker)) == ["b0", "b1"]
+    scene.people = [(360, 400)]
+    stamp = run(tracker, stamp, 2)
+    assert [track.id for track in tracker.tracks if track.visible][:2] in (["b0"], ["b1"])
+    run(tracker, stamp, 12)
+    assert confirmed(tracker) == ["b0"]
+
+
+def test_a_face_alone_is_enough():
+    tracker = make(Scene([(300, 400)]))
+    run(tracker, 0.0, 6, faces=[face_of(standing_at(300, 400), "f0")])
+    assert confirmed(tracker) == ["b0"]
+    assert tracker.tracks[0].face_id == "f0"
+
+
+def test_a_face_without_a_body_is_tried_less_and_less_often():
+    scene = Scene([])
+    tracker = make(scene)
+    face = face_of(standing_at(300, 400), "f0")
+    run(tracker, 0.0, 200, faces=[face])
+    assert tracker.tracks == []
+    assert len(scene.windows) < 40
+
+
+def test_neighbours_heads_are_hidden_so_that_each_face_gets_its_own_body():
+    scene = Scene([(300, 400), (380, 400)])
+    scene.favourite = 0
+    tracker = make(scene)
+    faces = [face_of(standing_at(300, 400), "f0"), face_of(standing_at(380, 400), "f1")]
+    stamp = run(tracker, 0.0, 6, faces=faces)
+    run(tracker, stamp, 20, faces=faces)
+    assert sorted(track.face_id for track in tracker.tracks) == ["f0", "f1"]
+    for track in tracker.tracks:
+        face = next(face for face in faces if face.id == track.face_id)
+        assert face.distance(track.estimate.nose) < 0.1
+
+
+def test_a_captured_body_is_sought_again_below_its_face():
+    scene = Scene([(300, 400), (420, 400)])
+    tracker = make(scene)
+    faces = [face_of(standing_at(300, 400), "f0")]
+    stamp = run(tracker, 0.0, 4, faces=faces)
+    # The neighbour has no tracked face, so cannot be hidden, and is nearer to the old window than the person who moves.
+    scene.people = [(200, 400), (300, 400)]
+    run(tracker, stamp, 3, faces=[face_of(standing_at(200, 400), "f0")])
+    track = next(track for track in tracker.tracks if track.face_id == "f0")
+    assert track.id == "b0"
+    assert track.estimate.nose[0] == pytest.approx(200.0)
+
+
+def test_no_more_bodies_than_allowed():
+    people = [(150 + 200 * index, 400) for index in range(5)]
+    tracker = make(Scene(people), max_bodies=3)
+    run(tracker, 0.0, 20, boxes=[box_of(*person) for person in people])
+    assert len(tracker.tracks) == 3
+
+
+def test_reset_forgets_everybody():
+    tracker = make(Scene([(300, 400)]))
+    run(tracker, 0.0, 6, boxes=[box_of(300, 400)])
+    tracker.reset()
+    assert tracker.tracks == []
+
+
+def test_limits_of_the_tracker():
+    tracker = BodyTracker(SimpleNamespace(), lambda: "aaaaa", 0.1, 1.0, schedule=PoseScheduler(10.0, 3))
+    tracker.limit(0.2, 2.0, 0.7)
+    for wrong in ((-1.0, 1.0, 0.5), (0.1, 0.0, 0.5), (0.1, 1.0, 1.0)):
+        with pytest.raises(ValueError):
+            tracker.limit(*wrong)
+    with pytest.raises(ValueError):
+        tracker.schedule.limit(-1.0, 0)

@@ -1,0 +1,191 @@
+"""Ids of people who cross, stand still, hide, and look alike."""
+
+import itertools
+
+import numpy as np
+import pytest
+from synthetic_people import Walkers, face_of, standing_at
+
+from hri_fullbody.core.tracking.scheduler import PoseScheduler
+from hri_fullbody.core.tracking.tracker import BodyTracker
+
+RED, BLUE, GREEN = (40, 40, 220), (220, 60, 40), (50, 200, 60)
+
+
+def locate(estimate):
+    """Landmarks (33, 3) m as a camera of f = 1000 px would place them."""
+    scale = float(np.linalg.norm(estimate.landmarks[34, :2] - estimate.landmarks[33, :2])) / 0.9
+    depth = 1000.0 / scale
+    root = np.append((estimate.landmarks[33, :2] - (640.0, 360.0)) / 1000.0 * depth, depth)
+    return estimate.world + root
+
+
+class Film:
+    """Runs a tracker on walkers and notes who has which id."""
+
+    def __init__(self, scene, rate=20.0, **changes):
+        numbers = itertools.count()
+        options = dict(birth_delay=0.1, death_time=1.0)
+        options.update(changes)
+        self.tracker = BodyTracker(scene, lambda: "b{}".format(next(numbers)), **options)
+        self.scene, self.step, self.stamp = scene, 1.0 / rate, 0.0
+
+    def run(self, seconds, walk=None, boxes=None, faces=lambda: ()):
+        """Feed images for a time; walk(t) gives the people at t s of this run."""
+        for index in range(int(round(seconds / self.step))):
+            if walk is not None:
+                self.scene.people = walk(index * self.step)
+            seen = [self.scene.people[number] for number in self.scene.visible()]
+            self.tracker.follow(self.scene.image(), self.stamp, faces(), locate)
+            if boxes is not False:
+                self.tracker.propose([standing_at(*person).box for person in seen], faces(), self.stamp)
+            self.tracker.try_new(self.scene.image(), self.stamp, faces(), 3)
+            self.stamp += self.step
+
+    def ids(self):
+        """Id at each visible person, None where there is none."""
+        now = self.stamp - self.step
+        published = self.tracker.published(now)
+        found = []
+        for number in self.scene.visible():
+            x = self.scene.people[number][0]
+            here = [track.id for track in published if abs(track.expected(now).centre[0] - x) < 40.0]
+            assert len(here) <= 1
+            found.append(here[0] if here else None)
+        return found
+
+
+def crossing(speed):
+    return lambda time: [(300.0 + speed * time, 400.0), (900.0 - speed * time, 400.0)]
+
+
+@pytest.mark.parametrize("schedule", [None, PoseScheduler(10.0, 6)], ids=["every image", "10 Hz"])
+@pytest.mark.parametrize("rate", [20.0, 5.0])
+@pytest.mark.parametrize("colours", [(RED, BLUE), (RED, RED)], ids=["unlike", "alike"])
+@pytest.mark.parametrize("speed", [150.0, 300.0])
+def test_two_people_who_cross_keep_their_ids(colours, rate, speed, schedule):
+    if schedule is not None:
+        schedule.reset()
+    film = Film(Walkers([(300.0, 400.0), (900.0, 400.0)], colours), rate, schedule=schedule)
+    film.run(0.8)
+    before = film.ids()
+    assert None not in before
+    film.run(600.0 / speed, crossing(speed))
+    assert film.ids() == before
+    film.run(1.0)
+    assert film.ids() == before
+    assert sorted(track.id for track in film.tracker.tracks) == sorted(before)
+
+
+def test_two_who_meet_and_turn_round_are_told_apart_by_their_clothes():
+    film = Film(Walkers([(300.0, 400.0), (900.0, 400.0)], (RED, BLUE)))
+    film.run(0.8)
+    before = film.ids()
+    film.run(1.2, crossing(240.0))
+    assert len(film.scene.visible()) == 1
+    film.run(1.0, lambda time: [(588.0 - 240.0 * time, 400.0), (612.0 + 240.0 * time, 400.0)])
+    assert film.ids() == before
+
+
+def test_a_hidden_person_is_not_published_and_comes_back_with_the_id():
+    film = Film(Walkers([(500.0, 400.0), (900.0, 400.0)], (RED, BLUE)))
+    film.run(0.8)
+    before = film.ids()
+    film.run(1.0, lambda time: [(500.0, 400.0), (900.0 - 400.0 * time, 400.0)])
+    film.run(0.4)
+    assert film.ids() == [before[1]]
+    assert len(film.tracker.tracks) == 2
+    film.run(0.6, lambda time: [(500.0, 400.0), (520.0 + 400.0 * time, 400.0)])
+    assert film.ids() == before
+
+
+def test_somebody_else_at_the_place_of_a_lost_person_gets_a_new_id():
+    film = Film(Walkers([(500.0, 400.0)], (RED,)), death_time=2.0)
+    film.run(1.0)
+    film.scene.people = []
+    film.run(0.4)
+    film.scene.colours = [BLUE]
+    film.run(0.8, lambda time: [(540.0, 400.0)])
+    assert film.ids() == ["b1"]
+    film.scene.colours = [RED]
+    film.run(0.8, lambda time: [(500.0, 400.0)])
+    assert film.ids()[0] != "b1"
+
+
+def test_the_lost_of_two_gets_the_id_back_and_not_that_of_a_neighbour():
+    film = Film(Walkers([(400.0, 400.0), (620.0, 400.0)], (RED, BLUE)), death_time=2.0)
+    film.run(1.0)
+    before = film.ids()
+    film.scene.people, film.scene.colours = [], []
+    film.run(0.5)
+    film.scene.colours = [BLUE]
+    film.run(0.6, lambda time: [(520.0, 400.0)])      # half-way between the two places
+    assert film.ids() == [before[1]]
+
+
+def test_people_who_stand_still_are_kept_without_the_detector():
+    film = Film(Walkers([(300.0, 400.0), (700.0, 400.0)], (RED, RED)))
+    film.run(1.0)
+    before = film.ids()
+    film.run(8.0, boxes=False)
+    assert film.ids() == before
+
+
+def test_a_window_captured_by_a_neighbour_refreshes_the_neighbour():
+    scene = Walkers([(300.0, 400.0), (460.0, 400.0)], (RED, BLUE))
+    film = Film(scene)
+    film.run(1.0)
+    before = film.ids()
+    scene.people, scene.colours = [(460.0, 400.0)], [BLUE]      # the left one is hidden behind a pillar
+    film.run(0.6)
+    assert film.ids() == [before[1]]
+    scene.people, scene.colours = [(300.0, 400.0), (460.0, 400.0)], [RED, BLUE]
+    film.run(0.6)
+    assert film.ids() == before
+
+
+def test_a_body_that_nobody_looks_at_is_published_for_the_death_time():
+    film = Film(Walkers([(300.0, 400.0)], (RED,)), death_time=0.4, schedule=PoseScheduler(5.0))
+    film.run(2.0)
+    track = film.tracker.tracks[0]
+    assert film.tracker.published(track.stamp + 0.39) == [track]
+    assert film.tracker.published(track.stamp + 0.41) == []
+
+
+def test_a_body_that_waits_for_its_look_is_published_until_that_is_overdue():
+    film = Film(Walkers([(300.0, 400.0)], (RED,)), death_time=0.4, schedule=PoseScheduler(1.0))
+    film.run(3.0)
+    track = film.tracker.tracks[0]
+    assert film.tracker.published(track.stamp + 1.3) == [track]
+    assert film.tracker.published(track.stamp + 1.7) == []
+    assert track.expected(track.stamp + 1.0).confidence.max() > 0.3 * track.estimate.confidence.max()
+
+
+def test_a_body_between_two_looks_moves_on_with_less_confidence():
+    scene = Walkers([(300.0, 400.0)], (RED,))
+    film = Film(scene, rate=20.0, schedule=PoseScheduler(5.0))
+    film.run(2.0, lambda time: [(300.0 + 200.0 * time, 400.0)])
+    track = film.tracker.tracks[0]
+    later = track.expected(track.stamp + 0.15)
+    assert later.centre[0] - track.estimate.centre[0] == pytest.approx(30.0, abs=4.0)
+    assert later.confidence.max() < 0.75 * track.estimate.confidence.max()
+    assert track.expected(track.stamp) is track.estimate
+
+
+def test_a_second_body_within_another_is_dropped_when_the_detector_sees_one_person():
+    film = Film(Walkers([(300.0, 400.0), (460.0, 400.0)], (RED, RED), reach=0.0))
+    film.run(0.6)
+    film.run(0.5, lambda time: [(300.0, 400.0), (460.0 - 282.0 * time, 400.0)], boxes=False)
+    assert len(film.tracker.tracks) == 2
+    for _ in range(50):
+        film.tracker.follow(film.scene.image(), film.stamp, (), locate)
+        film.tracker.propose([standing_at(300.0, 400.0).box], (), film.stamp)
+        film.stamp += 0.05
+    assert len(film.tracker.tracks) == 1
+
+
+def test_faces_decide_in_a_tight_pair():
+    film = Film(Walkers([(300.0, 400.0), (380.0, 400.0)], (RED, RED), reach=0.0))
+    faces = [face_of(standing_at(300.0, 400.0), "f0"), face_of(standing_at(380.0, 400.0), "f1")]
+    film.run(2.0, faces=lambda: faces)
+    assert sorted(track.face_id for track in film.tracker.tracks) == ["f0", "f1"]

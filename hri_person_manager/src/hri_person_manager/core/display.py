@@ -1,0 +1,167 @@
+"""Persons as text for people: the live table of `show_persons`, and the match graph in the language of GraphViz."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import asdict, dataclass
+from typing import Deque, Dict, Iterable, List, Optional, Sequence, Tuple
+
+from hri_person_manager.core.features import Kind, MatchNode
+from hri_person_manager.core.persons import Snapshot
+
+RATE_WINDOW_S = 2.0
+_SHAPES = {Kind.PERSON: "box", Kind.FACE: "ellipse", Kind.BODY: "hexagon", Kind.VOICE: "cds"}
+Edge = Tuple[MatchNode, MatchNode, float]
+
+
+@dataclass(frozen=True)
+class PersonRow:
+    """One person: position in `frame` in m, age of the newest transform in ms; None where unknown."""
+
+    id: str
+    face: str
+    body: str
+    voice: str
+    confidence: float
+    position: Optional[Tuple[float, float, float]]
+    frame: str
+    age_ms: Optional[float]
+
+
+class RateMeter:
+    """Images per second out of their stamps; many features of one image count once."""
+
+    def __init__(self, window: float = RATE_WINDOW_S) -> None:
+        """Look at the last `window` seconds; ValueError unless that is above zero."""
+        if not window > 0.0:
+            raise ValueError("window is %s s, must be above 0" % window)
+        self._window = window
+        self._events: Deque[Tuple[float, float]] = deque(maxlen=1000)
+
+    def add(self, stamp: float, now: float) -> None:
+        """Take the image stamp (s) of a feature that arrived at `now` (s)."""
+        if not any(stamp == known for known, _ in self._events):
+            self._events.append((stamp, now))
+
+    def rate(self, now: float) -> float:
+        """Return the rate in images per second at time `now` (s)."""
+        while self._events and not 0.0 <= now - self._events[0][1] <= self._window:
+            self._events.popleft()
+        if len(self._events) < 2:
+            return 0.0
+        span = self._events[-1][1] - self._events[0][1]
+        return (len(self._events) - 1) / span if span > 0.0 else 0.0
+
+
+def format_table(rows: Sequence[PersonRow], face_rate: float, body_rate: float, note: str = "",
+                 nobody: str = "nobody yet") -> str:
+    """Return the table as plain text, with `note` as its last line, without a newline at the end.
+
+    Without rows it says `nobody`.
+
+    Confidence is that of a place: of who has none (yet) it says nothing.
+    """
+    lines = ["%-22s  %-6s %-6s %-6s %10s  %-22s %-20s %7s" % (
+        "person", "face", "body", "voice", "confidence", "position x y z (m)", "frame", "age ms")]
+    for row in rows:
+        position = "%6.2f %6.2f %6.2f" % row.position if row.position is not None else "-"
+        age = "%7.0f" % row.age_ms if row.age_ms is not None else "      -"
+        confidence = "%.2f" % row.confidence if row.position is not None else "-"
+        lines.append("%-22s  %-6s %-6s %-6s %10s  %-22s %-20s %s" % (
+            row.id, row.face or "-", row.body or "-", row.voice or "-", confidence, position,
+            row.frame or "-", age))
+    if not rows:
+        lines.append(nobody)
+    lines.append("faces found in %.1f images/s, bodies in %.1f images/s" % (face_rate, body_rate))
+    return "\n".join(lines + [note] if note else lines)
+
+
+class CameraStatus:
+    """Why nobody is there, out of what nodes tell of their cameras: nobody yet, or no images.
+
+    A node that has not reported for `patience` s has ended.
+    """
+
+    def __init__(self, patience: float = 5.0) -> None:
+        self._patience = patience
+        self._status: Dict[str, Tuple[bool, str, float]] = {}
+
+    def update(self, node: str, arrive: bool, text: str, now: float) -> None:
+        """Take what a node says at `now` (s): whether images arrive, and a text."""
+        self._status[node] = (arrive, text, now)
+
+    def text(self, now: float) -> str:
+        """Return what to say at `now` (s) while nobody is tracked."""
+        recent = [row for row in self._status.values() if now - row[2] < self._patience]
+        if not recent or any(arrive for arrive, _, _ in recent):
+            return "nobody yet"
+        return "no images arrive: " + recent[0][1]
+
+
+def format_columns(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of text in columns as wide as they need to be, without a newline at the end."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows)]
+    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows)
+
+
+class Redrawing:
+    """Draws one text over another on a terminal that may change its size."""
+
+    def __init__(self) -> None:
+        self._above: List[str] = []
+
+    def draw(self, text: str, columns: int, lines: int) -> str:
+        """Return what a terminal of this size (columns, lines) needs to show `text` in place of the last one."""
+        shown = [line[:columns] for line in text.split("\n")]
+        room = max(lines - 1, 3)      # the cursor stands below the last line
+        if len(shown) > room:
+            shown[room - 2:-1] = ["... and %d lines more" % (len(shown) - room + 1)]
+        if any(len(line) > columns for line in self._above):
+            # It was made narrower; some terminals wrap what they show, so that nobody knows how far up the table
+            # begins.
+            start = "\x1b[H\x1b[2J"
+        else:
+            start = "\x1b[%dA" % len(self._above) if self._above else ""
+        self._above = shown
+        return start + "".join("\x1b[2K%s\n" % line for line in shown) + "\x1b[0J"
+
+
+def as_data(rows: Sequence[PersonRow], face_rate: float, body_rate: float, seen: Sequence[str]) -> Dict[str, object]:
+    """Return the table as data for JSON; `seen` are the ids of all persons seen since the start."""
+    persons: List[Dict[str, object]] = [asdict(row) for row in rows]
+    return {"persons": persons, "faces_per_second": face_rate, "bodies_per_second": body_rate,
+            "persons_seen": sorted(seen)}
+
+
+def graph_text(snapshot: Snapshot, matches: Iterable[Edge], merges: Iterable[Tuple[str, str, float]],
+               threshold: float) -> str:
+    """Return a GraphViz graph of persons, their features (bold) and all candidate matches (dotted below the threshold).
+
+    matches: pairs of features, or of feature and person, with their likelihood; merges: pairs of persons.
+    """
+    lines: List[str] = ["graph humans {", "  rankdir=LR;"]
+    nodes = set()
+    for state in snapshot.persons:
+        person = MatchNode(Kind.PERSON, state.id)
+        label = "%s\\n%s" % (state.id, "alias of " + state.alias if state.alias else "%.2f" % state.confidence)
+        lines.append("  %s [shape=box, style=%s, label=\"%s\"];" % (
+            _name(person), "dashed" if state.anonymous else "solid", label))
+        for kind, feature in ((Kind.FACE, state.face), (Kind.BODY, state.body), (Kind.VOICE, state.voice)):
+            if feature:
+                nodes.add(MatchNode(kind, feature))
+                lines.append("  %s -- %s [style=bold];" % (_name(person), _name(MatchNode(kind, feature))))
+    shown = {MatchNode(Kind.PERSON, state.id) for state in snapshot.persons}
+    pairs = [(first, second, value) for first, second, value in matches]
+    pairs += [(MatchNode(Kind.PERSON, first), MatchNode(Kind.PERSON, second), value) for first, second, value in merges]
+    for first, second, value in sorted(pairs):
+        nodes.update((first, second))
+        lines.append("  %s -- %s [label=\"%.2f\", style=%s];" % (
+            _name(first), _name(second), value, "solid" if value >= threshold else "dotted"))
+    for node in sorted(nodes - shown):
+        lines.append("  %s [shape=%s, label=\"%s\"];" % (_name(node), _SHAPES[node.kind], node.id))
+    return "\n".join(lines + ["}"]) + "\n"
+
+
+def _name(node: MatchNode) -> str:
+    """Identifier of a node; ids are letters, digits and underscores, so nothing needs quoting."""
+    return "%s_%s" % (node.kind.name.lower(), node.id)

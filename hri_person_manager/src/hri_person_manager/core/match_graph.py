@@ -1,0 +1,414 @@
+"""Which face, body, voice and person ids belong to the same human: the graph of candidate matches.
+
+Nodes are features and persons, edges are the likelihoods that matchers and recognisers have published. A node is a pair
+of kind and id, so that a face and a body with the same text as id are two nodes. The nodes are divided into groups that
+are connected by edges of at least the threshold and hold at most one node of each kind. Wanted are the fewest groups,
+then the highest total affinity; the affinity of a group is the sum of the likelihoods over its maximum spanning tree
+(see `partition`).
+
+`MatchGuard` checks what comes from outside, `MatchGraph` holds the edges, and `Association` keeps the groups of
+the features that are tracked now; it solves only the components that have changed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, OrderedDict
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Counter as CounterType
+
+from hri_person_manager.core.features import Kind, MatchNode
+from hri_person_manager.core.partition import WORK_UNITS, Work, best_partition
+from hri_pipeline.core.ids import is_valid_id
+
+UNDER_WAY_S = 2.0     # s; matches that were sent just before a person was forgotten have arrived after so long
+_NOBODY: Mapping = {}
+MAX_PENDING_MATCHES = 1000      # matches kept for features that are not tracked (yet)
+Group = FrozenSet[MatchNode]
+
+
+@dataclass(frozen=True)
+class CandidateMatch:
+    """Likelihood (0..1, 0 withdraws) that two identifiers belong to the same human."""
+
+    first: MatchNode
+    second: MatchNode
+    likelihood: float
+
+
+class RateLimit:
+    """Token bucket: at most `per_second` events on average, a burst of one second's worth at once."""
+
+    def __init__(self, per_second: float) -> None:
+        """ValueError unless the rate is above zero."""
+        self.set_rate(per_second)
+        self._tokens = per_second
+        self._last: Optional[float] = None
+
+    def set_rate(self, per_second: float) -> None:
+        """Set the rate from now on; ValueError unless it is above zero."""
+        if not per_second > 0.0:
+            raise ValueError("rate is %s per second, must be above 0" % per_second)
+        self._rate = per_second
+
+    def allow(self, now: float) -> bool:
+        """Tell whether one more event at time `now` (s) is within the limit; time may jump back."""
+        elapsed = 0.0 if self._last is None else max(0.0, now - self._last)
+        self._last = now
+        self._tokens = min(self._rate, self._tokens + elapsed * self._rate)
+        if self._tokens < 1.0:
+            return False
+        self._tokens -= 1.0
+        return True
+
+
+class MatchGuard:
+    """Turns raw fields into a `CandidateMatch`, or refuses them and counts why."""
+
+    def __init__(self, max_per_second: float) -> None:
+        """Accept at most `max_per_second` matches on average."""
+        self.limit = RateLimit(max_per_second)
+        self.refused: CounterType[str] = Counter()
+        self.accepted = self.late = 0
+        self._forgotten: Dict[str, float] = {}
+
+    def forget(self, person_id: str, now: float) -> None:
+        """Take no match that names a person for 2 s from `now` (s): it would bring back who has just been forgotten."""
+        self._forgotten = {name: since for name, since in self._forgotten.items() if now - since <= UNDER_WAY_S}
+        self._forgotten[person_id] = now
+
+    def check(self, id1: Any, type1: Any, id2: Any, type2: Any, likelihood: Any,
+              now: float) -> Optional[CandidateMatch]:
+        """Return the match, None if it was refused; `now` (s) drives the rate limit."""
+        if not self.limit.allow(now):
+            return self._refuse("too many per second")
+        try:
+            kinds = Kind(type1), Kind(type2)
+        except ValueError:
+            return self._refuse("unknown type")
+        if not (is_valid_id(id1) and is_valid_id(id2)):
+            return self._refuse("malformed id")
+        if kinds[0] == kinds[1] != Kind.PERSON:
+            return self._refuse("two ids of one kind")
+        if (id1, type1) == (id2, type2):
+            return self._refuse("an id and itself")
+        value = float(likelihood)
+        if not (math.isfinite(value) and 0.0 <= value <= 1.0):
+            return self._refuse("likelihood outside 0..1")
+        if self._forgotten and self._is_late(id1, id2, now):
+            self.late += 1
+            return None
+        self.accepted += 1
+        return CandidateMatch(MatchNode(kinds[0], id1), MatchNode(kinds[1], id2), value)
+
+    def _is_late(self, id1: str, id2: str, now: float) -> bool:
+        return any(now - self._forgotten[name] <= UNDER_WAY_S for name in (id1, id2) if name in self._forgotten)
+
+    def _refuse(self, reason: str) -> Optional[CandidateMatch]:
+        self.refused[reason] += 1
+        return None
+
+
+@dataclass(frozen=True)
+class Grouping:
+    """Groups of nodes; `approximate`: the nodes of the components whose groups are not proved to be the best."""
+
+    groups: Tuple[FrozenSet[MatchNode], ...]
+    approximate: FrozenSet[MatchNode]
+
+    @property
+    def exact(self) -> bool:
+        """Tell whether these groups are the best."""
+        return not self.approximate
+
+
+class MatchGraph:
+    """Likelihood edges between nodes, with a bound on their number (the oldest edge goes first)."""
+
+    def __init__(self, max_edges: int = 5000) -> None:
+        """Keep at most `max_edges` edges; ValueError if that is less than one."""
+        if max_edges < 1:
+            raise ValueError("max_edges is %d, must be at least 1" % max_edges)
+        self._max_edges = max_edges
+        self._oldest: "OrderedDict[FrozenSet[MatchNode], None]" = OrderedDict()
+        self._neighbours: Dict[MatchNode, Dict[MatchNode, float]] = {}
+
+    def __len__(self) -> int:
+        """Return the number of edges kept."""
+        return len(self._oldest)
+
+    def set(self, first: MatchNode, second: MatchNode, likelihood: float) -> bool:
+        """Keep the likelihood (0..1) of one pair, 0 withdraws it; return whether the graph changed."""
+        if first == second:
+            raise ValueError("a match needs two different nodes, got %r twice" % (first,))
+        known = self.likelihood(first, second)
+        if likelihood <= 0.0:
+            if known is not None:
+                self._drop(first, second)
+            return known is not None
+        key = frozenset((first, second))
+        self._oldest[key] = None
+        self._oldest.move_to_end(key)
+        self._neighbours.setdefault(first, {})[second] = likelihood
+        self._neighbours.setdefault(second, {})[first] = likelihood
+        while len(self._oldest) > self._max_edges:
+            self._drop(*next(iter(self._oldest)))
+        return known != likelihood
+
+    def likelihood(self, first: MatchNode, second: MatchNode) -> Optional[float]:
+        """Return the likelihood kept for a pair, None if there is none."""
+        return self._neighbours.get(first, _NOBODY).get(second)
+
+    def edges(self) -> List[Tuple[MatchNode, MatchNode, float]]:
+        """Return all edges as (node, node, likelihood), the one that was updated longest ago first."""
+        return [(first, second, self._neighbours[first][second]) for first, second in map(sorted, self._oldest)]
+
+    def matches(self, node: MatchNode) -> List[Tuple[MatchNode, MatchNode, float]]:
+        """Return the edges of a node as (node, other, likelihood)."""
+        return [(node, other, likelihood) for other, likelihood in sorted(self.neighbours(node).items())]
+
+    def neighbours(self, node: MatchNode) -> Mapping[MatchNode, float]:
+        """Return the nodes that share an edge with this one, and its likelihood; to be read only."""
+        return self._neighbours.get(node, _NOBODY)
+
+    def remove(self, node: MatchNode) -> None:
+        """Take a node away with all its edges."""
+        for other in list(self.neighbours(node)):
+            self._drop(node, other)
+
+    def keep_linked(self, leaving: MatchNode, group: Iterable[MatchNode], threshold: float) -> None:
+        """Keep transitive links: the members of a group stay linked when the node in the middle of a chain leaves.
+
+        Where two members were linked only through `leaving`, an edge takes its place. Its likelihood is the
+        product along the path, at least the threshold: that evidence was enough when it was given.
+        """
+        members = sorted(group)
+        products = path_products(members, self._likelihoods(members, threshold))
+        remaining = [node for node in members if node != leaving]
+        parts = {node: {node} for node in remaining}
+
+        def join(first: MatchNode, second: MatchNode) -> None:
+            if parts[first] is not parts[second]:
+                parts[first] |= parts[second]
+                for node in parts[second]:
+                    parts[node] = parts[first]
+
+        pairs = [(a, b) for index, a in enumerate(remaining) for b in remaining[index + 1:]]
+        for first, second in pairs:
+            if (self.likelihood(first, second) or 0.0) >= threshold:
+                join(first, second)
+        pairs.sort(key=lambda pair: -products.get(frozenset(pair), 0.0))
+        for first, second in pairs:
+            product = products.get(frozenset((first, second)), 0.0)
+            if product > 0.0 and parts[first] is not parts[second]:
+                self.set(first, second, max(product, threshold))
+                join(first, second)
+
+    def component(self, start: MatchNode, threshold: float, present: Callable[[MatchNode], bool]) -> List[MatchNode]:
+        """Return the sorted nodes that edges of at least the threshold connect with `start`."""
+        found = {start}
+        pending = [start]
+        while pending:
+            for other, likelihood in self._neighbours.get(pending.pop(), _NOBODY).items():
+                if likelihood >= threshold and other not in found and present(other):
+                    found.add(other)
+                    pending.append(other)
+        return sorted(found)
+
+    def solve(self, nodes: Iterable[MatchNode], threshold: float) -> Grouping:
+        """Part the given (present) nodes into groups, each component of the graph on its own.
+
+        The components share a bounded amount of work; what the small ones leave goes to the large ones.
+        """
+        present = set(nodes)
+        components: List[List[MatchNode]] = []
+        left = set(present)
+        for node in sorted(present):
+            if node in left:
+                components.append(self.component(node, threshold, present.__contains__))
+                left.difference_update(components[-1])
+        groups: List[FrozenSet[MatchNode]] = []
+        approximate: Set[MatchNode] = set()
+        units = float(WORK_UNITS)
+        for number, members in enumerate(sorted(components, key=len)):
+            work = Work(units / (len(components) - number))
+            units -= work.left
+            found, exact = best_partition(members, self._likelihoods(members, threshold), work)
+            units += work.left
+            groups.extend(found)
+            approximate.update(() if exact else members)
+        return Grouping(tuple(groups), frozenset(approximate))
+
+    def _likelihoods(self, members: Sequence[MatchNode], threshold: float) -> Dict[FrozenSet[MatchNode], float]:
+        inside = set(members)
+        return {frozenset((node, other)): value for node in members
+                for other, value in self._neighbours.get(node, _NOBODY).items()
+                if value >= threshold and node < other and other in inside}
+
+    def _drop(self, first: MatchNode, second: MatchNode) -> None:
+        del self._oldest[frozenset((first, second))]
+        for node, other in ((first, second), (second, first)):
+            del self._neighbours[node][other]
+            if not self._neighbours[node]:
+                del self._neighbours[node]
+
+
+def path_products(members: Sequence[MatchNode],
+                  edges: Mapping[FrozenSet[MatchNode], float]) -> Dict[FrozenSet[MatchNode], float]:
+    """Return, per pair of members, the largest product of likelihoods along a path among the members.
+
+    Floyd-Warshall on the products; pairs that no path connects are left out.
+    """
+    pairs = (frozenset(pair) for pair in combinations(members, 2))
+    best = {pair: edges[pair] for pair in pairs if pair in edges}
+    for middle in members:
+        for first, second in combinations([node for node in members if node != middle], 2):
+            product = best.get(frozenset((first, middle)), 0.0) * best.get(frozenset((middle, second)), 0.0)
+            if product > best.get(frozenset((first, second)), 0.0):
+                best[frozenset((first, second))] = product
+    return best
+
+
+class Association:
+    """Keeps every match, and the groups of those whose features are tracked."""
+
+    def __init__(self, threshold: float, is_present: Callable[[MatchNode], bool],
+                 on_unassigned: Callable[[str], None]) -> None:
+        """Count matches from likelihood `threshold` on; it may be changed before solve().
+
+        on_unassigned(id) is called for a named person that has no feature.
+        """
+        self.threshold = threshold
+        self._is_present = is_present
+        self._on_unassigned = on_unassigned
+        self._graph = MatchGraph()
+        self._groups: Dict[MatchNode, Group] = {}
+        self._pending: "OrderedDict[FrozenSet[MatchNode], CandidateMatch]" = OrderedDict()
+        self._approximate: Set[MatchNode] = set()
+
+    @property
+    def exact(self) -> bool:
+        """Tell whether all groups are proved to be the best."""
+        return not self._approximate
+
+    @property
+    def groups(self) -> Tuple[Group, ...]:
+        """Every living feature and known person with features, in exactly one group."""
+        return tuple(sorted(set(self._groups.values()), key=min))
+
+    @property
+    def assignable(self) -> List[Group]:
+        """The groups that can be assigned to persons: all but the additional voices of persons who have a voice.
+
+        A person has one voice at a time, the one that fits best. Who says that another is of the same human,
+        such as its last turn, says that it is nobody else's.
+        """
+        return [group for group in self.groups
+                if len(group) > 1 or not any(node.kind == Kind.VOICE and self._is_second(node) for node in group)]
+
+    @property
+    def matches(self) -> List[Tuple[MatchNode, MatchNode, float]]:
+        """All matches that are kept between features and persons."""
+        return self._graph.edges()
+
+    def neighbours(self, node: MatchNode) -> Mapping[MatchNode, float]:
+        """Return the nodes that share a match with this one, and its likelihood; to be read only."""
+        return self._graph.neighbours(node)
+
+    def recognised_as(self, feature: MatchNode) -> Set[str]:
+        """Ids of the persons that recognisers take a feature for, whether it was assigned to them or not."""
+        return {node.id for node, likelihood in self._graph.neighbours(feature).items()
+                if node.kind == Kind.PERSON and likelihood >= self.threshold}
+
+    def add(self, match: CandidateMatch) -> bool:
+        """Put a match into the graph; it is pending while one of its features is not tracked.
+
+        Returns whether the groups may change by it.
+        """
+        first, second, likelihood = match.first, match.second, match.likelihood
+        if all(node.kind == Kind.PERSON or self._is_present(node) for node in (first, second)):
+            before = self._graph.likelihood(first, second) or 0.0
+            if not self._graph.set(first, second, likelihood) or max(before, likelihood) < self.threshold:
+                return False
+            return min(before, likelihood) < self.threshold or not self._is_closed(self._groups.get(first), second)
+        nodes = frozenset((first, second))
+        self._pending.pop(nodes, None)
+        if likelihood > 0.0:
+            self._pending[nodes] = match
+            while len(self._pending) > MAX_PENDING_MATCHES:
+                self._pending.popitem(last=False)
+        return False
+
+    def add_pending(self, nodes: Iterable[MatchNode]) -> None:
+        """Put the pending matches of these features into the graph."""
+        arrived = set(nodes)
+        for match in [self._pending.pop(key) for key in list(self._pending) if key & arrived]:
+            self.add(match)
+
+    def remove(self, node: MatchNode) -> List[MatchNode]:
+        """Take a feature out of the graph; returns the nodes that have to be solved again."""
+        group = self._groups.get(node, frozenset((node,)))
+        touched = set(self._graph.neighbours(node)) | set(group)
+        self._graph.keep_linked(node, group, self.threshold)
+        self._graph.remove(node)
+        self.drop_group(node)
+        return sorted(touched - {node})
+
+    def matches_of(self, nodes: Iterable[MatchNode]) -> List[CandidateMatch]:
+        """The matches of these nodes, to keep() them again after they have left."""
+        return [CandidateMatch(*edge) for node in nodes for edge in self._graph.matches(node)]
+
+    def drop_group(self, node: MatchNode) -> None:
+        """Forget the group of a node that no match names any more."""
+        self._groups.pop(node, None)
+        self._approximate.discard(node)
+
+    def forget(self, node: MatchNode) -> List[MatchNode]:
+        """Forget a node with all its matches; returns the nodes that have to be solved again."""
+        touched = list(self._graph.neighbours(node))
+        self._graph.remove(node)
+        for key in [key for key in self._pending if node in key]:
+            del self._pending[key]
+        self.drop_group(node)
+        return touched
+
+    def solve(self, nodes: Iterable[MatchNode]) -> bool:
+        """Solve the components of these nodes again, as far as they are present; returns whether a group has
+        changed."""
+        touched: Set[MatchNode] = set()
+        for node in nodes:
+            if node not in touched and self._is_present(node):
+                touched.update(self._graph.component(node, self.threshold, self._is_present))
+        solution = self._graph.solve(touched, self.threshold)
+        self._approximate = (self._approximate - touched) | solution.approximate
+        return any([self._store_group(group) for group in solution.groups])
+
+    def _is_closed(self, group: Optional[Group], other: MatchNode) -> bool:
+        """Tell whether a group with this member has no choice: nobody outside is linked with it.
+
+        As long as its links count, their strength changes nothing then.
+        """
+        return group is not None and other in group and not any(
+            likelihood >= self.threshold and neighbour not in group and self._is_present(neighbour)
+            for node in group for neighbour, likelihood in self._graph.neighbours(node).items())
+
+    def _is_second(self, voice: MatchNode) -> bool:
+        """Tell whether a voice that is alone is linked with a group that holds another one."""
+        return any(likelihood >= self.threshold
+                   and any(node.kind == Kind.VOICE and node != voice for node in self._groups.get(other, ()))
+                   for other, likelihood in self._graph.neighbours(voice).items())
+
+    def _store_group(self, group: Group) -> bool:
+        if len(group) == 1:
+            (node,) = group
+            if node.kind == Kind.PERSON:      # known, yet no part of the association
+                self._on_unassigned(node.id)
+                return self._groups.pop(node, None) is not None
+        changed = False
+        for node in group:
+            if self._groups.get(node) != group:
+                self._groups[node] = group
+                changed = True
+        return changed

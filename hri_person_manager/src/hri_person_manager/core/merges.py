@@ -1,0 +1,183 @@
+"""Which persons are one human: likelihoods between persons, kept apart from those between features.
+
+A merge leaves what belongs to each person untouched, so that it can be undone: merged persons are published as one, the
+*representative*, and the others as aliases of it. Merges that are reported from outside and those that the manager has
+observed itself, with several cameras, are kept apart: reports have priority, and pairs that a user has split are never
+merged again by observation.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Callable, Dict, FrozenSet, Iterable, List, Optional, Set, Tuple
+
+MAX_MERGES = 1000
+Pair = FrozenSet[str]
+
+
+class Merges:
+    """Likelihoods (0..1) that two persons are the same; the oldest goes first when there are too many."""
+
+    def __init__(self, threshold: float) -> None:
+        """Join persons from likelihood `threshold` on; a lower one is kept, as it may rise again. It may be changed
+        before update()."""
+        self.threshold = threshold
+        self._pairs: "OrderedDict[Pair, float]" = OrderedDict()
+        self._observed: "OrderedDict[Pair, float]" = OrderedDict()
+        self._split: "OrderedDict[Pair, None]" = OrderedDict()
+        self._representative: Dict[str, str] = {}
+        self._members: Dict[str, List[str]] = {}
+        self._preferred: "OrderedDict[str, None]" = OrderedDict()
+
+    @property
+    def pairs(self) -> Tuple[Tuple[str, str, float], ...]:
+        """All pairs with the likelihoods that were reported from outside."""
+        return tuple((min(pair), max(pair), likelihood) for pair, likelihood in self._pairs.items())
+
+    @property
+    def observed(self) -> Tuple[Tuple[str, str, float], ...]:
+        """All pairs that are merged by observation, with their likelihoods."""
+        return tuple((min(pair), max(pair), likelihood) for pair, likelihood in self._observed.items()
+                     if self._is_joined(pair))
+
+    def set(self, first: str, second: str, likelihood: float) -> bool:
+        """Keep a likelihood, 0 withdraws it; return whether who is joined with whom may have changed.
+
+        Raises ValueError for a person and itself.
+        """
+        pair = _pair(first, second)
+        before = self._is_joined(pair)
+        self._pairs.pop(pair, None)
+        if likelihood > 0.0:
+            self._pairs[pair] = likelihood
+        if likelihood >= self.threshold:
+            self._split.pop(pair, None)
+        changed = before != self._is_joined(pair)
+        while len(self._pairs) > MAX_MERGES:
+            changed |= self._pairs.popitem(last=False)[1] >= self.threshold
+        return changed
+
+    def set_observed(self, first: str, second: str, likelihood: float) -> bool:
+        """Keep an observed likelihood, 0 withdraws it; return whether who is joined with whom may have changed.
+
+        What was reported of the pair has priority. Raises ValueError for a person and itself.
+        """
+        pair = _pair(first, second)
+        before = self._is_joined(pair)
+        self._observed.pop(pair, None)
+        if likelihood > 0.0:
+            self._observed[pair] = likelihood
+        changed = before != self._is_joined(pair)
+        while len(self._observed) > MAX_MERGES:
+            changed |= self._observed.popitem(last=False)[1] >= self.threshold
+        return changed
+
+    def prefer(self, person_id: str) -> None:
+        """Note that somebody wants `person_id` to stand for all with whom it is joined."""
+        for other in _reachable(person_id, self._neighbours()):
+            self._preferred.pop(other, None)
+        self._preferred[person_id] = None
+        while len(self._preferred) > MAX_MERGES:
+            self._preferred.popitem(last=False)
+
+    def is_preferred(self, person_id: str) -> bool:
+        """Tell whether somebody wants this person to stand for others."""
+        return person_id in self._preferred
+
+    def remove(self, person_id: str) -> None:
+        """Forget a person."""
+        self._preferred.pop(person_id, None)
+        for kept in (self._pairs, self._observed, self._split):
+            for pair in [pair for pair in kept if person_id in pair]:
+                del kept[pair]
+        self._representative.pop(person_id, None)
+        self._members = _by_representative(self._representative)
+
+    def split(self, person_id: str) -> bool:
+        """Withdraw everything that joins a person with others; return whether there was anything.
+
+        Observation does not merge it with any of them again.
+        """
+        neighbours = self._neighbours()
+        if person_id not in neighbours:
+            return False
+        for other in _reachable(person_id, neighbours) - {person_id}:
+            pair = _pair(person_id, other)
+            self._observed.pop(pair, None)
+            if self._pairs.get(pair, 0.0) >= self.threshold:
+                del self._pairs[pair]
+            self._split[pair] = None
+        while len(self._split) > MAX_MERGES:
+            self._split.popitem(last=False)
+        return True
+
+    def update(self, persons: Iterable[str], rank: Callable[[str], Tuple]) -> bool:
+        """Choose the representative of all merged persons among the present `persons`: the one of least `rank`.
+
+        Returns whether a representative has changed.
+        """
+        if not self._pairs and not self._observed and not self._representative:
+            return False
+        present = set(persons)
+        neighbours = self._neighbours(present)
+        target: Dict[str, str] = {}
+        for start in neighbours:
+            if start not in target:
+                members = _reachable(start, neighbours)
+                chosen = min(members, key=rank)
+                target.update((member, chosen) for member in members)
+        changed = target != self._representative
+        self._representative, self._members = target, _by_representative(target)
+        return changed
+
+    def representative_of_all(self, person_id: str, rank: Callable[[str], Tuple]) -> str:
+        """The person of least `rank` of all that this one is joined with, present or not."""
+        return min(_reachable(person_id, self._neighbours()), key=rank)
+
+    def representative(self, person_id: str) -> str:
+        """The person that stands for this one: itself unless it is an alias."""
+        return self._representative.get(person_id, person_id)
+
+    def members(self, person_id: str) -> List[str]:
+        """All persons for which this one stands, itself first."""
+        return self._members.get(person_id) or [person_id]
+
+    def _is_joined(self, pair: Pair) -> bool:
+        if pair in self._pairs:
+            return self._pairs[pair] >= self.threshold
+        return pair not in self._split and self._observed.get(pair, 0.0) >= self.threshold
+
+    def _neighbours(self, present: Optional[Set[str]] = None) -> Dict[str, Set[str]]:
+        """With whom each of the present persons (None: all) is joined."""
+        neighbours: Dict[str, Set[str]] = {}
+        for pair in (*self._pairs, *self._observed):
+            if self._is_joined(pair) and (present is None or pair <= present):
+                first, second = pair
+                neighbours.setdefault(first, set()).add(second)
+                neighbours.setdefault(second, set()).add(first)
+        return neighbours
+
+
+def _pair(first: str, second: str) -> Pair:
+    if first == second:
+        raise ValueError("a merge needs two persons, got {!r} twice".format(first))
+    return frozenset((first, second))
+
+
+def _by_representative(target: Dict[str, str]) -> Dict[str, List[str]]:
+    members: Dict[str, List[str]] = {}
+    for member, chosen in sorted(target.items()):
+        found = members.setdefault(chosen, [chosen])
+        if member != chosen:
+            found.append(member)
+    return members
+
+
+def _reachable(start: str, neighbours: Dict[str, Set[str]]) -> Set[str]:
+    found, pending = {start}, [start]
+    while pending:
+        for other in neighbours.get(pending.pop(), ()):
+            if other not in found:
+                found.add(other)
+                pending.append(other)
+    return found

@@ -1,0 +1,415 @@
+"""What is known of the permanent persons beyond the present: names, languages, demographics, when they were seen.
+
+`PersonRegister` keeps the records in memory and writes changes to a `RecordStore`, which in the node is the SQLite file
+that the recognisers use as well. Age and gender of a person are fused over all faces that the person has had.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import OrderedDict
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Protocol, Sequence, Set, Tuple
+
+from hri_person_manager.core.language_tags import normal_language_tag
+from hri_pipeline.core.ids import is_valid_id
+from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.recognition.store import PermanentPerson, PersonStore, StoredPerson
+
+UNDEFINED, FEMALE, MALE, OTHER = range(4)      # the constants of hri_msgs/AgeAndGender and SoftBiometrics
+AGE_DEVIATION = 6.3        # years, of the estimate from one face: the default model's mean error of 5 years
+_LEAST_GENDER_CONFIDENCE = 0.6
+_MAX_FACES = 20
+LONGEST_NAME = 64
+SEEN_STEP_S = 10.0       # last_seen is written to the store in steps of so many seconds
+DAY_S = 86400.0
+
+
+@dataclass(frozen=True)
+class DemographicsEstimate:
+    """age and age_deviation in years, confidences 0 to 1, gender one of the constants; `stamp` s, of the newest
+    image."""
+
+    age: float
+    age_deviation: float
+    age_confidence: float
+    gender: int
+    gender_confidence: float
+    stamp: float
+
+
+@dataclass(frozen=True)
+class _Face:
+    age: float
+    age_confidence: float
+    female: float
+    gender_confidence: float
+    stamp: float
+
+
+class DemographicsFusion:
+    """What is known of one person. Each face counts once, with its newest estimate, as that is fused itself."""
+
+    def __init__(self, earlier: Optional[DemographicsEstimate] = None) -> None:
+        """Start with the estimate of an earlier run, if there is one; it counts as one face."""
+        self._faces: "OrderedDict[str, _Face]" = OrderedDict()
+        self._estimate: Optional[DemographicsEstimate] = None
+        if earlier is not None:
+            self.observe("", earlier.age, earlier.age_confidence, earlier.gender, earlier.gender_confidence,
+                         earlier.stamp)
+
+    def observe(self, face_id: str, age: float, age_confidence: float, gender: int, gender_confidence: float,
+                stamp: float) -> bool:
+        """Take the estimate of one face; returns whether it was sound and used.
+
+        age: years; confidences: 0 (not known) to 1; stamp: s. The face that has been quiet longest goes first.
+        """
+        numbers = (age, age_confidence, gender_confidence, stamp)
+        if not all(math.isfinite(number) for number in numbers) or not 0.0 <= age <= 130.0 or not (
+                0.0 <= age_confidence <= 1.0 and 0.0 <= gender_confidence <= 1.0):
+            return False
+        female = {FEMALE: gender_confidence, MALE: 1.0 - gender_confidence}.get(gender, 0.5)
+        known = gender_confidence if gender in (FEMALE, MALE) else 0.0
+        self._faces.pop(face_id, None)
+        self._faces[face_id] = _Face(age, age_confidence, female, known, stamp)
+        while len(self._faces) > _MAX_FACES:
+            self._faces.popitem(last=False)
+        self._estimate = self._fuse()
+        return True
+
+    def absorb(self, other: "DemographicsFusion") -> None:
+        """Take over the faces of a person that turned out to be the same."""
+        for face_id, face in other._faces.items():
+            self._faces.setdefault(face_id, face)
+        self._estimate = self._fuse()
+
+    def estimate(self) -> Optional[DemographicsEstimate]:
+        """Return the fused estimate, None while nothing is known."""
+        return self._estimate
+
+    def _fuse(self) -> Optional[DemographicsEstimate]:
+        """The faces are one human's, so their errors go together: confidences are averaged, not multiplied."""
+        faces = [face for face in self._faces.values() if face.age_confidence > 0.0 or face.gender_confidence > 0.0]
+        if not faces:
+            return None
+        weight = sum(face.age_confidence for face in faces)
+        age = sum(face.age_confidence * face.age for face in faces) / weight if weight else 0.0
+        spread = sum(face.age_confidence * (face.age - age) ** 2 for face in faces) / weight if weight else 0.0
+        sure = sum(face.gender_confidence for face in faces)
+        female = sum(face.gender_confidence * face.female for face in faces) / sure if sure else 0.5
+        likely = max(female, 1.0 - female)
+        gender = UNDEFINED if likely < _LEAST_GENDER_CONFIDENCE else FEMALE if female > 0.5 else MALE
+        return DemographicsEstimate(
+            age, math.sqrt(AGE_DEVIATION ** 2 + spread) if weight else 0.0, weight / len(faces), gender,
+            likely if gender != UNDEFINED else 0.0, max(face.stamp for face in faces))
+
+
+class RegisterError(ValueError):
+    """A request that cannot be carried out; the text says why."""
+
+
+@dataclass(frozen=True)
+class PersonRecord(PermanentPerson):
+    """One permanent person as the register knows it."""
+
+    demographics: Optional[DemographicsEstimate] = None
+
+
+@dataclass
+class RecordChange:
+    """What a store has to do, in this order: remove everybody, remove these ids, write these records."""
+
+    everybody: bool = False
+    removed: Set[str] = field(default_factory=set)
+    records: Dict[str, PersonRecord] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return self.everybody + len(self.removed) + len(self.records)
+
+    def remove(self, person_id: str) -> None:
+        """Also remove a person."""
+        self.records.pop(person_id, None)
+        self.removed.add(person_id)
+
+    def after(self, earlier: RecordChange) -> RecordChange:
+        """Return both in one, this one being the later one."""
+        if self.everybody:
+            return self
+        kept = {key: record for key, record in earlier.records.items() if key not in self.removed}
+        return RecordChange(earlier.everybody, earlier.removed | self.removed, {**kept, **self.records})
+
+
+class RecordStore(Protocol):
+    """Where records outlive the process."""
+
+    def load_records(self) -> Sequence[PersonRecord]:
+        """Return all records."""
+
+    def write(self, change: RecordChange) -> List[str]:
+        """Carry out a change, all of it or nothing (StoreError), without a trace of who goes.
+
+        Returns whom another process has removed since they were read or written here: they are not written again.
+        """
+
+    def expire(self, now: float) -> List[str]:
+        """Remove whom the limits of the store do not let stay, `now` in s; returns their ids."""
+
+
+class PersonRegister:
+    """All permanent persons by id. What changes is known at once, and in the store, if there is one, after flush().
+
+    flush() and expire() may take as long as a disk does: they belong in a thread of their own. The other methods never
+    wait for them; they are called by one thread at a time.
+    """
+
+    def __init__(self, store: Optional[RecordStore] = None) -> None:
+        self._store = store
+        self._lock = threading.Lock()      # of the next two
+        self._change = RecordChange()
+        self._gone: List[str] = []
+        self._records: Dict[str, PersonRecord] = {}
+        self._demographics: Dict[str, DemographicsFusion] = {}
+        for record in store.load_records() if store is not None else ():
+            self._records[record.id] = record
+            self._demographics[record.id] = DemographicsFusion(record.demographics)
+
+    def __contains__(self, person_id: str) -> bool:
+        """Tell whether somebody is known."""
+        return person_id in self._records
+
+    @property
+    def records(self) -> List[PersonRecord]:
+        """All records, sorted by id."""
+        return [self._records[key] for key in sorted(self._records)]
+
+    def get(self, person_id: str) -> Optional[PersonRecord]:
+        """Return the record of a person, None for an unknown id."""
+        return self._records.get(person_id)
+
+    def seen(self, person_ids: Iterable[str], now: float) -> None:
+        """Note that these permanent persons are seen at `now` (s); the unknown are known from now on."""
+        for person_id in person_ids:
+            record = self._records.get(person_id)
+            if record is None:
+                self._write(PersonRecord(person_id, first_seen=now, last_seen=now))
+            elif now - record.last_seen >= SEEN_STEP_S or now < record.last_seen:
+                self._write(replace(record, last_seen=now))
+
+    def flush(self) -> None:
+        """Write what has changed; cheap when nothing has. StoreError: it is not written, and waits for the next
+        call."""
+        with self._lock:
+            change, self._change = self._change, RecordChange()
+            for person_id in self._gone:
+                change.records.pop(person_id, None)
+        if self._store is None or not change:
+            return
+        try:
+            gone = self._store.write(change)
+        except BaseException as error:
+            with self._lock:
+                self._change = self._change.after(change)
+            if isinstance(error, StoreError):
+                raise StoreError("{} persons are not kept, or not forgotten: {}".format(len(change), error)) from error
+            raise
+        with self._lock:
+            self._gone += gone
+
+    def expire(self, now: float) -> None:
+        """Remove whom the limits of the store do not let stay, `now` in s. StoreError: not all are removed yet."""
+        gone = self._store.expire(now) if self._store is not None else []
+        with self._lock:
+            self._gone += gone
+
+    def take_gone(self) -> List[str]:
+        """Return whom another process has forgotten, and who has expired, since the last call; nothing is known of
+        them."""
+        with self._lock:
+            gone, self._gone = self._gone, []
+            for person_id in gone:
+                self._change.records.pop(person_id, None)
+        for person_id in gone:
+            self._drop(person_id)
+        return gone
+
+    def set_name(self, person_id: str, name: str) -> None:
+        """Give a person a name; an empty one takes it away. RegisterError for an unknown id or an illegal name."""
+        name = name.strip()
+        if len(name) > LONGEST_NAME or not all(letter.isprintable() for letter in name):
+            raise RegisterError("a name has at most {} printable characters".format(LONGEST_NAME))
+        self._write(replace(self._known(person_id), name=name))
+
+    def set_native_language(self, person_id: str, language: str) -> None:
+        """Set an IETF language tag; an empty one takes it away. RegisterError for an unknown id or what is no tag.
+
+        What is kept is the tag in the form of BCP 47.
+        """
+        try:
+            tag = normal_language_tag(language) if language else ""
+        except ValueError as error:
+            raise RegisterError(str(error)) from error
+        self._write(replace(self._known(person_id), native_language=tag))
+
+    def set_enrolled(self, person_id: str, enrolled: bool, now: float) -> None:
+        """Note that a person has agreed to be recognised, or does no more."""
+        self.seen([person_id], now)
+        self._write(replace(self._known(person_id), enrolled=enrolled))
+
+    def set_alias(self, person_id: str, target: str) -> None:
+        """Note that a person was merged into another, empty: is a person of its own again."""
+        if target:
+            self._known(target)
+        self._write(replace(self._known(person_id), alias=target))
+
+    def keep_aliases(self, changed: Iterable[str], stands_for: Callable[[str], str], now: float) -> None:
+        """Note who stands for the permanent persons whom a user has joined or parted, and for all merged with them.
+
+        stands_for(id): the person that does, itself where nobody else does. now: s.
+        """
+        human = set(changed)
+        merged = [{record.id, record.alias} for record in self._records.values() if record.alias]
+        for pair in merged * len(merged):       # links of links, too
+            human |= pair if pair & human else set()
+        kept = {person_id: stands_for(person_id) for person_id in sorted(human)}
+        self.seen(sorted({*kept, *kept.values()} - set(self._records)), now)
+        for person_id, target in kept.items():
+            self.set_alias(person_id, target if target != person_id else "")
+
+    def observe(self, person_id: str, face_id: str, age: float, age_confidence: float, gender: int,
+                gender_confidence: float, stamp: float) -> bool:
+        """Fuse what one face shows into a person's demographics; False when it was not used."""
+        demographics = self._demographics.setdefault(person_id, DemographicsFusion())
+        if not demographics.observe(face_id, age, age_confidence, gender, gender_confidence, stamp):
+            return False
+        record, estimate = self._records.get(person_id), demographics.estimate()
+        if record is not None and _worth_writing(record.demographics, estimate):
+            self._write(replace(record, demographics=estimate))
+        return True
+
+    def demographics(self, person_id: str) -> Optional[DemographicsEstimate]:
+        """Return apparent age and gender of a person, anonymous or not."""
+        found = self._demographics.get(person_id)
+        return found.estimate() if found is not None else None
+
+    def keep_demographics(self, person_ids: Iterable[str]) -> None:
+        """Forget the demographics of anonymous persons that have gone."""
+        kept = set(person_ids) | set(self._records)
+        self._demographics = {key: value for key, value in self._demographics.items() if key in kept}
+
+    def forget(self, person_id: str) -> bool:
+        """Remove everything about a person; False for an unknown id. Those merged into it are removed, too: they are
+        the same human.
+
+        An id that is forgotten here but still in the store counts as known, so that the request can be repeated.
+        """
+        gone = [key for key, record in self._records.items() if key == person_id or record.alias == person_id]
+        with self._lock:
+            is_known = bool(gone) or self._change.everybody or person_id in self._change.removed
+            for key in gone:
+                self._change.remove(key)
+        for key in gone:
+            self._drop(key)
+        self._demographics.pop(person_id, None)
+        return is_known
+
+    def forget_all(self) -> int:
+        """Remove everybody; returns how many there were."""
+        count = len(self._records)
+        with self._lock:
+            self._change = RecordChange(everybody=True)
+        self._records.clear()
+        self._demographics.clear()
+        return count
+
+    def export(self, person_id: str = "") -> List[dict]:
+        """Everything about one person, or about all, as data for JSON. RegisterError for an unknown id."""
+        records = [self._known(person_id)] if person_id else self.records
+        return [asdict(record) for record in records]
+
+    def _known(self, person_id: str) -> PersonRecord:
+        record = self._records.get(person_id)
+        if record is None:
+            shown = person_id if is_valid_id(person_id) else repr(person_id)[:40]
+            raise RegisterError("there is no known person {}; `people list` shows them; who is anonymous cannot be "
+                                "named".format(shown))
+        return record
+
+    def _drop(self, person_id: str) -> None:
+        self._records.pop(person_id, None)
+        self._demographics.pop(person_id, None)
+
+    def _write(self, record: PersonRecord) -> None:
+        if self._records.get(record.id) == record:
+            return
+        self._records[record.id] = record
+        with self._lock:
+            self._change.records[record.id] = record
+
+
+def _worth_writing(before: Optional[DemographicsEstimate], now: Optional[DemographicsEstimate]) -> bool:
+    """Tell whether an estimate has changed by so much that the store should know."""
+    if before is None or now is None:
+        return before is not now
+    changes: Tuple[float, ...] = (abs(before.age - now.age) / 2.0,
+                                  abs(before.age_confidence - now.age_confidence) / 0.1,
+                                  abs(before.gender_confidence - now.gender_confidence) / 0.1)
+    return before.gender != now.gender or max(changes) >= 1.0
+
+
+class SqliteRecordStore:
+    """A RecordStore in a PersonStore's file, with the limits of how long and how many persons are kept."""
+
+    def __init__(self, store: PersonStore, max_age_days: float = 0.0, max_persons: int = 0) -> None:
+        """max_age_days, max_persons: 0 for no limit."""
+        self._store = store
+        self._stored: Set[str] = set()      # who was read or written here
+        self._max_age = max_age_days * DAY_S
+        self._max_persons = max_persons
+
+    def load_records(self) -> List[PersonRecord]:
+        """Return all records."""
+        rows = self._store.load_records()
+        self._stored = {row.id for row in rows}
+        return [PersonRecord(**dict(vars(row), demographics=_estimate(row.demographics))) for row in rows]
+
+    def write(self, change: RecordChange) -> List[str]:
+        """See RecordStore. Templates go with who goes, and stay with who stays."""
+        stored = set() if change.everybody else self._stored - change.removed
+        gone = []
+        with self._store.change():
+            if change.everybody:
+                self._store.remove_all()
+            for person_id in change.removed:
+                self._store.remove_record(person_id)
+            for record in change.records.values():
+                if not self._store.put_record(_row(record), is_new=record.id not in stored):
+                    gone.append(record.id)
+        self._stored = (stored | set(change.records)) - set(gone)
+        self._store.erase_traces()
+        return gone
+
+    def expire(self, now: float) -> List[str]:
+        """Remove who was not seen for too long (`now`: s), and the oldest of too many; returns their ids."""
+        if not self._max_age and not self._max_persons:
+            return []
+        gone = self._store.expire(now, self._max_age, self._max_persons)
+        self._stored -= set(gone)
+        return gone
+
+    def close(self) -> None:
+        """Give the file back. May be called again."""
+        self._store.close()
+
+
+def _row(record: PersonRecord) -> StoredPerson:
+    demographics = asdict(record.demographics) if record.demographics is not None else {}
+    return StoredPerson(**dict(vars(record), demographics=demographics))
+
+
+def _estimate(mapping: Mapping[str, Any]) -> Optional[DemographicsEstimate]:
+    """The estimate that was stored; None for none, or one of another version."""
+    try:
+        return DemographicsEstimate(**mapping) if mapping else None
+    except TypeError:
+        return None

@@ -1,0 +1,401 @@
+"""The person manager on the ROS graph: features, matches and transforms in, persons out."""
+
+from __future__ import annotations
+
+import gc
+import sys
+import threading
+import time
+import xmlrpc.client
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Callable, Dict, List, Mapping, Optional, Tuple
+
+import genpy
+import rospy
+from std_srvs.srv import Empty, EmptyRequest, EmptyResponse
+
+from hri_msgs.msg import IdsMatch, SoftBiometrics
+from hri_person_manager.core.display import graph_text
+from hri_person_manager.core.features import FEATURES, MAX_FEATURES, Kind, MatchNode
+from hri_person_manager.core.manager import PersonManager
+from hri_person_manager.core.match_graph import MatchGuard
+from hri_person_manager.core.persons import ANONYMOUS_PREFIX, Snapshot
+from hri_person_manager.core.register import PersonRegister, SqliteRecordStore
+from hri_person_manager.ros.inputs import ReferenceFrame, StampedFeaturePose, TfInput
+from hri_person_manager.ros.services import PersonServices
+from hri_person_manager.ros.topics import PersonSpaces, PersonTopics
+from hri_person_manager.ros.visualization import GraphTopic, PersonMarkers
+from hri_pipeline.core.ids import is_valid_id
+from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.process import share_arenas
+from hri_pipeline.core.recognition.gallery import SHARED_ENDINGS
+from hri_pipeline.core.recognition.store import PersonStore, StoreWriter
+from hri_pipeline.ros.conversions import transform_to_msg
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.rospy_compat import release
+from hri_pipeline.ros.subscriptions import IdSubscribers
+from hri_pipeline.ros.tf import TfPublisher
+
+_RESTART_PERIOD_S = 0.5    # s between two writes of the state for a restart
+_RESTART_REPEAT_S = 10.0   # s; it is written again although nothing has changed: a new master has no parameters
+_MOST_RESTORED = 500       # persons
+TICK_S = 0.1
+SWITCH_S = 0.001     # a callback waits no longer than so for a thread that computes; the default of Python is 5 ms
+DIAGNOSTICS_S = 1.0
+EXPIRY_S = 3600.0
+WRITE_S = 0.25       # what has changed of persons is in the store after so long
+_LOG_PERIOD_S = 30.0
+JUMP_BACK_S = 0.5
+_FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", Kind.BODY, {}),
+          ("voices", Kind.VOICE, {}))
+
+
+def open_store(settings: SimpleNamespace) -> Optional[SqliteRecordStore]:
+    """Open the file of the parameter `store` and say so; None without one.
+
+    Raises ParameterError naming the parameter and the fix when the file cannot be used.
+    """
+    if not settings.store:
+        rospy.loginfo("persons are kept in memory only (parameter store is empty)")
+        return None
+    if Path(settings.store).suffix not in SHARED_ENDINGS:
+        raise ParameterError("~store: {} does not end in {}, by which recognisers know the file that they share; name "
+                             "it so".format(settings.store, ", ".join(SHARED_ENDINGS)))
+    try:
+        store = PersonStore(settings.store, notify=rospy.logerr)
+    except StoreError as error:
+        raise ParameterError("~store: {}".format(error)) from error
+    rospy.logwarn("persons are kept across runs in %s: ids, names, languages, apparent age and gender, times, "
+                  "templates of faces. Forget them with `rosrun hri_person_manager people forget ID`", store.path)
+    return SqliteRecordStore(store, settings.store_max_age, settings.store_max_persons)
+
+
+class RestartState:
+    """Writes who is made of which features whenever that changes; ids only, nothing about the human.
+
+    The parameter stands beside the node's own ones, NODE_memory: those are checked, and cleared by roslaunch.
+    """
+
+    def __init__(self) -> None:
+        self._name = rospy.get_name() + "_memory"
+        self._written: Dict[str, List[str]] = {}
+        self._next = self._again = 0.0
+
+    def read(self) -> Dict[str, List[MatchNode]]:
+        """What an earlier run has left: {person id: features}. What is not of that form is left out."""
+        given = rospy.get_param(self._name, {})
+        if not isinstance(given, dict):
+            return {}
+        found: Dict[str, List[MatchNode]] = {}
+        for person_id, names in list(given.items())[:_MOST_RESTORED]:
+            if is_valid_id(person_id) and isinstance(names, list):
+                found[person_id] = [node for name in names for node in _nodes(name)]
+        return found
+
+    def update(self, persons: Callable[[], Mapping[str, List[MatchNode]]], at_once: bool = False) -> None:
+        """Write the persons with their features, which are asked for, twice a second at most, or at once."""
+        now = time.monotonic()
+        if now < self._next and not at_once:
+            return
+        self._next = now + _RESTART_PERIOD_S
+        wanted = {person_id: ["%s %s" % (node.kind.name, node.id) for node in nodes]
+                  for person_id, nodes in persons().items()}
+        # Again and again: a master that was started anew has no parameters.
+        if wanted != self._written or (wanted and now >= self._again):
+            try:
+                rospy.set_param(self._name, wanted)
+            except (OSError, rospy.ROSException, xmlrpc.client.Error):
+                return      # the master is away; the next time may be better
+            self._written, self._again = wanted, now + _RESTART_REPEAT_S
+
+    def close(self) -> None:
+        """Take the parameter back: an orderly end is no crash. Idempotent."""
+        try:
+            if rospy.has_param(self._name):
+                rospy.delete_param(self._name)
+        except (OSError, rospy.ROSException, xmlrpc.client.Error):
+            pass            # it went with the master
+
+
+def _nodes(name: object) -> List[MatchNode]:
+    """The node that a text such as `FACE abcde` names, as a list; empty when it names none."""
+    kind, _, identity = str(name).partition(" ")
+    known = {feature.name: feature for feature in FEATURES}
+    return [MatchNode(Kind(known[kind]), identity)] if kind in known and is_valid_id(identity) else []
+
+
+class ManagerDiagnostics:
+    """Reads the parts of the node; the caller holds its lock."""
+
+    def __init__(self, manager: PersonManager, guard: MatchGuard, reference: ReferenceFrame, tf_input: TfInput,
+                 feeds: Mapping[str, IdSubscribers], transforms: TfPublisher) -> None:
+        self._manager, self._guard, self._reference = manager, guard, reference
+        self._tf_input, self._feeds, self._transforms = tf_input, feeds, transforms
+        self._diagnostics = NodeDiagnostics(rospy.get_name())
+
+    def update(self, snapshot: Snapshot, jumps: int, store_problem: str, waiting: Tuple[int, str]) -> None:
+        """Publish the state; jumps: how often time has gone back; store_problem: empty when what is known is kept.
+
+        waiting: number of persons whose topics could not be opened, and why.
+        """
+        self._persons(snapshot, jumps, *waiting)
+        self._diagnostics.set("store", ERROR if store_problem else OK, store_problem or "nothing waits to be written")
+        self._matches()
+        self._location()
+        for plural, feed in self._feeds.items():
+            level, text, values = feed.status()
+            # A stack without a microphone or without a body tracker is a legal one.
+            self._diagnostics.set(plural, OK if text.startswith("no publisher") else level, text, values)
+
+    def close(self) -> None:
+        """Take the topic back. Idempotent."""
+        self._diagnostics.close()
+
+    def _persons(self, snapshot: Snapshot, jumps: int, waiting: int, why: str) -> None:
+        values = {"tracked": len(snapshot.tracked), "known": len(snapshot.known), "waiting for topics": waiting,
+                  "time jumps": jumps,
+                  "frames not sent twice": self._transforms.dropped,
+                  "ids refused in tracked lists": self._manager.refused_ids}
+        if waiting:
+            text = "%d persons are not published, because their topics cannot be opened: %s" % (waiting, why)
+            self._diagnostics.set("persons", ERROR, text, values)
+        elif self._manager.exact:
+            self._diagnostics.set("persons", OK, "%d tracked" % len(snapshot.tracked), values)
+        else:
+            self._diagnostics.set("persons", WARN, "many ids match each other; association is approximate", values)
+
+    def _matches(self) -> None:
+        refused = self._guard.refused
+        counts = {"accepted": self._guard.accepted, "of persons just forgotten": self._guard.late,
+                  **{"refused, " + why: refused[why] for why in sorted(refused)}}
+        self._diagnostics.set("candidate matches", WARN if refused else OK,
+                              "%d refused" % sum(refused.values()) if refused else "all accepted", counts)
+
+    def _location(self) -> None:
+        unconnected = sorted(self._reference.unconnected)
+        self._diagnostics.set(
+            "location", WARN if unconnected else OK,
+            "no transform from %s to %s, see /humans/reference_frame" % (", ".join(unconnected), self._reference.frame)
+            if unconnected else "persons are placed in %s" % self._reference.frame, self._tf_input.status())
+
+
+class PersonManagerNode:
+    """Owns the manager; every callback takes the lock, hands over, and publishes what changed.
+
+    Frames of seen persons are published on arrival of the transforms of their features, with those stamps.
+    The caller of spin() lets time pass ten times a second of wall time, whatever the simulated clock does.
+    """
+
+    def __init__(self, settings: SimpleNamespace) -> None:
+        sys.setswitchinterval(SWITCH_S)
+        self._lock = threading.RLock()
+        self._stop = threading.Event()
+        self._manager = PersonManager(settings)
+        self._threshold = settings.match_threshold
+        self._restart_state = RestartState()
+        self._guard = MatchGuard(settings.max_matches_per_second)
+        self._last_now = rospy.get_time()
+        self._next_report = self._next_expiry = 0.0
+        self._jumps = 0
+        self._sensed = genpy.Time()     # stamp of the newest image or sound of which a list or a transform has come
+        self._feeds: Dict[str, IdSubscribers] = {}
+        self._store = open_store(settings)
+        self._register = PersonRegister(self._store)
+        self._remember_earlier_runs()
+        self._writer = StoreWriter(self._write_store, WRITE_S)
+        self._topics = PersonTopics(self._register)
+        self._markers = PersonMarkers()
+        self._graph = GraphTopic()
+        self._tf = TfPublisher()
+        self._tf_input = TfInput(settings.reference_frame, settings.source_timeout, self._on_poses)
+        self._reference = ReferenceFrame(settings.reference_frame, self._tf_input)
+        self._spaces = PersonSpaces(settings, self._tf_input)
+        self._matches = rospy.Subscriber("/humans/candidate_matches", IdsMatch, self._on_match,
+                                         queue_size=1000, tcp_nodelay=True)
+        for plural, kind, topics in _FEEDS:
+            self._feeds[plural] = IdSubscribers(plural, topics, self._on_feature, self._tracked_callback(plural, kind),
+                                              max_ids=MAX_FEATURES, list_timeout=settings.list_timeout)
+        self._report = ManagerDiagnostics(self._manager, self._guard, self._reference, self._tf_input, self._feeds,
+                                          self._tf)
+        self._reset = rospy.Service("~reset", Empty, self._on_reset)
+        self._services = PersonServices(self._manager, self._register, self._guard, self._lock, self._publish_changes,
+                                        self._writer.wait)
+        rospy.on_shutdown(self._stop.set)
+        share_arenas()
+        # To go through everything that was imported takes the garbage collector 30 ms, in which nobody is served.
+        gc.collect()
+        gc.freeze()
+
+    def _write_store(self) -> None:
+        """Write what has changed, and see who has not been seen for too long; in the thread of the writer."""
+        self._register.flush()
+        if time.monotonic() >= self._next_expiry:
+            self._expire()
+
+    def _expire(self) -> None:
+        self._next_expiry = time.monotonic() + EXPIRY_S
+        try:
+            self._register.expire(time.time())
+        except StoreError as error:
+            rospy.logerr("~store: who was not seen for too long is still in it: %s", error)
+
+    def _forget_gone(self) -> None:
+        """Forget who has expired, and who was forgotten by another process."""
+        for person_id in self._register.take_gone():
+            self._guard.forget(person_id, time.monotonic())
+            self._manager.forget(person_id, rospy.get_time())
+
+    def _remember_earlier_runs(self) -> None:
+        self._expire()
+        self._forget_gone()
+        earlier = self._restart_state.read()
+        self._manager.expect({name: nodes for name, nodes in earlier.items() if name.startswith(ANONYMOUS_PREFIX)})
+        records = sorted(self._register.records, key=lambda record: record.first_seen)
+        self._manager.know(record.id for record in records)
+        for record in records:
+            if record.alias and record.alias in self._register:
+                self._manager.merge(record.alias, record.id, self._last_now)
+        self._manager.recall({name: nodes for name, nodes in earlier.items() if not name.startswith(ANONYMOUS_PREFIX)},
+                             self._last_now)
+
+    def spin(self) -> None:
+        """Let time pass until ROS shuts down."""
+        while not self._stop.wait(TICK_S):
+            with self._lock:
+                self._tick()
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Take up the values of the live parameters, from any thread.
+
+        ValueError for borders of spaces in the wrong order.
+        """
+        with self._lock:
+            self._spaces.reconfigure(settings)
+            self._guard.limit.set_rate(settings.max_matches_per_second)
+            self._threshold = settings.match_threshold
+            self._manager.reconfigure(settings, rospy.get_time())
+            self._publish_state()
+
+    def close(self) -> None:
+        """Take everything back. Idempotent."""
+        self._stop.set()
+        self._reset.shutdown("closing")
+        self._services.close()
+        for feed in self._feeds.values():
+            feed.close()
+        release(self._matches)
+        self._tf_input.close()
+        with self._lock:
+            for owner in (self._topics, self._spaces, self._graph, self._markers, self._tf, self._report,
+                          self._restart_state):
+                owner.close()
+        problem = self._writer.close()
+        if problem:
+            rospy.logerr("~store: %s", problem)
+        if self._store is not None:
+            self._store.close()
+
+    def _tracked_callback(self, plural: str, kind: Kind):
+        def on_tracked(ids: List[str]) -> None:
+            with self._lock:
+                if plural in self._feeds:
+                    self._note_stamp(self._feeds[plural].stamp)
+                self._manager.on_tracked(kind, ids, rospy.get_time())
+                self._tf_input.set_tracked(kind, ids)
+                self._publish_state()
+        return on_tracked
+
+    def _on_feature(self, face_id: str, name: str, message: SoftBiometrics) -> None:
+        with self._lock:
+            person_id = self._manager.person_of(MatchNode(Kind.FACE, face_id))
+            if person_id is not None:
+                self._register.observe(person_id, face_id, message.age, message.age_confidence, message.gender,
+                                       message.gender_confidence, message.header.stamp.to_sec())
+
+    def _on_match(self, message: IdsMatch) -> None:
+        with self._lock:
+            match = self._guard.check(message.id1, message.id1_type, message.id2, message.id2_type,
+                                      message.confidence, time.monotonic())
+            if match is not None and self._manager.on_match(match, rospy.get_time()):
+                self._publish_state()
+
+    def _on_poses(self, poses: List[StampedFeaturePose]) -> None:
+        with self._lock:
+            if self._stop.is_set():
+                return
+            now = rospy.get_time()
+            moved: Dict[str, object] = {}
+            for stamped in poses:
+                self._note_stamp(stamped.stamp)
+                place = self._reference.place(stamped)
+                person_id = self._manager.on_place(stamped.feature_pose.source, stamped.feature_pose.id, place, now,
+                                                   stamped.feature_pose.sensor)
+                if person_id is not None:
+                    place = self._manager.place(person_id)
+                    self._spaces.note_sensor(person_id, stamped.feature_pose.sensor, stamped.feature_pose.source)
+                    moved[person_id] = transform_to_msg(place.pose, stamped.stamp, place.frame,
+                                                        "person_" + person_id)
+            self._tf.send(list(moved.values()))
+            if any(self._topics.confidence(person_id) < 1.0 for person_id in moved):
+                self._publish_state()
+
+    def _on_reset(self, request: EmptyRequest) -> EmptyResponse:
+        with self._lock:
+            self._manager.reset(rospy.get_time())
+            self._publish_state()
+        rospy.loginfo("reset: persons and matches are forgotten, tracked features are kept")
+        return EmptyResponse()
+
+    def _tick(self) -> None:
+        stamp = rospy.Time.now()
+        now = stamp.to_sec()
+        if now < self._last_now - JUMP_BACK_S:
+            rospy.logwarn("time went back by %.1f s: places start anew, persons stay", self._last_now - now)
+            self._jumps += 1
+            self._sensed = genpy.Time()
+            self._tf_input.reset()
+            self._manager.rewind(now)
+        self._last_now = now
+        self._forget_gone()
+        self._manager.tick(now)
+        if now > 0.0:
+            self._tf.send([transform_to_msg(place.pose, stamp, place.frame, "person_" + person_id)
+                           for person_id, place in self._manager.silent(now)])
+        self._publish_state()
+        snapshot = self._manager.snapshot(now)
+        self._markers.publish(snapshot)
+        self._spaces.update(snapshot, self._sensed)
+        self._graph.update(lambda: graph_text(snapshot, self._manager.matches, self._manager.merges, self._threshold))
+        self._restart_state.update(self._present)
+        # In wall time: that is what runs, bags and simulations have in common.
+        self._register.seen(filter(self._manager.is_permanent, snapshot.tracked), time.time())
+        if time.monotonic() >= self._next_report:
+            self._next_report = time.monotonic() + DIAGNOSTICS_S
+            if self._writer.problem:
+                rospy.logerr_throttle(_LOG_PERIOD_S, "~store: %s" % self._writer.problem)
+            self._report.update(snapshot, self._jumps, self._writer.problem, self._topics.waiting())
+            self._register.keep_demographics(state.id for state in snapshot.persons)
+
+    def _present(self) -> Dict[str, List[MatchNode]]:
+        """Who is made of which features, for the case that this node dies."""
+        return {**self._manager.identified(), **self._manager.anonymous()}
+
+    def _publish_changes(self) -> None:
+        """Publish what a service has changed, and update the state for a restart, before the service answers."""
+        self._publish_state()
+        self._restart_state.update(self._present, at_once=True)
+
+    def _publish_state(self) -> None:
+        if self._stop.is_set():
+            return
+        now = rospy.get_time()
+        self._tf.send([transform_to_msg(place.pose, place.exact_stamp, place.frame, "person_" + person_id)
+                       for person_id, place in self._manager.newly_placed(now)])
+        self._topics.update(self._manager.snapshot(now), self._sensed)
+
+    def _note_stamp(self, stamp: genpy.Time) -> None:
+        """Note when something was sensed; stamps of the future would stay for good."""
+        if self._sensed < stamp and stamp.to_sec() < rospy.get_time() + JUMP_BACK_S:
+            self._sensed = stamp

@@ -1,0 +1,269 @@
+"""The services of the person manager: names, languages, merging, forgetting, exporting, enrolling."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from typing import Any, Callable, List, NamedTuple
+
+import rosgraph
+import rospy
+import rosservice
+from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
+
+from hri_person_manager.core.manager import PersonManager
+from hri_person_manager.core.match_graph import MatchGuard
+from hri_person_manager.core.register import PersonRegister, RegisterError
+from hri_person_manager.srv import (
+    Enrol,
+    EnrolRequest,
+    EnrolResponse,
+    Export,
+    ExportRequest,
+    ExportResponse,
+    Forget,
+    ForgetRequest,
+    ForgetResponse,
+    ListKnown,
+    ListKnownRequest,
+    ListKnownResponse,
+    Merge,
+    MergeRequest,
+    MergeResponse,
+    SetName,
+    SetNameRequest,
+    SetNameResponse,
+    SetNativeLanguage,
+    SetNativeLanguageRequest,
+    SetNativeLanguageResponse,
+    Split,
+    SplitRequest,
+    SplitResponse,
+)
+from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.ros.conversions import to_time
+from hri_pipeline.srv import Gallery, GalleryRequest, GalleryResponse
+
+GALLERY_SUFFIX = "/gallery"
+GALLERY_PATIENCE_S = 2.0
+_NO_RECOGNISER = ("no recogniser can learn a face: no service ~gallery is offered. Start the node faces with "
+                  "recognition on")
+
+
+class GalleryAnswer(NamedTuple):
+    """What one gallery said."""
+
+    service: str
+    response: GalleryResponse
+
+    def data(self) -> Any:
+        """The JSON data of the answer, None where there is none that can be read."""
+        try:
+            return json.loads(self.response.data) if self.response.data else None
+        except ValueError:
+            return None
+
+
+class Galleries:
+    """Finds the services when they are needed: recognisers come and go."""
+
+    def call(self, command: str, person_id: str = "", other: str = "") -> List[GalleryAnswer]:
+        """Give a command to every gallery. One that does not answer, answers with success false and says so.
+
+        Services of another type are left alone, whatever they are called.
+        """
+        answers = []
+        for name in self.names():
+            try:
+                rospy.wait_for_service(name, GALLERY_PATIENCE_S)
+                if rosservice.get_service_type(name) not in (Gallery._type, None):
+                    continue
+                proxy = rospy.ServiceProxy(name, Gallery)
+                answers.append(GalleryAnswer(name, proxy(GalleryRequest(command=command, id=person_id, other=other))))
+            except (rospy.ROSException, rospy.ServiceException, rosservice.ROSServiceException) as error:
+                answers.append(GalleryAnswer(name, GalleryResponse(
+                    success=False, message="{} does not answer: {}".format(name, error))))
+        return answers
+
+    @staticmethod
+    def names() -> List[str]:
+        """Names of all services that may be a gallery."""
+        try:
+            services = rosgraph.Master(rospy.get_name()).getSystemState()[2]
+        except (rosgraph.MasterException, OSError):
+            return []
+        return sorted(name for name, _ in services if name.endswith(GALLERY_SUFFIX))
+
+
+class PersonServices:
+    """Offers the services and carries them out, in rospy's threads.
+
+    manager, register and guard are used under `lock`; recognisers are called without it, as they answer by matches.
+    changed() is called, under the lock, after what is to be published; written(), without it, before a wish is
+    answered: it returns when that is in the store, or raises StoreError. Names never get into the log.
+    """
+
+    def __init__(self, manager: PersonManager, register: PersonRegister, guard: MatchGuard,
+                 lock: threading.RLock, changed: Callable[[], None], written: Callable[[], None]) -> None:
+        self._manager, self._register, self._guard = manager, register, guard
+        self._lock, self._changed, self._written = lock, changed, written
+        self._galleries = Galleries()
+        self._services = [rospy.Service("~" + name, kind, _guarded(handler, answer)) for name, kind, handler,
+                          answer in (
+            ("set_name", SetName, self._kept(self._set_name), SetNameResponse),
+            ("set_native_language", SetNativeLanguage, self._kept(self._set_native_language),
+             SetNativeLanguageResponse),
+            ("merge", Merge, self._kept(self._merge), MergeResponse),
+            ("split", Split, self._kept(self._split), SplitResponse),
+            ("forget", Forget, self._forget, ForgetResponse),
+            ("forget_all", Trigger, self._forget_all, TriggerResponse),
+            ("export", Export, self._export, ExportResponse), ("enrol", Enrol, self._kept(self._enrol), EnrolResponse))]
+        self._services.append(rospy.Service("~list_known", ListKnown, self._list_known))
+
+    def close(self) -> None:
+        """Offer them no more. Idempotent."""
+        for service in self._services:
+            service.shutdown("closing")
+
+    def _kept(self, handler: Callable) -> Callable:
+        """GalleryAnswer when what the handler has changed is in the store."""
+        def handle(request: object) -> object:
+            answer = handler(request)
+            self._written()
+            return answer
+        return handle
+
+    def _set_name(self, request: SetNameRequest) -> SetNameResponse:
+        with self._lock:
+            self._admit(request.id)
+            self._register.set_name(request.id, request.name)
+            self._changed()
+        return SetNameResponse(True, "{} has a {}name".format(request.id, "" if request.name else "no "))
+
+    def _set_native_language(self, request: SetNativeLanguageRequest) -> SetNativeLanguageResponse:
+        with self._lock:
+            self._admit(request.id)
+            self._register.set_native_language(request.id, request.language)
+            record = self._register.get(request.id)
+            self._changed()
+        return SetNativeLanguageResponse(True, "native language of {}: {}".format(
+            request.id, record.native_language if record and record.native_language else "not known"))
+
+    def _merge(self, request: MergeRequest) -> MergeResponse:
+        with self._lock:
+            kept, alias = self._manager.merge(request.id, request.other, rospy.get_time())
+            self._register.keep_aliases(filter(self._manager.is_permanent, (request.id, request.other, kept, alias)),
+                                        self._manager.representative, time.time())
+            self._changed()
+        return MergeResponse(True, "{} is an alias of {} now".format(alias, kept))
+
+    def _split(self, request: SplitRequest) -> SplitResponse:
+        with self._lock:
+            self._manager.split(request.id, rospy.get_time())
+            self._register.keep_aliases([request.id], self._manager.representative, time.time())
+            self._changed()
+        return SplitResponse(True, "{} is a person of its own again".format(request.id))
+
+    def _forget(self, request: ForgetRequest) -> ForgetResponse:
+        with self._lock:
+            ids = self._one_human(request.id)
+        # The recognisers first: otherwise they would name the person again at once.
+        refused = [answer for person_id in ids for answer in self._galleries.call(GalleryRequest.FORGET, person_id)
+                   if not answer.response.success and not answer.response.unknown]
+        with self._lock:
+            for person_id in ids:
+                self._guard.forget(person_id, time.monotonic())
+            found = [self._manager.forget(person_id, rospy.get_time()) for person_id in ids]
+            found += [self._register.forget(person_id) for person_id in ids]
+            self._changed()
+        self._written()
+        if not any(found):
+            raise RegisterError("there is no known person {!r}".format(request.id[:40]))
+        if refused:
+            raise RegisterError("forgotten here, but {}".format(_first_lines(refused)))
+        return ForgetResponse(True, "{} is forgotten".format(request.id))
+
+    def _one_human(self, person_id: str) -> List[str]:
+        """The id and its aliases, those of the store and those that recognisers have found; not the anonymous ones."""
+        aliases = {record.id for record in self._register.records if record.alias == person_id}
+        aliases |= {state.id for state in self._manager.snapshot(rospy.get_time()).persons
+                    if state.alias == person_id and not state.anonymous}
+        return [person_id] + sorted(aliases - {person_id})
+
+    def _forget_all(self, request: TriggerRequest) -> TriggerResponse:
+        refused = [answer for answer in self._galleries.call(GalleryRequest.FORGET_ALL) if not answer.response.success]
+        with self._lock:
+            for record in self._register.records:
+                self._guard.forget(record.id, time.monotonic())
+            count = self._register.forget_all()
+            self._manager.reset(rospy.get_time())
+            self._changed()
+        self._written()
+        if refused:
+            raise RegisterError("forgotten here, but {}".format(_first_lines(refused)))
+        return TriggerResponse(True, "{} persons are forgotten".format(count))
+
+    def _export(self, request: ExportRequest) -> ExportResponse:
+        with self._lock:
+            records = self._register.export(request.id)
+        galleries = {answer.service: answer.data() for answer in
+                     self._galleries.call(GalleryRequest.EXPORT if request.id else GalleryRequest.LIST, request.id)
+                     if answer.response.success}
+        text = json.dumps({"persons": records, "galleries": galleries}, ensure_ascii=False)
+        return ExportResponse(True, "{} persons".format(len(records)), text)
+
+    def _enrol(self, request: EnrolRequest) -> EnrolResponse:
+        with self._lock:
+            state = next((state for state in self._manager.snapshot(rospy.get_time()).persons
+                          if state.id == request.id), None)
+        if state is None or not state.face:
+            raise RegisterError("the person {!r} has no face that is seen now".format(request.id[:40]))
+        known = "" if state.anonymous else state.id
+        answers = self._galleries.call(GalleryRequest.ENROL, known, state.face)
+        learned = [answer.response.id for answer in answers if answer.response.success and answer.response.id]
+        if not learned:
+            raise RegisterError(_first_lines(answers) if answers else _NO_RECOGNISER)
+        with self._lock:
+            self._manager.know(learned[:1])
+            self._register.set_enrolled(learned[0], True, time.time())
+            if request.name:
+                self._register.set_name(learned[0], request.name)
+            self._changed()
+        return EnrolResponse(True, "{} is enrolled".format(learned[0]), learned[0])
+
+    def _list_known(self, request: ListKnownRequest) -> ListKnownResponse:
+        with self._lock:
+            snapshot = self._manager.snapshot(rospy.get_time())
+            states = {state.id: state for state in snapshot.persons}
+            records = {record.id: record for record in self._register.records}
+            answer = ListKnownResponse(ids=list(snapshot.known))
+        for person_id in answer.ids:
+            state, record = states.get(person_id), records.get(person_id)
+            answer.names.append(record.name if record else "")
+            answer.native_languages.append(record.native_language if record else "")
+            answer.anonymous.append(state.anonymous if state else False)
+            answer.enrolled.append(record.enrolled if record else False)
+            answer.tracked.append(person_id in snapshot.tracked)
+            answer.first_seen.append(to_time(record.first_seen if record else 0.0))
+            answer.last_seen.append(to_time(record.last_seen if record else 0.0))
+        return answer
+
+    def _admit(self, person_id: str) -> None:
+        """Let a permanent person that the manager knows into the register."""
+        if person_id not in self._register and self._manager.is_permanent(person_id):
+            self._register.seen([person_id], time.time())
+
+
+def _first_lines(answers: List[GalleryAnswer]) -> str:
+    return "; ".join("{}: {}".format(answer.service, answer.response.message) for answer in answers)
+
+
+def _guarded(handler: Callable, answer: Callable) -> Callable:
+    """GalleryAnswer with success false and the reason where a handler raises ValueError, or the store fails."""
+    def handle(request: object) -> object:
+        try:
+            return handler(request)
+        except (ValueError, StoreError) as error:
+            return answer(success=False, message=str(error))
+    return handle

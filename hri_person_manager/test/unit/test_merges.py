@@ -1,0 +1,103 @@
+"""Which persons are one human."""
+
+from __future__ import annotations
+
+import pytest
+
+from hri_person_manager.core.merges import MAX_MERGES, Merges
+
+ORDER = {"ann": 0, "bob": 1, "eve": 2}
+
+
+def updated(merges, persons=("ann", "bob", "eve")):
+    merges.update(persons, ORDER.__getitem__)
+    return {person: merges.representative(person) for person in persons}
+
+
+def test_persons_are_joined_from_the_threshold_on_and_split_below():
+    merges = Merges(0.5)
+    assert not merges.set("eve", "bob", 0.4)
+    assert updated(merges) == {"ann": "ann", "bob": "bob", "eve": "eve"}
+    assert merges.set("eve", "bob", 0.5)
+    assert updated(merges) == {"ann": "ann", "bob": "bob", "eve": "bob"}
+    assert not merges.set("bob", "eve", 0.9)
+    assert merges.set("bob", "eve", 0.0)
+    assert updated(merges)["eve"] == "eve" and merges.pairs == ()
+
+
+def test_a_chain_has_one_representative_and_breaks_in_the_middle():
+    merges = Merges(0.5)
+    merges.set("eve", "bob", 0.9)
+    merges.set("bob", "ann", 0.9)
+    assert updated(merges) == {"ann": "ann", "bob": "ann", "eve": "ann"}
+    assert merges.members("ann") == ["ann", "bob", "eve"]
+    assert merges.split("bob")
+    assert updated(merges) == {"ann": "ann", "bob": "bob", "eve": "eve"}
+    assert not merges.split("bob")
+
+
+def test_absent_persons_join_nobody_and_forgotten_ones_are_gone():
+    merges = Merges(0.5)
+    merges.set("ann", "bob", 0.9)
+    assert updated(merges, ("bob",)) == {"bob": "bob"}
+    assert updated(merges, ("ann", "bob")) == {"ann": "ann", "bob": "ann"}
+    merges.remove("ann")
+    assert updated(merges, ("ann", "bob")) == {"ann": "ann", "bob": "bob"}
+
+
+def test_update_tells_whether_a_representative_changed():
+    merges = Merges(0.5)
+    merges.set("ann", "bob", 0.9)
+    assert merges.update(["ann", "bob"], ORDER.__getitem__)
+    assert not merges.update(["ann", "bob"], ORDER.__getitem__)
+
+
+def test_a_person_and_itself_are_no_merge_and_the_number_is_bounded():
+    merges = Merges(0.5)
+    with pytest.raises(ValueError):
+        merges.set("ann", "ann", 0.9)
+    for number in range(2 * MAX_MERGES):
+        merges.set("a%d" % number, "b%d" % number, 0.9)
+    assert len(merges.pairs) == MAX_MERGES
+
+
+def test_observed_pairs_are_merged_until_a_report_says_otherwise():
+    merges = Merges(0.5)
+    assert merges.set_observed("bob", "ann", 0.8) and merges.observed == (("ann", "bob", 0.8),) and merges.pairs == ()
+    assert updated(merges)["bob"] == "ann"
+    assert merges.set("ann", "bob", 0.2), "told that they are two"
+    assert updated(merges)["bob"] == "bob" and merges.observed == ()
+    assert merges.set("ann", "bob", 0.0), "nothing is told any more"
+    assert updated(merges)["bob"] == "ann"
+    assert merges.set_observed("ann", "bob", 0.0)
+    assert updated(merges)["bob"] == "bob"
+
+
+def test_a_report_stays_when_the_pair_is_not_observed_any_more():
+    merges = Merges(0.5)
+    merges.set("ann", "bob", 0.9)
+    assert not merges.set_observed("ann", "bob", 0.8)
+    assert not merges.set_observed("ann", "bob", 0.0)
+    assert updated(merges)["bob"] == "ann"
+
+
+def test_a_pair_split_by_the_user_is_merged_again_by_the_user_only():
+    merges = Merges(0.5)
+    merges.set_observed("ann", "bob", 0.8)
+    merges.set_observed("bob", "eve", 0.8)
+    assert merges.split("eve") and not merges.split("eve")
+    assert not merges.set_observed("eve", "bob", 0.8) and not merges.set_observed("eve", "ann", 0.8)
+    assert updated(merges) == {"ann": "ann", "bob": "ann", "eve": "eve"}
+    assert merges.set("eve", "bob", 1.0)
+    assert updated(merges) == {"ann": "ann", "bob": "ann", "eve": "ann"}
+
+
+def test_the_number_of_observed_and_split_pairs_is_bounded():
+    merges = Merges(0.5)
+    for number in range(MAX_MERGES + 50):
+        merges.set_observed("a%d" % number, "b%d" % number, 0.9)
+        merges.split("a%d" % number)
+        merges.set_observed("c%d" % number, "d%d" % number, 0.9)
+    assert len(merges.observed) == MAX_MERGES and len(merges._split) == MAX_MERGES
+    merges.remove("c%d" % (MAX_MERGES + 49))
+    assert len(merges.observed) == MAX_MERGES - 1

@@ -1,0 +1,367 @@
+"""Names, languages and demographics of known persons, in memory and across runs in a real file."""
+
+from __future__ import annotations
+
+import time
+from itertools import count
+
+import numpy as np
+import pytest
+
+from benchmarks.store import no_room, write_locked
+from hri_person_manager.core.register import (
+    DAY_S,
+    FEMALE,
+    LONGEST_NAME,
+    MALE,
+    UNDEFINED,
+    DemographicsFusion,
+    PersonRecord,
+    PersonRegister,
+    RegisterError,
+    SqliteRecordStore,
+)
+from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoreWriter
+
+
+class Shelf:
+    """A store in memory that counts what is written."""
+
+    def __init__(self, records=()):
+        self.records = {record.id: record for record in records}
+        self.written = 0
+
+    def load_records(self):
+        return list(self.records.values())
+
+    def write(self, change):
+        if change.everybody:
+            self.records.clear()
+        for person_id in change.removed:
+            self.records.pop(person_id, None)
+        self.written += len(change.records)
+        self.records.update(change.records)
+        return []
+
+
+def register():
+    shelf = Shelf()
+    made = PersonRegister(shelf)
+    made.seen(["ann", "bob"], 5.0)
+    made.flush()
+    return made, shelf
+
+
+def test_what_is_set_is_there_in_the_next_run():
+    first, shelf = register()
+    first.set_name("ann", "  Ann Øre ")
+    first.set_native_language("ann", "pt-BR")
+    first.set_enrolled("ann", True, 6.0)
+    first.set_alias("bob", "ann")
+    assert first.observe("ann", "f1", 40.0, 0.8, FEMALE, 0.9, 7.0)
+    first.flush()
+    second = PersonRegister(shelf)
+    record = second.get("ann")
+    assert (record.name, record.native_language, record.enrolled, record.first_seen) == ("Ann Øre", "pt-BR", True, 5.0)
+    assert second.get("bob").alias == "ann" and second.demographics("ann").gender == FEMALE
+
+
+@pytest.mark.parametrize("wish", [
+    lambda book: book.set_name("nobody", "x"), lambda book: book.set_name("ann", "x" * (LONGEST_NAME + 1)),
+    lambda book: book.set_name("ann", "a\nb"), lambda book: book.set_name("ann", "a\x00b"),
+    lambda book: book.set_native_language("ann", "French!"), lambda book: book.set_native_language("ann", "f"),
+    lambda book: book.set_native_language("ann", "fr\n"), lambda book: book.set_native_language("ann", "a-" * 40),
+    lambda book: book.set_alias("ann", "nobody"), lambda book: book.export("nobody"),
+    lambda book: book.export("no body; drop")])
+def test_wishes_that_cannot_be_met_change_nothing(wish):
+    book, shelf = register()
+    before = dict(shelf.records)
+    with pytest.raises(RegisterError):
+        wish(book)
+    book.flush()
+    assert shelf.records == before
+
+
+@pytest.mark.parametrize("given, kept", [
+    *((tag, tag) for tag in ("fr", "pt-BR", "zh-Hant-TW", "es-419", "de-CH-1901", "sl-rozaj", "", "ca-ES-valencia")),
+    ("EN_gb", "en-GB"), ("PT_br", "pt-BR"), ("ZH-hANT-tw", "zh-Hant-TW"), ("DE_ch_1901", "de-CH-1901"),
+    ("sl-Rozaj-Biske", "sl-rozaj-biske"), ("mn_Cyrl_MN", "mn-Cyrl-MN"),
+    ("zh-cmn-Hans", "cmn-Hans"), ("zh-yue-HK", "yue-HK"), ("sgn-ase", "ase"),
+    ("x-private", "x-private"), ("X_Whatever_1", "x-whatever-1"), ("en-x-US", "en-x-us"),
+    ("de-DE-u-co-phonebk", "de-DE-u-co-phonebk"), ("ar-U-NU-latn", "ar-u-nu-latn"),
+    ("en-u-ca-buddhist-t-de-x-a", "en-t-de-u-ca-buddhist-x-a")])
+def test_language_tags_are_kept_in_the_form_of_bcp_47(given, kept):
+    book, shelf = register()
+    book.set_native_language("ann", given)
+    book.flush()
+    assert book.get("ann").native_language == shelf.records["ann"].native_language == kept
+    book.set_native_language("ann", kept)
+    assert book.get("ann").native_language == kept
+
+
+@pytest.mark.parametrize("garbage", [
+    "f", "French", "-", "_", "fr-", "-fr", "fr--FR", "fr FR", "fr\n", "\u217br", "en-GB-GB", "en-abcdefghi", "x", "x-",
+    "en-u", "en-u-x-a", "en-x", "de-1901-1901", "en-u-ca-buddhist-u-nu-latn", "12", "\u212ao", "en-x-" + "a-" * 40,
+    "zh-cmn-yue-wuu-gan"])
+def test_what_is_no_language_tag_is_refused_and_said(garbage):
+    book, _ = register()
+    book.set_native_language("ann", "fr")
+    with pytest.raises(RegisterError, match="is no IETF language tag"):
+        book.set_native_language("ann", garbage)
+    assert book.get("ann").native_language == "fr"
+
+
+def test_forgetting_takes_aliases_along_and_leaves_the_others():
+    book, shelf = register()
+    book.seen(["eve"], 6.0)
+    book.set_alias("bob", "ann")
+    book.observe("ann", "f1", 40.0, 0.8, FEMALE, 0.9, 7.0)
+    assert book.forget("ann")
+    book.flush()
+    assert not book.forget("ann")
+    assert list(shelf.records) == ["eve"] and book.demographics("ann") is None
+    assert book.forget_all() == 1 and book.records == []
+    book.flush()
+    assert not shelf.records
+
+
+def test_who_is_forgotten_and_met_again_before_it_is_written_is_somebody_new():
+    book, shelf = register()
+    book.set_name("ann", "Ann")
+    book.forget("ann")
+    book.seen(["ann"], 9.0)
+    book.set_name("bob", "Bob")
+    book.forget_all()
+    book.seen(["ann"], 10.0)
+    book.flush()
+    assert list(shelf.records.values()) == [PersonRecord("ann", first_seen=10.0, last_seen=10.0)]
+
+
+def test_being_seen_is_not_written_with_every_image():
+    book, shelf = register()
+    shelf.written = 0
+    for number in range(1000):
+        book.seen(["ann"], 5.0 + 0.01 * number)
+        book.flush()
+    assert shelf.written == 0
+    book.seen(["ann"], 20.0)
+    book.flush()
+    assert shelf.written == 1 and shelf.records["ann"].last_seen == 20.0
+
+
+def test_export_holds_everything_of_one_and_of_all():
+    book, _ = register()
+    book.set_name("ann", "Ann")
+    assert [entry["name"] for entry in book.export("ann")] == ["Ann"]
+    assert [entry["id"] for entry in book.export()] == ["ann", "bob"]
+
+
+def test_demographics_are_fused_over_faces_each_counted_once():
+    fused = DemographicsFusion()
+    assert fused.estimate() is None
+    for _ in range(50):
+        fused.observe("f1", 30.0, 0.5, FEMALE, 0.9, 1.0)
+    fused.observe("f2", 40.0, 0.5, FEMALE, 0.8, 2.0)
+    estimate = fused.estimate()
+    assert estimate.age == pytest.approx(35.0) and estimate.gender == FEMALE and estimate.stamp == 2.0
+    assert estimate.age_deviation > 6.3 and 0.8 < estimate.gender_confidence < 0.9
+    fused.observe("f3", 35.0, 0.5, MALE, 0.9, 3.0)
+    fused.observe("f4", 35.0, 0.5, MALE, 0.9, 3.0)
+    assert fused.estimate().gender == UNDEFINED
+
+
+@pytest.mark.parametrize("numbers", [
+    (float("nan"), 0.5, FEMALE, 0.5, 1.0), (-1.0, 0.5, FEMALE, 0.5, 1.0), (30.0, 1.5, FEMALE, 0.5, 1.0),
+    (30.0, 0.5, FEMALE, float("inf"), 1.0), (300.0, 0.5, FEMALE, 0.5, 1.0)])
+def test_unsound_demographics_are_not_used(numbers):
+    fused = DemographicsFusion()
+    assert not fused.observe("f1", *numbers)
+    assert fused.estimate() is None
+
+
+def test_what_is_set_to_what_it_was_is_not_written():
+    book, shelf = register()
+    shelf.written = 0
+    book.set_name("ann", "")
+    book.set_alias("bob", "")
+    book.flush()
+    assert shelf.written == 0
+
+
+def test_what_is_set_again_is_not_written_again():
+    book, shelf = register()
+    written = []
+    for _ in range(2):
+        shelf.written = 0
+        book.set_name("ann", "Ann")
+        book.set_native_language("ann", "EN_gb")
+        book.set_alias("bob", "ann")
+        book.set_enrolled("ann", True, 5.0)
+        book.flush()
+        written.append(shelf.written)
+    assert written == [2, 0], "both persons once"
+    assert PersonRegister(shelf).records == book.records
+
+
+def opened(path, **limits):
+    return SqliteRecordStore(PersonStore(path), **limits)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "people" / "store.sqlite"
+
+
+def filled(path, names=("ann",)):
+    store = opened(path)
+    register = PersonRegister(store)
+    register.seen(names, 100.0)
+    register.flush()
+    return store, register
+
+
+def test_what_a_full_disk_did_not_take_is_written_when_there_is_room(path):
+    store, register = filled(path)
+    with no_room():
+        register.seen(["bob", "cho"], 101.0)
+        assert "bob" in register and "cho" in register
+        with pytest.raises(StoreError, match="2 persons.*make room"):
+            register.flush()
+        register.set_name("ann", "Ann")
+        with pytest.raises(StoreError, match="3 persons.*make room"):
+            register.flush()
+    register.flush()
+    store.close()
+    store = opened(path)
+    assert {record.id: record.name for record in store.load_records()} == {"ann": "Ann", "bob": "", "cho": ""}
+    store.close()
+
+
+@pytest.mark.parametrize("forget", [lambda register: register.forget("ann"), lambda register: register.forget_all()])
+def test_whom_a_full_disk_does_not_let_go_goes_later(path, forget):
+    store, register = filled(path)
+    with no_room():
+        assert forget(register) and "ann" not in register
+        with pytest.raises(StoreError, match="make room"):
+            register.flush()
+    assert register.forget("ann"), "the wish can be repeated"
+    register.flush()
+    assert store.load_records() == [] and b"ann" not in path.read_bytes() and not register.forget("ann")
+    store.close()
+
+
+def test_whom_another_process_has_forgotten_is_not_written_again(path):
+    store, register = filled(path, ("ann", "bob"))
+    recogniser = PersonStore(path)
+    recogniser.remove_record("ann")
+    register.set_name("ann", "Ann")
+    register.set_name("bob", "Bob")
+    register.flush()
+    register.seen(["ann"], 200.0)
+    register.flush()
+    assert register.take_gone() == ["ann"] and "ann" not in register and register.take_gone() == []
+    register.flush()
+    assert [record.id for record in recogniser.load_records()] == ["bob"]
+    register.seen(["ann"], 300.0)
+    register.flush()
+    assert [record.first_seen for record in recogniser.load_records()] == [300.0, 100.0], "who is met anew is new"
+    recogniser.close()
+    store.close()
+
+
+def test_persons_do_not_wait_for_a_store_that_another_process_holds(path):
+    store, register = filled(path)
+    writer = StoreWriter(register.flush, 0.02)
+    waits = []
+    with write_locked(path):
+        end = time.monotonic() + 3.0
+        for number in count(1):
+            began = time.monotonic()
+            register.seen(["ann", "person{}".format(number % 50)], 100.0 * number)
+            register.set_name("ann", "Ann {}".format(number))
+            register.forget("person{}".format(number % 7))
+            register.take_gone()
+            waits.append(time.monotonic() - began)
+            if began > end:
+                break
+        with pytest.raises(StoreError, match="another process"):
+            writer.wait(0.1)
+    writer.wait()
+    assert writer.close() == ""
+    assert {record.id: record.name for record in store.load_records()} == {
+        record.id: record.name for record in register.records}
+    store.close()
+    assert np.median(waits) < 0.01 and max(waits) < 0.5
+
+
+def test_what_is_known_comes_back_in_the_next_run(tmp_path):
+    path = tmp_path / "people" / "store.sqlite"
+    store = opened(path)
+    first = PersonRegister(store)
+    first.seen(["ann", "bob"], 100.0)
+    first.set_name("ann", "Ann Ø")
+    first.set_native_language("ann", "da")
+    first.set_enrolled("ann", True, 101.0)
+    first.set_alias("bob", "ann")
+    first.observe("ann", "f1", 33.0, 0.8, FEMALE, 0.9, 102.0)
+    first.flush()
+    store.close()
+    store = opened(path)
+    second = PersonRegister(store)
+    assert second.records == first.records
+    assert second.demographics("ann").age == 33.0
+    store.close()
+
+
+def test_a_forgotten_person_is_in_no_byte_of_the_file_or_its_journal(tmp_path):
+    path = tmp_path / "people" / "store.sqlite"
+    people = PersonStore(path)
+    store = SqliteRecordStore(people)
+    register = PersonRegister(store)
+    register.seen(["annsecretid", "bob"], 100.0)
+    register.set_name("annsecretid", "Wilhelmina Unforgettable")
+    register.flush()
+    template = np.random.default_rng(1).normal(size=(1, 16)).astype(np.float32)
+    template /= np.linalg.norm(template)
+    people.put_templates(KnownPerson("annsecretid", template, True), "net", 100.0)
+
+    def traces():
+        content = b"".join(file.read_bytes() for file in path.parent.iterdir())
+        return [trace for trace in (b"annsecretid", b"Wilhelmina", template.astype("<f4").tobytes())
+                if trace in content]
+
+    assert len(traces()) == 3
+    assert register.forget("annsecretid")
+    register.flush()
+    assert traces() == []
+    store.close()
+    assert traces() == []
+
+
+def test_the_unseen_and_the_surplus_expire(tmp_path):
+    store = opened(tmp_path / "people" / "store.sqlite", max_age_days=10.0, max_persons=2)
+    register = PersonRegister(store)
+    for number, name in enumerate(("old", "one", "two", "three")):
+        register.seen([name], 20.0 * DAY_S + number)
+    register.seen(["old"], 1.0)
+    register.flush()
+    register.expire(20.0 * DAY_S + 60.0)
+    assert sorted(register.take_gone()) == ["old", "one"]
+    assert [record.id for record in register.records] == ["three", "two"]
+    assert [record.id for record in store.load_records()] == ["three", "two"]
+    store.close()
+
+
+def test_a_writer_in_the_other_process_keeps_its_templates(tmp_path):
+    path = tmp_path / "people" / "store.sqlite"
+    recogniser, store = PersonStore(path), opened(path)
+    template = np.eye(1, 8, dtype=np.float32)
+    recogniser.put_templates(KnownPerson("ann", template, False), "net", 5.0)
+    register = PersonRegister(store)
+    register.set_name("ann", "Ann")
+    register.flush()
+    assert store.load_records()[0].name == "Ann"
+    assert len(recogniser.load_templates("net", 8)) == 1
+    recogniser.close()
+    store.close()

@@ -1,0 +1,1 @@
+"""What is said: recognisers of speech and the processes that they run in."""

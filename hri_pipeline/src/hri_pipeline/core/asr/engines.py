@@ -1,0 +1,470 @@
+"""The recognisers of speech: what each of them can do, how one is chosen, and the grammar it is given.
+
+pocketsphinx is the default and is tested with recordings. vosk and sherpa-onnx are experimental: written after the
+documented interfaces of vosk 0.3.45 and sherpa-onnx 1.10 to 2.0, tested without their models, and not installed with
+this package. The package of an engine is imported when the engine is made, in a process of its own (worker.py).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Protocol, Sequence
+
+import numpy as np
+
+from hri_pipeline.core.parameters import ParameterError
+
+RATE = 16000
+"""Sample rate (Hz) of all sound that is recognised."""
+
+
+class EngineChoice(NamedTuple):
+    """Which recogniser, with which model; the fields are the parameters speech_engine, speech_model, ...
+
+    Attributes
+    ----------
+    engine : a key of ENGINES.
+    model : directory, empty for the model that comes with the engine.
+    grammar : text of a grammar, empty for dictation.
+    language : IETF tag.
+    """
+
+    engine: str
+    model: str = ""
+    grammar: str = ""
+    language: str = "en-US"
+
+
+class Recognised(NamedTuple):
+    """What was said; confidence from 0 to 1, as the engine understands it."""
+
+    text: str
+    confidence: float
+
+
+class SpeechEngine(Protocol):
+    """Recognises one utterance after the other; not safe to use from several threads."""
+
+    def start(self) -> None:
+        """Begin an utterance."""
+
+    def feed(self, samples: np.ndarray) -> None:
+        """Take (n,) int16 samples at 16 kHz of the utterance."""
+
+    def partial(self) -> str:
+        """Return the text so far, lower case where the model has no case."""
+
+    def finish(self) -> Recognised:
+        """End the utterance and return its text."""
+
+    def close(self) -> None:
+        """Give memory and files back. Idempotent."""
+
+
+_GRAMMAR_SEARCH = "grammar"
+# Markers that are not words: <s>, </s>, <sil>, [NOISE], ++breath++; and the number of a pronunciation, as in "to(2)".
+_FILLER = re.compile(r"^(<.*>|\[.*\]|\+\+.*\+\+)$")
+_PRONUNCIATION = re.compile(r"\(\d+\)$")
+_FRAMES_PER_SECOND = 100.0
+# Loss of log likelihood per second of words, against the best sound of each frame, at which a grammar fits half, and
+# the width of the transition. On Debian's test recordings sentences of four grammars lose 110 to 202, others 300 to
+# 620.
+_FIT_LOSS = 250.0
+_FIT_WIDTH = 15.0
+# The least likelihood that the decoder's numbers can tell from 0.
+_LEAST = 1e-300
+# Utterances up to this length are decoded once more when they are over.
+_AGAIN_S = 10.0
+# Silence around the words: 25 dB below the loudest 20 ms, of which 0.16 s stay (chosen on recordings of cards with
+# silence around).
+_STEP = 320
+_QUIET = 10.0 ** -2.5
+_MARGIN = 8
+
+
+class PocketsphinxEngine:
+    """One decoder of pocketsphinx, for dictation or a JSGF grammar.
+
+    While somebody speaks the mean of the cepstra, which is subtracted from them, is that of what was said before: the
+    first words of a new voice suffer. When the utterance is over its own mean is known, so it is decoded again.
+
+    The confidence of dictation is the mean posterior probability of the words in the lattice. In a grammar those
+    compare with the other sentences of the grammar only, and are near 1 for a cough; there it is multiplied by how well
+    the sounds fit the words at all (0 to 1). Both are estimates of what may be wrong, no probabilities.
+    Raises ParameterError for a model or a grammar that cannot be used.
+    """
+
+    def __init__(self, choice: EngineChoice) -> None:
+        import pocketsphinx
+        self._grammar = bool(choice.grammar)
+        options: Dict[str, Any] = {"loglevel": "ERROR", **_pocketsphinx_options(choice)}
+        try:
+            decoder = pocketsphinx.Decoder(**options)
+        except (RuntimeError, ValueError) as error:
+            raise ParameterError(
+                "pocketsphinx does not load its model {}: {}".format(choice.model or "(default)", error)
+            ) from error
+        if self._grammar:
+            try:
+                decoder.add_jsgf_string(_GRAMMAR_SEARCH, choice.grammar.encode("utf-8"))
+                decoder.activate_search(_GRAMMAR_SEARCH)
+            except (RuntimeError, ValueError, KeyError) as error:
+                raise ParameterError(
+                    "parameter speech_grammar: pocketsphinx does not take the grammar ({}); it must be"
+                    " JSGF with a public rule, and all its words must be in the dictionary".format(error)
+                ) from error
+        self._decoder: Any = decoder
+        self._open = False
+        self._heard: List[bytes] = []
+
+    def start(self) -> None:
+        """Begin an utterance; one that was not finished is forgotten."""
+        if self._open:
+            self._decoder.end_utt()
+        self._decoder.start_utt()
+        self._heard = []
+        self._open = True
+
+    def feed(self, samples: np.ndarray) -> None:
+        """Take (n,) int16 samples at 16 kHz."""
+        if len(samples):
+            data = np.ascontiguousarray(samples, dtype="<i2").tobytes()
+            self._heard.append(data)
+            self._decoder.process_raw(data)
+
+    def partial(self) -> str:
+        """Return the text so far."""
+        hypothesis = self._decoder.hyp()
+        return "" if hypothesis is None else _words_of(hypothesis.hypstr)
+
+    def finish(self) -> Recognised:
+        """End the utterance; its text is empty where nothing, or no sentence of the grammar, was heard."""
+        self._decoder.end_utt()
+        self._open = False
+        self._decode_again()
+        hypothesis = self._decoder.hyp()
+        text = "" if hypothesis is None else _words_of(hypothesis.hypstr)
+        if not text:
+            return Recognised("", 0.0)
+        words = [segment for segment in self._decoder.seg() if not _FILLER.match(segment.word)]
+        confidence = sum(word.prob for word in words) / max(len(words), 1)
+        if self._grammar:
+            confidence *= _grammar_fit(words)
+        return Recognised(text, min(max(confidence, 0.0), 1.0))
+
+    def _decode_again(self) -> None:
+        """Decode the whole utterance with the mean of its own cepstra."""
+        sound, self._heard = _trim_silence(b"".join(self._heard)), []
+        if not 0 < len(sound) <= _AGAIN_S * RATE * 2:
+            return
+        self._decoder.reinit_feat()
+        self._decoder.start_utt()
+        self._decoder.process_raw(sound, full_utt=True)
+        self._decoder.end_utt()
+
+    def close(self) -> None:
+        """Free the decoder. Idempotent."""
+        self._decoder = None
+
+
+def _trim_silence(data: bytes) -> bytes:
+    """Remove most of the silence before and after the words: it would count for the mean of the cepstra."""
+    samples = np.frombuffer(data, dtype="<i2")
+    count = len(samples) // _STEP
+    if count == 0:
+        return data
+    energy = np.square(samples[:count * _STEP].astype(np.float32)).reshape(count, _STEP).mean(axis=1)
+    loud = np.flatnonzero(energy > energy.max() * _QUIET)
+    if len(loud) == 0:
+        return data
+    first, last = max(0, loud[0] - _MARGIN), min(count, loud[-1] + 1 + _MARGIN)
+    return samples[first * _STEP:last * _STEP].tobytes()
+
+
+def _grammar_fit(words: Sequence[Any]) -> float:
+    """How well the sounds fit the words of a path, 0 to 1; pauses and noises between them do not count."""
+    loss = -sum(math.log(max(word.ascore, _LEAST)) for word in words)
+    seconds = sum(word.end_frame - word.start_frame + 1 for word in words) / _FRAMES_PER_SECOND
+    return 1.0 / (1.0 + math.exp(min((loss / max(seconds, 0.01) - _FIT_LOSS) / _FIT_WIDTH, 50.0)))
+
+
+def _words_of(text: str) -> str:
+    words = (_PRONUNCIATION.sub("", word) for word in text.split() if not _FILLER.match(word))
+    return " ".join(words)
+
+
+def _pocketsphinx_options(choice: EngineChoice) -> Dict[str, Any]:
+    """Options of the decoder: the model inside the package, or that of a directory."""
+    options: Dict[str, Any] = {"lm": None} if choice.grammar else {}
+    if not choice.model:
+        return options
+    directory = Path(choice.model).expanduser()
+    acoustic = directory if (directory / "mdef").is_file() else one_file(directory, "*/mdef").parent
+    options["hmm"], options["dict"] = str(acoustic), str(one_file(directory, "*.dict", "*.dic"))
+    if not choice.grammar:
+        options["lm"] = str(one_file(directory, "*.lm.bin", "*.lm", "*.lm.dmp"))
+    return options
+
+
+_UNKNOWN = "[unk]"
+
+
+class VoskEngine:
+    """One recogniser of vosk (Kaldi); experimental. Its confidence is the mean of those of the words.
+
+    Raises ParameterError for a model or a list of phrases that cannot be used.
+    """
+
+    def __init__(self, choice: EngineChoice) -> None:
+        import vosk
+        vosk.SetLogLevel(-1)
+        phrases = _phrase_list(choice.grammar)
+        # Always a path: with a name or a language the package would download a model.
+        path = str(Path(choice.model).expanduser())
+        try:
+            self._model: Any = vosk.Model(model_path=path)
+            arguments = (self._model, float(RATE)) + ((phrases,) if phrases else ())
+            self._recogniser: Any = vosk.KaldiRecognizer(*arguments)
+        except Exception as error:  # the package raises bare Exception
+            raise ParameterError(
+                "parameter speech_model is {}, which vosk does not load: {}".format(path, error)
+            ) from error
+        self._recogniser.SetWords(True)
+        self._done: List[dict] = []
+
+    def start(self) -> None:
+        """Begin an utterance; one that was not finished is forgotten."""
+        self._recogniser.Reset()
+        self._done = []
+
+    def feed(self, samples: np.ndarray) -> None:
+        """Take (n,) int16 samples at 16 kHz."""
+        # True: vosk has heard a pause and begins a new sentence; for us the utterance goes on.
+        if len(samples) and self._recogniser.AcceptWaveform(np.ascontiguousarray(samples, dtype="<i2").tobytes()):
+            self._done.append(json.loads(self._recogniser.Result()))
+
+    def partial(self) -> str:
+        """Return the text so far."""
+        return _joined_text(self._done + [{"text": json.loads(self._recogniser.PartialResult()).get("partial", "")}])
+
+    def finish(self) -> Recognised:
+        """End the utterance."""
+        parts = self._done + [json.loads(self._recogniser.FinalResult())]
+        words = [float(word.get("conf", 0.0)) for part in parts for word in part.get("result", ())
+                 if word.get("word") != _UNKNOWN]
+        confidence = sum(words) / len(words) if words else 0.0
+        return Recognised(_joined_text(parts), min(max(confidence, 0.0), 1.0))
+
+    def close(self) -> None:
+        """Free the model. Idempotent."""
+        self._recogniser = self._model = None
+
+
+def _joined_text(parts: List[dict]) -> str:
+    words = " ".join(str(part.get("text", "")) for part in parts).split()
+    return " ".join(word for word in words if word != _UNKNOWN)
+
+
+def _phrase_list(grammar: str) -> str:
+    """The JSON list of phrases, with a word for all others."""
+    if not grammar:
+        return ""
+    try:
+        phrases = json.loads(grammar)
+    except ValueError as error:
+        raise ParameterError("parameter speech_grammar is no JSON list of phrases: {}".format(error)) from error
+    if not isinstance(phrases, list) or not phrases or not all(isinstance(phrase, str) for phrase in phrases):
+        raise ParameterError("parameter speech_grammar must be a JSON list of phrases, as in [\"go home\", \"stop\"]")
+    return json.dumps(phrases if _UNKNOWN in phrases else phrases + [_UNKNOWN])
+
+
+# What a streaming model still wants to see behind the last word.
+_TAIL_S = 0.6
+
+
+class SherpaEngine:
+    """One recogniser of sherpa-onnx with a streaming transducer, in one thread; experimental. Its confidence is the
+    geometric mean of the tokens' probabilities.
+
+    Raises ParameterError for a model that cannot be used.
+    """
+
+    def __init__(self, choice: EngineChoice) -> None:
+        import sherpa_onnx
+        directory = Path(choice.model).expanduser()
+        files = {name: str(one_file(directory, *patterns)) for name, patterns in (
+            ("tokens", ("tokens.txt",)), ("encoder", ("encoder*.int8.onnx", "encoder*.onnx")),
+            ("decoder", ("decoder*.int8.onnx", "decoder*.onnx")), ("joiner", ("joiner*.int8.onnx", "joiner*.onnx")))}
+        try:
+            self._recogniser: Any = sherpa_onnx.OnlineRecognizer.from_transducer(
+                num_threads=1, sample_rate=RATE, feature_dim=80, decoding_method="greedy_search", **files)
+        except Exception as error:  # whatever the library raises
+            raise ParameterError("parameter speech_model is {}, which sherpa-onnx does not load: {}".format(
+                directory, error)) from error
+        self._stream: Any = None
+
+    def start(self) -> None:
+        """Begin an utterance; one that was not finished is forgotten."""
+        self._stream = self._recogniser.create_stream()
+
+    def feed(self, samples: np.ndarray) -> None:
+        """Take (n,) int16 samples at 16 kHz."""
+        self._stream.accept_waveform(RATE, np.asarray(samples, dtype=np.float32) / 32768.0)
+        self._decode()
+
+    def partial(self) -> str:
+        """Return the text so far."""
+        return self._recogniser.get_result(self._stream).strip().lower()
+
+    def finish(self) -> Recognised:
+        """End the utterance."""
+        self._stream.accept_waveform(RATE, np.zeros(int(_TAIL_S * RATE), dtype=np.float32))
+        self._stream.input_finished()
+        self._decode()
+        text = self.partial()
+        # Packages before 1.10 do not tell the logarithms of the probabilities.
+        tell = getattr(self._recogniser, "ys_probs", None)
+        logarithms = list(tell(self._stream)) if tell is not None else []
+        self._stream = None
+        confidence = math.exp(min(sum(logarithms) / len(logarithms), 0.0)) if logarithms and text else 0.0
+        return Recognised(text, confidence)
+
+    def close(self) -> None:
+        """Free the model. Idempotent."""
+        self._stream = self._recogniser = None
+
+    def _decode(self) -> None:
+        while self._recogniser.is_ready(self._stream):
+            self._recogniser.decode_stream(self._stream)
+
+
+class EngineKind(NamedTuple):
+    """Where an engine comes from. package: as pip knows it; module: as Python imports it."""
+
+    package: str
+    module: str
+    make: Callable[[EngineChoice], SpeechEngine]
+    needs_model: bool
+
+
+ENGINES: Dict[str, EngineKind] = {
+    "pocketsphinx": EngineKind("pocketsphinx", "pocketsphinx", PocketsphinxEngine, False),
+    "vosk": EngineKind("vosk", "vosk", VoskEngine, True),
+    "sherpa_onnx": EngineKind("sherpa-onnx", "sherpa_onnx", SherpaEngine, True),
+}
+"""Known engines by the value of speech_engine."""
+
+
+def check_choice(choice: EngineChoice) -> None:
+    """Check what can be checked without loading anything.
+
+    Raises ParameterError for an unknown engine, an engine whose package or model is not there, or a grammar or language
+    that it cannot take.
+    """
+    if choice.engine not in ENGINES:
+        raise ParameterError("parameter speech_engine is {!r}; legal: {}, or empty for none".format(
+            choice.engine, ", ".join(ENGINES)))
+    kind = ENGINES[choice.engine]
+    if importlib.util.find_spec(kind.module) is None:
+        raise ParameterError("parameter speech_engine is {!r}, whose package is not there: `pip install {}`, or choose"
+                             " another engine".format(choice.engine, kind.package))
+    if kind.needs_model and not choice.model:
+        raise ParameterError("parameter speech_model is empty, and {} has no model of its own: set it to the directory "
+                         "of a model, or speech_engine to pocketsphinx".format(choice.engine))
+    if choice.model and not Path(choice.model).expanduser().is_dir():
+        raise ParameterError(
+            "parameter speech_model is {!r}, which is no directory: set it to that of a model for {}".format(
+                choice.model, choice.engine
+            )
+        )
+    _check_grammar(choice)
+    if choice.engine == "pocketsphinx" and not choice.model and choice.language.split("-")[0].lower() != "en":
+        raise ParameterError("parameter speech_language is {!r}, but the model inside pocketsphinx knows English only: "
+                             "set speech_model to the directory of a model for that language".format(choice.language))
+
+
+def _check_grammar(choice: EngineChoice) -> None:
+    if not choice.grammar:
+        return
+    begins = {"pocketsphinx": "#JSGF", "vosk": "["}.get(choice.engine)
+    if begins is None:
+        raise ParameterError("parameter speech_grammar is set, but {} knows dictation only: leave it empty".format(
+            choice.engine))
+    if not choice.grammar.lstrip("\ufeff \t\r\n").startswith(begins):
+        raise ParameterError("parameter speech_grammar gives {} a text that begins with {!r}; it needs {}".format(
+            choice.engine, choice.grammar[:20],
+            "a JSGF grammar, which begins with #JSGF" if begins == "#JSGF" else "a JSON list of phrases"))
+
+
+def make_engine(choice: EngineChoice) -> SpeechEngine:
+    """Load an engine with its model, which may take seconds. Raises ParameterError."""
+    check_choice(choice)
+    return ENGINES[choice.engine].make(choice)
+
+
+def one_file(directory: Path, *patterns: str) -> Path:
+    """Return the only file of a model's directory that matches a pattern, the first pattern with any first.
+
+    Raises ParameterError that names the directory and the patterns when there is none, or more than one.
+    """
+    for pattern in patterns:
+        found = sorted(path for path in directory.glob(pattern) if path.is_file())
+        if len(found) > 1:
+            raise ParameterError("the model in {} has {} files {}: leave one".format(directory, len(found), pattern))
+        if found:
+            return found[0]
+    raise ParameterError("parameter speech_model is {}, which holds no {}: it is not a model for this engine".format(
+        directory, " or ".join(patterns)))
+
+
+_LONGEST_GRAMMAR = 256 * 1024
+_GRAMMAR_SUFFIX = ".gram"
+
+
+def read_grammar(value: str, directory: Optional[Path] = None) -> str:
+    """Return the text of a grammar: `value` itself, the file that it names, or value.gram of `directory`.
+
+    A text begins with `#` or `[`. directory: where the grammars of the package lie, None: not known.
+    Raises ParameterError that names what was looked for.
+    """
+    text = value.strip().lstrip("\ufeff")
+    if not text or text.startswith(("#", "[")):
+        return text
+    path = Path(text).expanduser()
+    if directory is not None and path.name == text and not path.is_file():
+        path = directory / (text if text.endswith(_GRAMMAR_SUFFIX) else text + _GRAMMAR_SUFFIX)
+    if not path.is_file():
+        raise ParameterError("parameter speech_grammar is {!r}, and there is no file {}: give the path of a grammar, "
+                             "its text, or one of {}".format(value, path,
+                                                             ", ".join(_grammar_names(directory)) or "none here"))
+    if path.stat().st_size > _LONGEST_GRAMMAR:
+        raise ParameterError("parameter speech_grammar: {} has {} bytes, legal are {}".format(
+            path, path.stat().st_size, _LONGEST_GRAMMAR))
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ParameterError("parameter speech_grammar: {} cannot be read: {}".format(path, error)) from error
+
+
+def engine_choice(settings: Any) -> EngineChoice:
+    """Return the choice that the parameters speech_* make. Raises ParameterError for a grammar that is not there."""
+    return EngineChoice(settings.speech_engine,
+                        settings.speech_model and str(Path(settings.speech_model).expanduser().absolute()),
+                        read_grammar(settings.speech_grammar, grammar_directory()), settings.speech_language)
+
+
+def grammar_directory() -> Optional[Path]:
+    """Return config/grammars of this package in a source tree or install space, None where there is none."""
+    here = Path(__file__).resolve()
+    # <source>/hri_pipeline/src/hri_pipeline/core/asr, <install>/lib/python3/dist-packages/hri_pipeline/core/asr
+    places = [here.parents[4] / "config" / "grammars"]
+    places += [parent / "share" / "hri_pipeline" / "config" / "grammars" for parent in list(here.parents)[5:8]]
+    return next((place for place in places if place.is_dir()), None)
+
+
+def _grammar_names(directory: Optional[Path]) -> list:
+    return sorted(path.stem for path in directory.glob("*" + _GRAMMAR_SUFFIX)) if directory is not None else []

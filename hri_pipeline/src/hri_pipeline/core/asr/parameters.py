@@ -1,0 +1,47 @@
+"""Parameters of the descriptors and of the recognition of speech, part of the table of the node `voices`."""
+
+from __future__ import annotations
+
+from hri_pipeline.core.parameters import Parameter
+
+ENGINES = ("", "pocketsphinx", "vosk", "sherpa_onnx")
+
+AUDIO_FEATURE_PARAMETERS = (
+    Parameter("features_rate", 25.0, "Frames of `features` per second and voice, to a whole number of the 10 ms steps "
+              "of the definition; nothing is computed while nobody listens. 25 is every fourth frame, enough to follow "
+              "pitch and loudness; 100 is every frame, what emotion recognition needs. Processor time grows in "
+              "proportion, here and in every subscriber.",
+              unit="Hz", minimum=1.0, maximum=100.0, live=True),
+)
+"""What AudioFeatureExtractor needs (core/audio/features.py)."""
+
+SPEECH_RECOGNITION_PARAMETERS = (
+    Parameter("speech_engine", "pocketsphinx", "Recogniser: `pocketsphinx` has an English model inside, `vosk` and"
+              " `sherpa_onnx` need their package and a model (`speech_model`); these two are experimental. Empty: no "
+              "recognition.", choices=ENGINES),
+    Parameter("speech_model", "", "Directory of the recogniser's model. Empty: the model inside pocketsphinx; the "
+              "others have none. pocketsphinx: a directory with an acoustic model (mdef, means, ...), one *.dict and, "
+              "for dictation, one *.lm or *.lm.bin; vosk: an unpacked model; sherpa_onnx: tokens.txt with "
+              "encoder*.onnx, decoder*.onnx, joiner*.onnx of a streaming transducer."),
+    Parameter("speech_grammar", "", "Sentences that are possible: a JSGF grammar as text (begins with `#JSGF`), the "
+              "path of a file with one, or the name of a grammar of this package (`commands`, `digits`). With vosk a "
+              "JSON list of phrases. Empty: dictation, any words of the model, with many more errors and 10 times the "
+              "processor time. sherpa_onnx knows dictation only."),
+    Parameter("speech_language", "en-US", "Language of the model, an IETF tag; goes into the messages. The model inside"
+              " pocketsphinx knows English only."),
+    Parameter("speech_max_speakers", 2, "Voices that are recognised at the same time. Each has a process of its own (in"
+              " the default set 130 MB for dictation, 65 MB with a grammar), the second is started when it is first"
+              " needed. Further voices wait, and lose sound when they wait longer than `speech_queue`.",
+              minimum=1, maximum=8),
+    Parameter("speech_partial_rate", 3.0, "Texts so far per second of speech. 0: none, only whole sentences.",
+              unit="Hz",
+              minimum=0.0, maximum=10.0),
+    Parameter("speech_min_confidence", 0.05, "Sentences of less confidence are not published. Higher: fewer commands "
+              "are heard where none was spoken, more that were spoken are missed. The numbers of different recognisers "
+              "do not compare.", minimum=0.0, maximum=1.0, live=True),
+    Parameter("speech_queue", 20.0, "Sound of one voice that may wait for the recogniser; what does not fit is dropped,"
+              " and told in diagnostics.", unit="s", minimum=1.0, maximum=120.0),
+    Parameter("speech_nice", 10, "How far the recogniser's processes stand back behind all others, as in nice(1). 19:"
+              " they run when nothing else wants to, and texts come late on a busy machine.", minimum=0, maximum=19),
+)
+"""What SpeechRecognition needs (core/asr/recognition.py)."""

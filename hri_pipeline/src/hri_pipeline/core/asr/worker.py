@@ -1,0 +1,232 @@
+"""The process that recognises speech, and the messages between it and the node.
+
+`python -m hri_pipeline.core.asr.worker` is started by SpeechProcess (pool.py). It reads messages on its standard input
+and writes them to its standard output. It ends when its input ends, and when the process that started it dies.
+
+A message is a header of fixed length, whose numbers are little-endian, and a body. Nothing in it is code, and whatever
+does not look like a message is refused. Neither side waits for the rest of a message: the other one may hang in the
+middle of it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import math
+import os
+import signal
+import struct
+import sys
+import time
+from typing import Callable, List, NamedTuple, Optional, Tuple
+
+import numpy as np
+
+from hri_pipeline.core.asr.engines import RATE, EngineChoice, SpeechEngine, make_engine
+from hri_pipeline.core.parameters import ParameterError
+
+_MARK = b"HR"
+_HEADER = struct.Struct("<2sBxIIffI")   # mark, kind, utterance, samples, confidence, busy, length of the body
+LONGEST_BODY = 1 << 20
+
+CONFIGURE, START, AUDIO, END = 1, 2, 3, 4
+"""Kinds of messages from the node: engine (JSON), begin of an utterance, 16-bit samples of it, its end."""
+READY, FAILED, PROGRESS, PARTIAL, FINAL = 65, 66, 67, 68, 69
+"""Kinds of messages from the process: the engine is loaded, or why not; sound was worked on, text so far, whole
+text."""
+_KINDS = {CONFIGURE, START, AUDIO, END, READY, FAILED, PROGRESS, PARTIAL, FINAL}
+
+_PR_SET_PDEATHSIG = 1
+_CHUNK = 1 << 16
+REFUSED = 3
+"""Exit code of a choice of engine that will not do any better next time."""
+
+
+class PipeError(ValueError):
+    """The bytes that came through the pipe are not a message."""
+
+
+class SpeechMessage(NamedTuple):
+    """One message.
+
+    Attributes
+    ----------
+    utterance : its number.
+    samples : how many samples of it were worked on.
+    confidence : of its text, 0 to 1.
+    busy : processor time (s) since the last message of PROGRESS, PARTIAL or FINAL.
+    body : samples, text in UTF-8, or JSON.
+    """
+
+    kind: int
+    utterance: int = 0
+    samples: int = 0
+    confidence: float = 0.0
+    busy: float = 0.0
+    body: bytes = b""
+
+    @property
+    def text(self) -> str:
+        """The body as text."""
+        return self.body.decode("utf-8", "replace")
+
+    def packed(self) -> bytes:
+        """Return the bytes for the pipe. Raises PipeError for a body that is too long."""
+        if len(self.body) > LONGEST_BODY:
+            raise PipeError("a message of {} bytes is too long, legal are {}".format(len(self.body), LONGEST_BODY))
+        return _HEADER.pack(_MARK, *self[:5], len(self.body)) + self.body
+
+
+class MessageReader:
+    """Puts messages together from the bytes that a pipe gives."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+
+    def feed(self, data: bytes) -> List[SpeechMessage]:
+        """Return the messages that `data` completes. Raises PipeError; after that nothing can follow."""
+        self._bytes += data
+        messages: List[SpeechMessage] = []
+        while self._bytes:
+            if not _MARK.startswith(self._bytes[:len(_MARK)]):
+                raise self._error()
+            if len(self._bytes) < _HEADER.size:
+                break
+            _, kind, utterance, samples, confidence, busy, length = _HEADER.unpack_from(self._bytes)
+            if kind not in _KINDS or length > LONGEST_BODY or not (math.isfinite(confidence) and math.isfinite(busy)):
+                raise self._error()
+            end = _HEADER.size + length
+            if len(self._bytes) < end:
+                break
+            messages.append(SpeechMessage(kind, utterance, samples, min(max(confidence, 0.0), 1.0), max(busy, 0.0),
+                                          bytes(self._bytes[_HEADER.size:end])))
+            del self._bytes[:end]
+        return messages
+
+    def _error(self) -> PipeError:
+        return PipeError("what came through the pipe is no message: {!r}".format(bytes(self._bytes[:_HEADER.size])))
+
+
+class SpeechWorker:
+    """Runs an engine as messages ask. send: called with each answer, ready for the pipe."""
+
+    def __init__(self, send: Callable[[bytes], None]) -> None:
+        self._send = send
+        self._engine: Optional[SpeechEngine] = None
+        self._partial_samples = 0
+        self._utterance: Optional[int] = None
+        self._samples = self._next_partial = 0
+        self._text = ""
+        self._busy = time.process_time()
+
+    def answer(self, message: SpeechMessage) -> None:
+        """Do what a message asks.
+
+        Raises ParameterError for an engine that does not load, PipeError for a malformed message.
+        """
+        if message.kind == CONFIGURE:
+            self._configure(message)
+            return
+        if self._engine is None:
+            raise PipeError("a message of kind {} came before the choice of an engine".format(message.kind))
+        if message.kind == START:
+            self._engine.start()
+            self._utterance, self._samples, self._text = message.utterance, 0, ""
+            self._next_partial = self._partial_samples
+        elif message.utterance != self._utterance:
+            return
+        elif message.kind == AUDIO:
+            self._feed(self._engine, message.body)
+        elif message.kind == END:
+            self._report(FINAL, *self._engine.finish())
+            self._utterance = None
+
+    def close(self) -> None:
+        """Free the engine. Idempotent."""
+        if self._engine is not None:
+            self._engine.close()
+            self._engine = None
+
+    def _configure(self, message: SpeechMessage) -> None:
+        try:
+            fields = json.loads(message.text)
+            rate = float(fields.pop("partial_rate"))
+            choice = EngineChoice(**fields)
+        except (ValueError, TypeError, AttributeError, KeyError) as error:
+            raise PipeError("a message names no engine: {!r}".format(message.text[:200])) from error
+        self._partial_samples = int(RATE / rate) if rate > 0.0 else 0
+        self.close()
+        self._engine = make_engine(choice)
+        self._send(SpeechMessage(READY).packed())
+
+    def _feed(self, engine: SpeechEngine, data: bytes) -> None:
+        samples = np.frombuffer(data[:len(data) // 2 * 2], dtype="<i2")
+        engine.feed(samples)
+        self._samples += len(samples)
+        if self._partial_samples and self._samples >= self._next_partial:
+            self._next_partial = self._samples + self._partial_samples
+            text = engine.partial()
+            if text != self._text:
+                self._text = text
+                self._report(PARTIAL, text, 0.0)
+                return
+        self._report(PROGRESS, "", 0.0)
+
+    def _report(self, kind: int, text: str, confidence: float) -> None:
+        now = time.process_time()
+        busy, self._busy = now - self._busy, now
+        body = text.encode("utf-8")[:LONGEST_BODY]
+        self._send(SpeechMessage(kind, self._utterance or 0, self._samples, confidence, busy, body).packed())
+
+
+def end_with_parent(parent: int) -> None:
+    """Let the kernel kill this process when the thread that started it ends (prctl(2), PR_SET_PDEATHSIG)."""
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(0)
+
+
+def _take_pipes() -> Tuple[int, int]:
+    """Return descriptors of input and output for messages; what a library prints goes to standard error from now on."""
+    source, sink = os.dup(0), os.dup(1)
+    empty = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(empty, 0)
+    os.close(empty)
+    os.dup2(2, 1)
+    return source, sink
+
+
+def main() -> int:
+    """Run until the input ends. Arguments: process id of the parent, nice value."""
+    end_with_parent(int(sys.argv[1]))
+    os.nice(int(sys.argv[2]))
+    source, sink = _take_pipes()
+    reader = MessageReader()
+
+    def send(message: bytes) -> None:
+        view = memoryview(message)
+        while view:
+            view = view[os.write(sink, view):]
+
+    worker = SpeechWorker(send)
+    try:
+        while True:
+            data = os.read(source, _CHUNK)
+            if not data:
+                return 0
+            for message in reader.feed(data):
+                worker.answer(message)
+    except ParameterError as error:
+        send(SpeechMessage(FAILED, body=str(error).encode("utf-8")[:LONGEST_BODY]).packed())
+        return REFUSED
+    except PipeError as error:
+        print(error, file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        return 0
+    finally:
+        worker.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""From sound to voices: stream, microphone array, localisation, separation, voice activity, turns, features."""

@@ -1,0 +1,147 @@
+"""Level of a sound in dBFS, and what is wrong with it: clipping, an offset, dead channels."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Deque, Dict, List, Tuple
+
+import numpy as np
+
+SILENT_DBFS = -120.0
+"""Level of digital silence, and the lowest level that is returned."""
+WINDOW_S = 10.0
+_PIECE_S = 0.1
+_LEVEL_PIECES = 10
+_LIMIT = 0.999
+"""Samples of this size or more are at the limit of their format."""
+_CLIPPED_SHARE = 1e-3
+_OFFSET = 0.05
+_CONSTANT_S = 2.0
+# The quietest pieces are pauses of speech, as in minimum statistics (R. Martin, IEEE Trans. SAP 9(5), 2001).
+_FLOOR_PERCENTILE = 10.0
+
+
+def dbfs(rms: float) -> float:
+    """Return a root mean square (1: full scale) in dBFS, at least SILENT_DBFS."""
+    return max(SILENT_DBFS, 20.0 * float(np.log10(max(float(rms), 1e-9))))
+
+
+def level_dbfs(samples: np.ndarray) -> float:
+    """Return the level (dBFS) of samples (n,), -1 to 1: 20 log10 of their root mean square, at least SILENT_DBFS."""
+    exact = samples.astype(np.float64)
+    power = float(exact @ exact) / len(samples) if len(samples) else 0.0
+    return max(10.0 * math.log10(power), SILENT_DBFS) if power > 0.0 else SILENT_DBFS
+
+
+class _Piece:
+    """Sums per channel over 0.1 s of sound (N, C). `power` is the mean over time and channels."""
+
+    def __init__(self, samples: np.ndarray) -> None:
+        self.count = len(samples)
+        self.squares = np.einsum("nc,nc->c", samples, samples).astype(np.float64)
+        self.sums = samples.sum(axis=0, dtype=np.float64)
+        self.lowest = samples.min(axis=0)
+        self.highest = samples.max(axis=0)
+        self.power = float(self.squares.mean()) / self.count
+        self.peak = max(-float(self.lowest.min()), float(self.highest.max()))
+        self.clipped = int((np.abs(samples) >= _LIMIT).any(axis=1).sum()) if self.peak >= _LIMIT else 0
+
+
+class SoundLevel:
+    """Level, peak, noise floor, clipping and offset of the last WINDOW_S of a stream.
+
+    Sound is measured in pieces of 0.1 s, because each measurement has a fixed cost and messages may be short.
+
+    Parameters
+    ----------
+    rate : int
+        Hz.
+    channels : int
+
+    Raises
+    ------
+    ValueError
+        When one of them is less than 1.
+    """
+
+    def __init__(self, rate: int, channels: int) -> None:
+        if rate < 1 or channels < 1:
+            raise ValueError("a sound has a rate and a channel, not {} Hz and {}".format(rate, channels))
+        self._size = max(1, int(rate * _PIECE_S))
+        self._channels = channels
+        self._pieces: Deque[_Piece] = deque(maxlen=int(WINDOW_S / _PIECE_S))
+        self._waiting: List[np.ndarray] = []
+        self._held = 0
+        self.clipped = 0
+
+    def add(self, samples: np.ndarray) -> None:
+        """Add samples (N, C), -1 to 1."""
+        self._waiting.append(samples)
+        self._held += len(samples)
+        if self._held < self._size:
+            return
+        sound = np.concatenate(self._waiting)
+        whole = len(sound) // self._size * self._size
+        for start in range(0, whole, self._size):
+            self._pieces.append(_Piece(sound[start:start + self._size]))
+            self.clipped += self._pieces[-1].clipped
+        # A copy, because a view would keep all of the sound in memory.
+        self._waiting, self._held = [sound[whole:].copy()], len(sound) - whole
+
+    def values(self) -> Dict[str, object]:
+        """Return the values for diagnostics: levels in dBFS, shares in percent."""
+        pieces = list(self._pieces)
+        if not pieces:
+            return {}
+        count = sum(piece.count for piece in pieces)
+        recent = pieces[-_LEVEL_PIECES:]
+        level = np.sqrt(sum(piece.squares for piece in recent) / sum(piece.count for piece in recent))
+        floors = np.sqrt([piece.power for piece in pieces])
+        peak = max(piece.peak for piece in recent)
+        offset = np.sum([piece.sums for piece in pieces], axis=0) / count
+        return {
+            "level_dbfs": dbfs(np.sqrt(np.mean(np.square(level)))), "peak_dbfs": dbfs(peak),
+            "noise_floor_dbfs": dbfs(np.percentile(floors, _FLOOR_PERCENTILE)),
+            "clipped_percent": 100.0 * self._clipped_share(pieces),
+            "dc_percent": 100.0 * float(offset[np.argmax(np.abs(offset))]),
+            "clipped_samples": self.clipped,
+        }
+
+    def problem(self) -> str:
+        """Return what is wrong with the sound and how to correct it, empty when nothing is."""
+        pieces = list(self._pieces)
+        constant = self._constant(pieces)
+        if len(constant) == self._channels:
+            return "the sound is dead silence, {:.0f} s of one and the same value; is the microphone muted, or the " \
+                   "wrong device chosen?".format(_CONSTANT_S)
+        share = self._clipped_share(pieces)
+        if share > _CLIPPED_SHARE:
+            return "the sound is clipped: {:.1f} % of its samples are at the limit; turn the microphone's gain " \
+                   "down".format(100.0 * share)
+        if constant:
+            return "channel {} of {} is dead: it gives one and the same value; check its microphone".format(
+                ", ".join(str(number) for number in constant), self._channels)
+        count = sum(piece.count for piece in pieces)
+        offset = np.abs(np.sum([piece.sums for piece in pieces], axis=0)) if pieces else np.zeros(1)
+        if count and float(offset.max()) / count > _OFFSET:
+            return (
+                "the sound has an offset of {:.0f} % of full scale; are ~sample_format and the AudioInfo right?".format(
+                    100.0 * float(offset.max()) / count
+                )
+            )
+        return ""
+
+    def _constant(self, pieces: List[_Piece]) -> Tuple[int, ...]:
+        """Return the channels, counted from 0, whose samples have not changed for _CONSTANT_S."""
+        last = pieces[-int(_CONSTANT_S / _PIECE_S):]
+        if len(last) < int(_CONSTANT_S / _PIECE_S):
+            return ()
+        low = np.min([piece.lowest for piece in last], axis=0)
+        high = np.max([piece.highest for piece in last], axis=0)
+        return tuple(int(channel) for channel in np.flatnonzero(high - low <= 0.0))
+
+    @staticmethod
+    def _clipped_share(pieces: List[_Piece]) -> float:
+        count = sum(piece.count for piece in pieces)
+        return sum(piece.clipped for piece in pieces) / count if count else 0.0

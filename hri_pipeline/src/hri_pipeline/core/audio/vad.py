@@ -1,0 +1,238 @@
+"""Voice activity detection: the probability of speech (`ActivityModel`), and whether somebody speaks
+(`SpeechActivity`).
+
+The network (silero-vad 6.2, MIT) takes frames of 512 samples at 16 kHz, each with the last 64 samples of the frame
+before and a recurrent state. It takes several sources as one batch; the rows do not influence each other.
+
+The network reacts slowly at the begin of words, and for about 0.1 s after them it still reports speech. The level of
+the sound helps in both cases: well above the noise floor a lower probability is enough to begin, and at the level of
+the noise floor, or far below the level of the last words, speech has ended.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Callable, Optional, Sequence, Union
+
+import numpy as np
+
+from hri_pipeline.core.audio.level import SILENT_DBFS
+from hri_pipeline.core.audio.stream import RATE
+from hri_pipeline.core.onnx import OnnxModel
+
+FRAME = 512
+"""Samples of a frame at RATE, for which the network was trained."""
+FRAME_TIME = FRAME / RATE
+"""Length of a frame in seconds, 0.032."""
+
+_CONTEXT = 64
+_STATE = (2, 128)
+_FLOOR_LEAST = -90.0        # dBFS
+_FALL_TIME = 0.09           # s
+_RISE_TIME = 0.6            # s
+_NO_SPEECH = 0.2            # probability
+_LEARN = 0.096              # s
+_DRIFT = 0.3                # dB/s
+_NOISY_SNR = 8.0            # dB
+_PEAK_DECAY = 6.0           # dB/s
+_TOLERANCE = 1e-6           # s
+
+
+class ActivityState:
+    """State of the network for one source: the recurrent state, and the last samples."""
+
+    def __init__(self) -> None:
+        self.recurrent = np.zeros(_STATE, np.float32)
+        self.context = np.zeros(_CONTEXT, np.float32)
+
+    def reset(self) -> None:
+        """Forget the sound so far."""
+        self.recurrent = np.zeros(_STATE, np.float32)
+        self.context = np.zeros(_CONTEXT, np.float32)
+
+
+class ActivityModel:
+    """The network, loaded once per process; every source has its own ActivityState.
+
+    Parameters
+    ----------
+    path : str or Path
+        silero_vad.onnx.
+    threads : int
+        Of the session; they do not spin.
+    providers, notify
+        See OnnxModel.
+
+    Raises
+    ------
+    ModelError
+        When the file is missing, damaged, or another model. The text names the file and how to correct it.
+    """
+
+    def __init__(self, path: Union[str, Path], threads: int = 1, providers: Sequence[str] = ("cpu",),
+                 notify: Optional[Callable[[str], None]] = None) -> None:
+        self._model = OnnxModel(path, providers, threads, ("input", "state", "sr"), ("output", "stateN"), notify)
+        self._rate = np.array(RATE, np.int64)
+        # A network of another release fails here, instead of at the first sound.
+        self.probabilities(np.zeros((1, FRAME), np.float32), [ActivityState()])
+
+    def probabilities(self, frames: np.ndarray, states: Sequence[ActivityState]) -> np.ndarray:
+        """Return the probability of speech (S,) in one frame of each source, and update the states.
+
+        Parameters
+        ----------
+        frames : np.ndarray
+            (S, FRAME) samples, -1 to 1, one row per source. NaN counts as 0.
+        states : sequence of ActivityState
+            S states, in the same order.
+
+        Raises
+        ------
+        ValueError
+            For other shapes.
+        """
+        frames = np.asarray(frames, np.float32)
+        if frames.ndim != 2 or frames.shape != (len(states), FRAME):
+            raise ValueError("frames have the shape {}, wanted are {} frames of {} samples".format(
+                frames.shape, len(states), FRAME))
+        if not len(states):
+            return np.zeros(0)
+        # The state is recurrent: after one NaN every probability of this source would be NaN.
+        if not np.isfinite(frames).all():
+            frames = np.nan_to_num(frames, nan=0.0, posinf=1.0, neginf=-1.0)
+        context = np.stack([state.context for state in states])
+        recurrent = np.stack([state.recurrent for state in states], axis=1)
+        found = self._model.run({"input": np.concatenate((context, frames), axis=1), "state": recurrent,
+                                 "sr": self._rate})
+        for row, state in enumerate(states):
+            state.recurrent = found["stateN"][:, row].copy()
+            state.context = frames[row, -_CONTEXT:].copy()
+        return found["output"][:, 0].astype(np.float64)
+
+
+class NoiseLevel:
+    """Level of the background noise of one source, in dBFS.
+
+    It follows quieter sound within 0.1 s, and louder sound without speech within 0.6 s. During speech it rises by at
+    most 0.3 dB/s, so that it recovers when noise grows during speech. A source may begin in the middle of a word: the
+    level is unknown (`known` is False) until 0.1 s without speech has been heard.
+
+    Attributes
+    ----------
+    level : float
+        dBFS, NaN before the first frame.
+    """
+
+    def __init__(self) -> None:
+        self.level = math.nan
+        self._quiet = 0.0
+
+    @property
+    def known(self) -> bool:
+        """Whether there was enough sound without speech."""
+        return self._quiet >= _LEARN - _TOLERANCE
+
+    def update(self, energy: float, probability: float, duration: float) -> float:
+        """Add a frame with this energy (dBFS), probability of speech and duration (s); return the level (dBFS)."""
+        energy = max(energy, _FLOOR_LEAST)
+        if probability < _NO_SPEECH and not self.known:
+            self._quiet += duration
+        if math.isnan(self.level):
+            self.level = energy
+        elif energy < self.level:
+            self.level += (energy - self.level) * -math.expm1(-duration / _FALL_TIME)
+        elif probability < _NO_SPEECH:
+            self.level += (energy - self.level) * -math.expm1(-duration / _RISE_TIME)
+        else:
+            self.level += min(energy - self.level, _DRIFT * duration)
+        return self.level
+
+
+def check_thresholds(settings: SimpleNamespace) -> None:
+    """Raise ValueError when the thresholds in `settings` are not in ascending order."""
+    if not settings.keep_threshold <= settings.clear_birth_threshold <= settings.birth_threshold:
+        raise ValueError("keep_threshold {:g}, clear_birth_threshold {:g} and birth_threshold {:g} must be in this"
+                         " order".format(settings.keep_threshold, settings.clear_birth_threshold,
+                                         settings.birth_threshold))
+
+
+class SpeechActivity:
+    """Decides frame by frame whether somebody speaks: two thresholds (hysteresis) and a short hangover.
+
+    Parameters
+    ----------
+    settings : SimpleNamespace
+        Values of VOICE_ACTIVITY_PARAMETERS.
+
+    Attributes
+    ----------
+    noise : NoiseLevel
+    speaking : bool
+    heard : bool
+        Whether the last frame itself was speech, without the hangover.
+
+    Raises
+    ------
+    ValueError
+        When the thresholds are not in ascending order.
+    """
+
+    def __init__(self, settings: SimpleNamespace) -> None:
+        check_thresholds(settings)
+        self._settings = settings
+        self.noise = NoiseLevel()
+        self.speaking = False
+        self.heard = False
+        self._above = 0.0
+        self._below = 0.0
+        self._peak = SILENT_DBFS
+
+    def update(self, probability: float, energy: float, duration: float) -> bool:
+        """Add a frame with this probability, energy (dBFS) and duration (s); return whether somebody speaks."""
+        floor = self.noise.update(energy, probability, duration)
+        if not self.speaking:
+            self._try_to_begin(probability, energy, duration,
+                               self.birth_threshold(energy - floor if self.noise.known else 0.0))
+        self.heard = self.speaking and self._goes_on(probability, energy, floor, duration)
+        if self.speaking:
+            self._below = 0.0 if self.heard else self._below + duration
+            if self._below > self._settings.speaking_hangover + _TOLERANCE:
+                self.stop()
+        return self.speaking
+
+    def skip(self, duration: float) -> bool:
+        """Count time (s) without sound as a pause; the noise level stays. Return whether somebody speaks."""
+        self.heard = False
+        self._above = 0.0
+        self._below += duration
+        if self._below > self._settings.speaking_hangover + _TOLERANCE:
+            self.stop()
+        return self.speaking
+
+    def birth_threshold(self, snr: float) -> float:
+        """Return the probability from which speech begins in a frame that is `snr` dB above the noise."""
+        noisy, clear = self._settings.birth_threshold, self._settings.clear_birth_threshold
+        share = min(max((snr - _NOISY_SNR) / (self._settings.clear_snr - _NOISY_SNR), 0.0), 1.0)
+        return noisy + share * (clear - noisy)
+
+    def _try_to_begin(self, probability: float, energy: float, duration: float, threshold: float) -> None:
+        self._above = self._above + duration if probability >= threshold else 0.0
+        if self._above > 0.0 and self._above >= self._settings.onset_time - _TOLERANCE:
+            self.speaking = True
+            self._below = 0.0
+            self._peak = energy
+
+    def _goes_on(self, probability: float, energy: float, floor: float, duration: float) -> bool:
+        self._peak = max(self._peak - _PEAK_DECAY * duration, energy)
+        least = self._peak - self._settings.level_drop
+        if self.noise.known:
+            least = max(least, floor + self._settings.noise_margin)
+        return probability >= self._settings.keep_threshold and energy >= least
+
+    def stop(self) -> None:
+        """End the speech now; the noise level stays."""
+        self.speaking = False
+        self._above = 0.0
+        self._below = 0.0

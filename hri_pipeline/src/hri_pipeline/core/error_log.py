@@ -1,0 +1,125 @@
+"""Errors and how they are logged: a kind of error once, a state that lasts once, and no line that is too long."""
+
+from __future__ import annotations
+
+import logging
+import re
+import traceback
+from typing import Any, Callable, Iterable, List, Optional, Set, Tuple, TypeVar
+
+LONGEST_WORD = 200
+LONGEST_LINE = 2000
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Outage:
+    """Decides when to log that something is missing: once, and again only after it has been there for `calm` s.
+
+    Times are in s, of a clock that never jumps.
+    """
+
+    def __init__(self, calm: float) -> None:
+        self._calm = calm
+        self._told = False
+        self._there_since: Optional[float] = None
+
+    def there(self, now: float) -> None:
+        """It is there at `now`."""
+        if self._there_since is None:
+            self._there_since = now
+        if now - self._there_since >= self._calm:
+            self._told = False
+
+    def is_to_tell(self) -> bool:
+        """It is missing; return whether to log it."""
+        self._there_since = None
+        told, self._told = self._told, True
+        return not told
+
+
+class ShortWords(logging.Filter):
+    """Shortens long words and lines of every log record: names of frames and topics come from outside and have any
+    length."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Change the record where it is too long; it is always logged."""
+        text = record.getMessage()
+        if len(text) > LONGEST_WORD:
+            record.msg, record.args = shortened(text), ()
+        return True
+
+
+def shortened(text: str) -> str:
+    """Return a text, of one or more lines, whose words and lines have lost their middle where they were too long."""
+    text = re.sub(r"\S{%d,}" % (LONGEST_WORD + 1),
+                  lambda word: without_middle(word.group(), LONGEST_WORD, LONGEST_WORD // 3), text)
+    return "\n".join(without_middle(line, LONGEST_LINE, LONGEST_LINE // 3) for line in text.split("\n"))
+
+
+def without_middle(text: str, most: int, tail: int, mark: str = "[...]") -> str:
+    """Return a text of at most `most` characters: of a longer one the beginning, `mark`, and the last `tail`
+    characters."""
+    return text if len(text) <= most else text[:most - tail - len(mark)] + mark + text[-tail:]
+
+
+class NewErrors:
+    """Tells new kinds of errors from those that have come before; a kind is the type and the line that raised the
+    error."""
+
+    def __init__(self) -> None:
+        self._known: Set[Tuple[str, str, Optional[int]]] = set()
+
+    def is_new(self, error: BaseException) -> bool:
+        """Return whether this kind of error has not come before.
+
+        Raises IndexError for an error that was never raised.
+        """
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        kind = (type(error).__name__, place.filename, place.lineno)
+        is_new = kind not in self._known
+        self._known.add(kind)
+        return is_new
+
+
+class ItemGuard:
+    """Works on one item after the other; an item whose work raises an error is left out and counted, the others go on.
+
+    notify: called with a text and the traceback for each new kind of error, which is its type and the line that raised
+    it.
+    """
+
+    def __init__(self, notify: Optional[Callable[[str], None]] = None) -> None:
+        self._notify = notify
+        self._kinds = NewErrors()
+        self._news = ""
+        self.errors = 0
+        """Items that were left out."""
+
+    def each(self, what: str, work: Callable[[Item], Result], items: Iterable[Item]) -> List[Result]:
+        """Return work(item) of the items, in order, without those whose work raised. what: a word for one item."""
+        results: List[Result] = []
+        for item in items:
+            self.attempt(what, lambda one: results.append(work(one)), item)
+        return results
+
+    def attempt(self, what: str, work: Callable[..., Any], *arguments: Any) -> bool:
+        """Call work(*arguments); returns False when it raised. what: a word for the item."""
+        try:
+            work(*arguments)
+            return True
+        except Exception as error:  # whatever it is, the other items are good
+            self._failed(what, error)
+            return False
+
+    def news(self) -> str:
+        """Return the last error since the last call in a line, empty when there was none."""
+        news, self._news = self._news, ""
+        return news
+
+    def _failed(self, what: str, error: Exception) -> None:
+        self.errors += 1
+        self._news = "a {} is left out: {}: {}".format(what, type(error).__name__, error)
+        if self._kinds.is_new(error) and self._notify is not None:
+            self._notify("{}\n{}".format(self._news, traceback.format_exc()))

@@ -1,0 +1,146 @@
+"""Upright crops of faces for networks and topics, and the picture quality of such a crop."""
+
+from __future__ import annotations
+
+from typing import Optional, Sequence, Tuple
+
+import cv2
+import numpy as np
+
+from hri_pipeline.core.faces.mesh import LANDMARKS, LEFT_EYE_CORNER, RIGHT_EYE_CORNER, FaceRoi
+from hri_pipeline.core.geometry import Pose, crop_rotated
+
+MAX_SIZE = 1024
+"""Largest side (px) of a crop."""
+_LANDMARK_EYES = (36, 45)
+"""Outer eye corners among the 70 landmarks, the subject's right first."""
+_USELESS_EYES, _GOOD_EYES = 12.0, 60.0
+"""Distance (px) of the outer eye corners of picture quality 0, and of quality 1."""
+_FRONTAL, _PROFILE = np.deg2rad(15.0), np.deg2rad(65.0)
+"""Angle (rad) between the face and the line of sight up to which a crop is frontal, and from which it is useless."""
+_BLURRED, _SHARP = 0.02, 0.12
+"""Standard deviation of the Laplacian over that of the grey values, of a crop of 64 px: useless, and sharp."""
+_FLAT, _CONTRAST = 6.0, 25.0
+"""Standard deviation of the grey values: useless, and enough."""
+_JUDGED_SIZE = 64
+
+
+def upright_roi(points: np.ndarray, margin: float = 1.3) -> FaceRoi:
+    """Return the square around a face with level eyes; points: (478, 2 or more) mesh or (70, 2 or more) landmarks, px.
+
+    margin: side of the square over the larger side of the points' box. Raises ValueError for another number of
+    points, for points that are not finite or all in one place, and for a margin that is not positive.
+    """
+    xy = np.asarray(points, dtype=np.float64)[:, :2]
+    if len(xy) not in (LANDMARKS, 468, 478):
+        raise ValueError("a face has 468 or 478 mesh points or 70 landmarks, not {}".format(len(xy)))
+    if not np.isfinite(xy).all() or not margin > 0.0:
+        raise ValueError("a crop needs finite points and a positive margin, got margin {!r}".format(margin))
+    right, left = _LANDMARK_EYES if len(xy) == LANDMARKS else (RIGHT_EYE_CORNER, LEFT_EYE_CORNER)
+    eyes = xy[left] - xy[right]
+    angle = float(np.arctan2(eyes[1], eyes[0]))
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turn = np.array([[cosine, -sine], [sine, cosine]])
+    level = xy @ turn
+    low, high = level.min(axis=0), level.max(axis=0)
+    side = margin * float((high - low).max())
+    if side < 1.0:
+        raise ValueError("the points of the face all lie in one place")
+    return FaceRoi(turn @ ((low + high) / 2.0), side, angle)
+
+
+def aligned_crop(bgr: np.ndarray, points: np.ndarray, size: int, margin: float = 1.3) -> np.ndarray:
+    """Return (size, size, 3) uint8 BGR of a face, upright with level eyes; the image's border is repeated outside.
+
+    bgr: (H, W, 3) uint8. points, margin: see `upright_roi`. Raises ValueError as it does, and for a bad size.
+    """
+    roi = upright_roi(points, margin)
+    return cut(bgr, roi, size)
+
+
+def cut(bgr: np.ndarray, roi: FaceRoi, size: int) -> np.ndarray:
+    """Return the (size, size, 3) picture of a rotated square; a large one is averaged first, against aliasing."""
+    if not 1 <= size <= MAX_SIZE:
+        raise ValueError("size of a crop is {} px, legal range 1 to {}".format(size, MAX_SIZE))
+    shrink = int(roi.size / size)
+    if shrink < 2:
+        return crop_rotated(bgr, roi.centre.tolist(), roi.size, roi.angle, size)[0]
+    height, width = bgr.shape[:2]
+    reach = roi.size * 0.7072 + 2.0 * shrink
+    x0, y0 = (int(np.clip(value, 0, limit - 1)) for value, limit in zip(roi.centre - reach, (width, height)))
+    x1, y1 = (int(np.clip(value, low + 1, limit))
+              for value, low, limit in zip(roi.centre + reach, (x0, y0), (width, height)))
+    small = (max(1, (x1 - x0) // shrink), max(1, (y1 - y0) // shrink))
+    patch = cv2.resize(bgr[y0:y1, x0:x1], small, interpolation=cv2.INTER_AREA)
+    scale = np.array([small[0] / (x1 - x0), small[1] / (y1 - y0)])
+    centre = (roi.centre - (x0, y0)) * scale
+    return crop_rotated(patch, centre.tolist(), roi.size * float(scale.mean()), roi.angle, size)[0]
+
+
+def box_crop(bgr: np.ndarray, box: Sequence[float], width: int, height: int, margin: float = 1.0) -> np.ndarray:
+    """Return (height, width, 3) uint8 BGR of a box x0, y0, x1, y1 (px), not turned; parts outside are black.
+
+    The proportions of the face are kept: the box grows to those of the crop. margin: factor on the box.
+    Raises ValueError for a box without area or a size out of 1 to MAX_SIZE.
+    """
+    if not (1 <= width <= MAX_SIZE and 1 <= height <= MAX_SIZE):
+        raise ValueError("size of a crop is {}x{} px, legal range 1 to {}".format(width, height, MAX_SIZE))
+    corners = np.asarray(box, dtype=np.float64)
+    sides = corners[2:] - corners[:2]
+    if not np.isfinite(corners).all() or sides.min() < 1.0:
+        raise ValueError("{} is no box of a face".format(corners))
+    scale = float((margin * sides / (width, height)).max())
+    corner = (corners[:2] + corners[2:] - scale * np.array([width, height])) / 2.0
+    affine = np.array([[scale, 0.0, corner[0] + 0.5 * (scale - 1.0)], [0.0, scale, corner[1] + 0.5 * (scale - 1.0)]])
+    return cv2.warpAffine(bgr, affine, (width, height), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+                          borderMode=cv2.BORDER_CONSTANT)
+
+
+def crop_quality(points: np.ndarray, pose: Optional[Pose], crop: np.ndarray, presence: float = 1.0,
+                 image_size: Optional[Tuple[int, int]] = None) -> float:
+    """Return the picture quality of an upright crop of a face, 0 (useless) to 1.
+
+    The geometric mean of size, frontality, sharpness and contrast, times presence and the fraction of the face in the
+    image: one bad property spoils a crop.
+
+    Parameters
+    ----------
+    points
+        (478, 2 or more) or (70, 2 or more) px of the image from which the crop was cut.
+    pose
+        Face frame in the optical frame, None when not known (then the frontality is a half).
+    crop
+        (S, S, 3) uint8 BGR.
+    presence
+        Probability 0 to 1 of the face.
+    image_size
+        Width and height, px: points outside reduce the quality.
+    """
+    xy = np.asarray(points, dtype=np.float64)[:, :2]
+    if not np.isfinite(xy).all():
+        return 0.0
+    right, left = _LANDMARK_EYES if len(xy) == LANDMARKS else (RIGHT_EYE_CORNER, LEFT_EYE_CORNER)
+    eyes = float(np.linalg.norm(xy[left] - xy[right]))
+    facing = 0.5 if pose is None else _ramp(_PROFILE - turned_away(pose), 0.0, _PROFILE - _FRONTAL)
+    # A turned head has its eye corners closer together, without being smaller.
+    size = eyes if pose is None else eyes / max(0.4, float(np.cos(turned_away(pose))))
+    grey = cv2.cvtColor(cv2.resize(crop, (_JUDGED_SIZE, _JUDGED_SIZE), interpolation=cv2.INTER_AREA),
+                        cv2.COLOR_BGR2GRAY).astype(np.float32)
+    contrast = float(grey.std())
+    sharpness = float(cv2.Laplacian(grey, cv2.CV_32F).std()) / max(contrast, 1.0) / 4.0
+    parts = (_ramp(size, _USELESS_EYES, _GOOD_EYES), facing, _ramp(sharpness, _BLURRED, _SHARP),
+             _ramp(contrast, _FLAT, _CONTRAST))
+    inside = 1.0
+    if image_size is not None:
+        inside = float(((xy >= 0.0) & (xy < image_size)).all(axis=1).mean())
+    return float(np.prod(parts) ** (1.0 / len(parts)) * np.clip(presence, 0.0, 1.0) * inside ** 2)
+
+
+def turned_away(pose: Pose) -> float:
+    """Return the angle (rad) between the direction of a face and the line from it to the camera."""
+    to_camera = -pose.translation / max(1e-9, float(np.linalg.norm(pose.translation)))
+    return float(np.arccos(np.clip(pose.rotation[:, 0] @ to_camera, -1.0, 1.0)))
+
+
+def _ramp(value: float, low: float, high: float) -> float:
+    return float(np.clip((value - low) / (high - low), 0.0, 1.0))

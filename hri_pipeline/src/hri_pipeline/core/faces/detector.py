@@ -1,0 +1,198 @@
+"""Face detection with the full-range BlazeFace network.
+
+The network is a single-shot detector: a 48 x 48 grid of anchors over a square input of 192 px, one
+score and sixteen numbers (box and six key points) per anchor. Regions of any size and aspect are
+letter-boxed into the square, so a detection can be asked for the whole image, for tiles of it, or for
+several of them in one batch. Box and key point layout: MediaPipe's published model card (Apache-2.0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import List, Sequence, Tuple
+
+import cv2
+import numpy as np
+
+from hri_pipeline.core.geometry import iou_matrix
+from hri_pipeline.core.onnx import OnnxModel
+
+INPUT_SIZE = 192
+ANCHOR_STRIDES = (4,)
+ANCHORS_PER_CELL = 1
+KEYPOINTS = 6
+RIGHT_EYE_KEYPOINT, LEFT_EYE_KEYPOINT = 0, 1
+"""Indices of the subject's eyes among the six key points."""
+NMS_IOU = 0.3
+
+Region = Tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
+class FaceDetection:
+    """One detected face, in pixels of the whole image.
+
+    box: (4,) x0, y0, x1, y1; keypoints: (6, 2) right eye, left eye, nose tip, mouth, right ear, left
+    ear (the subject's right and left); score: 0..1.
+    """
+
+    box: np.ndarray
+    keypoints: np.ndarray
+    score: float
+
+
+def ssd_anchors(size: int, strides: Sequence[int], per_cell: int) -> np.ndarray:
+    """Anchor centres of a fixed-size-anchor SSD, (N, 2) as fractions of the input square.
+
+    Consecutive equal strides share one grid with their anchors interleaved per cell.
+    Raises ValueError when a stride or the size is not positive.
+    """
+    if size <= 0 or per_cell <= 0 or any(stride <= 0 for stride in strides):
+        raise ValueError("size, strides and anchors per cell must be positive")
+    grids, index = [], 0
+    while index < len(strides):
+        run = index
+        while run < len(strides) and strides[run] == strides[index]:
+            run += 1
+        cells = -(-size // strides[index])
+        axis = (np.arange(cells) + 0.5) / cells
+        x, y = np.meshgrid(axis, axis)
+        grid = np.stack([x.ravel(), y.ravel()], axis=1)
+        grids.append(np.repeat(grid, per_cell * (run - index), axis=0))
+        index = run
+    return np.concatenate(grids).astype(np.float32)
+
+
+def weighted_nms(
+    boxes: np.ndarray, keypoints: np.ndarray, scores: np.ndarray, iou: float = NMS_IOU
+) -> List[FaceDetection]:
+    """Merge overlapping detections into their score-weighted mean, best score first.
+
+    boxes: (N, 4) px; keypoints: (N, 6, 2) px; scores: (N,) 0..1. Averaging instead of discarding keeps the box
+    steady between frames (BlazeFace, Bazarevsky et al. 2019). A merged detection has the best score of its group.
+    """
+    order = np.argsort(-scores, kind="stable")
+    overlap = iou_matrix(boxes, boxes) > iou
+    free = np.ones(len(scores), bool)
+    merged = []
+    for best in order:
+        if not free[best]:
+            continue
+        group = overlap[best] & free
+        group[best] = True
+        free &= ~group
+        weights = scores[group] / scores[group].sum()
+        merged.append(FaceDetection(weights @ boxes[group], np.tensordot(weights, keypoints[group], axes=1),
+                                    float(scores[best])))
+    return merged
+
+
+def tile_regions(width: int, height: int, tiles: int, overlap: float = 0.25) -> List[Region]:
+    """`tiles` x `tiles` regions that cover the image and overlap by that fraction; [] for tiles < 2."""
+    if tiles < 2:
+        return []
+    if not 0.0 <= overlap < 1.0:
+        raise ValueError("overlap of tiles must be in [0, 1), got %r" % (overlap,))
+    tile_width = int(np.ceil(width / (tiles - (tiles - 1) * overlap)))
+    tile_height = int(np.ceil(height / (tiles - (tiles - 1) * overlap)))
+    regions = []
+    for row in range(tiles):
+        for column in range(tiles):
+            x0 = round(column * (width - tile_width) / (tiles - 1))
+            y0 = round(row * (height - tile_height) / (tiles - 1))
+            regions.append((x0, y0, x0 + tile_width, y0 + tile_height))
+    return regions
+
+
+def wide_region(width: int, height: int) -> Region:
+    """The image with a border of a quarter of its longer side: the network does not see a face that fills its input."""
+    border = max(1, max(width, height) // 4)
+    return -border, -border, width + border, height + border
+
+
+class FaceDetector:
+    """Finds faces in regions of an image; holds no state between calls."""
+
+    OUTPUTS = {"Identity": 2304 * 16, "Identity_1": 2304}
+    """Outputs that the model must have, and their sizes."""
+
+    def __init__(self, model: OnnxModel, min_score: float = 0.6) -> None:
+        """model: face_detection_full_range.onnx; min_score and errors: see set_min_score."""
+        self._model = model
+        self._anchors = ssd_anchors(INPUT_SIZE, ANCHOR_STRIDES, ANCHORS_PER_CELL)
+        self.set_min_score(min_score)
+
+    def set_min_score(self, min_score: float) -> None:
+        """Set the score from which a face is returned; raises ValueError outside (0, 1)."""
+        if not 0.0 < min_score < 1.0:
+            raise ValueError("minimum detection score must be in (0, 1), got %r" % (min_score,))
+        self._min_logit = float(np.log(min_score / (1.0 - min_score)))
+
+    def detect(self, bgr: np.ndarray, regions: Sequence[Region]) -> List[FaceDetection]:
+        """Detect faces in regions of an image.
+
+        Parameters
+        ----------
+        bgr
+            (H, W, 3) uint8.
+        regions
+            x0, y0, x1, y1 px each; they overlap the image. All are searched in one batch.
+
+        Returns
+        -------
+        List[FaceDetection]
+            In pixels of the whole image, highest score first, without duplicates.
+
+        Raises
+        ------
+        ModelError
+            When the network fails.
+        """
+        if not regions:
+            return []
+        batch = np.empty((len(regions), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
+        placements = [_letterbox(bgr, region, batch[i]) for i, region in enumerate(regions)]
+        out = self._model.run({"input_1": batch})
+        found = [self._decode(out["Identity"][i], out["Identity_1"][i, :, 0], scale, offset)
+                 for i, (scale, offset) in enumerate(placements)]
+        boxes, keypoints, scores = (np.concatenate(part) for part in zip(*found))
+        return weighted_nms(boxes, keypoints, scores)
+
+    def _decode(
+        self, regressors: np.ndarray, logits: np.ndarray, scale: float, offset: np.ndarray
+    ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Boxes (n, 4) px, key points (n, 6, 2) px and scores (n,) of one region."""
+        kept = np.flatnonzero(logits > self._min_logit)
+        raw = regressors[kept].astype(np.float64).reshape(-1, 2 + KEYPOINTS, 2)
+        anchors = self._anchors[kept, None, :] * INPUT_SIZE
+        centre, half, keypoints = raw[:, :1] + anchors, raw[:, 1:2] / 2.0, raw[:, 2:] + anchors
+        corners = np.concatenate([centre - half, centre + half], axis=1) * scale + offset
+        scores = 1.0 / (1.0 + np.exp(-logits[kept].astype(np.float64)))
+        good = np.isfinite(raw).all(axis=(1, 2)) & (half > 0.0).all(axis=(1, 2))
+        return corners.reshape(-1, 4)[good], (keypoints * scale + offset)[good], scores[good]
+
+
+def _letterbox(bgr: np.ndarray, region: Region, out: np.ndarray) -> Tuple[float, np.ndarray]:
+    """Fit a region into `out` (S, S, 3) as RGB in [-1, 1]; returns image px per input px, and offset px."""
+    x0, y0, x1, y1 = region
+    scale = max(x1 - x0, y1 - y0) / float(INPUT_SIZE)
+    # What lies outside the image stays black.
+    inner_x, inner_y = max(x0, 0), max(y0, 0)
+    patch = bgr[inner_y:min(y1, bgr.shape[0]), inner_x:min(x1, bgr.shape[1])]
+    height, width = patch.shape[:2]
+    new_width, new_height = max(1, round(width / scale)), max(1, round(height / scale))
+    margin_x = (INPUT_SIZE - (x1 - x0) / scale) / 2.0 + (inner_x - x0) / scale
+    margin_y = (INPUT_SIZE - (y1 - y0) / scale) / 2.0 + (inner_y - y0) / scale
+    left, top = min(int(margin_x), INPUT_SIZE - new_width), min(int(margin_y), INPUT_SIZE - new_height)
+    if scale >= 4.0:
+        # Every second pixel is enough when the area filter averages the rest, and four times as quick.
+        half = (max(1, width // 2), max(1, height // 2))
+        patch = cv2.resize(patch, half, interpolation=cv2.INTER_NEAREST)
+    method = cv2.INTER_AREA if scale > 1.0 else cv2.INTER_LINEAR
+    small = cv2.resize(patch, (new_width, new_height), interpolation=method)
+    out.fill(-1.0)
+    inside = out[top:top + new_height, left:left + new_width]
+    inside[...] = cv2.cvtColor(small, cv2.COLOR_BGR2RGB)
+    inside *= 1.0 / 127.5
+    inside -= 1.0
+    return scale, np.array([inner_x - left * scale, inner_y - top * scale])

@@ -1,0 +1,604 @@
+"""The main road of faces: from an image to the published observations of every tracked face.
+
+`FacePipeline.update` shows the steps in order: tracking (`FaceTrackingPipeline.update`: optical flow, scheduling of the
+mesh network, face mesh, face detector, data association), geometry (`FaceGeometry`: head pose, gaze, size of the head),
+and analysis (`FaceAnalysis`: action units, expression, age and gender, recognition).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, Callable, Collection, Dict, List, Mapping, Optional, Sequence, Set, Tuple
+
+import numpy as np
+
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.faces.analysis import FaceAnalysis, FaceDemand
+from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector
+from hri_pipeline.core.faces.gaze import EyeGeometry, GazeEstimator, GazeSmoother
+from hri_pipeline.core.faces.head_pose import (
+    HeadPoseEstimator,
+    HeadScale,
+    PoseSmoother,
+    scale_from_depth,
+    scale_from_iris,
+    scale_from_stature,
+)
+from hri_pipeline.core.faces.mesh import (
+    INPUT_SIZE,
+    CanonicalFace,
+    FaceMesh,
+    FaceMeshResult,
+    bounding_box,
+    is_face,
+    is_sound,
+    landmarks_from_mesh,
+    load_canonical_face,
+    roi_from_detection,
+    roi_from_mesh,
+    turned_roi,
+    verification_score,
+)
+from hri_pipeline.core.faces.scheduler import DetectionScheduler, MeshScheduler
+from hri_pipeline.core.faces.tracker import (
+    LEAST_VERIFICATION,
+    VERIFIED,
+    FaceFlow,
+    FaceMeasurement,
+    FaceTrack,
+    FaceTracker,
+    explains,
+    face_colours,
+    is_same_or_part,
+)
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.observations import FaceObservation, GazeEstimate
+from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel, model_path
+from hri_pipeline.core.recognition.face_identity import PersonMatch
+from hri_pipeline.core.recognition.recogniser import FaceRecognition
+from hri_pipeline.core.timing import StageTimes
+
+NOTHING = FaceDemand()
+KEEP_RATIO = 0.2
+"""A tracked face is kept down to this fraction of the presence that a new one needs: in profile its presence
+flickers."""
+RECALL_RATIO = 0.6
+"""A known face that was lost is found again down to this fraction of the detection score that a new one needs."""
+SURE = 0.9
+"""Presence below which a tracked mesh is started again at the detection: near profile its crop drifts."""
+CERTAIN = 0.97
+"""Presence from which a new face is accepted with a low detection score: a face of 30 px, or half hidden."""
+_VERIFIED_PER_IMAGE = 3
+"""Most tracks that are verified in one image."""
+_DETECTION_AGE = 0.4
+"""Fraction of `face_support_time` without a detection after which the detector is asked for where the face is."""
+_PREDICTION_TIME = 0.3
+"""Time constant (s) with which the presence of a face that was not measured falls."""
+_SKIN = np.array([1, 4, 5, 6, 9, 151, 195, 197, 50, 280, 101, 330, 36, 266, 117, 346, 107, 336, 8, 168])
+"""Vertices of nose, cheeks and forehead, where a depth image sees skin and neither hair nor background."""
+
+
+class FacePipeline:
+    """Detects, tracks and analyses the faces of an image sequence. Not thread-safe.
+
+    Parameters
+    ----------
+    settings
+        The values of FACE_PIPELINE_PARAMETERS and `providers`.
+    ids
+        Generator of the faces' ids; a new one by default.
+    notify
+        Called with one line of text for each execution provider that is skipped.
+
+    Raises
+    ------
+    ModelError
+        When a model file is missing or wrong.
+    """
+
+    def __init__(self, settings: SimpleNamespace, ids: Optional[IdGenerator] = None,
+                 notify: Optional[Callable[[str], None]] = None) -> None:
+        self.times = StageTimes()
+        self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify)
+        canonical = load_canonical_face(model_path(settings.canonical_face, "canonical_face.npz"))
+        self._geometry = FaceGeometry(canonical)
+        self._analysis = FaceAnalysis(settings, canonical, self.times, notify)
+        self._last_stamp = -np.inf
+        self._published = self._predicted = 0
+
+    @property
+    def tracked_ids(self) -> List[str]:
+        """Ids of all faces being tracked, oldest first: those seen in the last image and those just hidden."""
+        return self._tracking.tracked_ids
+
+    @property
+    def recognition(self) -> Optional[FaceRecognition]:
+        """Face recognition; None when it is switched off."""
+        return self._analysis.recognition
+
+    @property
+    def matches(self) -> List[PersonMatch]:
+        """Changes of the matches between faces and persons in the last image."""
+        return self._analysis.matches
+
+    def update(self, bgr: np.ndarray, camera: CameraModel, stamp: float, depth: Optional[np.ndarray] = None,
+               demand: FaceDemand = NOTHING) -> List[FaceObservation]:
+        """Return the confirmed faces seen in this image, oldest first.
+
+        Parameters
+        ----------
+        bgr
+            (H, W, 3) uint8.
+        camera
+            Camera model; scaled when it is of another image size.
+        stamp
+            Time of the image, s, increasing. A stamp that goes back is a new start: every face is dropped.
+        depth
+            (H, W) m, registered with the image; ignored when it is of another size.
+        demand
+            Which results of the analysis are wanted; none by default.
+
+        Raises
+        ------
+        ModelError
+            When a network fails.
+        """
+        if stamp < self._last_stamp:
+            self.reset()
+        self._last_stamp = stamp
+        height, width = bgr.shape[:2]
+        camera = camera.resized(width, height)
+        if depth is not None and depth.shape[:2] != (height, width):
+            depth = None
+        tracked = self._tracking.update(bgr, stamp)
+        self._forget_dropped()
+        with self.times("face_pose"):
+            # Unconfirmed faces get a pose, too: when they are confirmed, it may not be their turn for a measurement.
+            observed = self._geometry.observe(tracked, camera, stamp, depth)
+        faces = [observation for observation, face in zip(observed, tracked) if face.confirmed]
+        self._count(faces)
+        return self._analysis.update(bgr, faces, stamp, demand, self._tracking.detected)
+
+    def _forget_dropped(self) -> None:
+        """Drop the state of faces that are not tracked any more."""
+        ids = self._tracking.all_ids
+        self._geometry.keep(ids)
+        self._analysis.keep(ids)
+
+    def _count(self, faces: Sequence[FaceObservation]) -> None:
+        """Count how many of the published faces were predicted instead of measured."""
+        self._published += len(faces)
+        self._predicted += sum(not face.measured for face in faces)
+
+    def set_stature(self, face_id: str, stature: float) -> None:
+        """Set the stature (m) of a face's person, known from its body: it helps to estimate the size of the head."""
+        self._geometry.set_stature(face_id, stature)
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Apply the values of the live parameters; the faces stay."""
+        self._tracking.reconfigure(settings)
+        self._analysis.reconfigure(settings)
+
+    def reset(self) -> None:
+        """Drop every face, as after a jump in time; ids are not used again."""
+        self._tracking.reset()
+        self._geometry.reset()
+        self._analysis.reset()
+        self._last_stamp = -np.inf
+
+    def status(self) -> Dict[str, object]:
+        """Return values for diagnostics, since the last call."""
+        values: Dict[str, object] = {"tracked": len(self.tracked_ids), "mesh_ms": 1e3 * self._tracking.inference_cost,
+                                     "predicted_percent": 100.0 * self._predicted / max(1, self._published)}
+        self._published = self._predicted = 0
+        values.update(self._analysis.status())
+        values.update(self.times.values())
+        return values
+
+    def close(self) -> None:
+        """Release all resources. Idempotent."""
+        self._analysis.close()
+
+
+@dataclass(frozen=True)
+class TrackedFace:
+    """A tracked face in one image.
+
+    mesh: (478, 3) px; box: (4,) px; presence: probability 0 to 1; measured: False when the mesh network did not run on
+    it in this image and its last mesh was moved by the predicted motion; confirmed: it may be published.
+    """
+
+    id: str
+    mesh: np.ndarray
+    box: np.ndarray
+    presence: float
+    measured: bool
+    confirmed: bool
+
+
+class FaceTrackingPipeline:
+    """Detects and tracks faces in an image sequence: the detector now and then, the mesh network as the time allows.
+
+    `detected` tells whether the detector ran on the last image. Not thread-safe.
+
+    Parameters
+    ----------
+    settings
+        The values of FACE_PIPELINE_PARAMETERS and `providers`.
+    times
+        Where the time of each step is noted.
+    ids
+        Generator of the faces' ids; a new one by default.
+    notify
+        Called with one line of text for each execution provider that is skipped.
+    clock
+        Processor time in s, used for the time budget.
+
+    Raises
+    ------
+    ModelError
+        When a model file is missing or wrong.
+    """
+
+    def __init__(self, settings: SimpleNamespace, times: StageTimes, ids: Optional[IdGenerator] = None,
+                 notify: Optional[Callable[[str], None]] = None,
+                 clock: Callable[[], float] = time.thread_time) -> None:
+        detector = _load(settings.face_detector_model, "face_detection_full_range.onnx", FaceDetector.OUTPUTS,
+                         settings.providers, notify)
+        mesh = _load(settings.face_mesh_model, "face_landmarks_attention.onnx", FaceMesh.OUTPUTS,
+                     settings.providers, notify)
+        self._detector = FaceDetector(detector)
+        self._detection_scheduler = DetectionScheduler(settings.face_detection_period, settings.face_detection_tiles)
+        self._mesh = FaceMesh(mesh)
+        self._mesh_scheduler = MeshScheduler(*_rate_and_budget(settings))
+        self._tracker = FaceTracker(ids=ids, **_limits(settings))
+        self._clock = clock
+        self._times = times
+        self._flow = FaceFlow()
+        self._stamp = 0.0
+        self.detected = False
+        self._set_thresholds(settings)
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Apply the values of the live parameters."""
+        self._detection_scheduler.set_period(settings.face_detection_period)
+        self._mesh_scheduler.share(*_rate_and_budget(settings))
+        self._tracker.limit(**_limits(settings))
+        self._set_thresholds(settings)
+
+    def _set_thresholds(self, settings: SimpleNamespace) -> None:
+        self._min_score, self._min_presence = settings.min_detection_score, settings.min_face_presence
+        self._detection_age = _DETECTION_AGE * settings.face_support_time
+        self._detector.set_min_score(RECALL_RATIO * self._min_score)
+
+    @property
+    def tracked_ids(self) -> List[str]:
+        """Ids of all faces being tracked, oldest first: those seen in the last image and those just hidden."""
+        return self._tracker.ids
+
+    @property
+    def all_ids(self) -> Set[str]:
+        """Ids of all tracks, unconfirmed ones too."""
+        return {track.id for track in self._tracker.tracks}
+
+    @property
+    def inference_cost(self) -> float:
+        """Estimated processor time of the mesh network per face, s."""
+        return self._mesh_scheduler.cost
+
+    def update(self, bgr: np.ndarray, stamp: float) -> List[TrackedFace]:
+        """Return the faces seen in the (H, W, 3) uint8 image of `stamp` (s), oldest first, unconfirmed ones too."""
+        self._predict(bgr, stamp)
+        expected = self._tracker.expected(stamp)
+        urgent = self._overlapping(expected, stamp)
+        chosen = set(self._mesh_scheduler.choose([track.id for track in expected], stamp, urgent))
+        skipped = {track.id for track in expected} - chosen
+        measured = self._measure_tracks(bgr, [track for track in expected if track.id in chosen], stamp)
+        measured += self._detect(bgr, measured, skipped, stamp)
+        seen = self._tracker.update(measured, stamp, skipped, (bgr.shape[1], bgr.shape[0]))
+        return [self._tracked_face(track, stamp) for track in seen]
+
+    def reset(self) -> None:
+        """Drop every face, as after a jump in time; ids are not used again."""
+        self._tracker.reset()
+        self._detection_scheduler.reset()
+        self._mesh_scheduler.reset()
+        self._flow.reset()
+
+    def _predict(self, bgr: np.ndarray, stamp: float) -> None:
+        """Move the tracks by optical flow."""
+        tracks = [track for track in self._tracker.tracks if track.visible]
+        boxes = [track.predicted_box(self._stamp) for track in tracks]
+        ahead = [track.shift(stamp) - track.shift(self._stamp) for track in tracks]
+        with self._times("face_flow"):
+            for track, motion in zip(tracks, self._flow.update(bgr, boxes, ahead)):
+                track.move(motion, stamp)
+        self._stamp = stamp
+
+    def _measure_tracks(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> List[FaceMeasurement]:
+        """Run the mesh network at the predicted places of tracks."""
+        if not tracks:
+            return []
+        with self._times("face_mesh"):
+            began = self._clock()
+            rois = [roi_from_mesh(track.measurement.mesh, track.shift(stamp)) for track in tracks]
+            results = self._mesh.run(bgr, rois)
+            self._mesh_scheduler.spent(self._clock() - began, len(rois))
+        height, width = bgr.shape[:2]
+        return [self._measurement(bgr, result, False, score=track.score) for track, result in zip(tracks, results)
+                if is_face(result, width, height, self._least_presence(track))]
+
+    def _least_presence(self, track: FaceTrack) -> float:
+        """Presence from which a track goes on: higher while the detector has seen it once at most, with a low score."""
+        doubtful = track.hit_count < 1.0 and not self._tracker.is_confirmed(track)
+        return SURE if doubtful else KEEP_RATIO * self._min_presence
+
+    def _hit_weight(self, detection: FaceDetection) -> float:
+        """How much a detection adds to the hit count, 0 to 1: false detections come now and then, with half the
+        score."""
+        return min(1.0, detection.score / self._min_score) ** 2
+
+    def _detect(self, bgr: np.ndarray, measured: Sequence[FaceMeasurement], skipped: Set[str],
+                stamp: float) -> List[FaceMeasurement]:
+        """Run the detector when it is due; returns the measurements of new and of lost faces."""
+        regions = self._detection_scheduler.due(bgr, stamp, self._unconfirmed(stamp), self._is_stable())
+        self.detected = bool(regions)
+        if not regions:
+            return []
+        with self._times("face_detection"):
+            detections = self._detector.detect(bgr, regions)
+        hits = self._tracker.add_detections([detection.box for detection in detections], stamp,
+                                            [self._hit_weight(detection) for detection in detections],
+                                            [detection.score for detection in detections])
+        self._verify(bgr, [track for track in hits if self._needs_verification(track)], stamp)
+        new = [detection for detection in self._without_known(detections, measured, skipped, stamp)
+               if self._is_wanted(detection, bgr, stamp)]
+        if any(detection.score >= self._min_score for detection in new):
+            self._detection_scheduler.hurry(stamp)
+        with self._times("face_birth"):
+            return self._measure_detections(bgr, new)
+
+    def _without_known(self, detections: Sequence[FaceDetection], measured: Sequence[FaceMeasurement],
+                       skipped: Set[str],
+                       stamp: float) -> List[FaceDetection]:
+        """Detections where no mesh is sure: new faces, and known ones that were lost or whose mesh holds on to a
+        part."""
+        known = [(measurement.box, measurement.score) for measurement in measured if measurement.presence >= SURE]
+        known += [(track.predicted_box(stamp), track.score) for track in self._tracker.tracks
+                  if track.id in skipped and track.visible and track.measurement.presence >= SURE]
+        return [detection for detection in detections
+                if not any(explains(box, score, detection.box, detection.score) for box, score in known)]
+
+    def _is_wanted(self, detection: FaceDetection, bgr: np.ndarray, stamp: float) -> bool:
+        """Whether a detection may be of a known face, or of one that takes the place of a known one."""
+        if self._tracker.has_room_for(detection.box, (bgr.shape[1], bgr.shape[0])):
+            return True
+        return any(is_same_or_part(detection.box, track.predicted_box(stamp)) for track in self._tracker.tracks)
+
+    @staticmethod
+    def _needs_verification(track: FaceTrack) -> bool:
+        """Whether a track is not verified and was never published."""
+        return track.verification < VERIFIED and not track.published
+
+    def _verify(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> None:
+        """Verify tracks that the detector sees in this image with the mesh of a turned crop, the best verified
+        first."""
+        chosen = sorted(tracks, key=lambda track: -track.verification)[:_VERIFIED_PER_IMAGE]
+        rois = [roi_from_mesh(track.measurement.mesh, track.shift(stamp)) for track in chosen]
+        results = self._mesh.run(bgr, rois + [turned_roi(roi) for roi in rois])
+        for track, straight, turned in zip(chosen, results, results[len(rois):]):
+            track.add_verification(verification_score(track.score, straight, turned))
+
+    def _measure_detections(self, bgr: np.ndarray, detections: Sequence[FaceDetection]) -> List[FaceMeasurement]:
+        """Run the mesh network twice at detections: their box gives a coarse crop, the first mesh gives a good one."""
+        height, width = bgr.shape[:2]
+        first = self._mesh.run(bgr, [roi_from_detection(detection) for detection in detections])
+        sound = [(detection, result) for detection, result in zip(detections, first) if is_sound(result)]
+        rois = [roi_from_mesh(result.points) for _, result in sound]
+        results = self._mesh.run(bgr, rois + [turned_roi(roi) for roi in rois])
+        return [self._measurement(bgr, result, detection.score >= self._min_score or result.presence >= CERTAIN,
+                                  self._hit_weight(detection), detection.score,
+                                  verification_score(detection.score, result, turned))
+                for (detection, _), result, turned in zip(sound, results, results[len(rois):])
+                if is_face(result, width, height, self._min_presence)]
+
+    @staticmethod
+    def _measurement(bgr: np.ndarray, result: FaceMeshResult, may_start: bool, hit_weight: float = 0.0,
+                     score: float = 0.0,
+                     verification: float = 0.0) -> FaceMeasurement:
+        return FaceMeasurement(result.points, result.presence, may_start,
+                               face_colours(bgr, bounding_box(result.points)), hit_weight, score, verification)
+
+    def _unconfirmed(self, stamp: float) -> List[np.ndarray]:
+        """Centres (2,) px of the faces that are not confirmed yet, or were not detected for long."""
+        boxes = [track.predicted_box(stamp) for track in self._tracker.tracks if not _is_rejected(track)
+                 if not self._tracker.is_confirmed(track) or stamp - track.detected_at > self._detection_age]
+        return [(box[:2] + box[2:]) / 2.0 for box in boxes]
+
+    def _is_stable(self) -> bool:
+        """Whether there are faces, and all of them are confirmed and seen."""
+        tracks = [track for track in self._tracker.tracks if not _is_rejected(track)]
+        return bool(tracks) and all(track.visible and self._tracker.is_confirmed(track) for track in tracks)
+
+    @staticmethod
+    def _overlapping(tracks: Sequence[FaceTrack], stamp: float) -> List[str]:
+        """Ids of faces that overlap others: they are measured first, for the data association."""
+        if len(tracks) < 2:
+            return []
+        boxes = [track.predicted_box(stamp).tolist() for track in tracks]
+        return [track.id for index, track in enumerate(tracks)
+                if any(_overlap(boxes[index], box) for other, box in enumerate(boxes) if other != index)]
+
+    def _tracked_face(self, track: FaceTrack, stamp: float) -> TrackedFace:
+        measured = track.measured_at >= stamp
+        mesh, box, presence = track.measurement.mesh, track.measurement.box, track.measurement.presence
+        if not measured:
+            shift = track.shift(stamp)
+            mesh = mesh + np.append(shift, 0.0)
+            box = box + np.concatenate([shift] * 2)
+            presence *= math.exp(-(stamp - track.measured_at) / _PREDICTION_TIME)
+        return TrackedFace(track.id, mesh, box, presence, measured, self._tracker.is_confirmed(track))
+
+
+class FaceGeometry:
+    """Head pose, gaze and head size of every tracked face, over time; all faces of an image are solved together."""
+
+    def __init__(self, canonical: CanonicalFace) -> None:
+        self._canonical = canonical
+        self._to_face = canonical.face_frame().inverse()
+        self._heads = HeadPoseEstimator(canonical)
+        self._eyes = EyeGeometry(canonical)
+        self._gazes = GazeEstimator(self._eyes)
+        self._faces: Dict[str, _Face] = {}
+
+    def keep(self, ids: Collection[str]) -> None:
+        """Forget all faces but these."""
+        self._faces = {face_id: face for face_id, face in self._faces.items() if face_id in ids}
+
+    def reset(self) -> None:
+        """Forget all faces."""
+        self._faces = {}
+
+    def set_stature(self, face_id: str, stature: float) -> None:
+        """Set the stature (m) of a face's person; an unknown face or an impossible value is ignored."""
+        if face_id in self._faces and np.isfinite(stature) and 0.4 < stature < 2.6:
+            self._faces[face_id].scale.add("stature", scale_from_stature(stature))
+
+    def observe(self, tracked: Sequence[TrackedFace], camera: CameraModel, stamp: float,
+                depth: Optional[np.ndarray] = None) -> List[FaceObservation]:
+        """Return one observation per tracked face, in order.
+
+        camera: of the image's size; stamp: s; depth: (H, W) m registered with the image, 0 or NaN unknown.
+        """
+        for found in tracked:
+            self._faces.setdefault(found.id, _Face())
+        self._measure([found for found in tracked if found.measured], camera, stamp, depth)
+        return [self._observation(found, camera, stamp) for found in tracked]
+
+    def _measure(self, tracked: Sequence[TrackedFace], camera: CameraModel, stamp: float,
+                 depth: Optional[np.ndarray]) -> None:
+        faces = [self._faces[found.id] for found in tracked]
+        starts = [face.raw for face in faces]
+        # A new face has no start value; alone it would make the others iterate longer, too.
+        fresh = [index for index, start in enumerate(starts) if start is None]
+        known = [index for index, start in enumerate(starts) if start is not None]
+        for group in (known, fresh):
+            poses = self._heads.estimate_all([tracked[index].mesh for index in group], camera,
+                                             [starts[index] for index in group])
+            for index, pose in zip(group, poses):
+                if pose is None and starts[index] is not None:
+                    pose = self._heads.estimate(tracked[index].mesh, camera)
+                faces[index].set_pose(pose, tracked[index].mesh, stamp)
+        posed = [(face, found, face.raw) for face, found in zip(faces, tracked) if face.raw is not None]
+        self._measure_eyes(posed, camera, stamp, depth)
+
+    def _measure_eyes(self, posed: Sequence[Tuple[_Face, TrackedFace, Pose]], camera: CameraModel, stamp: float,
+                      depth: Optional[np.ndarray]) -> None:
+        """Measure gaze and head size of the faces that have a pose."""
+        gazes, irises = self._gazes.estimate_all(
+            [found.mesh for _, found, _ in posed], [pose for _, _, pose in posed], camera,
+            [found.presence for _, found, _ in posed])
+        focal = float(camera.matrix[0, 0])
+        for (face, found, pose), gaze, diameters in zip(posed, gazes, irises):
+            face.gaze = face.gaze_smoother(gaze, stamp)
+            from_eyes = 0.0 if face.gaze_smoother.is_closed else gaze.from_eyes
+            for source, scale in (("iris", scale_from_iris(diameters, pose, self._eyes, focal, from_eyes)),
+                                  ("depth", self._depth_scale(found.mesh, pose, depth))):
+                if scale is not None:
+                    face.scale.add(source, scale)
+
+    def _depth_scale(self, mesh: np.ndarray, pose: Pose, depth: Optional[np.ndarray]) -> Optional[float]:
+        if depth is None:
+            return None
+        model = pose.compose(self._to_face)
+        return scale_from_depth(mesh, model.apply(self._canonical.vertices[_SKIN])[:, 2], _SKIN, depth)
+
+    def _observation(self, found: TrackedFace, camera: CameraModel, stamp: float) -> FaceObservation:
+        face = self._faces[found.id]
+        landmarks = landmarks_from_mesh(found.mesh, found.presence, camera.width, camera.height,
+                                        self._heads.visibility(face.pose))
+        pose, scale, scale_sd = self._placed(face, found, camera, stamp)
+        gaze = face.gaze
+        if gaze is not None and not found.measured:
+            gaze = GazeEstimate(gaze.direction, gaze.confidence * found.presence, gaze.eyes_closed, gaze.from_eyes)
+        return FaceObservation(found.id, found.box, found.presence, landmarks, found.mesh, pose, gaze,
+                               head_scale=scale, head_scale_sd=scale_sd, measured=found.measured)
+
+    @staticmethod
+    def _placed(face: _Face, found: TrackedFace, camera: CameraModel, stamp: float
+                ) -> Tuple[Optional[Pose], Optional[float], Optional[float]]:
+        """Pose, head scale and its standard deviation; the pose is moved with the mesh of a face that was not
+        measured."""
+        if face.pose is None or face.mesh is None:
+            return None, None, None
+        scale, scale_sd = face.scale.estimate(stamp)
+        translation = face.pose.translation.copy()
+        if not found.measured:
+            shift = (found.mesh - face.mesh)[0, :2]
+            translation[:2] += shift * translation[2] / np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
+        return Pose(face.pose.rotation, scale * translation), scale, scale_sd
+
+
+class _Face:
+    """State of one face: filters and last measurements."""
+
+    def __init__(self) -> None:
+        self.smoother = PoseSmoother()
+        self.gaze_smoother = GazeSmoother()
+        self.scale = HeadScale()
+        self.raw: Optional[Pose] = None
+        self.pose: Optional[Pose] = None
+        self.gaze: Optional[GazeEstimate] = None
+        self.mesh: Optional[np.ndarray] = None
+
+    def set_pose(self, pose: Optional[Pose], mesh: np.ndarray, stamp: float) -> None:
+        """Set the pose measured in the image of `stamp` (s), None for no plausible one."""
+        self.raw, self.mesh = pose, mesh
+        if pose is None:
+            self.smoother.reset()
+            self.pose = self.gaze = None
+        else:
+            self.pose = self.smoother(pose, stamp)
+
+
+def _rate_and_budget(settings: SimpleNamespace) -> Tuple[float, float]:
+    """Rate (Hz) and time budget (s) of the mesh network, for MeshScheduler."""
+    return settings.face_mesh_rate, 1e-3 * settings.face_budget
+
+
+def _limits(settings: SimpleNamespace) -> Dict[str, Any]:
+    """Arguments of FaceTracker.limit()."""
+    return {"birth_delay": settings.face_birth_delay, "death_time": settings.face_death_time,
+            "max_faces": settings.max_faces,
+            "min_detections": settings.face_min_detections, "support_time": settings.face_support_time}
+
+
+def _overlap(a: Sequence[float], b: Sequence[float]) -> bool:
+    """Whether two boxes overlap by a tenth of the smaller one's sides."""
+    width, height = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
+    return width > 0.1 * min(a[2] - a[0], b[2] - b[0]) and height > 0.1 * min(a[3] - a[1], b[3] - b[1])
+
+
+def _is_rejected(track: FaceTrack) -> bool:
+    """Whether the verification has failed often enough: the detector need not run for this track."""
+    return track.verification <= LEAST_VERIFICATION and not track.published
+
+
+def _load(configured: str, default: str, outputs: Mapping[str, int], providers: Sequence[str],
+          notify: Optional[Callable[[str], None]]) -> OnnxModel:
+    """Load a network and run it once: that shows another one with the same names, and warms it up.
+
+    outputs: numbers in each output for one image. Raises ModelError naming the file.
+    """
+    path = model_path(configured, default)
+    model = OnnxModel(path, providers, inputs=("input_1",), outputs=tuple(outputs), notify=notify)
+    trial = model.run({"input_1": np.zeros((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)})
+    for name, size in outputs.items():
+        if trial[name].size != size:
+            raise ModelError("model file {} gives {} numbers in {} instead of {}; it is another model: {}".format(
+                path, trial[name].size, name, size, FETCH_HINT))
+    return model

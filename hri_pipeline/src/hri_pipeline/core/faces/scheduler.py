@@ -1,0 +1,342 @@
+"""What runs on which image: the mesh network, the detector, the measure of picture quality, and the networks of the
+analysis.
+
+Mesh network (`MeshScheduler`): every face earns credit with time and pays for an inference; under a tight time budget
+the faces take turns. Detector (`DetectionScheduler`): the whole image is searched periodically; tiles of it, which show
+small faces, and the image with a border, which shows a face that fills it, are searched one at a time, where a face
+waits for its confirmation or where the image has changed; tiles that do not change are searched rarely. Networks of the
+analysis (`TimeBudget`, `next_turn`, `most_overdue`): a token bucket of processor time, and the most overdue network and
+face first.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Callable, Collection, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
+
+import numpy as np
+
+from hri_pipeline.core.faces.crops import aligned_crop, crop_quality
+from hri_pipeline.core.faces.detector import Region, tile_regions, wide_region
+from hri_pipeline.core.observations import FaceObservation
+
+_COST_MEMORY = 0.9
+"""Weight of the old estimate of the cost of one inference when a new one is measured."""
+_NEARLY_DUE = 0.45
+"""Credit from which a face is measured early, in one batch with one that is due."""
+_MOST_CREDIT = 2.0
+"""Most inferences that every face may have as credit: after a busy time there is no long catching up."""
+_SLOW_STEP = 0.2
+"""Time between two images (s) from which the budget grows with it: a face not measured for seconds would be dropped."""
+_USUAL_STEP = 1.0 / 12.0
+"""Time between two images (s) from which a share grows with it: fewer images leave more time for each."""
+_LONGEST_STEP = 1.0
+"""Time between two images (s) above which no more credit is given."""
+QUIET_FACTOR = 2.0
+"""Factor on the detection period while every face is confirmed and none is lost."""
+STILL_FACTOR = 10.0
+"""Number of detection periods after which a tile is searched although nothing changes in it."""
+_THUMB_STEP = 16
+_CHANGE = 12.0
+"""Mean difference (grey values) of a patch of the thumbnail that is a change, not noise."""
+_CHANGED_PART = 0.02
+"""Fraction of a tile that must have changed."""
+_QUALITY_SIZE, _QUALITY_PERIOD, _QUALITIES_PER_IMAGE = 64, 0.5, 2
+"""Side (px) of the crop whose quality is measured, period (s) for each face, and most measurements per image."""
+
+
+class TimeBudget:
+    """Token bucket of processor time: work may take `share` s per image on average.
+
+    saved: capacity of the bucket, s, full at the beginning: a new person is then recognised at once, and only a crowd
+    has to wait.
+    """
+
+    def __init__(self, share: float, saved: float = 0.0) -> None:
+        """Raises ValueError when the share is not positive, or saved is negative."""
+        if not saved >= 0.0:
+            raise ValueError("{} s to be saved up; it must be 0 or more".format(saved))
+        self._saved, self._owed = saved, -saved
+        self.change(share)
+
+    def change(self, share: float) -> None:
+        """Set the time (s) per image. Raises ValueError when it is not positive."""
+        if not share > 0.0:
+            raise ValueError("a share of {} s per image; it must be above 0".format(share))
+        self._share = share
+
+    def next_image(self, step: float = 0.0) -> bool:
+        """Refill for the next image, `step` s after the last; returns whether there is time for work."""
+        self._owed = max(-self._saved, self._owed - self._share * max(1.0, step / _USUAL_STEP))
+        return self._owed < 1e-9
+
+    @property
+    def ample(self) -> bool:
+        """Whether the bucket is more than half full."""
+        return self._owed < -0.5 * self._saved
+
+    def spent(self, seconds: float) -> None:
+        """Subtract the time (s) that the work took."""
+        if math.isfinite(seconds):
+            self._owed += max(0.0, seconds)
+
+
+class MeshScheduler:
+    """Chooses the faces for the mesh network: each is measured `rate` times per second, as far as `budget` s per image
+    allow.
+
+    A face earns credit with time and pays one per inference; the highest credit comes first, so that under a tight
+    budget all take turns. The cost of an inference is measured (`spent`): the same budget means more of them on a
+    faster machine. At least one face is chosen for every image in which one is due.
+    """
+
+    def __init__(self, rate: float, budget: float, cost: float = 0.005) -> None:
+        """rate, budget: see share; cost: first guess of the time of one inference, s.
+
+        Raises ValueError for a negative rate, or a budget or cost that is not positive.
+        """
+        self._cost = cost
+        self.share(rate, budget)
+        self._credit: Dict[str, float] = {}
+        self._left = 0.0
+        self._stamp: Optional[float] = None
+
+    def share(self, rate: float, budget: float) -> None:
+        """rate: Hz for each face, 0 for every image; budget: s per image. Raises ValueError as the constructor does."""
+        if not (math.isfinite(rate) and rate >= 0.0 and budget > 0.0 and self._cost > 0.0):
+            raise ValueError(
+                "rate {} Hz, budget {} s, cost {} s of the face mesh: rate from 0, the others above 0".format(
+                    rate, budget, self._cost
+                )
+            )
+        self._rate = rate
+        self._budget = budget
+
+    @property
+    def cost(self) -> float:
+        """Estimated time of one inference, s."""
+        return self._cost
+
+    @property
+    def limit(self) -> int:
+        """How many inferences the budget allows per image."""
+        return max(1, int(self._budget / self._cost + 1e-9))
+
+    def choose(self, faces: Sequence[str], stamp: float, urgent: Iterable[str] = ()) -> List[str]:
+        """Return the ids of the faces to measure in the image of `stamp` (s), in the order of `faces`.
+
+        Parameters
+        ----------
+        faces
+            Ids of all faces that could be measured; a new one is due at once.
+        stamp
+            Time of the image, s.
+        urgent
+            Ids that come first, such as those of faces that pass each other.
+        """
+        step = 0.0 if self._stamp is None else min(max(stamp - self._stamp, 0.0), _LONGEST_STEP)
+        self._stamp = stamp
+        gain = 1.0 if self._rate == 0.0 else min(1.0, self._rate * step)
+        # Rounding must not cost a face its turn: at 15 Hz from images at 15 Hz every image is due.
+        self._earn(faces, gain)
+        due = [face for face in faces if self._credit[face] > 1.0 - 1e-3]
+        if due:
+            # In a batch an inference costs half as much: faces that are nearly due are added.
+            due = [face for face in faces if self._credit[face] > _NEARLY_DUE]
+        first = set(urgent)
+        due.sort(key=lambda face: (face not in first, -self._credit[face]))
+        chosen = set(due[:self._affordable(len(due), step)])
+        for face in chosen:
+            self._credit[face] -= 1.0
+        return [face for face in faces if face in chosen]
+
+    def _affordable(self, due: int, step: float) -> int:
+        """Number of inferences for the image `step` s after the last; the time that is left goes to the next image."""
+        time = self._budget * max(1.0, step / _SLOW_STEP) + self._left
+        count = max(1, int(time / self._cost + 1e-9))
+        self._left = max(0.0, time - count * self._cost) if due > count else 0.0
+        return count
+
+    def _earn(self, faces: Sequence[str], gain: float) -> None:
+        """Give credit to all; a new face has a little more than the one that waits longest."""
+        most = max([1.0] + [self._credit[face] + gain for face in faces if face in self._credit])
+        self._credit = {face: self._credit[face] + gain if face in self._credit else most + 1e-6 for face in faces}
+        # Under a tight budget all credits grow: what all have is dropped, the order stays.
+        surplus = min(self._credit.values(), default=1.0) - _MOST_CREDIT
+        if surplus > 0.0:
+            self._credit = {face: credit - surplus for face, credit in self._credit.items()}
+
+    def spent(self, seconds: float, count: int) -> None:
+        """Update the estimated cost by the time of `count` inferences."""
+        if count > 0 and math.isfinite(seconds) and seconds > 0.0:
+            self._cost = _COST_MEMORY * self._cost + (1.0 - _COST_MEMORY) * seconds / count
+
+    def reset(self) -> None:
+        """Forget all faces; the estimated cost is kept."""
+        self._credit = {}
+        self._left = 0.0
+        self._stamp = None
+
+
+class DetectionScheduler:
+    """Chooses the regions of the image for the detector, spreading the cost over images.
+
+    The whole image is searched once per `period` (s), or QUIET_FACTOR periods while all faces are known; half-way
+    between, one tile. The first call asks for everything.
+    """
+
+    def __init__(self, period: float, tiles: int) -> None:
+        """Raises ValueError for a negative period or less than one tile."""
+        if tiles < 1:
+            raise ValueError("tiles must be at least 1, got %r" % (tiles,))
+        self._tiles = tiles
+        self.set_period(period)
+        self.reset()
+
+    def set_period(self, period: float) -> None:
+        """Set the period (s), from the next detection on; raises ValueError for a negative one."""
+        if period < 0.0:
+            raise ValueError("detection period must not be negative, got %r s" % (period,))
+        self._period = period
+
+    def reset(self) -> None:
+        """Forget the past: the next call asks for every region."""
+        self._next = -np.inf
+        self._whole_next = True
+        self._searched: List[float] = []
+        self._thumbs: List[Optional[np.ndarray]] = []
+        self._size = (0, 0)
+
+    def hurry(self, stamp: float) -> None:
+        """Run the detector again one (short) period after `stamp` (s): there may be a new face."""
+        self._next = min(self._next, stamp + self._step(False))
+
+    def due(self, bgr: np.ndarray, stamp: float, waiting: Sequence[np.ndarray] = (), quiet: bool = False
+            ) -> List[Region]:
+        """Return regions (x0, y0, x1, y1 px) to search in this image; often the empty list.
+
+        Parameters
+        ----------
+        bgr
+            (H, W, 3) uint8.
+        stamp
+            Time of the image, s.
+        waiting
+            Centres (2,) px of faces that a detection would confirm.
+        quiet
+            Whether all faces are known and seen.
+        """
+        if stamp < self._next:
+            return []
+        height, width = bgr.shape[:2]
+        whole = (0, 0, width, height)
+        tiles = tile_regions(width, height, self._tiles)
+        if tiles:
+            tiles.append(wide_region(width, height))
+        self._next = stamp + self._step(quiet)
+        thumb = _thumbnail(bgr)
+        if self._size != (width, height):
+            self._size = (width, height)
+            self._searched, self._thumbs = [stamp] * len(tiles), [thumb] * len(tiles)
+            self._whole_next = not tiles
+            return [whole] + tiles
+        whole_now = self._whole_next or not tiles
+        self._whole_next = not whole_now or not tiles
+        if whole_now:
+            return [whole]
+        chosen = self._choose(tiles, thumb, stamp, waiting)
+        if chosen is None:
+            return []
+        self._searched[chosen], self._thumbs[chosen] = stamp, thumb
+        return [tiles[chosen]]
+
+    def _step(self, quiet: bool) -> float:
+        period = self._period * (QUIET_FACTOR if quiet else 1.0)
+        return period / (2.0 if self._tiles > 1 else 1.0)
+
+    def _choose(self, tiles: Sequence[Region], thumb: np.ndarray, stamp: float,
+                waiting: Sequence[np.ndarray]) -> Optional[int]:
+        """Index of the tile to search next, None when none needs it."""
+        best: Optional[int] = None
+        best_need = 0.0
+        for index, tile in enumerate(tiles):
+            age = stamp - self._searched[index]
+            waits = any(_contains(tile, point) for point in waiting)
+            due = waits or age >= STILL_FACTOR * self._period or _changed(tile, thumb, self._thumbs[index])
+            need = (age + self._period) * (4.0 if waits else 1.0)
+            if due and need > best_need:
+                best, best_need = index, need
+        return best
+
+
+def _thumbnail(bgr: np.ndarray) -> np.ndarray:
+    """Grey values (h, w) of every 16th pixel, mean of the two by two around it against flicker."""
+    half = _THUMB_STEP // 2
+    total = np.zeros(bgr[half::_THUMB_STEP, half::_THUMB_STEP, 1].shape, np.float32)
+    for row, column in ((half, half), (half - 2, half), (half, half - 2), (half - 2, half - 2)):
+        part = bgr[row::_THUMB_STEP, column::_THUMB_STEP, 1]
+        total += part[:total.shape[0], :total.shape[1]]
+    return total / 4.0
+
+
+def _changed(tile: Region, now: np.ndarray, before: Optional[np.ndarray]) -> bool:
+    if before is None or before.shape != now.shape:
+        return True
+    x0, y0, x1, y1 = (max(0, value) // _THUMB_STEP for value in tile)
+    difference = np.abs(now[y0:y1, x0:x1] - before[y0:y1, x0:x1])
+    return bool(difference.size == 0 or (difference > _CHANGE).mean() > _CHANGED_PART)
+
+
+def _contains(region: Region, point: np.ndarray) -> bool:
+    x0, y0, x1, y1 = region
+    return bool(x0 <= point[0] < x1 and y0 <= point[1] < y1)
+
+
+class CropQualities:
+    """Keeps the latest picture quality of every face's crop; at most two are measured per image, the oldest first: they
+    cost time."""
+
+    def __init__(self) -> None:
+        self._values: Dict[str, float] = {}
+        self._stamps: Dict[str, float] = {}
+
+    def update(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float) -> Mapping[str, float]:
+        """Return the qualities (0 to 1) of the faces among `faces` that have one, the stale ones measured anew."""
+        stale = [face for face in faces if stamp - self._stamps.get(face.id, -np.inf) >= _QUALITY_PERIOD]
+        stale.sort(key=lambda face: self._stamps.get(face.id, -np.inf))
+        size = (bgr.shape[1], bgr.shape[0])
+        for face in stale[:_QUALITIES_PER_IMAGE]:
+            crop = aligned_crop(bgr, face.mesh, _QUALITY_SIZE)
+            self._values[face.id] = crop_quality(face.mesh, face.pose, crop, face.score, size)
+            self._stamps[face.id] = stamp
+        return {face.id: self._values[face.id] for face in faces if face.id in self._values}
+
+    def keep(self, ids: Collection[str]) -> None:
+        """Forget all faces but these."""
+        for face_id in [face_id for face_id in self._values if face_id not in ids]:
+            del self._values[face_id], self._stamps[face_id]
+
+    def reset(self) -> None:
+        """Forget all faces."""
+        self._values, self._stamps = {}, {}
+
+
+def next_turn(overdue: Mapping[str, float], last: str) -> str:
+    """Return the name of the most overdue network; the one that ran `last` only when no other is due (1 and more)."""
+    others = [name for name in overdue if name != last and overdue[name] >= 1.0]
+    return max(others or overdue, key=lambda name: overdue[name])
+
+
+def most_overdue(faces: Sequence[FaceObservation], last_runs: Mapping[str, float], periods: Callable[[str], float],
+                 stamp: float) -> Tuple[Optional[FaceObservation], float]:
+    """Return the face whose last inference (s) is longest ago in its own period (s), and how many periods; None, 0 for
+    none.
+
+    A face without an inference counts as two periods overdue.
+    """
+    best: Tuple[Optional[FaceObservation], float] = (None, 0.0)
+    for face in faces:
+        late = (stamp - last_runs[face.id]) / periods(face.id) if face.id in last_runs else 2.0
+        if late > best[1]:
+            best = (face, late)
+    return best

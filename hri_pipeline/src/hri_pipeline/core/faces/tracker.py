@@ -1,0 +1,577 @@
+"""Face tracks: data association from one image to the next, births and deaths in seconds.
+
+A track is predicted by optical flow, or else with constant velocity. All measurements of an image (the mesh found at
+each predicted place and the ones found at new detections) are first freed of duplicates, then assigned to the tracks at
+the least total cost. So when one face passes in front of another the one measurement goes to the track whose motion and
+colours it continues; the hidden face is predicted, and is found again where it re-appears.
+
+Optical flow of some points on each face (`FaceFlow`): pyramidal Lucas-Kanade (Bouguet 2000) on the green channel at
+half size. Ten faces cost about 1 ms, a fifth of one inference of the mesh network, and, unlike a constant velocity, it
+sees that a head or the camera has turned back.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Collection, List, Optional, Sequence, Tuple
+
+import cv2
+import numpy as np
+
+from hri_pipeline.core.assignment import assign
+from hri_pipeline.core.faces.mesh import bounding_box
+from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.tracks import TrackLife
+
+COAST_TIME = 0.4
+"""Time (s) for which a face that is not seen any more is still measured at its predicted place."""
+DUPLICATE_IOU, DUPLICATE_DISTANCE = 0.45, 0.4
+"""Two measurements are of the same face above this overlap, or below this distance over the larger size."""
+PRESENCE_MARGIN = 0.05
+"""A fresh mesh replaces a tracked one of the same face when it is surer by this presence."""
+PRESENCE_TOLERANCE = 0.1
+"""The whole of a face replaces a part of it when its presence is smaller by less than this."""
+SPARE_TRACKS = 3
+"""Tracks that may wait for their confirmation while there are as many faces as allowed."""
+DISPLACE_FACTOR = 1.3
+"""A new face takes the place of a known one when its priority (`priority`) is higher by this factor."""
+CENTRAL_WEIGHT = 0.5
+"""Fraction of its priority that a face in the corner of the image loses."""
+SLOW_IMAGES, SLOWEST = 2.0, 3.0
+"""A face lives for so many intervals of the images, when that is more than the death time; longest interval (s) that
+counts."""
+_INTERVAL_MEMORY = 0.8
+GATE_SEEN, GATE_LOST = 0.7, 1.5
+"""Largest legal cost for a track seen in the last frame, and for one that was not."""
+SIZE_WEIGHT = 0.7
+"""Cost of a change of size by a factor e, in face sizes of distance."""
+VELOCITY_TIME = 0.15
+"""Time constant (s) of the velocity estimate."""
+COLOUR_WEIGHT = 0.5
+"""Cost of an appearance distance of 1, in face sizes of distance."""
+PART_SIZE, PART_INSIDE = 0.6, 0.7
+"""A box is a part of another one when its size is below this fraction of the other's, and this much of it lies
+inside."""
+SCORE_MARGIN = 0.1
+"""Detection scores that differ by less count as equal."""
+PART_COST = 0.6
+"""Cost of continuing a track that held on to a part of a face with the whole of it."""
+LEAST_VERIFICATION, VERIFIED, MOST_VERIFICATION = -2.0, 0.5, 2.0
+"""Legal range of the sum of a track's verification scores, and the sum from which it is a face."""
+_SCORE_MEMORY = 0.9
+"""Fraction of the score of a track that is kept from one detection to the next."""
+_COLOUR_GRID = (4, 5)
+_COLOUR_MEMORY = 0.9
+_SAME_COLOURS, _OTHER_COLOURS = 0.03, 0.12
+"""Mean difference of the colours (of 1) of one face between two images, and of two people's."""
+SHRINK = 2
+"""Pixels of the image for one of the picture in which points are followed."""
+_GRID = 4
+_INNER = 0.35
+"""Half the side of the grid of points, of the box: its rim shows what is behind the face."""
+_WINDOW, _LEVELS = (9, 9), 3
+_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 8, 0.05)
+_LEAST_BOX = 8.0
+"""Side (px of the picture) of the smallest box that has room for points that differ."""
+_SPREAD, _SPREAD_PART = 0.7, 0.05
+"""Points agree whose motions differ from the median by less than this (px of the picture) and this part of the box."""
+_AGREEING = 0.5
+"""Part of the points that must agree."""
+_OTHER = 20.0
+"""Mean difference of grey values about a point from which it is another one."""
+
+
+class FaceTracker:
+    """Assigns measurements to tracks; knows nothing of images."""
+
+    def __init__(self, birth_delay: float, death_time: float, max_faces: int, ids: Optional[IdGenerator] = None,
+                 min_detections: int = 1, support_time: float = np.inf) -> None:
+        """All but ids, and the errors: see limit."""
+        self._ids = ids if ids is not None else IdGenerator()
+        self._tracks: List[FaceTrack] = []
+        self._stamp: Optional[float] = None
+        self._interval = 0.0
+        self.limit(birth_delay, death_time, max_faces, min_detections, support_time)
+
+    def limit(self, birth_delay: float, death_time: float, max_faces: int, min_detections: int,
+              support_time: float) -> None:
+        """Set the limits, of the living tracks too.
+
+        Parameters
+        ----------
+        birth_delay
+            Time (s) for which a face must be seen before it is confirmed.
+        death_time
+            Time (s) unseen after which a face is dropped.
+        max_faces
+            Most confirmed faces.
+        min_detections
+            Hit count from which a face is confirmed.
+        support_time
+            Time (s) without a detection after which a face that only its mesh sees is dropped.
+
+        Raises
+        ------
+        ValueError
+            For a negative time, or less than one face or detection.
+        """
+        if max_faces < 1 or min_detections < 1:
+            raise ValueError("max_faces and min_detections must be at least 1, got %r and %r" % (
+                max_faces, min_detections))
+        if not support_time > 0.0:
+            raise ValueError("support_time must be above 0 s, got %r" % (support_time,))
+        for life in [TrackLife(0.0, birth_delay, death_time)] + [track.life for track in self._tracks]:
+            life.limit(birth_delay, death_time)
+        self._birth_delay, self._death_time = birth_delay, death_time
+        self._max_faces, self._min_detections, self._support_time = max_faces, min_detections, support_time
+
+    @property
+    def tracks(self) -> List[FaceTrack]:
+        """All living tracks, oldest first, candidates included."""
+        return list(self._tracks)
+
+    @property
+    def ids(self) -> List[str]:
+        """Ids of the confirmed living tracks, oldest first."""
+        return [track.id for track in self._tracks if self.is_confirmed(track)]
+
+    def is_confirmed(self, track: FaceTrack) -> bool:
+        """Whether a track has lived long enough, has enough hits, and is verified.
+
+        Where one detection is enough, one with a low score is, too.
+        """
+        needed = self._min_detections - 1e-6 if self._min_detections > 1 else 0.0
+        return track.life.confirmed and track.hit_count > needed and (track.verification >= VERIFIED or track.published)
+
+    def reset(self) -> None:
+        """Drop every track. Their ids are not given again."""
+        self._tracks = []
+        self._stamp, self._interval = None, 0.0
+
+    def expected(self, stamp: float) -> List[FaceTrack]:
+        """The tracks to measure at their predicted place: those just seen, and those lost a moment ago."""
+        return [track for track in self._tracks if not self._dead(track, stamp)
+                and (track.visible or stamp - track.life.last_seen <= COAST_TIME)]
+
+    def add_detections(self, boxes: Sequence[np.ndarray], stamp: float, weights: Optional[Sequence[float]] = None,
+                       scores: Optional[Sequence[float]] = None) -> List[FaceTrack]:
+        """Count the detections at `stamp` (s) for the tracks they belong to; returns the tracks that are detected.
+
+        A false detection is tracked by the mesh as long as its picture stays, but is detected in few images only, with
+        a low score. A track that holds on to a part of a detected face does not count as detected.
+
+        Parameters
+        ----------
+        boxes
+            Boxes (4,) px of the detected faces.
+        stamp
+            Time of the image, s.
+        weights
+            What each detection adds to the hit count, 0 to 1; 1 by default.
+        scores
+            Detection scores, 0 to 1; 0 by default.
+        """
+        weights = [1.0] * len(boxes) if weights is None else weights
+        scores = [0.0] * len(boxes) if scores is None else scores
+        detected = []
+        for track in self._tracks:
+            expected = track.predicted_box(stamp)
+            candidates = [(weight, score, is_part(expected, box) or is_part(box, expected))
+                          for box, weight, score in zip(boxes, weights, scores) if is_same_or_part(box, expected)]
+            same = [(weight, score) for weight, score, is_other_size in candidates if not is_other_size]
+            if same:
+                track.add_detection(stamp, *max(same))
+                detected.append(track)
+            elif any(score > track.score - SCORE_MARGIN for _, score, _ in candidates):
+                track.add_conflict()
+        return detected
+
+    def has_room_for(self, box: np.ndarray, view: Optional[Tuple[int, int]]) -> bool:
+        """Whether a new face with this box (4,) px could be tracked: there are few, or it has a higher priority than
+        one of them."""
+        known = [track for track in self._tracks if self.is_confirmed(track)]
+        if len(known) < self._max_faces:
+            return True
+        return priority(box, view) > DISPLACE_FACTOR * min(priority(track.measurement.box, view) for track in known)
+
+    def update(self, measurements: Sequence[FaceMeasurement], stamp: float,
+               skipped: Collection[str] = (), view: Optional[Tuple[int, int]] = None) -> List[FaceTrack]:
+        """Associate the measurements of an image with the tracks; returns the tracks seen in it, oldest first.
+
+        A face unseen for longer than the death time is dropped, an unconfirmed one that is missed once as well.
+
+        Parameters
+        ----------
+        measurements
+            Faces found in the image; there may be duplicates.
+        stamp
+            Time of the image, s.
+        skipped
+            Ids of tracks that were not measured in this image: they count as seen where they are predicted, if they
+            were seen before.
+        view
+            Width and height of the image, px, None when not known: of more than `max_faces` the large and central ones
+            stay.
+        """
+        # After a gap that is long for these images, a face counts as a new one.
+        self._tracks = [track for track in self._tracks if not self._dead(track, stamp)
+                        and stamp - track.detected_at <= self._support_time]
+        self._note_interval(stamp)
+        measurements = without_duplicates(measurements)
+        rest = self._assign(measurements, stamp, skipped)
+        self._tracks = [track for track in self._tracks if track.visible or self.is_confirmed(track)]
+        self._begin(rest, stamp, view)
+        self._keep_best(view)
+        return [track for track in self._tracks if track.visible]
+
+    def _begin(self, measurements: Sequence[FaceMeasurement], stamp: float, view: Optional[Tuple[int, int]]) -> None:
+        """Start tracks, of the faces with the highest priority first."""
+        new = sorted((m for m in measurements if m.may_start), key=lambda m: -priority(m.box, view))
+        for measurement in new:
+            if len(self._tracks) >= self._max_faces + SPARE_TRACKS or not self.has_room_for(measurement.box, view):
+                break
+            life = TrackLife(stamp, self._birth_delay, self._death_time)
+            self._tracks.append(FaceTrack(self._ids.new(), measurement, life, stamp))
+
+    def _keep_best(self, view: Optional[Tuple[int, int]]) -> None:
+        """Keep the `max_faces` faces of highest priority; published ones get a bonus, or they would flicker."""
+        known = [track for track in self._tracks if self.is_confirmed(track)]
+        known.sort(key=lambda track: -priority(track.measurement.box,
+                                               view) * (DISPLACE_FACTOR if track.published else 1.0))
+        surplus = {track.id for track in known[self._max_faces:]}
+        self._tracks = [track for track in self._tracks if track.id not in surplus]
+        for track in known[:self._max_faces]:
+            track.published = True
+
+    def _dead(self, track: FaceTrack, stamp: float) -> bool:
+        """Whether a track was not seen for longer than the death time, and than images as slow as these explain."""
+        return track.life.dead(stamp) and stamp - track.life.last_seen > SLOW_IMAGES * self._interval
+
+    def _note_interval(self, stamp: float) -> None:
+        """Follow the time between images: up at once, down within some of them."""
+        if self._stamp is not None:
+            last = min(SLOWEST, max(0.0, stamp - self._stamp))
+            self._interval = max(last, _INTERVAL_MEMORY * self._interval)
+        self._stamp = stamp
+
+    def _assign(self, measurements: List[FaceMeasurement], stamp: float,
+                skipped: Collection[str]) -> List[FaceMeasurement]:
+        """Continue the tracks; returns the measurements that belong to none."""
+        taken = set()
+        pairs = []
+        if self._tracks and measurements:
+            cost = np.array([track.cost(measurements, stamp) for track in self._tracks])
+            pairs = assign(cost, GATE_LOST + COLOUR_WEIGHT)
+        continued = dict(pairs)
+        for row, track in enumerate(self._tracks):
+            if row in continued:
+                taken.add(continued[row])
+                track.continue_with(measurements[continued[row]], stamp)
+            elif track.id not in skipped:
+                track.miss()
+        return [m for column, m in enumerate(measurements) if column not in taken]
+
+
+def without_duplicates(measurements: Sequence[FaceMeasurement]) -> List[FaceMeasurement]:
+    """Keep the best measurement of each face: of a whole and its part the one that the detector is surer of, and the
+    whole where it is about as sure; of the same size the one with the higher presence; of two about as sure, the
+    tracked mesh."""
+    kept: List[FaceMeasurement] = []
+    standing = [m for m in measurements if not any(_replaces(other, m) for other in measurements)]
+    for candidate in sorted(standing, key=lambda m: PRESENCE_MARGIN * m.may_start - m.presence):
+        if not any(is_same_or_part(candidate.box, other.box) for other in kept):
+            kept.append(candidate)
+    return kept
+
+
+def _replaces(one: FaceMeasurement, other: FaceMeasurement) -> bool:
+    """Whether one measurement replaces another one of the same face and of another size."""
+    if is_part(other.box, one.box):
+        return one.score >= other.score - SCORE_MARGIN and one.presence > other.presence - PRESENCE_TOLERANCE
+    if is_part(one.box, other.box):
+        return one.score > other.score + SCORE_MARGIN or one.presence >= other.presence + PRESENCE_TOLERANCE
+    return False
+
+
+def explains(box: np.ndarray, score: float, detected: np.ndarray, detection_score: float) -> bool:
+    """Whether a detection (box (4,) px and score) is the face known at `box` with `score`, or a part of it."""
+    if is_part(box, detected):
+        return score > detection_score + SCORE_MARGIN
+    if is_part(detected, box):
+        return detection_score <= score + SCORE_MARGIN
+    return same_face(box, detected)
+
+
+def priority(box: np.ndarray, view: Optional[Tuple[int, int]]) -> float:
+    """Priority of a face with this box (4,) px: its size, px, less towards the corners of an image of view px."""
+    x0, y0, x1, y1 = box.tolist()
+    size = (x1 - x0 + y1 - y0) / 2.0
+    if view is None:
+        return size
+    away = math.hypot(x0 + x1 - view[0], y0 + y1 - view[1]) / math.hypot(*view)
+    return size * (1.0 - CENTRAL_WEIGHT * min(1.0, away))
+
+
+def is_same_or_part(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether two boxes (4,) px are of the same face, or one is of a part of the other's face."""
+    return same_face(a, b) or is_part(a, b) or is_part(b, a)
+
+
+def same_face(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether two boxes (4,) px are of the same face: large overlap, or centres close together."""
+    # Plain numbers: this runs for every pair, and arrays of four are slow.
+    (ax0, ay0, ax1, ay1), (bx0, by0, bx1, by1) = a.tolist(), b.tolist()
+    inner = max(0.0, min(ax1, bx1) - max(ax0, bx0)) * max(0.0, min(ay1, by1) - max(ay0, by0))
+    union = max(0.0, ax1 - ax0) * max(0.0, ay1 - ay0) + max(0.0, bx1 - bx0) * max(0.0, by1 - by0) - inner
+    if inner > DUPLICATE_IOU * union:
+        return True
+    size = max(1.0, (ax1 - ax0 + ay1 - ay0) / 2.0, (bx1 - bx0 + by1 - by0) / 2.0)
+    return math.hypot(ax0 + ax1 - bx0 - bx1, ay0 + ay1 - by0 - by1) / 2.0 < DUPLICATE_DISTANCE * size
+
+
+@dataclass(frozen=True)
+class FaceMeasurement:
+    """A face found in one image.
+
+    mesh: (478, 3) px; presence: probability 0 to 1; may_start: it may start a track; colours: see `face_colours`, None
+    when not measured; hit_weight: what its detection adds to the hit count, 0 to 1; score: of its detection, or of the
+    track at which it was found, 0 to 1; verification: see `mesh.verification_score`, -1 (no face) to 1 (a face).
+    """
+
+    mesh: np.ndarray
+    presence: float
+    may_start: bool
+    colours: Optional[np.ndarray] = None
+    hit_weight: float = 1.0
+    score: float = 0.0
+    verification: float = 1.0
+
+    @cached_property
+    def box(self) -> np.ndarray:
+        """Bounding box (4,) px of the mesh."""
+        return bounding_box(self.mesh)
+
+    @cached_property
+    def place(self) -> Tuple[np.ndarray, float]:
+        """Centre (2,) px and size px of the box."""
+        return _place(self.box)
+
+
+class FaceTrack:
+    """State of one tracked face: last measurement, predicted motion, appearance."""
+
+    def __init__(self, track_id: str, measurement: FaceMeasurement, life: TrackLife, stamp: float) -> None:
+        self.id = track_id
+        self.life = life
+        self.measurement = measurement
+        self.visible = True
+        self.hit_count = measurement.hit_weight
+        self.score, self.verification = measurement.score, measurement.verification
+        self.published = False
+        self.detected_at = stamp
+        self._velocity = np.zeros(2)
+        self._colours = measurement.colours
+        self._stamp = self._moved_at = stamp
+        self._moved = np.zeros(2)
+        self._followed = False
+        self._centre, self._size = measurement.place
+
+    @property
+    def measured_at(self) -> float:
+        """Stamp (s) of the last measurement."""
+        return self._stamp
+
+    def shift(self, stamp: float) -> np.ndarray:
+        """Motion (2,) px expected between the last measurement and `stamp`."""
+        return self._moved + self._velocity * max(0.0, stamp - self._moved_at)
+
+    def move(self, motion: Optional[np.ndarray], stamp: float) -> None:
+        """Add the optical flow of this face, (2,) px, from the last image to the one of `stamp` (s).
+
+        None when it is not known: then the face moves on with its velocity.
+        """
+        step = stamp - self._moved_at
+        if step <= 0.0:
+            return
+        self._followed = motion is not None and (self._followed or self._moved_at == self._stamp)
+        if motion is None:
+            motion = self._velocity * step
+        else:
+            self._update_velocity(motion, step)
+        self._moved, self._moved_at = self._moved + motion, stamp
+
+    def _update_velocity(self, motion: np.ndarray, step: float) -> None:
+        """Filter the velocity: motion (2,) px in `step` s."""
+        weight = 1.0 - math.exp(-step / VELOCITY_TIME)
+        self._velocity = self._velocity + weight * (motion / step - self._velocity)
+
+    def predicted_box(self, stamp: float) -> np.ndarray:
+        """Box (4,) px expected at `stamp`."""
+        return self.measurement.box + np.concatenate([self.shift(stamp)] * 2)
+
+    def cost(self, measurements: Sequence[FaceMeasurement], stamp: float) -> np.ndarray:
+        """Cost (N,) of continuing with each measurement, in face sizes; infinite when it is too far away."""
+        places = [measurement.place for measurement in measurements]
+        centres, sizes = np.array([place[0] for place in places]), np.array([place[1] for place in places])
+        away = centres - (self._centre + self.shift(stamp))
+        distance = np.sqrt(away[:, 0] ** 2 + away[:, 1] ** 2) / self._size
+        cost = distance + SIZE_WEIGHT * np.abs(np.log(sizes / self._size))
+        cost[cost > (GATE_SEEN if self.visible else GATE_LOST)] = np.inf
+        cost[[self._is_part_of(measurement, stamp) for measurement in measurements]] = PART_COST
+        return cost + COLOUR_WEIGHT * np.array([self._appearance_distance(m.colours) for m in measurements])
+
+    def _is_part_of(self, measurement: FaceMeasurement, stamp: float) -> bool:
+        """Whether this track holds on to a part of the face that the detector is as sure of."""
+        return (self.visible and measurement.score >= self.score - SCORE_MARGIN
+                and is_part(self.predicted_box(stamp), measurement.box))
+
+    def continue_with(self, measurement: FaceMeasurement, stamp: float) -> None:
+        """Update the track with a measurement of this face."""
+        centre, size = measurement.place
+        if stamp > self._stamp and not (self._followed and self._moved_at >= stamp):
+            self._update_velocity(centre - self._centre, stamp - self._stamp)
+        self._centre, self._size, self._stamp = centre, size, max(stamp, self._stamp)
+        self._moved, self._moved_at, self._followed = np.zeros(2), self._stamp, False
+        self._update_colours(measurement.colours)
+        self.measurement = measurement
+        self.score = max(self.score, measurement.score)
+        self.visible = True
+        self.life.seen(stamp)
+
+    def _update_colours(self, colours: Optional[np.ndarray]) -> None:
+        if colours is None or self._colours is None:
+            self._colours = colours if self._colours is None else self._colours
+        else:
+            self._colours = _COLOUR_MEMORY * self._colours + (1.0 - _COLOUR_MEMORY) * colours
+
+    def _appearance_distance(self, colours: Optional[np.ndarray]) -> float:
+        """Appearance distance: 0 for the usual colours of this face, 1 for those of somebody else."""
+        if colours is None or self._colours is None:
+            return 0.0
+        difference = float(np.abs(colours - self._colours).sum()) / colours.size
+        return min(1.0, max(0.0, (difference - _SAME_COLOURS) / (_OTHER_COLOURS - _SAME_COLOURS)))
+
+    def add_detection(self, stamp: float, weight: float = 1.0, score: float = 0.0) -> None:
+        """Count a detection of this face. weight: what it adds to the hit count, 0 to 1; score: its own, 0 to 1."""
+        self.hit_count += weight
+        self.score = max(score, _SCORE_MEMORY * self.score)
+        self.detected_at = stamp
+
+    def add_conflict(self) -> None:
+        """Note that the detector sees a face of another size here."""
+        self.score *= _SCORE_MEMORY
+
+    def add_verification(self, score: float) -> None:
+        """Add a verification score, -1 (no face) to 1 (a face)."""
+        self.verification = min(MOST_VERIFICATION, max(LEAST_VERIFICATION, self.verification + score))
+
+    def miss(self) -> None:
+        """Note that the face was not found in this frame."""
+        self.visible = False
+
+
+def face_colours(bgr: np.ndarray, box: np.ndarray) -> Optional[np.ndarray]:
+    """Return the colours of a face, (5, 4, 3) 0 to 1, coarse; None when the box (4,) px lies outside the image."""
+    height, width = bgr.shape[:2]
+    x0, y0, x1, y1 = (int(min(max(value, 0.0), limit)) for value, limit in zip(
+        box.tolist(), (width, height, width, height)))
+    if x1 - x0 < 2 or y1 - y0 < 2:
+        return None
+    # Every fourth pixel of a large face is enough.
+    step = max(1, min(x1 - x0, y1 - y0) // 24)
+    patch = np.ascontiguousarray(bgr[y0:y1:step, x0:x1:step])
+    return cv2.resize(patch, _COLOUR_GRID, interpolation=cv2.INTER_AREA).astype(np.float64) / 255.0
+
+
+def is_part(box: np.ndarray, other: np.ndarray) -> bool:
+    """Whether a box (4,) px is much smaller than another one and lies in it: a mouth in its face."""
+    (ax0, ay0, ax1, ay1), (bx0, by0, bx1, by1) = box.tolist(), other.tolist()
+    if ax1 - ax0 + ay1 - ay0 >= PART_SIZE * (bx1 - bx0 + by1 - by0):
+        return False
+    inner = max(0.0, min(ax1, bx1) - max(ax0, bx0)) * max(0.0, min(ay1, by1) - max(ay0, by0))
+    return inner > PART_INSIDE * (ax1 - ax0) * (ay1 - ay0)
+
+
+def _place(box: np.ndarray) -> Tuple[np.ndarray, float]:
+    """Centre (2,) px and size (mean side, px, at least 1) of a box."""
+    x0, y0, x1, y1 = box.tolist()
+    return np.array([(x0 + x1) / 2.0, (y0 + y1) / 2.0]), max(1.0, (x1 - x0 + y1 - y0) / 2.0)
+
+
+class FaceFlow:
+    """Optical flow of boxes from each image to the next. Not thread-safe.
+
+    An image without boxes is kept as it is, and shrunk only if there are some in the next one.
+    """
+
+    def __init__(self) -> None:
+        self._image: Optional[np.ndarray] = None        # the last one, where it has not been shrunk
+        self._picture: Optional[np.ndarray] = None      # the last one, shrunk
+
+    def update(self, bgr: np.ndarray, boxes: Sequence[np.ndarray],
+               expected: Sequence[np.ndarray]) -> List[Optional[np.ndarray]]:
+        """Return how far (2,) px each box has moved from the last image to `bgr` (H, W, 3); None where that is not
+        seen.
+
+        boxes: (4,) px each, where they were in the last image; expected: (2,) px each, where the search begins. Nobody
+        may write to `bgr` until the next call.
+        """
+        if not boxes:
+            self._image, self._picture = bgr, None
+            return []
+        before = shrink(self._image) if self._image is not None else self._picture
+        self._image, self._picture = None, shrink(bgr)
+        if before is None or before.shape != self._picture.shape:
+            return [None] * len(boxes)
+        places = np.asarray(boxes, dtype=np.float64) / SHRINK
+        points = _grids(places)
+        guess = points + np.asarray(expected, dtype=np.float64)[:, None] / SHRINK
+        found, status, error = cv2.calcOpticalFlowPyrLK(
+            before, self._picture, _flat(points), _flat(guess), winSize=_WINDOW, maxLevel=_LEVELS, criteria=_STOP,
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW)
+        motions = np.asarray(found).reshape(points.shape).astype(np.float64) - points
+        good = (np.asarray(status).reshape(points.shape[:2]) > 0) & (
+            np.asarray(error).reshape(points.shape[:2]) < _OTHER
+        )
+        return _common(motions, good, (places[:, 2:] - places[:, :2]).min(axis=1))
+
+    def reset(self) -> None:
+        """Forget the last image."""
+        self._image = self._picture = None
+
+
+def shrink(bgr: np.ndarray) -> np.ndarray:
+    """Return the picture (H / SHRINK, W / SHRINK) of an image (H, W, 3), in which points are followed."""
+    green = cv2.extractChannel(bgr, 1)
+    size = (max(1, green.shape[1] // SHRINK), max(1, green.shape[0] // SHRINK))
+    return cv2.resize(green, size, interpolation=cv2.INTER_AREA)
+
+
+def _grids(boxes: np.ndarray) -> np.ndarray:
+    """Points (N, P, 2) on a grid in the inner part of boxes (N, 4)."""
+    steps = np.linspace(-_INNER, _INNER, _GRID)
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(1, -1, 2)
+    return (boxes[:, None, :2] + boxes[:, None, 2:]) / 2.0 + grid * (boxes[:, None, 2:] - boxes[:, None, :2])
+
+
+def _flat(points: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(points.reshape(-1, 1, 2), dtype=np.float32)
+
+
+def _common(motions: np.ndarray, good: np.ndarray, sides: np.ndarray) -> List[Optional[np.ndarray]]:
+    """The motion (2,) px of the image that most points of each box share; None without one.
+
+    motions: (N, P, 2) px of the picture; good: (N, P), which points were found; sides: (N,) px of the picture.
+    """
+    ordered = np.sort(np.where(good[..., None], motions, np.inf), axis=1)
+    counts = good.sum(axis=1)
+    middle = ordered[np.arange(len(ordered)), counts // 2]
+    middle[~np.isfinite(middle).all(axis=1)] = 0.0
+    apart = motions - middle[:, None]
+    agree = good & (np.hypot(apart[..., 0], apart[..., 1]) < (_SPREAD + _SPREAD_PART * sides)[:, None])
+    agreeing = agree.sum(axis=1)
+    enough = (agreeing >= _AGREEING * good.shape[1]) & (sides >= _LEAST_BOX)
+    mean = SHRINK * (motions * agree[..., None]).sum(axis=1) / np.maximum(agreeing, 1)[:, None]
+    return [motion if known else None for motion, known in zip(mean, enough.tolist())]

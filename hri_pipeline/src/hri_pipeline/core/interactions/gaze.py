@@ -1,0 +1,349 @@
+"""Who or what every person looks at: another person, the robot, nobody.
+
+`SightLines` holds the directions and distances from everybody to everybody, `evidence` says how well each direction
+fits each target, and `GazeTargetFilter` decides over time, by one hidden Markov model per person. With few people the
+number of numpy calls is what costs, so everything is computed for all people at once and masked afterwards.
+"""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Dict, List, Optional, Sequence, Tuple, Union
+
+import numpy as np
+
+from hri_pipeline.core.interactions.people import ROBOT, UNKNOWN, GazeTarget, Observer, PeopleSnapshot
+
+__all__ = ["ROBOT", "GazeTarget", "GazeTargets", "Observer"]
+
+_BACK_S = 1e-6
+_REOPEN_S = 0.1
+"""Closed eyes count as open again when they have been seen open for this time (s): one image in which the eyelids are
+measured wrongly opens none."""
+_STILL_S = 0.19
+_CLOSED_MEMORY_S = 2.0
+"""Eyes that were closed when they were last seen are taken for closed for this time (s)."""
+
+
+class GazeTargets:
+    """Follows who looks at whom, one target for each person at a time.
+
+    The angle between a person's direction and each target counts by the uncertainty of both and the target's apparent
+    size; a hidden Markov model per person decides over time. Eyes that are closed look at nobody, at once.
+    """
+
+    def __init__(self, settings: SimpleNamespace) -> None:
+        """settings: the values of INTERACTION_PARAMETERS."""
+        self._settings = settings
+        self._filter = GazeTargetFilter(settings)
+        self._stamp: Optional[float] = None
+        self._closed_at: Dict[str, float] = {}
+        self._weighed: List[str] = []
+        self._weighed_at = 0.0
+        self._latest_weights = np.zeros((0, 1))
+
+    def reset(self) -> None:
+        """Forget everything, as after a time jump."""
+        self._filter.reset()
+        self._closed_at.clear()
+        self._weighed = []
+        self._stamp = None
+
+    def update(self, people: Union[PeopleSnapshot, Sequence[Observer]], robot: Optional[np.ndarray],
+               stamp: float) -> List[GazeTarget]:
+        """Return who looks at whom now.
+
+        Parameters
+        ----------
+        people: PeopleSnapshot or sequence of Observer
+            Everybody who is tracked, each id once.
+        robot: (3,) array or None
+            Place of the robot's head in the reference frame (m); None where it is not known.
+        stamp: float
+            Time (s) of the image. A stamp before the last one resets everything.
+        """
+        if self._stamp is not None and stamp < self._stamp - _BACK_S:
+            self.reset()
+        # The first image counts in full.
+        dt = self._settings.evidence_time if self._stamp is None else stamp - self._stamp
+        self._stamp = stamp
+        people = PeopleSnapshot.of(people)
+        if not people.ids:
+            self._filter.reset()
+            return []
+        lines = SightLines(people, robot, self._settings.max_distance)
+        ratios, times = evidence(lines, self._settings)
+        ids = people.ids
+        closed = self._closed(people, stamp)
+        looked_at = self._filter.update(ids, self._weights(lines, ids, stamp), ratios, times, closed, dt)
+        names = ids + [ROBOT]
+        return [GazeTarget(ids[sender], names[target], self._filter.probability(sender, target))
+                for sender, target in enumerate(looked_at.tolist()) if target >= 0]
+
+    def _weights(self, lines: SightLines, ids: List[str], stamp: float) -> np.ndarray:
+        """Return the weights (N, T) of the targets; used again for _STILL_S, as occlusion takes half of the computing
+        time."""
+        if ids != self._weighed or not 0.0 <= stamp - self._weighed_at < _STILL_S:
+            self._weighed, self._weighed_at = ids, stamp
+            self._latest_weights = lines.weights(self._settings.head_radius)
+        return self._latest_weights
+
+    def _closed(self, people: PeopleSnapshot, stamp: float) -> np.ndarray:
+        """Return whose eyes are closed, (N,). Closed eyes that are not seen any more stay closed for a while."""
+        closed = people.closed >= self._settings.closed_threshold      # False where it is not known
+        since, self._closed_at = self._closed_at, {people.ids[row]: stamp for row in np.nonzero(closed)[0].tolist()}
+        if since:
+            hidden = np.isnan(people.closed) & np.isnan(people.gazes[:, 0])
+            for row, identity in enumerate(people.ids):
+                before = since.get(identity)
+                if before is not None and not closed[row] and stamp - before < (_CLOSED_MEMORY_S if hidden[row]
+                                                                                else _REOPEN_S):
+                    self._closed_at[identity] = before
+                    closed[row] = True
+        return closed
+
+
+_NEVER = -1e9
+_SIZE_PART = 0.5
+"""People look at some point of a head: its standard deviation, in radii of the head."""
+_LEAST_DISTANCE = 0.2
+_BEHIND = 0.25
+"""What hides somebody is at least this much nearer (m)."""
+_ROBOT_SD = 0.1
+_HALF_WEIGHT = 4.0
+"""Distance (m) from which somebody is looked at half as often as somebody near: the outer part of Hall's social
+space."""
+_LEAST_VISIBLE = 0.02
+_HEAD_BESIDE_EYES = 0.64
+"""How much the head's direction counts beside that of the eyes: its error stays the same as long as somebody looks at
+one target."""
+_TWO_PI = 2.0 * math.pi
+
+
+class SightLines:
+    """Directions and distances from every observer to every target: the N people, then the robot; T = N + 1.
+
+    heads, gazes, faces, trunks, deviations: those of the people. units: (N, T, 3) unit vectors; distances: (N, T) m;
+    possible: (N, T), which targets can be looked at.
+    """
+
+    def __init__(self, people: PeopleSnapshot, robot: Optional[np.ndarray], max_distance: float) -> None:
+        count = len(people)
+        self.heads, self.gazes, self.faces, self.trunks = people.heads, people.gazes, people.faces, people.trunks
+        self.deviations = people.deviations
+        targets = np.empty((count + 1, 3))
+        targets[:-1] = self.heads
+        targets[-1] = UNKNOWN if robot is None else robot
+        between = targets - self.heads[:, None]
+        distances = np.sqrt((between * between).sum(axis=2))
+        with np.errstate(invalid="ignore"):
+            possible = (distances > 1e-6) & (distances < max_distance)
+        possible.reshape(-1)[::count + 2] = False       # nobody looks at himself
+        between[~possible] = 0.0
+        lengths = np.where(possible, distances, 1.0)
+        self.possible = possible
+        self.distances = np.maximum(lengths, _LEAST_DISTANCE)
+        self.units = between / lengths[..., None]
+
+    def weights(self, head_radius: float) -> np.ndarray:
+        """Return the prior weights (N, T) of the targets, 0 to 1, before a direction is known.
+
+        Near targets weigh more than far ones, and those hidden by somebody else very little.
+        """
+        near = self.possible / (1.0 + (self.distances / _HALF_WEIGHT) ** 2)
+        # Of each observer, the square of the angle between each two targets, for small ones.
+        angles = np.maximum(2.0 - 2.0 * (self.units @ self.units.transpose(0, 2, 1)), 0.0)
+        hides = self.distances[:, :, None] < (self.distances - _BEHIND)[:, None, :]
+        hides &= self.possible[:, :, None]
+        hides &= self.possible[:, None, :]
+        close = np.where(hides, angles * (self.distances / head_radius)[:, :, None] ** 2,
+                         np.inf).min(axis=1, initial=np.inf)
+        return near * np.maximum(1.0 - np.exp(-0.5 * close), _LEAST_VISIBLE)
+
+
+def evidence(lines: SightLines, settings: SimpleNamespace) -> Tuple[np.ndarray, np.ndarray]:
+    """Compare the directions of everybody with the lines to all targets.
+
+    Eyes and head count together, the trunk where neither is known.
+
+    Returns
+    -------
+    ratios: (N, T) array
+        Logarithm of the likelihood ratio of each target against nobody; 0 for a person without any direction.
+    times: (N,) array
+        Time (s) over which the error of a direction lasts; infinite for a person without any direction.
+    """
+    placed = lines.heads[:, 0] == lines.heads[:, 0]       # not NaN
+    by_eyes = placed & (lines.gazes[:, 0] == lines.gazes[:, 0])
+    by_head = placed & (lines.faces[:, 0] == lines.faces[:, 0])
+    by_trunk = placed & (lines.trunks[:, 0] == lines.trunks[:, 0]) & ~(by_eyes | by_head)
+    squares = lines.deviations * lines.deviations
+    places = np.empty(len(placed) + 1)
+    places[:-1], places[-1] = squares[:, 0], _ROBOT_SD ** 2
+    extent = ((_SIZE_PART * settings.head_radius) ** 2 + places + squares[:, :1]) / (lines.distances * lines.distances)
+    eyes, heads, aside = _densities(lines, squares, extent, settings)
+    even = -math.log(settings.nobody_field)
+    # Those who look at nobody turn their heads to where their eyes look, too.
+    nobody, weight = np.where(by_eyes, aside, even), np.where(by_eyes, _HEAD_BESIDE_EYES, 1.0)
+    ratios = np.where(by_eyes[:, None], eyes - even, 0.0)
+    ratios += np.where(by_head[:, None], weight[:, None] * (heads - nobody[:, None]), 0.0)
+    if by_trunk.any():
+        facing = _facing(lines.trunks, lines.units, squares[:, 3:] + settings.trunk_target_sd ** 2 + extent)
+        ratios = np.where(by_trunk[:, None], facing, ratios)
+    # A trunk that points elsewhere than the eyes does so as long as the person looks there.
+    times = np.where(by_eyes | by_head, settings.evidence_time, np.where(by_trunk, settings.dwell_time, np.inf))
+    return np.where(lines.possible, ratios, _NEVER), times
+
+
+def _densities(lines: SightLines, squares: np.ndarray, extent: np.ndarray, settings: SimpleNamespace
+               ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Log densities (1/sr) of the eyes (N, T) and of the heads (N, T) for each target, and of the heads for the eyes
+    (N,).
+
+    NaN where a direction is not known.
+    """
+    units, spread = _head_for(lines.units, lines.trunks, settings)
+    own = squares[:, 1] + spread
+    # Eyes and heads; the heads for the eyes behind the targets.
+    cosines, variances = (np.ones((2, len(own), extent.shape[1] + 1)) for _ in range(2))
+    cosines[0, :, :-1] = (lines.units @ lines.gazes[:, :, None])[..., 0]
+    cosines[1, :, :-1] = (units @ lines.faces[:, :, None])[..., 0]
+    cosines[1, :, -1] = (lines.faces * lines.gazes).sum(axis=1)
+    np.add(squares[:, 2:3], extent, out=variances[0, :, :-1])
+    np.add(own[:, None], extent, out=variances[1, :, :-1])
+    variances[1, :, -1] = own + squares[:, 2]
+    eyes, heads = _density(cosines, variances)
+    return eyes[:, :-1], heads[:, :-1], heads[:, -1]
+
+
+def _density(cosines: np.ndarray, variances: np.ndarray) -> np.ndarray:
+    """Log of the Gaussian density (1/sr) at angles of these cosines; variances in rad^2 on each axis."""
+    angles = np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0))
+    return -0.5 * angles * angles / variances - np.log(_TWO_PI * variances)
+
+
+def _facing(trunks: np.ndarray, units: np.ndarray, variances: np.ndarray) -> np.ndarray:
+    """Log likelihood ratios of the bearings of trunks in the horizontal plane, where nobody's are even over the
+    circle."""
+    bearings = np.arctan2(units[..., 1], units[..., 0]) - np.arctan2(trunks[:, 1], trunks[:, 0])[:, None]
+    turns = np.abs((bearings + np.pi) % _TWO_PI - np.pi)
+    return -0.5 * turns ** 2 / variances - 0.5 * np.log(_TWO_PI * variances) + np.log(_TWO_PI)
+
+
+def _head_for(units: np.ndarray, trunks: np.ndarray, settings: SimpleNamespace) -> Tuple[np.ndarray, np.ndarray]:
+    """Where the head points (N, T, 3) when somebody looks at each target, and its variance (N,) rad^2.
+
+    The head turns `head_gain` of the way from the trunk, in the horizontal plane; without a trunk it points at the
+    target.
+    """
+    known = trunks[:, 0] == trunks[:, 0]
+    if not known.any():
+        return units, np.full(len(trunks), settings.eyes_in_head_sd ** 2)
+    x, y = units[..., 0], units[..., 1]
+    turns = np.arctan2(y, x) - np.arctan2(trunks[:, 1], trunks[:, 0])[:, None]
+    turns -= _TWO_PI * np.rint(turns / _TWO_PI)
+    # Towards the back the head turns as far as it can, and the trunk says little: the whole way. So it does without a
+    # trunk.
+    back = np.where(np.abs(turns) < 0.75 * math.pi, (settings.head_gain - 1.0) * turns, 0.0)
+    cosine, sine = np.cos(back), np.sin(back)
+    turned = units.copy()
+    turned[..., 0] = cosine * x - sine * y
+    turned[..., 1] = sine * x + cosine * y
+    return turned, np.where(known, 0.5, 1.0) * settings.eyes_in_head_sd ** 2
+
+
+_MOST_DT = 1.0
+"""Longest step (s) between two updates; after a longer gap nothing more is known than after this."""
+_NOBODY = -1
+
+
+class GazeTargetFilter:
+    """Probabilities of the targets of each person: the people, the robot, nobody.
+
+    Targets change at a rate of 1 / dwell_time, to any other one by its prior (L. R. Rabiner, Proc. IEEE 77 (1989) 257,
+    for the recursion; the rates are those of a process in continuous time, so that the frame rate does not matter).
+    """
+
+    def __init__(self, settings: SimpleNamespace) -> None:
+        self._settings = settings
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._ids: List[str] = []
+        self._probabilities = np.zeros((0, 2))
+        self._current = np.zeros(0, dtype=np.int64)
+        self._unseen = np.zeros(0)
+        self._weights = self._latest_prior = np.zeros((0, 2))
+
+    def update(self, ids: Sequence[str], weights: np.ndarray, ratios: np.ndarray, times: np.ndarray, closed: np.ndarray,
+               dt: float) -> np.ndarray:
+        """Take the evidence of `dt` s; return what each person looks at (N,): index of a target, -1 for nobody.
+
+        weights (N, T), ratios (N, T) and times (N,): see evidence; T = N + 1 with the robot last. closed (N,): the eyes
+        are closed, whatever else is known.
+        """
+        prior = self._prior(weights)
+        self._follow(list(ids), prior)
+        dt = min(max(dt, 0.0), _MOST_DT)
+        stay = math.exp(-dt / self._settings.dwell_time)
+        belief = stay * self._probabilities + (1.0 - stay) * prior
+        seen = np.isfinite(times) & ~closed
+        # Images in quick succession share what they say.
+        share = np.where(seen, np.minimum(dt / np.maximum(times, 1e-6), 1.0), 0.0)
+        scores = np.zeros(belief.shape)
+        np.multiply(ratios, share[:, None], out=scores[:, :-1])
+        belief *= np.exp(scores - scores.max(axis=1, keepdims=True))
+        self._probabilities = belief / np.maximum(belief.sum(axis=1, keepdims=True), 1e-300)
+        self._unseen = np.where(seen, 0.0, self._unseen + dt)
+        self._decide(closed | (self._unseen > self._settings.gaze_hold))
+        return self._current.copy()
+
+    def probability(self, person: int, target: int) -> float:
+        """Return how likely a person (index of the last update) looks at a target."""
+        return float(self._probabilities[person, target])
+
+    def _prior(self, weights: np.ndarray) -> np.ndarray:
+        """(N, T + 1) how often each target is looked at, nobody last. The same weights come several times."""
+        if weights is self._weights:
+            return self._latest_prior
+        total = weights.sum(axis=1, keepdims=True)
+        targets = (1.0 - self._settings.nobody_prior) * weights / np.maximum(total, 1.0)
+        self._weights = weights
+        self._latest_prior = np.concatenate([targets, 1.0 - targets.sum(axis=1, keepdims=True)], axis=1)
+        return self._latest_prior
+
+    def _decide(self, none: np.ndarray) -> None:
+        count = len(self._current)
+        if not count:
+            return
+        rows, targets = np.arange(count), self._probabilities[:, :-1]
+        best = targets.argmax(axis=1)
+        sure = targets[rows, best] >= self._settings.gaze_on
+        kept = (self._current != _NOBODY) & (targets[rows, np.maximum(self._current, 0)] >= self._settings.gaze_off)
+        self._current = np.where(sure, best, np.where(kept, self._current, _NOBODY))
+        self._current[none] = _NOBODY
+
+    def _follow(self, ids: List[str], prior: np.ndarray) -> None:
+        """Add the rows of new people, and remove those of people who have left."""
+        if ids == self._ids:
+            return
+        places: Dict[str, int] = {identity: index for index, identity in enumerate(self._ids)}
+        before = np.array([places.get(identity, _NOBODY) for identity in ids] + [len(self._ids), len(self._ids) + 1],
+                          dtype=np.int64)
+        rows = before[:-2]
+        stayed = rows != _NOBODY
+        known = np.where(before != _NOBODY)[0]
+        belief, current, unseen = prior.copy(), np.full(len(ids), _NOBODY, dtype=np.int64), np.zeros(len(ids))
+        if stayed.any():
+            old = self._probabilities[rows[stayed]]
+            kept = np.zeros((len(old), len(ids) + 2))
+            kept[:, known] = old[:, before[known]]
+            # What was looked at has gone: the rest as by the prior.
+            kept += np.maximum(1.0 - kept.sum(axis=1, keepdims=True), 0.0) * prior[stayed]
+            belief[stayed] = kept
+            unseen[stayed] = self._unseen[rows[stayed]]
+            index = {old_place: place for place, old_place in enumerate(before.tolist()) if old_place != _NOBODY}
+            current[stayed] = [index.get(target, _NOBODY) for target in self._current[rows[stayed]].tolist()]
+        self._ids, self._probabilities, self._current, self._unseen = ids, belief, current, unseen

@@ -1,0 +1,383 @@
+"""The people as the interactions see them at one time: places, and directions of eyes, heads and trunks.
+
+`gather` makes one set of arrays of the frames of all tracked people, in the frame in which they are compared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, OrderedDict
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Counter as CounterOf
+
+import numpy as np
+
+from hri_pipeline.core.frames import HumanTf, RawTransform, Timed, Vector, axis, turned
+from hri_pipeline.core.geometry import Pose
+
+ROBOT = ""
+"""The robot among the ids of persons, as in the messages."""
+
+
+@dataclass(frozen=True)
+class Observer:
+    """One tracked person at one time. Places and directions are those of the reference frame (z up, m).
+
+    What is not known is None. Directions are unit vectors, `_sd` is their standard deviation (rad) on each axis.
+    """
+
+    id: str
+    head: Optional[np.ndarray] = None
+    """(3,) m: where the person is, at the height of the eyes as far as it is known; None: place unknown."""
+    head_sd: float = 0.1
+    """Standard deviation (m) of `head` on each axis."""
+    head_direction: Optional[np.ndarray] = None
+    """(3,): where the face points."""
+    head_direction_sd: float = 0.09
+    gaze_direction: Optional[np.ndarray] = None
+    """(3,): where the eyes look."""
+    gaze_direction_sd: float = 0.14
+    eyes_closed: Optional[float] = None
+    """0 open to 1 closed."""
+    body_direction: Optional[np.ndarray] = None
+    """(3,), about horizontal: where the trunk points."""
+    body_direction_sd: float = 0.35
+
+
+@dataclass(frozen=True)
+class GazeTarget:
+    """One looks at another: ids of persons, `ROBOT` for the robot. confidence: probability, 0 to 1."""
+
+    sender: str
+    receiver: str
+    confidence: float
+
+
+UNKNOWN = np.full(3, np.nan)
+_NO_DEVIATIONS = np.zeros((0, 4))
+
+
+class PeopleSnapshot:
+    """N people in the reference frame (z up, m); what is not known is NaN. The rows of all arrays are those of `ids`.
+
+    heads: (N, 3) m; gazes, faces, trunks: (N, 3) unit vectors; deviations: (N, 4) of head's place (m), face, gaze and
+    trunk (rad); closed: (N,) closedness of the eyes, 0 to 1.
+    """
+
+    __slots__ = ("closed", "deviations", "faces", "gazes", "heads", "ids", "trunks")
+
+    def __init__(self, ids: List[str], heads: np.ndarray, gazes: np.ndarray, faces: np.ndarray, trunks: np.ndarray,
+                 deviations: np.ndarray, closed: np.ndarray) -> None:
+        self.ids, self.heads, self.gazes, self.faces, self.trunks = ids, heads, gazes, faces, trunks
+        self.deviations, self.closed = deviations, closed
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @classmethod
+    def of(cls, people: Union["PeopleSnapshot", Sequence[Observer]]) -> "PeopleSnapshot":
+        """Return the snapshot of these observers; a snapshot as it is."""
+        if isinstance(people, PeopleSnapshot):
+            return people
+        if not people:
+            return cls.empty()
+        columns = np.array([value if value is not None else UNKNOWN for person in people for value in (
+            person.head, person.gaze_direction, person.head_direction, person.body_direction)], dtype=np.float64)
+        columns = columns.reshape(len(people), 4, 3)
+        deviations = np.array([(person.head_sd, person.head_direction_sd, person.gaze_direction_sd,
+                                person.body_direction_sd)
+                               for person in people])
+        closed = np.array([np.nan if person.eyes_closed is None else person.eyes_closed for person in people])
+        return cls([person.id for person in people], columns[:, 0], columns[:, 1], columns[:, 2], columns[:, 3],
+                   deviations, closed)
+
+    @classmethod
+    def empty(cls) -> "PeopleSnapshot":
+        """Return a snapshot of nobody."""
+        nothing = np.zeros((0, 3))
+        return cls([], nothing, nothing, nothing, nothing, _NO_DEVIATIONS, np.zeros(0))
+
+    def observers(self) -> List[Observer]:
+        """Return everybody as an object each."""
+        return [Observer(identity, _known(self.heads[row]), sds[0], _known(self.faces[row]), sds[1],
+                         _known(self.gazes[row]), sds[2],
+                         None if closed != closed else closed, _known(self.trunks[row]), sds[3])
+                for row, (identity, sds, closed) in enumerate(zip(self.ids, self.deviations.tolist(),
+                                                                  self.closed.tolist()))]
+
+
+def _known(vector: np.ndarray) -> Optional[np.ndarray]:
+    return vector if vector[0] == vector[0] else None       # not NaN
+
+
+_MAX_EARLY = 500
+_MAX_SENSORS = 100
+
+
+class Features(NamedTuple):
+    """Face and body of a person: empty when there is none, None while it is not known."""
+
+    face: Optional[str] = None
+    body: Optional[str] = None
+
+
+class PeopleTf(HumanTf):
+    """Which face and body the tracked persons have, with the frames of all of these, and of the heads of their
+    skeletons.
+
+    It also knows which sensors measure gazes: a missing gaze means closed eyes there.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._features: Dict[str, Features] = {}
+        self._early: "OrderedDict[str, Features]" = OrderedDict()
+        self._faces_since: Dict[str, float] = {}
+        self._gaze_sensors: "OrderedDict[str, None]" = OrderedDict()
+
+    @property
+    def people(self) -> Dict[str, Features]:
+        """Who is tracked, in order, with their features."""
+        return self._features
+
+    def set_people(self, ids: Iterable[str]) -> None:
+        """Follow these persons; the frames of the others are freed."""
+        self._features = {identity: self._features.get(identity) or self._early.pop(identity, Features())
+                          for identity in ids}
+        self._follow_features()
+
+    def set_feature(self, person: str, kind: str, value: str) -> None:
+        """Set which "face" or "body" (an id, or empty) a person has; it may come before the person is tracked."""
+        features = self._features.get(person)
+        if features is None:
+            self._early[person] = self._early.get(person, Features())._replace(**{kind: value})
+            while len(self._early) > _MAX_EARLY:
+                self._early.popitem(last=False)
+        elif getattr(features, kind) != value:
+            self._features[person] = features._replace(**{kind: value})
+            self._follow_features()
+
+    def gaze_missing_for(self, face: Timed, gaze: Optional[Timed], gaze_timeout: float) -> float:
+        """Return for how long (s) a face has had no gaze frame; minus infinity where its sensor measures no gazes.
+
+        A sensor measures gazes when any of its faces has had one at most `gaze_timeout` s old.
+        """
+        sensor = face.transform.parent
+        since = self._faces_since.setdefault(face.transform.child, face.stamp)
+        if gaze is not None:
+            missing = face.stamp - gaze.stamp
+            if missing <= gaze_timeout and sensor not in self._gaze_sensors:
+                self._gaze_sensors[sensor] = None
+                while len(self._gaze_sensors) > _MAX_SENSORS:
+                    self._gaze_sensors.popitem(last=False)
+            return missing
+        return face.stamp - since if sensor in self._gaze_sensors else -math.inf
+
+    def clear_moving(self) -> None:
+        """Forget what moves, as after a time jump."""
+        super().clear_moving()
+        self._faces_since.clear()
+
+    def _follow_features(self) -> None:
+        faces = [features.face for features in self._features.values() if features.face]
+        bodies = [features.body for features in self._features.values() if features.body]
+        self.follow(person=self._features, face=faces, gaze=faces, body=bodies, head=bodies)
+        self._faces_since = {name: since for name, since in self._faces_since.items() if name.encode() in self._wanted}
+
+
+Places = Callable[[CounterOf[str]], Mapping[str, Pose]]
+"""Poses, in the frame in which people are compared, of those of the sensors (with the number of their people) that have
+one."""
+
+HEAD_ABOVE_HIPS = 0.65
+"""Height (m) of the eyes above the middle of the hips of somebody who stands: about 0.38 of the stature (Winter
+2009)."""
+_LEAST_LEVEL = 0.3
+_PLACE_SD, _PLACE_SD_PER_M, _FALLBACK_SD = 0.03, 0.02, 0.15
+"""Standard deviations (m) of heads: at the camera, more for each metre of distance, and from anything but a face."""
+
+
+class Seen(NamedTuple):
+    """Closedness of a face's eyes, 0 to 1, at `stamp` (s)."""
+
+    stamp: float
+    closed: float
+
+
+class _Person(NamedTuple):
+    """Rows of one person's frames, -1 for none.
+
+    place: what places the person, of `source`; head, gaze, trunk: directions. range: how far from the sensor the face
+    is (m).
+    """
+
+    id: str
+    source: str
+    place: int
+    head: int
+    gaze: int
+    trunk: int
+    eyes_closed: float
+    range: float
+
+
+class _Rows:
+    """Frames whose places and directions are wanted: sensor, and in its frame the origin (m) and direction of each.
+
+    In plain numbers: for so few, numpy takes longer.
+    """
+
+    def __init__(self) -> None:
+        self.sensors: List[str] = []
+        self.vectors: List[Vector] = []
+
+    def add(self, links: Sequence[RawTransform], along_z: bool = False) -> int:
+        """Return the row of a new frame, `links` above each other up to the sensor.
+
+        Its direction is its x axis, or its z axis.
+        """
+        first = links[0]
+        origin, direction = first.translation, axis(first.rotation, along_z)
+        for link in links[1:]:
+            (x, y, z), (i, j, k) = link.translation, turned(link.rotation, origin)
+            origin, direction = (x + i, y + j, z + k), turned(link.rotation, direction)
+        self.sensors.append(links[-1].parent)
+        self.vectors += (origin, direction)
+        return len(self.sensors) - 1
+
+
+class _Frames(NamedTuple):
+    """The frames of one person: rows by meaning, -1 for none, the best place first."""
+
+    face: int = -1
+    head: int = -1
+    body: int = -1
+    person: int = -1
+    place: int = -1
+    gaze: int = -1
+
+
+def gather(frames: PeopleTf, places: Places, newest: float, settings: SimpleNamespace,
+           closures: Mapping[str, Seen]) -> PeopleSnapshot:
+    """Return everybody who is tracked and has a place, in the order of the tracked list.
+
+    Parameters
+    ----------
+    frames: PeopleTf
+        Who is tracked, with the latest transforms.
+    places: callable
+        Gives the poses of sensors in the frame in which people are compared.
+    newest: float
+        Stamp (s) of the newest frame.
+    settings: SimpleNamespace
+        The values of INTERACTION_PARAMETERS.
+    closures: mapping of str to Seen
+        Closedness of the eyes by the action units, by id of the face.
+    """
+    rows = _Rows()
+    oldest = newest - settings.frame_timeout
+    found = [(identity, *_collect(identity, frames, oldest, settings, closures, rows)) for identity in frames.people]
+    poses = places(Counter(rows.sensors))
+    people = [person for person in (_person(*one, poses, rows.sensors) for one in found) if person is not None]
+    if not people:
+        return PeopleSnapshot.empty()
+    return _snapshot(people, _placed(rows, poses), settings)
+
+
+def _collect(identity: str, frames: PeopleTf, oldest: float, settings: SimpleNamespace, closures: Mapping[str, Seen],
+             rows: _Rows) -> Tuple[_Frames, float, float]:
+    """Add the rows of one person; return them, the closedness of the eyes (NaN unknown), and the distance of the face
+    (m)."""
+    features, mine = frames.people[identity], {}
+    face_id, body_id = features.face or "", features.body or ""
+    closed, far = math.nan, 0.0
+    face = frames.get("face_" + face_id, oldest) if face_id else None
+    if face is not None:
+        mine["face"] = rows.add((face.transform,))
+        x, y, z = face.transform.translation
+        far = math.sqrt(x * x + y * y + z * z)
+        gaze = frames.get("gaze_" + face_id)
+        closed = _closed(frames, face, gaze, closures.get(face_id), settings)
+        if gaze is not None and face.stamp - gaze.stamp <= settings.gaze_timeout and far < settings.gaze_range:
+            above = (face.transform,) if gaze.transform.parent == face.transform.child else ()
+            mine["gaze"] = rows.add((gaze.transform, *above), along_z=True)
+    body = frames.get("body_" + body_id, oldest) if body_id else None
+    if body is not None:
+        mine["body"] = rows.add((body.transform,))
+        links = frames.chain("head_" + body_id, oldest) if face is None else None
+        if links:
+            mine["head"] = rows.add([timed.transform for timed in links])
+    person = frames.get("person_" + identity) if face is None and body is None else None
+    if person is not None:
+        # Neither face nor body is known: the frame of the person is taken for that of the face.
+        unknown = features == Features() and person.stamp >= oldest
+        mine["person" if unknown else "place"] = rows.add((person.transform,))
+    return _Frames(**mine), closed, far
+
+
+def _closed(frames: PeopleTf, face: Timed, gaze: Optional[Timed], closure: Optional[Seen],
+            settings: SimpleNamespace) -> float:
+    """Closedness of the eyes, NaN unknown: by the action units, else a face without a recent gaze has closed eyes.
+
+    Unless its sensor has never given the gaze of any face: such a sensor does not measure gazes.
+    """
+    missing = frames.gaze_missing_for(face, gaze, settings.gaze_timeout)
+    if closure is not None and abs(face.stamp - closure.stamp) <= settings.frame_timeout:
+        return closure.closed
+    if gaze is not None and missing <= 1e-6:
+        return 0.0
+    return 1.0 if missing > settings.gaze_timeout else math.nan
+
+
+def _person(identity: str, mine: _Frames, closed: float, far: float, poses: Mapping[str, Pose], sensors: Sequence[str]
+            ) -> Optional[_Person]:
+    """Choose among the frames whose sensors have a pose; None where there is none."""
+    face, head, body, person, place, gaze = (row if row >= 0 and sensors[row] in poses else -1 for row in mine)
+    if face >= 0:
+        return _Person(identity, "face", face, face, gaze, body, closed, far)
+    for source, row, facing in (("head", head, head), ("body", body, -1), ("person", person, person),
+                                ("place", place, -1)):
+        if row >= 0:
+            return _Person(identity, source, row, facing, -1, body, math.nan, far)
+    return None
+
+
+def _placed(rows: _Rows, poses: Mapping[str, Pose]) -> np.ndarray:
+    """Origins (m) and unit directions (K + 1, 2, 3); the last row is NaN, and so are those without a pose."""
+    count = len(rows.sensors)
+    placed = np.full((count + 1, 2, 3), np.nan)
+    seen, sensors = np.array(rows.vectors), set(rows.sensors)
+    for sensor in sensors & poses.keys():
+        pose = poses[sensor]
+        moved = (seen @ pose.rotation.T).reshape(count, 2, 3)
+        moved[:, 0] += pose.translation
+        if len(sensors) == 1:
+            placed[:-1] = moved
+        else:
+            which = [index for index, name in enumerate(rows.sensors) if name == sensor]
+            placed[which] = moved[which]
+    return placed
+
+
+def _snapshot(people: Sequence[_Person], placed: np.ndarray, settings: SimpleNamespace) -> PeopleSnapshot:
+    ids, sources, place, head, gaze, trunk, closed, ranges = zip(*people)
+    chosen = placed[np.array((place, head, gaze, trunk))]
+    heads, faces, gazes, trunks = chosen[0, :, 0], chosen[1, :, 1], chosen[2, :, 1], chosen[3, :, 1]
+    if "body" in sources:
+        heads[[row for row, source in enumerate(sources) if source == "body"], 2] += HEAD_ABOVE_HIPS
+    lying = trunks[:, 0] ** 2 + trunks[:, 1] ** 2 < _LEAST_LEVEL ** 2
+    if lying.any():
+        trunks[lying] = np.nan
+    deviations = np.array([(
+        _PLACE_SD + _PLACE_SD_PER_M * far if source == "face" else _FALLBACK_SD,
+        settings.skeleton_head_sd if source == "head" else settings.head_sd, _gaze_sd(far, settings), settings.trunk_sd)
+        for source, far in zip(sources, ranges)])
+    return PeopleSnapshot(list(ids), heads, gazes, faces, trunks, deviations, np.array(closed))
+
+
+def _gaze_sd(distance: float, settings: SimpleNamespace) -> float:
+    """Standard deviation (rad) of the eyes' direction; from half of gaze_range on the head's takes over."""
+    part = min(max(2.0 * distance / settings.gaze_range - 1.0, 0.0), 1.0)
+    return math.hypot(settings.gaze_sd, part * settings.eyes_in_head_sd)

@@ -1,0 +1,351 @@
+"""Which face belongs to which body: by eyes, nose and ears of both in the image, and by where both heads are."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+
+import numpy as np
+
+from hri_pipeline.core.assignment import assign
+from hri_pipeline.core.feature_history import FeatureHistory
+from hri_pipeline.core.frames import HumanTf, Timed, Vector, turned
+
+_HISTORY_S = 4.0        # bodies of an image have come 1 to 2 s after its faces, on two cores with ten people and rviz
+_JUMP_BACK_S = 0.5
+MOST_ASPECT = 10.0
+"""No image is so many times wider than high, or higher than wide: its size is not known."""
+MAX_APART_S = 0.15
+"""Most time between the stamps of the links from a head to its camera."""
+_NOWHERE = np.full(3, np.nan)
+_FRAMES = {"faces": "face", "bodies": "head"}
+
+Pair = Tuple[str, str]
+
+
+class PairMatch(NamedTuple):
+    """Likelihood (0..1, 0 withdraws) that a face and a body belong to the same human."""
+
+    face: str
+    body: str
+    confidence: float
+
+
+class HeadPlace(NamedTuple):
+    """Position (m) of a face or of a skeleton's head in the frame of its camera, at `stamp` (s)."""
+
+    frame: str
+    position: Vector
+    stamp: float
+
+
+@dataclass
+class _PairState:
+    likelihood: float
+    stamp: float
+
+
+class _Compared(NamedTuple):
+    """The newest skeleton of a body that was compared, and with whom; faces may come after it."""
+
+    stamp: float
+    faces: Set[str]
+
+
+class FaceBodyMatcher:
+    """Follows the likelihood of every pair over time and gives the one-to-one matches to publish.
+
+    A pair's likelihood is a first-order low-pass filter over time, not over frames. The present partner has
+    a small bonus in the assignment, so that two nearly equal bodies do not take turns.
+    """
+
+    def __init__(self, settings: SimpleNamespace) -> None:
+        """Take the settings of `MATCHER_PARAMETERS`."""
+        self._settings = settings
+        self._tracked: Dict[str, Set[str]] = {"faces": set(), "bodies": set()}
+        self._frames: Dict[Tuple[str, str], str] = {}
+        self._aspects: Dict[str, float] = {}        # of each face's images: one wrong message does not spoil the others
+        self._history = FeatureHistory(_HISTORY_S)
+        self._states: Dict[Pair, _PairState] = {}
+        self._matched: Dict[Pair, float] = {}
+        self._newest: Dict[Tuple[str, str], float] = {}     # by kind and frame: each camera and node has its own delay
+        self._compared: Dict[str, _Compared] = {}
+        self._tf = HumanTf()
+
+    def set_tracked(self, kind: str, ids: Iterable[str]) -> None:
+        """Take the ids of "faces" or "bodies" that are tracked; what is known of the others is dropped."""
+        self._tracked[kind] = set(ids)
+        self._tf.follow(**{_FRAMES[kind]: self._tracked[kind]})
+        self._history.keep_only(kind, self._tracked[kind])
+        self._history.keep_only("places of " + kind, self._tracked[kind])
+        self._frames = {key: frame for key,
+                        frame in self._frames.items() if key[0] != kind or key[1] in self._tracked[kind]}
+        cameras = {(key[0], frame) for key, frame in self._frames.items()}
+        self._newest = {camera: stamp for camera, stamp in self._newest.items() if camera in cameras}
+        side = 0 if kind == "faces" else 1
+        for pair in [pair for pair in self._states if pair[side] not in self._tracked[kind]]:
+            del self._states[pair]
+        if kind == "faces":
+            self._aspects = {face: aspect for face, aspect in self._aspects.items() if face in self._tracked[kind]}
+        else:
+            self._compared = {body: done for body, done in self._compared.items() if body in self._tracked[kind]}
+
+    def has_left(self, pair: Pair) -> bool:
+        """Tell whether the face or the body of a pair is no longer tracked."""
+        face, body = pair
+        return face not in self._tracked["faces"] or body not in self._tracked["bodies"]
+
+    def add_face(self, face: str, stamp: float, landmarks: np.ndarray, aspect: float, frame: str = "") -> None:
+        """Take the landmarks (70, 3) of a face in the image of time `stamp` (s).
+
+        aspect: width over height of the image, 0 where it is not known. frame: the camera's, empty when not known.
+        """
+        if 1.0 / MOST_ASPECT <= aspect <= MOST_ASPECT and face in self._tracked["faces"]:
+            self._aspects[face] = aspect
+        self._add("faces", face, stamp, landmarks, frame)
+
+    def add_body(self, body: str, stamp: float, skeleton: np.ndarray, frame: str = "") -> None:
+        """Take the skeleton (18, 3) of a body in the image of time `stamp` (s); frame: as in add_face."""
+        self._add("bodies", body, stamp, skeleton, frame)
+
+    def add_transforms(self, data: bytes, frames: Sequence[Tuple[bytes, int]], fixed: bool) -> None:
+        """Take the places of faces and heads out of a message of /tf, or /tf_static (`fixed`); see frames.scan.
+
+        They are compared with the images that they belong to. Raises ValueError for a stamp that is none.
+        """
+        put = self._tf.put_message(data, frames, fixed)
+        for kind, identity in dict.fromkeys(("faces" if frame.startswith("face_") else "bodies", identity) for frame,
+                                            identity in put):
+            place = head_place(self._tf.chain("{}_{}".format(_FRAMES[kind], identity)))
+            if place is not None:
+                self.add_place(kind, identity, place.stamp, place.position, place.frame)
+
+    def add_place(self, kind: str, name: str, stamp: float, position: Sequence[float], frame: str = "") -> None:
+        """Take the position (3,) m of one of the "faces", or of the head of one of the "bodies", in its camera's
+        frame."""
+        if name in self._tracked[kind] and self._frames.setdefault((kind, name), frame) in ("", frame):
+            self._history.add("places of " + kind, name, stamp, np.array(position))
+
+    def matches(self) -> List[PairMatch]:
+        """Compare what has come in; return all pairs that match now, best first."""
+        for stamp, bodies in sorted(self._bodies_by_stamp().items()):
+            self._compare(stamp, bodies)
+        self._drop_stale()
+        self._assign()
+        return [PairMatch(face, body, value) for (face, body), value in
+                sorted(self._matched.items(), key=lambda item: -item[1])]
+
+    def _add(self, kind: str, name: str, stamp: float, points: np.ndarray, frame: str) -> None:
+        if name not in self._tracked[kind]:
+            return
+        newest = self._newest.get((kind, frame), -math.inf)
+        self._frames[kind, name] = frame
+        if stamp < newest - _JUMP_BACK_S:
+            self._forget(kind, frame)
+            newest = stamp
+        self._newest[kind, frame] = max(newest, stamp)
+        self._history.add(kind, name, stamp, points)
+
+    def _forget(self, kind: str, frame: str) -> None:
+        """Forget those of one kind whom one camera sees: its time has jumped back."""
+        names = {name for (one, name), of in self._frames.items() if one == kind and of == frame}
+        for one in (kind, "places of " + kind):
+            self._history.keep_only(one, self._tracked[kind] - names)
+        side = 0 if kind == "faces" else 1
+        self._states = {pair: state for pair, state in self._states.items() if pair[side] not in names}
+        self._compared.clear()
+
+    def _bodies_by_stamp(self) -> Dict[float, List[str]]:
+        """Bodies by the stamp of their newest skeleton of which faces are known."""
+        faces = sorted(self._history.stamps("faces"))
+        found: Dict[float, List[str]] = {}
+        for body in sorted(self._tracked["bodies"]):
+            before = self._compared[body].stamp if body in self._compared else -math.inf
+            stamp = max((stamp for stamp in self._history.stamps_of("bodies", body)
+                         if stamp >= before and self._near(stamp, faces)), default=None)
+            if stamp is not None:
+                found.setdefault(stamp, []).append(body)
+        return found
+
+    def _near(self, stamp: float, others: Sequence[float]) -> bool:
+        """Tell whether one of `others`, in rising order, is near enough to be compared."""
+        place = bisect_left(others, stamp)
+        return any(abs(other - stamp) <= self._settings.max_stamp_difference
+                   for other in others[max(0, place - 1):place + 1])
+
+    def _compare(self, stamp: float, names: Sequence[str]) -> None:
+        """Compare bodies with the faces of their image with which they were not compared yet."""
+        settings = self._settings
+        seen = self._history.at("faces", stamp, settings.max_stamp_difference)
+        done = {body: self._done(body, stamp) for body in names}
+        new = {(face, body) for body in names for face in seen if face not in done[body]
+               and self._may_be_one(face, body)}
+        if not new:
+            return
+        faces = {face: seen[face] for face in sorted({face for face, _ in new})}
+        skeletons = self._history.at("bodies", stamp, 0.0)
+        bodies = {body: skeletons[body] for body in sorted({body for _, body in new})}
+        values = combined(
+            likelihoods(np.array([face_points(landmarks, self._aspects.get(face, 1.0)) for face,
+                                  landmarks in faces.items()]),
+                        np.array([body_points(skeleton) for skeleton in bodies.values()]),
+                        settings.distance_scale, settings.min_point_confidence),
+            place_likelihoods(self._places("faces", faces, stamp), self._places("bodies", bodies, stamp)))
+        for row, face in enumerate(faces):
+            for column, body in enumerate(bodies):
+                # Without common points only their places can be compared, which come later.
+                if (face, body) in new and not math.isnan(values[row, column]):
+                    self._follow((face, body), float(values[row, column]), stamp)
+                    done[body].add(face)
+
+    def _done(self, body: str, stamp: float) -> Set[str]:
+        """Faces with which a body of this image has been compared; to be added to."""
+        if body not in self._compared or self._compared[body].stamp != stamp:
+            self._compared[body] = _Compared(stamp, set())
+        return self._compared[body].faces
+
+    def _places(self, kind: str, names: Iterable[str], stamp: float) -> np.ndarray:
+        """Positions (N, 3) m at a time, NaN where they are not known."""
+        known = self._history.at("places of " + kind, stamp, self._settings.max_stamp_difference)
+        return np.array([known.get(name, _NOWHERE) for name in names])
+
+    def _may_be_one(self, face: str, body: str) -> bool:
+        """Tell whether one camera sees both: two images cannot be compared."""
+        frames = {self._frames.get(("faces", face), ""), self._frames.get(("bodies", body), "")} - {""}
+        return len(frames) < 2
+
+    def _follow(self, pair: Pair, value: float, stamp: float) -> None:
+        state = self._states.get(pair)
+        if state is None:
+            self._states[pair] = _PairState(value, stamp)
+            return
+        elapsed = max(0.0, stamp - state.stamp)
+        time_constant = self._settings.smoothing_time
+        gain = 1.0 - math.exp(-elapsed / time_constant) if time_constant > 0.0 else 1.0
+        state.likelihood += gain * (value - state.likelihood)
+        state.stamp = stamp
+
+    def _drop_stale(self) -> None:
+        for pair, state in list(self._states.items()):
+            newest = max(self._newest_of(kind, name) for kind, name in zip(("faces", "bodies"), pair))
+            if newest - state.stamp > self._settings.hold_time:
+                del self._states[pair]
+
+    def _newest_of(self, kind: str, name: str) -> float:
+        """Return the newest stamp of the camera that sees a face or body."""
+        return self._newest.get((kind, self._frames.get((kind, name), "")), -math.inf)
+
+    def _assign(self) -> None:
+        likely = {pair: state.likelihood for pair, state in self._states.items()
+                  if state.likelihood >= self._settings.min_likelihood}
+        faces = sorted({face for face, _ in likely})
+        bodies = sorted({body for _, body in likely})
+        cost = np.full((len(faces), len(bodies)), np.inf)
+        for (face, body), likelihood in likely.items():
+            bonus = self._settings.stay_bonus if (face, body) in self._matched else 0.0
+            cost[faces.index(face), bodies.index(body)] = 1.0 - likelihood - bonus
+        pairs = [(faces[row], bodies[column]) for row, column in assign(cost, 1.0)]
+        self._matched = {pair: self._states[pair].likelihood for pair in pairs}
+
+
+def head_place(chain: Sequence[Timed]) -> Optional[HeadPlace]:
+    """Return the place that follows from the transforms from a head up to its camera.
+
+    None without any that moves, and where their stamps are more than MAX_APART_S apart.
+    """
+    stamps = [timed.stamp for timed in chain if math.isfinite(timed.stamp)]
+    if not stamps or max(stamps) - min(stamps) > MAX_APART_S:
+        return None
+    position: Vector = (0.0, 0.0, 0.0)
+    for transform, _ in chain:
+        (x, y, z), (i, j, k) = transform.translation, turned(transform.rotation, position)
+        position = (x + i, y + j, z + k)
+    return HeadPlace(chain[-1].transform.parent, position, min(stamps)) if math.isfinite(sum(position)) else None
+
+
+# Point of the skeleton (hri_msgs/Skeleton2D), landmarks of which the mean is the same point (dlib's 68
+# points), weight. The ears count less: the jaw line ends in front of them.
+_SAME_POINTS: Tuple[Tuple[int, Tuple[int, ...], float], ...] = (
+    (0, (30,), 1.0),
+    (14, (42, 43, 44, 45, 46, 47), 1.0),
+    (15, (36, 37, 38, 39, 40, 41), 1.0),
+    (16, (16,), 0.3),
+    (17, (0,), 0.3),
+)
+_MIN_WEIGHT = 1.3       # at least two points, one of them an eye or the nose
+# Two estimates of one head: across the line of sight (m), and along it, where both are inexact and more so far away.
+ACROSS_M, ALONG_M, ALONG_SHARE = 0.2, 0.3, 0.15
+PLACES_ALONE = 0.9      # likelihood of two heads at one place that have no points in common in the image
+
+
+def face_points(landmarks: np.ndarray, aspect: float) -> np.ndarray:
+    """Return what the comparison needs of a face: (6, 3), five points x, y, confidence, then size, aspect, 0.
+
+    landmarks: (70, 3) x, y in 0..1 of the image and confidence; aspect: width over height of the image. The
+    points are in heights of the image, and so is the size: the square root of the area of the landmarks' bounding
+    box, 0 where it has none.
+    """
+    points = landmarks * np.array([aspect, 1.0, 1.0])
+    found = [(*points[list(indices), :2].mean(axis=0), points[list(indices), 2].min())
+             for _, indices, _ in _SAME_POINTS]
+    seen = points[points[:, 2] > 0.0, :2]
+    extent = np.ptp(seen, axis=0) if len(seen) else np.zeros(2)
+    size = math.sqrt(float(extent[0] * extent[1]))
+    return np.array(found + [(size, aspect, 0.0)])
+
+
+def body_points(skeleton: np.ndarray) -> np.ndarray:
+    """Return what the comparison needs of a skeleton (18, 3): (5, 3) x, y in 0..1 of the image, confidence."""
+    return skeleton[[joint for joint, _, _ in _SAME_POINTS]]
+
+
+def likelihoods(faces: np.ndarray, bodies: np.ndarray, distance_scale: float,
+                min_point_confidence: float) -> np.ndarray:
+    """Return the likelihoods (F, B) that a face and a body are of one human, NaN where too little is seen.
+
+    The likelihood is exp(-d^2 / 2 s^2) with d the weighted mean distance of the points in sizes of the face and
+    s = distance_scale.
+
+    Parameters
+    ----------
+    faces: (F, 6, 3) array
+        Of face_points().
+    bodies: (B, 5, 3) array
+        Of body_points().
+    distance_scale: float
+        In sizes of the face.
+    min_point_confidence: float
+        Points of less confidence (0 to 1) are not used.
+    """
+    size, aspect = faces[:, None, 5, 0], faces[:, None, 5, 1, None]
+    face, body = faces[:, None, :5], bodies[None]
+    usable = (face[..., 2] >= min_point_confidence) & (body[..., 2] >= min_point_confidence)
+    weights = np.where(usable, [weight for _, _, weight in _SAME_POINTS], 0.0)
+    total = weights.sum(axis=2)
+    apart = np.hypot(face[..., 0] - aspect * body[..., 0], face[..., 1] - body[..., 1])
+    known = (total >= _MIN_WEIGHT - 1e-9) & (size > 0.0)
+    distance = (weights * apart).sum(axis=2) / np.where(known, total * size, 1.0)
+    return np.where(known, np.exp(-0.5 * (distance / distance_scale) ** 2), np.nan)
+
+
+def place_likelihoods(faces: np.ndarray, bodies: np.ndarray) -> np.ndarray:
+    """Return (F, B) likelihoods that faces (F, 3) and heads of skeletons (B, 3) are at one place; NaN where one is NaN.
+
+    Positions in m in the optical frame of one camera, which sees directions exactly and distances less so.
+    """
+    faces, bodies = faces[:, None], bodies[None]
+    apart = faces - bodies
+    distance = np.linalg.norm(faces, axis=2)
+    line = faces / np.maximum(distance, 1e-6)[..., None]
+    along = np.abs((apart * line).sum(axis=2))
+    across = np.linalg.norm(apart - (apart * line).sum(axis=2)[..., None] * line, axis=2)
+    return np.exp(-0.5 * ((across / ACROSS_M) ** 2 + (along / (ALONG_M + ALONG_SHARE * distance)) ** 2))
+
+
+def combined(image: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Fuse the likelihoods (F, B) of image and places, either of which may be NaN; the image is the more exact one."""
+    both = image * np.sqrt(places)
+    return np.where(np.isnan(places), image, np.where(np.isnan(image), PLACES_ALONE * places, both))

@@ -1,1 +1,0 @@
-"""Sources of images, and drawing on them."""

@@ -1,1 +1,0 @@
-"""Whether a set-up can work, and why not."""

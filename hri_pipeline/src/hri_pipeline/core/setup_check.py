@@ -1,0 +1,341 @@
+"""Why nobody appears: facts about a running set-up, and rules that turn them into words and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Callable, Dict, List, Optional, Tuple
+
+from hri_pipeline.core.images import ENCODINGS
+from hri_pipeline.core.parameters import Parameter, ParameterTable
+
+NO_IMAGE_YET = "no image yet"       # what a pipeline tells in /diagnostics, whatever the reason
+OK, HINT, FAULT = 0, 1, 2
+_ASPECT_TOLERANCE = 0.02
+
+
+@dataclass(frozen=True)
+class Stream:
+    """One topic that the stack needs. types: what its publishers send. age: s from the last stamp to now, None without.
+
+    unreachable: names of publishers that do not answer at their address.
+    """
+
+    topic: str
+    wanted: str
+    types: Tuple[str, ...] = ()
+    publishers: Tuple[str, ...] = ()
+    unreachable: Tuple[str, ...] = ()
+    messages: int = 0
+    rate: float = 0.0
+    age: Optional[float] = None
+    frame: str = ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """The last image. problem: why it cannot be read, empty when it can. brightness, contrast: mean, deviation, 0 to
+    255."""
+
+    width: int = 0
+    height: int = 0
+    encoding: str = ""
+    problem: str = ""
+    brightness: float = 0.0
+    contrast: float = 0.0
+
+
+@dataclass(frozen=True)
+class CalibrationFacts:
+    """The last camera_info. focal: px, 0 while the camera is not calibrated."""
+
+    width: int = 0
+    height: int = 0
+    focal: float = 0.0
+
+
+@dataclass(frozen=True)
+class Facts:
+    """All that was seen of a set-up in a few seconds.
+
+    nodes: {name: "running", "dead" (registered, but does not answer) or "absent"}. statuses: {name of the task: (level,
+    text)} of /diagnostics. tracked: {kind: ids in the last list, -1 without a list}. tf_reaches: whether transforms
+    lead from camera_frame to reference_frame. publishing: nodes, whatever their names, that publish below /humans.
+    """
+
+    nodes: Dict[str, str] = field(default_factory=dict)
+    publishing: Tuple[str, ...] = ()
+    image: Optional[Stream] = None
+    info: Optional[Stream] = None
+    picture: Optional[Picture] = None
+    calibration: Optional[CalibrationFacts] = None
+    sim_time: bool = False
+    clock_messages: int = 0
+    camera_frame: str = ""
+    reference_frame: str = "map"
+    tf_reaches: bool = False
+    models_missing: Tuple[str, ...] = ()
+    models_directory: str = ""
+    statuses: Dict[str, Tuple[int, str]] = field(default_factory=dict)
+    tracked: Dict[str, int] = field(default_factory=dict)
+
+
+CHECK_PARAMETERS = ParameterTable(
+    "check", "Looks at the running graph and says in words why nobody appears.", (
+        Parameter("nodes", ["hri_faces", "hri_bodies", "hri_face_body_matcher", "hri_person_manager"],
+                  "Names of the nodes that have to run, without a slash; hri_vision stands for hri_faces and "
+                  "hri_bodies. Leave out those whose branch is switched off."),
+        Parameter("watch_time", 6.0,
+                  "How long the graph is listened to before it is judged. Longer: slower, but finds what comes rarely.",
+                  unit="s", minimum=1.0, maximum=120.0),
+        Parameter("camera_frame", "",
+                  "Frame of the camera; empty: the frame_id of its images."),
+        Parameter("min_rate", 3.0, "Images per second below which people cannot be followed.", unit="Hz", minimum=0.1,
+                  maximum=60.0),
+        Parameter("max_age", 1.0, "Images whose stamp is further than this from now are told: the clocks differ, or "
+                  "the network is too slow.", unit="s", minimum=0.05, maximum=60.0),
+        Parameter("master", "", "Address of the master that was there before the check; check.launch asks for it, so "
+                  "that roslaunch ends where there is none instead of starting one. Nothing is done with it here."),
+        Parameter("min_brightness", 25.0, "Mean of the pixels (0 to 255) below which a picture is too dark to find "
+                                          "people.",
+                  minimum=0.0, maximum=255.0),
+        Parameter("min_contrast", 6.0, "Standard deviation of the pixels (0 to 255) below which a picture shows "
+                  "nothing: a covered lens, or a test picture of one colour.", minimum=0.0, maximum=128.0),
+    ))
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing about the set-up. level: OK, HINT (works, but not as it could) or FAULT. hint: what to do, empty for
+    OK.
+
+    topic: the topic that it is about. hence: what nodes report in /diagnostics as a consequence of it.
+    """
+
+    level: int
+    what: str
+    hint: str = ""
+    topic: str = ""
+    hence: Tuple[str, ...] = ()
+
+
+Rule = Callable[[Facts, SimpleNamespace], List[Finding]]
+
+
+def check(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    """Return what there is to say, the root causes first. settings: the values of CHECK_PARAMETERS."""
+    findings = [finding for rule in _RULES for finding in rule(facts, settings)]
+    told = {name: status for name, status in facts.statuses.items() if status[0] > 0}
+    roots = [_with_consequences(finding, told) for finding in findings]
+    return roots + [Finding(FAULT if level >= 2 else HINT, "{}: {}".format(name, text),
+                            "see rostopic echo /diagnostics")
+                    for name, (level, text) in sorted(told.items())] + _people(facts, settings)
+
+
+def _with_consequences(finding: Finding, told: Dict[str, Tuple[int, str]]) -> Finding:
+    """Return the finding with what nodes tell of the same topic, and take that out of `told` ({task: (level,
+    text)})."""
+    same = [name for name, (level, text) in told.items()
+            if finding.topic and name.endswith(": input") and level <= finding.level and _names(text, finding.topic)]
+    hence = []
+    for node in sorted(name.rpartition(":")[0] for name in same):
+        texts = ["input: " + told.pop(node + ": input")[1].partition(";")[0]]
+        if told.get(node + ": pipeline", (OK, ""))[1] == NO_IMAGE_YET:
+            texts.append("pipeline: " + told.pop(node + ": pipeline")[1])
+        hence.append("{}: {}".format(node, "; ".join(texts)))
+    return replace(finding, hence=tuple(hence))
+
+
+def _names(text: str, topic: str) -> bool:
+    """Tell whether a text names this topic, not only one that begins with it."""
+    return topic in [word.rstrip(":;,.") for word in text.split()]
+
+
+def is_well(findings: List[Finding]) -> bool:
+    """Tell whether people can appear."""
+    return all(finding.level != FAULT for finding in findings)
+
+
+def as_text(findings: List[Finding]) -> str:
+    """Return the findings as lines for people."""
+    marks = {OK: "ok   ", HINT: "hint ", FAULT: "FAULT"}
+    lines = []
+    for finding in findings:
+        lines.append("{}  {}".format(marks[finding.level], finding.what))
+        if finding.hint:
+            lines.append("       -> " + finding.hint)
+        lines += ["       hence  " + text for text in finding.hence]
+    faults = sum(finding.level == FAULT for finding in findings)
+    lines.append("{} fault{} found".format(faults or "no", "" if faults == 1 else "s"))
+    return "\n".join(lines)
+
+
+def _nothing_runs(facts: Facts) -> bool:
+    """Tell whether nothing of the stack is there, under these names (more than one) or others."""
+    return len(facts.nodes) > 1 and not facts.publishing and all(state == "absent" for state in facts.nodes.values())
+
+
+def _nothing(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    if not _nothing_runs(facts):
+        return []
+    return [Finding(FAULT, "nothing of ros4hri runs on this master", "roslaunch ros4hri ros4hri.launch")]
+
+
+def _clock(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    if facts.sim_time and not facts.clock_messages:
+        return [Finding(FAULT, "/use_sim_time is true, but nobody publishes /clock: time stands still for all nodes",
+                        "play the bag with --clock, or: rosparam set /use_sim_time false, and start the nodes again")]
+    return []
+
+
+def _nodes(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    found: List[Finding] = []
+    if _nothing_runs(facts):
+        return found
+    for name, state in facts.nodes.items():
+        if state == "dead":
+            found.append(Finding(FAULT, "the node {} is registered, but does not answer: it has crashed, or its "
+                                 "machine cannot be reached".format(name),
+                                 "rosnode cleanup; look at its log in ~/.ros/log/latest; set ROS_IP on each machine"))
+        elif state == "absent":
+            found.append(Finding(FAULT, "the node {} does not run".format(name),
+                                 "roslaunch ros4hri ros4hri.launch; its messages there say why it ended. If its branch "
+                                 "is meant to be off: rosrun hri_pipeline check _nodes:=\"[{}]\"".format(
+                                     ", ".join(other for other in facts.nodes if other != name))))
+    return found
+
+
+def _models(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    if not facts.models_missing:
+        return []
+    return [Finding(FAULT, "models are missing in {}: {}".format(facts.models_directory,
+                                                                 ", ".join(facts.models_missing)),
+                    "rosrun hri_pipeline fetch_models")]
+
+
+def _image(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    stream = facts.image
+    if stream is None or (_nothing_runs(facts) and not stream.publishers):
+        return []
+    found = _stream(stream, "image")
+    if found or not stream.messages:
+        return found
+    if stream.rate < settings.min_rate:
+        found.append(Finding(HINT, "{} comes with {:.1f} images/s only".format(stream.topic, stream.rate),
+                             "raise the camera's rate, or use image_transport:=compressed over a network"))
+    if stream.age is not None and abs(stream.age) > settings.max_age:
+        found.append(Finding(FAULT, "images on {} are {:.1f} s {}".format(
+            stream.topic, abs(stream.age), "old when they arrive" if stream.age > 0 else "in the future"),
+            "set the clocks of the machines (chrony, ntpdate); play a bag with --clock and /use_sim_time true; "
+            "over a network take image_transport:=compressed"))
+    if not stream.frame:
+        found.append(Finding(FAULT, "images on {} have no frame_id, so that nothing has a place".format(stream.topic),
+                             "set the frame_id of the camera driver to its optical frame"))
+    return found
+
+
+def _stream(stream: Stream, argument: str) -> List[Finding]:
+    """Why no message comes on a topic."""
+    wrong = [kind for kind in stream.types if kind != stream.wanted]
+    if wrong and len(wrong) == len(stream.types):
+        return [Finding(FAULT, "{} is a {}, not a {}".format(stream.topic, wrong[0], stream.wanted),
+                        _type_hint(wrong[0], argument), stream.topic)]
+    if not stream.publishers:
+        return [
+            Finding(
+                FAULT,
+                "nobody publishes {}".format(stream.topic),
+                "start the camera, or give its topic: {}:=/your/topic (rostopic list shows all)".format(argument),
+                stream.topic,
+            )
+        ]
+    if stream.unreachable and len(stream.unreachable) == len(stream.publishers):
+        return [Finding(FAULT, "the publisher of {} ({}) cannot be reached".format(
+            stream.topic, ", ".join(stream.unreachable)),
+            "it has died (rosnode cleanup), or its address is not known here: set ROS_IP on its machine and on this "
+            "one",
+            stream.topic)]
+    if not stream.messages:
+        return [Finding(FAULT, "{} has a publisher ({}), but nothing comes".format(
+            stream.topic, ", ".join(stream.publishers)),
+            "see that the camera is plugged in and its driver has no error; is the bag paused?", stream.topic)]
+    return []
+
+
+def _type_hint(kind: str, argument: str) -> str:
+    if kind == "sensor_msgs/CompressedImage":
+        return "give the topic without /compressed at its end, and image_transport:=compressed"
+    return "give the right topic: {}:=/your/topic".format(argument)
+
+
+def _picture(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    picture = facts.picture
+    if picture is None or (facts.image is not None and _stream(facts.image, "image")):
+        return []
+    topic = facts.image.topic if facts.image else "image"
+    if picture.problem:
+        return [Finding(FAULT, "images on {} cannot be read: {}".format(topic, picture.problem),
+                        "let the driver publish one of: {}".format(", ".join(ENCODINGS)), topic)]
+    if picture.brightness < settings.min_brightness:
+        return [Finding(FAULT, "the picture is too dark (mean {:.0f} of 255)".format(picture.brightness),
+                        "switch the light on, take the lens cap off, let the camera expose longer")]
+    if picture.contrast < settings.min_contrast:
+        return [Finding(FAULT, "the picture shows nothing (all pixels are alike)",
+                        "take away what covers the lens; see the picture with: rqt_image_view {}".format(topic))]
+    return [Finding(OK, "{}: {}x{} {}".format(topic, picture.width, picture.height, picture.encoding))]
+
+
+def _calibration(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    if facts.info is None or not (facts.image and facts.image.messages):
+        return []
+    missing = _stream(facts.info, "camera_info")
+    if missing:
+        return [Finding(HINT, missing[0].what + ": distances are guessed from the parameter fallback_fov",
+                        missing[0].hint,
+                        facts.info.topic)]
+    calibration, picture = facts.calibration, facts.picture
+    if calibration is None or picture is None or picture.problem:
+        return []
+    if calibration.focal <= 0.0:
+        return [
+            Finding(
+                FAULT,
+                "the camera is not calibrated: K on {} is all zero, so that distances are guessed".format(
+                    facts.info.topic
+                ),
+                "calibrate it (rosrun camera_calibration cameracalibrator.py), or set fallback_fov",
+                facts.info.topic,
+            )
+        ]
+    ratio = (calibration.width * picture.height) / max(calibration.height * picture.width, 1)
+    if abs(ratio - 1.0) > _ASPECT_TOLERANCE:
+        return [Finding(FAULT, "{} is for {}x{} px, images are {}x{}".format(
+            facts.info.topic, calibration.width, calibration.height, picture.width, picture.height),
+            "give the camera_info of this camera: camera_info:=/your/topic, or calibrate this resolution",
+            facts.info.topic)]
+    return [Finding(OK, "{}: focal length {:.0f} px".format(facts.info.topic, calibration.focal))]
+
+
+def _transforms(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    if not facts.camera_frame:
+        return []
+    if facts.tf_reaches:
+        return [Finding(OK, "transforms lead from {} to {}".format(facts.camera_frame, facts.reference_frame))]
+    return [Finding(FAULT, "no transform leads from the camera ({}) to the reference frame {}: persons are placed "
+                    "relative to the camera".format(facts.camera_frame, facts.reference_frame),
+                    "publish where the camera sits (URDF with robot_state_publisher, or static_transform_publisher), "
+                    "start the localisation, or start with reference_frame:= a frame that exists, e.g. base_link")]
+
+
+def _people(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+    seen = {kind: count for kind, count in facts.tracked.items() if count > 0}
+    if seen.get("persons"):
+        return [Finding(OK, "{} person{} tracked now".format(seen["persons"], "" if seen["persons"] == 1 else "s"))]
+    if seen:
+        told = " and ".join("{} {}".format(count, kind) for kind, count in seen.items())
+        return [Finding(FAULT, "{} are tracked, but no person".format(told), "see that hri_person_manager runs, and "
+                                                                             "its log")]
+    return [] if _nothing_runs(facts) else [Finding(OK, "nobody is tracked now")]
+
+
+_RULES: Tuple[Rule, ...] = (_nothing, _clock, _models, _nodes, _image, _picture, _calibration, _transforms)

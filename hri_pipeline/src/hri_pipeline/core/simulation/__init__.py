@@ -1,0 +1,1 @@
+"""Simulated people: scenes, what is true in them at a time, and what sensors would report of them."""

@@ -1,1 +1,0 @@
-"""Sound: format, stream, level, direction, separation."""

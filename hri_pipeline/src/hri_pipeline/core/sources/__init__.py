@@ -1,0 +1,1 @@
+"""Where images and sound come from when no robot sends them: files, directories, cameras, microphones."""

@@ -1,1 +1,0 @@
-"""What is said: recognisers and the process that they run in."""

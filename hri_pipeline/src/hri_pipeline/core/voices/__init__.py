@@ -1,1 +1,0 @@
-"""Who speaks and when, and the descriptors of a voice."""

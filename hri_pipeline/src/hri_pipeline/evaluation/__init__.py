@@ -1,1 +1,0 @@
-"""Evaluation on real pictures: labels, and the figures made of them. No node imports it."""

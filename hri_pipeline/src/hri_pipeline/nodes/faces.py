@@ -1,0 +1,328 @@
+"""The ROS side of faces: what the node `faces` does with each image, its topics /humans/faces/ID/..., and its TF
+frames."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+from typing import Dict, Iterable, List, Optional, Sequence, Set, Tuple
+
+import rospy
+from geometry_msgs.msg import TransformStamped
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from hri_msgs.msg import Expression, FacialActionUnits, FacialLandmarks, IdsMatch, SoftBiometrics
+from hri_pipeline.core.error_log import ItemGuard
+from hri_pipeline.core.faces.analysis import STAGES, FaceDemand
+from hri_pipeline.core.faces.crops import MAX_SIZE, aligned_crop, box_crop
+from hri_pipeline.core.faces.gaze import gaze_frame
+from hri_pipeline.core.faces.pipeline import FacePipeline
+from hri_pipeline.core.observations import FaceObservation
+from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.recognition.face_identity import PersonMatch, SamePersons
+from hri_pipeline.core.recognition.recogniser import SAME
+from hri_pipeline.ros.conversions import (
+    action_units_to_msg,
+    bgr_to_image,
+    expression_to_msg,
+    landmarks_to_msg,
+    match_to_msg,
+    roi_message,
+    roi_type,
+    soft_biometrics_to_msg,
+    told_gaze,
+    transform_to_msg,
+)
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
+from hri_pipeline.ros.gallery_service import GalleryService
+from hri_pipeline.ros.inputs import Frame
+from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
+from hri_pipeline.ros.rospy_compat import release
+from hri_pipeline.ros.tf import TfPublisher
+
+_NO_FRAME = "images have no frame_id, so faces have no TF frame; set the camera driver's frame_id"
+_LOG_PERIOD_S = 10.0
+NAMESPACE = "/humans/faces"
+MATCHES_TOPIC = "/humans/candidate_matches"
+_ANALYSIS = {"facs": ("action_units", FacialActionUnits), "expression": ("expression", Expression),
+             "softbiometrics": ("age_gender", SoftBiometrics)}
+"""Topic: the parameter that switches it on, and its type."""
+CROPPED, ALIGNED = "cropped", "aligned"
+SIZE_PARAMETERS = ("/humans/faces/width", "/humans/faces/height")
+DEFAULT_SIZE = 128
+MARGIN = 1.3
+_REFRESH_S = 5.0
+_SIZE_WARNING_PERIOD_S = 30.0
+
+
+class FaceProcessor:
+    """Runs the face pipeline on each image and publishes its results. An error with one face does not affect the
+    others.
+
+    Parameters
+    ----------
+    settings
+        The values of core.faces.parameters.FACES.
+    transforms
+        A TF publisher that is shared with other processors; its owner closes it. None: one of its own.
+
+    Raises
+    ------
+    ModelError
+        When a model is missing or damaged.
+    ParameterError
+        When the gallery cannot be used.
+    """
+
+    name = "faces"
+
+    def __init__(self, settings: SimpleNamespace, transforms: Optional[TfPublisher] = None) -> None:
+        is_kept = settings.recognition and settings.gallery
+        (rospy.logwarn if is_kept else rospy.loginfo)("%s", privacy_line(settings))
+        try:
+            self._pipeline = FacePipeline(settings, notify=rospy.logwarn)
+        except StoreError as error:
+            raise ParameterError("~gallery, ~gallery_key: {}".format(error)) from error
+        self._interface = settings.interface
+        self._guard = ItemGuard(rospy.logerr)
+        self._topics = FaceTopics(settings)
+        self._tracked = TrackedList(NAMESPACE + "/tracked")
+        self._owns_transforms = transforms is None
+        self._transforms = TfPublisher() if transforms is None else transforms
+        recognition = self._pipeline.recognition
+        self._gallery = GalleryService(recognition) if recognition is not None else None
+        self._match_subscribers = 0
+        self._no_frame = False
+        self._poseless = 0
+        self._closed = False
+
+    def process(self, frame: Frame, context: dict) -> None:
+        """Find the faces in an image, publish them, and store them in context["faces"]."""
+        demand = self._topics.demand(self._pipeline.tracked_ids)
+        faces = self._pipeline.update(frame.bgr, frame.camera, frame.stamp, getattr(frame, "depth", None), demand)
+        context["faces"] = faces
+        ids = self._pipeline.tracked_ids
+        self._topics.keep(ids)
+        self._tracked.set(ids, frame.header.stamp)
+        self._guard.each("face", lambda face: self._topics.publish(face, frame), faces)
+        self._publish_frames(faces, frame)
+        self._publish_matches()
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Apply the values of the live parameters; the faces stay."""
+        self._pipeline.reconfigure(settings)
+
+    def reset(self) -> None:
+        """Drop all faces: time has jumped back."""
+        self._pipeline.reset()
+        self._tracked.clear()
+        self._topics.close_ids()
+
+    def status(self) -> Tuple[int, str, Dict[str, object]]:
+        """Return level, message and values for diagnostics."""
+        values: Dict[str, object] = {"without_pose": self._poseless, "errors": self._guard.errors}
+        values.update(self._pipeline.status())
+        if self._gallery is not None and self._gallery.problem:
+            return ERROR, self._gallery.problem, values
+        if self._no_frame:
+            return WARN, _NO_FRAME, values
+        error = self._guard.news()
+        if error:
+            return WARN, error, values
+        return OK, "{} faces".format(values["tracked"]), values
+
+    def close(self) -> None:
+        """Publish that no face is tracked any more and unadvertise all topics. Idempotent."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._gallery is not None:
+            self._gallery.close()
+        self._tracked.close()
+        self._topics.close()
+        if self._owns_transforms:
+            self._transforms.close()
+        self._pipeline.close()
+
+    def _publish_frames(self, faces: Sequence[FaceObservation], frame: Frame) -> None:
+        posed = [face for face in faces if face.pose is not None]
+        self._poseless = len(faces) - len(posed)
+        self._no_frame = not frame.header.frame_id
+        if self._no_frame:
+            rospy.logwarn_throttle(_LOG_PERIOD_S, _NO_FRAME)
+            return
+        transforms: List[TransformStamped] = []
+        self._guard.each(
+            "face", lambda face: transforms.extend(face_transforms(face, frame, self._interface)), posed)
+        self._transforms.send(transforms)
+
+    def _publish_matches(self) -> None:
+        """Publish the changes of the matches, and all matches when there is a new subscriber."""
+        if self._pipeline.recognition is None:
+            return
+        recogniser, subscribers = self._pipeline.recognition.recogniser, self._topics.match_subscribers()
+        if subscribers > self._match_subscribers:
+            self._topics.publish_matches(recogniser.current())
+            self._topics.publish_same_persons([SamePersons(*pair, SAME) for pair in recogniser.same_persons()])
+        self._match_subscribers = subscribers
+        self._topics.publish_matches(self._pipeline.matches)
+        self._topics.publish_same_persons(recogniser.same_changes())
+
+
+def face_transforms(face: FaceObservation, frame: Frame, interface: str) -> List[TransformStamped]:
+    """Transforms of face_ID in the image's frame, and of gaze_ID in face_ID; interface: see `told_gaze`."""
+    if face.pose is None:
+        return []
+    stamp, name = frame.header.stamp, "face_" + face.id
+    transforms = [transform_to_msg(face.pose, stamp, frame.header.frame_id, name)]
+    direction = told_gaze(face.pose, None if face.gaze is None else face.gaze.direction, interface)
+    if direction is not None:
+        transforms.append(transform_to_msg(gaze_frame(face.pose, direction), stamp, name, "gaze_" + face.id))
+    return transforms
+
+
+def privacy_line(settings: SimpleNamespace) -> str:
+    """One line of text for the log: what is inferred about people and where templates are kept."""
+    on = [name for name in STAGES if getattr(settings, name)]
+    off = [name for name in STAGES if name not in on]
+    line = "inferred about people: {}; switched off: {}".format(", ".join(on) or "nothing", ", ".join(off) or "nothing")
+    if settings.recognition:
+        line += "; templates of faces are kept {}".format(
+            "across runs in {}{}".format(settings.gallery, ", encrypted" if settings.gallery_key else "")
+            if settings.gallery else "in memory only")
+    return line
+
+
+class FaceTopics:
+    """Publishes observations of faces; the topic of an analysis that is switched off does not exist."""
+
+    def __init__(self, settings: SimpleNamespace) -> None:
+        """settings: the values of core.faces.parameters.FACES."""
+        self._interface = settings.interface
+        specs = {"roi": TopicSpec(roi_type(settings.interface)), "landmarks": TopicSpec(FacialLandmarks),
+                 CROPPED: TopicSpec(Image), ALIGNED: TopicSpec(Image)}
+        self._analysis = [name for name, (switch, _) in _ANALYSIS.items() if getattr(settings, switch)]
+        specs.update({name: TopicSpec(_ANALYSIS[name][1]) for name in self._analysis})
+        self._publishers = IdPublishers(NAMESPACE, specs)
+        self._pictures = FacePictures(self._publishers)
+        self._matches = rospy.Publisher(MATCHES_TOPIC, IdsMatch, queue_size=100) if settings.recognition else None
+
+    def keep(self, ids: Iterable[str]) -> None:
+        """Advertise the topics of these faces and unadvertise those of all others."""
+        self._publishers.keep(ids)
+
+    def demand(self, ids: Sequence[str]) -> FaceDemand:
+        """Return which results of these faces have subscribers."""
+        wanted = {name: self._subscribed(name, ids) for name in _ANALYSIS}
+        matched = self._matches is not None and self._matches.get_num_connections() > 0
+        return FaceDemand(wanted["facs"], wanted["expression"], wanted["softbiometrics"], matched)
+
+    def publish(self, face: FaceObservation, frame: Frame) -> None:
+        """Publish the results of one face that have subscribers."""
+        height, width = frame.bgr.shape[:2]
+        header, publishers = frame.header, self._publishers
+        if publishers.has_subscribers(face.id, "roi"):
+            publishers.publish(face.id, "roi",
+                               roi_message(face.box, width, height, self._interface, header, face.score))
+        if publishers.has_subscribers(face.id, "landmarks"):
+            publishers.publish(face.id, "landmarks", landmarks_to_msg(face.landmarks, header, width, height))
+        if face.measured:
+            self._pictures.publish(face, frame)
+        if face.action_units is not None:
+            publishers.publish(face.id, "facs", action_units_to_msg(
+                face.action_units.intensity, face.action_units.confidence, header))
+        if face.expression is not None:
+            expression = face.expression
+            publishers.publish(face.id, "expression", expression_to_msg(
+                expression.category, expression.valence, expression.arousal, expression.confidence, header))
+        if face.soft_biometrics is not None:
+            publishers.publish(face.id, "softbiometrics", soft_biometrics_to_msg(face.soft_biometrics, header))
+
+    def publish_matches(self, matches: Sequence[PersonMatch]) -> None:
+        """Publish matches of faces with persons; likelihood 0 withdraws one."""
+        if self._matches is None:
+            return
+        for match in matches:
+            self._matches.publish(match_to_msg(match.face_id, IdsMatch.FACE, match.person_id, IdsMatch.PERSON,
+                                               match.likelihood))
+
+    def publish_same_persons(self, pairs: Sequence[SamePersons]) -> None:
+        """Publish pairs of persons that are one human; likelihood 0 withdraws one."""
+        if self._matches is None:
+            return
+        for pair in pairs:
+            self._matches.publish(match_to_msg(pair.other, IdsMatch.PERSON, pair.kept, IdsMatch.PERSON,
+                                               pair.likelihood))
+
+    def match_subscribers(self) -> int:
+        """Return the number of subscribers to the matches."""
+        return self._matches.get_num_connections() if self._matches is not None else 0
+
+    def close_ids(self) -> None:
+        """Unadvertise the topics of all faces."""
+        self._publishers.close_all()
+
+    def close(self) -> None:
+        """Unadvertise all topics. Idempotent."""
+        self._publishers.close_all()
+        if self._matches is not None:
+            release(self._matches)
+            self._matches = None
+
+    def _subscribed(self, name: str, ids: Sequence[str]) -> Set[str]:
+        if name not in self._analysis:
+            return set()
+        return {face_id for face_id in ids if self._publishers.has_subscribers(face_id, name)}
+
+
+class FacePictures:
+    """Publishes the topics `cropped` and `aligned` of a face while they have subscribers.
+
+    Their size is on the parameter server (/humans/faces/width and /humans/faces/height), read again every few seconds
+    while there are subscribers; an illegal value is logged and replaced by 128.
+    """
+
+    def __init__(self, publishers: IdPublishers) -> None:
+        self._publishers = publishers
+        self._size = (DEFAULT_SIZE, DEFAULT_SIZE)
+        self._read_at = float("-inf")
+
+    def publish(self, face: FaceObservation, frame: Frame) -> None:
+        """Publish the pictures of one face that have subscribers."""
+        wanted = [name for name in (CROPPED, ALIGNED) if self._publishers.has_subscribers(face.id, name)]
+        if not wanted:
+            return
+        width, height = self._current_size()
+        for name in wanted:
+            if name == CROPPED:
+                picture = box_crop(frame.bgr, face.box, width, height, MARGIN)
+            else:
+                side = max(width, height)
+                square = aligned_crop(frame.bgr, face.mesh, side, MARGIN)
+                top, left = (side - height) // 2, (side - width) // 2
+                picture = square[top:top + height, left:left + width]
+            header = Header(stamp=frame.header.stamp, frame_id=frame.header.frame_id)
+            self._publishers.publish(face.id, name, bgr_to_image(picture, header))
+
+    def _current_size(self) -> Tuple[int, int]:
+        if time.monotonic() - self._read_at > _REFRESH_S:
+            self._read_at = time.monotonic()
+            self._size = (self._read(SIZE_PARAMETERS[0]), self._read(SIZE_PARAMETERS[1]))
+        return self._size
+
+    @staticmethod
+    def _read(name: str) -> int:
+        try:
+            value = rospy.get_param(name, DEFAULT_SIZE)
+        except Exception as error:  # the master may be away: rospy raises socket errors then
+            rospy.logwarn_throttle(_SIZE_WARNING_PERIOD_S, "parameter %s could not be read (%s)", name, error)
+            return DEFAULT_SIZE
+        # type() and not isinstance(): a bool is an int in Python.
+        if type(value) is not int or not 16 <= value <= MAX_SIZE:
+            rospy.logwarn_throttle(_SIZE_WARNING_PERIOD_S, "parameter %s is %r; legal: int, 16 to %d; %d is used "
+                                                           "instead",
+                                   name, value, MAX_SIZE, DEFAULT_SIZE)
+            return DEFAULT_SIZE
+        return value

@@ -1,0 +1,266 @@
+"""Lets a paused `rosbag play` go as soon as everybody who has to hear it is connected to it; waits for its end."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import signal
+import sys
+import time
+from types import FrameType
+from typing import Dict, List, Optional, Sequence, Set, Tuple
+from xmlrpc.client import Fault, ServerProxy
+
+import rosgraph
+import rospy
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool
+from tf2_msgs.msg import TFMessage
+
+from hri_pipeline.core.simulation.sensors import camera_pose
+from hri_pipeline.ros.conversions import transform_to_msg
+from hri_pipeline.ros.node import end_simulated_time, wait_for_master
+from hri_pipeline.ros.rospy_compat import release
+
+LOOK_S = 0.1
+_SAY_S = 5.0
+_MAGIC = b"#ROSBAG V2.0"
+_TRANSFORMS = {"/tf", "/tf_static"}
+
+Listeners = Dict[str, Sequence[str]]
+"""Topic -> names of nodes."""
+
+
+def parse_wanted(texts: Sequence[str]) -> Listeners:
+    """Read "TOPIC=NODE,NODE", or "TOPIC=" for nobody, into resolved names; the order stays.
+
+    Raises ValueError for anything else.
+    """
+    wanted: Dict[str, List[str]] = {}
+    for text in texts:
+        topic, equals, nodes = text.partition("=")
+        names = [name for name in nodes.split(",") if name]
+        if not topic or not equals:
+            raise ValueError("{!r} is not of the form TOPIC=NODE,NODE".format(text))
+        wanted.setdefault("/" + topic.strip("/"), []).extend("/" + name.strip("/") for name in names)
+    return wanted
+
+
+def missing_listeners(wanted: Listeners, played: Set[str], connected: Set[Tuple[str, str]]) -> List[str]:
+    """Return "NODE on TOPIC" of each who is wanted, but not connected, on a topic that is played."""
+    return ["{} on {}".format(node, topic) for topic, nodes in wanted.items() if topic in played
+            for node in nodes if (topic, node) not in connected]
+
+
+def not_in_the_recording(image: str, played: Set[str]) -> str:
+    """Return why no image will come, and what to do; empty where the recording has that topic."""
+    if image in played:
+        return ""
+    twin, transport = (image[:-len("/compressed")],
+                       "raw") if image.endswith("/compressed") else (image + "/compressed", "compressed")
+    if twin in played:
+        return "the recording holds {}, not {}: give image_transport:={}".format(twin, image, transport)
+    return "the recording holds no {}; give image:= the topic of its images (rosbag info tells)".format(image)
+
+
+def fault_of_file(path: str) -> str:
+    """Return why this file is no recording, and what to do; empty where it is one."""
+    if not os.path.isfile(path):
+        return "there is no recording {}; give bag:= its path".format(path)
+    try:
+        with open(path, "rb") as file:
+            is_bag = file.read(len(_MAGIC)) == _MAGIC
+    except OSError as error:
+        return "the recording {} cannot be read: {}".format(path, error.strerror)
+    return "" if is_bag else "{} is no recording of rosbag".format(path)
+
+
+class Mount:
+    """Where the camera of a recording without transforms stands: told on /tf_static when the first image names its
+    frame."""
+
+    def __init__(self, image: str, frame: str, height: float, tilt: float) -> None:
+        """image: topic. The camera stands `height` m above the origin of `frame` and looks down by `tilt` rad."""
+        self._frame, self._pose, self._told = frame, camera_pose(0.0, 0.0, 0.0, height, tilt), False
+        self._publisher = rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)
+        self._subscriber = rospy.Subscriber(image, rospy.AnyMsg, self._tell, queue_size=1, buff_size=2 ** 24)
+
+    def close(self) -> None:
+        """Take the transform back."""
+        release(self._subscriber)
+        release(self._publisher)
+
+    def _tell(self, message: rospy.AnyMsg) -> None:
+        if self._told:
+            return
+        self._told = True
+        camera = Header().deserialize(message._buff).frame_id.lstrip("/")
+        if not camera or camera == self._frame:
+            rospy.logwarn("the recording holds no transforms, and its images name no frame but %r", camera)
+            return
+        self._publisher.publish(TFMessage([transform_to_msg(self._pose, rospy.Time(), self._frame, camera)]))
+        rospy.loginfo("the recording holds no transforms: its camera %s is taken to stand %.2f m above %s; "
+                      "camera_height and camera_tilt say otherwise", camera, self._pose.translation[2], self._frame)
+
+
+class PausedPlayer:
+    """A `rosbag play --pause` of the graph, by the name of its node."""
+
+    def __init__(self, name: str) -> None:
+        self._name = "/" + name.strip("/")
+        self._master = rosgraph.Master(rospy.get_name())
+
+    def played(self) -> Set[str]:
+        """Return the topics that it publishes, the clock apart."""
+        published, _, _ = self._master.getSystemState()
+        return {topic for topic, nodes in published if self._name in nodes} - {"/clock", "/rosout"}
+
+    def connected(self) -> Set[Tuple[str, str]]:
+        """Return (topic, node) of all who are connected to it now, by its own account."""
+        try:
+            _, _, rows = ServerProxy(self._master.lookupNode(self._name)).getBusInfo(rospy.get_name())
+        except (OSError, rosgraph.MasterException, Fault):
+            return set()
+        return {(row[4], str(row[1])) for row in rows}
+
+    def is_there(self) -> bool:
+        """Tell whether it still runs."""
+        try:
+            return ServerProxy(self._master.lookupNode(self._name)).getPid(rospy.get_name())[0] == 1
+        except (OSError, rosgraph.MasterException, Fault):
+            return False
+
+    def go(self) -> None:
+        """Play. Raises rospy.ServiceException where it has gone."""
+        rospy.ServiceProxy(self._name + "/pause_playback", SetBool)(False)
+
+
+def start(player: PausedPlayer, wanted: Listeners, patience: float) -> str:
+    """Let the player go; return "" or, in words, who was not there after `patience` s.
+
+    Raises rospy.ServiceException.
+    """
+    played, image = player.played(), next(iter(wanted))
+    problem = not_in_the_recording(image, played)
+    missing: List[str] = [] if problem else ["?"]
+    began = said = time.monotonic()
+    while missing and not rospy.is_shutdown():
+        missing = missing_listeners(wanted, played, player.connected())
+        now = time.monotonic()
+        if now > began + patience:
+            problem = "started without " + ", ".join(missing)
+            break
+        if missing and now > said + _SAY_S:
+            rospy.loginfo("the recording waits for %s", ", ".join(missing))
+            said = now
+        time.sleep(LOOK_S)      # wall time: the clock of the graph stands still
+    player.go()
+    return problem
+
+
+def main(arguments: Optional[Sequence[str]] = None) -> int:
+    """Run the command; exit code 0, or 1 where there is no player or no recording."""
+    parser = _parser()
+    options = parser.parse_args(rospy.myargv(sys.argv)[1:] if arguments is None else list(arguments))
+    if options.look is not None:
+        return _look(options.look)
+    try:
+        wanted = parse_wanted(options.wanted)
+    except ValueError as error:
+        parser.error(str(error))
+    if not wanted:
+        parser.error("the topic of the images is missing")
+    wait_for_master("start_bag")
+    rospy.init_node("start_bag", disable_signals=True)
+    signal.signal(signal.SIGTERM, _interrupt)
+    code, launch = 0, None
+    try:
+        code = _play(wanted, options)
+        launch = _launch() if options.end_launch else None
+    except KeyboardInterrupt:
+        pass
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):      # closing must not be interrupted
+            signal.signal(number, signal.SIG_IGN)
+        if options.end_launch:
+            end_simulated_time()
+        rospy.signal_shutdown("start_bag has ended")
+    if launch is not None:
+        os.kill(launch, signal.SIGINT)
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="start_bag", description=__doc__)
+    parser.add_argument("wanted", nargs="*", metavar="TOPIC=NODE,NODE",
+                        help="who has to be connected to which topic; the first is that of the images; topics that the "
+                             "recording lacks are left out")
+    parser.add_argument("--player", default="bag", help="name of the node that plays (default: bag)")
+    parser.add_argument("--patience", type=float, default=60.0, metavar="S",
+                        help="start after so long in any case (default: 60)")
+    parser.add_argument("--end-launch", action="store_true",
+                        help="stay until the recording has ended, then take /use_sim_time back and end roslaunch")
+    parser.add_argument("--fixed-frame", default="", metavar="FRAME",
+                        help="with --end-launch: where the camera of a recording without transforms stands (default: "
+                             "map)")
+    parser.add_argument("--camera-height", type=float, default=1.5, metavar="M",
+                        help="its height above that (default: 1.5)")
+    parser.add_argument("--camera-tilt", type=float, default=0.0, metavar="DEG",
+                        help="how far it looks down (default: 0)")
+    parser.add_argument("--look", metavar="FILE", help="only see whether FILE is a recording, and print its path")
+    return parser
+
+
+def _look(path: str) -> int:
+    """Print the path of a recording, or what is wrong with it; the exit code."""
+    fault = fault_of_file(path)
+    print("start_bag: " + fault if fault else path, file=sys.stderr if fault else sys.stdout)
+    return 1 if fault else 0
+
+
+def _play(wanted: Listeners, options: argparse.Namespace) -> int:
+    """Start the recording and, where that is asked for, wait for its end; the exit code."""
+    if options.end_launch and not rospy.has_param("~bag"):
+        rospy.logerr("no recording is given; give bag:= its path")
+        return 1
+    player, mount = PausedPlayer(options.player), None
+    try:
+        rospy.wait_for_service("/{}/pause_playback".format(options.player.strip("/")), options.patience)
+        if options.end_launch and not player.played() & _TRANSFORMS:
+            mount = Mount(next(iter(wanted)), options.fixed_frame or "map", options.camera_height,
+                          math.radians(options.camera_tilt))
+        problem = start(player, wanted, options.patience)
+        if problem:
+            rospy.logwarn("%s", problem)
+        while options.end_launch and player.is_there():
+            time.sleep(LOOK_S)
+    except (rospy.ROSException, rospy.ServiceException) as error:
+        rospy.logerr("the recording cannot be started: %s; is the file right (rosbag info)?", error)
+        return 1
+    finally:
+        if mount is not None:
+            mount.close()
+    if options.end_launch:
+        rospy.loginfo("the recording has ended, and everything ends with it")
+    return 0
+
+
+def _interrupt(number: int, frame: Optional[FrameType]) -> None:
+    raise KeyboardInterrupt
+
+
+def _launch() -> Optional[int]:
+    """Return the process id of the roslaunch that has started this process; None where somebody else has."""
+    try:
+        launches = rospy.get_param("/roslaunch/uris", {})
+    except OSError:                 # the master has gone
+        return None
+    for uri in launches.values():
+        try:
+            code, _, pid = ServerProxy(uri).get_pid()
+        except (OSError, Fault):    # one that has gone
+            continue
+        if code == 1 and pid == os.getppid():
+            return pid
+    return None

@@ -1,0 +1,392 @@
+"""The node `voices`: who speaks, from where and what, in the sound of a microphone or an array of microphones.
+
+`VoicesNode` is the loop: it takes blocks of sound from the input and reports diagnostics. `VoiceProcessor` handles a
+block: voices by the pipeline of the core, their topics, their TF frames, and speech recognition.
+
+Threads: callbacks of rospy only store; everything else happens in the caller of spin().
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+import traceback
+from collections import deque
+from types import SimpleNamespace
+from typing import Callable, Deque, Dict, List, Optional, Sequence, Set, Tuple
+
+import numpy as np
+import rospy
+
+from hri_pipeline.core.asr.recognition import SpeechRecognition
+from hri_pipeline.core.audio.array import parse_positions
+from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
+from hri_pipeline.core.audio.separation import SoundSeparator
+from hri_pipeline.core.audio.stream import RATE, STALL_S, SoundBlock
+from hri_pipeline.core.audio.vad import ActivityModel, check_thresholds
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.onnx import model_path
+from hri_pipeline.core.parameters import apply_settings
+from hri_pipeline.core.timing import StageTimes
+from hri_pipeline.ros.conversions import transform_to_msg
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.publishers import TrackedList
+from hri_pipeline.ros.sound_input import SoundInput
+from hri_pipeline.ros.tf import TfPublisher
+from hri_pipeline.ros.voice_topics import NAMESPACE, VoiceTopics
+
+_WAIT_S = 0.1
+_REPORT_S = 1.0
+_LOG_PERIOD_S = 10.0
+_WINDOW = 300
+# Processing that takes a larger share of the duration of the sound falls behind.
+_TOO_SLOW = 0.9
+# The topics of a voice that is no longer tracked wait so long for its last sentence.
+_LAST_WORDS_S = 5.0
+# Period of the frames of voices: directions change slowly, and every listener of /tf has to process each frame.
+_FRAME_PERIOD_S = 0.06
+Status = Tuple[int, str, Dict[str, object]]
+
+
+class VoicesNode:
+    """Gives the blocks of the input to the processor, in the thread that calls spin().
+
+    An exception costs the block that caused it, and nothing else. Without sound for STALL_S of ROS time all turns end;
+    after `silence_time` s all voices are removed.
+
+    Parameters
+    ----------
+    settings : SimpleNamespace
+        Values of VOICES (core/audio/parameters.py).
+
+    Raises
+    ------
+    ModelError, ParameterError
+        See VoiceProcessor.
+    """
+
+    def __init__(self, settings: SimpleNamespace) -> None:
+        self._settings = settings
+        self._lock = threading.RLock()
+        self._closed = threading.Event()
+        self._processor = VoiceProcessor(settings)
+        self._input = SoundInput(settings, self._restart)
+        self._diagnostics = NodeDiagnostics(rospy.get_name())
+        self._work: Deque[Tuple[float, float]] = deque(maxlen=_WINDOW)
+        self._ages: Deque[float] = deque(maxlen=_WINDOW)
+        self._times = StageTimes(_WINDOW)
+        self._errors = 0
+        self._last_error: Tuple[str, float] = ("", float("-inf"))
+        self._traced: Set[str] = set()
+        self._reported = float("-inf")
+        rospy.on_shutdown(self._closed.set)
+
+    def spin(self) -> None:
+        """Work until ROS shuts down or close() is called."""
+        heard, is_quiet = rospy.get_time(), True
+        while not self._closed.is_set() and not rospy.is_shutdown():
+            blocks = self._input.next(_WAIT_S)
+            for block in blocks:
+                self._guard(lambda block=block: self._process(block))
+            self._guard(self._processor.poll)
+            if blocks:
+                heard, is_quiet = rospy.get_time(), False
+            elif not is_quiet:
+                heard = min(heard, rospy.get_time())     # simulated time may go back
+                is_quiet = self._handle_silence(rospy.get_time() - heard)
+            if time.monotonic() - self._reported >= _REPORT_S:
+                self._reported = time.monotonic()
+                self._guard(self._report)
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Apply the values of the live parameters between two blocks.
+
+        Raises ValueError for thresholds in the wrong order.
+        """
+        check_thresholds(settings)
+        with self._lock:
+            apply_settings(self._settings, settings)
+            self._processor.reconfigure(settings)
+
+    def close(self) -> None:
+        """Stop spin() and release everything. Idempotent."""
+        self._closed.set()
+        for owner in (self._input, self._processor, self._diagnostics):
+            try:
+                owner.close()
+            except Exception:
+                rospy.logerr("%s did not close:\n%s", type(owner).__name__, traceback.format_exc())
+
+    def _process(self, block: SoundBlock) -> None:
+        started = time.perf_counter()
+        with self._times("block"):
+            self._processor.process(block)
+        length = len(block.samples) / RATE
+        self._work.append((time.perf_counter() - started, length))
+        self._ages.append(rospy.get_time() - block.stamp - length)
+
+    def _handle_silence(self, seconds: float) -> bool:
+        """Handle `seconds` without sound; return whether all voices have been removed."""
+        if seconds >= STALL_S or seconds >= self._settings.silence_time:
+            self._guard(lambda: self._processor.idle(seconds))
+        if seconds < self._settings.silence_time:
+            return False
+        self._guard(self._processor.remove_voices)
+        return True
+
+    def _restart(self) -> None:
+        self._ages.clear()
+        self._guard(self._processor.reset)
+
+    def _guard(self, call: Callable[[], None]) -> None:
+        """Run `call`; count and log an error, with one traceback for each kind."""
+        try:
+            with self._lock:
+                call()
+        except Exception as error:  # one block never ends the node
+            self._errors += 1
+            text = "{}: {}".format(type(error).__name__, error)
+            self._last_error = (text, time.monotonic())
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            kind = "{}:{}:{}".format(type(error).__name__, place.filename, place.lineno)
+            if kind not in self._traced:
+                self._traced.add(kind)
+                rospy.logerr("%s; this sound is skipped\n%s", text, traceback.format_exc())
+            else:
+                rospy.logerr_throttle(_LOG_PERIOD_S, "%s; this sound is skipped", text)
+
+    def _report(self) -> None:
+        self._diagnostics.set("input", *self._input.status())
+        self._diagnostics.set("pipeline", *self._load())
+        for task, status in self._processor.status().items():
+            self._diagnostics.set(task, *status)
+
+    def _load(self) -> Tuple[int, str, Dict[str, object]]:
+        work, length = sum(cost for cost, _ in self._work), sum(length for _, length in self._work)
+        values: Dict[str, object] = {"errors": self._errors,
+                                     "dropped_messages": self._input.counts["dropped_messages"]}
+        if self._ages:
+            ages = sorted(self._ages)
+            values["age_ms_median"] = 1e3 * ages[len(ages) // 2]
+            values["age_ms_p95"] = 1e3 * ages[int(0.95 * (len(ages) - 1))]
+        values.update(self._times.values())
+        if length:
+            values["real_time_factor"] = work / length
+        if time.monotonic() - self._last_error[1] < _LOG_PERIOD_S:
+            return ERROR, self._last_error[0], values
+        if not length:
+            return WARN, "no sound yet", values
+        if work / length > _TOO_SLOW:
+            return WARN, "the processor is too slow: {:.2f} s of work per second of sound; switch features or speech " \
+                         "off".format(work / length), values
+        return OK, "{:.3f} s of work per second of sound".format(work / length), values
+
+
+class VoiceProcessor:
+    """Finds the voices in blocks of sound, and publishes their topics, frames and speech.
+
+    All methods except close() must be called by one thread.
+
+    Parameters
+    ----------
+    settings : SimpleNamespace
+        Values of VOICES (core/audio/parameters.py).
+
+    Raises
+    ------
+    ModelError
+        When a model is missing or damaged.
+    ParameterError
+        For impossible positions of microphones, or a wrong grammar.
+    """
+
+    def __init__(self, settings: SimpleNamespace) -> None:
+        self._settings = settings
+        rospy.loginfo("%s", privacy_line(settings))
+        has_array = settings.direction and settings.microphone_positions
+        self._positions = parse_positions(settings.microphone_positions) if has_array else np.zeros((0, 3))
+        self._model = ActivityModel(model_path(settings.vad_model, "silero_vad.onnx"), notify=rospy.logwarn)
+        self._ids = IdGenerator()
+        self._pipeline = VoicePipeline(settings, self._model, None, self._ids)
+        self._channels = 0
+        self._speech: Optional[SpeechRecognition] = None
+        if settings.speech and SpeechRecognition.enabled(settings):
+            self._speech = SpeechRecognition(settings)
+        self._topics = VoiceTopics(settings, self._speech is not None)
+        self._tracked_list = TrackedList(NAMESPACE + "/tracked")
+        self._transforms = TfPublisher()
+        self._frame_times: Dict[str, float] = {}
+        self._end = 0.0
+        # Voices with an unfinished sentence; those of them that are not tracked any more, with the end of their topics
+        # (monotonic s).
+        self._unfinished: Set[str] = set()
+        self._awaited: Dict[str, float] = {}
+        self._present: Tuple[str, ...] = ()
+        self._counts = {"turns": 0, "sentences": 0, "late_sentences": 0}
+        self._closed = False
+
+    def process(self, block: SoundBlock) -> None:
+        """Find the voices in a block and publish them."""
+        channels = block.samples.shape[1]
+        if channels != self._channels:
+            self._restart(channels)
+        observations = self._pipeline.update(block)
+        self._end = block.stamp + len(block.samples) / RATE
+        # Most blocks complete no frame, or there are no voices.
+        if observations or self._pipeline.tracked != self._present:
+            self._publish(observations)
+
+    def idle(self, seconds: float) -> None:
+        """Note that there has been no sound for `seconds` after the last block: turns end."""
+        if self._end:
+            stamp = self._end + seconds
+            self._publish(self._pipeline.idle(stamp), stamp)
+
+    def remove_voices(self) -> None:
+        """Remove all voices, because the microphone is silent. Unfinished sentences are still published."""
+        self._pipeline.reset()
+        self._update_topics(())
+        self._tracked_list.set([], rospy.Time.from_sec(max(0.0, self._end)))
+
+    def reconfigure(self, settings: SimpleNamespace) -> None:
+        """Apply the live parameters that are not read where they are used."""
+        self._topics.restart_features()
+        if self._speech is not None:
+            self._speech.least_confidence = settings.speech_min_confidence
+
+    def reset(self) -> None:
+        """Forget everything, when time has gone back or the input has changed."""
+        if self._speech is not None:
+            for identity in set(self._present) | self._unfinished:
+                self._speech.drop(identity)
+        self._pipeline.reset()
+        self._unfinished.clear()
+        self._awaited.clear()
+        self._present = ()
+        self._frame_times.clear()
+        self._tracked_list.clear()
+        self._topics.close_ids()
+        self._end = 0.0
+
+    def poll(self) -> None:
+        """Publish the new results of speech recognition."""
+        if self._speech is None:
+            return
+        for result in self._speech.poll():
+            if not self._topics.publish_speech(result):
+                self._counts["late_sentences"] += 1
+            if not result.incremental:
+                self._counts["sentences"] += bool(result.final)
+                self._unfinished.discard(result.voice_id)
+        done = [identity for identity, until in self._awaited.items()
+                if identity not in self._unfinished or time.monotonic() > until]
+        for identity in done:
+            del self._awaited[identity]
+            if identity in self._unfinished:
+                self._unfinished.discard(identity)
+                self._speech.drop(identity)
+        if done:
+            self._topics.retain(set(self._present) | set(self._awaited))
+
+    def status(self) -> Dict[str, Status]:
+        """Return level, message and values of each task for diagnostics."""
+        tracked = self._pipeline.tracked
+        values: Dict[str, object] = {"tracked": len(tracked), "channels": self._channels,
+                                     "direction": bool(self._array_fits())}
+        values.update(self._counts)
+        found = {"voices": (OK, "{} voices".format(len(tracked)), values)}
+        if len(self._positions) and self._channels and not self._array_fits():
+            found["voices"] = (WARN, self._misfit(), values)
+        if self._speech is not None:
+            found["speech"] = self._speech.status()
+        return found
+
+    def close(self) -> None:
+        """Publish that no voice is tracked any more and remove all topics. Idempotent."""
+        if self._closed:
+            return
+        self._closed = True
+        self._tracked_list.close()
+        self._topics.close_ids()
+        self._transforms.close()
+        if self._speech is not None:
+            self._speech.close()
+
+    def _restart(self, channels: int) -> None:
+        """Start a new pipeline for this number of channels."""
+        if self._channels:
+            self.reset()
+        self._channels = channels
+        array = SoundSeparator(self._positions, self._settings) if self._array_fits() else None
+        if len(self._positions) and array is None:
+            rospy.logwarn("%s", self._misfit())
+        self._pipeline = VoicePipeline(self._settings, self._model, array, self._ids)
+
+    def _array_fits(self) -> bool:
+        return len(self._positions) >= 2 and len(self._positions) == self._channels
+
+    def _misfit(self) -> str:
+        return "~microphone_positions has {} microphones and the sound {} channels: no directions; give one position " \
+               "per channel".format(len(self._positions), self._channels)
+
+    def _publish(self, observations: Sequence[VoiceObservation], stamp: Optional[float] = None) -> None:
+        ids = self._pipeline.tracked
+        self._topics.retain(set(ids) | set(self._present) | set(self._awaited) | {seen.id for seen in observations})
+        self._tracked_list.set(ids, rospy.Time.from_sec(max(0.0, self._end if stamp is None else stamp)))
+        for observation in observations:
+            self._topics.publish(observation)
+            self._recognise(observation)
+        self._publish_frames(observations)
+        self._update_topics(ids)
+
+    def _update_topics(self, ids: Tuple[str, ...]) -> None:
+        """Remove the topics of voices that are not tracked any more, after their last sentence."""
+        gone = set(self._present) - set(ids)
+        for identity in gone & self._unfinished:
+            self._awaited[identity] = time.monotonic() + _LAST_WORDS_S
+        self._present = tuple(ids)
+        for identity in gone:
+            self._frame_times.pop(identity, None)
+        self._topics.retain(set(ids) | set(self._awaited))
+
+    def _recognise(self, observation: VoiceObservation) -> None:
+        """Hand the sound of a turn to the recogniser."""
+        self._counts["turns"] += observation.onset
+        if self._speech is None:
+            return
+        if observation.onset:
+            self._speech.start(observation.id, observation.stamp)
+        if observation.turn and len(observation.samples):
+            self._speech.feed(observation.id, observation.samples, observation.stamp)
+            self._unfinished.add(observation.id)
+        if observation.end:
+            self._speech.end(observation.id)
+
+    def _publish_frames(self, observations: Sequence[VoiceObservation]) -> None:
+        """Publish the frame voice_ID of voices whose direction is known, only the newest of each."""
+        newest: Dict[str, VoiceObservation] = {
+            observation.id: observation for observation in observations if observation.direction is not None
+            and not 0.0 <= observation.stamp - self._frame_times.get(observation.id, -1.0) < _FRAME_PERIOD_S}
+        if not newest:
+            return
+        self._frame_times.update((identity, observation.stamp) for identity, observation in newest.items())
+        if not self._settings.frame_id:
+            rospy.logwarn_throttle(_LOG_PERIOD_S, "~frame_id is empty, so voices have no TF frame; name the "
+                                                  "microphone's")
+            return
+        distance = self._settings.direction_distance
+        transforms: List = []
+        for observation in newest.values():
+            pose = Pose.from_quaternion((0.0, 0.0, 0.0, 1.0), distance * np.asarray(observation.direction, np.float64))
+            transforms.append(transform_to_msg(pose, max(0.0, observation.stamp), self._settings.frame_id,
+                                               "voice_" + observation.id))
+        self._transforms.send(transforms)
+
+
+def privacy_line(settings: SimpleNamespace) -> str:
+    """Return one line of log that says what is computed from voices."""
+    kinds = [name for name in ("features", "speech", "direction") if getattr(settings, name)]
+    off = [name for name in ("features", "speech", "direction") if name not in kinds]
+    return "made of voices: who speaks{}; switched off: {}; sound is never stored".format(
+        "".join(", " + name for name in kinds), ", ".join(off) or "nothing")

@@ -1,0 +1,564 @@
+"""Inputs of a vision node: the newest image of a camera, its camera model, and the depth image that belongs to it."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Callable, Deque, Dict, List, Optional, Tuple, Union
+
+import numpy as np
+import rospy
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
+
+from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
+from hri_pipeline.core.error_log import Outage
+from hri_pipeline.core.images import ImageError, depth_from_raw
+from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
+from hri_pipeline.ros.rospy_compat import release, sender_of
+
+# Larger than an image: with rospy's 64 kB, images pile up in the socket while the worker is busy.
+BUFFER_BYTES = 2 ** 24
+# Stamps that go back further than this are a new run of a bag; less is an image that came late.
+JUMP_S = 1.0
+# How long the first image waits for its camera_info.
+INFO_GRACE_S = 1.0
+SILENCE_S = 3.0
+# Images of other publishers are ignored until the one that is used has sent nothing for so long.
+SENDER_S = 1.0
+# The silence of a camera is logged again only if it has sent for so long without a gap.
+CALM_S = 10.0
+_LOG_PERIOD_S = 10.0
+_NEW_PROBLEM_S = 1.0
+
+_CAMERA_LOG_PERIOD_S = 30.0
+# Aspect ratios that differ by more are not the same view.
+_ASPECT_TOLERANCE = 0.02
+DEPTH_SILENCE_S = 5.0
+"""Time (s) without a depth image for any colour image after which the status says so."""
+# A depth image may come a little after its colour image; a camera that sends none is not waited for.
+_PATIENCE_S = 0.08
+_ALIVE_S = 1.0
+_QUEUE = 8
+_MEANWHILE = "bodies are placed by the colour image alone"
+
+ImageMessage = Union[Image, CompressedImage]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One image to work on.
+
+    bgr: (H, W, 3) uint8. stamp: s, that of header. header: goes with every output that is made of this image.
+    depth: (h, w) float32 m, registered to bgr, NaN where unknown; None without one.
+    """
+
+    bgr: np.ndarray
+    camera: CameraModel
+    stamp: float
+    header: Header
+    depth: Optional[np.ndarray] = None
+
+
+class OneSender:
+    """Uses the messages of one publisher of a topic at a time: the first whose messages can be read, while it sends.
+
+    timeout: s without a message after which another publisher is used. Times are in s, of a clock that never jumps. The
+    caller holds a lock.
+    """
+
+    def __init__(self, timeout: float) -> None:
+        self._timeout = timeout
+        self._used_at = float("-inf")
+        self._others: Dict[str, float] = {}
+        self.used = ""
+        """Name of the publisher that is used, empty without one."""
+
+    def accepts(self, sender: str, now: float) -> bool:
+        """Return whether a message of this publisher, which has come at `now`, is to be read."""
+        if sender == self.used:
+            self._used_at = now
+        elif self.used and now - self._used_at < self._timeout:
+            self._others[sender] = now
+            return False
+        return True
+
+    def was_read(self, sender: str, is_readable: bool, now: float) -> None:
+        """Use this publisher from now on, unless its message could not be read."""
+        if is_readable and sender != self.used:
+            self.used, self._used_at = sender, now
+        elif not is_readable and sender == self.used:
+            self.used = ""
+
+    def others(self, now: float) -> List[str]:
+        """Return the names of the publishers whose messages were not accepted in the last SILENCE_S."""
+        self._others = {name: at for name, at in self._others.items() if now - at < SILENCE_S}
+        return sorted(self._others)
+
+
+class ImageInput:
+    """Keeps the newest message of `image` (or `image/compressed`) and the latest of `camera_info`.
+
+    The callback only stores; `next` decodes in the thread of the worker. An image that is not newer than the last one
+    is skipped. When stamps go back by more than JUMP_S, on_time_jump is called, and the new stamps are accepted. An
+    image without stamp gets the time of its arrival, as equal stamps would stop every track. One publisher is used at a
+    time (OneSender).
+
+    Parameters
+    ----------
+    transport : str
+        raw or compressed.
+    fallback_hfov : float
+        Horizontal field of view, rad, of a camera without calibration.
+    fov_parameter : str
+        Name of the parameter that holds it, for texts.
+    on_time_jump : callable, optional
+        Called when stamps have gone back.
+    depth : DepthInput, optional
+        Input of the depth images; it is closed with this input.
+
+    Raises
+    ------
+    ValueError
+        For another transport, or a field of view out of 0 to pi.
+    """
+
+    def __init__(
+        self,
+        transport: str = "raw",
+        fallback_hfov: float = 1.047,
+        fov_parameter: str = "~fallback_fov",
+        on_time_jump: Optional[Callable[[], None]] = None,
+        depth: Optional[DepthInput] = None,
+    ) -> None:
+        kinds = {"raw": ("image", Image), "compressed": ("image/compressed", CompressedImage)}
+        if transport not in kinds:
+            raise ValueError("image transport is {!r}, known: {}".format(transport, ", ".join(kinds)))
+        self.on_time_jump = on_time_jump
+        self._depth = depth
+        self._decode = image_to_bgr if transport == "raw" else compressed_to_bgr
+        self._condition = threading.Condition()
+        self._message: Optional[ImageMessage] = None
+        self._last_stamp: Optional[float] = None
+        self._problem: Tuple[int, str] = (OK, "")
+        self._told: Tuple[str, float] = ("", float("-inf"))
+        self._heard = self._started = time.monotonic()
+        self._outage = Outage(CALM_S)
+        self._senders = OneSender(SENDER_S)
+        self._first = 0.0
+        self._closed = False
+        self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0}
+        self._camera = CameraInfoInput(fallback_hfov, fov_parameter)
+        name, kind = kinds[transport]
+        self.topic = rospy.resolve_name(name)
+        self._subscriber = rospy.Subscriber(
+            name, kind, self._store, queue_size=1, buff_size=BUFFER_BYTES)
+
+    def next(self, timeout: float) -> Optional[Frame]:
+        """Return the newest image that has not been taken yet; None when none comes for `timeout` s."""
+        deadline = time.monotonic() + timeout
+        while not self._closed:
+            message = self._take(deadline - time.monotonic())
+            if message is None:
+                self._warn_of_silence()
+                return None
+            frame = self._frame(message)
+            if frame is not None:
+                return frame
+        return None
+
+    def status(self) -> Tuple[int, str, Dict[str, object]]:
+        """Return level, message and values for diagnostics."""
+        values: Dict[str, object] = {"topic": self.topic}
+        values.update(self.counts)
+        values.update(self._camera.values())
+        silent = self._silence()
+        values["images_arrive"] = not silent and self._first > 0.0
+        if silent:
+            return ERROR, silent, values
+        level, text = self._problem
+        if level == OK:
+            other = self._other_sender()
+            level, text = (WARN, other) if other else self._camera.problem
+        if self._depth is not None:
+            depth_level, depth_text, depth_values = self._depth.status()
+            values.update(depth_values)
+            level, text = (level, text) if level != OK else (depth_level, depth_text)
+        return level, text or "images come in", values
+
+    def close(self) -> None:
+        """Stop listening; a `next` that waits returns None. Idempotent."""
+        with self._condition:
+            if self._closed:
+                return
+            self._closed = True
+            self._message = None
+            self._condition.notify_all()
+        release(self._subscriber)
+        self._camera.close()
+        if self._depth is not None:
+            self._depth.close()
+
+    def _store(self, message: ImageMessage) -> None:
+        with self._condition:
+            if not self._senders.accepts(sender_of(message), time.monotonic()):
+                return
+            self._heard = time.monotonic()
+            self._outage.there(self._heard)
+            self._first = self._first or self._heard
+            self.counts["received"] += 1
+            self._message = message
+            self._condition.notify()
+
+    def _other_sender(self) -> str:
+        """Return which other publishers of the topic are ignored, in words; empty without one."""
+        with self._condition:
+            others, used = self._senders.others(time.monotonic()), self._senders.used
+        if not others:
+            return ""
+        return "{}: {} sends too, only {} is heard; give each camera its own topic".format(
+            self.topic, ", ".join(others), used
+        )
+
+    def _take(self, timeout: float) -> Optional[ImageMessage]:
+        with self._condition:
+            self._condition.wait_for(lambda: self._closed or self._message is not None, max(0.0, timeout))
+            message, self._message = self._message, None
+            return message
+
+    def _frame(self, message: ImageMessage) -> Optional[Frame]:
+        header = self._stamped(message.header)
+        if header is None:
+            return None
+        self._camera.wait(self._first + INFO_GRACE_S - time.monotonic())
+        try:
+            bgr = self._decode(message)
+        except ImageError as error:
+            with self._condition:
+                self._senders.was_read(sender_of(message), False, time.monotonic())
+            self.counts["unreadable"] += 1
+            self._problem = (ERROR, "{}: {}".format(self.topic, error))
+            self._tell(self._problem[1])
+            return None
+        with self._condition:
+            self._senders.was_read(sender_of(message), True, time.monotonic())
+        self._problem = (OK, "")
+        camera = self._camera.model(bgr.shape[1], bgr.shape[0])
+        self._last_stamp = stamp = header.stamp.to_sec()
+        self.counts["taken"] += 1
+        depth = self._depth.match(stamp, bgr.shape[1], bgr.shape[0]) if self._depth is not None else None
+        return Frame(bgr, camera, stamp, header, depth)
+
+    def _tell(self, problem: str) -> None:
+        """Log a problem with an image: a new problem soon, the same one every _LOG_PERIOD_S."""
+        told, at = self._told
+        if time.monotonic() - at > (_LOG_PERIOD_S if problem == told else _NEW_PROBLEM_S):
+            rospy.logerr("%s; such images are skipped", problem)
+            self._told = (problem, time.monotonic())
+
+    def _stamped(self, header: Header) -> Optional[Header]:
+        """Return the header with a stamp, or None for an image that is not newer than the last one."""
+        if header.stamp.is_zero():
+            rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: images have no stamp; the time of arrival is used instead. "
+                                   "Let the camera driver set header.stamp", self.topic)
+            now = rospy.Time.now()
+            header.stamp = rospy.Time.from_sec(time.time()) if now.is_zero() else now
+        if self._last_stamp is None:
+            return header
+        step = header.stamp.to_sec() - self._last_stamp
+        if step < -JUMP_S:
+            self.counts["time_jumps"] += 1
+            rospy.logwarn("%s: time has gone back by %.1f s (a bag that loops?); tracks start anew", self.topic, -step)
+            self._last_stamp = None
+            if self._depth is not None:
+                self._depth.reset()
+            if self.on_time_jump is not None:
+                self.on_time_jump()
+            return header
+        if step <= 0.0:
+            self.counts["late"] += 1
+            return None
+        return header
+
+    def _silence(self) -> str:
+        """Return why no image comes, empty while images come."""
+        silent = time.monotonic() - self._heard
+        if silent < SILENCE_S or self._closed:
+            return ""
+        if not self._subscriber.get_num_connections():
+            return "no publisher on {} for {:.0f} s; start the camera or remap `image`".format(self.topic, silent)
+        return "no image on {} for {:.0f} s, although it has a publisher; is the camera running?".format(
+            self.topic, silent)
+
+    def _warn_of_silence(self) -> None:
+        with self._condition:
+            text = self._silence()
+            is_to_tell = bool(text) and self._outage.is_to_tell()
+        if is_to_tell:
+            rospy.logwarn("%s", text)
+
+
+def image_input_of(settings: SimpleNamespace) -> ImageInput:
+    """Return the image input of a node with CAMERA_PARAMETERS and DEPTH_PARAMETERS."""
+    depth = DepthInput(settings.depth_slop) if settings.use_depth else None
+    return ImageInput(settings.image_transport, settings.fallback_fov, "~fallback_fov", depth=depth)
+
+
+class CameraInfoInput:
+    """Subscribes to `camera_info`; there is always a model, and `problem` says what is wrong with it.
+
+    Parameters
+    ----------
+    fallback_hfov : float
+        Horizontal field of view, rad, used when camera_info is missing, all zero or impossible.
+    fov_parameter : str
+        Name of the parameter that holds it, for texts.
+
+    Raises
+    ------
+    ValueError
+        For a field of view out of 0 to pi.
+    """
+
+    def __init__(self, fallback_hfov: float, fov_parameter: str) -> None:
+        if not 0.0 < fallback_hfov < math.pi:
+            raise ValueError("{} is {} rad, legal range 0 to pi".format(fov_parameter, fallback_hfov))
+        self._hfov = fallback_hfov
+        self._hint = "using the field of view {} = {:.3f} rad; distances are only as good as that".format(
+            rospy.resolve_name(fov_parameter), fallback_hfov)
+        self._lock = threading.Lock()
+        self._info: Optional[CameraInfo] = None
+        self._key: Optional[tuple] = None
+        self._model: Optional[CameraModel] = None
+        self._say_at = 0.0
+        self._heard = threading.Event()
+        self._closed = False
+        self.problem: Tuple[int, str] = (OK, "")
+        self.topic = rospy.resolve_name("camera_info")
+        self._subscriber = rospy.Subscriber("camera_info", CameraInfo, self._store, queue_size=1)
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until the first camera_info has come, timeout s at most; tell whether it has."""
+        return self._heard.wait(max(0.0, timeout))
+
+    def model(self, width: int, height: int) -> CameraModel:
+        """Return the model for an image of width x height px, made of the newest camera_info."""
+        with self._lock:
+            info = self._info
+        key = (width, height) + (_key(info) if info is not None else ())
+        if key != self._key or self._model is None:
+            self._model, text = self._build(info, width, height)
+            if text != self.problem[1]:
+                self._say_at = 0.0
+            self.problem = (WARN, text) if text else (OK, "")
+            self._key = key
+        if self.problem[1] and time.monotonic() >= self._say_at:
+            self._say_at = time.monotonic() + _CAMERA_LOG_PERIOD_S
+            rospy.logwarn("%s", self.problem[1])
+        return self._model
+
+    def values(self) -> Dict[str, object]:
+        """Return what diagnostics tell about the camera."""
+        if self._model is None:
+            return {"camera_info": self.topic, "calibration": "unknown"}
+        return {"camera_info": self.topic, "calibration": self._model.calibration.value,
+                "size": "{}x{}".format(self._model.width, self._model.height),
+                "focal_px": float(self._model.matrix[0, 0])}
+
+    def close(self) -> None:
+        """Stop listening. Idempotent."""
+        if not self._closed:
+            self._closed = True
+            self._heard.set()
+            release(self._subscriber)
+
+    def _store(self, info: CameraInfo) -> None:
+        with self._lock:
+            self._info = info
+        self._heard.set()
+
+    def _build(self, info: Optional[CameraInfo], width: int, height: int) -> Tuple[CameraModel, str]:
+        """Return a model of this image size and what is wrong with camera_info, empty when nothing is."""
+        if info is None:
+            return (CameraModel.from_fov(width, height, self._hfov, Calibration.MISSING),
+                    "no camera_info on {}: remap `camera_info` to the camera's; {}".format(self.topic, self._hint))
+        fallback = CameraModel.from_fov(width, height, self._hfov, Calibration.UNCALIBRATED)
+        try:
+            camera = camera_from_info(info, self._hfov, width, height)
+        except CameraError as error:
+            return fallback, "{}: {}; {}".format(self.topic, error, self._hint)
+        if camera.calibration is not Calibration.CALIBRATED:
+            return fallback, "{}: K is all zero, the camera is not calibrated; {}".format(self.topic, self._hint)
+        if (camera.width, camera.height) == (width, height):
+            return camera, ""
+        ratio = (camera.width / camera.height) / (width / height)
+        sizes = "{}: it is for {}x{} px, but images are {}x{}".format(
+            self.topic, camera.width, camera.height, width, height)
+        if abs(ratio - 1.0) > _ASPECT_TOLERANCE:
+            return fallback, "{}, another shape; calibrate this resolution; {}".format(sizes, self._hint)
+        return camera.resized(width, height), sizes + "; the calibration is scaled"
+
+
+class DepthInput:
+    """Keeps the latest messages of `depth`, a depth image registered to the colour image (REP-118).
+
+    The callback only stores, eight messages at most; `match` decodes the one that belongs to an image, in the thread of
+    the worker.
+
+    Parameters
+    ----------
+    slop : float
+        Largest difference of the stamps, s.
+    image_topic, slop_parameter : str
+        Names for texts.
+
+    Raises
+    ------
+    ValueError
+        For a slop out of 0 to 10 s.
+    """
+
+    def __init__(self, slop: float, image_topic: str = "image", slop_parameter: str = "~depth_slop") -> None:
+        if not 0.0 <= slop < 10.0:
+            raise ValueError("{} is {} s, legal range 0 to 10".format(slop_parameter, slop))
+        self._slop = slop
+        self._slop_parameter = rospy.resolve_name(slop_parameter)
+        self._image_topic = rospy.resolve_name(image_topic)
+        self.topic = rospy.resolve_name("depth")
+        self._condition = threading.Condition()
+        self._messages: Deque[Image] = deque(maxlen=_QUEUE)
+        self._heard = float("-inf")
+        self._matched = time.monotonic()
+        self._nearest: Optional[float] = None
+        self._unusable = ""
+        self._outage = Outage(CALM_S)
+        self._closed = False
+        self.counts: Dict[str, int] = {"depth_received": 0, "depth_used": 0, "depth_missing": 0, "depth_unreadable": 0}
+        self._subscriber = rospy.Subscriber("depth", Image, self._store, queue_size=_QUEUE, buff_size=BUFFER_BYTES)
+
+    def match(self, stamp: float, width: int, height: int) -> Optional[np.ndarray]:
+        """Return the depth image that belongs to a colour image; waits up to 0.08 s for one that may be on its way.
+
+        Parameters
+        ----------
+        stamp : float
+            Of the colour image, s.
+        width, height : int
+            Size of the colour image, px.
+
+        Returns
+        -------
+        numpy.ndarray, shape (h, w), float32, or None
+            m, NaN where unknown; None without a depth image.
+        """
+        message = self._take(stamp)
+        if message is None:
+            self.counts["depth_missing"] += 1
+        else:
+            depth = self._decode(message, width, height)
+            if depth is not None:
+                self.counts["depth_used"] += 1
+                self._matched = time.monotonic()
+                self._outage.there(self._matched)
+                return depth
+        problem = self.problem()
+        if problem and self._outage.is_to_tell():
+            rospy.logwarn("%s; %s", problem, _MEANWHILE)
+        return None
+
+    def problem(self) -> str:
+        """Return why there is no depth, empty while there is."""
+        if self._closed or self._unusable:
+            return self._unusable
+        now = time.monotonic()
+        silent = now - self._matched
+        if silent < DEPTH_SILENCE_S:
+            return ""
+        if now - self._heard > DEPTH_SILENCE_S:
+            missing = "no message" if self._subscriber.get_num_connections() else "no publisher"
+            return "{} on {} for {:.0f} s; start the depth camera, remap `depth`, or set use_depth to false".format(
+                missing, self.topic, silent)
+        nearest = "" if self._nearest is None else ", the nearest was {:.3f} s off".format(self._nearest)
+        return "{} and {} do not synchronise: no pair within {} = {:g} s for {:.0f} s{}; raise that parameter or " \
+            "let the driver synchronise them".format(
+                self._image_topic, self.topic, self._slop_parameter, self._slop, silent, nearest)
+
+    def status(self) -> Tuple[int, str, Dict[str, object]]:
+        """Return level, message and values for diagnostics."""
+        values: Dict[str, object] = {"depth_topic": self.topic}
+        values.update(self.counts)
+        problem = self.problem()
+        return (WARN, "{}; {}".format(problem, _MEANWHILE), values) if problem else (OK, "", values)
+
+    def reset(self) -> None:
+        """Forget the messages: time has jumped back."""
+        with self._condition:
+            self._messages.clear()
+
+    def close(self) -> None:
+        """Stop listening; a `match` that waits returns None. Idempotent."""
+        with self._condition:
+            if self._closed:
+                return
+            self._closed = True
+            self._messages.clear()
+            self._condition.notify_all()
+        release(self._subscriber)
+
+    def _store(self, message: Image) -> None:
+        with self._condition:
+            if self._closed:
+                return
+            self._heard = time.monotonic()
+            self.counts["depth_received"] += 1
+            self._messages.append(message)
+            self._condition.notify_all()
+
+    def _take(self, stamp: float) -> Optional[Image]:
+        """Return the message nearest to `stamp` within the slop and forget those before it."""
+        deadline = time.monotonic() + _PATIENCE_S
+        with self._condition:
+            while not self._closed:
+                best = min(self._messages, key=lambda message: _offset(message, stamp), default=None)
+                self._nearest = self._nearest if best is None else _offset(best, stamp)
+                if best is not None and _offset(best, stamp) <= self._slop + 1e-9:
+                    while self._messages and self._messages[0] is not best:
+                        self._messages.popleft()
+                    return best
+                now = time.monotonic()
+                late = any(message.header.stamp.to_sec() > stamp for message in self._messages)
+                if late or now >= deadline or now - self._heard > _ALIVE_S:
+                    return None
+                self._condition.wait(deadline - now)
+        return None
+
+    def _decode(self, message: Image, width: int, height: int) -> Optional[np.ndarray]:
+        try:
+            depth = depth_from_raw(message.data, message.width, message.height, message.step, message.encoding,
+                                   bool(message.is_bigendian))
+            ratio = (message.width / message.height) / (width / height)
+            if abs(ratio - 1.0) > _ASPECT_TOLERANCE:
+                raise ImageError("{}x{} px is another shape than that of the images, {}x{}: use the topic that is"
+                                 " registered to colour".format(message.width, message.height, width, height))
+        except ImageError as error:
+            self.counts["depth_unreadable"] += 1
+            self._unusable = "{}: {}".format(self.topic, error)
+            return None
+        self._unusable = ""
+        return depth
+
+
+def _key(info: CameraInfo) -> tuple:
+    """Everything in the message that the model depends on. NaN is unlike itself, hence the text."""
+    roi = info.roi
+    return (info.width, info.height, str(info.K), str(info.D), info.distortion_model, info.binning_x,
+            info.binning_y, roi.x_offset, roi.y_offset, roi.width, roi.height)
+
+
+def _offset(message: Image, stamp: float) -> float:
+    return abs(message.header.stamp.to_sec() - stamp)

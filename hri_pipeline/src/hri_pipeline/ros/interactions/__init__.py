@@ -1,1 +1,0 @@
-"""Gaze, groups and engagement: topics and the node."""

@@ -1,0 +1,178 @@
+"""The ROS master: questions to it and to other nodes, and what happens when it is started again.
+
+All questions end after a time: rospy's own wait for a minute, or for ever.
+"""
+
+from __future__ import annotations
+
+import threading
+from enum import Enum
+from http.client import HTTPConnection
+from typing import Optional, Tuple
+from xmlrpc.client import ServerProxy, Transport
+
+import rosgraph
+import rospy
+
+from hri_pipeline.ros.rospy_compat import own_address, own_publications, own_services, own_subscriptions
+
+ANSWER_S = 5.0
+_PERIOD_S = 2.0
+
+
+class MasterAway(Exception):
+    """The master does not answer; the text says why."""
+
+
+class PublisherAnswer(Enum):
+    """What a node says when it is asked whether it publishes a topic."""
+
+    YES = "publishes"
+    NO = "does not publish"
+    REFUSED = "no process at its address"
+    NONE = "no answer"
+
+
+class _TransportWithTimeout(Transport):
+    """HTTP that does not wait for ever for a machine that has been switched off."""
+
+    def __init__(self, patience: float) -> None:
+        super().__init__()
+        self._patience = patience
+
+    def make_connection(self, host: str) -> HTTPConnection:
+        connection = super().make_connection(host)
+        connection.timeout = self._patience
+        return connection
+
+
+def node_at(uri: str, patience: float = ANSWER_S) -> ServerProxy:
+    """Return the API of a node, or of the master; a call raises OSError where no answer comes for `patience` s."""
+    return ServerProxy(uri, transport=_TransportWithTimeout(patience))
+
+
+def ask_master(name: str) -> Tuple[int, str]:
+    """Return process id and run id of the master, asked in the name of a node; MasterAway without an answer in 5 s."""
+    try:
+        with node_at(rosgraph.get_master_uri()) as master:
+            pid = int(master.getPid(name)[2])
+            found, _, run_id = master.getParam(name, "/run_id")
+    except Exception as error:      # refused, reset, half an answer, no address: it is away
+        raise MasterAway(str(error)) from error
+    return pid, str(run_id) if found == 1 else ""     # a bare rosmaster has no run id
+
+
+def is_alive(uri: str, patience: float = ANSWER_S) -> bool:
+    """Tell whether a node answers at its address within `patience` s."""
+    try:
+        with node_at(uri, patience) as node:
+            return node.getPid(rospy.get_name())[0] == 1
+    except Exception:   # refused, timed out, unknown host, no answer in XML: all mean the same
+        return False
+
+
+def does_publish(uri: str, topic: str, patience: float = ANSWER_S) -> PublisherAnswer:
+    """Ask the node at `uri` whether it publishes a topic, for `patience` s at most."""
+    try:
+        with node_at(uri, patience) as node:
+            code, _, publications = node.getPublications(rospy.get_name())
+        return PublisherAnswer.YES if code == 1 and topic in {name for name, _ in publications} else PublisherAnswer.NO
+    except ConnectionRefusedError:
+        return PublisherAnswer.REFUSED
+    except Exception:   # timed out, no route, half an answer
+        return PublisherAnswer.NONE
+
+
+def subscribe_again(topic: str, kind: str) -> None:
+    """Register a subscription of this node at the master once more, and connect to whoever publishes the topic.
+
+    Connections that are there stay. Raises OSError, or what xmlrpc raises, where the master does not answer.
+    """
+    uri = own_address()
+    with node_at(rosgraph.get_master_uri()) as master, node_at(uri) as own:
+        code, text, publishers = master.registerSubscriber(rospy.get_name(), topic, kind, uri)
+        if code != 1:
+            raise OSError("the master refuses to register the subscription to {}: {}".format(topic, text))
+        own.publisherUpdate("/master", topic, publishers)
+
+
+class MasterWatch:
+    """Asks the master every two seconds who it is.
+
+    rospy registers a topic once. A master that is started again knows nothing of the node, which then is
+    deaf although it runs: its publishers, subscribers and services are registered again here. Parameters
+    are not: a new master has those of whoever started it.
+    """
+
+    def __init__(self, period: float = _PERIOD_S) -> None:
+        self._identity = self._ask()
+        self._away = False
+        self.restarts = 0
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._watch, args=(period,), name="master watch", daemon=True)
+        self._thread.start()
+
+    @property
+    def away(self) -> bool:
+        """Whether the master did not answer when it was asked last."""
+        return self._away
+
+    def close(self) -> None:
+        """Stop watching. Idempotent."""
+        self._closed.set()
+        self._thread.join(timeout=5.0)
+
+    def _watch(self, period: float) -> None:
+        while not self._closed.wait(period):
+            identity = self._ask()
+            if identity is None:
+                if not self._away:
+                    rospy.logwarn("the ROS master at %s does not answer; running on without it",
+                                  rosgraph.get_master_uri())
+                self._away = True
+                continue
+            if self._identity is not None and identity != self._identity:
+                if not self._register_again():
+                    continue        # the next time
+            elif self._away:
+                rospy.loginfo("the ROS master answers again")
+            self._identity, self._away = identity, False
+
+    def _ask(self) -> Optional[Tuple[int, str]]:
+        try:
+            return ask_master(rospy.get_name())
+        except MasterAway:
+            return None
+
+    def _register_again(self) -> bool:
+        """Tell the new master all that this node has; False when it does not take it, for whatever reason."""
+        rospy.logwarn("the ROS master has been started again; registering all topics and services anew")
+        name, uri = rospy.get_name(), own_address()
+        try:
+            with node_at(rosgraph.get_master_uri()) as master:
+                published = own_publications()
+                for topic, kind in published:
+                    _check(master.registerPublisher(name, topic, kind, uri))
+                # Whoever has gone meanwhile has taken these back before the new master knew them.
+                there = {topic for topic, _ in own_publications()}
+                for topic in {topic for topic, _ in published} - there:
+                    _check(master.unregisterPublisher(name, topic, uri))
+                for service, service_uri in own_services():
+                    _check(master.registerService(name, service, service_uri, uri))
+            subscribed = own_subscriptions()
+            for topic, kind in subscribed:
+                subscribe_again(topic, kind)
+            there = {topic for topic, _ in own_subscriptions()}
+            with node_at(rosgraph.get_master_uri()) as master:
+                for topic in {topic for topic, _ in subscribed} - there:
+                    _check(master.unregisterSubscriber(name, topic, uri))
+        except Exception as error:      # it has just begun, or has gone again
+            rospy.logerr("registration with the new ROS master failed: %s; trying again", error)
+            return False
+        self.restarts += 1
+        return True
+
+
+def _check(answer: Tuple[int, str, int]) -> None:
+    if answer[0] != 1:
+        raise OSError("the master refuses: {}".format(answer[1]))

@@ -1,0 +1,319 @@
+"""The people as the graph gives them, the frame in which they are compared, and where the robot is in it."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from types import SimpleNamespace
+from typing import Counter, Dict, List, Mapping, NamedTuple, Optional, Set, Tuple
+
+import genpy
+import numpy as np
+import rospy
+from std_msgs.msg import String
+
+from hri_msgs.msg import FacialActionUnits
+from hri_pipeline.core.frames import is_of_human, is_optical, read, read_stamp
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.ids import is_valid_id
+from hri_pipeline.core.interactions.people import PeopleSnapshot, PeopleTf, Places, Seen, gather
+from hri_pipeline.ros.conversions import has_gaze_of_closed_eyes
+from hri_pipeline.ros.subscriptions import IdSubscribers
+from hri_pipeline.ros.tf import Frames, RobotTf, TfSubscriber
+
+MAX_PEOPLE = 100
+JUMP_BACK_S = 0.5
+AU_EYES_CLOSED, AU_BLINK = 43, 45
+_STAMPED_BY = (b"face_", b"body_")
+_STALE_S = 0.5
+_Newest = Tuple[bool, int, int]
+
+
+class StampedPeople(NamedTuple):
+    """Everybody at the stamp of the newest image; unplaced: ids of those who are tracked, but have no place."""
+
+    stamp: genpy.Time
+    people: PeopleSnapshot
+    unplaced: List[str]
+
+
+class PeopleInput:
+    """Subscribes to lists, features and transforms of persons; `changed` is set when frames with a newer stamp have
+    come.
+
+    Callbacks only store; take() makes one snapshot of them.
+    """
+
+    def __init__(self, settings: SimpleNamespace, robot: RobotTf) -> None:
+        """robot: takes the frames that are no human's."""
+        self._settings, self._robot = settings, robot
+        self._lock = threading.Lock()
+        self._tf = PeopleTf()
+        self._closures: Dict[str, Seen] = {}
+        self._newest, self._newest_person = genpy.Time(), genpy.Time()
+        self._newer_at, self._measured_at = 0.0, -math.inf
+        self.changed = threading.Event()
+        self.refused = self.jumps = 0
+        self._feeds = {"persons": IdSubscribers("persons", {"face_id": String, "body_id": String}, self._on_feature,
+                                              self._on_people, max_ids=MAX_PEOPLE, list_timeout=settings.list_timeout)}
+        if settings.use_facs or has_gaze_of_closed_eyes(settings.interface):
+            self._feeds["faces"] = IdSubscribers("faces", {"facs": FacialActionUnits}, self._on_facs, self._on_faces,
+                                               max_ids=MAX_PEOPLE, list_timeout=settings.list_timeout)
+        self._subscriber = TfSubscriber(self._on_frames)
+
+    @property
+    def stamp(self) -> genpy.Time:
+        """Stamp of the newest frame of a face or a body; of a person's where these have ended."""
+        with self._lock:
+            return self._stamp()
+
+    @property
+    def ids(self) -> List[str]:
+        """Who is tracked."""
+        with self._lock:
+            return list(self._tf.people)
+
+    @property
+    def feeds(self) -> Mapping[str, IdSubscribers]:
+        """The feeds by kind, for diagnostics."""
+        return self._feeds
+
+    def take(self, places: Places) -> StampedPeople:
+        """Return everybody at the newest stamp, in the frame that `places` is about."""
+        with self._lock:
+            stamp = self._stamp()
+            people = gather(self._tf, places, stamp.to_sec(), self._settings, self._closures)
+            tracked = self._tf.people
+            placed = set(people.ids) if len(people) < len(tracked) else tracked
+            return StampedPeople(stamp, people, [identity for identity in tracked if identity not in placed])
+
+    def reset(self) -> None:
+        """Forget all moving frames: time has jumped back."""
+        with self._lock:
+            self._forget()
+
+    def status(self) -> Dict[str, object]:
+        """Return how much is kept, for diagnostics."""
+        with self._lock:
+            return {"human frames": len(self._tf), "robot frames": self._robot.known,
+                    "frames with history": len(self._robot.relevant),
+                    "transforms refused": self.refused + self._tf.refused,
+                    "messages refused": self._subscriber.refused, "time jumps": self.jumps}
+
+    def close(self) -> None:
+        """Close all topics. Idempotent."""
+        for feed in self._feeds.values():
+            feed.close()
+        self._subscriber.close()
+
+    def _stamp(self) -> genpy.Time:
+        # The frames of persons who are not seen at the moment are sent again with the time of the clock.
+        apart = (self._newest_person - self._newest).to_sec()
+        return self._newest_person if apart > self._settings.frame_timeout else self._newest
+
+    def _on_people(self, ids: List[str]) -> None:
+        with self._lock:
+            if list(self._tf.people) != ids:
+                self._tf.set_people(ids)
+        self.changed.set()
+
+    def _on_feature(self, person: str, name: str, message: String) -> None:
+        value = message.data
+        if value and not is_valid_id(value):
+            raise ValueError("{!r} is not an id".format(value[:40]))
+        with self._lock:
+            self._tf.set_feature(person, "face" if name == "face_id" else "body", value)
+
+    def _on_faces(self, ids: List[str]) -> None:
+        with self._lock:
+            self._closures = {face: seen for face, seen in self._closures.items() if face in ids}
+
+    def _on_facs(self, face: str, name: str, message: FacialActionUnits) -> None:
+        if min(len(message.intensity), len(message.confidence)) <= AU_BLINK:
+            raise ValueError("action units without number {}".format(AU_BLINK))
+        closed = max((message.intensity[unit] for unit in (AU_EYES_CLOSED, AU_BLINK)
+                      if message.confidence[unit] > 0.0 and math.isfinite(message.intensity[unit])), default=None)
+        if closed is not None:
+            with self._lock:
+                self._closures[face] = Seen(message.header.stamp.to_sec(), float(closed))
+
+    def _on_frames(self, data: bytes, frames: Frames, fixed: bool) -> None:
+        # The latest stamp; one of a face or a body counts more than one of a person.
+        newest: Optional[_Newest] = None
+        with self._lock:
+            kept = self._tf
+            for child, offset in frames:
+                child = child.lstrip(b"/")
+                if not kept.wants(child):
+                    if not kept.is_limb(child):
+                        self._take_other(child, data, offset, fixed)
+                    continue
+                if fixed:
+                    kept.put(read(data, offset), fixed)
+                    continue
+                candidate = (child.startswith(_STAMPED_BY), *read_stamp(data, offset))
+                kept.put_unread(child, data, offset)
+                if newest is None or candidate > newest:
+                    newest = candidate
+            is_newer = newest is not None and self._note(newest)
+        if is_newer and (newest[0] or not self._measures_come()):
+            self.changed.set()
+
+    def _measures_come(self) -> bool:
+        """Tell whether frames of faces or bodies come: those of persons start no cycle then."""
+        return time.monotonic() - self._measured_at < self._settings.frame_timeout
+
+    def _take_other(self, child: bytes, data: bytes, offset: int, fixed: bool) -> None:
+        if is_of_human(child, fixed):
+            return
+        try:
+            transform = read(data, offset)
+            if fixed:
+                self._tf.keep_fixed(transform)
+            self._robot.put(transform, fixed)
+        except ValueError:
+            self.refused += 1
+
+    def _note(self, newest: _Newest) -> bool:
+        """Note a stamp; tell whether it is a newer one.
+
+        Far older ones, while no newer one comes, mean that time has jumped back.
+        """
+        measured, stamp = newest[0], genpy.Time(newest[1], newest[2])
+        before = self._newest if measured else self._newest_person
+        now = time.monotonic()
+        if stamp > before:
+            self._newer_at = now
+        elif (before - stamp).to_sec() > JUMP_BACK_S and now - self._newer_at > _STALE_S:
+            self.jumps += 1
+            self._forget()
+            self._newer_at = now
+        else:
+            return False
+        if measured:
+            self._newest, self._measured_at = stamp, now
+        else:
+            self._newest_person = stamp
+        return True
+
+    def _forget(self) -> None:
+        self._tf.clear_moving()
+        self._closures.clear()
+        self._newest = self._newest_person = genpy.Time()
+        self._robot.reset()
+
+
+GRACE_S = 2.0       # wall time in which the transforms may still be on their way when everything starts
+LEVEL = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+"""An upright camera's optical frame seen from a frame at the same place with x forward and z up (REP-103)."""
+
+
+class RobotPose(NamedTuple):
+    """Where the robot is (3,) m, and where it looks (3,)."""
+
+    position: np.ndarray
+    heading: np.ndarray
+
+
+class InteractionFrame:
+    """Chooses the frame of each cycle: the reference frame, else that of the sensor that sees most people.
+
+    Warns once when nothing leads to the reference frame, and once when the frame of the robot is not known.
+    """
+
+    def __init__(self, settings: SimpleNamespace, frames: RobotTf) -> None:
+        self._reference, self._robot_frame = settings.reference_frame, settings.robot_frame
+        self._frames = frames
+        self._stamp = genpy.Time()
+        self._poses: Dict[str, Optional[Pose]] = {}
+        self._missing_since: Dict[str, float] = {}
+        self._warned: Set[str] = set()
+        self._began = time.monotonic()
+        self.name = self._reference
+        self.sensor = ""
+        self.robot: Optional[RobotPose] = None
+        self.robot_source = "unknown"
+
+    @property
+    def is_level(self) -> bool:
+        """Tell whether people are compared in LEVEL of the optical frame `name`, for want of the reference frame."""
+        return self.name != self._reference
+
+    @property
+    def unconnected(self) -> Set[str]:
+        """Return the sensor frames from which nothing leads to the reference frame."""
+        return set(self._missing_since)
+
+    def begin(self, stamp: genpy.Time) -> None:
+        """Begin a cycle at `stamp`."""
+        self._stamp = stamp
+        self._poses = {}
+
+    def places(self, sensors: Counter[str]) -> Dict[str, Pose]:
+        """Return the poses of these sensors, with the number of their people, in the frame of this cycle."""
+        poses = {sensor: self._lookup(sensor) for sensor in sensors}
+        found = {sensor: pose for sensor, pose in poses.items() if pose is not None}
+        self._note([sensor for sensor, pose in poses.items() if pose is None])
+        self._choose(Counter({sensor: count for sensor, count in sensors.items() if sensor != self._reference}))
+        if found or not sensors:
+            self.name = self._reference
+        else:
+            self.name = self.sensor
+            found = {self.sensor: LEVEL}
+        self._find_robot(found)
+        return found
+
+    def _lookup(self, frame: str) -> Optional[Pose]:
+        """Look a frame up, once in a cycle: the robot often looks from where its camera is."""
+        if frame not in self._poses:
+            self._poses[frame] = self._frames.lookup(frame, self._stamp)
+        return self._poses[frame]
+
+    def _choose(self, sensors: Counter[str]) -> None:
+        """Choose the camera that stands for the robot; it stays while it sees anybody."""
+        if sensors and not sensors.get(self.sensor):
+            self.sensor = sensors.most_common(1)[0][0]
+
+    def _find_robot(self, poses: Dict[str, Pose]) -> None:
+        pose, source = None, self._robot_frame
+        if source and not self.is_level:
+            pose = self._lookup(source)
+        if pose is None:
+            self._warn_of_robot()
+            source = self.sensor
+            pose = poses.get(source) or (self._lookup(source) if source and not self.is_level else None)
+        if pose is None:
+            self.robot, self.robot_source = None, "unknown"
+            return
+        # Frames of sensors without `optical` in their name are taken for optical ones in LEVEL only.
+        axis = 2 if is_optical(source) or (self.is_level and source == self.sensor) else 0
+        self.robot = RobotPose(pose.translation, pose.rotation[:, axis])
+        self.robot_source = source
+
+    def _note(self, missing: list) -> None:
+        for sensor in missing:
+            self._missing_since.setdefault(sensor, time.monotonic())
+        for sensor in [sensor for sensor in self._missing_since if sensor not in missing]:
+            del self._missing_since[sensor]
+        late = [sensor for sensor in missing if time.monotonic() - self._missing_since[sensor] > GRACE_S]
+        if late and "reference" not in self._warned:
+            self._warned.add("reference")
+            rospy.logwarn(
+                "no transform leads from %s to the reference frame %s: people are compared in %s, which is taken for "
+                "level, and only those of one such sensor. Start what publishes the position of the robot "
+                "(localisation, or static_transform_publisher from %s), or set the parameter /humans/reference_frame "
+                "to a frame that exists, for example odom or base_link.", late[0], self._reference, late[0],
+                self._reference)
+
+    def _warn_of_robot(self) -> None:
+        if "robot" in self._warned or time.monotonic() - self._began < GRACE_S or not self.sensor:
+            return
+        self._warned.add("robot")
+        if self._robot_frame:
+            rospy.logwarn("no transform leads from the robot_frame %s to %s: the robot is taken to be where its camera "
+                          "%s is, and to look where that looks.", self._robot_frame, self._reference, self.sensor)
+        else:
+            rospy.logwarn("robot_frame is not set: the robot is taken to be where its camera %s is, and to look where "
+                          "that looks. Set ~robot_frame, or /humans/robot_reference_frame, to the frame of the robot's "
+                          "head.", self.sensor)

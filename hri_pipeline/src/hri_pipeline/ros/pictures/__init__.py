@@ -1,1 +1,0 @@
-"""The source of images, and the overlay."""

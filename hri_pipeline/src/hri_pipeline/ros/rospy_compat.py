@@ -1,0 +1,382 @@
+"""All uses of what rospy keeps for itself: its bugs are worked around here, and its inner state is read here.
+
+Checked against rospy 1.15.15. Before another version is used, this file has to be read beside its
+rospy/topics.py, rospy/msproxy.py, rospy/impl/tcpros_base.py, rospy/impl/tcpros_pubsub.py and rosgraph/xmlrpc.py. Four
+things:
+
+- File descriptors: as many as the system allows, few for each topic, and a reserve, without which rospy answers no
+  call.
+- Release of publishers and subscribers with everything that rospy would leave open.
+- publish() that does not give up the processor.
+- Who is connected to a topic, who has sent a message, and what this node has registered at the master.
+"""
+
+from __future__ import annotations
+
+import errno
+import gc
+import os
+import resource
+import select
+import socket
+import threading
+import time
+import weakref
+from collections import deque
+from functools import partial
+from types import ModuleType
+from typing import Any, Callable, Deque, Dict, Iterable, Iterator, List, Optional, Set, Tuple, Union
+
+import genpy
+import rospy
+import rospy.topics
+from diagnostic_msgs.msg import DiagnosticStatus
+from rosgraph import xmlrpc
+from rospy.core import get_node_uri
+from rospy.impl import tcpros_base, tcpros_pubsub
+from rospy.impl.registration import get_service_manager, get_topic_manager
+
+DESCRIPTORS_HINT = ("raise the limit (ulimit -Hn; nofile in /etc/security/limits.conf, LimitNOFILE= of a systemd "
+                    "service, --ulimit nofile= of docker)")
+_RESERVE = 64
+"""Descriptors that are left free for calls of the master and the like; an eighth of them all, where that is less."""
+_WAIT_S = 0.1
+_LOG_PERIOD_S = 30.0
+_OWN_DESCRIPTORS = "/proc/self/fd"
+_BROKEN = select.POLLHUP | select.POLLERR | getattr(select, "POLLRDHUP", 0)
+_MOST_KNOWN = 100
+
+_Reference = weakref.ReferenceType      # to the implementation of a publisher
+TopicsAndTypes = List[Tuple[str, str]]
+
+
+def prepare_rospy() -> None:
+    """Apply all workarounds that concern the whole process, and raise its limit of descriptors as far as it goes.
+
+    To be called before rospy.init_node. Idempotent.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft != hard:
+        try:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+        except (OSError, ValueError):   # more than the kernel gives to anybody
+            pass
+    rospy.topics.Poller = DescriptorFreePoller
+    tcpros_base.TCPServer = _PatientServer
+    xmlrpc.ThreadingXMLRPCServer.get_request = _get_request
+    publish_without_yielding()
+
+
+def descriptor_limit() -> int:
+    """Return how many descriptors this process may have."""
+    soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return 2 ** 31 if soft == resource.RLIM_INFINITY else soft
+
+
+def descriptors_used() -> int:
+    """Return how many descriptors this process has open, 0 if unknown."""
+    try:
+        return len(os.listdir(_OWN_DESCRIPTORS)) - 1
+    except OSError as error:
+        return descriptor_limit() if error.errno == errno.EMFILE else 0
+
+
+def descriptors_are_short(part: float = 1.0) -> bool:
+    """Return whether fewer descriptors are free than this part (0 to 1) of the reserve."""
+    most = descriptor_limit()
+    return most - descriptors_used() < part * min(_RESERVE, most // 8)
+
+
+def require_descriptors() -> None:
+    """Raise OSError if only the reserve of descriptors is left: then no topic should be opened.
+
+    Without a free descriptor for calls of the master, rospy would try for ever, and no topic could be opened or closed.
+    """
+    if descriptors_are_short():
+        raise OSError(
+            errno.EMFILE, "too few file descriptors are left of {}: {}".format(descriptor_limit(), DESCRIPTORS_HINT)
+        )
+
+
+def descriptors_status() -> Tuple[int, str, Dict[str, object]]:
+    """Return level, message and values for diagnostics."""
+    most, count = descriptor_limit(), descriptors_used()
+    values: Dict[str, object] = {"used": count, "limit": most}
+    if descriptors_are_short():
+        return DiagnosticStatus.WARN, ("{} of {} file descriptors are used: new topics and connections wait; {}".format(
+            count, most, DESCRIPTORS_HINT)), values
+    return DiagnosticStatus.OK, "{} of {} used".format(count, most), values
+
+
+def release(topic: Union[rospy.Publisher, rospy.Subscriber]) -> None:
+    """Unregister `topic` and close the descriptor that rospy leaves open. Idempotent.
+
+    After unregister() one epoll descriptor per topic stays until the cycle collector happens to run, on both
+    sides of a connection; a thousand short-lived topics then exhaust `ulimit -n`. rospy polls it under the
+    lock that unregister() has held, so nobody uses it any more once the implementation is closed.
+    """
+    implementation = topic.impl
+    topic.unregister()
+    if implementation is None or not implementation.closed:
+        return      # already released, or this process has another publisher on the same topic
+    poll = getattr(implementation, "connection_poll", None)
+    poller = getattr(poll, "poller", None)      # DescriptorFreePoller has none
+    if poller is not None and hasattr(poller, "close"):
+        poller.close()
+    elif not isinstance(poll, DescriptorFreePoller):
+        gc.collect()
+
+
+class Releaser:
+    """Releases publishers in a thread of its own, as each release waits for the master.
+
+    The thread ends when all are released.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._waiting: Deque[rospy.Publisher] = deque()
+        self._thread: Optional[threading.Thread] = None
+
+    def put(self, publishers: Iterable[rospy.Publisher]) -> None:
+        """Release these soon."""
+        with self._lock:
+            self._waiting.extend(publishers)
+            if self._waiting and self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="releaser", daemon=True)
+                self._thread.start()
+
+    def wait(self) -> None:
+        """Return when all have been released."""
+        while True:
+            with self._lock:
+                thread = self._thread
+            if thread is None:
+                return
+            thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    self._thread = None
+                    return
+                publisher = self._waiting.popleft()
+            try:
+                release(publisher)
+            except Exception as error:      # the others still have to be released
+                rospy.logwarn("%s was not released: %s", publisher.name, error)
+
+
+def refuse_when_closed(publisher: rospy.Publisher) -> None:
+    """Make a publisher refuse connections that come while it is being released.
+
+    rospy starts a thread for each connection before it notices that the topic has been closed in the meantime, and the
+    thread then waits for ever: some ten per hour while people come and go (measured).
+    """
+    implementation = publisher.impl
+    reference = weakref.ref(implementation)
+    implementation.add_connection = partial(_add_connection, reference)
+    implementation.remove_connection = partial(_remove_connection, reference)
+
+
+def _add_connection(reference: _Reference, connection: Any) -> bool:
+    implementation = reference()
+    if implementation is None or implementation.closed:
+        connection.close()
+        return False
+    try:
+        return type(implementation).add_connection(implementation, connection)
+    except TypeError:
+        if not implementation.closed:
+            raise
+        return False
+    finally:
+        if implementation.closed:
+            connection.close()
+
+
+def _remove_connection(reference: _Reference, connection: Any) -> None:
+    # What rospy calls next tells the connection's thread to end; it does not get there after an error.
+    implementation = reference()
+    if implementation is None:
+        return
+    try:
+        type(implementation).remove_connection(implementation, connection)
+    except TypeError:
+        if not implementation.closed:       # else its listeners have become None
+            raise
+
+
+def publish_without_yielding() -> None:
+    """Let publish() of this process return as soon as its message is queued. Idempotent."""
+    if not isinstance(tcpros_pubsub.time, _NoYield):
+        tcpros_pubsub.time = _NoYield(time)
+
+
+class NewSubscriberListener(rospy.SubscribeListener):
+    """Sends the last message to each node that subscribes for the first time, without the topic being a latched one.
+
+    message: set at each publish. publisher: set once it is there.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._known: Set[str] = set()
+        self.message: Optional[genpy.Message] = None
+        self.publisher: Optional[rospy.Publisher] = None
+
+    def peer_subscribe(self, topic_name: str, topic_publish: Callable, peer_publish: Callable) -> None:
+        """Called by rospy, in the thread of the new connection."""
+        implementation = self.publisher.impl if self.publisher is not None else None
+        if implementation is None or not implementation.connections or len(self._known) >= _MOST_KNOWN:
+            return
+        # rospy does not say who it is: the connection that it has added last.
+        node = str(implementation.connections[-1].endpoint_id)
+        is_known = node in self._known
+        self._known.add(node)
+        if is_known or self.message is None:
+            return
+        # rospy calls this without the lock that guards the buffer of the topic.
+        implementation.acquire()
+        try:
+            peer_publish(self.message)
+        finally:
+            implementation.release()
+
+
+def sender_of(message: genpy.Message) -> str:
+    """Return the name of the node that has sent a message, empty for a message that did not come over a topic."""
+    return str(getattr(message, "_connection_header", {}).get("callerid", ""))
+
+
+def address_of_sender(topic: str, message: genpy.Message) -> str:
+    """Return the address of the node that has sent a message on a topic, empty when its connection has ended."""
+    return next((connection.endpoint_id for connection in _connections(topic)
+                 if connection.header is message._connection_header), "")
+
+
+def connected_publishers(topic: str) -> Set[str]:
+    """Return the addresses of the nodes whose publications of `topic` (resolved) this node receives."""
+    return {connection.endpoint_id for connection in _connections(topic)}
+
+
+def own_address() -> str:
+    """Return the address of this node."""
+    return str(get_node_uri())
+
+
+def own_publications() -> TopicsAndTypes:
+    """Return (topic, type) of all that this node publishes."""
+    return list(get_topic_manager().get_publications())
+
+
+def own_subscriptions() -> TopicsAndTypes:
+    """Return (topic, type) of all that this node subscribes to."""
+    return list(get_topic_manager().get_subscriptions())
+
+
+def own_services() -> List[Tuple[str, str]]:
+    """Return (service, address) of all that this node offers."""
+    return list(get_service_manager().get_services())
+
+
+def _connections(topic: str) -> list:
+    implementation = get_topic_manager().get_subscriber_impl(topic)
+    return list(implementation.connections) if implementation is not None else []
+
+
+class DescriptorFreePoller:
+    """Finds broken connections of a topic as rospy's own does, which takes a descriptor for each topic."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._descriptors: Set[int] = set()
+
+    def add_fd(self, descriptor: int) -> None:
+        """Add a connection."""
+        with self._lock:
+            self._descriptors.add(descriptor)
+
+    def remove_fd(self, descriptor: int) -> None:
+        """Remove a connection."""
+        with self._lock:
+            self._descriptors.discard(descriptor)
+
+    def error_iter(self) -> Iterator[int]:
+        """Yield the descriptors of connections whose other end has gone."""
+        if not self._descriptors:
+            return
+        poll = select.poll()
+        with self._lock:
+            for descriptor in self._descriptors:
+                poll.register(descriptor, getattr(select, "POLLRDHUP", 0))
+        for descriptor, event in poll.poll(0):
+            if event & _BROKEN:
+                yield descriptor
+
+
+class _PatientSocket:
+    """A listening socket whose accept() waits while descriptors are short; the clients wait, too."""
+
+    def __init__(self, listening: socket.socket) -> None:
+        self._socket = listening
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._socket, name)
+
+    def accept(self) -> Tuple[socket.socket, Any]:
+        """Accept a connection when there are descriptors for it. Raises OSError when the socket has been closed."""
+        while True:
+            while descriptors_are_short(0.5) and self._socket.fileno() >= 0:
+                rospy.logwarn_throttle(_LOG_PERIOD_S, "%s", descriptors_status()[1])
+                time.sleep(_WAIT_S)
+            try:
+                return self._socket.accept()
+            except OSError as error:
+                if error.errno not in (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM):
+                    raise
+                time.sleep(_WAIT_S)
+
+
+class _PatientServer(tcpros_base.TCPServer):
+    """rospy's server of connections.
+
+    The thread of the original ends for good when accept() finds no free descriptor.
+    """
+
+    def _create_server_sock(self) -> _PatientSocket:
+        return _PatientSocket(super()._create_server_sock())
+
+
+def _get_request(server: xmlrpc.ThreadingXMLRPCServer) -> Tuple[socket.socket, Any]:
+    """Accept a call of this node.
+
+    Without a free descriptor it waits: the server would try again at once, in a busy loop.
+    """
+    try:
+        return server.socket.accept()
+    except OSError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            time.sleep(_WAIT_S)
+        raise
+
+
+class _NoYield:
+    """The module `time`, but sleep(0) returns at once.
+
+    rospy hands a message to the thread of a connection and then sleeps for 0 s, for each connection. That takes 0.14 ms
+    on an idle processor, and gives up the time slice on a busy one. With ten people it took a seventh of the time of
+    each image. The threads of connections do not need it: they wait on a condition.
+    """
+
+    def __init__(self, module: ModuleType) -> None:
+        self._module = module
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+    def sleep(self, seconds: float) -> None:
+        """Sleep for `seconds`, if they are more than 0."""
+        if seconds > 0.0:
+            self._module.sleep(seconds)

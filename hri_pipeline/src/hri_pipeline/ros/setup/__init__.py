@@ -1,1 +1,0 @@
-"""The check of a set-up, and the start of a bag."""

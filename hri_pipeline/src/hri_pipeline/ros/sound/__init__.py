@@ -1,1 +1,0 @@
-"""Sound that comes in, and its source."""

@@ -1,0 +1,291 @@
+"""The input of sound: subscribers of audio topics, whose messages become blocks of 16 kHz."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import OrderedDict, deque
+from types import SimpleNamespace
+from typing import Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
+
+import audio_common_msgs.msg
+import rospy
+from audio_common_msgs.msg import AudioData, AudioInfo
+
+from hri_pipeline.core.audio.stream import SoundBlock, SoundError, SoundFormat, SoundStream
+from hri_pipeline.core.error_log import Outage
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
+from hri_pipeline.ros.rospy_compat import release
+
+# audio_common_msgs has this type since 0.3.9; replacements of the package may not have it.
+AudioDataStamped = getattr(audio_common_msgs.msg, "AudioDataStamped", None)
+
+BUFFER_BYTES = 2 ** 20
+JUMP_S = 1.0
+INFO_GRACE_S = 1.0
+SILENCE_S = 3.0
+# A new silence is logged again only after so long (s) without one.
+CALM_S = 10.0
+_MOST_OTHERS = 20
+MAX_WAITING_S = 5.0
+_LOG_PERIOD_S = 10.0
+_NEW_PROBLEM_S = 1.0
+_BAD_S = 2.0
+_GAP_SHOWN_S = 5.0
+_MOST_INFOS = 8
+Problem = Tuple[int, str]
+
+
+class _Chunk(NamedTuple):
+    """Bytes of one message; arrival: s, ROS time."""
+
+    data: bytes
+    arrival: float
+
+
+class SoundInput:
+    """Subscribes to `audio` and `audio_info`, and to `audio_stamped` where the system has that type.
+
+    Callbacks only store messages; next() decodes them in the thread of the caller. Only one publisher is heard at a
+    time. Messages that have waited longer than MAX_WAITING_S are dropped and counted, and the stream has a gap there.
+
+    Parameters
+    ----------
+    settings : SimpleNamespace
+        Values of INPUT_PARAMETERS (core/audio/parameters.py).
+    on_restart : callable, optional
+        Called without arguments when a new stream begins: time has gone back, or the format has changed.
+    """
+
+    def __init__(self, settings: SimpleNamespace, on_restart: Optional[Callable[[], None]] = None) -> None:
+        self._settings = settings
+        self.on_restart = on_restart
+        self._condition = threading.Condition()
+        self._chunks: Deque[_Chunk] = deque()
+        self._waiting_bytes = 0
+        self._infos: "OrderedDict[str, AudioInfo]" = OrderedDict()
+        self._stream: Optional[SoundStream] = None
+        self._last: Optional[float] = None
+        self._sender = ""
+        self._others: Dict[str, float] = {}
+        self._stamped_at = float("-inf")
+        self._bad: Tuple[str, float] = ("", float("-inf"))
+        self._gap: Tuple[str, float] = ("", float("-inf"))
+        self._logged: Tuple[str, float] = ("", float("-inf"))
+        self._heard = time.monotonic()
+        self._outage = Outage(CALM_S)
+        self._first = 0.0
+        self._closed = False
+        self._dropped_bytes = 0
+        self.counts = {"messages": 0, "unreadable": 0, "dropped_messages": 0, "restarts": 0, "time_jumps": 0}
+        self.topic = rospy.resolve_name("audio")
+        self.info_topic = rospy.resolve_name("audio_info")
+        self._subscribers = [
+            rospy.Subscriber("audio", AudioData, self._on_audio, buff_size=BUFFER_BYTES, tcp_nodelay=True),
+            rospy.Subscriber("audio_info", AudioInfo, self._on_info, queue_size=1)]
+        if AudioDataStamped is not None:
+            self._subscribers.append(rospy.Subscriber("audio_stamped", AudioDataStamped, self._on_stamped,
+                                                      buff_size=BUFFER_BYTES, tcp_nodelay=True))
+
+    def next(self, timeout: float) -> List[SoundBlock]:
+        """Return the next blocks of sound. Waits at most `timeout` s; empty when there is no sound."""
+        chunk = self._take(timeout)
+        if chunk is None:
+            self._log_silence()
+            return []
+        if not self._info_is_awaited():
+            return self._blocks(chunk)
+        with self._condition:
+            self._chunks.appendleft(chunk)
+            self._waiting_bytes += len(chunk.data)
+        rospy.rostime.wallsleep(min(timeout, 0.01))
+        return []
+
+    def status(self) -> Tuple[int, str, Dict[str, object]]:
+        """Return level, message and values for diagnostics."""
+        values: Dict[str, object] = {"topic": self.topic, "sender": self._sender}
+        values.update(self.counts)
+        stream = self._stream
+        if stream is not None:
+            values.update(stream.values())
+        level, text = self._problem()
+        return level, text or "sound comes in", values
+
+    def close(self) -> None:
+        """Unsubscribe; a waiting next() returns nothing. Idempotent."""
+        with self._condition:
+            if self._closed:
+                return
+            self._closed = True
+            self._chunks.clear()
+            self._condition.notify_all()
+        for subscriber in self._subscribers:
+            release(subscriber)
+
+    def _on_info(self, message: AudioInfo) -> None:
+        with self._condition:
+            sender = getattr(message, "_connection_header", {}).get("callerid", "")
+            self._infos[sender] = message
+            self._infos.move_to_end(sender)
+            while len(self._infos) > _MOST_INFOS:
+                self._infos.popitem(last=False)
+            self._condition.notify_all()
+
+    def _on_audio(self, message: AudioData) -> None:
+        if time.monotonic() - self._stamped_at > SILENCE_S:
+            self._store(message.data, message, rospy.get_time())
+
+    def _on_stamped(self, message: "AudioDataStamped") -> None:
+        self._stamped_at = time.monotonic()
+        # The stamp is taken as the time of the end of the message.
+        self._store(message.audio.data, message, message.header.stamp.to_sec() or rospy.get_time())
+
+    def _store(self, data: bytes, message: object, arrival: float) -> None:
+        sender = getattr(message, "_connection_header", {}).get("callerid", "")
+        if not arrival:
+            return  # simulated time has not begun
+        with self._condition:
+            now = time.monotonic()
+            if sender != self._sender:
+                if self._sender and now - self._heard < self._settings.silence_time:
+                    self._others.pop(sender, None)
+                    self._others[sender] = now
+                    if len(self._others) > _MOST_OTHERS:
+                        del self._others[next(iter(self._others))]
+                    return
+                self._sender = sender
+            self._heard = now
+            self._outage.there(now)
+            self._first = self._first or now
+            self.counts["messages"] += 1
+            self._chunks.append(_Chunk(bytes(data), arrival))
+            self._waiting_bytes += len(data)
+            self._drop_old()
+            self._condition.notify()
+
+    def _drop_old(self) -> None:
+        """Drop messages that have waited too long, the oldest first."""
+        form = self._stream.form if self._stream is not None else None
+        limit = MAX_WAITING_S * (form.frame_bytes * form.sample_rate if form is not None else BUFFER_BYTES)
+        while self._waiting_bytes > limit and len(self._chunks) > 1:
+            dropped = self._chunks.popleft()
+            self._waiting_bytes -= len(dropped.data)
+            self._dropped_bytes += len(dropped.data)
+            self.counts["dropped_messages"] += 1
+
+    def _take(self, timeout: float) -> Optional[_Chunk]:
+        with self._condition:
+            self._condition.wait_for(lambda: self._closed or self._chunks, max(0.0, timeout))
+            if not self._chunks:
+                return None
+            chunk = self._chunks.popleft()
+            self._waiting_bytes -= len(chunk.data)
+            return chunk
+
+    def _info_is_awaited(self) -> bool:
+        """Return whether the first AudioInfo may still arrive: there is sound, but no format yet."""
+        return (self._settings.use_audio_info and not self._infos and self._stream is None and not self._closed
+                and time.monotonic() - self._first < INFO_GRACE_S)
+
+    def _blocks(self, chunk: _Chunk) -> List[SoundBlock]:
+        try:
+            if self._last is not None and chunk.arrival < self._last - JUMP_S:
+                self.counts["time_jumps"] += 1
+                rospy.logwarn("%s: time has gone back by %.1f s (a bag that loops?); voices start anew", self.topic,
+                              self._last - chunk.arrival)
+                self._restart(None)
+            self._last = chunk.arrival
+            form = self._format()
+            if self._stream is None or self._stream.form != form:
+                self._restart(form)
+            with self._condition:
+                dropped, self._dropped_bytes = self._dropped_bytes, 0
+            if dropped:
+                self._stream.skip(dropped / (form.frame_bytes * form.sample_rate))
+            blocks = self._stream.add(chunk.data, chunk.arrival)
+            self._note_gap(sum(block.gap for block in blocks), dropped > 0)
+            return blocks
+        except SoundError as error:
+            self.counts["unreadable"] += 1
+            self._bad = ("{}: {}".format(self.topic, error), time.monotonic())
+            self._log_problem(self._bad[0] + "; such sound is skipped")
+            return []
+
+    def _note_gap(self, gap: float, dropped: bool) -> None:
+        """Log that `gap` s of sound are missing."""
+        if gap > 0.0:
+            self._gap = ("{}: {:.2f} s of sound {}".format(
+                self.topic, gap, "were dropped: the processor is too slow; switch features or speech off" if dropped
+                else
+                "are missing: a pause of its sender, or lost on its way"), time.monotonic())
+            rospy.logwarn_throttle(_LOG_PERIOD_S, "%s", self._gap[0])
+
+    def _format(self) -> SoundFormat:
+        options = self._settings
+        with self._condition:
+            # The AudioInfo of the node that sends the sound, or of another node if there is none.
+            info = self._infos.get(self._sender) or next(reversed(list(self._infos.values())), None)
+        if info is not None and options.use_audio_info:
+            return SoundFormat(info.channels, info.sample_rate, info.sample_format, info.coding_format)
+        return SoundFormat(options.channels, options.sample_rate, options.sample_format)
+
+    def _restart(self, form: Optional[SoundFormat]) -> None:
+        """Start a new stream of this format; None: of the format of the next message."""
+        if self._stream is not None:
+            self.counts["restarts"] += 1
+            if self.on_restart is not None:
+                self.on_restart()
+        options = self._settings
+        self._stream = None
+        if form is not None:
+            rospy.loginfo("%s: %s", self.topic, form.text)
+            self._stream = SoundStream(form, options.gap_tolerance, options.input_latency, options.resampling)
+
+    def _problem(self) -> Problem:
+        """Return level and text of the worst problem of the input."""
+        silent = self._silence()
+        if silent:
+            return ERROR, silent
+        if time.monotonic() - self._bad[1] < _BAD_S:
+            return ERROR, self._bad[0]
+        other = self._other_sender()
+        if other:
+            return WARN, other
+        trouble = self._stream.problem() if self._stream is not None else ""
+        if trouble:
+            return WARN, "{}: {}".format(self.topic, trouble)
+        return (WARN, self._gap[0]) if time.monotonic() - self._gap[1] < _GAP_SHOWN_S else (OK, "")
+
+    def _silence(self) -> str:
+        """Return why there is no sound, empty while there is."""
+        silent = time.monotonic() - self._heard
+        if silent < SILENCE_S or self._closed:
+            return ""
+        if not any(subscriber.get_num_connections() for subscriber in self._subscribers if subscriber.impl):
+            return "no publisher on {} for {:.0f} s; start the microphone's node or remap `audio`".format(
+                self.topic, silent)
+        return "no sound on {} for {:.0f} s, although it has a publisher; is the microphone there?".format(
+            self.topic, silent)
+
+    def _other_sender(self) -> str:
+        """Return a text with the other senders on the topic, which are ignored; empty without any."""
+        with self._condition:
+            recent = sorted(name for name, at in self._others.items() if time.monotonic() - at < SILENCE_S)
+        if not recent:
+            return ""
+        return "{}: {} sends too, only {} is heard; give each microphone its own topic".format(
+            self.topic, ", ".join(recent), self._sender)
+
+    def _log_silence(self) -> None:
+        with self._condition:
+            text = self._silence()
+            is_new = bool(text) and self._outage.is_to_tell()
+        if is_new:
+            rospy.logwarn("%s", text)
+
+    def _log_problem(self, text: str) -> None:
+        """Log a problem: a new one after _NEW_PROBLEM_S, the same one after _LOG_PERIOD_S."""
+        last, at = self._logged
+        if time.monotonic() - at > (_LOG_PERIOD_S if text == last else _NEW_PROBLEM_S):
+            rospy.logerr("%s", text)
+            self._logged = (text, time.monotonic())

@@ -1,1 +1,0 @@
-"""Voices: topics and the node."""

@@ -1,0 +1,1 @@
+"""Bags of people: written, read, and scored against the truth."""

@@ -1,0 +1,70 @@
+"""Questions to nodes that do not answer."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+
+from hri_pipeline.ros.master import PublisherAnswer, does_publish, is_alive
+
+PATIENCE_S = 0.5
+
+
+@pytest.fixture
+def silent():
+    """A node whose machine takes connections and never answers, as one that has been stopped."""
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen(5)
+        yield "http://127.0.0.1:{}/".format(listening.getsockname()[1])
+
+
+@pytest.fixture
+def node():
+    with SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False) as server:
+        server.register_function(lambda caller: [1, "", 42], "getPid")
+        server.register_function(lambda caller: [1, "", [["/mine", "std_msgs/String"]]], "getPublications")
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        yield "http://127.0.0.1:{}/".format(server.server_address[1])
+        server.shutdown()
+        thread.join()
+
+
+@pytest.fixture
+def nobody():
+    with socket.socket() as closed:
+        closed.bind(("127.0.0.1", 0))
+        yield "http://127.0.0.1:{}/".format(closed.getsockname()[1])
+
+
+def test_who_does_not_answer_is_not_waited_for_and_other_sockets_keep_their_time_out(silent):
+    before, seen, done = socket.getdefaulttimeout(), set(), threading.Event()
+
+    def watch():
+        while not done.wait(0.001):
+            seen.add(socket.getdefaulttimeout())
+
+    watching = threading.Thread(target=watch)
+    watching.start()
+    began = time.monotonic()
+    try:
+        assert not is_alive(silent, PATIENCE_S)
+        assert does_publish(silent, "/mine", PATIENCE_S) is PublisherAnswer.NONE
+    finally:
+        done.set()
+        watching.join()
+    assert time.monotonic() - began < 10.0
+    assert seen == {before}
+
+
+def test_what_nodes_say(node, nobody):
+    assert is_alive(node)
+    assert not is_alive(nobody)
+    assert does_publish(node, "/mine") is PublisherAnswer.YES
+    assert does_publish(node, "/other") is PublisherAnswer.NO
+    assert does_publish(nobody, "/mine") is PublisherAnswer.REFUSED

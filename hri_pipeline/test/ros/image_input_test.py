@@ -1,0 +1,387 @@
+#!/usr/bin/env python3
+"""The image input and the vision worker with images and camera_info of all sorts."""
+
+import os
+import subprocess
+import threading
+import time
+import unittest
+
+import cv2
+import numpy as np
+import rospy
+import rostest
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+from hri_pipeline.core.camera import Calibration
+from hri_pipeline.ros import inputs
+from hri_pipeline.ros.conversions import bgr_to_image, make_header
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.inputs import ImageInput
+from hri_pipeline.ros.worker import VisionWorker
+from hri_pipeline.testing import held_by, wait_for
+
+BGR = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+K = [100.0, 0, 32, 0, 100.0, 24, 0, 0, 1]
+
+
+def picture(stamp, **changes):
+    message = bgr_to_image(BGR, make_header(stamp, "camera_optical"))
+    for name, value in changes.items():
+        setattr(message, name, value)
+    return message
+
+
+def info(matrix=K, width=64, height=48, distortion=(0,) * 5, model="plumb_bob"):
+    return CameraInfo(K=matrix, D=distortion, width=width, height=height, distortion_model=model)
+
+
+class InputCase(unittest.TestCase):
+
+    def setUp(self):
+        self.images = self.advertise("image", Image)
+        self.infos = self.advertise("camera_info", CameraInfo, latch=True)
+
+    def advertise(self, name, kind, **arguments):
+        publisher = rospy.Publisher(name, kind, queue_size=10, **arguments)
+        self.addCleanup(publisher.unregister)
+        return publisher
+
+    def image_input(self, **arguments):
+        image_input = ImageInput(**arguments)
+        self.addCleanup(image_input.close)
+        return image_input
+
+    def send(self, image_input, message, publisher=None):
+        """Publish and wait until the callback has stored it."""
+        publisher = publisher or self.images
+        wait_for(publisher.get_num_connections, 10, "the node listens")
+        count = image_input.counts["received"]
+        publisher.publish(message)
+        wait_for(lambda: image_input.counts["received"] > count, 10, "the image is received")
+
+    def calibrate(self, image_input, message):
+        self.infos.publish(message)
+        wait_for(lambda: image_input._camera._info == message, 10, "camera_info is received")
+
+
+class ImageInputTest(InputCase):
+
+    def test_a_camera_that_is_away_is_told_once(self):
+        for name, value in (("CALM_S", 0.2), ("_LOG_PERIOD_S", 0.3)):
+            self.addCleanup(setattr, inputs, name, getattr(inputs, name))
+            setattr(inputs, name, value)
+        image_input = self.image_input()
+        with self.assertLogs("rosout", "WARNING") as log:
+            for _ in range(3):
+                wait_for(lambda: image_input.next(0.05) is None and image_input.status()[0] == ERROR, 10,
+                         "silence is told")
+            began = time.monotonic()
+            wait_for(lambda: image_input.next(0.05) is None and time.monotonic() > began + 2.0, 10,
+                     "time enough for more warnings")
+            self.assertEqual(len(log.output), 1, log.output)
+            self.assertEqual(image_input.status()[2]["images_arrive"], False)
+            for _ in range(2):
+                self.send(image_input, picture(rospy.get_time()))
+                self.assertIsNotNone(image_input.next(5))
+                self.assertEqual(image_input.status()[2]["images_arrive"], True)
+                wait_for(lambda: time.monotonic() > image_input._heard + 0.25, 5, "calm")
+            wait_for(lambda: image_input.next(0.05) is None and len(log.output) == 2, 10, "the camera goes again")
+
+    def test_another_node_on_the_topic_is_not_heard_while_the_camera_sends(self):
+        image_input = self.image_input()
+        stamp, far = rospy.get_time(), 2000000000
+        self.send(image_input, picture(stamp))
+        self.assertIsNotNone(image_input.next(5))
+        timer = rospy.Timer(rospy.Duration(0.1), lambda _: self.images.publish(picture(rospy.get_time())))
+        self.addCleanup(timer.shutdown)
+        other = subprocess.Popen(["rostopic", "pub", "-r", "20", "image", "sensor_msgs/Image",
+                                  "{{header: {{stamp: {{secs: {}}}}}, width: 1, "
+                                  "height: 1, step: 3, encoding: bgr8, data: [0, 0, 0]}}".format(far)],
+                                  stdout=subprocess.DEVNULL)
+        self.addCleanup(other.wait)
+        self.addCleanup(other.kill)
+        seen = []
+
+        def told():
+            frame = image_input.next(1)
+            seen.append(None if frame is None else frame.bgr.shape)
+            return "sends too, only" in image_input.status()[1]
+        wait_for(told, 20, "the other one is told")
+        for _ in range(10):
+            told()
+        self.assertEqual(set(seen), {BGR.shape})
+        self.assertEqual((image_input.status()[0], image_input.counts["time_jumps"]), (WARN, 0))
+        timer.shutdown()
+        wait_for(lambda: image_input.next(0.5) is not None and image_input.status()[2]["time_jumps"] == 0
+                 and image_input._last_stamp == far, 20,
+                 "the other one is heard when the camera is silent")
+
+    def test_an_image_with_its_camera(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        self.send(image_input, picture(10.5))
+        frame = image_input.next(5)
+        np.testing.assert_array_equal(frame.bgr, BGR)
+        self.assertEqual((frame.stamp, frame.header.frame_id), (10.5, "camera_optical"))
+        self.assertEqual(frame.header.stamp, rospy.Time(10, 500000000))
+        self.assertEqual(frame.camera.calibration, Calibration.CALIBRATED)
+        self.assertEqual(image_input.status()[0], OK)
+        self.assertIsNone(image_input.next(0.01))
+
+    def test_only_the_newest_is_kept(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        for stamp in (1.0, 2.0, 3.0):
+            self.send(image_input, picture(stamp))
+        self.assertEqual(image_input.next(5).stamp, 3.0)
+        self.assertIsNone(image_input.next(0.01))
+        self.assertEqual((image_input.counts["received"], image_input.counts["taken"]), (3, 1))
+
+    def test_bad_images_are_told_and_the_next_good_one_is_taken(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        bad = [picture(1.0, encoding="32FC1"), picture(2.0, encoding=""), picture(3.0, width=0, height=0, step=0),
+               picture(4.0, data=b""), picture(5.0, step=7), picture(6.0, height=4000000000)]
+        for number, message in enumerate(bad):
+            self.send(image_input, message)
+            self.assertIsNone(image_input.next(0.01))
+            level, text, values = image_input.status()
+            self.assertEqual((level, values["unreadable"]), (ERROR, number + 1))
+            self.assertIn(rospy.resolve_name("image"), text)
+        self.send(image_input, picture(7.0))
+        self.assertEqual(image_input.next(5).stamp, 7.0)
+        self.assertEqual(image_input.status()[0], OK)
+
+    def test_compressed(self):
+        compressed = self.advertise("image/compressed", CompressedImage)
+        image_input = self.image_input(transport="compressed")
+        self.calibrate(image_input, info())
+        png = cv2.imencode(".png", BGR)[1].tobytes()
+
+        def message(stamp, data, form="bgr8; png compressed bgr8"):
+            return CompressedImage(header=make_header(stamp, "c"), format=form, data=data)
+
+        self.send(image_input, message(1.0, png), compressed)
+        np.testing.assert_array_equal(image_input.next(5).bgr, BGR)
+        for broken in (message(2.0, png[:50]), message(3.0, b""), message(4.0, png, "16UC1; compressedDepth png")):
+            self.send(image_input, broken, compressed)
+            self.assertIsNone(image_input.next(0.01))
+            self.assertEqual(image_input.status()[0], ERROR)
+        self.send(image_input, message(5.0, png), compressed)
+        self.assertEqual(image_input.next(5).stamp, 5.0)
+
+    def test_zero_k_falls_back_by_name_and_recovers(self):
+        image_input = self.image_input(fallback_hfov=np.pi / 2, fov_parameter="~fallback_fov")
+        self.calibrate(image_input, info(matrix=[0.0] * 9))
+        self.send(image_input, picture(1.0))
+        camera = image_input.next(5).camera
+        self.assertEqual(camera.calibration, Calibration.UNCALIBRATED)
+        self.assertAlmostEqual(camera.matrix[0, 0], 32.0)
+        level, text, _ = image_input.status()
+        self.assertEqual(level, WARN)
+        self.assertIn("K is all zero", text)
+        self.assertIn(rospy.get_name() + "/fallback_fov = 1.571 rad", text)
+        self.calibrate(image_input, info())
+        self.send(image_input, picture(2.0))
+        self.assertEqual(image_input.next(5).camera.calibration, Calibration.CALIBRATED)
+        self.assertEqual(image_input.status()[0], OK)
+
+    def test_impossible_camera_infos(self):
+        image_input = self.image_input()
+        bad = [(info(matrix=[float("nan")] * 9), "not finite"), (info(matrix=[-1.0] + K[1:]), "positive"),
+               (info(model="barrel"), "unknown distortion model"), (info(distortion=(1.0,)), "coefficients"),
+               (info(matrix=[1e300] + K[1:]), "focal length"), (info(matrix=[1e-300] + K[1:]), "focal length"),
+               (info(matrix=K[:2] + [1e6] + K[3:]), "principal point"), (info(width=2 ** 32 - 1), "image size"),
+               (info(width=64, height=64), "another shape"), (info(matrix=[0.0] * 9, width=0, height=0), "all zero")]
+        for number, (message, text) in enumerate(bad):
+            self.calibrate_nan_safe(image_input, message)
+            self.send(image_input, picture(1.0 + number))
+            self.assertEqual(image_input.next(5).camera.calibration, Calibration.UNCALIBRATED)
+            self.assertIn(text, image_input.status()[1])
+            self.assertIn(rospy.resolve_name("camera_info"), image_input.status()[1])
+            self.assertEqual(image_input.status()[0], WARN)
+        self.calibrate(image_input, info(matrix=[200.0, 0, 64, 0, 200.0, 48, 0, 0, 1], width=128, height=96))
+        self.send(image_input, picture(100.0))
+        camera = image_input.next(5).camera
+        self.assertEqual((camera.width, camera.height, camera.matrix[0, 0]), (64, 48, 100.0))
+        self.assertIn("the calibration is scaled", image_input.status()[1])
+
+    def calibrate_nan_safe(self, image_input, message):
+        old = image_input._camera._info
+        self.infos.publish(message)
+        wait_for(lambda: image_input._camera._info is not old, 10, "camera_info is received")
+
+    def test_no_camera_info_at_all(self):
+        self.infos.unregister()
+        image_input = self.image_input()
+        self.send(image_input, picture(1.0))
+        self.assertEqual(image_input.next(5).camera.calibration, Calibration.MISSING)
+        level, text, _ = image_input.status()
+        self.assertEqual(level, WARN)
+        self.assertIn("no camera_info on " + rospy.resolve_name("camera_info"), text)
+
+    def test_the_first_image_waits_for_its_camera_info(self):
+        self.infos.unregister()
+        image_input = self.image_input()
+        self.send(image_input, picture(1.0))
+        frames = []
+        worker = threading.Thread(target=lambda: frames.append(image_input.next(5)))
+        worker.start()
+        late = self.advertise("camera_info", CameraInfo, latch=True)
+        late.publish(info())
+        worker.join(10)
+        self.assertEqual(frames[0].camera.calibration, Calibration.CALIBRATED)
+
+    def test_nobody_publishes(self):
+        self.images.unregister()
+        image_input = self.image_input()
+        wait_for(lambda: image_input.status()[0] == ERROR, 10, "silence is told")
+        self.assertIn("no publisher on " + rospy.resolve_name("image"), image_input.status()[1])
+        self.assertIn("start the camera or remap `image`", image_input.status()[1])
+        self.images = self.advertise("image", Image)
+        wait_for(lambda: "although it has a publisher" in image_input.status()[1], 10, "the publisher is seen")
+        self.send(image_input, picture(1.0))
+        self.assertNotEqual(image_input.status()[0], ERROR)
+
+    def test_time(self):
+        jumps = []
+        image_input = self.image_input(on_time_jump=lambda: jumps.append(1))
+        self.calibrate(image_input, info())
+        taken = []
+        for stamp in (100.0, 100.0, 99.5, 101.0, 20.0, 20.1):
+            self.send(image_input, picture(stamp))
+            frame = image_input.next(0.01)
+            taken.append(frame and frame.stamp)
+        self.assertEqual(taken, [100.0, None, None, 101.0, 20.0, 20.1])
+        self.assertEqual(len(jumps), 1)
+        self.assertEqual((image_input.counts["late"], image_input.counts["time_jumps"]), (2, 1))
+
+    def test_images_without_stamp_get_the_time_of_arrival(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        stamps = []
+        for _ in range(3):
+            self.send(image_input, picture(0.0))
+            stamps.append(image_input.next(5).stamp)
+        self.assertTrue(0 < stamps[0] < stamps[1] < stamps[2])
+
+    def test_close(self):
+        before = held_by(os.getpid()).descriptors
+        for _ in range(20):
+            image_input = ImageInput()
+            image_input.close()
+            image_input.close()
+            self.assertIsNone(image_input.next(5))
+        self.assertLessEqual(held_by(os.getpid()).descriptors, before + 3)
+        with self.assertRaises(ValueError):
+            ImageInput(transport="theora")
+        with self.assertRaises(ValueError):
+            ImageInput(fallback_hfov=0.0)
+
+
+class Recorder:
+    """A branch that notes what is asked of it and fails where it is told to."""
+
+    def __init__(self, fail_at=()):
+        self.name = "recorder"
+        self.fail_at = fail_at
+        self.stamps, self.resets, self.closes = [], 0, 0
+
+    def process(self, frame, context):
+        self.stamps.append(frame.stamp)
+        with context["times"]("inner"):
+            context["faces"] = ["a face"]
+        if frame.stamp in self.fail_at:
+            raise ZeroDivisionError("on purpose")
+
+    def status(self):
+        return OK, "recording", {}
+
+    def reset(self):
+        self.resets += 1
+
+    def close(self):
+        self.closes += 1
+
+
+class Second(Recorder):
+    """Stands behind the recorder and needs its result."""
+
+    def process(self, frame, context):
+        self.stamps.append((frame.stamp, context.get("faces")))
+
+
+class VisionLoopTest(InputCase):
+
+    def test_a_failing_branch_loses_one_image_only(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        first, second = Recorder(fail_at=(2.0, 3.0)), Second()
+        second.name = "second"
+        diagnostics = NodeDiagnostics("loop")
+        loop = VisionWorker(image_input, [first, second], diagnostics)
+        thread = threading.Thread(target=loop.spin)
+        thread.start()
+        for stamp in (1.0, 2.0, 3.0, 4.0):
+            self.send(image_input, picture(stamp))
+            wait_for(lambda stamp=stamp: second.stamps and second.stamps[-1][0] == stamp, 10, "the image is through")
+        self.assertEqual(first.stamps, [1.0, 2.0, 3.0, 4.0])
+        self.assertEqual(second.stamps[0], (1.0, ["a face"]))
+        level, text, values = loop._pipeline()
+        self.assertEqual((level, values["errors_recorder"], text), (
+            ERROR, 2, "recorder: ZeroDivisionError: on purpose"))
+        self.assertIn("inner_ms_p95", values)
+        self.assertEqual(values["dropped_images"], 0)
+        wait_for(lambda: set(diagnostics._tasks) == {"input", "pipeline", "recorder", "second"}, 5,
+                 "all tasks are told")
+        self.send(image_input, picture(0.5))
+        wait_for(lambda: first.resets == second.resets == 1, 10, "time went back")
+        loop.close()
+        loop.close()
+        thread.join(10)
+        self.assertFalse(thread.is_alive())
+        self.assertEqual((first.closes, second.closes), (1, 1))
+
+    def test_nobody_stays_tracked_when_the_camera_is_gone(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        branch = Recorder()
+        loop = VisionWorker(image_input, [branch], NodeDiagnostics("loop"), silence=0.6)
+        thread = threading.Thread(target=loop.spin)
+        thread.start()
+        # Later than what the test before may have left on the way.
+        for count, stamp in enumerate((100.0, 200.0), 1):
+            self.send(image_input, picture(stamp))
+            wait_for(lambda stamp=stamp, count=count: branch.stamps[-1:] == [stamp] and branch.resets == count,
+                     10, "the branch is reset, once for each silence")
+        loop.close()
+        thread.join(10)
+
+    def test_max_rate(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        branch = Recorder()
+        loop = VisionWorker(image_input, [branch], NodeDiagnostics("loop"), max_rate=2.0)
+        thread = threading.Thread(target=loop.spin)
+        thread.start()
+        for number in range(40):
+            self.send(image_input, picture(1.0 + 0.025 * number))
+        count = len(branch.stamps)
+        loop.close()
+        thread.join(10)
+        self.assertTrue(1 <= count <= 4, count)
+        with self.assertRaises(ValueError):
+            VisionWorker(image_input, [], NodeDiagnostics("loop"), max_rate=-1.0)
+
+
+def suite():
+    """Both cases; the limits for silence and grace are shorter than on a robot."""
+    inputs.SILENCE_S, inputs.INFO_GRACE_S = 0.6, 0.5
+    load = unittest.defaultTestLoader.loadTestsFromTestCase
+    return unittest.TestSuite([load(ImageInputTest), load(VisionLoopTest)])
+
+
+if __name__ == "__main__":
+    rospy.init_node("image_input_test")
+    rostest.rosrun("hri_pipeline", "image_input", "image_input_test.suite")

@@ -1,0 +1,238 @@
+"""The choice of a recogniser, its grammar, and what the processes say to each other."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import sys
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core.asr import engines, worker
+from hri_pipeline.core.asr.engines import (
+    ENGINES,
+    RATE,
+    EngineChoice,
+    check_choice,
+    engine_choice,
+    grammar_directory,
+    make_engine,
+    one_file,
+    read_grammar,
+)
+from hri_pipeline.core.asr.parameters import ENGINES as ENGINE_NAMES
+from hri_pipeline.core.asr.parameters import SPEECH_RECOGNITION_PARAMETERS
+from hri_pipeline.core.asr.pool import QueuedUtterance
+from hri_pipeline.core.asr.worker import MessageReader, PipeError, SpeechMessage, SpeechWorker
+from hri_pipeline.core.parameters import ParameterError
+
+JSGF = "#JSGF V1.0; grammar g; public <g> = yes | no;"
+DEFAULTS = {parameter.name: parameter.default for parameter in SPEECH_RECOGNITION_PARAMETERS}
+
+
+@pytest.fixture
+def all_packages(monkeypatch):
+    """Every engine's package seems to be there."""
+    monkeypatch.setattr(engines.importlib.util, "find_spec", lambda name: object())
+
+
+def test_the_parameter_knows_the_engines():
+    assert set(ENGINE_NAMES) == {""} | set(ENGINES)
+
+
+@pytest.mark.parametrize("choice, words", [
+    (EngineChoice("sphinx"), ("speech_engine", "'sphinx'", "pocketsphinx, vosk")),
+    (EngineChoice("vosk"), ("speech_model is empty", "vosk")),
+    (EngineChoice("sherpa_onnx"), ("speech_model is empty", "sherpa_onnx")),
+    (EngineChoice("vosk", "/no/such/model"), ("speech_model", "'/no/such/model'", "vosk")),
+    (EngineChoice("pocketsphinx", grammar="yes or no"), ("speech_grammar", "#JSGF")),
+    (EngineChoice("vosk", "/", grammar=JSGF), ("speech_grammar", "JSON list")),
+    (EngineChoice("sherpa_onnx", "/", grammar=JSGF), ("speech_grammar", "dictation only")),
+    (EngineChoice("pocketsphinx", language="de-DE"), ("speech_language", "'de-DE'", "speech_model"))])
+def test_a_choice_that_cannot_work_is_refused(all_packages, choice, words):
+    with pytest.raises(ParameterError) as caught:
+        check_choice(choice)
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+@pytest.mark.parametrize("engine, package",
+                         [("vosk", "vosk"), ("sherpa_onnx", "sherpa-onnx"), ("pocketsphinx", "pocketsphinx")])
+def test_a_missing_package_is_named(monkeypatch, engine, package):
+    monkeypatch.setattr(engines.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ParameterError, match="speech_engine.*`pip install {}`".format(package)):
+        make_engine(EngineChoice(engine, "/"))
+
+
+def test_a_directory_without_a_model_is_named(tmp_path):
+    with pytest.raises(ParameterError, match="speech_model.*holds no .*mdef"):
+        make_engine(EngineChoice("pocketsphinx", str(tmp_path)))
+    for name in ("a.dict", "b.dict"):
+        (tmp_path / name).write_text("x")
+    with pytest.raises(ParameterError, match="2 files"):
+        one_file(tmp_path, "*.dict")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("pocketsphinx") is None, reason="pocketsphinx is not there")
+@pytest.mark.parametrize("grammar",
+                         ["#JSGF V1.0; grammar g; public <g> = flubberwobbel;", "#JSGF V1.0; grammar g; <g> = yes;",
+                                     "#JSGF V1.0; grammar g; public <g> = ((;"])
+def test_a_grammar_that_pocketsphinx_does_not_take_is_named(grammar):
+    with pytest.raises(ParameterError, match="speech_grammar"):
+        make_engine(EngineChoice("pocketsphinx", grammar=grammar))
+
+
+def test_grammars_come_from_a_text_a_file_or_the_package(tmp_path):
+    path = tmp_path / "mine.gram"
+    path.write_text("\ufeff" + JSGF, encoding="utf-8")
+    assert read_grammar("") == "" and read_grammar("  " + JSGF) == JSGF
+    assert read_grammar(str(path)) == JSGF and read_grammar("mine", tmp_path) == JSGF
+    assert read_grammar('["go home"]') == '["go home"]'
+    for name in ("commands", "digits"):
+        assert read_grammar(name, grammar_directory()).startswith("#JSGF")
+
+
+def test_a_grammar_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(ParameterError, match="speech_grammar is 'orders'.*commands, digits"):
+        read_grammar("orders", grammar_directory())
+    (tmp_path / "binary.gram").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ParameterError, match="cannot be read"):
+        read_grammar(str(tmp_path / "binary.gram"))
+    (tmp_path / "long.gram").write_bytes(b"#" * 300000)
+    with pytest.raises(ParameterError, match="300000 bytes"):
+        read_grammar(str(tmp_path / "long.gram"))
+
+
+def test_the_settings_make_a_choice():
+    settings = SimpleNamespace(**dict(DEFAULTS, speech_model="models/x", speech_grammar=JSGF, speech_language="en-GB"))
+    assert engine_choice(settings) == EngineChoice("pocketsphinx", os.path.abspath("models/x"), JSGF, "en-GB")
+
+
+def test_messages_come_out_as_they_went_in_however_they_are_cut():
+    sent = [SpeechMessage(worker.CONFIGURE, body=b'{"engine": "vosk"}'),
+            SpeechMessage(worker.AUDIO, 4000000000, body=b"\x01\x02"),
+            SpeechMessage(worker.FINAL, 7, 1600, 0.5, 0.25, "grüße".encode("utf-8")), SpeechMessage(worker.FINAL)]
+    stream = b"".join(message.packed() for message in sent)
+    for size in (1, 3, 64, 4096):
+        reader, messages = MessageReader(), []
+        for place in range(0, len(stream), size):
+            messages += reader.feed(stream[place:place + size])
+        assert messages == sent
+    assert sent[2].text == "grüße"
+
+
+def changed(place, value):
+    data = bytearray(SpeechMessage(worker.FINAL, 1, 2, 0.5, 0.25, b"yes").packed())
+    data[place:place + len(value)] = value
+    return bytes(data)
+
+
+@pytest.mark.parametrize("data", [
+    b"I", b"INFO: loading model\n", b"\x00" * 16, b"HAL", changed(2, b"\x63"), changed(20, b"\xff\xff\xff\xff"),
+    changed(12, np.array([np.nan], "<f4").tobytes()), changed(16, np.array([np.inf], "<f4").tobytes())])
+def test_what_is_no_message_is_refused(data):
+    with pytest.raises(PipeError):
+        MessageReader().feed(data)
+
+
+def test_numbers_outside_of_their_range_are_cut():
+    message, = MessageReader().feed(SpeechMessage(worker.FINAL, 1, 2, 7.0, -1.0).packed())
+    assert (message.confidence, message.busy) == (1.0, 0.0)
+
+
+def test_a_body_that_is_too_long_is_refused():
+    with pytest.raises(PipeError, match="too long"):
+        SpeechMessage(worker.AUDIO, body=b"x" * (worker.LONGEST_BODY + 1)).packed()
+
+
+@pytest.mark.parametrize("message", [
+    SpeechMessage(worker.START, 1), SpeechMessage(worker.CONFIGURE, body=b"[1]"),
+    SpeechMessage(worker.CONFIGURE, body=b"\xff"),
+    SpeechMessage(worker.CONFIGURE, body=b'{"partial_rate": 3.0, "model": "x"}'),
+    SpeechMessage(worker.CONFIGURE, body=b'{"partial_rate": 3.0, "engine": "vosk", "colour": "red"}')])
+def test_a_message_that_names_no_engine_is_refused(message):
+    with pytest.raises(PipeError):
+        SpeechWorker(lambda answer: None).answer(message)
+
+
+def test_an_utterance_knows_when_its_sound_was_and_how_much_waits():
+    utterance = QueuedUtterance(1, "abcde", 100.0, limit=1.0)
+    block = np.zeros(RATE // 4, dtype="<i2").tobytes()
+    assert [utterance.add(block, 100.0 + 0.25 * number) for number in range(5)] == [0, 0, 0, 0, RATE // 4]
+    assert utterance.waiting == pytest.approx(1.0)
+    utterance.take()
+    assert utterance.progress(10 ** 6) == RATE // 4 and utterance.progress(100) == 0
+    assert utterance.waiting == pytest.approx(0.75)
+    assert utterance.stamp_of(RATE // 8) == pytest.approx(100.125)
+    assert utterance.stamp_of(RATE // 2) == pytest.approx(100.5)
+    assert utterance.add(block, 107.0) == 0
+    assert utterance.stamp_of(utterance.accepted) == pytest.approx(107.25)
+    utterance.rewind()
+    assert utterance.waiting == pytest.approx(1.0) and len([data for data in iter(utterance.take, None)]) == 5
+
+
+class _Recogniser:
+    """Answers as the documentation of vosk says; without a model the real one cannot be made."""
+
+    def __init__(self, model, rate, phrases=None):
+        self.rate, self.phrases, self.blocks = rate, phrases, 0
+
+    def SetWords(self, wanted):
+        assert wanted is True
+
+    def Reset(self):
+        self.blocks = 0
+
+    def AcceptWaveform(self, data):
+        assert isinstance(data, bytes)
+        self.blocks += 1
+        return int(self.blocks == 2)
+
+    def Result(self):
+        return json.dumps({"text": "go home", "result": [{"word": "go", "conf": 1.0}, {"word": "home", "conf": 0.5}]})
+
+    def PartialResult(self):
+        return json.dumps({"partial": "and"})
+
+    def FinalResult(self):
+        return json.dumps({"text": "and [unk] stop",
+                           "result": [{"word": "and", "conf": 0.9}, {"word": "[unk]", "conf": 0.1},
+                                                                {"word": "stop", "conf": 0.6}]})
+
+
+def test_vosk_puts_the_sentences_of_one_turn_together(monkeypatch, tmp_path):
+    fake = ModuleType("vosk")
+    fake.SetLogLevel, fake.Model, fake.KaldiRecognizer = (
+        (lambda level: None),
+        (lambda model_path: object()),
+        _Recogniser,
+    )
+    fake.__spec__ = importlib.util.spec_from_loader("vosk", None)
+    monkeypatch.setitem(sys.modules, "vosk", fake)
+    engine = make_engine(EngineChoice("vosk", str(tmp_path), '["go home", "stop"]'))
+    for _ in range(2):
+        engine.start()
+        for _ in range(3):
+            engine.feed(np.zeros(512, dtype=np.int16))
+        assert engine.partial() == "go home and"
+        text, confidence = engine.finish()
+        assert text == "go home and stop" and confidence == pytest.approx((1.0 + 0.5 + 0.9 + 0.6) / 4)
+    for grammar in ('["a"', "[]", "[1]"):
+        with pytest.raises(ParameterError, match="speech_grammar"):
+            make_engine(EngineChoice("vosk", str(tmp_path), grammar))
+    engine.close()
+    engine.close()
+
+
+def test_silence_around_the_words_is_left_out():
+    random = np.random.default_rng(0)
+    speech, margin = 16000, 8 * 320
+    samples = random.normal(size=RATE * 4) * 3.0
+    samples[RATE:RATE + speech] += random.normal(size=speech) * 3000.0
+    samples = samples.astype("<i2")
+    left = np.frombuffer(engines._trim_silence(samples.tobytes()), "<i2")
+    assert len(left) == speech + 2 * margin and np.array_equal(left, samples[RATE - margin:RATE + speech + margin])
+    for data in (b"", b"\x00\x00" * 100, b"\x00\x00" * 16000):
+        assert engines._trim_silence(data) == data

@@ -1,0 +1,422 @@
+"""Likelihood of face-body pairs, their matching over time, and what is said about it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hri_pipeline.core.frames import RawTransform, Timed
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.matching.changes import MatchChanges
+from hri_pipeline.core.matching.face_body import (
+    FaceBodyMatcher,
+    body_points,
+    combined,
+    face_points,
+    head_place,
+    likelihoods,
+    place_likelihoods,
+)
+from hri_pipeline.core.matching.parameters import MATCHER_PARAMETERS
+
+ASPECT = 16.0 / 9.0
+
+
+def human(x, y=0.3, size=0.1):
+    """Return landmarks (70, 3) and skeleton (18, 3) of a human whose nose is at x, y; face `size` high."""
+    width = size / ASPECT
+    landmarks = np.zeros((70, 3))
+    landmarks[:, 2] = 1.0
+    landmarks[:, 0] = x + width * np.linspace(-0.5, 0.5, 70)
+    landmarks[:, 1] = y + size * 0.5 * np.sin(np.arange(70))
+    landmarks[36:42, :2] = x - 0.2 * width, y - 0.2 * size
+    landmarks[42:48, :2] = x + 0.2 * width, y - 0.2 * size
+    landmarks[30, :2] = x, y
+    landmarks[0, :2], landmarks[16, :2] = (x - 0.5 * width, y - 0.2 * size), (x + 0.5 * width, y - 0.2 * size)
+    skeleton = np.zeros((18, 3))
+    for joint, point in ((0, 30), (14, 42), (15, 36), (16, 16), (17, 0)):
+        skeleton[joint] = landmarks[point]
+    return landmarks, skeleton
+
+
+def make(**given):
+    return FaceBodyMatcher(MATCHER_PARAMETERS.resolve(given))
+
+
+def feed(matcher, stamp, faces, bodies):
+    """Feed {id: x} of faces and bodies; every id is tracked."""
+    matcher.set_tracked("faces", faces)
+    matcher.set_tracked("bodies", bodies)
+    for name, x in faces.items():
+        matcher.add_face(name, stamp, human(x)[0], ASPECT)
+    for name, x in bodies.items():
+        matcher.add_body(name, stamp, human(x)[1])
+    return {(match.face, match.body): match.confidence for match in matcher.matches()}
+
+
+def likelihood(landmarks, skeleton):
+    faces, bodies = face_points(landmarks, ASPECT)[None], body_points(skeleton)[None]
+    value = float(likelihoods(faces, bodies, 0.3, 0.3)[0, 0])
+    return None if np.isnan(value) else value
+
+
+def test_a_face_on_its_own_body_is_certain_and_falls_with_distance():
+    landmarks, skeleton = human(0.5)
+    values = [likelihood(landmarks, skeleton + [shift, 0.0, 0.0]) for shift in (0.0, 0.01, 0.02, 0.05, 0.2)]
+    assert values[0] == pytest.approx(1.0)
+    assert all(later < earlier for earlier, later in zip(values, values[1:]))
+    assert values[-1] < 0.01
+
+
+def test_distances_are_the_same_across_and_along_the_image():
+    landmarks, skeleton = human(0.5)
+    across = likelihood(landmarks, skeleton + [0.03 / ASPECT, 0.0, 0.0])
+    along = likelihood(landmarks, skeleton + [0.0, 0.03, 0.0])
+    assert across == pytest.approx(along)
+
+
+def test_distances_count_in_sizes_of_the_face():
+    near, far = human(0.5, size=0.3), human(0.5, size=0.05)
+    shift = [0.02, 0.0, 0.0]
+    assert likelihood(near[0], near[1] + shift) > 0.9 > 0.3 > likelihood(far[0], far[1] + shift)
+
+
+@pytest.mark.parametrize("unseen", [[0, 14, 15, 16, 17], [0, 14, 15], [14, 15, 16, 17]])
+def test_too_few_points_say_nothing(unseen):
+    landmarks, skeleton = human(0.5)
+    skeleton[unseen, 2] = 0.0
+    assert likelihood(landmarks, skeleton) is None
+
+
+def test_a_face_without_extent_says_nothing():
+    landmarks, skeleton = human(0.5)
+    landmarks[:, :2] = 0.5
+    assert likelihood(landmarks, skeleton) is None
+    assert likelihood(np.zeros((70, 3)), skeleton) is None
+
+
+def test_five_faces_find_their_five_bodies():
+    places = [0.1, 0.25, 0.4, 0.55, 0.7]
+    matched = feed(make(), 1.0, {"f%d" % i: x for i, x in enumerate(places)},
+                   {"b%d" % i: x + 0.005 for i, x in enumerate(places)})
+    assert set(matched) == {("f%d" % i, "b%d" % i) for i in range(5)}
+    assert min(matched.values()) > 0.8
+
+
+def test_two_faces_do_not_share_a_body():
+    assert set(feed(make(), 1.0, {"f1": 0.5, "f2": 0.51}, {"b1": 0.511})) == {("f2", "b1")}
+
+
+def test_a_match_does_not_flicker_between_nearly_equal_bodies():
+    matcher = make()
+    assert set(feed(matcher, 1.0, {"f1": 0.5}, {"b1": 0.5, "b2": 0.52})) == {("f1", "b1")}
+    for step in range(1, 40):
+        swap = 0.002 * (-1) ** step
+        matched = feed(matcher, 1.0 + step / 15.0, {"f1": 0.51}, {"b1": 0.5 + swap, "b2": 0.52 + swap})
+        assert set(matched) == {("f1", "b1")}
+
+
+def test_a_match_does_not_stick_to_the_wrong_body():
+    matcher = make()
+    feed(matcher, 1.0, {"f1": 0.5}, {"b1": 0.5, "b2": 0.6})
+    for step in range(1, 16):
+        matched = feed(matcher, 1.0 + step / 15.0, {"f1": 0.6}, {"b1": 0.5, "b2": 0.6})
+    assert set(matched) == {("f1", "b2")}
+
+
+def test_images_too_far_apart_are_not_compared():
+    matcher = make()
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    matcher.add_face("f1", 1.0, human(0.5)[0], ASPECT)
+    matcher.add_body("b1", 1.3, human(0.5)[1])
+    assert matcher.matches() == []
+    matcher.add_face("f1", 1.31, human(0.5)[0], ASPECT)
+    assert [(match.face, match.body) for match in matcher.matches()] == [("f1", "b1")]
+
+
+def test_a_slow_skeleton_is_compared_with_the_face_of_its_time():
+    matcher = make()
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    for step in range(10):
+        matcher.add_face("f1", 1.0 + step / 30.0, human(0.3 + 0.02 * step)[0], ASPECT)
+    matcher.add_body("b1", 1.0, human(0.3)[1])
+    assert matcher.matches()[0].confidence == pytest.approx(1.0)
+
+
+def test_a_pair_ends_with_either_side_and_when_it_cannot_be_compared():
+    matcher = make(hold_time=1.0)
+    assert feed(matcher, 1.0, {"f1": 0.5}, {"b1": 0.5})
+    matcher.set_tracked("faces", [])
+    assert matcher.matches() == []
+    assert feed(matcher, 2.0, {"f1": 0.5}, {"b1": 0.5})
+    matcher.add_body("b1", 2.9, human(0.5)[1])
+    assert matcher.matches()
+    matcher.add_body("b1", 3.1, human(0.5)[1])
+    assert matcher.matches() == []
+
+
+def test_a_pair_outlives_a_node_that_dies_and_comes_back():
+    matcher = make()
+    assert feed(matcher, 1.0, {"f1": 0.5}, {"b1": 0.5})
+    matcher.add_body("b1", 7.0, human(0.5)[1])
+    assert matcher.matches(), "the face is still listed"
+
+
+def test_time_may_jump_back():
+    matcher = make()
+    assert feed(matcher, 100.0, {"f1": 0.5}, {"b1": 0.5, "b2": 0.8})
+    assert set(feed(matcher, 5.0, {"f1": 0.8}, {"b1": 0.5, "b2": 0.8})) == {("f1", "b2")}
+
+
+def test_nothing_is_withdrawn_when_the_face_or_the_body_leaves():
+    matcher, changes = make(), MatchChanges(0.05)
+    matcher.set_tracked("faces", ["f1", "f2"])
+    matcher.set_tracked("bodies", ["b2", "b3"])
+    changes.update({("f1", "b1"): 0.8, ("f2", "b2"): 0.8, ("f3", "b3"): 0.8}, 0.0)
+    assert changes.update({}, 0.1, matcher.has_left) == [(("f2", "b2"), 0.0)]
+
+
+def test_the_place_of_a_head_follows_from_all_links_to_the_camera():
+    chain = [link("neck_b1", "head_b1", 4), link("torso_b1", "neck_b1", 3), link("body_b1", "torso_b1", 2),
+             link("camera", "body_b1", 1)]
+    pose = Pose.identity()
+    for item in chain:
+        pose = Pose.from_quaternion(item.rotation, item.translation).compose(pose)
+    fixed_neck = [Timed(item, math.inf if item is chain[1] else item.stamp) for item in chain]
+    place = head_place(fixed_neck)
+    assert place is not None and (place.frame, place.stamp) == ("camera", 1.0)
+    np.testing.assert_allclose(place.position, pose.translation, atol=1e-9)
+
+
+def test_links_of_different_times_and_no_links_give_no_place():
+    head, body = link("body_b1", "head_b1", 1), link("camera", "body_b1", 2)
+    assert head_place([Timed(head, 1.0), Timed(body, 1.5)]) is None
+    assert head_place([Timed(head, 1.0), Timed(body, 1.1)]) is not None
+    assert head_place([]) is None and head_place([Timed(body, math.inf)]) is None
+
+
+def link(parent, child, seed):
+    turn = tuple(Rotation.random(random_state=seed).as_quat())
+    return RawTransform(parent, child, 1, 0, tuple(np.random.default_rng(seed).normal(size=3)), turn)
+
+
+def test_heads_at_one_place_are_likely_and_the_line_of_sight_is_inexact():
+    face = np.array([[0.0, 0.0, 2.0]])
+    across, along = (place_likelihoods(face, face + [shift])[0, 0] for shift in ((0.4, 0.0, 0.0), (0.0, 0.0, 0.4)))
+    assert place_likelihoods(face, face)[0, 0] == pytest.approx(1.0)
+    assert across < 0.2 < 0.7 < along
+    assert place_likelihoods(face, face + [[0.0, 0.0, 2.0]])[0, 0] < 0.05
+    far = np.array([[0.0, 0.0, 8.0]])
+    assert place_likelihoods(far, far + [[0.0, 0.0, 1.0]])[0,
+                                                           0] > place_likelihoods(face, face + [[0.0, 0.0, 1.0]])[0, 0]
+    assert np.isnan(place_likelihoods(face, np.full((1, 3), np.nan))[0, 0])
+
+
+def test_places_alone_count_where_the_image_tells_nothing_and_the_image_where_there_are_none():
+    nothing = np.nan
+    fused = combined(np.array([[0.8, 0.8, nothing, nothing]]), np.array([[0.25, nothing, 1.0, nothing]]))
+    np.testing.assert_allclose(fused, [[0.4, 0.8, 0.9, nothing]])
+
+
+def test_of_two_heads_behind_each_other_the_one_at_the_distance_of_the_face_is_its_own():
+    matcher = make()
+    matcher.set_tracked("faces", ["face"])
+    matcher.set_tracked("bodies", ["near", "away"])
+    matcher.add_face("face", 1.0, human(0.5)[0], ASPECT, "camera")
+    matcher.add_place("faces", "face", 1.0, (0.0, 0.0, 2.0), "camera")
+    for name, shift, depth in (("near", 0.01, 2.2), ("away", 0.0, 5.0)):
+        matcher.add_body(name, 1.0, human(0.5 + shift)[1], "camera")
+        matcher.add_place("bodies", name, 1.0, (0.05, 0.0, depth), "camera")
+    assert [(match.face, match.body) for match in matcher.matches()] == [("face", "near")]
+
+
+def test_a_body_of_which_the_image_shows_no_face_is_found_by_its_head():
+    matcher = make()
+    matcher.set_tracked("faces", ["face"])
+    matcher.set_tracked("bodies", ["body"])
+    landmarks, skeleton = human(0.5)
+    skeleton[[0, 14, 15], 2] = 0.0
+    matcher.add_face("face", 1.0, landmarks, ASPECT, "camera")
+    matcher.add_body("body", 1.0, skeleton, "camera")
+    assert matcher.matches() == []
+    matcher.add_place("faces", "face", 1.1, (0.0, 0.0, 2.0), "camera")
+    matcher.add_place("bodies", "body", 1.1, (0.1, 0.0, 2.1), "camera")
+    matcher.add_face("face", 1.1, landmarks, ASPECT, "camera")
+    matcher.add_body("body", 1.1, skeleton, "camera")
+    assert [(match.face, match.body) for match in matcher.matches()] == [("face", "body")]
+
+
+def test_images_of_different_cameras_are_not_compared():
+    matcher = make()
+    matcher.set_tracked("faces", ["face"])
+    matcher.set_tracked("bodies", ["here", "there"])
+    matcher.add_face("face", 1.0, human(0.5)[0], ASPECT, "left")
+    matcher.add_body("there", 1.0, human(0.5)[1], "right")
+    assert matcher.matches() == []
+    matcher.add_body("here", 1.1, human(0.52)[1], "left")
+    matcher.add_face("face", 1.1, human(0.5)[0], ASPECT, "left")
+    matcher.add_body("there", 1.1, human(0.5)[1], "right")
+    assert [(match.face, match.body) for match in matcher.matches()] == [("face", "here")]
+
+
+@pytest.mark.parametrize("late", [0.3, 0.8, 1.6])
+def test_bodies_that_come_late_are_compared_with_the_faces_of_their_image(late):
+    """On a busy machine the bodies of an image come seconds after its faces; people walk past each other meanwhile."""
+    matcher, changes = make(), MatchChanges(0.05)
+    matcher.set_tracked("faces", ["f1", "f2"])
+    matcher.set_tracked("bodies", ["b1", "b2"])
+    matched, published = [], []
+    for step in range(90):
+        now = 10.0 + step / 15.0
+        places = {"1": 0.2 + 0.1 * (now - 10.0), "2": 0.8 - 0.1 * (now - 10.0)}
+        for name, x in places.items():
+            matcher.add_face("f" + name, now, human(x)[0], ASPECT)
+        if step % 14 == 0 and now - late >= 10.0:
+            seen = round((now - late - 10.0) * 15.0) / 15.0
+            for name, x in (("b1", 0.2 + 0.1 * seen), ("b2", 0.8 - 0.1 * seen)):
+                matcher.add_body(name, 10.0 + seen, human(x)[1])
+        matches = matcher.matches()
+        matched.append({(match.face, match.body) for match in matches})
+        published += changes.update({(match.face, match.body): match.confidence for match in matches}, now,
+                                    matcher.has_left)
+    assert matched[-1] == {("f1", "b1"), ("f2", "b2")}
+    assert all(pairs <= matched[-1] for pairs in matched)
+    assert all(likelihood > 0.0 for _, likelihood in published)
+
+
+def test_bodies_of_one_image_that_come_one_by_one_are_all_compared():
+    matcher = make()
+    matcher.set_tracked("faces", ["f1", "f2"])
+    matcher.set_tracked("bodies", ["b1", "b2"])
+    for name, x in (("f1", 0.2), ("f2", 0.8)):
+        matcher.add_face(name, 1.0, human(x)[0], ASPECT)
+    for name, x in (("b1", 0.2), ("b2", 0.8)):
+        matcher.add_body(name, 1.0, human(x)[1])
+        matches = matcher.matches()
+    assert {(match.face, match.body) for match in matches} == {("f1", "b1"), ("f2", "b2")}
+
+
+@pytest.mark.parametrize("frame", ["camera", "", "garbage"])
+@pytest.mark.parametrize("stamp", [4e9, 1.0])
+def test_a_message_of_another_time_or_camera_costs_a_moment(frame, stamp):
+    matcher = make()
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    for step in range(30):
+        now = 100.0 + 0.1 * step
+        matcher.add_face("f1", now, human(0.5)[0], ASPECT, "camera")
+        matcher.add_body("b1", now, human(0.5)[1], "camera")
+        if step == 10:
+            matcher.add_face("f1", stamp, human(0.5)[0], ASPECT, frame)
+        if step == 15:
+            matcher.add_body("b1", stamp, human(0.5)[1], frame)
+        matches = matcher.matches()
+        assert [(match.face, match.body) for match in matches] == [("f1", "b1")] or step in (10, 11, 15, 16)
+
+
+@pytest.mark.parametrize("begin", [0.0, 1.6e9])
+@pytest.mark.parametrize("rate", [15.0, 20.0, 40.0, 60.0])
+def test_a_face_that_looks_away_at_any_rate(rate, begin):
+    """The last stamp of the face then lies on the very rim of what is compared."""
+    matcher = make()
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    for step in range(200):
+        stamp = begin + step / rate
+        if step % 50 < 40:
+            matcher.add_face("f1", stamp, human(0.5)[0], ASPECT)
+        matcher.add_body("b1", stamp, human(0.5)[1])
+        assert [(match.face, match.body) for match in matcher.matches()] == [("f1", "b1")]
+
+
+@pytest.mark.parametrize("ahead", [1000.0, -5.0, 5.0])
+def test_two_cameras_whose_clocks_differ(ahead):
+    matcher = make()
+    matcher.set_tracked("faces", ["fa", "fb"])
+    matcher.set_tracked("bodies", ["ba", "bb"])
+    for step in range(60):
+        for name, x, stamp, camera in (("a", 0.5, 2000.0 + 0.1 * step, "A"),
+                                       ("b", 0.8, 2000.0 + ahead + 0.1 * step, "B")):
+            matcher.add_face("f" + name, stamp, human(x)[0], ASPECT, camera)
+            if step >= 6:
+                matcher.add_body("b" + name, stamp - 0.6, human(x)[1], camera)
+        if step >= 6:
+            assert {(match.face, match.body) for match in matcher.matches()} == {("fa", "ba"), ("fb", "bb")}
+
+
+@pytest.mark.parametrize("camera", ["A", "B"])
+def test_another_face_before_the_own_one_costs_nothing(camera):
+    """At 5 images a second none but those of the same image are near enough, and each comes by itself."""
+    matcher = make()
+    matcher.set_tracked("faces", ["other", "own"])
+    matcher.set_tracked("bodies", ["b1"])
+    for step in range(20):
+        stamp = 100.0 + step / 5.0
+        matcher.add_face("other", stamp, human(0.2)[0], ASPECT, camera)
+        matcher.matches()
+        matcher.add_body("b1", stamp, human(0.5)[1], "B")
+        matcher.matches()
+        matcher.add_face("own", stamp, human(0.5)[0], ASPECT, "B")
+        assert [(match.face, match.body) for match in matcher.matches()] == [("own", "b1")]
+
+
+def test_the_place_of_a_head_may_come_after_its_skeleton():
+    matcher = make()
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    landmarks, skeleton = human(0.5)
+    skeleton[:, 2] = 0.0
+    for step in range(10):
+        stamp = 100.0 + step / 3.0
+        matcher.add_face("f1", stamp, landmarks, ASPECT)
+        matcher.add_body("b1", stamp, skeleton)
+        matcher.matches()
+        for kind, name in (("faces", "f1"), ("bodies", "b1")):
+            matcher.add_place(kind, name, stamp, (0.1, 0.2, 2.0))
+        assert [(match.face, match.body) for match in matcher.matches()] == [("f1", "b1")]
+
+
+def test_a_bag_that_loops_with_bodies_that_come_late():
+    """The last bodies of a loop come after the first faces of the next; who is there is there at once."""
+    matcher, length, late, matched = make(), 100, 15, []
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    for step in range(3 * length):
+        matcher.add_face("f1", 50.0 + 0.1 * (step % length), human(0.5)[0], ASPECT, "camera")
+        if step >= late:
+            matcher.add_body("b1", 50.0 + 0.1 * ((step - late) % length), human(0.5)[1], "camera")
+        matched.append(len(matcher.matches()))
+    assert sum(matched) >= len(matched) - 3 * (late + 2)
+
+
+def test_who_is_not_tracked_moves_no_clock():
+    matcher = make()
+    matcher.set_tracked("faces", ["f1"])
+    matcher.set_tracked("bodies", ["b1"])
+    for step in range(20):
+        stamp = 100.0 + 0.1 * step
+        for name, when in (("f1", stamp), ("stranger", stamp - 1.0)):
+            matcher.add_face(name, when, human(0.5)[0], ASPECT)
+        matcher.add_body("b1", stamp, human(0.5)[1])
+        assert len(matcher.matches()) == 1
+
+
+@pytest.mark.parametrize("aspect", [1e-6, 1e9, 4.0 / 3.0])
+def test_the_shape_of_the_image_of_one_face_is_no_matter_of_the_others(aspect):
+    """A damaged message, or a second camera with images of another shape."""
+    expected = feed(make(), 1.0, {"fa": 0.3, "fb": 0.7}, {"ba": 0.31, "bb": 0.69})
+    matcher = make()
+    matcher.set_tracked("faces", ["fa", "fb", "other"])
+    matcher.set_tracked("bodies", ["ba", "bb"])
+    for name, x in (("fa", 0.3), ("fb", 0.7)):
+        matcher.add_face(name, 1.0, human(x)[0], ASPECT)
+    matcher.add_face("other", 1.0, human(0.1)[0], aspect)
+    for name, x in (("ba", 0.31), ("bb", 0.69)):
+        matcher.add_body(name, 1.0, human(x)[1])
+    found = {(match.face, match.body): match.confidence for match in matcher.matches()}
+    assert {pair: value for pair, value in found.items() if pair[0] != "other"} == pytest.approx(expected)

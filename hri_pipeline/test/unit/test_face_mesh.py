@@ -1,0 +1,67 @@
+"""Face mesh: the table of the 70 landmarks and their confidence."""
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core.faces.mesh import (
+    LANDMARK_TO_MESH,
+    LANDMARKS,
+    LEFT_PUPIL,
+    MESH_POINTS,
+    RIGHT_PUPIL,
+    bounding_box,
+    landmarks_from_mesh,
+    normalised,
+)
+
+
+def mesh_with_indices():
+    return np.stack([np.arange(MESH_POINTS), 2.0 * np.arange(MESH_POINTS), np.zeros(MESH_POINTS)], axis=1)
+
+
+def test_table_has_70_different_vertices():
+    assert LANDMARK_TO_MESH.shape == (LANDMARKS,)
+    assert len(set(LANDMARK_TO_MESH)) == LANDMARKS
+    assert LANDMARK_TO_MESH.min() >= 0 and LANDMARK_TO_MESH.max() < MESH_POINTS
+
+
+def test_corrected_entries_and_pupils():
+    assert [LANDMARK_TO_MESH[index] for index in (0, 16, 17, 26)] == [127, 356, 70, 300]
+    assert (LANDMARK_TO_MESH[RIGHT_PUPIL], LANDMARK_TO_MESH[LEFT_PUPIL]) == (468, 473)
+
+
+def test_table_cannot_be_changed():
+    with pytest.raises(ValueError):
+        LANDMARK_TO_MESH[0] = 1
+
+
+def test_points_outside_the_image_have_no_confidence():
+    landmarks = landmarks_from_mesh(mesh_with_indices(), 0.8, 400, 10000, np.ones(LANDMARKS))
+    outside = LANDMARK_TO_MESH >= 400
+    assert (landmarks[outside, 2] == 0.0).all()
+    assert landmarks[~outside, 2] == pytest.approx(0.8)
+    assert (landmarks[:, 0] == LANDMARK_TO_MESH).all()
+
+
+def test_confidence_falls_with_visibility_and_stays_in_range():
+    visibility = np.linspace(-1.0, 2.0, LANDMARKS)
+    confidence = landmarks_from_mesh(mesh_with_indices(), 1.5, 10000, 10000, visibility)[:, 2]
+    assert confidence.min() == 0.0 and confidence.max() == 1.0
+    assert (np.diff(confidence) >= 0.0).all()
+
+
+@pytest.mark.parametrize("shape", [(468, 3), (478,), (478, 1)])
+def test_another_mesh_is_refused(shape):
+    with pytest.raises(ValueError, match="mesh"):
+        landmarks_from_mesh(np.zeros(shape), 1.0, 640, 480, np.ones(LANDMARKS))
+
+
+def test_normalised_is_clipped_and_needs_a_size():
+    landmarks = np.array([[-5.0, 240.0, 0.5], [320.0, 900.0, 1.0]])
+    assert normalised(landmarks, 640, 480) == pytest.approx(np.array([[0.0, 0.5, 0.5], [0.5, 1.0, 1.0]]))
+    with pytest.raises(ValueError, match="positive"):
+        normalised(landmarks, 0, 480)
+
+
+def test_bounding_box():
+    assert bounding_box(np.array([[3.0, 9.0, 0.0], [1.0, 12.0, 5.0]])) == pytest.approx((1, 9, 3, 12))

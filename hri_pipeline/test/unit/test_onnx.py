@@ -1,0 +1,106 @@
+"""Loading of models: missing, damaged, another model, providers that are not there."""
+
+
+import numpy as np
+import onnxruntime
+import pytest
+
+from hri_pipeline.core.onnx import ModelError, OnnxModel, choose_providers, model_path, models_directory
+
+onnx = pytest.importorskip("onnx")
+
+
+@pytest.fixture
+def doubler(tmp_path):
+    """A model with y = x + x and z = x * x."""
+    tensor = onnx.helper.make_tensor_value_info
+    graph = onnx.helper.make_graph(
+        [onnx.helper.make_node("Add", ["x", "x"], ["y"]), onnx.helper.make_node("Mul", ["x", "x"], ["z"])],
+        "doubler", [tensor("x", onnx.TensorProto.FLOAT, ["n", 2])],
+        [tensor(name, onnx.TensorProto.FLOAT, ["n", 2]) for name in "yz"])
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 13)])
+    model.ir_version = 8
+    path = tmp_path / "doubler.onnx"
+    onnx.save(model, str(path))
+    return path
+
+
+def test_run(doubler):
+    model = OnnxModel(doubler, inputs=["x"], outputs=["z"])
+    feed = {"x": np.array([[3.0, 4.0]], np.float32)}
+    np.testing.assert_array_equal(model.run(feed)["z"], [[9, 16]])
+    assert list(model.run(feed)) == ["z"]
+    assert (model.name, model.provider, model.input_names, model.output_names) == (
+        "doubler", "cpu", ["x"], ["y", "z"])
+    assert sorted(OnnxModel(doubler).run(feed)) == ["y", "z"]
+
+
+def test_bad_input(doubler):
+    with pytest.raises(ModelError, match=r"doubler.onnx refused input .*\(1, 3\)"):
+        OnnxModel(doubler).run({"x": np.zeros((1, 3), np.float32)})
+    with pytest.raises(ModelError, match="refused"):
+        OnnxModel(doubler).run({"q": np.zeros((1, 2), np.float32)})
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(ModelError, match="none.onnx does not exist; .*rosrun hri_pipeline fetch_models"):
+        OnnxModel(tmp_path / "none.onnx")
+
+
+@pytest.mark.parametrize("content", [b"", b"hello" * 100, None])
+def test_damaged_file(tmp_path, doubler, content):
+    path = tmp_path / "bad.onnx"
+    path.write_bytes(doubler.read_bytes()[:60] if content is None else content)
+    with pytest.raises(ModelError, match="bad.onnx") as caught:
+        OnnxModel(path, inputs=["x"])
+    assert "rosrun hri_pipeline fetch_models" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_another_model(doubler):
+    with pytest.raises(ModelError, match=r"doubler.onnx has no output scores \(it has y, z\)"):
+        OnnxModel(doubler, outputs=["y", "scores"])
+    with pytest.raises(ModelError, match="no input image"):
+        OnnxModel(doubler, inputs=["image"])
+
+
+def test_a_provider_that_is_not_there_is_told_once_and_skipped(doubler):
+    absent = [name for name in ("cuda", "tensorrt", "openvino")
+              if choose_providers([name], onnxruntime.get_available_providers())[1]]
+    told = []
+    model = OnnxModel(doubler, providers=absent + ["cpu"], notify=told.append)
+    assert model.provider == "cpu"
+    assert len(told) == (1 if absent else 0)
+    assert all(name in told[0] for name in absent)
+    OnnxModel(doubler, providers=absent)        # nobody listens
+
+
+def test_order_of_providers():
+    available = ["CUDAExecutionProvider", "CPUExecutionProvider"]
+    assert choose_providers(["tensorrt", "cuda"], available) == (available, ["tensorrt"])
+    assert choose_providers([], available) == (["CPUExecutionProvider"], [])
+    assert choose_providers(["cuda", "cuda", "cpu"], available) == (available, [])
+    with pytest.raises(ModelError, match="unknown execution provider 'gpu'; known: cpu, cuda, tensorrt, openvino"):
+        choose_providers(["gpu"], available)
+
+
+def test_threads(doubler):
+    with pytest.raises(ModelError, match="legal range 1"):
+        OnnxModel(doubler, threads=0)
+
+
+def test_models_directory(monkeypatch, tmp_path):
+    monkeypatch.delenv("ROS4HRI_MODELS", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert models_directory() == tmp_path / ".cache" / "ros4hri" / "models"
+    monkeypatch.setenv("ROS4HRI_MODELS", "~/models")
+    assert models_directory() == tmp_path / "models"
+
+
+def test_model_path(monkeypatch, tmp_path, doubler):
+    monkeypatch.setenv("ROS4HRI_MODELS", str(tmp_path))
+    assert model_path("", "doubler.onnx") == doubler
+    assert model_path(str(doubler), "other.onnx") == doubler
+    with pytest.raises(ModelError, match="other.onnx does not exist; .*fetch_models.*ROS4HRI_MODELS"):
+        model_path("", "other.onnx")
+    with pytest.raises(ModelError, match="/nowhere/x.onnx does not exist; correct the parameter"):
+        model_path("/nowhere/x.onnx", "doubler.onnx")

@@ -1,0 +1,231 @@
+"""Memory, threads, niceness and child processes of a process; mostly in processes of their own, whose state is not that
+of the test."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+import weakref
+from pathlib import Path
+
+import pytest
+
+from hri_pipeline.core.process import GarbageCollector, ends_with_parent, set_niceness
+
+SCRIPT = """
+import resource, sys
+from hri_pipeline.core.process import keep_large_blocks
+if sys.argv[1] == "keep" and not keep_large_blocks():
+    sys.exit("not glibc")
+import numpy
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(10):
+    images = [numpy.ones(3_000_000, numpy.uint8) for _ in range(20)]
+    del images
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+def faults(mode):
+    result = subprocess.run([sys.executable, "-c", SCRIPT, mode], capture_output=True, text=True)
+    if "not glibc" in result.stderr:
+        pytest.skip("this C library has no mallopt")
+    return int(result.stdout)
+
+
+def test_large_blocks_are_used_again():
+    assert 3 * faults("keep") < faults("default")
+
+
+def test_free_memory_goes_back_to_the_system():
+    result = subprocess.run([sys.executable, "-c", GIVING], capture_output=True, text=True)
+    if "not glibc" in result.stderr:
+        pytest.skip("this C library has no malloc_trim")
+    before, after = (int(number) for number in result.stdout.split())
+    assert after < before - 20_000
+
+
+GIVING = """
+import sys
+from hri_pipeline.core.process import trim_memory, share_arenas
+if not share_arenas():
+    sys.stderr.write("not glibc")
+    sys.exit()
+
+def resident():
+    return int([line for line in open("/proc/self/status") if line.startswith("VmRSS")][0].split()[1])
+
+import ctypes
+library = ctypes.CDLL(None)
+library.malloc.restype, library.malloc.argtypes = ctypes.c_void_p, [ctypes.c_size_t]
+library.free.argtypes = [ctypes.c_void_p]
+library.memset.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t]
+blocks = [library.malloc(50_000) for _ in range(1000)]
+for block in blocks:
+    library.memset(block, 1, 50_000)
+for block in blocks[:-1]:
+    library.free(block)       # the last one stays: the heap does not shrink by itself
+before = resident()
+trim_memory()
+print(before, resident())
+"""
+
+
+class Cycle:
+    def __init__(self):
+        self.own = self
+
+
+def test_what_lies_in_cycles_is_found_and_what_was_there_before_is_left_alone():
+    before = weakref.ref(Cycle())
+    kept = [[number] for number in range(1000)]
+    collector = GarbageCollector(period=0.02)
+    try:
+        assert before() is None and gc.get_freeze_count() > len(kept)
+        after = weakref.ref(Cycle())
+        deadline = time.monotonic() + 10.0
+        while after() is not None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert after() is None
+    finally:
+        collector.close()
+        collector.close()
+    assert gc.get_freeze_count() == 0
+    assert "collector" not in [thread.name for thread in threading.enumerate()]
+
+
+# In a process of its own: other tests have limited the libraries of this one, perhaps.
+THREADS_SCRIPT = """
+import json
+import cv2, numpy
+numpy.ones((4, 4)) @ numpy.ones((4, 4))
+from hri_pipeline.core.process import one_thread_each, threads_of_libraries
+before = threads_of_libraries()
+one_thread_each()
+import scipy.linalg
+print(json.dumps([before, threads_of_libraries(), cv2.getNumThreads()]))
+"""
+
+
+def threads_of_a_new_process(**variables):
+    environment = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
+    result = subprocess.run([sys.executable, "-c", THREADS_SCRIPT], stdout=subprocess.PIPE, universal_newlines=True,
+                            check=True,
+                            env=dict(environment, **variables))
+    return json.loads(result.stdout)
+
+
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="one core: the libraries use one thread anyway")
+def test_all_libraries_work_in_one_thread():
+    before, after, opencv = threads_of_a_new_process()
+    assert before and max(before) > 1
+    assert len(after) > len(before) and set(after) == {1}  # scipy came later, with a library of its own
+    assert opencv == 1
+
+
+def test_what_the_user_has_chosen_stays():
+    before, after, _ = threads_of_a_new_process(OPENBLAS_NUM_THREADS="2")
+    chosen = min(2, os.cpu_count() or 1)
+    assert after.count(chosen) >= before.count(chosen) > 0
+
+
+SOURCE = Path(__file__).resolve().parents[2] / "src"
+HERE = os.getpriority(os.PRIO_PROCESS, 0)
+PROGRAM = """
+import os, sys, threading
+sys.path.insert(0, sys.argv[1])
+from hri_pipeline.core.process import set_niceness
+before = threading.Event(), threading.Event(), []
+def wait():
+    before[0].wait()
+    before[2].append(os.getpriority(os.PRIO_PROCESS, 0))
+old = threading.Thread(target=wait)
+old.start()
+print(set_niceness(int(sys.argv[2])))
+print(os.getpriority(os.PRIO_PROCESS, 0))
+before[0].set()
+old.join()
+print(before[2][0])
+if os.path.exists("/proc/self/autogroup"):
+    # Empty for a session that is in no such group: it began before they were switched on, or outside of this container.
+    print(*open("/proc/self/autogroup").read().split()[-1:])
+"""
+
+
+def run(nice, leads):
+    """Return what such a process has said of itself: done, nice value of its thread, of an older one, of its
+    session."""
+    return subprocess.run([sys.executable, "-c", PROGRAM, str(SOURCE), str(nice)], check=True, stdout=subprocess.PIPE,
+                          universal_newlines=True, start_new_session=leads, timeout=60.0).stdout.split()
+
+
+def test_the_thread_and_its_session_stand_back():
+    done, thread, older, *session = run(5, leads=True)
+    assert (done, thread, older) == ("True", str(max(5, HERE)), str(HERE))
+    assert session in ([], ["5"])
+
+
+def test_a_terminal_is_left_alone():
+    done, thread, _, *session = run(5, leads=False)
+    assert (done, thread) == ("True", str(max(5, HERE)))
+    assert session in ([], run(0, leads=False)[3:])
+
+
+def test_zero_changes_nothing():
+    assert run(0, leads=True)[:3] == ["True", str(HERE), str(HERE)]
+
+
+@pytest.mark.parametrize("nice", [-1, 20])
+def test_out_of_range(nice):
+    with pytest.raises(ValueError, match="0 to 19"):
+        set_niceness(nice)
+
+
+def test_the_arguments_stay_as_they_are():
+    found = subprocess.run(ends_with_parent(["/bin/echo", "$(id)", "a b"]), stdout=subprocess.PIPE, check=True)
+    assert found.stdout == b"$(id) a b\n"
+
+
+def test_without_setpriv_it_is_the_command_itself(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert ends_with_parent(("/bin/sleep", "1")) == ["/bin/sleep", "1"]
+
+
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="setpriv is not installed")
+def test_the_command_ends_when_its_parent_is_killed():
+    code = (
+        "import subprocess, sys, time; sys.path.insert(0, {!r});"
+        "from hri_pipeline.core.process import ends_with_parent;"
+        "print(subprocess.Popen(ends_with_parent(['/bin/sleep', '60'])).pid, flush=True); time.sleep(60)"
+    ).format(str(SOURCE))
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    try:
+        child = Path("/proc/{}".format(int(parent.stdout.readline())))
+        # setpriv asks for the signal, then becomes the command.
+        wait_until(lambda: (child / "cmdline").read_bytes().startswith(b"/bin/sleep"))
+    finally:
+        parent.kill()
+        parent.wait()
+        parent.stdout.close()
+    wait_until(lambda: has_ended(child))
+
+
+def has_ended(process):
+    """Gone, or a zombie that nobody has waited for."""
+    try:
+        return (process / "stat").read_bytes().rsplit(b")", 1)[1].split()[0] in (b"Z", b"X")
+    except OSError:
+        return not os.path.exists(str(process))
+
+
+def wait_until(condition, seconds=10.0):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)

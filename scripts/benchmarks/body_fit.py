@@ -1,0 +1,323 @@
+"""Figures of the fitting chain (gate, filter, stature, joints): errors on motion capture, headings, lag, stature, time.
+
+Motions: all recordings at hand, cut to 20 s, each of a virtual person before a camera at a random place (seeded).
+Errors are over the twelve joints of shoulders, elbows, wrists, hips, knees and ankles and all images from the first
+settled model on. Raises FileNotFoundError with the reason where the recordings are absent.
+
+Time of inverse kinematics, of the batched solver and of ikpy on the same images: processor time of the thread, and
+wall-clock beside it; medians over blocks of 38 images, of which the quickest block counts, since other programs on the
+machine slow both down.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Callable, Dict, List, Sequence, Tuple
+
+import numpy as np
+
+from benchmarks.face_figures import GEOMETRY_ONLY, PHOTOGRAPH_HFOV, read_image
+from benchmarks.mocap import (
+    LEVELS,
+    Level,
+    RecordedMotion,
+    add_noise,
+    before_camera,
+    load_motion,
+    trial_names,
+    virtual_people,
+)
+from hri_fullbody.core import keypoints as kp
+from hri_fullbody.core.detection.windows import FaceBox
+from hri_fullbody.core.filtering import KeypointFilter
+from hri_fullbody.core.kinematics.forward import TARGET_POINTS, compute_frames, forward
+from hri_fullbody.core.kinematics.ikpy_backend import LIMBS, LimbChains
+from hri_fullbody.core.kinematics.solver import JointSolver
+from hri_fullbody.core.model.anthropometry import SegmentTable, StatureEstimator
+from hri_fullbody.core.model.human import PAPER, Dimensions, stack_dimensions
+from hri_fullbody.core.model.urdf import make_urdf
+from hri_fullbody.core.parameters import VISION
+from hri_fullbody.core.pipeline import BodyInput, BodyModeller, BodyPipeline
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.faces.pipeline import FacePipeline
+from hri_pipeline.core.observations import FaceObservation
+
+TUNED_ON = "02"
+"""Subject on whose recordings filter, gate and weights were tuned; the others were in view when models were
+compared."""
+HEADINGS_DEG = tuple(range(0, 360, 45))
+_LONGEST = 600
+_LEGS = [kp.LEFT_KNEE, kp.LEFT_ANKLE, kp.RIGHT_KNEE, kp.RIGHT_ANKLE]
+_WAVE_HZ, _WAVE_RAD, _WAVE_S, _RATE = 1.5, 0.5, 6.0, 30.0
+
+
+def motions(table: SegmentTable, seed: int = 5, names: Sequence[str] = (), recorded: bool = False,
+            views: int = 1) -> List[RecordedMotion]:
+    """Return the motions before their cameras. names: which recordings, empty: all. recorded: the actors as they
+    are instead of virtual people. views: how many people and cameras for each recording."""
+    names = views * (list(names) or trial_names())
+    people = virtual_people(len(names), seed, table)
+    return [before_camera(load_motion(name, None if recorded else person), seed + 100 * n).cut(0, _LONGEST)
+            for n, (name, person) in enumerate(zip(names, people))]
+
+
+def fit_errors(chosen: Sequence[RecordedMotion], table: SegmentTable, limb_lengths: bool,
+               levels: Sequence[Level] = LEVELS, interface: str = "paper", seed: int = 7) -> Dict[str, float]:
+    """Mean joint error, mm, by level of noise, of the whole chain."""
+    modeller = BodyModeller(interface=interface, table=table, limb_lengths=limb_lengths)
+    return {str(level): round(mpjpe_mm(track(modeller, chosen, level, seed)), 2) for level in levels}
+
+
+def heading_errors(table: SegmentTable, level: Level, seed: int = 5) -> Dict[int, float]:
+    """Mean joint error, mm, by heading in degrees (0 faces the camera), 5 s of each recording at 2.5 m."""
+    names = trial_names()
+    people = virtual_people(len(names), seed, table)
+    worlds = [load_motion(name, person).cut(0, 150) for name, person in zip(names, people)]
+    modeller, errors = BodyModeller(table=table), {}
+    for heading in HEADINGS_DEG:
+        seen = [before_camera(world, seed, np.radians(heading), 2.5) for world in worlds]
+        errors[heading] = round(mpjpe_mm(track(modeller, seen, level, 7)), 2)
+    return errors
+
+
+def worst_heading_ratio(table: SegmentTable, level: Level = 10) -> Tuple[float, Dict[int, float]]:
+    """Return the worst heading's error as a part of the best one's, and all errors."""
+    errors = heading_errors(table, level)
+    return round(max(errors.values()) / min(errors.values()), 3), errors
+
+
+def wave(table: SegmentTable, level: Level = 10, people: int = 10) -> Tuple[float, float]:
+    """Return lag (ms) and share of the amplitude left of a hand that waves at 1.5 Hz, the means over `people`.
+
+    The forearm of a raised right arm swings by 0.5 rad. Lag and amplitude are those of the oscillation along the
+    direction in which the true wrist moves most.
+    """
+    dimensions = Dimensions.from_stature(1.7, table)
+    stamps = np.arange(int(_WAVE_S * _RATE)) / _RATE
+    q = np.zeros((len(stamps), len(PAPER.joint_names)))
+    q[:, PAPER.joint_names.index("r_p_shoulder")] = 1.5
+    q[:, PAPER.joint_names.index("r_r_shoulder")] = 1.5
+    q[:, PAPER.joint_names.index("r_elbow")] = 1.2 + _WAVE_RAD * np.sin(2.0 * np.pi * _WAVE_HZ * stamps)
+    # Columns: forward, left and up of a human who faces the camera, in the optical frame.
+    facing = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+    points, _, _ = forward(np.tile(facing, (len(q), 1, 1)), np.tile([0.0, 0.2, 2.5], (len(q), 1)), q,
+                           [dimensions] * len(q), PAPER)
+    noisy = np.stack([add_noise(points, level, seed) for seed in range(people)])
+    modeller, fitted = BodyModeller(table=table), np.full((people, len(q), 3), np.nan)
+    for frame, stamp in enumerate(stamps):
+        bodies = [BodyInput(str(n), noisy[n, frame]) for n in range(people)]
+        for body in modeller.update(bodies, float(stamp)):
+            fitted[int(body.id), frame] = body.fitted[kp.RIGHT_WRIST]
+    late = stamps >= 1.0
+    found = np.array([_lag(points[late, kp.RIGHT_WRIST], one[late], stamps[late]) for one in fitted])
+    return round(1e3 * float(found[:, 0].mean()), 1), round(float(found[:, 1].mean()), 3)
+
+
+def _lag(truth: np.ndarray, fitted: np.ndarray, stamps: np.ndarray) -> Tuple[float, float]:
+    """Lag (s) and amplitude ratio of (T, 3) against (T, 3) at the frequency of the wave."""
+    centred = truth - truth.mean(axis=0)
+    direction = np.linalg.svd(centred, full_matrices=False)[2][0]
+    angle = 2.0 * np.pi * _WAVE_HZ * stamps
+    basis = np.column_stack([np.cos(angle), np.sin(angle), np.ones(len(angle))])
+    phasors = [complex(*np.linalg.lstsq(basis, line @ direction, rcond=None)[0][:2]) for line in (truth, fitted)]
+    turn = phasors[1] / phasors[0]
+    return float(np.angle(turn)) / (2.0 * np.pi * _WAVE_HZ), abs(turn)
+
+
+def stature_errors(table: SegmentTable, legs: bool = True, level: Level = 30, seconds: float = 2.0,
+                   count: int = 66, seed: int = 11) -> np.ndarray:
+    """Errors (count,) m of the stature after so many seconds of `count` virtual people on all recordings in turn.
+
+    legs: False: knees and ankles are not seen. The points go through the gate, as in the node.
+    """
+    people, names = virtual_people(count, seed, table), trial_names()
+    errors = np.empty(count)
+    for n, person in enumerate(people):
+        motion = before_camera(load_motion(names[n % len(names)], person), seed + n)
+        first = (37 * n) % max(len(motion.points) - int(seconds * motion.rate), 1)
+        motion = motion.cut(first, first + int(seconds * motion.rate))
+        noisy = add_noise(motion.points, level, seed + n)
+        if not legs:
+            noisy[:, _LEGS] = np.nan
+        estimator, gate = StatureEstimator(table), KeypointFilter()
+        for points, stamp in zip(noisy, motion.stamps):
+            estimator.add(gate.update(["one"], points[None], float(stamp)).gated[0], float(stamp))
+        errors[n] = estimator.estimate().stature - person.stature
+    return errors
+
+
+JOINTS = (kp.LEFT_SHOULDER, kp.RIGHT_SHOULDER, kp.LEFT_ELBOW, kp.RIGHT_ELBOW, kp.LEFT_WRIST, kp.RIGHT_WRIST,
+          kp.LEFT_HIP, kp.RIGHT_HIP, kp.LEFT_KNEE, kp.RIGHT_KNEE, kp.LEFT_ANKLE, kp.RIGHT_ANKLE)
+"""The twelve joints over which the mean error is taken; face points are a template."""
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """One motion after the chain: fitted key points (T, 18, 3) m, NaN while there was no model; revision (T,);
+    stature (T,) m the estimate of each frame."""
+
+    motion: RecordedMotion
+    fitted: np.ndarray
+    revision: np.ndarray
+    stature: np.ndarray
+
+    def errors(self) -> np.ndarray:
+        """Distances (F, 12) m of the twelve joints from the truth, of frames with settled dimensions."""
+        frames = self.revision > 0
+        apart = self.fitted[frames] - self.motion.points[frames]
+        return np.linalg.norm(apart[:, JOINTS], axis=-1)
+
+
+def track(modeller: BodyModeller, motions: Sequence[RecordedMotion], level: Level, seed: int) -> List[Tracked]:
+    """Run all motions at once, each as one body seen by its own camera, with noise of `level`."""
+    count, length = len(motions), max(len(motion.points) for motion in motions)
+    noisy = [add_noise(motion.points, level, seed + 1000 * n) for n, motion in enumerate(motions)]
+    fitted = np.full((count, length, 18, 3), np.nan)
+    revision, stature = np.zeros((count, length), dtype=int), np.full((count, length), np.nan)
+    numbers = {str(n): n for n in range(count)}
+    modeller.reset()
+    for frame in range(length):
+        bodies = [BodyInput(name, noisy[n][frame]) for name, n in numbers.items() if frame < len(noisy[n])]
+        # Gravity differs from camera to camera here, so that it is not told: the harder case.
+        for body in modeller.update(bodies, frame / motions[0].rate):
+            n = numbers[body.id]
+            fitted[n, frame], revision[n, frame], stature[n, frame] = body.fitted, body.revision, body.stature
+    return [Tracked(motion, fitted[n, :len(motion.points)], revision[n, :len(motion.points)],
+                    stature[n, :len(motion.points)]) for n, motion in enumerate(motions)]
+
+
+def mpjpe_mm(tracked: Sequence[Tracked]) -> float:
+    """Mean error over all joints and frames of all motions, mm."""
+    return float(1e3 * np.concatenate([one.errors() for one in tracked]).mean())
+
+
+_NOISE_MM = 10
+_WARM_UP, _BLOCK = 10, 38
+
+
+def solver_ms(table: SegmentTable, count: int, frames: int = 200) -> Tuple[float, float]:
+    """Return processor and wall-clock time (ms) of the joints of `count` bodies in one batch: JointSolver.solve."""
+    points, dimensions = _bodies(table, count, frames)
+    solver = JointSolver()
+    states: list = [None] * count
+
+    def one(frame: int) -> None:
+        nonlocal states
+        states = solver.solve(points[:, frame], dimensions, states, 1.0 / 30.0).states
+
+    return _medians(one, frames)
+
+
+def modeller_ms(table: SegmentTable, count: int, frames: int = 200) -> Tuple[float, float]:
+    """Return processor and wall-clock time (ms) of everything: gate, low pass, stature, joints of `count` bodies."""
+    points, _ = _bodies(table, count, frames)
+    modeller = BodyModeller(table=table)
+
+    def one(frame: int) -> None:
+        modeller.update([BodyInput(str(n), points[n, frame]) for n in range(count)], frame / 30.0)
+
+    return _medians(one, frames)
+
+
+def ikpy_ms(table: SegmentTable, frames: int = 20) -> Dict[str, float]:
+    """Return ikpy's processor time (ms) per body, its four limbs: cold (from zero), warm (from the image before) and
+    seeded (from the closed form, with the distal segment's orientation)."""
+    points, dimensions = _bodies(table, 1, frames)
+    solver = JointSolver(method="closed_form")
+    chains = LimbChains(make_urdf(dimensions[0], "body", PAPER, visuals=False), "body", PAPER)
+    stacked, state = stack_dimensions(dimensions), [None]
+    before = {limb: np.zeros(4) for limb in LIMBS}
+    times: Dict[str, List[float]] = {"cold": [], "warm": [], "seeded": []}
+    for frame in range(frames):
+        solution = solver.solve(points[:, frame], dimensions, state, 1.0 / 30.0)
+        state = solution.states
+        slots = PAPER.to_slots(solution.q)
+        poses = compute_frames(solution.rotation, solution.position, slots, stacked, PAPER)
+        spent = dict.fromkeys(times, 0.0)
+        for n, limb in enumerate(LIMBS):
+            base = poses.torso[0] if n < 2 else solution.rotation[0]
+            origin = poses.neck[0] if n < 2 else solution.position[0]
+            end = base.T @ (points[0, frame, TARGET_POINTS[8 + n]] - origin)
+            closed = slots[0, 1 + 4 * limb:5 + 4 * limb]
+            spent["cold"] += _clocked(lambda: chains.solve(limb, np.zeros(4), end))[0]  # noqa: B023 (called at once)
+            seconds, before[limb] = _clocked(lambda: chains.solve(limb, before[limb], end))  # noqa: B023
+            spent["warm"] += seconds
+            turned = base.T @ poses.chain[0, limb, 3]
+            spent["seeded"] += _clocked(lambda: chains.solve(limb, closed, end, turned))[0]  # noqa: B023
+        for name, seconds in spent.items():
+            times[name].append(seconds)
+    return {name: round(1e3 * float(np.median(values)), 2) for name, values in times.items()}
+
+
+def _bodies(table: SegmentTable, count: int, frames: int) -> Tuple[np.ndarray, List[Dimensions]]:
+    """Noisy key points (count, frames, 18, 3) m of recordings, and the people's true dimensions."""
+    chosen = [motion for motion in motions(table) if len(motion.points) >= 60]
+    points, dimensions = [], []
+    for n in range(count):
+        motion = chosen[n % len(chosen)]
+        noisy = add_noise(motion.points, _NOISE_MM, n)
+        points.append(noisy[np.arange(frames) % len(noisy)])
+        person = motion.person
+        lengths = {name: value for name, value in vars(person).items() if name != "stature"}
+        dimensions.append(Dimensions.from_segments(person.stature, lengths, table))
+    return np.stack(points), dimensions
+
+
+def _clocked(work: Callable[[], np.ndarray]) -> Tuple[float, np.ndarray]:
+    began = time.thread_time()
+    result = work()
+    return time.thread_time() - began, result
+
+
+def _medians(one: Callable[[int], None], frames: int) -> Tuple[float, float]:
+    """Processor and wall-clock time (ms) of a frame: the least of the blocks' medians."""
+    used, passed = [], []
+    for frame in range(frames):
+        clocks = time.thread_time(), time.perf_counter()
+        one(frame)
+        used.append(time.thread_time() - clocks[0])
+        passed.append(time.perf_counter() - clocks[1])
+    starts = range(_WARM_UP, frames - _BLOCK + 1, _BLOCK)
+    return tuple(round(1e3 * min(float(np.median(values[start:start + _BLOCK])) for start in starts), 3)
+                 for values in (used, passed))  # type: ignore[return-value]
+
+
+def face_body_depth_ratio_median(models: Path) -> float:
+    """Return the median of the distance of a face over that of the nose of its body, found without the face's pose.
+
+    models: the directory of the models. Raises RuntimeError when no face and body were found together.
+    """
+    settings = VISION.resolve(GEOMETRY_ONLY)
+    stages = FacePipeline(settings), BodyPipeline(settings)
+    ratios: List[float] = []
+    for number in range(1, 7):
+        image = read_image(models / "demo" / "sample{}.jpg".format(number))
+        camera = CameraModel.from_fov(image.shape[1], image.shape[0], PHOTOGRAPH_HFOV)
+        faces, bodies = [], []
+        for stage in stages:
+            stage.reset()
+        for index in range(14):
+            stamp = 1000.0 + 0.1 * index
+            faces = stages[0].update(image, camera, stamp)
+            boxes = [FaceBox.from_landmarks(face.id, face.landmarks) for face in faces]
+            bodies = stages[1].update(image, camera, stamp, boxes)
+        ratios += _depth_ratios(faces, bodies)
+    if not ratios:
+        raise RuntimeError("no face and body were found together")
+    return float(np.median(ratios))
+
+
+def _depth_ratios(faces: List[FaceObservation], bodies: list) -> List[float]:
+    """Distance of each face over that of the body whose nose is nearest to its own, within a face's size."""
+    ratios = []
+    for face in faces:
+        if face.pose is None or not bodies:
+            continue
+        apart = [float(np.linalg.norm(body.keypoints[0, :2] - face.landmarks[30, :2])) for body in bodies]
+        body = bodies[int(np.argmin(apart))]
+        depth = float(body.keypoints_3d[0, 2])
+        if min(apart) < 0.3 * float(face.box[3] - face.box[1]) and np.isfinite(depth) and depth > 0.0:
+            ratios.append(float(face.pose.translation[2]) / depth)
+    return ratios

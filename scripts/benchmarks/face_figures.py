@@ -1,0 +1,246 @@
+"""Figures of faces: processor time, pose, portraits, eyes, identities, endurance.
+
+Poses are measured on heads of known pose: the canonical face, projected with noise.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from pathlib import Path
+from typing import Dict, Iterator, List, Optional, Sequence, Tuple
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from benchmarks.labels import confusion, images, labelled_eyes, nearest_face
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.faces.analysis import FaceDemand
+from hri_pipeline.core.faces.gaze import EyeGeometry, GazeEstimator
+from hri_pipeline.core.faces.head_pose import HeadPoseEstimator, yaw_pitch_roll
+from hri_pipeline.core.faces.mesh import VERTICES, CanonicalFace, FaceMesh, load_canonical_face, roi_from_mesh
+from hri_pipeline.core.faces.parameters import FACES
+from hri_pipeline.core.faces.pipeline import FacePipeline
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.observations import FaceObservation
+from hri_pipeline.core.onnx import OnnxModel, models_directory
+
+RATE_HZ = 20.0
+"""Images per second of the films made of stills."""
+WARM_UP_S = 10.0
+"""By then every face has its person and its age: what is left is what a camera in use costs."""
+WIDTH, HEIGHT = 1280, 720
+PHOTOGRAPH_HFOV = np.deg2rad(53.0)
+GROUP = "demo/sample5.jpg"
+GEOMETRY_ONLY = {"action_units": False, "expression": False, "age_gender": False, "recognition": False}
+"""Settings of a face stage that only finds faces."""
+FRONTAL = np.deg2rad(22.0)
+PORTRAITS = tuple("demo/sample%d.jpg" % number for number in range(1, 7)) + tuple(
+    "evaluation/portrait_%02d.jpg" % number for number in (1, 2, 3, 4, 5, 6, 7, 9)) + tuple(
+    "evaluation/posed_%s.jpg" % name for name in ("angry", "disgusted", "happy", "surprised")) + (
+    "evaluation/group.jpg", "evaluation/laugh.jpg", "evaluation/recognition/one_1.jpg",
+    "evaluation/recognition/other_1.jpg")
+"""Photographs of different people; left out: a close-up of a mouth (portrait_10) and more pictures of the same
+people."""
+
+
+def pan(still: np.ndarray, seconds: float) -> Iterator[Tuple[float, np.ndarray]]:
+    """Yield (stamp s, image (720, 1280, 3)) of a slow pan over a still (720, 1280, 3), mirrored at its borders."""
+    wide = cv2.copyMakeBorder(still, 40, 40, 40, 40, cv2.BORDER_REFLECT)
+    for index in range(int(round(seconds * RATE_HZ))):
+        stamp = index / RATE_HZ
+        left, top = int(round(40 + 25 * np.sin(stamp))), int(round(40 + 20 * np.cos(1.3 * stamp)))
+        yield 1000.0 + stamp, np.ascontiguousarray(wide[top:top + HEIGHT, left:left + WIDTH])
+
+
+def cpu_ms(scene: np.ndarray, people: int, seconds: float = 10.0) -> float:
+    """Return the mean processor time (ms) per image of the face stage with everything on.
+
+    scene: (720, 1280, 3) picture with `people` faces, panned slowly. Raises RuntimeError when another number of faces
+    is tracked.
+    """
+    cv2.setNumThreads(1)
+    stage = FacePipeline(FACES.resolve({}))
+    camera = CameraModel.from_fov(WIDTH, HEIGHT, 1.0)
+    spent, faces = [], []
+    for stamp, image in pan(scene, WARM_UP_S + seconds):
+        began = time.thread_time()
+        faces = stage.update(image, camera, stamp, None, FaceDemand.everything(stage.tracked_ids))
+        if stamp >= 1000.0 + WARM_UP_S:
+            spent.append(time.thread_time() - began)
+    stage.close()
+    if len(faces) != people:
+        raise RuntimeError("{} faces are tracked in the scene with {}".format(len(faces), people))
+    return 1e3 * float(np.mean(spent))
+
+
+def pose_errors(count: int = 300, noise_px: float = 1.0, face: Optional[CanonicalFace] = None
+                ) -> Tuple[float, float, float, float]:
+    """Return the mean absolute errors of yaw, pitch and roll (degrees) and of the position (% of the distance).
+
+    The canonical face at yaw within 60, pitch within 30, roll within 45 degrees and 0.5 to 2 m, projected into a
+    1280x720 image with normal noise of noise_px on every coordinate.
+    """
+    face = face or load_canonical_face(models_directory() / "canonical_face.npz")
+    camera = CameraModel.from_fov(WIDTH, HEIGHT, 1.0)
+    random = np.random.RandomState(3)
+    truths = head_poses(count, random)
+    estimator = HeadPoseEstimator(face)
+    angles, places = [], []
+    for truth, mesh in zip(truths, meshes_of(face, truths, camera, noise_px, random)):
+        found = estimator.estimate(mesh, camera)
+        if found is None:
+            raise RuntimeError("no pose was found of a head at {}".format(np.round(truth.translation, 2)))
+        difference = yaw_pitch_roll(found) - yaw_pitch_roll(truth)
+        angles.append(np.abs((difference + np.pi) % (2.0 * np.pi) - np.pi))
+        places.append(np.linalg.norm(found.translation - truth.translation) / np.linalg.norm(truth.translation))
+    yaw, pitch, roll = np.degrees(np.mean(angles, axis=0)).tolist()
+    return yaw, pitch, roll, 100.0 * float(np.mean(places))
+
+
+def portrait_pitches(models: Path) -> np.ndarray:
+    """Return the pitch (degrees) against the line of sight of the open-eyed faces of PORTRAITS that look ahead."""
+    stage = FacePipeline(FACES.resolve(GEOMETRY_ONLY))
+    pitches: List[float] = []
+    for name in PORTRAITS:
+        for face in _faces_of(stage, models / name):
+            if face.pose is None or face.gaze is None or face.gaze.eyes_closed > 0.5:
+                continue
+            yaw, pitch, _ = yaw_pitch_roll(face.pose)
+            x, y, z = face.pose.translation
+            if abs(yaw + np.arctan2(x, z)) < FRONTAL:
+                pitches.append(float(np.degrees(pitch - np.arctan2(y, np.hypot(x, z)))))
+    return np.array(pitches)
+
+
+def portrait_pitch_median_deg(models: Path) -> float:
+    """Return the median of the absolute pitch (degrees) of frontal portraits, heads not held level included."""
+    return float(np.median(np.abs(portrait_pitches(models))))
+
+
+def eyes_closed(models: Path) -> Dict[str, int]:
+    """Return the confusion table (tp: closed and found closed, fp, tn, fn, unknown) of real labelled eyes."""
+    labels = labelled_eyes()
+    answers: Dict[int, bool] = {}
+    stage = FacePipeline(FACES.resolve(dict(GEOMETRY_ONLY, face_birth_delay=0.0, face_min_detections=1)))
+    canonical = load_canonical_face(models_directory() / "canonical_face.npz")
+    heads, gazes = HeadPoseEstimator(canonical), GazeEstimator(EyeGeometry(canonical))
+    mesh = FaceMesh(OnnxModel(models_directory() / "face_landmarks_attention.onnx"))
+    ordered = []
+    for group, image in images(labels, models):
+        camera = CameraModel.from_fov(image.shape[1], image.shape[0], PHOTOGRAPH_HFOV)
+        stage.reset()
+        faces = stage.update(image, camera, 1000.0)
+        # The crop after a detection is a coarse one: look once more.
+        results = mesh.run(image, [roi_from_mesh(face.mesh) for face in faces])
+        boxes = np.array([face.box for face in faces]).reshape(-1, 4)
+        for label in group:
+            index = nearest_face(label, boxes, image.shape)
+            pose = None if index is None else heads.estimate(results[index].points, camera)
+            if pose is not None:
+                answers[len(ordered)] = gazes.estimate(results[index].points, pose, camera).eyes_closed > 0.5
+            ordered.append(label)
+    return confusion(ordered, [answers.get(index) for index in range(len(ordered))])
+
+
+def ids(models: Path, seconds: float) -> int:
+    """Return how many face ids the slow pan over a group of five people gives in this time (s)."""
+    still = read_image(models / GROUP)
+    scale = WIDTH / still.shape[1]
+    still = cv2.resize(still, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    top = (still.shape[0] - HEIGHT) // 2
+    stage = FacePipeline(FACES.resolve(GEOMETRY_ONLY))
+    camera = CameraModel.from_fov(WIDTH, HEIGHT, 1.0)
+    seen = set()
+    for stamp, image in pan(still[top:top + HEIGHT], seconds):
+        stage.update(image, camera, stamp)
+        seen |= set(stage.tracked_ids)
+    return len(seen)
+
+
+def churn(count: int, models: Optional[Path] = None) -> Dict[str, float]:
+    """Return what `count` faces that come and go leave behind: growth of fds, threads, rss_mb, after a tenth of
+    them."""
+    still = read_image((models or models_directory()) / GROUP)
+    bright = cv2.resize(still, (640, 640 * still.shape[0] // still.shape[1]), interpolation=cv2.INTER_AREA)
+    dark = np.zeros_like(bright)
+    stage = FacePipeline(FACES.resolve({"face_birth_delay": 0.0, "face_min_detections": 1, "face_death_time": 0.05,
+                                     "face_detection_tiles": 1, "recognition_learn_delay": 600.0}))
+    camera = CameraModel.from_fov(bright.shape[1], bright.shape[0], 1.0)
+    gone, stamp, start = 0, 1000.0, None
+    while gone < count:
+        stage.update(bright, camera, stamp)
+        faces = stage.update(bright, camera, stamp + 0.04, None, FaceDemand.everything(stage.tracked_ids))
+        gone += len(faces)
+        # Long enough in the dark that the detector looks again at once when the light comes back.
+        stage.update(dark, camera, stamp + 1.0)
+        stage.update(dark, camera, stamp + 2.0)
+        if stage.tracked_ids or not faces:
+            raise RuntimeError("{} faces came, {} stayed in the dark".format(len(faces), len(stage.tracked_ids)))
+        stamp += 3.0
+        if start is None and gone >= count / 10:
+            start = _resources()
+    end = _resources()
+    stage.close()
+    return {name: round(end[name] - start[name], 1) for name in end}
+
+
+def _resources() -> Dict[str, float]:
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return {"fds": len(os.listdir("/proc/self/fd")), "threads": threading.active_count(),
+            "rss_mb": pages * os.sysconf("SC_PAGE_SIZE") / 2.0 ** 20}
+
+
+def _faces_of(stage: FacePipeline, path: Path) -> List[FaceObservation]:
+    """Faces of a photograph, looked at as a film of a second."""
+    image = read_image(path)
+    camera = CameraModel.from_fov(image.shape[1], image.shape[0], PHOTOGRAPH_HFOV)
+    stage.reset()
+    faces: List[FaceObservation] = []
+    for index in range(10):
+        faces = stage.update(image, camera, 1000.0 + 0.12 * index)
+    return faces
+
+
+def read_image(path: Path) -> np.ndarray:
+    """Return a picture (H, W, 3) of the models' directory. Raises FileNotFoundError, which tells how to get it."""
+    image = cv2.imread(str(path))
+    if image is None:
+        raise FileNotFoundError("{} is absent; get it with `rosrun hri_pipeline fetch_models --models"
+                                " demo,evaluation`".format(path))
+    return image
+
+
+YAW, PITCH, ROLL = 60.0, 30.0, 45.0
+"""Largest angles, degrees."""
+NEAREST, FARTHEST = 0.5, 2.0
+"""Distance, m."""
+_UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+"""Axes of a face frame that looks into the camera, in the optical frame."""
+
+
+def head_poses(count: int, random: np.random.RandomState) -> List[Pose]:
+    """Return face frames in the optical frame, evenly spread over the angles and distances above."""
+    poses = []
+    for _ in range(count):
+        yaw, pitch, roll = (random.uniform(-limit, limit) for limit in (YAW, PITCH, ROLL))
+        turn = Rotation.from_euler("zyx", [roll, -yaw, -pitch], degrees=True).as_matrix()
+        distance = random.uniform(NEAREST, FARTHEST)
+        place = distance * np.array([random.uniform(-0.35, 0.35), random.uniform(-0.15, 0.15), 1.0])
+        poses.append(Pose(turn @ _UPRIGHT, place))
+    return poses
+
+
+def meshes_of(face: CanonicalFace, poses: Sequence[Pose], camera: CameraModel, noise_px: float,
+              random: np.random.RandomState) -> List[np.ndarray]:
+    """Return meshes (478, 3) px of heads of these poses with normal noise on x and y; irises and depths are 0."""
+    to_model = face.face_frame().inverse()
+    meshes = []
+    for pose in poses:
+        mesh = np.zeros((478, 3))
+        mesh[:VERTICES, :2] = camera.project(pose.compose(to_model).apply(face.vertices))
+        mesh[:VERTICES, :2] += random.normal(0.0, noise_px, (VERTICES, 2))
+        meshes.append(mesh)
+    return meshes

@@ -1,0 +1,216 @@
+"""`scripts/benchmark pipeline`: images of 1, 3 and 10 people through the whole stack and real ROS topics, measured from
+outside."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Dict, List, Mapping, Optional, Sequence
+
+from benchmarks.report import machine, models_directory
+from benchmarks.start import Start, first_run, second_run
+
+if TYPE_CHECKING:
+    from benchmarks.stack_run import StackRun
+
+PATIENCE_S = 60.0
+SPEECH = Path("/usr/share/pocketsphinx/test/data/cards")
+_NOT_ASKED = "not asked for (--start)"
+NOT_STACK = ("benchmark_probe", "image_source")
+
+
+def register(commands: argparse._SubParsersAction) -> None:
+    """Add the command line of this benchmark."""
+    parser = commands.add_parser("pipeline", help="frames per second, age, stages and processor of the whole stack")
+    parser.add_argument("--people", type=_numbers, default="1,3,10", help="numbers of people, of 1, 3 and 10 (default: "
+                                                                          "1,3,10)")
+    parser.add_argument("--seconds", type=_above_0, default=20.0, help="time of measuring per number (default: 20)")
+    parser.add_argument("--rate", type=_above_0, default=30.0, help="images per second of the source (default: 30)")
+    parser.add_argument("--one-process", action="store_true", help="faces and bodies in one process")
+    parser.add_argument("--providers", default="cpu", help="execution providers in order of preference")
+    parser.add_argument("--silent", action="store_true", help="without the sound of people who speak")
+    parser.add_argument("--start", nargs="?", const="both", default="", choices=("both", "first", "second"),
+                        help="measure too how long scripts/demo takes to show somebody: in the first run, with nothing "
+                             "set up but the system's packages (needs the network), and in the second")
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+
+
+def _numbers(text: str) -> List[int]:
+    """Numbers of people that there are scenes of."""
+    try:
+        people = [int(number) for number in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError("{!r} is no list of numbers".format(text)) from None
+    if not set(people) <= {1, 3, 10}:
+        raise argparse.ArgumentTypeError("there are scenes of 1, 3 and 10 people")
+    return people
+
+
+def _above_0(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not value > 0.0:
+        raise argparse.ArgumentTypeError("{!r} is no number above 0".format(text))
+    return value
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure every scene and print the figures; 1 when something could not be measured."""
+    import cv2
+
+    from benchmarks.scenes import HEIGHT, WIDTH, make_scene
+    from benchmarks.stack_run import StackRun, StackRunError
+
+    models = models_directory()
+    before, rows = machine(), []
+    arguments = ["rate:={}".format(options.rate), "overlay:=false", "providers:=[{}]".format(options.providers),
+                 "one_process:={}".format("true" if options.one_process else "false")]
+    speech = not options.silent and SPEECH.is_dir()
+    if speech:
+        arguments += ["sound:={}".format(SPEECH), "speech_grammar:={}".format(SPEECH / "cards.gram")]
+    logs = Path(tempfile.mkdtemp(prefix="ros4hri-benchmark-"))
+    try:
+        for people in options.people:
+            scene = logs / "{}_people.png".format(people)
+            cv2.imwrite(str(scene), make_scene(people, models / "demo"))
+            print("{} people: starting the stack, then measuring for {:g} s ...".format(people, options.seconds),
+                  file=sys.stderr, flush=True)
+            with StackRun(logs) as stack:
+                rows.append(figures(people, measure(stack, scene, arguments, people, options.seconds)))
+    except (StackRunError, OSError) as error:
+        print("scripts/benchmark: {}".format(error), file=sys.stderr)
+        return 1
+    shutil.rmtree(str(logs), ignore_errors=True)
+    described = {"images": "{}x{}".format(WIDTH, HEIGHT), "rate": "{:g} Hz".format(options.rate),
+                 "scene": "demo photographs, slow pan", "processes": 1 if options.one_process else 2,
+                 "sound": "spoken commands, recognised" if speech else "none", "providers": options.providers,
+                 "seconds": options.seconds}
+    starts = {name: measured() for name,
+              measured in (("first", first_run), ("second", second_run)) if options.start in (name, "both")}
+    if options.json:
+        print(json.dumps(as_json(rows, before, described, starts)))
+    else:
+        print(as_table(rows, before, described))
+        print(starts_as_text(starts))
+    return 0
+
+
+def measure(stack: StackRun, scene: Path, arguments: Sequence[str], people: int, seconds: float) -> dict:
+    """Start the demonstration on a scene and watch it for some seconds.
+
+    arguments: of demo.launch. Returns what the probe saw, the use of the processor (% of one core) and the memory (MB)
+    by name of process. Raises StackRunError when the stack or the probe ends too soon.
+    """
+    from benchmarks.stack_run import StackRunError
+    stack.start_master()
+    launch = stack.start("roslaunch", ["roslaunch", "ros4hri", "demo.launch", "rviz:=false", "source:={}".format(scene),
+                                       *arguments])
+    result = stack.folder / "probe.json"
+    probe = stack.start("probe", [sys.executable, "-m", "benchmarks.pipeline_probe", str(people), str(seconds),
+                                  str(PATIENCE_S),
+                                  str(result), "__name:=benchmark_probe"], subprocess.PIPE)
+    assert probe.stdout is not None
+
+    def expect(line: bytes) -> None:
+        if probe.stdout.readline() != line or launch.poll() is not None:
+            raise StackRunError("the stack or the probe has ended; logs: {}".format(stack.folder))
+
+    expect(b"begin\n")
+    (before, _), began = stack.usage_by_name(), time.monotonic()
+    expect(b"end\n")
+    (after, memory), passed = stack.usage_by_name(), time.monotonic() - began
+    probe.wait(timeout=30.0)
+    seen = dict(json.loads(result.read_text(encoding="utf-8")))
+    seen["cpu_percent"] = {name: round(100.0 * (used - before.get(name, 0.0)) / passed, 1)
+                           for name, used in sorted(after.items(), key=lambda item: -item[1])}
+    seen["rss_mb"] = {name: round(memory[name], 1) for name in seen["cpu_percent"]}
+    return seen
+
+
+def figures(people: int, seen: dict) -> dict:
+    """Return the figures of one scene.
+
+    A rate is the number of different image stamps per second at the frame of a person (face, body), averaged
+    over the people of the scene; one who is not found counts with 0, one too many does not count.
+    """
+    import numpy as np
+
+    rates = {kind: round(sum(found[:people]) / people, 2) for kind, found in seen["rates"].items()}
+    ages = 1e3 * np.array(seen["ages"] or [np.nan])
+    middle, high = (None if np.isnan(value) else round(float(value), 1) for value in np.percentile(ages, [50, 95]))
+    cpu: Dict[str, float] = seen["cpu_percent"]
+    return {
+        "people": people, "fps": rates["person"], "faces_fps": rates["face"], "bodies_fps": rates["body"],
+        "found": {kind: seen["tracked"].get(kind, 0) for kind in ("persons", "faces", "bodies")},
+        "age_p50_ms": middle, "age_p95_ms": high,
+        "cpu_percent": round(sum(value for name, value in cpu.items() if name not in NOT_STACK), 1),
+        "cpu_percent_by_process": cpu, "rss_mb_by_process": seen.get("rss_mb", {}),
+        "rss_mb": round(sum(value for name, value in seen.get("rss_mb", {}).items() if name not in NOT_STACK), 1),
+        "stages_ms": seen["stages_ms"], "seconds": round(seen["seconds"], 2)}
+
+
+def as_json(rows: Sequence[dict], before: dict, described: dict, starts: Optional[Mapping[str, Start]] = None) -> dict:
+    """Return the JSON object of all scenes; starts: what was measured of the "first" and "second" run of
+    scripts/demo."""
+    result: dict = {"machine": before, "input": described, "stages_ms": {}, "scenes": list(rows), "reasons": {}}
+    for name in ("first", "second"):
+        start = (starts or {}).get(name, Start(None, _NOT_ASKED))
+        result[name + "_run_s"] = None if start.seconds is None else round(start.seconds, 1)
+        result[name + "_run"] = {"steps_s": start.steps, "fresh": start.fresh, "not_fresh": start.not_fresh}
+        if start.seconds is None:
+            result["reasons"][name + "_run_s"] = start.why_not
+    for row in rows:
+        number = row["people"]
+        for key in ("fps", "faces_fps", "bodies_fps", "age_p50_ms", "age_p95_ms", "cpu_percent", "rss_mb"):
+            result["{}_{}".format(key, number)] = row[key]
+        for key in ("cpu_percent_by_process", "rss_mb_by_process"):
+            result["{}_{}".format(key, number)] = row[key]
+        result["stages_ms"][str(number)] = row["stages_ms"]
+    return result
+
+
+def starts_as_text(starts: Mapping[str, Start]) -> str:
+    """Return the times from scripts/demo to the first person, for a person to read."""
+    lines = [""] + ["from scripts/demo to the first person: not measured; --start does"] * (not starts)
+    for name, start in starts.items():
+        lines.append("{} run, from scripts/demo to the first person: {}".format(
+            name, start.why_not if start.seconds is None else "{:.1f} s".format(start.seconds)))
+        lines += ["  {:35s} {:7.1f} s".format(title, seconds) for title, seconds in start.steps.items()]
+        lines += ["  {}: {}".format(title, ", ".join(things)) for title,
+                  things in (("set up anew", start.fresh), ("there before", start.not_fresh)) if things]
+    return "\n".join(lines)
+
+
+def as_table(rows: Sequence[dict], before: dict, described: dict) -> str:
+    """Return the same for a person to read."""
+    lines: List[str] = [
+        "Machine   {cpu}, {cores} cores, {system}".format(**before),
+        "Load      {} before the start".format(" ".join(str(load) for load in before["load_average"])),
+        "Versions  " + ", ".join("{} {}".format(*item) for item in before["versions"].items()),
+        "Input     " + ", ".join("{} {}".format(*item) for item in described.items()), "",
+        "people  persons/s  faces/s  bodies/s  found p/f/b   age p50   age p95  processor"]
+    for row in rows:
+        lines.append("{people:6d} {fps:10.1f} {faces_fps:8.1f} {bodies_fps:9.1f}  {found:>11}  {p50:>8}  {p95:>8}  "
+                     "{cpu_percent:6.0f} %".format(**dict(
+                         row, found="{persons}/{faces}/{bodies}".format(**row["found"]),
+                         p50=_ms(row["age_p50_ms"]), p95=_ms(row["age_p95_ms"]))))
+    for row in rows:
+        lines += ["", "{} people: processor, % of one core; memory, MB".format(row["people"])]
+        lines += ["  {:28s} {:6.1f} {:7.0f}".format(name, value, row["rss_mb_by_process"].get(name, 0.0))
+                  for name, value in row["cpu_percent_by_process"].items() if value >= 0.1]
+        lines += ["{} people: ms per stage                 median     p95".format(row["people"])]
+        lines += ["  {:35s} {:7.1f} {:7.1f}".format(node + " " + stage, times.get("median", 0.0), times.get("p95", 0.0))
+                  for node, stages in sorted(row["stages_ms"].items()) for stage, times in stages.items()]
+    return "\n".join(lines)
+
+
+def _ms(value: object) -> str:
+    return "-" if value is None else "{:.0f} ms".format(value)

@@ -1,0 +1,113 @@
+"""A ROS node that watches the stack for some seconds and writes what it saw as one JSON object.
+
+Usage: pipeline_probe.py PEOPLE SECONDS PATIENCE FILE
+Waits until PEOPLE persons are tracked (at most PATIENCE s), says "begin" on standard output, watches for
+SECONDS, says "end", and writes FILE.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from collections import defaultdict
+from typing import Dict, List, Set, Tuple
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray
+from tf2_msgs.msg import TFMessage
+
+from hri_msgs.msg import IdsList
+
+KINDS = ("person", "face", "body")
+SETTLE_S = 3.0
+
+
+class Probe:
+    """Collects arrivals of frames and the stage times of the diagnostics."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.watching = False
+        self.stamps: Dict[str, Dict[str, Set[float]]] = {kind: defaultdict(set) for kind in KINDS}
+        self.ages: List[Tuple[float, float]] = []
+        self.tracked: Dict[str, int] = {}
+        self.most: Dict[str, int] = {}
+        self.stages: Dict[str, Dict[str, Dict[str, float]]] = {}
+        self.subscribers = [
+            rospy.Subscriber("/tf", TFMessage, self.on_tf, queue_size=1000, buff_size=2**22, tcp_nodelay=True),
+            rospy.Subscriber("/diagnostics", DiagnosticArray, self.on_diagnostics, queue_size=100)]
+        for kind in ("persons", "faces", "bodies"):
+            self.subscribers.append(rospy.Subscriber(
+                "/humans/{}/tracked".format(kind), IdsList, self.on_tracked, callback_args=kind))
+
+    def on_tf(self, message: TFMessage) -> None:
+        """Note stamp and age of each frame of a person, face or body."""
+        now = time.time()
+        with self.lock:
+            if not self.watching:
+                return
+            for transform in message.transforms:
+                kind = transform.child_frame_id.split("_")[0]
+                if kind in self.stamps:
+                    stamp = transform.header.stamp.to_sec()
+                    seen = self.stamps[kind][transform.child_frame_id]
+                    if stamp not in seen:
+                        seen.add(stamp)
+                        if kind == "person":
+                            self.ages.append((stamp, now - stamp))
+
+    def on_tracked(self, message: IdsList, kind: str) -> None:
+        """Note how many there are."""
+        with self.lock:
+            self.tracked[kind] = len(message.ids)
+            if self.watching:
+                self.most[kind] = max(self.most.get(kind, 0), len(message.ids))
+
+    def on_diagnostics(self, message: DiagnosticArray) -> None:
+        """Keep the latest stage times of each node: values called STAGE_ms_median and STAGE_ms_p95."""
+        with self.lock:
+            for status in message.status:
+                for value in status.values:
+                    for ending, name in (("_ms_median", "median"), ("_ms_p95", "p95")):
+                        # The age of the images is told in the same way, and is no stage.
+                        if value.key.endswith(ending) and value.key != "age" + ending:
+                            stages = self.stages.setdefault(status.name.split(":")[0], {})
+                            stages.setdefault(value.key[:-len(ending)], {})[name] = float(value.value)
+
+    def result(self, seconds: float) -> dict:
+        """Return all that was seen; of persons only what has the stamp of a face or a body: who is remembered has that
+        of now."""
+        with self.lock:
+            images = {stamp for kind in KINDS if kind != "person" for stamps in self.stamps[kind].values()
+                      for stamp in stamps}
+            return {
+                "seconds": seconds, "tracked": self.tracked, "most_tracked": self.most,
+                "ages": [age for stamp, age in self.ages if stamp in images],
+                "rates": {kind: sorted((len(stamps & images) / seconds for stamps in frames.values()), reverse=True)
+                          for kind, frames in self.stamps.items()},
+                "stages_ms": self.stages}
+
+
+def main(arguments: List[str]) -> int:
+    """Watch and write."""
+    people, seconds, patience, path = int(arguments[0]), float(arguments[1]), float(arguments[2]), arguments[3]
+    rospy.init_node("benchmark_probe", disable_rostime=True)
+    probe, deadline = Probe(), time.monotonic() + patience
+    while probe.tracked.get("persons", 0) < people and time.monotonic() < deadline and not rospy.is_shutdown():
+        time.sleep(0.1)
+    # Stage times are over the last 100 images: those of the start shall be out of it.
+    time.sleep(SETTLE_S)
+    print("begin", flush=True)
+    probe.watching, began = True, time.monotonic()
+    time.sleep(seconds)
+    probe.watching, seconds = False, time.monotonic() - began
+    print("end", flush=True)
+    with open(path, "w", encoding="utf-8") as file:
+        json.dump(probe.result(seconds), file)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

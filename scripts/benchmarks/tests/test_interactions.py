@@ -1,0 +1,60 @@
+"""What `scripts/benchmark interactions` prints: every figure asked for, or the reason why it is not there."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from benchmarks import interactions
+
+ASKED = {"gaze_3", "gaze_6", "gaze_without_closed_eyes_rule", "groups_f1", "cpu_percent_10", "cpu_percent_30",
+         "photographs",
+         "engagement", "crowd"}
+MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3], "versions": {}}
+
+
+def lines(values: dict) -> dict:
+    table = interactions.as_table(interactions.make_report(values, {}, MACHINE))
+    return {line.split()[0]: line for line in table.splitlines() if line.strip()}
+
+
+def test_every_figure_is_measured_by_one_part() -> None:
+    measured = [key for keys in interactions.PARTS.values() for key in keys]
+    assert sorted(measured) == sorted(ASKED) == sorted(key for key, _, _ in interactions.KEYS)
+
+
+def test_what_was_not_measured_is_null_with_its_reason() -> None:
+    report = json.loads(json.dumps(interactions.make_report({"cpu_percent_10": 0.9}, {"crowd": "no scene"}, MACHINE)))
+    assert set(report) == ASKED | {"reasons", "details", "machine", "load", "input"}
+    assert set(report["reasons"]) == ASKED - {"cpu_percent_10"}
+    assert all(report[key] is None for key in report["reasons"])
+    assert report["reasons"]["crowd"] == "no scene"
+    assert "no scene" in interactions.as_table(report)
+
+
+def test_the_table_tells_what_falls_short() -> None:
+    good = {"precision": 0.95, "recall": 0.91, "closed_gazes": 0}
+    found = lines({
+        "gaze_3": good, "gaze_6": dict(good, recall=0.89), "cpu_percent_10": 2.9, "cpu_percent_30": 10.1,
+        "groups_f1": {"CoffeeBreak": 0.86, "Synth": 0.95, "CoffeeBreak_noisy": 0.81},
+        "engagement": {"illegal": 1, "levels": ["engaged"]}, "crowd": {"rss_mb": 0.5, "new_ids": 0}})
+    assert {key: " NO " in found[key] for key in (
+        "gaze_3", "gaze_6", "cpu_percent_10", "cpu_percent_30", "groups_f1", "engagement", "crowd")} == {
+        "gaze_3": False, "gaze_6": True, "cpu_percent_10": False, "cpu_percent_30": True, "groups_f1": False,
+        "engagement": True, "crowd": False}
+    assert " NO " in lines({"gaze_3": dict(good, closed_gazes=1)})["gaze_3"]
+    assert " NO " in lines({"groups_f1": {"CoffeeBreak": 0.86, "Synth": 0.89, "CoffeeBreak_noisy": 0.81}})["groups_f1"]
+
+
+def test_the_confusion_table_is_a_table() -> None:
+    table = {truth: {"camera": 1, "nobody": 20} for truth in ("camera", "closed")}
+    found = lines({"photographs": table})
+    assert found["closed"].split() == ["closed", "1", "20"]
+
+
+def test_an_unknown_part_and_no_time_are_refused(capsys) -> None:
+    parser = argparse.ArgumentParser()
+    interactions.register(parser.add_subparsers())
+    assert interactions.run(parser.parse_args(["interactions", "--only", "walls"])) == 2
+    assert interactions.run(parser.parse_args(["interactions", "--hours", "0"])) == 2
+    assert "--hours" in capsys.readouterr().err

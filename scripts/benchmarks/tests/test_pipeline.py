@@ -1,0 +1,81 @@
+"""Figures of the benchmark out of what its probe saw."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks import pipeline
+
+SEEN = {
+    "seconds": 10.0, "tracked": {"persons": 4, "faces": 2, "bodies": 3}, "most_tracked": {},
+    "ages": [0.1] * 95 + [0.3] * 5,
+    "rates": {"person": [15.0, 12.0, 9.0, 8.0], "face": [15.0, 15.0], "body": []},
+    "stages_ms": {"hri_faces": {"mesh": {"median": 3.0, "p95": 4.0}}},
+    "rss_mb": {"hri_faces": 200.0, "image_source": 90.0},
+    "cpu_percent": {"hri_faces": 40.0, "rosmaster": 1.0, "image_source": 13.0, "benchmark_probe": 1.0}}
+MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3], "versions": {"numpy": "1"}}
+
+
+def test_who_is_missing_counts_as_zero_and_who_is_too_many_does_not_count() -> None:
+    row = pipeline.figures(3, SEEN)
+    assert (row["fps"], row["faces_fps"], row["bodies_fps"]) == (12.0, 10.0, 0.0)
+    assert row["found"] == {"persons": 4, "faces": 2, "bodies": 3}
+    assert row["age_p50_ms"] == 100.0 and 100.0 <= row["age_p95_ms"] <= 300.0
+
+
+def test_source_and_probe_are_not_counted_as_the_stack() -> None:
+    assert pipeline.figures(3, SEEN)["cpu_percent"] == 41.0
+
+
+def test_without_persons_there_is_no_age() -> None:
+    row = pipeline.figures(1, dict(SEEN, ages=[]))
+    assert row["age_p50_ms"] is None
+    assert "-" in pipeline.as_table([row], MACHINE, {})
+
+
+def test_json_has_the_promised_keys() -> None:
+    result = pipeline.as_json([pipeline.figures(3, SEEN)], MACHINE, {})
+    assert {"fps_3", "age_p95_ms_3", "cpu_percent_3", "stages_ms", "cpu_percent_by_process_3",
+            "second_run_s"} <= set(result)
+    assert result["rss_mb_3"] == 200.0 and result["rss_mb_by_process_3"]["image_source"] == 90.0
+    assert result["first_run_s"] is None and set(result["reasons"]) == {"first_run_s", "second_run_s"}
+    assert json.loads(json.dumps(result))["stages_ms"]["3"]["hri_faces"]["mesh"]["median"] == 3.0
+
+
+def test_the_row_of_somebody_who_is_seen() -> None:
+    from benchmarks.start import shows_a_person
+    assert shows_a_person("igkh6                   awkcn  -      -            1.00    1.39  -0.17   1.75   map     351")
+    assert shows_a_person("anonymous_person_jfjb0  -      tuih8  -            1.00    2.23  -0.04   1.24   map     263")
+    assert not shows_a_person("anonymous_person_wmbx9  -      -      douyj        0.00  -       -          -")
+    assert not shows_a_person("person                  face   body   voice  confidence  position x y z (m)")
+
+
+def test_starts_are_told_with_their_steps_and_with_what_was_not_fresh() -> None:
+    from benchmarks.start import Start, step_times
+    steps = step_times(["[1/5] System packages (build run)", "all there (0.5 s)", "[4/5] Catkin workspace",
+                        "... 15 s: x", "built: /x (62.7 s)"])
+    assert steps == {"System packages (build run)": 0.5, "Catkin workspace": 62.7}
+    starts = {"first": Start(301.26, "", steps, ["models"], ["system packages that were there before"]),
+              "second": Start(None, "nobody appeared")}
+    result = pipeline.as_json([], MACHINE, {}, starts)
+    assert result["first_run_s"] == 301.3 and result["first_run"]["not_fresh"] == [
+        "system packages that were there before"
+    ]
+    assert result["second_run_s"] is None and result["reasons"] == {"second_run_s": "nobody appeared"}
+    text = pipeline.starts_as_text(starts)
+    assert "301.3 s" in text and "62.7 s" in text and "nobody appeared" in text
+
+
+def test_a_fresh_home_directory_keeps_what_leads_to_the_package_indexes(tmp_path: Path,
+                                                                        monkeypatch: pytest.MonkeyPatch) -> None:
+    from benchmarks.start import fresh_environment
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old/.npmrc").write_text("registry=x")
+    monkeypatch.setenv("HOME", str(tmp_path / "old"))
+    monkeypatch.setenv("ROS4HRI_CACHE", str(tmp_path / "old/cache"))
+    environment = fresh_environment(tmp_path / "new")
+    assert environment["HOME"] == str(tmp_path / "new") and "ROS4HRI_CACHE" not in environment
+    assert [path.name for path in (tmp_path / "new").iterdir()] == [".npmrc"]
