@@ -137,9 +137,12 @@ _GROUPS = (
               "Distance ahead of a person at which the middle of a group is expected. Larger: for people who stand in "
               "wide circles.",
               unit="m", minimum=0.0, maximum=2.0, live=True),
-    Parameter("group_depth", 0.5,
-              "Standard deviation of the middle of a group along the direction of a person. Larger: wide and narrow "
-              "circles alike.",
+    Parameter("group_size_sd", 0.3,
+              "Standard deviation of that distance between groups: circles may be wider or narrower, for all of their "
+              "members alike. Larger: wide and narrow circles alike.", unit="m", minimum=0.02, maximum=2.0, live=True),
+    Parameter("group_depth", 0.4,
+              "Standard deviation of the middle of a group along the direction of a person, beside the size of the "
+              "group. Larger: members stand nearer and farther than others of their group.",
               unit="m", minimum=0.05, maximum=2.0, live=True),
     Parameter("group_width", 0.3,
               "Standard deviation of the middle of a group across the direction of a person. Larger: people side by "
