@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Tuple
 
-from hri_pipeline.core.faces.parameters import CAMERA_PARAMETERS, DEPTH_PARAMETERS, FACE_PIPELINE_PARAMETERS
+from hri_pipeline.core.faces.parameters import CAMERA_PARAMETERS, DEPTH_PARAMETERS, FACE_PIPELINE_PARAMETERS, FACES
 from hri_pipeline.core.parameters import LIST_TIMEOUT, Parameter, ParameterTable
 
 MODELLER_PARAMETERS = (
@@ -133,4 +133,5 @@ VISION = ParameterTable(
     "Node vision: the nodes faces and bodies in one process; an image is received and decoded once.",
     FACE_PIPELINE_PARAMETERS + _BODY_PARAMETERS + _but_interface(CAMERA_PARAMETERS) + _VISION_INTERFACE
     + (replace(_NICE, default=0),),
+    includes=(FACES, BODIES),
 )
