@@ -1,4 +1,4 @@
-"""Keeps config/<node>.yaml and the table in docs/nodes/<node>.md equal to the parameter table of the node.
+"""Keeps config/<node>.yaml and the list in docs/nodes/<node>.md equal to the parameter table of the node.
 
 The YAML file tells everything of a parameter, the page one line.
 """
@@ -104,7 +104,7 @@ def _link(yaml_path: PathLike, doc_path: PathLike) -> str:
 
 
 def _with(table: ParameterTable, page: str, link: str) -> str:
-    """Return `page` with the table between its markers, or at its end when it has none."""
+    """Return `page` with the list between its markers, or at its end when it has none."""
     block = "{}\n{}{}".format(BEGIN, table.to_markdown(link), END)
     start, stop = page.find(BEGIN), page.find(END)
     if start < 0 or stop < start:

@@ -213,7 +213,7 @@ class ParameterTable:
         return "\n".join(lines) + "\n"
 
     def to_markdown(self, more: str = "") -> str:
-        """Return a Markdown table, one line for each parameter, without anything around it.
+        """Return a Markdown list, one line for each parameter: name, default with unit, legal range, meaning.
 
         A line holds the first statement of the text and what special values mean; the YAML file holds all of it.
         Parameters that are the same in all of `includes` that have them are left out.
@@ -223,14 +223,12 @@ class ParameterTable:
         more : str
             Link to the YAML file; empty: no link.
         """
-        name = "parameter (\\*: [live](../tuning.md))" if self.live else "parameter"
-        meaning = "meaning ([more]({}))".format(more) if more else "meaning"
-        lines = ["| {} | default, range | {} |".format(name, meaning), "|---|---|---|"]
-        for parameter in self.parameters:
-            if not self._is_included(parameter):
-                cells = ("`~{}`{}".format(parameter.name, "\\*" if parameter.live else ""), _default_and_range(parameter),
-                         _meaning(parameter))
-                lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+        lines = ["More on each: [{}]({}).".format(more.rsplit("/", 1)[-1], more)] if more else []
+        lines += ["\\* may change [while the node runs](../tuning.md)."] if self.live else []
+        lines = [" ".join(lines), ""] if lines else []
+        lines += ["- `~{}`{} ({}): {}".format(parameter.name, "\\*" if parameter.live else "",
+                                             _default_and_range(parameter), _meaning(parameter))
+                  for parameter in self.parameters if not self._is_included(parameter)]
         return "\n".join(lines) + "\n"
 
     def _is_included(self, parameter: Parameter) -> bool:
