@@ -344,13 +344,5 @@ def test_the_page_has_the_table():
         pytest.skip("no docs beside an installed package")
     text = page.read_text(encoding="utf-8")
     for unit in ACTION_UNITS:
-        terms = " ".join("{:+g} {}".format(gain, name) for name, gain in unit.terms)
-        row = "| {} | {} | {} | {} | {:g} | {:g} | {} | {:g} |".format(
-            unit.code, unit.name, unit.visible, terms, unit.start, unit.full,
-            ", ".join(str(code) for code in unit.without) or "-", unit.reliability)
-        assert row in text, row
-    for measure in MEASURES:
-        row = "| {} | {} | {} | {}{} | {:.3f} | {:.3f} | {:g} |".format(
-            measure.name, " ".join(str(point) for point in measure.of), " ".join(str(point) for point in measure.over),
-            measure.axis, " (each side)" if measure.sided else "", measure.neutral, measure.spread, measure.quantile)
+        row = "| {} | {} | {} | {:g} |".format(unit.code, unit.name, unit.visible, unit.reliability)
         assert row in text, row
