@@ -134,6 +134,8 @@ def test_markdown():
     ("How long. Longer: calmer. 0: for ever; then it stays.", "How long. 0: for ever."),
     ("Name of it (a; b); larger is slower. Empty: none.", "Name of it (a; b). Empty: none."),
     ("What to do. fast: little; always. slow: much.", "What to do. fast: little. slow: much."),
+    ("How it is done here: with care (mostly). More.", "How it is done here."),
+    ("Type of it: a thing.", "Type of it: a thing."),
     ("`fast` does little; `slow` does much. More of it.", "`fast` does little. `slow` does much."),
 ])
 def test_the_page_has_the_first_statement_and_what_special_values_mean(doc, line):

@@ -258,11 +258,13 @@ def _meaning(parameter: Parameter) -> str:
     value = "|".join([r"-?\d[\d.]*", "[Ee]mpty", "[Tt]rue", "[Ff]alse", "[Oo]ff", "pi"]
                      + [re.escape(str(choice)) for choice in parameter.choices if choice])
     of_a_value = re.compile("`?(?:{})`?(?::| )".format(value))
-    text = " ".join(parameter.doc.split())
-    # A statement ends with a full stop or a semicolon outside of brackets.
-    statements = re.split(r"(?<=\.)\s+(?=[A-Z0-9`\"]|(?:{}):)|;\s+(?![^(]*\))".format(value), text)
-    kept = [statement.rstrip(".") for number, statement in enumerate(statements)
-            if number == 0 or of_a_value.match(statement)]
+    # A statement ends with a full stop or a semicolon outside of brackets; the first one also with a colon, unless
+    # that follows only some words ("Type of `roi`: ...").
+    first, *others = re.split(r"(?<=\.)\s+(?=[A-Z0-9`\"]|(?:{}):)|;\s+(?![^(]*\))".format(value),
+                              " ".join(parameter.doc.split()))
+    if not of_a_value.match(first):
+        first = re.sub(r"^((?:\S+ ){4,}?\S+):\s(?![^(]*\)).*", r"\1", first)
+    kept = [text.rstrip(".") for text in [first] + [text for text in others if of_a_value.match(text)]]
     if parameter.shared:
         kept.append("Unset: `{}`".format(parameter.shared))
     return ". ".join(kept) + "."
