@@ -255,9 +255,9 @@ def _default_and_range(parameter: Parameter) -> str:
 
 def _meaning(parameter: Parameter) -> str:
     """Return the first statement of the text, and those statements that tell what a special value means."""
-    value = "|".join([r"-?\d[\d.]*", "[Ee]mpty", "[Tt]rue", "[Ff]alse", "[Oo]ff", "pi"]
-                     + [re.escape(str(choice)) for choice in parameter.choices if choice])
-    of_a_value = re.compile("`?(?:{})`?(?::| )".format(value))
+    choices = [re.escape(str(choice)) for choice in parameter.choices if choice]
+    value = "|".join([r"-?\d[\d.]*", "[Ee]mpty", "[Tt]rue", "[Ff]alse", "[Oo]ff", "pi"] + choices)
+    of_a_value = re.compile("`?(?:{})`?:{}".format(value, "".join("|`{}` ".format(choice) for choice in choices)))
     # A statement ends with a full stop or a semicolon outside of brackets; the first one also with a colon, unless
     # that follows only some words ("Type of `roi`: ...").
     first, *others = re.split(r"(?<=\.)\s+(?=[A-Z0-9`\"]|(?:{}):)|;\s+(?![^(]*\))".format(value),

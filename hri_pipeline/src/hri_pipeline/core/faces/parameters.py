@@ -16,15 +16,14 @@ FACE_TRACKING_PARAMETERS = (
               "one costs 2 to 5 ms on one core.", minimum=1, maximum=64, live=True),
     Parameter("min_detection_score", 0.6, "Score from which a detection may start a track. Lower finds fainter"
               " faces and more things that are none.", minimum=0.05, maximum=0.99, live=True),
-    Parameter("min_face_presence", 0.5, "Probability from which the mesh network is believed that it still sees a"
-              " face. Higher lets go of hidden faces sooner.", minimum=0.05, maximum=0.99, live=True),
-    Parameter("face_detection_period", 0.3, "Time between two looks of the detector at the whole image while something"
-              " is unclear (a new or a lost face), twice this while every face is known. Smaller finds new faces sooner"
-              " and costs more. 0: every image.",
+    Parameter("min_face_presence", 0.5, "Probability of the mesh network below which a face counts as lost. Higher "
+              "lets go of hidden faces sooner.", minimum=0.05, maximum=0.99, live=True),
+    Parameter("face_detection_period", 0.3, "Time between two runs of the detector on the whole image; twice this "
+              "while every face is known. Smaller finds new faces sooner and costs more. 0: every image.",
               unit="s", minimum=0.0, maximum=10.0, live=True),
-    Parameter("face_detection_tiles", 3, "The image is also searched in tiles x tiles parts, one part half-way between"
-              " two looks at the whole, for faces too small for it: a part in which something has changed, or where a "
-              "face waits for its confirmation. 1: no tiles.", minimum=1, maximum=4),
+    Parameter("face_detection_tiles", 3, "Small faces are searched in tiles x tiles parts of the image, one part "
+              "between two runs on the whole: a part in which something has changed, or where a face waits for its "
+              "confirmation. 1: no tiles.", minimum=1, maximum=4),
     Parameter("face_mesh_rate", 10.0, "How often per second the mesh network looks at each face; in the images between,"
               " the face goes where its picture goes (optical flow), with a confidence that says so. Higher follows "
               "quick heads better, and costs more. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True),
@@ -37,11 +36,11 @@ FACE_TRACKING_PARAMETERS = (
               " more flickering false faces.", unit="s", minimum=0.0, maximum=10.0, live=True),
     Parameter("face_death_time", 1.0, "Time after which a face that is not seen any more is dropped with its id."
               " Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True),
-    Parameter("face_min_detections", 2, "How many runs of the detector must have seen a face before it gets its topics."
-              " 1 finds faces one detection period sooner, and takes a badge or a pattern for a face more often.",
+    Parameter("face_min_detections", 2, "Runs of the detector that must have seen a face before it gets its topics. "
+              "1 finds faces one detection period sooner, and takes a badge or a pattern for a face more often.",
               minimum=1, maximum=20, live=True),
-    Parameter("face_support_time", 4.0, "Time after which a face that only its mesh still sees, and the detector does"
-              " not, is dropped: it is a pattern that looked like a face for a moment.",
+    Parameter("face_support_time", 4.0, "Time after which a face that the detector no longer confirms is dropped: it "
+              "is a pattern that looked like a face for a moment.",
               unit="s", minimum=0.5, maximum=600.0, live=True),
 )
 """What finding and following faces needs."""
@@ -81,8 +80,8 @@ CAMERA_PARAMETERS = (
               " available is told once and skipped.", choices=tuple(PROVIDERS)),
     Parameter("image_transport", "raw", "Transport of the input: `raw` subscribes to `image`, `compressed` to"
               " `image/compressed`.", choices=("raw", "compressed")),
-    Parameter("fallback_fov", 1.0472, "Horizontal field of view of the camera while there is no calibration"
-              " (camera_info missing, or its K all zero). Distances scale with it.",
+    Parameter("fallback_fov", 1.0472, "Horizontal field of view of a camera without calibration (camera_info "
+              "missing, or K all zero). Distances scale with it.",
               unit="rad", minimum=0.1, maximum=3.0),
     Parameter("max_rate", 30.0, "Most images processed per second; the others are skipped, which leaves more of the"
               " processor to others. 0: as fast as they come.",
