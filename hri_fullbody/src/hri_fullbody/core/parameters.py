@@ -47,9 +47,9 @@ BODY_STAGE_PARAMETERS = (
               " on by its own motion, with a lower confidence. Each look costs 11 to 15 ms on one core with the network"
               " `full`. Larger follows fast movements better. 0: every image.",
               unit="Hz", minimum=0.0, maximum=120.0, live=True),
-    Parameter("pose_budget", 3, "Most windows per image that the pose network looks at for known bodies; what is left"
-              " (one at least, and two in slow images) goes to new ones. With more people than that the fast, the new,"
-              " and those who have waited longest come first. 0: no limit.", minimum=0, maximum=64, live=True),
+    Parameter("pose_budget", 3, "Most known bodies per image for the pose network; what is left (one at least, and "
+              "two in slow images) goes to new ones. With more people than that the fast, the new, and those who "
+              "have waited longest come first. 0: no limit.", minimum=0, maximum=64, live=True),
     Parameter("max_bodies", 10, "Most bodies tracked at the same time. Each costs 11 to 15 ms of one core `pose_rate`"
               " times a second.",
               minimum=1, maximum=64),
@@ -63,8 +63,8 @@ BODY_STAGE_PARAMETERS = (
     Parameter("person_detection_period", 1.0, "Time between two runs of the person detector; between them the pose"
               " network follows the known bodies. Smaller finds new people sooner and costs more. 0: every image.",
               unit="s", minimum=0.0, maximum=10.0, live=True),
-    Parameter("new_windows_per_image", 3, "Most places per image that are searched for new bodies, 6 to 15 ms each."
-              " Larger finds a group sooner, smaller keeps the frame rate even.", minimum=1, maximum=64, live=True),
+    Parameter("new_windows_per_image", 3, "Most places per image searched for new bodies, 6 to 15 ms each. Larger "
+              "finds a group sooner, smaller keeps the frame rate even.", minimum=1, maximum=64, live=True),
     Parameter("body_birth_delay", 0.1, "Time for which a body must be seen before it gets its topics. Larger keeps out"
               " more flickering false bodies.", unit="s", minimum=0.0, maximum=10.0, live=True),
     Parameter("body_death_time", 1.0, "Time after which a body that two searches have not found is dropped with its "
@@ -78,9 +78,9 @@ BODY_STAGE_PARAMETERS = (
 """What BodyPipeline needs, besides `providers`."""
 
 BODY_OUTPUT_PARAMETERS = (
-    Parameter("joint_state_rate", 15.0, "Most joint states, and with them frames, per second and body. Higher moves the"
-              " skeletons more evenly; robot_state_publisher asks the master three times for each: ten bodies at 30 Hz"
-              " cost the master alone 12 % of a core. 0: for every image.", unit="Hz", minimum=0.0, maximum=120.0,
+    Parameter("joint_state_rate", 15.0, "Most joint states and frames per second and body. Higher moves the "
+              "skeletons more evenly; robot_state_publisher asks the master three times for each: ten bodies at 30 "
+              "Hz cost the master alone 12 % of a core. 0: for every image.", unit="Hz", minimum=0.0, maximum=120.0,
               live=True),
     Parameter("state_publishers", True, "Set a URDF for each body and run a robot_state_publisher, which publishes "
               "the frames of its links. false: joint states and body_ID only."),

@@ -22,14 +22,14 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
               "Time that a feature waits for a match before it becomes an anonymous person. Longer: fewer "
               "short-lived persons, later frames.", unit="s", minimum=0.0, maximum=60.0, live=True),
     Parameter("voice_person_delay", 2.0,
-              "Time that a voice waits for a match before somebody unseen is believed to speak: mouth and voice have "
-              "to be compared for about a second. Shorter: unseen speakers are persons earlier, and speakers in view "
-              "get a person for a moment that then is an alias. Counts where it is longer than new_person_delay.",
+              "Time that a voice waits for a match before it becomes an unseen person: mouth and voice have to be "
+              "compared for about a second. Shorter: unseen speakers are persons earlier, and speakers in view get a "
+              "person for a moment that then is an alias. Counts where it is longer than new_person_delay.",
               unit="s", minimum=0.0, maximum=60.0, live=True),
     Parameter("decay", "exponential",
-              "How the location confidence falls once no feature has told a place of the person for 1 s (three image "
-              "periods, where these are longer), or all have left: exponential (half after each half_life), linear (0 "
-              "after two half_life), step (0.5 at once, 0 after two half_life).",
+              "How the location confidence falls once no feature has told a place for 1 s (or three image periods): "
+              "exponential (half after each half_life), linear (0 after two half_life), step (0.5 at once, 0 after "
+              "two half_life).",
               choices=DECAY_KINDS, live=True),
     Parameter("half_life", 5.0,
               "Time in which the confidence of a place that is no longer current halves. Longer: frames stay longer "
@@ -49,9 +49,8 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
               "Outer border of the social space; what is farther away is public.", unit="m", minimum=0.2,
               maximum=50.0, live=True),
     Parameter("cross_camera", True,
-              "Join the persons that several cameras see at one place of the reference frame, and keep the id of one "
-              "who walks from one view to another. Nothing happens with one camera, or without transforms to the "
-              "reference frame."),
+              "Join persons whom several cameras see at one place, and keep the id of somebody who walks from one "
+              "view to another. Nothing happens with one camera, or without transforms to the reference frame."),
     Parameter("cross_camera_distance", 0.5,
               "Horizontal distance up to which two cameras see the same person; twice as far they see two again. "
               "Larger: for inexact places or calibration; people who stand closer together may be taken for one.",
@@ -62,8 +61,8 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
               "parted.",
               unit="s", minimum=0.1, maximum=30.0, live=True),
     Parameter("cross_camera_handover", 4.0,
-              "Time after which somebody who left the view of one camera may come up in that of another, where the "
-              "last velocity leads, and be the same person still. 0: never.", unit="s", minimum=0.0, maximum=60.0,
+              "Time in which somebody who left one view may appear in another, where the last velocity leads, as the "
+              "same person. 0: never.", unit="s", minimum=0.0, maximum=60.0,
               live=True),
     Parameter("source_timeout", 0.5,
               "Silence of the face frame after which the body places the person, and of all frames after which the "

@@ -293,7 +293,6 @@ def format_value(value: object) -> str:
 
 LIST_TIMEOUT = Parameter(
     "list_timeout", 0.0,
-    "A list of ids (/humans/*/tracked) that its publisher does not repeat for so long counts as empty. 0: never; a "
-    "list then ends with its publisher, and one that is said once holds. The nodes of this stack repeat theirs once a "
-    "second.",
+    "Silence after which a list of ids counts as empty. 0: never; a list then ends with its publisher, and one that "
+                         "is said once holds. The nodes of this stack repeat theirs once a second.",
     unit="s", minimum=0.0, maximum=3600.0)

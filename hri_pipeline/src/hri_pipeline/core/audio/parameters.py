@@ -72,8 +72,8 @@ VOICE_ACTIVITY_PARAMETERS = (
     Parameter("level_drop", 22.0, "Sound this much below the loudest of the last words is a pause, too "
               "(reverberation, breath). Larger keeps more of soft endings.", unit="dB", minimum=6.0, maximum=90.0,
               live=True),
-    Parameter("onset_time", 0.032, "Time for which the probability has to stay above the threshold until somebody "
-              "speaks; rounded up to frames of 32 ms. Longer: fewer false voices, `is_speaking` so much later.",
+    Parameter("onset_time", 0.032, "Time above the threshold after which somebody speaks; rounded up to frames of 32 "
+              "ms. Longer: fewer false voices, `is_speaking` so much later.",
               unit="s",
               minimum=0.0, maximum=1.0, live=True),
     Parameter("speaking_hangover", 0.032, "`is_speaking` lasts this long behind the last sound of speech. Longer "

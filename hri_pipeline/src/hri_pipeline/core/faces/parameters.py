@@ -34,8 +34,8 @@ FACE_TRACKING_PARAMETERS = (
               unit="ms", minimum=1.0, maximum=1000.0, live=True),
     Parameter("face_birth_delay", 0.1, "Time for which a face must be seen before it gets its topics. Larger keeps out"
               " more flickering false faces.", unit="s", minimum=0.0, maximum=10.0, live=True),
-    Parameter("face_death_time", 1.0, "Time after which a face that is not seen any more is dropped with its id."
-              " Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True),
+    Parameter("face_death_time", 1.0, "Time after which a lost face is dropped with its id. Larger bridges longer "
+              "occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True),
     Parameter("face_min_detections", 2, "Runs of the detector that must have seen a face before it gets its topics. "
               "1 finds faces one detection period sooner, and takes a badge or a pattern for a face more often.",
               minimum=1, maximum=20, live=True),
@@ -59,10 +59,10 @@ ANALYSIS_PARAMETERS = (
               " directory. One with the inputs and outputs of age-gender-recognition-retail-0013 is known by them."),
     Parameter("recognition_model", "", "ONNX file of the recognition network. Empty: face_recognition.onnx in the "
               "models directory."),
-    Parameter("recognition_policy", "learn", "`learn` makes a new person of a face seen well that nobody known has;"
-              " `enrolled` knows only who was enrolled by service.", choices=("learn", "enrolled")),
-    Parameter("recognition_learn_delay", 1.5, "Time for which an unknown face must be seen before it becomes a new"
-              " person. Larger makes fewer persons of passers-by.", unit="s", minimum=0.0, maximum=600.0, live=True),
+    Parameter("recognition_policy", "learn", "`learn`: an unknown face that is seen well becomes a new person; "
+              "`enrolled`: only people who were enrolled by service are recognised.", choices=("learn", "enrolled")),
+    Parameter("recognition_learn_delay", 1.5, "Time until an unknown face becomes a new person. Larger makes fewer "
+              "persons of passers-by.", unit="s", minimum=0.0, maximum=600.0, live=True),
     Parameter("gallery", "", "SQLite file that keeps who is known beyond the run: ids, templates and times, readable "
               "by its owner alone, in a directory of its own, whose name ends in .sqlite. It can be shared with the "
               "person manager (its `store`) and other recognisers. NAME.npz, a gallery of earlier versions: its people "
@@ -93,9 +93,9 @@ CAMERA_PARAMETERS = (
 """What every node that works on the camera's images needs."""
 
 DEPTH_PARAMETERS = (
-    Parameter("use_depth", False, "Subscribe to `depth`, a depth image registered to the colour image, and place "
-              "people by it. Without depth for an image, a face stands where its size and its irises put it, a body "
-              "where face, floor and size do."),
+    Parameter("use_depth", False, "Place people by `depth`, a depth image registered to the colour image. Without "
+              "depth for an image, a face stands where its size and its irises put it, a body where face, floor and "
+              "size do."),
     Parameter("depth_slop", 0.03, "Largest difference of the stamps of an image and its depth image. Larger takes more"
               " pairs of cameras that are not synchronised, and puts moving people where they were.",
               unit="s", minimum=0.0, maximum=1.0),

@@ -33,38 +33,38 @@ _FRAMES = (
               "The robot may be a member of a group, under the empty id. It needs a place: robot_frame, or the "
               "camera.", live=True),
     Parameter("interface", "paper",
-              "paper: groups are GroupsStamped, gazes are in the list `gaze`. rep155: groups are Group, one message "
-              "each, and each gaze is also sent on `gazing`.", choices=("paper", "rep155")),
+              "paper: groups are GroupsStamped. rep155: groups are Group, one message each, and each gaze is also "
+              "sent on `gazing`.", choices=("paper", "rep155")),
 )
 
 _GAZE = (
     Parameter("gaze_sd", 0.14,
-              "Standard deviation of the direction of the eyes (gaze_ID) near the camera, on each axis. Larger: slower "
+              "Standard deviation of the eyes' direction (gaze_ID) near the camera, on each axis. Larger: slower "
               "decisions, fewer wrong ones.", unit="rad", minimum=0.02, maximum=1.0, live=True),
     Parameter("gaze_range", 3.0,
               "Distance from the camera from which the eyes are too small to be measured: beyond, gaze_ID counts no "
               "more than the direction of the head, and from half of it on less and less. Larger for cameras of high "
               "resolution: about 2.4 m per 1000 px of focal length.", unit="m", minimum=0.2, maximum=50.0, live=True),
     Parameter("head_sd", 0.09,
-              "Standard deviation of the direction of the head from a face (face_ID), on each axis.", unit="rad",
+              "Standard deviation of the head's direction from a face (face_ID), on each axis.", unit="rad",
               minimum=0.02,
               maximum=1.0, live=True),
     Parameter("skeleton_head_sd", 0.35,
-              "Standard deviation of the direction of the head from a skeleton (head_ID), on each axis.", unit="rad",
+              "Standard deviation of the head's direction from a skeleton (head_ID), on each axis.", unit="rad",
               minimum=0.02,
               maximum=2.0, live=True),
     Parameter("trunk_sd", 0.35,
-              "Standard deviation of the direction of the trunk (body_ID), to the sides.", unit="rad", minimum=0.02,
+              "Standard deviation of the trunk's direction (body_ID), to the sides.", unit="rad", minimum=0.02,
               maximum=2.0, live=True),
     Parameter("head_gain", 0.8,
-              "Part of the way from the direction of the trunk to the target that the head turns; the eyes do the "
-              "rest. Used where both directions are known.", minimum=0.3, maximum=1.0, live=True),
+              "Part of the turn from the trunk to the target that the head does; the eyes do the rest. Used where "
+              "both directions are known.", minimum=0.3, maximum=1.0, live=True),
     Parameter("eyes_in_head_sd", 0.21,
               "Standard deviation of the eyes' direction in the head of somebody whose trunk is not known. Larger: "
               "the head alone says less.", unit="rad", minimum=0.02, maximum=1.0, live=True),
     Parameter("trunk_target_sd", 0.6,
-              "Standard deviation of the way from the direction of the trunk to what somebody looks at. Larger: people "
-              "of whom only the body is seen look at somebody less often.", unit="rad", minimum=0.1, maximum=2.0,
+              "Standard deviation of the angle between the trunk and the target of the gaze. Larger: people of whom "
+              "only the body is seen look at somebody less often.", unit="rad", minimum=0.1, maximum=2.0,
               live=True),
     Parameter("head_radius", 0.12,
               "Radius of a head. A near head takes a larger part of the view, and hides who is behind.", unit="m",
@@ -76,8 +76,7 @@ _GAZE = (
               "Part of the time in which people look at nobody. Higher: fewer gazes, surer ones.", minimum=0.01,
               maximum=0.99, live=True),
     Parameter("nobody_field", 2.0,
-              "Solid angle over which the gaze of somebody who looks at nobody is spread. Smaller: fewer gazes, surer "
-              "ones.", unit="sr",
+              "Solid angle over which gazes at nobody are spread. Smaller: fewer gazes, surer ones.", unit="sr",
               minimum=0.05, maximum=12.6, live=True),
     Parameter("dwell_time", 1.3,
               "Mean time between two changes of the target of a gaze. Longer: fewer wrong changes, later right ones.",
@@ -92,7 +91,7 @@ _GAZE = (
               minimum=0.01,
               maximum=0.99, live=True),
     Parameter("gaze_hold", 0.3,
-              "A gaze ends when nothing has been seen of the direction for so long.", unit="s", minimum=0.0,
+              "A gaze ends this long after the last observation of its direction.", unit="s", minimum=0.0,
               maximum=10.0, live=True),
     Parameter("closed_threshold", 0.5,
               "Closedness of the eyes, 0 to 1, from which they are closed: then there is no gaze.", minimum=0.05,
@@ -101,13 +100,12 @@ _GAZE = (
 
 _ENGAGEMENT = (
     Parameter("engagement", True,
-              "Publish engagement_status. False: it is left to another node, such as hri_engagement, which publishes "
-              "the same topic."),
+              "Publish engagement_status. False: another node does, such as hri_engagement."),
     Parameter("engagement_distance", 3.0,
               "Distance from the robot up to which somebody may be engaged with it.", unit="m", minimum=0.2,
               maximum=20.0, live=True),
     Parameter("engagement_distance_margin", 0.3,
-              "Somebody who was within engagement_distance has to be this much farther to be outside.", unit="m",
+              "How much farther than engagement_distance somebody must go to be outside again.", unit="m",
               minimum=0.0,
               maximum=5.0, live=True),
     Parameter("engagement_view", 1.2,
@@ -126,30 +124,30 @@ _ENGAGEMENT = (
     Parameter("disengaged_level", 0.12, "Attention below which somebody is disengaged.", minimum=0.01, maximum=0.97,
               live=True),
     Parameter("engagement_lost_time", 2.0,
-              "Somebody of whom neither place nor direction has been seen for so long has an unknown engagement.",
+              "Time without place and direction after which the engagement is unknown.",
               unit="s",
               minimum=0.1, maximum=60.0, live=True),
 )
 
 _GROUPS = (
     Parameter("group_stride", 0.4,
-              "Distance ahead of a person at which the middle of a group is expected. Larger: for people who stand in "
-              "wide circles.",
+              "Distance from a person to the expected middle of the group. Larger: for people who stand in wide "
+              "circles.",
               unit="m", minimum=0.0, maximum=2.0, live=True),
     Parameter("group_depth", 0.5,
-              "Standard deviation of the middle of a group along the direction of a person. Larger: wide and narrow "
-              "circles alike.",
+              "Standard deviation of the group's middle along a member's direction. Larger: wide and narrow circles "
+              "alike.",
               unit="m", minimum=0.05, maximum=2.0, live=True),
     Parameter("group_width", 0.3,
-              "Standard deviation of the middle of a group across the direction of a person. Larger: people side by "
-              "side and people turned away rather belong to a group.", unit="m", minimum=0.05, maximum=2.0, live=True),
+              "Standard deviation of the group's middle across a member's direction. Larger: people side by side and "
+              "people turned away rather belong to a group.", unit="m", minimum=0.05, maximum=2.0, live=True),
     Parameter("group_room", 22.0,
               "Area over which the middles of groups are spread: people form a group when their middles agree better "
               "than by chance in this area. Larger: more and larger groups.", unit="m^2", minimum=1.0,
               maximum=1000.0, live=True),
     Parameter("group_period", 0.3,
-              "Least time between two looks at who stands together, and between two messages of the groups. Longer: "
-              "less load.", unit="s", minimum=0.0, maximum=5.0, live=True),
+              "Least time between two results of the groups. Longer: less load.",
+              unit="s", minimum=0.0, maximum=5.0, live=True),
     Parameter("group_time", 2.0,
               "Time constant of who stands with whom: a group is who stood together for most of about twice this time. "
               "Longer: steadier groups, later changes.", unit="s", minimum=0.0, maximum=30.0, live=True),
@@ -158,7 +156,7 @@ _GROUPS = (
               "Lower: people leave a group sooner, noise breaks it.", unit="m/s", minimum=0.1,
               maximum=10.0, live=True),
     Parameter("group_delay", 0.5,
-              "Two people who have been seen, both, for less than this are in no group yet.", unit="s", minimum=0.0,
+              "Least time for which people are seen before they are in a group.", unit="s", minimum=0.0,
               maximum=30.0, live=True),
     Parameter("group_hold_time", 1.0,
               "How long a member who is not seen stays in the group, and an ended group can return with its id.",

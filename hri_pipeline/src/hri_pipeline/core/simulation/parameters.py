@@ -23,8 +23,7 @@ _SENSES = (
     Parameter("sense_voice_rate", 0.0, "How often the direction of a voice is measured; 0: every cycle.", unit="Hz",
               minimum=0.0,
               maximum=200.0),
-    Parameter("sense_position_noise", 0.02, "Standard deviation of the place of a face or body across the line of "
-                                            "sight, each axis.",
+    Parameter("sense_position_noise", 0.02, "Standard deviation of positions across the line of sight, each axis.",
               unit="m", minimum=0.0, maximum=2.0),
     Parameter("sense_depth_noise", 0.03, "Standard deviation of the distance, as a share of it.", minimum=0.0,
               maximum=1.0),
@@ -46,7 +45,7 @@ _SENSES = (
     Parameter("sense_lid_errors", 0.02, "Share of the images in which open eyes are read as closed and closed ones as "
                                         "open.",
               minimum=0.0, maximum=0.5),
-    Parameter("sense_dropout", 0.1, "Share of the time in which a face or body that could be seen is not found.",
+    Parameter("sense_dropout", 0.1, "Share of the time in which a visible face or body is not found.",
               minimum=0.0,
               maximum=0.9),
     Parameter("sense_dropout_time", 0.3, "Mean length of such a gap.", unit="s", minimum=0.01, maximum=60.0),

@@ -25,8 +25,8 @@ SOURCE_PARAMETERS = ParameterTable(
         Parameter("loop", True, "Start again at the end. Stamps go on; a picture or video is never shown as the past."),
         Parameter("at_end", STAY, "At the end, when loop is false. stay: the node goes on with `finished` true. "
                   "exit: it ends with exit code 0.", choices=(STAY, EXIT)),
-        Parameter("wait_for_subscriber", False, "Start only when somebody listens to the images, so that the first "
-                  "frames of a video are not lost."),
+        Parameter("wait_for_subscriber", False, "Start only when somebody subscribes to the images; the first frames "
+                  "of a video are not lost then."),
         Parameter("frame_id", "camera_color_optical_frame", "Frame of the images: optical, z forward, x right, y "
                                                             "down."),
         Parameter("hfov", 60.0, "Horizontal field of view of the published image, bars included; gives K in "
@@ -34,11 +34,10 @@ SOURCE_PARAMETERS = ParameterTable(
         Parameter("jpeg_quality", 80, "Quality of image/compressed, which is made only while somebody listens.",
                   minimum=1, maximum=100),
         Parameter("seconds_per_picture", 8.0, "How long each picture is shown.", unit="s", minimum=0.1, maximum=3600.0),
-        Parameter("dark_between_pictures", 1.5, "How long the image is black before the next picture, part of the time "
-                  "of the picture. Longer than the trackers' death times, so that nobody becomes somebody else.",
+        Parameter("dark_between_pictures", 1.5, "How long the image is black before the next picture; part of its "
+                  "time. Longer than the trackers' death times, so that nobody becomes somebody else.",
                   unit="s", minimum=0.0, maximum=60.0),
-        Parameter("pan", 0.03, "Swing of the slow pan over a picture, to each side, as a fraction of the image. 0: "
-                               "still.",
+        Parameter("pan", 0.03, "Swing of the slow pan to each side, as a fraction of the image. 0: still.",
                   minimum=0.0, maximum=0.25),
         Parameter("pan_period", 12.0, "Time of one swing there and back.", unit="s", minimum=0.5, maximum=600.0),
         Parameter("zoom", 0.0, "Largest enlargement of the slow zoom over a picture, minus one. 0: none. A zoom costs "
