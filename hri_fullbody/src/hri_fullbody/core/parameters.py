@@ -38,8 +38,8 @@ MODELLER_PARAMETERS = (
 
 
 BODY_STAGE_PARAMETERS = (
-    Parameter("person_detector_model", "", "ONNX file of the person detector. Empty: person_centernet.onnx in the"
-              " models directory ($ROS4HRI_MODELS, or ~/.cache/ros4hri/models)."),
+    Parameter("person_detector_model", "", "ONNX file of the person detector. Empty: person_centernet.onnx in the "
+              "models directory."),
     Parameter("pose_model", "full", "Pose network: `lite` (about 30 % faster, less exact), `full`, `heavy` (three "
               "times the time), or the path of an ONNX file. Get lite and heavy with `rosrun hri_pipeline fetch_models "
               "--models pose_landmarks_lite` (or `pose_landmarks_heavy`)."),

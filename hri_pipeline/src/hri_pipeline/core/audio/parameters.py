@@ -54,8 +54,8 @@ ARRAY_PARAMETERS = (
 """Of the microphone array (core/audio/array.py), localisation and separation."""
 
 VOICE_ACTIVITY_PARAMETERS = (
-    Parameter("vad_model", "", "ONNX file of the voice activity network. Empty: silero_vad.onnx in the models directory"
-              " ($ROS4HRI_MODELS, or ~/.cache/ros4hri/models)."),
+    Parameter("vad_model", "", "ONNX file of the voice activity network. Empty: silero_vad.onnx in the models "
+              "directory."),
     Parameter("birth_threshold", 0.4, "Probability of speech from which somebody begins to speak, in noise. Higher: "
               "fewer false voices, later and fewer soft ones.", minimum=0.05, maximum=0.99, live=True),
     Parameter("clear_birth_threshold", 0.3, "The same where the sound stands out of the noise by `clear_snr`: there the"

@@ -6,8 +6,8 @@ from hri_pipeline.core.onnx import PROVIDERS
 from hri_pipeline.core.parameters import Parameter, ParameterTable
 
 FACE_TRACKING_PARAMETERS = (
-    Parameter("face_detector_model", "", "ONNX file of the face detector. Empty: face_detection_full_range.onnx in"
-              " the models directory ($ROS4HRI_MODELS, or ~/.cache/ros4hri/models)."),
+    Parameter("face_detector_model", "", "ONNX file of the face detector. Empty: face_detection_full_range.onnx in "
+              "the models directory."),
     Parameter("face_mesh_model", "", "ONNX file of the face mesh with attention. Empty:"
               " face_landmarks_attention.onnx in the models directory."),
     Parameter("canonical_face", "", "The mean face used for head poses. Empty: canonical_face.npz in the models"
