@@ -145,8 +145,9 @@ def test_the_page_has_the_first_statement_and_what_special_values_mean(doc, line
 
 def test_the_page_leaves_out_what_stands_on_the_pages_of_the_included_nodes():
     same, other = Parameter("same", 1, "Same."), Parameter("other", 1, "Other.")
-    parts = [ParameterTable("a", "A.", [same, other]), ParameterTable("b", "B.", [same, Parameter("other", 2, "Other.")])]
-    both = ParameterTable("both", "Both.", [same, other, Parameter("own", 1, "Own.")], includes=parts)
+    includes = [ParameterTable("a", "A.", [same, other]),
+                ParameterTable("b", "B.", [same, Parameter("other", 2, "Other.")])]
+    both = ParameterTable("both", "Both.", [same, other, Parameter("own", 1, "Own.")], includes=includes)
     assert re.findall(r"`~(\w+)`", both.to_markdown()) == ["other", "own"]
     assert "same: 1" in both.to_yaml()
 
