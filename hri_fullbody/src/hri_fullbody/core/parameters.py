@@ -92,9 +92,8 @@ BODY_OUTPUT_PARAMETERS = (
 """What becomes of the bodies, besides `interface` and what BodyModeller needs."""
 
 _INTERFACE = (
-    Parameter("interface", "paper", "`paper`: `roi` is sensor_msgs/RegionOfInterest in pixels, and bodies have the "
-              "paper's 18 joints. `rep155`: `roi` is hri_msgs/NormalizedRegionOfInterest2D, and bodies have the 20 "
-              "joints of REP-155, three in each hip.", choices=("paper", "rep155")),
+    Parameter("interface", "paper", "paper: `roi` is RegionOfInterest in pixels, 18 joints. rep155: `roi` is "
+              "NormalizedRegionOfInterest2D, 20 joints (three in each hip).", choices=("paper", "rep155")),
 )
 
 
