@@ -43,9 +43,9 @@ BODY_STAGE_PARAMETERS = (
     Parameter("pose_model", "full", "Pose network: `lite` (about 30 % faster, less exact), `full`, `heavy` (three "
               "times the time), or the path of an ONNX file. Get lite and heavy with `rosrun hri_pipeline fetch_models "
               "--models pose_landmarks_lite` (or `pose_landmarks_heavy`)."),
-    Parameter("pose_rate", 10.0, "How often the pose network looks at each body; in the images between, the body moves"
-              " on by its own motion, with a lower confidence. Each look costs 11 to 15 ms on one core with the network"
-              " `full`. Larger follows fast movements better. 0: every image.",
+    Parameter("pose_rate", 10.0, "How often the pose network runs on each body; in the images between, the body "
+              "moves on by its own motion, with a lower confidence. Each run costs 11 to 15 ms on one core with the "
+              "network `full`. Larger follows fast movements better. 0: every image.",
               unit="Hz", minimum=0.0, maximum=120.0, live=True),
     Parameter("pose_budget", 3, "Most known bodies per image for the pose network; what is left (one at least, and "
               "two in slow images) goes to new ones. With more people than that the fast, the new, and those who "

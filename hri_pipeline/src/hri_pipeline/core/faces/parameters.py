@@ -12,7 +12,7 @@ FACE_TRACKING_PARAMETERS = (
               " face_landmarks_attention.onnx in the models directory."),
     Parameter("canonical_face", "", "The mean face used for head poses. Empty: canonical_face.npz in the models"
               " directory."),
-    Parameter("max_faces", 10, "Most faces tracked at the same time: of more, the large and central ones. A look at "
+    Parameter("max_faces", 10, "Most faces tracked at the same time: of more, the large and central ones. A run on "
               "one costs 2 to 5 ms on one core.", minimum=1, maximum=64, live=True),
     Parameter("min_detection_score", 0.6, "Score from which a detection may start a track. Lower finds fainter"
               " faces and more things that are none.", minimum=0.05, maximum=0.99, live=True),
@@ -24,12 +24,12 @@ FACE_TRACKING_PARAMETERS = (
     Parameter("face_detection_tiles", 3, "Small faces are searched in tiles x tiles parts of the image, one part "
               "between two runs on the whole: a part in which something has changed, or where a face waits for its "
               "confirmation. 1: no tiles.", minimum=1, maximum=4),
-    Parameter("face_mesh_rate", 10.0, "How often per second the mesh network looks at each face; in the images between,"
-              " the face goes where its picture goes (optical flow), with a confidence that says so. Higher follows "
-              "quick heads better, and costs more. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True),
-    Parameter("face_budget", 10.0, "Processor time per image for looks of the mesh network. With more faces than it"
-              " allows, they take turns. On a faster machine the same budget means more looks. The networks behind it"
-              " (expression, age and gender, recognition) take three quarters of it at most, over time, and 0.3 s at "
+    Parameter("face_mesh_rate", 10.0, "How often the mesh network runs on each face; in the images between, the face "
+              "goes where its picture goes (optical flow), with a confidence that says so. Higher follows quick "
+              "heads better, and costs more. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True),
+    Parameter("face_budget", 10.0, "Processor time per image for the mesh network. With more faces than it allows, "
+              "they take turns. On a faster machine the same budget means more runs. The networks behind it "
+              "(expression, age and gender, recognition) take three quarters of it at most, over time, and 0.3 s at "
               "once for who has just come.",
               unit="ms", minimum=1.0, maximum=1000.0, live=True),
     Parameter("face_birth_delay", 0.1, "Time for which a face must be seen before it gets its topics. Larger keeps out"
