@@ -27,9 +27,8 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
               "person for a moment that then is an alias. Counts where it is longer than new_person_delay.",
               unit="s", minimum=0.0, maximum=60.0, live=True),
     Parameter("decay", "exponential",
-              "How the location confidence falls once no feature has told a place for 1 s (or three image periods): "
-              "exponential (half after each half_life), linear (0 after two half_life), step (0.5 at once, 0 after "
-              "two half_life).",
+              "How the location confidence falls once no feature has told a place for 1 s (or three image periods). "
+              "exponential: half after each half_life. linear: 0 after two. step: 0.5 at once, 0 after two.",
               choices=DECAY_KINDS, live=True),
     Parameter("half_life", 5.0,
               "Time in which the confidence of a place that is no longer current halves. Longer: frames stay longer "
@@ -84,6 +83,6 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
               unit="1/s", minimum=1.0, maximum=100000.0, live=True),
     LIST_TIMEOUT,
     Parameter("interface", "paper",
-              "Taken by every node of the stack, so that one launch argument sets all; the topics of this "
-              "node are the same in both.", choices=("paper", "rep155")),
+              "No effect on this node; every node takes it, so that one launch argument sets all.",
+              choices=("paper", "rep155")),
 ))

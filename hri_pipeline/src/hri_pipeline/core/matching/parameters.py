@@ -71,6 +71,6 @@ VOICE_MATCHER_PARAMETERS = ParameterTable(
                   maximum=3600.0, live=True),
         LIST_TIMEOUT,
         Parameter("interface", "paper",
-                  "Taken by every node of the stack, so that one launch argument sets all; the topics of this node are "
-                  "the same in both.", choices=("paper", "rep155")),
+                  "No effect on this node; every node takes it, so that one launch argument sets all.",
+                  choices=("paper", "rep155")),
     ))

@@ -60,7 +60,7 @@ _SENSES = (
     Parameter("sense_ghosts", 0.0, "How often a face is found where nobody is; it lasts for half a second or a little "
                                    "more.",
               unit="1/min", minimum=0.0, maximum=600.0),
-    Parameter("sense_voices", True, "Speakers are voices."),
+    Parameter("sense_voices", True, "People who speak are voices."),
     Parameter("sense_voice_hold", 2.0, "How long a voice stays listed after its last word.", unit="s", minimum=0.0,
               maximum=60.0),
 )

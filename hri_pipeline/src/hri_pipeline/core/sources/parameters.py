@@ -73,7 +73,8 @@ SOUND_SOURCE_PARAMETERS = ParameterTable(
                   maximum=600.0),
         Parameter("at_end", STAY, "At the end, when loop is false. stay: the node goes on with `finished` true. "
                   "exit: it ends with exit code 0.", choices=(STAY, EXIT)),
-        Parameter("wait_for_subscriber", False, "Start only when somebody listens, so that the begin is not lost."),
+        Parameter("wait_for_subscriber", False, "Start only when somebody listens, so that the beginning is not "
+                  "lost."),
         Parameter("raw_rate", 16000, "Rate of files that end in .raw.", unit="Hz", minimum=4000, maximum=192000),
         Parameter("raw_channels", 1, "Channels of files that end in .raw.", minimum=1, maximum=32),
         Parameter("retry_period", 2.0, "How often a microphone that is not there is tried again.", unit="s",
