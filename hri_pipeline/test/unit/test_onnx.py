@@ -154,12 +154,14 @@ def test_a_provider_that_does_not_load_is_named_with_what_is_missing(doubler, ma
     OnnxModel(doubler, ["cuda", "cpu"], notify=log)
     assert told == ["execution provider cuda does not load here, the networks run on cpu: the loader does not find "
                     "cuDNN (libcudnn.so.9); see docs/gpu.md"]
-    assert log.providers == {"doubler": "cpu"} and log.summary == "cpu: doubler"
+    assert log.providers == {"doubler": "cpu"}
+    assert log.values == {"networks": "cpu: doubler", "inferences_doubler": 0}
 
 
 def test_a_gpu_gets_batches_of_a_few_sizes_that_were_warmed_up(doubler, machine):
     sessions = machine("CUDAExecutionProvider")
-    model = OnnxModel(doubler, ["cuda"], notify=ModelLog(lambda text: None))
+    log = ModelLog(lambda text: None)
+    model = OnnxModel(doubler, ["cuda"], notify=log)
     assert model.provider == "cuda" and sessions.batches == list(BATCH_SIZES)
     name, options = sessions.asked[0][0]
     assert name == "CUDAExecutionProvider"
@@ -171,6 +173,7 @@ def test_a_gpu_gets_batches_of_a_few_sizes_that_were_warmed_up(doubler, machine)
         np.testing.assert_array_equal(found["y"], 2 * x)
         np.testing.assert_array_equal(found["z"], x * x)
         assert set(sessions.batches) <= set(BATCH_SIZES) and sum(sessions.batches) >= count
+    assert log.inferences == {"doubler": 63}
 
 
 def test_missing_libraries_are_those_that_the_loader_does_not_find():

@@ -112,7 +112,8 @@ class BodyProcessor:
     def status(self) -> Tuple[int, str, Dict[str, object]]:
         """Return level, message and values for diagnostics."""
         values = self._pipeline.status()
-        values["errors"], values["networks"] = self._guard.errors, self._networks.summary
+        values["errors"] = self._guard.errors
+        values.update(self._networks.values)
         level, text = OK, ""
         if self._publishers is not None:
             level, text, counts = self._publishers.status()

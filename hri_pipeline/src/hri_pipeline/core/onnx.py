@@ -103,6 +103,8 @@ class ModelLog:
         self._told: Set[str] = set()
         self.providers: Dict[str, str] = {}
         """Keys of PROVIDERS by the names of the models."""
+        self.inferences: Dict[str, int] = {}
+        """How many items (crops, images) each model has worked on."""
 
     def __call__(self, text: str) -> None:
         """Tell a line, unless it was told before."""
@@ -116,6 +118,12 @@ class ModelLog:
         return "; ".join("{}: {}".format(provider, ", ".join(sorted(
             name for name, used in self.providers.items() if used == provider)))
             for provider in sorted(set(self.providers.values())))
+
+    @property
+    def values(self) -> Dict[str, object]:
+        """What diagnostics tell: `networks`, and `inferences_MODEL` of each."""
+        return dict({"networks": self.summary}, **{"inferences_" + name: count
+                                                   for name, count in sorted(self.inferences.items())})
 
 
 class OnnxModel:
@@ -168,8 +176,9 @@ class OnnxModel:
         self._batched: Dict[int, onnxruntime.InferenceSession] = {}
         if self.provider in ("cuda", "tensorrt") and self._takes_batches():
             self._warm_up(threads)
-        if isinstance(notify, ModelLog):
-            notify.providers[self.name] = self.provider
+        self._log = notify if isinstance(notify, ModelLog) else None
+        if self._log is not None:
+            self._log.providers[self.name], self._log.inferences[self.name] = self.provider, 0
 
     def run(self, feed: Dict[str, np.ndarray]) -> Dict[str, np.ndarray]:
         """Run the model.
@@ -195,6 +204,8 @@ class OnnxModel:
             shapes = {name: getattr(value, "shape", None) for name, value in feed.items()}
             raise ModelError("model {} refused input {}: {}".format(
                 self._path, shapes, first_line(error))) from error
+        if self._log is not None:
+            self._log.inferences[self.name] += len(next(iter(feed.values())))
         return dict(zip(self._wanted, values))
 
     def _run_batched(self, feed: Dict[str, np.ndarray]) -> List[np.ndarray]:

@@ -124,8 +124,8 @@ class FaceProcessor:
 
     def status(self) -> Tuple[int, str, Dict[str, object]]:
         """Return level, message and values for diagnostics."""
-        values: Dict[str, object] = {"without_pose": self._poseless, "errors": self._guard.errors,
-                                    "networks": self._networks.summary}
+        values: Dict[str, object] = {"without_pose": self._poseless, "errors": self._guard.errors}
+        values.update(self._networks.values)
         values.update(self._pipeline.status())
         if self._gallery is not None and self._gallery.problem:
             return ERROR, self._gallery.problem, values
