@@ -68,7 +68,7 @@ class Probe:
                 self.most[kind] = max(self.most.get(kind, 0), len(message.ids))
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
-        """Keep the latest times of stages, STAGE_ms_median and STAGE_ms_p95, and inferences_NETWORK with their times."""
+        """Keep the latest times of stages, STAGE_ms_median and STAGE_ms_p95, and times of inferences_NETWORK."""
         with self.lock:
             for status in message.status:
                 for value in status.values:
