@@ -7,7 +7,7 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
-from typing import Dict
+from typing import Dict, Set
 
 import pytest
 import results
@@ -99,8 +99,10 @@ ROSTEST = """#!/usr/bin/env bash
 name=$(basename "$1" .test)
 left=$(cat "$1.failures")
 mkdir -p "$ROS_TEST_RESULTS_DIR"
-[ "$name" != slow ] || sleep 0.5
-echo "$name" >>"$ROS_TEST_RESULTS_DIR/../../ended"
+log=$ROS_TEST_RESULTS_DIR/../../log
+printf "+%s\\n" "$name" >>"$log"
+[ "$name" = shaky ] || sleep 0.3
+printf -- "-%s\\n" "$name" >>"$log"
 if ((left)); then
     echo $((left - 1)) >"$1.failures"
     result='<failure message="not within 3 s: a face"/>'
@@ -111,13 +113,16 @@ echo "<testsuite>$case</testsuite>" >"$ROS_TEST_RESULTS_DIR/rosunit-a.xml"
 """
 
 
+COMMENTS = {"alone": "<!-- runs alone: figures of time -->", "heavy": "<!-- heavy: networks -->"}
+
+
 def run_rostests(directory: Path, failures: Dict[str, int], setting: str = ":") -> "subprocess.CompletedProcess[str]":
     """Run the rostest layer's loop on files which fail so many times each; their table is directory/table."""
     program = _write(directory / "bin" / "rostest", ROSTEST)
     program.chmod(0o755)
     sources = directory / "src" / "ros4hri"
     for name, times in failures.items():
-        _write(sources / name, "<launch/>")
+        _write(sources / name, "<launch>%s</launch>" % COMMENTS.get(Path(name).stem.split("_")[0], ""))
         _write(sources / (name + ".failures"), str(times))
     return run_layers(directory, 'PATH=$2/bin:$PATH; R4H_SYSTEM_PYTHON=%s; %s; cd "$2/src/ros4hri"; '
                                  'layer_rostest() { run_rostests %s; }; run_layer rostest'
@@ -128,18 +133,40 @@ def test_a_rostest_that_passes_the_second_time_has_passed_and_is_named(tmp_path:
     done = run_rostests(tmp_path, {"good.test": 0, "shaky.test": 1})
     assert "rostest: 2 passed, 0 failed, 0 skipped" in done.stdout
     assert (tmp_path / "second").read_text() == "shaky.test: a.b: not within 3 s: a face\n"
-    assert sorted((tmp_path / "ended").read_text().split()) == ["good", "shaky", "shaky"]
+    assert (tmp_path / "log").read_text().split().count("-shaky") == 2
 
 
 def test_a_rostest_that_fails_twice_has_failed_and_is_not_run_a_third_time(tmp_path: Path) -> None:
     done = run_rostests(tmp_path, {"good.test": 0, "bad.test": 2})
     assert "rostest: 1 passed, 1 failed, 0 skipped" in done.stdout
-    assert (tmp_path / "ended").read_text().split().count("bad") == 2 and not (tmp_path / "second").exists()
+    assert (tmp_path / "log").read_text().split().count("-bad") == 2 and not (tmp_path / "second").exists()
 
 
 def test_a_rostest_is_repeated_alone_after_all_others(tmp_path: Path) -> None:
     run_rostests(tmp_path, {"shaky.test": 1, "slow.test": 0})
-    assert (tmp_path / "ended").read_text().split() == ["shaky", "slow", "shaky"]
+    log = (tmp_path / "log").read_text().split()
+    assert log[-3:] == ["-slow", "+shaky", "-shaky"] and log.count("-shaky") == 2
+
+
+def test_a_file_says_how_many_run_beside_it(tmp_path: Path) -> None:
+    names = ["alone.test", "heavy_a.test", "heavy_b.test", "c.test", "d.test", "e.test"]
+    done = run_rostests(tmp_path, {name: 0 for name in names}, "R4H_ROSTEST_PLACES=4")
+    assert "rostest: 6 passed, 0 failed" in done.stdout
+    log = (tmp_path / "log").read_text().split()
+    assert log[-2:] == ["+alone", "-alone"] and set(log[:2]) == {"+heavy_a", "+heavy_b"}
+    running: Set[str] = set()
+    most = 0
+    for entry in log:
+        running ^= {entry[1:]}
+        places = sum({"alone": 4, "heavy": 2}.get(name.split("_")[0], 1) for name in running)
+        assert places <= 4, log
+        most = max(most, len(running))
+    assert most == 3
+
+
+def test_a_rostest_that_ends_without_a_result_has_failed(tmp_path: Path) -> None:
+    done = run_rostests(tmp_path, {"c.test": 0}, "R4H_ROSTEST_REPEATS=0; run_rostest() { exit 3; }")
+    assert "c.test ended without a result" in done.stdout and "rostest: 0 passed, 1 failed" in done.stdout
 
 
 def test_rostests_are_not_repeated_where_many_fail(tmp_path: Path) -> None:
