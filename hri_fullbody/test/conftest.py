@@ -1,6 +1,10 @@
-"""Puts scripts/ of the checkout on the import path: some tests measure with the tools of `scripts/benchmark`."""
+"""Puts scripts/ of the checkout on the import path: some tests measure with the tools of `scripts/benchmark`.
+Linear algebra works in one thread, as in the nodes: with more, two test processes on two cores wait for each other."""
 
 import sys
 from pathlib import Path
 
+from hri_pipeline.core.process import one_thread_each
+
 sys.path.append(str(Path(__file__).resolve().parents[2] / "scripts"))
+one_thread_each()

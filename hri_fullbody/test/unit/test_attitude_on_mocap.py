@@ -12,6 +12,7 @@ from hri_fullbody.core.behaviour.attitude import AttitudeClass
 needs_recordings = pytest.mark.skipif(data_directory() is None, reason=ABSENT)
 
 
+@pytest.mark.slow("recorded motion")
 @needs_recordings
 @pytest.mark.parametrize("noise", (0, "rgbd"))
 def test_made_attitudes_are_found_on_recordings_that_nothing_was_tuned_on(noise):
@@ -24,6 +25,7 @@ def test_made_attitudes_are_found_on_recordings_that_nothing_was_tuned_on(noise)
         assert row["recall"] >= 0.8 and row["precision"] >= 0.8, (name, row)
 
 
+@pytest.mark.slow("recorded motion")
 @needs_recordings
 @pytest.mark.parametrize("noise", (0, "rgbd"))
 def test_nobody_who_walks_or_runs_shows_anything(noise):

@@ -57,6 +57,7 @@ def test_the_noise_of_a_depth_camera_is_as_described() -> None:
     assert np.std(add_noise(points, 20, 1) - points) == pytest.approx(0.020, rel=0.02)
 
 
+@pytest.mark.slow("recorded motion, four trials")
 @with_recordings
 @pytest.mark.parametrize("limb_lengths, limits", [
     (True, {"10": 18.0, "30": 28.8, "rgbd": 38.8}), (False, {"10": 20.1, "30": 30.2, "rgbd": 38.9})])
@@ -66,6 +67,7 @@ def test_the_fit_stays_as_exact_as_it_was_measured(limb_lengths: bool, limits: d
     assert all(errors[level] <= limit for level, limit in limits.items()), errors
 
 
+@pytest.mark.slow("recorded motion of 22 people")
 @with_recordings
 def test_the_stature_is_told_after_two_seconds() -> None:
     errors = stature_errors(TABLE, count=22)

@@ -14,6 +14,7 @@ GOLDEN = Path(__file__).resolve().parents[3] / "rosbag_tests" / "golden.yaml"
 TRIALS, FRAMES = ("02_01", "03_01"), 240    # a walk and a walk on uneven ground, 8 s of each
 
 
+@pytest.mark.slow("recorded motion, two trials")
 @pytest.mark.skipif(data_directory() is None, reason=ABSENT)
 def test_the_error_of_the_joints_may_only_become_less():
     table = SegmentTable.load()

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 
@@ -19,11 +21,52 @@ def camera(model="plumb_bob", distortion=None, **kwargs):
     return CameraModel.from_calibration(640, 480, K, distortion, model, 1.0, **kwargs)
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_round_trip(model):
-    rays = camera(model).normalise(PIXELS)
-    points = np.hstack([rays, np.ones((4, 1))]) * [[1.0], [2.0], [0.3], [7.0]]
-    np.testing.assert_allclose(camera(model).project(points), PIXELS, atol=1e-6)
+@st.composite
+def cameras(draw):
+    """A camera with little distortion, of one of the models."""
+    model = draw(st.sampled_from(sorted(MODELS)))
+    share = draw(st.floats(0.0, 1.0))
+    focal, aspect = draw(st.floats(450.0, 2000.0)), draw(st.floats(0.9, 1.1))
+    x, y = draw(st.floats(280.0, 360.0)), draw(st.floats(200.0, 280.0))
+    matrix = [focal, 0.0, x, 0.0, focal * aspect, y, 0.0, 0.0, 1.0]
+    return CameraModel.from_calibration(640, 480, matrix, [share * value for value in MODELS[model]], model, 1.0)
+
+
+@given(cameras(), st.lists(st.tuples(st.floats(0.0, 640.0), st.floats(0.0, 480.0), st.floats(0.1, 50.0)), min_size=1))
+def test_round_trip(model, places):
+    pixels, depths = np.array(places)[:, :2], np.array(places)[:, 2:]
+    points = np.hstack([model.normalise(pixels), np.ones_like(depths)]) * depths
+    np.testing.assert_allclose(model.project(points), pixels, atol=1e-5)
+
+
+@given(st.integers(0, 320), st.integers(0, 240), st.integers(1, 80), st.integers(1, 60), st.integers(1, 4),
+       st.integers(1, 4))
+def test_region_of_interest_binning_and_size(left, top, width, height, across, down):
+    """Bars beside the image and pixels put together move and scale the pixels, and so does another size."""
+    whole, point = camera(), np.array([[0.1, -0.1, 2.0]])
+    model = camera(roi_x=left, roi_y=top, roi_width=width * across, roi_height=height * down, binning_x=across,
+                   binning_y=down)
+    assert (model.width, model.height) == (width, height)
+    expected = (whole.project(point) - [left, top]) / [across, down]
+    np.testing.assert_allclose(model.project(point), expected, atol=1e-9)
+    half = model.resized(3 * width, 2 * height)
+    assert (half.width, half.height) == (3 * width, 2 * height)
+    np.testing.assert_allclose(half.project(point), expected * [3, 2], atol=1e-9)
+
+
+NUMBERS = st.sampled_from([0.0, 1.0, -1.0, 5e-324, 1e-300, 1e300, -1e5, np.nan, np.inf]) | st.floats()
+
+
+@given(st.dictionaries(st.integers(0, 8), NUMBERS, max_size=3), st.lists(NUMBERS | st.floats(-1.0, 1.0), max_size=8),
+       st.sampled_from([*MODELS, "", "barrel"]))
+def test_any_calibration_is_refused_with_a_mend_or_gives_finite_rays(numbers, distortion, model):
+    matrix = [numbers.get(index, number) for index, number in enumerate(K)]
+    try:
+        taken = CameraModel.from_calibration(640, 480, matrix, distortion, model, 1.0)
+    except CameraError as error:
+        assert "calibrate the camera" in str(error)
+    else:
+        assert np.isfinite(taken.normalise(PIXELS)).all() and np.isfinite(taken.matrix).all()
 
 
 def test_plumb_bob_by_hand():
@@ -66,28 +109,12 @@ def test_all_zero_k_is_uncalibrated_and_falls_back():
     assert camera().calibration is Calibration.CALIBRATED
 
 
-def test_region_of_interest_and_binning():
-    model = camera(roi_x=100, roi_y=40, roi_width=400, roi_height=200, binning_x=2, binning_y=4)
-    assert (model.width, model.height) == (200, 50)
-    point = np.array([[0.1, -0.1, 2.0]])
-    np.testing.assert_allclose(model.project(point), (camera().project(point) - [100, 40]) / [2, 4])
-
-
-def test_resized():
-    point = np.array([[0.2, 0.1, 1.0]])
-    half = camera().resized(320, 240)
-    assert (half.width, half.height) == (320, 240)
-    np.testing.assert_allclose(half.project(point), camera().project(point) / 2)
-
-
 def changed(index, value):
     return [value if i == index else number for i, number in enumerate(K)]
 
 
 @pytest.mark.parametrize("matrix, distortion, model, text", [
     (changed(0, np.nan), [], "plumb_bob", "not finite"),
-    (changed(2, np.inf), [], "plumb_bob", "not finite"),
-    (changed(0, 0.0), [], "plumb_bob", "positive"),
     (changed(4, -5.0), [], "plumb_bob", "positive"),
     (changed(8, 0.0), [], "plumb_bob", "0 0 1"),
     (K[:8], [], "plumb_bob", "instead of 9"),
@@ -96,8 +123,6 @@ def changed(index, value):
     (K, [np.nan] * 5, "plumb_bob", "not finite"),
     (K, [], "barrel", "unknown distortion model"),
     (changed(0, 1e300), [], "plumb_bob", "focal length"),
-    (changed(0, 1e-300), [], "plumb_bob", "focal length"),
-    (changed(4, 1e300), [], "plumb_bob", "focal lengths"),
     (changed(4, 1e-300), [], "plumb_bob", "focal lengths"),
     (changed(1, 1e300), [], "plumb_bob", "skew"),
     (changed(2, 1e300), [], "plumb_bob", "principal point"),

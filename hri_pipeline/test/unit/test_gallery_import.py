@@ -286,6 +286,7 @@ open_gallery(sys.argv[1], "synthetic", {}, TemplateCalibration(0.36, 0.40, 0.018
 """.format(SIZE)
 
 
+@pytest.mark.slow("starts eight processes")
 def test_killed_while_the_people_are_moved(path):
     """Whoever is killed at any moment leaves the people in the old file, in the store, or in both; two at once lose
     none."""

@@ -224,6 +224,7 @@ def test_nobody_waits_for_a_store_that_another_process_holds(store):
     assert [record.id for record in store.load_records()] == ["bert"]
 
 
+@pytest.mark.slow("two processes run for 4 s")
 def test_two_processes_that_learn_and_forget_at_random(tmp_path):
     assert forget_undone(4.0, tmp_path) == 0
 

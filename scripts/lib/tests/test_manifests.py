@@ -1,4 +1,4 @@
-"""What is used must be declared in package.xml, and rosdep must know it."""
+"""What is used must be declared in package.xml, and rosdep must know it; scripts/catkin_lint looks at our own."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from typing import List
 
 import manifests
 import pytest
-
-ROOT = Path(__file__).resolve().parents[3]
 
 
 def write(path: Path, text: str) -> None:
@@ -63,7 +61,3 @@ def test_what_is_wrong_is_told(root: Path, name: str, before: str, after: str, t
     rewrite(root / name, before, after)
     problems: List[str] = manifests.problems_of(root)
     assert told in problems
-
-
-def test_our_packages_declare_what_they_use() -> None:
-    assert manifests.problems_of(ROOT) == []
