@@ -38,6 +38,11 @@ def _attitude_is_met(value: object) -> bool:
         for name, least in RECALL.items())
 
 
+def _posture_is_met(value: object) -> bool:
+    return isinstance(value, dict) and all(
+        row["recall"] >= 0.85 and row["precision"] >= 0.95 for row in value.values())
+
+
 def _told(limits: Dict[str, float]) -> str:
     return "<= " + " / ".join("{:g}".format(limit) for limit in limits.values())
 
@@ -53,12 +58,14 @@ KEYS: Sequence[Tuple[str, str, Callable[[object], bool]]] = (
     ("rsp_cpu_percent_10", "<= 15", _most(15.0)), ("cpu_ms_per_body_frame", "<= 10", _most(10.0)),
     ("stature_bias_mm", "-25 .. 25", _most(25.0)), ("stature_sd_mm", "<= 30", _most(30.0)),
     ("stature_no_legs_sd_mm", "<= 40", _most(40.0)), ("head_face_median_m", "<= 0.05", _most(0.05)),
-    ("attitude", "recall .97/.97/.88, precision .85", _attitude_is_met), ("churn_500", "flat", _each_most(GROWTH)))
+    ("attitude", "recall .97/.97/.88, precision .85", _attitude_is_met), ("waving_false", "<= 4", _most(4)),
+    ("posture", "recall .85, precision .95", _posture_is_met), ("churn_500", "flat", _each_most(GROWTH)))
 
 PARTS: Dict[str, Sequence[str]] = {
     "fit": ("mpjpe_height_only_mm", "mpjpe_limbs_mm"), "heading": ("worst_heading_ratio",), "wave": ("wave_lag_ms",),
     "ik": ("ik_ms_1", "ik_ms_10", "ikpy_warm_ms"),
     "stature": ("stature_bias_mm", "stature_sd_mm", "stature_no_legs_sd_mm"), "attitude": ("attitude",),
+    "clips": ("waving_false", "posture"),
     "tf": ("tf_fk_error_m",), "first": ("rsp_first_tf_s",), "publishers": ("rsp_cpu_percent_10",),
     "cpu": ("cpu_ms_per_body_frame",), "heads": ("head_face_median_m",), "churn": ("churn_500",)}
 
@@ -93,6 +100,7 @@ def make_report(values: Dict[str, object], reasons: Dict[str, str], details: Dic
         "error": "mean of shoulders, elbows, wrists, hips, knees, ankles; gate, filter, stature, joints; images from "
                  "the first settled model on",
         "tuned_on": "filter, gate and weights of the points on subject 02, with 03 in view",
+        "clips": "UTD-MHAD, tuned on subjects 1 and 3, told of 5 and 7, 10 and 30 mm and depth noise",
         "photographs": "the six of the demonstration"}, details)
 
 
@@ -113,6 +121,11 @@ def _measure(part: str, details: Dict[str, object]) -> Dict[str, object]:
     if part == "attitude":
         from benchmarks import attitude as attitude_figures
         return {"attitude": _attitude(attitude_figures.figures(), details)}
+    if part == "clips":
+        from benchmarks import kinect_clips
+        found = kinect_clips.figures()
+        details["arms_crossed_before_a_depth_camera"] = found["arms_crossed"]
+        return {name: found[name] for name in PARTS["clips"]}
     from hri_fullbody.core.model.anthropometry import SegmentTable
     return {"fit": _fit, "heading": _heading, "wave": _wave, "ik": _joints, "stature": _stature}[part](
         SegmentTable.load(), details)

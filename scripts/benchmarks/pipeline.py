@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 PATIENCE_S = 60.0
 SPEECH = Path("/usr/share/pocketsphinx/test/data/cards")
 _NOT_ASKED = "not asked for (--start)"
+FACE_NETWORK, BODY_NETWORK = "face_landmarks_attention", "pose_landmarks"
+"""Beginnings of the names of the networks that look at one face or body."""
 NOT_STACK = ("benchmark_probe", "image_source")
 
 
@@ -140,15 +142,21 @@ def figures(people: int, seen: dict) -> dict:
 
     A rate is the number of different image stamps per second at the frame of a person (face, body), averaged
     over the people of the scene; one who is not found counts with 0, one too many does not count.
+    Inferences are runs of a network on one face or body, per person and second: between two of them a face is moved on
+    by optical flow only.
     """
     import numpy as np
 
+    looked = {network: round(sum(hz for name, hz in seen.get("inferences_hz", {}).items()
+                                 if name.startswith(network)) / people, 2)
+              for network in (FACE_NETWORK, BODY_NETWORK)}
     rates = {kind: round(sum(found[:people]) / people, 2) for kind, found in seen["rates"].items()}
     ages = 1e3 * np.array(seen["ages"] or [np.nan])
     middle, high = (None if np.isnan(value) else round(float(value), 1) for value in np.percentile(ages, [50, 95]))
     cpu: Dict[str, float] = seen["cpu_percent"]
     return {
         "people": people, "fps": rates["person"], "faces_fps": rates["face"], "bodies_fps": rates["body"],
+        "face_inferences": looked[FACE_NETWORK], "body_inferences": looked[BODY_NETWORK],
         "found": {kind: seen["tracked"].get(kind, 0) for kind in ("persons", "faces", "bodies")},
         "age_p50_ms": middle, "age_p95_ms": high,
         "cpu_percent": round(sum(value for name, value in cpu.items() if name not in NOT_STACK), 1),
@@ -169,7 +177,8 @@ def as_json(rows: Sequence[dict], before: dict, described: dict, starts: Optiona
             result["reasons"][name + "_run_s"] = start.why_not
     for row in rows:
         number = row["people"]
-        for key in ("fps", "faces_fps", "bodies_fps", "age_p50_ms", "age_p95_ms", "cpu_percent", "rss_mb"):
+        for key in ("fps", "faces_fps", "bodies_fps", "face_inferences", "body_inferences", "age_p50_ms", "age_p95_ms",
+                    "cpu_percent", "rss_mb"):
             result["{}_{}".format(key, number)] = row[key]
         for key in ("cpu_percent_by_process", "rss_mb_by_process"):
             result["{}_{}".format(key, number)] = row[key]
@@ -196,9 +205,10 @@ def as_table(rows: Sequence[dict], before: dict, described: dict) -> str:
         "Load      {} before the start".format(" ".join(str(load) for load in before["load_average"])),
         "Versions  " + ", ".join("{} {}".format(*item) for item in before["versions"].items()),
         "Input     " + ", ".join("{} {}".format(*item) for item in described.items()), "",
-        "people  persons/s  faces/s  bodies/s  found p/f/b   age p50   age p95  processor"]
+        "people  persons/s  faces/s  bodies/s  inferences per face, body  found p/f/b   age p50   age p95  processor"]
     for row in rows:
-        lines.append("{people:6d} {fps:10.1f} {faces_fps:8.1f} {bodies_fps:9.1f}  {found:>11}  {p50:>8}  {p95:>8}  "
+        lines.append("{people:6d} {fps:10.1f} {faces_fps:8.1f} {bodies_fps:9.1f} "
+                     "{face_inferences:16.1f} {body_inferences:6.1f}  {found:>11}  {p50:>8}  {p95:>8}  "
                      "{cpu_percent:6.0f} %".format(**dict(
                          row, found="{persons}/{faces}/{bodies}".format(**row["found"]),
                          p50=_ms(row["age_p50_ms"]), p95=_ms(row["age_p95_ms"]))))

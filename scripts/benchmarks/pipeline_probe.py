@@ -35,6 +35,8 @@ class Probe:
         self.tracked: Dict[str, int] = {}
         self.most: Dict[str, int] = {}
         self.stages: Dict[str, Dict[str, Dict[str, float]]] = {}
+        self.inferences: Dict[str, List[Tuple[float, int]]] = defaultdict(list)
+        """Stamp (s) of the diagnostics and how often each network has run until then."""
         self.subscribers = [
             rospy.Subscriber("/tf", TFMessage, self.on_tf, queue_size=1000, buff_size=2**22, tcp_nodelay=True),
             rospy.Subscriber("/diagnostics", DiagnosticArray, self.on_diagnostics, queue_size=100)]
@@ -66,10 +68,13 @@ class Probe:
                 self.most[kind] = max(self.most.get(kind, 0), len(message.ids))
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
-        """Keep the latest stage times of each node: values called STAGE_ms_median and STAGE_ms_p95."""
+        """Keep the latest times of stages, STAGE_ms_median and STAGE_ms_p95, and times of inferences_NETWORK."""
         with self.lock:
             for status in message.status:
                 for value in status.values:
+                    if value.key.startswith("inferences_") and self.watching:
+                        self.inferences[value.key[len("inferences_"):]].append(
+                            (message.header.stamp.to_sec(), int(float(value.value))))
                     for ending, name in (("_ms_median", "median"), ("_ms_p95", "p95")):
                         # The age of the images is told in the same way, and is no stage.
                         if value.key.endswith(ending) and value.key != "age" + ending:
@@ -87,7 +92,14 @@ class Probe:
                 "ages": [age for stamp, age in self.ages if stamp in images],
                 "rates": {kind: sorted((len(stamps & images) / seconds for stamps in frames.values()), reverse=True)
                           for kind, frames in self.stamps.items()},
-                "stages_ms": self.stages}
+                "stages_ms": self.stages,
+                "inferences_hz": {network: rate(counts) for network, counts in self.inferences.items()}}
+
+
+def rate(counts: List[Tuple[float, int]]) -> float:
+    """Return how fast (1/s) a count has risen from the first to the last of (stamp s, count); 0 for less than two."""
+    passed = counts[-1][0] - counts[0][0] if counts else 0.0
+    return (counts[-1][1] - counts[0][1]) / passed if passed > 0.0 else 0.0
 
 
 def main(arguments: List[str]) -> int:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import attitude as clips
+from benchmarks import kinect_clips
 from benchmarks.attitude import Event, bend_arm, by_class, detect, events_of
 from benchmarks.data_directory import ABSENT, data_directory
 from hri_fullbody.core.behaviour.attitude import AttitudeClass
@@ -72,3 +73,12 @@ def test_recall_and_precision_count_events():
     found = [[Event(crossed, 2.5, 4.2)], [Event(crossed, 3.5, 4.5)], [Event(crossed, 1.0, 2.0)]]
     row = by_class(scored, found, ["a"])["arms_crossed"]
     assert row == {"recall": 0.5, "precision": 0.5, "false_per_minute": 0.33, "events": 2, "false_events": 1}
+
+
+@needs_recordings
+def test_people_before_a_depth_camera_cross_their_arms_and_others_do_not():
+    clips_of_one = [clip for clip in kinect_clips.load_clips([5]) if clip.action in (6, 2, 14, 16)]
+    for clip in clips_of_one:
+        told = kinect_clips.behaviour(clip.points, clip.stature, 10, seed=5)
+        found = any(each.attitude == AttitudeClass.ARMS_CROSSED for each in told)
+        assert found == (clip.action == kinect_clips.CROSS_ARMS), clip.action

@@ -338,19 +338,11 @@ def test_the_table_is_consistent():
         assert measure.axis in ("up", "out", "left") and 0.0 < measure.quantile < 1.0 and measure.spread > 0.0
 
 
-def test_the_page_has_the_table():
+def test_the_page_has_every_unit():
     page = Path(__file__).resolve().parents[3] / "docs" / "face_features.md"
     if not page.is_file():
         pytest.skip("no docs beside an installed package")
     text = page.read_text(encoding="utf-8")
     for unit in ACTION_UNITS:
-        terms = " ".join("{:+g} {}".format(gain, name) for name, gain in unit.terms)
-        row = "| {} | {} | {} | {} | {:g} | {:g} | {} | {:g} |".format(
-            unit.code, unit.name, unit.visible, terms, unit.start, unit.full,
-            ", ".join(str(code) for code in unit.without) or "-", unit.reliability)
-        assert row in text, row
-    for measure in MEASURES:
-        row = "| {} | {} | {} | {}{} | {:.3f} | {:.3f} | {:g} |".format(
-            measure.name, " ".join(str(point) for point in measure.of), " ".join(str(point) for point in measure.over),
-            measure.axis, " (each side)" if measure.sided else "", measure.neutral, measure.spread, measure.quantile)
-        assert row in text, row
+        told = "{} {} ({:g})".format(unit.code, unit.name, unit.reliability)
+        assert told in text, told

@@ -80,6 +80,13 @@ def test_people_without_a_direction_belong_by_their_place() -> None:
     assert formations([[0.0, 0.0, math.nan], [2.5, 0.0, math.nan]]) == []
 
 
+@pytest.mark.parametrize("radius", (0.4, 0.7, 0.9, 1.2))
+def test_circles_of_any_size_are_one_group(radius: float) -> None:
+    angles = np.arange(5) * 2.0 * math.pi / 5.0
+    people = [[radius * math.cos(angle), radius * math.sin(angle), angle + math.pi] for angle in angles]
+    assert formations(people) == [[0, 1, 2, 3, 4]]
+
+
 def test_an_uncertain_direction_counts_less_than_a_certain_one() -> None:
     people = np.array([[0.0, 0.0, math.pi], [0.9, 0.0, math.pi]])      # one looks at the other's back
     both = [find_formations(people[:, :2], people[:, 2] + [0.0, math.pi], np.full(2, sd), SETTINGS)

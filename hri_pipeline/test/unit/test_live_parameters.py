@@ -77,8 +77,8 @@ def test_the_mark_is_in_yaml_and_markdown():
     assert "# float; 1 to 60; unit Hz; default 15.0; may change while the node runs\nrate: 15.0" in TABLE.to_yaml()
     assert "# string; default \"\"\nfile:" in TABLE.to_yaml()
     lines = TABLE.to_markdown().splitlines()
-    assert lines[0] == "| parameter | type | default | unit | range | live | meaning |"
-    assert lines[2].endswith("| 1 to 60 | yes | Rate. |") and lines[4].endswith("|  |  | File. |")
+    assert lines[0] == r"\* may change [while the node runs](../tuning.md)."
+    assert lines[2] == r"- `~rate`\* (`15.0` Hz, 1–60): Rate." and lines[4] == '- `~file` (`""`): File.'
 
 
 def test_life_of_a_track_with_other_limits():

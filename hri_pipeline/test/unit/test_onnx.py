@@ -5,7 +5,17 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from hri_pipeline.core.onnx import ModelError, OnnxModel, choose_providers, model_path, models_directory
+from hri_pipeline.core import onnx as onnx_models
+from hri_pipeline.core.onnx import (
+    BATCH_SIZES,
+    ModelError,
+    ModelLog,
+    OnnxModel,
+    choose_providers,
+    missing_libraries,
+    model_path,
+    models_directory,
+)
 
 onnx = pytest.importorskip("onnx")
 
@@ -104,3 +114,73 @@ def test_model_path(monkeypatch, tmp_path, doubler):
         model_path("", "other.onnx")
     with pytest.raises(ModelError, match="/nowhere/x.onnx does not exist; correct the parameter"):
         model_path("/nowhere/x.onnx", "doubler.onnx")
+
+
+class Sessions:
+    """Makes sessions that run on the CPU and say that they run on `provider`, as onnxruntime falls back in silence."""
+
+    def __init__(self, provider):
+        self._real, self._provider = onnxruntime.InferenceSession, provider
+        self.asked, self.batches = [], []
+
+    def __call__(self, path, options, providers):
+        self.asked.append(providers)
+        session = self._real(path, options, providers=["CPUExecutionProvider"])
+        run = session.run
+        session.get_providers = lambda: [self._provider, "CPUExecutionProvider"]
+        session.run = lambda wanted, feed: self.batches.append(len(feed["x"])) or run(wanted, feed)
+        return session
+
+
+@pytest.fixture
+def machine(monkeypatch):
+    """A machine whose onnxruntime lists CUDA; `machine(provider)` says on which its sessions run."""
+    def make(provider):
+        sessions = Sessions(provider)
+        monkeypatch.setattr(onnx_models.onnxruntime, "get_available_providers",
+                            lambda: ["CUDAExecutionProvider", "CPUExecutionProvider"])
+        monkeypatch.setattr(onnx_models.onnxruntime, "InferenceSession", sessions)
+        return sessions
+
+    return make
+
+
+def test_a_provider_that_does_not_load_is_named_with_what_is_missing(doubler, machine, monkeypatch):
+    machine("CPUExecutionProvider")
+    monkeypatch.setattr(onnx_models, "missing_libraries", lambda name: ["cuDNN (libcudnn.so.9)"])
+    told = []
+    log = ModelLog(told.append)
+    assert OnnxModel(doubler, ["cuda", "cpu"], notify=log).provider == "cpu"
+    OnnxModel(doubler, ["cuda", "cpu"], notify=log)
+    assert told == ["execution provider cuda does not load here, the networks run on cpu: the loader does not find "
+                    "cuDNN (libcudnn.so.9); see docs/gpu.md"]
+    assert log.providers == {"doubler": "cpu"}
+    assert log.values == {"networks": "cpu: doubler", "inferences_doubler": 0}
+
+
+def test_a_gpu_gets_batches_of_a_few_sizes_that_were_warmed_up(doubler, machine):
+    sessions = machine("CUDAExecutionProvider")
+    log = ModelLog(lambda text: None)
+    model = OnnxModel(doubler, ["cuda"], notify=log)
+    assert model.provider == "cuda" and sessions.batches == list(BATCH_SIZES)
+    name, options = sessions.asked[0][0]
+    assert name == "CUDAExecutionProvider"
+    assert options["cudnn_conv_algo_search"] == "HEURISTIC" and options["use_tf32"] == "0"
+    for count in (1, 2, 5, 12, 13, 30):
+        x = np.arange(2 * count, dtype=np.float32).reshape(count, 2)
+        del sessions.batches[:]
+        found = model.run({"x": x})
+        np.testing.assert_array_equal(found["y"], 2 * x)
+        np.testing.assert_array_equal(found["z"], x * x)
+        assert set(sessions.batches) <= set(BATCH_SIZES) and sum(sessions.batches) >= count
+    assert log.inferences == {"doubler": 63}
+
+
+def test_missing_libraries_are_those_that_the_loader_does_not_find():
+    def load(name):
+        if not name.startswith("libcudnn.so.8"):
+            raise OSError(name)
+
+    missing = missing_libraries("cuda", load)
+    assert "the NVIDIA driver (libcuda.so.1)" in missing and not any("cuDNN" in text for text in missing)
+    assert missing_libraries("cuda", lambda name: None) == [] and missing_libraries("cpu", load) == []

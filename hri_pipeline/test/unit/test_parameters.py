@@ -1,6 +1,7 @@
 """Parameter tables: types, ranges, messages, YAML and Markdown, and the files that must agree with them."""
 
 import math
+import re
 
 import pytest
 
@@ -110,7 +111,7 @@ def test_a_parameter_of_the_whole_stack_counts_where_the_own_one_is_not_set():
     assert (
         '# string; default "map"; where it is not set here, /humans/frame counts\n# frame: "map"\n' in table.to_yaml()
     )
-    assert "Frame. Where it is not set, `/humans/frame` counts. |" in table.to_markdown()
+    assert "Frame. Unset: `/humans/frame`.\n" in table.to_markdown()
 
 
 @pytest.mark.parametrize("value, text", [
@@ -121,10 +122,34 @@ def test_format(value, text):
 
 
 def test_markdown():
-    lines = TABLE.to_markdown().splitlines()
-    assert lines[0].startswith("| parameter | type | default | unit | range | meaning |")
-    assert "| `~birth_delay` | float | `0.2` | s | 0 to 10 | Time before a face is published. |" in lines
-    assert any("come \\| go" in line for line in lines)
+    lines = TABLE.to_markdown("../x.yaml").splitlines()
+    assert lines[:2] == ["More on each: [x.yaml](../x.yaml).", ""]
+    assert "- `~birth_delay` (`0.2` s, 0–10): Time before a face is published." in lines
+    assert "- `~mode` (`\"video\"`, `\"still\"`): How images come | go." in lines
+    assert "- `~providers` (`[\"cpu\"]` of `\"cpu\"`, `\"cuda\"`): Execution providers." in lines
+    assert "- `~weights` (`[0.5, 1.0e-05]`, ≤1): Weights." in lines
+
+
+@pytest.mark.parametrize("doc, line", [
+    ("How long. Longer: calmer. 0: for ever; then it stays.", "How long. 0: for ever."),
+    ("Name of it (a; b); larger is slower. Empty: none.", "Name of it (a; b). Empty: none."),
+    ("What to do. fast: little; always. slow: much.", "What to do. fast: little. slow: much."),
+    ("How it is done here: with care (mostly). More.", "How it is done here."),
+    ("Type of it: a thing.", "Type of it: a thing."),
+    ("`fast` does little; `slow` does much. More of it.", "`fast` does little. `slow` does much."),
+])
+def test_the_page_has_the_first_statement_and_what_special_values_mean(doc, line):
+    table = ParameterTable("faces", "Finds faces.", [Parameter("how", "fast", doc, choices=("fast", "slow"))])
+    assert table.to_markdown().endswith("): {}\n".format(line))
+
+
+def test_the_page_leaves_out_what_stands_on_the_pages_of_the_included_nodes():
+    same, other = Parameter("same", 1, "Same."), Parameter("other", 1, "Other.")
+    includes = [ParameterTable("a", "A.", [same, other]),
+                ParameterTable("b", "B.", [same, Parameter("other", 2, "Other.")])]
+    both = ParameterTable("both", "Both.", [same, other, Parameter("own", 1, "Own.")], includes=includes)
+    assert re.findall(r"`~(\w+)`", both.to_markdown()) == ["other", "own"]
+    assert "same: 1" in both.to_yaml()
 
 
 def test_files_are_written_compared_and_the_page_is_kept(tmp_path):
@@ -148,7 +173,7 @@ def test_a_page_without_markers_gets_them_at_its_end(tmp_path):
     page.write_text("# faces\n")
     assert "has no line" in parameter_docs.problems(TABLE, tmp_path / "x.yaml", page)[1]
     parameter_docs.write(TABLE, tmp_path / "x.yaml", page)
-    assert page.read_text().startswith("# faces\n\n## Parameters\n\n<!-- parameters:begin -->\n| parameter")
+    assert page.read_text().startswith("# faces\n\n## Parameters\n\n<!-- parameters:begin -->\nMore on each")
 
 
 def test_every_table_of_this_package_is_found_and_has_its_own_node_name():

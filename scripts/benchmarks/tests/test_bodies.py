@@ -10,7 +10,8 @@ ASKED = {
     "mpjpe_height_only_mm", "mpjpe_limbs_mm", "worst_heading_ratio", "wave_lag_ms", "ik_ms_1", "ik_ms_10",
     "ikpy_warm_ms",
     "tf_fk_error_m", "rsp_first_tf_s", "rsp_cpu_percent_10", "cpu_ms_per_body_frame", "stature_bias_mm",
-    "stature_sd_mm", "stature_no_legs_sd_mm", "head_face_median_m", "attitude", "churn_500"}
+    "stature_sd_mm", "stature_no_legs_sd_mm", "head_face_median_m", "attitude", "waving_false",
+    "posture", "churn_500"}
 MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3], "versions": {}}
 
 

@@ -79,3 +79,10 @@ def test_a_fresh_home_directory_keeps_what_leads_to_the_package_indexes(tmp_path
     environment = fresh_environment(tmp_path / "new")
     assert environment["HOME"] == str(tmp_path / "new") and "ROS4HRI_CACHE" not in environment
     assert [path.name for path in (tmp_path / "new").iterdir()] == [".npmrc"]
+
+
+def test_inferences_are_told_per_person_and_second() -> None:
+    hz = {"face_landmarks_attention": 30.0, "pose_landmarks_full": 12.0, "face_detection_full_range": 5.0}
+    row = pipeline.figures(3, dict(SEEN, inferences_hz=hz))
+    assert (row["face_inferences"], row["body_inferences"]) == (10.0, 4.0)
+    assert pipeline.as_json([row], MACHINE, {})["face_inferences_3"] == 10.0

@@ -29,6 +29,7 @@ from hri_msgs.msg import IdsMatch
 from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.observations import BodyObservation, FaceObservation
+from hri_pipeline.core.onnx import ModelLog
 from hri_pipeline.ros.conversions import match_to_msg, transform_to_msg
 from hri_pipeline.ros.diagnostics import OK, WARN
 from hri_pipeline.ros.inputs import Frame
@@ -54,7 +55,8 @@ class BodyProcessor:
 
     def __init__(self, settings: SimpleNamespace, listen_for_faces: bool = True) -> None:
         self._guard = ItemGuard(rospy.logerr)
-        self._pipeline = BodyPipeline(settings, notify=rospy.logwarn, guard=self._guard)
+        self._networks = ModelLog(rospy.logwarn)
+        self._pipeline = BodyPipeline(settings, notify=self._networks, guard=self._guard)
         self._publishers: Optional[StatePublishers] = None
         if settings.state_publishers:
             self._publishers = StatePublishers(settings.max_bodies, settings.joint_state_rate)
@@ -111,6 +113,7 @@ class BodyProcessor:
         """Return level, message and values for diagnostics."""
         values = self._pipeline.status()
         values["errors"] = self._guard.errors
+        values.update(self._networks.values)
         level, text = OK, ""
         if self._publishers is not None:
             level, text, counts = self._publishers.status()

@@ -15,45 +15,41 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
               "Parent of the frames person_ID. Where no transform leads to it, the frame of the sensor takes "
               "its place, with one warning.", shared="/humans/reference_frame"),
     Parameter("anonymous_persons", True,
-              "Give features that nobody has identified a person of their own. False: a person exists only "
-              "once a recogniser has named it."),
+              "Unidentified features become persons. False: a person exists only once a recogniser has named it."),
     Parameter("features_from_matches", True,
-              "A feature that a match names counts as present before its tracked list says so. False: it has to "
-              "be listed first."),
+              "A feature that a match names exists before its list says so. False: it has to be listed first."),
     Parameter("new_person_delay", 0.5,
               "Time that a feature waits for a match before it becomes an anonymous person. Longer: fewer "
               "short-lived persons, later frames.", unit="s", minimum=0.0, maximum=60.0, live=True),
     Parameter("voice_person_delay", 2.0,
-              "Time that a voice waits for a match before somebody unseen is believed to speak: mouth and voice have "
-              "to be compared for about a second. Shorter: unseen speakers are persons earlier, and speakers in view "
-              "get a person for a moment that then is an alias. Counts where it is longer than new_person_delay.",
+              "Time that a voice waits for a match before it becomes an unseen person: mouth and voice have to be "
+              "compared for about a second. Shorter: unseen speakers are persons earlier, and speakers in view get a "
+              "person for a moment that then is an alias. Counts where it is longer than new_person_delay.",
               unit="s", minimum=0.0, maximum=60.0, live=True),
     Parameter("decay", "exponential",
-              "How the location confidence falls once no feature has told a place of the person for 1 s (three image "
-              "periods, where these are longer), or all have left: exponential (half after each half_life), linear (0 "
-              "after two half_life), step (0.5 at once, 0 after two half_life).",
+              "How the location confidence falls once no feature has told a place for 1 s (or three image periods). "
+              "exponential: half after each half_life. linear: 0 after two. step: 0.5 at once, 0 after two.",
               choices=DECAY_KINDS, live=True),
     Parameter("half_life", 5.0,
-              "Time in which the confidence of a place falls to one half once it is not that of now any more. Longer: "
-              "frames stay longer at the last place.", unit="s", minimum=0.01, maximum=3600.0, live=True),
+              "Time in which the confidence of a place that is no longer current halves. Longer: frames stay longer "
+              "at the last place.", unit="s", minimum=0.01, maximum=3600.0, live=True),
     Parameter("confidence_floor", 0.05,
               "Exponential decay: below this the confidence is 0, the frame stops, and an anonymous person "
               "is forgotten.", minimum=0.001, maximum=0.9, live=True),
     Parameter("coast_time", 0.0,
-              "Time for which the frame of a person who is not seen any more goes on with the last velocity, "
-              "slowing down. 0: it stays at the last place.", unit="s", minimum=0.0, maximum=10.0),
+              "Time for which the frame of a lost person goes on with the last velocity, slowing down. 0: it stays "
+              "at the last place.", unit="s", minimum=0.0, maximum=10.0),
     Parameter("robot_frame", "",
-              "Frame from which the horizontal distances of the persons are measured, such as base_link, for the lists "
-              "in_personal_space, in_social_space and in_public_space. Empty: the sensor that sees them."),
+              "Frame from which the horizontal distances for the lists in_*_space are measured, such as base_link. "
+              "Empty: the sensor that sees them."),
     Parameter("personal_distance", 1.2,
               "Outer border of the personal space.", unit="m", minimum=0.1, maximum=10.0, live=True),
     Parameter("social_distance", 3.6,
               "Outer border of the social space; what is farther away is public.", unit="m", minimum=0.2,
               maximum=50.0, live=True),
     Parameter("cross_camera", True,
-              "Join the persons that several cameras see at one place of the reference frame, and keep the id of one "
-              "who walks from one view to another. Nothing happens with one camera, or without transforms to the "
-              "reference frame."),
+              "Join persons whom several cameras see at one place, and keep the id of somebody who walks from one "
+              "view to another. Nothing happens with one camera, or without transforms to the reference frame."),
     Parameter("cross_camera_distance", 0.5,
               "Horizontal distance up to which two cameras see the same person; twice as far they see two again. "
               "Larger: for inexact places or calibration; people who stand closer together may be taken for one.",
@@ -64,14 +60,14 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
               "parted.",
               unit="s", minimum=0.1, maximum=30.0, live=True),
     Parameter("cross_camera_handover", 4.0,
-              "Time after which somebody who left the view of one camera may come up in that of another, where the "
-              "last velocity leads, and be the same person still. 0: never.", unit="s", minimum=0.0, maximum=60.0,
+              "Time in which somebody who left one view may appear in another, where the last velocity leads, as the "
+              "same person. 0: never.", unit="s", minimum=0.0, maximum=60.0,
               live=True),
     Parameter("source_timeout", 0.5,
-              "Silence of the face frame, by arrival and by stamps, after which the body frame places the "
-              "person, and of all frames after which the last place is sent again. Where face and body were "
-              "seen together, the body goes on after 0.25 s, or three images of the face. A body whose stamps "
-              "lag goes on when the face has told nothing for 1 s (three image periods) at the latest.", unit="s",
+              "Silence of the face frame after which the body places the person, and of all frames after which the "
+              "last place is sent again. Where face and body were seen together, the body goes on after 0.25 s, or "
+              "three images of the face. A body whose stamps lag goes on when the face has told nothing for 1 s "
+              "(three image periods) at the latest.", unit="s",
               minimum=0.02, maximum=10.0),
     Parameter("store", "",
               "File (SQLite) in which permanent persons are kept across runs: ids, names, languages, demographics, "
@@ -87,6 +83,6 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
               unit="1/s", minimum=1.0, maximum=100000.0, live=True),
     LIST_TIMEOUT,
     Parameter("interface", "paper",
-              "Taken by every node of the stack, so that one launch argument sets all; the topics of this "
-              "node are the same in both.", choices=("paper", "rep155")),
+              "No effect on this node; every node takes it, so that one launch argument sets all.",
+              choices=("paper", "rep155")),
 ))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 from pathlib import Path
-from typing import Callable, Dict, List, Optional, Sequence, Tuple, Union
+from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple, Union
 
 import numpy as np
 import onnxruntime
@@ -18,6 +19,24 @@ PROVIDERS: Dict[str, str] = {
     "tensorrt": "TensorrtExecutionProvider",
     "openvino": "OpenVINOExecutionProvider",
 }
+
+PROVIDER_OPTIONS: Dict[str, Dict[str, str]] = {
+    # The default search of cuDNN, EXHAUSTIVE, stops the node for seconds whenever a session sees another batch. TF32
+    # moves landmarks by as much as a tenth of a pixel of the network's input.
+    "CUDAExecutionProvider": {"cudnn_conv_algo_search": "HEURISTIC", "use_tf32": "0",
+                              "arena_extend_strategy": "kSameAsRequested"},
+}
+"""Options of onnxruntime's execution providers, by its names of them."""
+BATCH_SIZES = (1, 4, 12)
+"""Batches that a GPU is given: smaller ones are filled up, so that it prepares itself for three sizes only."""
+LIBRARIES: Dict[str, Tuple[Tuple[str, Tuple[str, ...]], ...]] = {
+    "cuda": (("the NVIDIA driver", ("libcuda.so.1",)), ("libcudart", ("libcudart.so.12", "libcudart.so.13")),
+             ("libcublas", ("libcublas.so.12", "libcublas.so.13")), ("cuDNN", ("libcudnn.so.9", "libcudnn.so.8"))),
+    "tensorrt": (("the NVIDIA driver", ("libcuda.so.1",)), ("TensorRT", ("libnvinfer.so.10", "libnvinfer.so.8"))),
+    "openvino": (("OpenVINO", ("libopenvino.so",)),),
+}
+"""What a provider loads: its name, and the files of which one is enough."""
+WHEELS = {"cuda": "onnxruntime-gpu", "tensorrt": "onnxruntime-gpu", "openvino": "onnxruntime-openvino"}
 
 _FATAL_ONLY = 4
 
@@ -62,8 +81,56 @@ def choose_providers(wanted: Sequence[str], available: Sequence[str]) -> Tuple[L
     return usable, missing
 
 
+def missing_libraries(provider: str, load: Callable[[str], object] = ctypes.CDLL) -> List[str]:
+    """Return what a provider needs and the system's loader does not find, in words; provider: a key of PROVIDERS."""
+    def is_there(files: Sequence[str]) -> bool:
+        for name in files:
+            try:
+                load(name)
+                return True
+            except OSError:
+                continue
+        return False
+
+    return ["{} ({})".format(what, files[0]) for what, files in LIBRARIES.get(provider, ()) if not is_there(files)]
+
+
+class ModelLog:
+    """What the models of a node say, each line once, and on which provider each runs. Give it as `notify`."""
+
+    def __init__(self, notify: Callable[[str], None]) -> None:
+        self._notify = notify
+        self._told: Set[str] = set()
+        self.providers: Dict[str, str] = {}
+        """Keys of PROVIDERS by the names of the models."""
+        self.inferences: Dict[str, int] = {}
+        """How many items (crops, images) each model has worked on."""
+
+    def __call__(self, text: str) -> None:
+        """Tell a line, unless it was told before."""
+        if text not in self._told:
+            self._told.add(text)
+            self._notify(text)
+
+    @property
+    def summary(self) -> str:
+        """The providers with their models, as `cpu: face_detection, pose`."""
+        return "; ".join("{}: {}".format(provider, ", ".join(sorted(
+            name for name, used in self.providers.items() if used == provider)))
+            for provider in sorted(set(self.providers.values())))
+
+    @property
+    def values(self) -> Dict[str, object]:
+        """What diagnostics tell: `networks`, and `inferences_MODEL` of each."""
+        return dict({"networks": self.summary}, **{"inferences_" + name: count
+                                                   for name, count in sorted(self.inferences.items())})
+
+
 class OnnxModel:
     """One loaded ONNX model. `run` is safe from several threads.
+
+    On a GPU batches are filled up to one of BATCH_SIZES, with a session for each size that is warmed up when the model
+    loads: cuDNN prepares itself anew for each size, which takes seconds.
 
     Parameters
     ----------
@@ -77,7 +144,7 @@ class OnnxModel:
     inputs, outputs : sequence of str
         Names that the model must have; `run` returns `outputs` only, or all outputs when none are named.
     notify : callable, optional
-        Called with a text.
+        Called with a text; a ModelLog notes the provider as well.
 
     Raises
     ------
@@ -100,13 +167,18 @@ class OnnxModel:
         self._notify = notify or (lambda text: None)
         self._session = self._load(providers, threads)
         self.name = self._path.stem
-        names = {full: short for short, full in PROVIDERS.items()}
-        self.provider = names.get(self._session.get_providers()[0], self._session.get_providers()[0])
+        self.provider = _short_name(self._session.get_providers()[0])
         self.input_names = [tensor.name for tensor in self._session.get_inputs()]
         self.output_names = [tensor.name for tensor in self._session.get_outputs()]
         self._require("input", inputs, self.input_names)
         self._require("output", outputs, self.output_names)
         self._wanted = list(outputs) or self.output_names
+        self._batched: Dict[int, onnxruntime.InferenceSession] = {}
+        if self.provider in ("cuda", "tensorrt") and self._takes_batches():
+            self._warm_up(threads)
+        self._log = notify if isinstance(notify, ModelLog) else None
+        if self._log is not None:
+            self._log.providers[self.name], self._log.inferences[self.name] = self.provider, 0
 
     def run(self, feed: Dict[str, np.ndarray]) -> Dict[str, np.ndarray]:
         """Run the model.
@@ -127,31 +199,79 @@ class OnnxModel:
             When onnxruntime refuses a name, a shape or a type.
         """
         try:
-            values = self._session.run(self._wanted, feed)
+            values = self._run_batched(feed) if self._batched else self._session.run(self._wanted, feed)
         except Exception as error:  # onnxruntime's errors have no common base class but Exception
             shapes = {name: getattr(value, "shape", None) for name, value in feed.items()}
             raise ModelError("model {} refused input {}: {}".format(
                 self._path, shapes, first_line(error))) from error
+        if self._log is not None:
+            self._log.inferences[self.name] += len(next(iter(feed.values())))
         return dict(zip(self._wanted, values))
+
+    def _run_batched(self, feed: Dict[str, np.ndarray]) -> List[np.ndarray]:
+        """Run batches of the prepared sizes; what was filled up is left out of the outputs."""
+        count = len(next(iter(feed.values())))
+        parts = []
+        for start in range(0, max(count, 1), BATCH_SIZES[-1]):
+            part = {name: value[start:start + BATCH_SIZES[-1]] for name, value in feed.items()}
+            length = len(next(iter(part.values())))
+            size = next(size for size in BATCH_SIZES if size >= length)
+            filled = {name: value if length == size else np.concatenate(
+                [value, np.zeros((size - length,) + value.shape[1:], value.dtype)]) for name, value in part.items()}
+            parts.append([value[:length] for value in self._batched[size].run(self._wanted, filled)])
+        return parts[0] if len(parts) == 1 else [np.concatenate(values) for values in zip(*parts)]
+
+    def _takes_batches(self) -> bool:
+        """Whether the first axis, and only that, of each input and output is free."""
+        tensors = list(self._session.get_inputs()) + list(self._session.get_outputs())
+        return all(len(tensor.shape) > 0 and not isinstance(tensor.shape[0], int)
+                   and all(isinstance(length, int) for length in tensor.shape[1:]) for tensor in tensors)
+
+    def _warm_up(self, threads: int) -> None:
+        """Make a session for each size and run it once."""
+        usable = self._session.get_providers()
+        for size in BATCH_SIZES:
+            self._notify("{}: {} prepares batches of {}".format(self._path.name, self.provider, size))
+            session = self._session if size == 1 else self._session_on(usable, threads)
+            session.run(self._wanted, {
+                tensor.name: np.zeros([size] + list(tensor.shape[1:]), _TYPES.get(tensor.type, np.float32))
+                for tensor in session.get_inputs()})
+            self._batched[size] = session
 
     def _load(self, providers: Sequence[str], threads: int) -> onnxruntime.InferenceSession:
         if not self._path.is_file():
             raise ModelError("model file {} does not exist; {}".format(self._path, FETCH_HINT))
         usable, missing = choose_providers(providers, onnxruntime.get_available_providers())
         if missing:
-            self._notify("execution provider {} is not available here (onnxruntime offers {}); {} runs on {}".format(
-                ", ".join(missing), ", ".join(_short_names()), self._path.name, usable[0]))
+            self._notify("execution provider {} is not in this onnxruntime, which offers {}; the networks run on {}. "
+                         "Install {} instead of onnxruntime, see docs/gpu.md".format(
+                             ", ".join(missing), ", ".join(_short_names()), _short_name(usable[0]),
+                             " or ".join(sorted({WHEELS[name] for name in missing if name in WHEELS}))
+                             or "another wheel"))
         try:
-            return self._session_on(usable, threads)
+            session = self._session_on(usable, threads)
+            self._check_provider(usable[0], session.get_providers()[0])
+            return session
         except Exception as error:
             if usable[0] == PROVIDERS["cpu"]:
                 raise self._damaged(error) from error
             self._notify("{} does not start on {} ({}); it runs on the CPU".format(
-                self._path.name, usable[0], first_line(error)))
+                self._path.name, _short_name(usable[0]), first_line(error)))
         try:
             return self._session_on([PROVIDERS["cpu"]], threads)
         except Exception as error:
             raise self._damaged(error) from error
+
+    def _check_provider(self, wanted: str, used: str) -> None:
+        """Say what is missing when onnxruntime has passed over a provider; it does so in silence."""
+        if used == wanted:
+            return
+        name = _short_name(wanted)
+        absent = missing_libraries(name)
+        self._notify("execution provider {} does not load here, the networks run on {}: {}; see docs/gpu.md".format(
+            name, _short_name(used), "the loader does not find " + ", ".join(absent) if absent else
+            "its libraries are there, so their versions do not fit this onnxruntime ({}) or the driver".format(
+                onnxruntime.__version__)))
 
     def _session_on(self, providers: List[str], threads: int) -> onnxruntime.InferenceSession:
         options = onnxruntime.SessionOptions()
@@ -161,7 +281,8 @@ class OnnxModel:
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         options.add_session_config_entry("session.inter_op.allow_spinning", "0")
         options.log_severity_level = _FATAL_ONLY
-        return onnxruntime.InferenceSession(str(self._path), options, providers=providers)
+        return onnxruntime.InferenceSession(
+            str(self._path), options, providers=[(name, PROVIDER_OPTIONS.get(name, {})) for name in providers])
 
     def _damaged(self, error: Exception) -> ModelError:
         return ModelError("model file {} cannot be loaded ({}); it may be damaged: delete it and {}".format(
@@ -206,6 +327,14 @@ def first_line(error: BaseException) -> str:
     """Return the first line of an error's text, at most 200 characters."""
     lines = str(error).strip().splitlines()
     return lines[0][:200] if lines else type(error).__name__
+
+
+_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(double)": np.float64,
+          "tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(uint8)": np.uint8, "tensor(bool)": np.bool_}
+
+
+def _short_name(provider: str) -> str:
+    return next((short for short, full in PROVIDERS.items() if full == provider), provider)
 
 
 def _short_names() -> List[str]:

@@ -13,8 +13,8 @@ OVERLAY_PARAMETERS = ParameterTable(
         Parameter("max_rate", 10.0, "Most images per second.", unit="Hz", minimum=0.1, maximum=120.0, live=True),
         Parameter("history", 30, "How many of the latest images are kept until their faces and bodies arrive. Each "
                   "takes width x height x 3 bytes.", minimum=2, maximum=300),
-        Parameter("pair_tolerance", 0.15, "Largest difference between the stamps of an image and of a feature that is "
-                  "drawn on it, for features of which none has exactly the image's stamp.",
+        Parameter("pair_tolerance", 0.15, "Largest difference between the stamps of an image and of a feature drawn "
+                  "on it, where none has the image's stamp.",
                   unit="s", minimum=0.0, maximum=2.0, live=True),
         Parameter("min_confidence", 0.3, "Key points and landmarks below this confidence are left out.",
                   minimum=0.0, maximum=1.0, live=True),

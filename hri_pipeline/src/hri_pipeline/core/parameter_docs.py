@@ -1,9 +1,13 @@
-"""Keeps config/<node>.yaml and the table in docs/nodes/<node>.md equal to the parameter table of the node."""
+"""Keeps config/<node>.yaml and the list in docs/nodes/<node>.md equal to the parameter table of the node.
+
+The YAML file tells everything of a parameter, the page one line.
+"""
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
+import os
 import pkgutil
 import re
 from pathlib import Path
@@ -53,8 +57,8 @@ def files(root: PathLike, package: str, table: ParameterTable) -> Tuple[Path, Pa
 def problems(table: ParameterTable, yaml_path: PathLike, doc_path: PathLike) -> List[str]:
     """Return one line for each of the two files that differs from the table; an empty list when all is well."""
     lines = []
-    yaml_file, doc_file = Path(yaml_path), Path(doc_path)
-    for path, wanted in ((yaml_file, lambda text: table.to_yaml()), (doc_file, lambda text: _with(table, text))):
+    yaml_file, doc_file, link = Path(yaml_path), Path(doc_path), _link(yaml_path, doc_path)
+    for path, wanted in ((yaml_file, lambda text: table.to_yaml()), (doc_file, lambda text: _with(table, text, link))):
         if not path.is_file():
             lines.append("{} is missing; run `{}`".format(path, COMMAND))
             continue
@@ -79,7 +83,7 @@ def write(table: ParameterTable, yaml_path: PathLike, doc_path: PathLike) -> Lis
     yaml_file, doc_file = Path(yaml_path), Path(doc_path)
     page = doc_file.read_text(encoding="utf-8") if doc_file.is_file() else "# {}\n\n{}\n".format(
         table.node, table.summary)
-    for path, text in ((yaml_file, table.to_yaml()), (doc_file, _with(table, page))):
+    for path, text in ((yaml_file, table.to_yaml()), (doc_file, _with(table, page, _link(yaml_path, doc_path)))):
         if not path.is_file() or path.read_text(encoding="utf-8") != text:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
@@ -94,9 +98,14 @@ def registered() -> Iterator[Tuple[str, ParameterTable]]:
             yield package, table
 
 
-def _with(table: ParameterTable, page: str) -> str:
-    """Return `page` with the table between its markers, or at its end when it has none."""
-    block = "{}\n{}{}".format(BEGIN, table.to_markdown(), END)
+def _link(yaml_path: PathLike, doc_path: PathLike) -> str:
+    """Return the path of the YAML file as the page links to it."""
+    return Path(os.path.relpath(str(yaml_path), str(Path(doc_path).parent))).as_posix()
+
+
+def _with(table: ParameterTable, page: str, link: str) -> str:
+    """Return `page` with the list between its markers, or at its end when it has none."""
+    block = "{}\n{}{}".format(BEGIN, table.to_markdown(link), END)
     start, stop = page.find(BEGIN), page.find(END)
     if start < 0 or stop < start:
         return page.rstrip("\n") + "\n\n## Parameters\n\n" + block + "\n"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import math
+import re
 import textwrap
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -146,9 +147,11 @@ class ParameterTable:
     """All parameters of a node.
 
     node: type of the node (`faces`), the name of its files config/<node>.yaml and docs/nodes/<node>.md.
+    includes: tables of other nodes; the page of this node leaves out what stands on theirs.
     """
 
-    def __init__(self, node: str, summary: str, parameters: Sequence[Parameter]) -> None:
+    def __init__(self, node: str, summary: str, parameters: Sequence[Parameter],
+                 includes: Sequence[ParameterTable] = ()) -> None:
         names = [parameter.name for parameter in parameters]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
@@ -156,6 +159,7 @@ class ParameterTable:
         self.node = node
         self.summary = summary
         self.parameters: Tuple[Parameter, ...] = tuple(parameters)
+        self.includes: Tuple[ParameterTable, ...] = tuple(includes)
 
     def resolve(self, given: Mapping[str, object]) -> SimpleNamespace:
         """Return all parameters as attributes: those of `given`, checked, and the defaults of the others.
@@ -208,22 +212,62 @@ class ParameterTable:
                                         format_value(parameter.default))]
         return "\n".join(lines) + "\n"
 
-    def to_markdown(self) -> str:
-        """Return a Markdown table, without anything around it; with a column `live` where there are such parameters."""
-        columns = ["parameter", "type", "default", "unit", "range", "live", "meaning"]
-        shown = [number for number, column in enumerate(columns) if column != "live" or self.live]
-        lines = ["| " + " | ".join(columns[number] for number in shown) + " |", "|" + len(shown) * "---|"]
-        for parameter in self.parameters:
-            cells = ("`~{}`".format(parameter.name), parameter.type_name,
-                     "`{}`".format(format_value(parameter.default)), parameter.unit,
-                     parameter.range_text, "yes" if parameter.live else "", _meaning(parameter))
-            lines.append("| " + " | ".join(cells[number].replace("|", "\\|") for number in shown) + " |")
+    def to_markdown(self, more: str = "") -> str:
+        """Return a Markdown list, one line for each parameter: name, default with unit, legal range, meaning.
+
+        A line holds the first statement of the text and what special values mean; the YAML file holds all of it.
+        Parameters that are the same in all of `includes` that have them are left out.
+
+        Parameters
+        ----------
+        more : str
+            Link to the YAML file; empty: no link.
+        """
+        lines = ["More on each: [{}]({}).".format(more.rsplit("/", 1)[-1], more)] if more else []
+        lines += ["\\* may change [while the node runs](../tuning.md)."] if self.live else []
+        lines = [" ".join(lines), ""] if lines else []
+        lines += ["- `~{}`{} ({}): {}".format(parameter.name, "\\*" if parameter.live else "",
+                                             _default_and_range(parameter), _meaning(parameter))
+                  for parameter in self.parameters if not self._is_included(parameter)]
         return "\n".join(lines) + "\n"
+
+    def _is_included(self, parameter: Parameter) -> bool:
+        """Tell whether all tables of `includes` that have a parameter of this name have the same one."""
+        same = [other == parameter for table in self.includes for other in table.parameters
+                if other.name == parameter.name]
+        return bool(same) and all(same)
+
+
+def _default_and_range(parameter: Parameter) -> str:
+    """Write default, unit and legal range in few words; of choices the default comes first."""
+    text = "`{}`".format(format_value(parameter.default))
+    if parameter.choices:
+        others = [choice for choice in parameter.choices if parameter.is_list or choice != parameter.default]
+        return text + (" of " if parameter.is_list else ", ") + ", ".join("`{}`".format(format_value(choice))
+                                                                          for choice in others)
+    text += " " + parameter.unit if parameter.unit else ""
+    if parameter.minimum is not None and parameter.maximum is not None:
+        return "{}, {:g}–{:g}".format(text, parameter.minimum, parameter.maximum)
+    if parameter.minimum is not None:
+        return "{}, ≥{:g}".format(text, parameter.minimum)
+    return text if parameter.maximum is None else "{}, ≤{:g}".format(text, parameter.maximum)
 
 
 def _meaning(parameter: Parameter) -> str:
-    text = " ".join(parameter.doc.split())
-    return "{} Where it is not set, `{}` counts.".format(text, parameter.shared) if parameter.shared else text
+    """Return the first statement of the text, and those statements that tell what a special value means."""
+    choices = [re.escape(str(choice)) for choice in parameter.choices if choice]
+    value = "|".join([r"-?\d[\d.]*", "[Ee]mpty", "[Tt]rue", "[Ff]alse", "[Oo]ff", "pi"] + choices)
+    of_a_value = re.compile("`?(?:{})`?:{}".format(value, "".join("|`{}` ".format(choice) for choice in choices)))
+    # A statement ends with a full stop or a semicolon outside of brackets; the first one also with a colon, unless
+    # that follows only some words ("Type of `roi`: ...").
+    first, *others = re.split(r"(?<=\.)\s+(?=[A-Z0-9`\"]|(?:{}):)|;\s+(?![^(]*\))".format(value),
+                              " ".join(parameter.doc.split()))
+    if not of_a_value.match(first):
+        first = re.sub(r"^((?:\S+ ){4,}?\S+):\s(?![^(]*\)).*", r"\1", first)
+    kept = [text.rstrip(".") for text in [first] + [text for text in others if of_a_value.match(text)]]
+    if parameter.shared:
+        kept.append("Unset: `{}`".format(parameter.shared))
+    return ". ".join(kept) + "."
 
 
 def apply_settings(settings: SimpleNamespace, changed: SimpleNamespace) -> None:
@@ -249,7 +293,6 @@ def format_value(value: object) -> str:
 
 LIST_TIMEOUT = Parameter(
     "list_timeout", 0.0,
-    "A list of ids (/humans/*/tracked) that its publisher does not repeat for so long counts as empty. 0: never; a "
-    "list then ends with its publisher, and one that is said once holds. The nodes of this stack repeat theirs once a "
-    "second.",
+    "Silence after which a list of ids counts as empty. 0: never; a list then ends with its publisher, and one that "
+                         "is said once holds. The nodes of this stack repeat theirs once a second.",
     unit="s", minimum=0.0, maximum=3600.0)

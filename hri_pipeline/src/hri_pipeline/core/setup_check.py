@@ -92,8 +92,8 @@ CHECK_PARAMETERS = ParameterTable(
                   "Frame of the camera; empty: the frame_id of its images."),
         Parameter("min_rate", 3.0, "Images per second below which people cannot be followed.", unit="Hz", minimum=0.1,
                   maximum=60.0),
-        Parameter("max_age", 1.0, "Images whose stamp is further than this from now are told: the clocks differ, or "
-                  "the network is too slow.", unit="s", minimum=0.05, maximum=60.0),
+        Parameter("max_age", 1.0, "Images whose stamp is further than this from now are reported: the clocks differ, "
+                  "or the network is too slow.", unit="s", minimum=0.05, maximum=60.0),
         Parameter("master", "", "Address of the master that was there before the check; check.launch asks for it, so "
                   "that roslaunch ends where there is none instead of starting one. Nothing is done with it here."),
         Parameter("min_brightness", 25.0, "Mean of the pixels (0 to 255) below which a picture is too dark to find "

@@ -19,6 +19,7 @@ from hri_pipeline.core.faces.crops import MAX_SIZE, aligned_crop, box_crop
 from hri_pipeline.core.faces.gaze import gaze_frame
 from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.observations import FaceObservation
+from hri_pipeline.core.onnx import ModelLog
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.recognition.face_identity import PersonMatch, SamePersons
@@ -81,8 +82,9 @@ class FaceProcessor:
     def __init__(self, settings: SimpleNamespace, transforms: Optional[TfPublisher] = None) -> None:
         is_kept = settings.recognition and settings.gallery
         (rospy.logwarn if is_kept else rospy.loginfo)("%s", privacy_line(settings))
+        self._networks = ModelLog(rospy.logwarn)
         try:
-            self._pipeline = FacePipeline(settings, notify=rospy.logwarn)
+            self._pipeline = FacePipeline(settings, notify=self._networks)
         except StoreError as error:
             raise ParameterError("~gallery, ~gallery_key: {}".format(error)) from error
         self._interface = settings.interface
@@ -123,6 +125,7 @@ class FaceProcessor:
     def status(self) -> Tuple[int, str, Dict[str, object]]:
         """Return level, message and values for diagnostics."""
         values: Dict[str, object] = {"without_pose": self._poseless, "errors": self._guard.errors}
+        values.update(self._networks.values)
         values.update(self._pipeline.status())
         if self._gallery is not None and self._gallery.problem:
             return ERROR, self._gallery.problem, values

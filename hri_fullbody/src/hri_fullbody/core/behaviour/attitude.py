@@ -9,13 +9,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Callable, List, Tuple
+from typing import Callable, List, Optional, Tuple
 
 from hri_fullbody.core.behaviour.arms import ArmFeatures, Pair
 
 _UNKNOWN = math.nan
 _TIME_SLACK_S = 1e-6
 _SMOOTHING_S = 0.1
+_SPEED_S = 0.12
+# Speeds of a wrist (statures/s). Folded arms are held; hands that clap are as near to the elbows, but move. Forearms as
+# an X are shown for a moment only; what is faster swings past.
+_CLAPPING, _HELD = 0.75, 0.45
+_SWINGING, _SHOWN = 1.3, 0.9
 
 
 class AttitudeClass(IntEnum):
@@ -43,7 +48,7 @@ class Rule:
 
 RAISED_RULE = Rule(on=0.7, off=0.3, on_time=0.15, off_time=0.3)
 FACE_RULE = Rule(on=0.6, off=0.2, on_time=0.2, off_time=0.4)
-CROSSED_RULE = Rule(on=0.4, off=0.15, on_time=0.3, off_time=0.5)
+CROSSED_RULE = Rule(on=0.4, off=0.15, on_time=0.15, off_time=0.5)
 
 
 class Latch:
@@ -100,12 +105,35 @@ class _Smoothed:
         return self.latch.update(self.score, elapsed)
 
 
+class _WristSpeed:
+    """How fast the wrists move before the trunk, over some tenths of a second."""
+
+    def __init__(self) -> None:
+        self._last: Optional[List[float]] = None
+        self._speeds = [0.0, 0.0]
+
+    def update(self, features: ArmFeatures, elapsed: float) -> float:
+        """Return the speed of the faster wrist (statures/s); NaN while a wrist is not known."""
+        now = [value for pair in (features.outward, features.forward, features.level) for value in pair]
+        if not all(map(math.isfinite, now)):
+            self._last = None
+            return _UNKNOWN
+        if self._last is not None and elapsed > 0.0:
+            weight = 1.0 - math.exp(-elapsed / _SPEED_S)
+            for side in (0, 1):
+                path = math.sqrt(sum((now[index] - self._last[index]) ** 2 for index in (side, side + 2, side + 4)))
+                self._speeds[side] += weight * (path / elapsed - self._speeds[side])
+        self._last = now
+        return max(self._speeds)
+
+
 class AttitudeEstimator:
     """The attitude of one body over time."""
 
     def __init__(self) -> None:
         self._raised = (_Smoothed(RAISED_RULE), _Smoothed(RAISED_RULE))
         self._face, self._crossed = _Smoothed(FACE_RULE), _Smoothed(CROSSED_RULE)
+        self._speed = _WristSpeed()
         self.attitude, self.confidence = AttitudeClass.OTHER, 0.0
 
     @property
@@ -119,9 +147,10 @@ class AttitudeEstimator:
         near = [face_score(features, side) for side in (0, 1)]
         raised = [self._raised[side].update(_but_not(raised_score(features, side), near_face_score(features, side)),
                                             weight, elapsed) for side in (0, 1)]
+        crossed = crossed_score(features, self._speed.update(features, elapsed))
         active = {
             AttitudeClass.HANDS_ON_FACE: self._face.update(_highest(*near), weight, elapsed),
-            AttitudeClass.ARMS_CROSSED: self._crossed.update(crossed_score(features), weight, elapsed),
+            AttitudeClass.ARMS_CROSSED: self._crossed.update(crossed, weight, elapsed),
             AttitudeClass.HANDS_RAISED: any(raised)}
         self._choose([name for name, on in active.items() if on])
         return self.attitude
@@ -161,22 +190,34 @@ def near_face_score(features: ArmFeatures, side: int) -> float:
     return soft(features.to_face[side], 0.135, 0.095)
 
 
-def crossed_score(features: ArmFeatures) -> float:
-    """How much the forearms cross in front of the chest.
+def crossed_score(features: ArmFeatures, speed: float = 0.0) -> float:
+    """How much the forearms cross in front of the chest, 0 to 1. speed: of the faster wrist, statures/s.
 
-    Both run inward, each hand is beyond the mid-plane and near the other elbow, at the height of the chest. That the
-    forearms run across and not ahead tells them from two hands at one handle. One elbow may be hidden.
+    Both forearms run inward before the trunk, and either the hands lie at the other elbows, near the chest (folded
+    arms), or the wrists are clearly on the other side of the mid-plane (forearms as an X). Hands that meet in the
+    middle, as in clapping, are neither, nor are two hands at one handle, whose forearms run ahead more than across. One
+    elbow may be hidden.
     """
-    inward = (-features.lateral[0], features.lateral[1])
+    outward = 0.5 * sum(features.outward)
+    inward = _mean((-features.lateral[0], features.lateral[1]))
+    near = _mean(features.to_other_elbow)
+    ahead = 0.5 * sum(features.forward)
+    folded = _lowest(
+        soft(ahead, 0.19, 0.16),
+        soft(outward, 0.05, 0.02), soft(inward, 0.05, 0.07),
+        soft(near, 0.175, 0.14), soft(speed, _CLAPPING, _HELD))
+    beyond = _lowest(
+        soft(ahead, 0.22, 0.185),
+        soft(outward, -0.005, -0.03), soft(inward, 0.035, 0.055),
+        soft(near, 0.215, 0.18), soft(speed, _SWINGING, _SHOWN))
     return _lowest(
-        soft(0.5 * sum(features.outward), 0.018, -0.005),
-        soft(_both(max, features.outward), 0.06, 0.02),
-        soft(_mean(inward), 0.09, 0.11),
-        soft(_mean(features.to_other_elbow), 0.20, 0.165),
-        soft(_mean(features.elbow), math.radians(140.0), math.radians(120.0)),
-        soft(0.5 * sum(features.forward), 0.0, 0.03),
+        _highest(folded, beyond) if folded == folded or beyond == beyond else _UNKNOWN,
+        soft(inward - _mean(features.ahead), -0.02, 0.005),
+        soft(_both(max, features.outward), 0.10, 0.06),
+        soft(_mean(features.elbow), math.radians(145.0), math.radians(130.0)),
+        soft(ahead, 0.0, 0.03),
         soft(_both(min, features.level), -0.30, -0.25),
-        soft(_both(max, features.level), -0.03, -0.08))
+        soft(_both(max, features.level), 0.15, 0.10))
 
 
 def soft(value: float, zero: float, one: float) -> float:

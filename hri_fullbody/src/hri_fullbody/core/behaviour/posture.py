@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import NamedTuple, Optional
+from typing import Iterable, NamedTuple, Optional
 
 import numpy as np
 
@@ -15,13 +15,19 @@ from hri_fullbody.core.keypoints import LEFT_ANKLE, LEFT_HIP, LEFT_KNEE, RIGHT_A
 _UPRIGHT, _LYING = 50.0, 60.0
 _STRAIGHT_THIGH, _STRAIGHT_KNEE = 38.0, 50.0
 _HANGING_THIGH = 22.0
-_SEAT_THIGH_LOW, _SEAT_THIGH_HIGH = 60.0, 135.0
+# A seat bears the hips at the height of the knees. Estimated hips lie up to a tenth of the leg too high on people who
+# sit, so that their thighs seem to slope.
+_SEAT_THIGH_LOW, _SEAT_THIGH_HIGH = 38.0, 135.0
+_HIDDEN_SEAT_THIGH_LOW = 50.0
 _SEAT_TRUNK = 30.0
-_CROUCH_KNEE, _CROUCH_SHANK = 85.0, 60.0
-_OVER_FEET = 0.12
-_SHORT_LEG = 0.62
+_SEAT_SHANK = 60.0
+_ON_GROUND = 0.18
+_CROUCH_KNEE, _CROUCH_SHANK, _CROUCH_THIGH, _CROUCH_HEIGHT = 50.0, 78.0, 18.0, 0.30
+_SAME_THIGHS = 35.0  # both legs bear the weight; on one knee or in a lunge they differ by more
+_OVER_FEET = 0.085
+_SHORT_LEG = 0.74
 _LEG = 0.481  # thigh and shank
-_HOLD_S = 0.4
+_HOLD_S = 0.3
 _UNKNOWN_S = 1.0
 
 
@@ -49,7 +55,7 @@ class Leg(NamedTuple):
 
 
 class PostureEstimator:
-    """The posture of one body over time: a new one counts after 0.4 s, an unknown one after 1 s."""
+    """The posture of one body over time: a new one counts after 0.3 s, an unknown one after 1 s."""
 
     def __init__(self) -> None:
         self.posture = PostureClass.OTHER
@@ -129,16 +135,20 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
     if not whole:
         if all(leg.thigh < _HANGING_THIGH for leg in legs):
             return PostureClass.STANDING
-        seated = tilt < _SEAT_TRUNK and all(_SEAT_THIGH_LOW < leg.thigh < 110.0 for leg in legs)
+        seated = tilt < _SEAT_TRUNK and all(_HIDDEN_SEAT_THIGH_LOW < leg.thigh < 110.0 for leg in legs)
         return PostureClass.SITTING if seated else PostureClass.OTHER
     if any(leg.thigh < _STRAIGHT_THIGH and leg.knee < _STRAIGHT_KNEE and leg.shank < _CROUCH_SHANK for leg in whole):
         return PostureClass.STANDING
     if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
         return PostureClass.OTHER
+    thighs = [leg.thigh for leg in whole]
     if _over_feet(points, hips, stature, up):
-        deep = all(leg.knee > _CROUCH_KNEE and leg.shank < _CROUCH_SHANK for leg in whole)
+        deep = (max(leg.height for leg in whole) < _CROUCH_HEIGHT and _middle(leg.knee for leg in whole) > _CROUCH_KNEE
+                and _middle(leg.shank for leg in whole) < _CROUCH_SHANK and _middle(thighs) > _CROUCH_THIGH
+                and max(thighs) - min(thighs) < _SAME_THIGHS)
         return PostureClass.CROUCHING if deep else PostureClass.OTHER
-    seated = all(_SEAT_THIGH_LOW < leg.thigh < _SEAT_THIGH_HIGH for leg in whole)
+    seated = all(_SEAT_THIGH_LOW < leg.thigh < _SEAT_THIGH_HIGH and (
+        leg.shank < _SEAT_SHANK or leg.height < _ON_GROUND) for leg in whole)
     return PostureClass.SITTING if seated else PostureClass.OTHER
 
 
@@ -165,6 +175,11 @@ def _leg(points: np.ndarray, hip: int, knee: int, ankle: int, stature: float, up
     return Leg(
         _degrees(thigh_down / thigh_length), _degrees(shank_down / shank_length),
         _degrees(float(thigh @ shank) / (thigh_length * shank_length)), (thigh_down + shank_down) / stature)
+
+
+def _middle(values: Iterable[float]) -> float:
+    known = list(values)
+    return sum(known) / len(known)
 
 
 def _degrees(cosine: float) -> float:

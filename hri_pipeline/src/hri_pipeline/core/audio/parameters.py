@@ -7,8 +7,8 @@ from hri_pipeline.core.audio.stream import SAMPLE_FORMATS
 from hri_pipeline.core.parameters import Parameter, ParameterTable
 
 INPUT_PARAMETERS = (
-    Parameter("use_audio_info", True, "Believe the AudioInfo on `audio_info` where there is one: its channels, rate and"
-              " format go before the three parameters below."),
+    Parameter("use_audio_info", True, "Use the format in `audio_info` where somebody publishes it: its channels, "
+              "rate and format go before the three parameters below."),
     Parameter("channels", 1, "Interleaved channels of the sound while there is no AudioInfo.", minimum=1, maximum=32),
     Parameter("sample_rate", 16000, "Sample rate of the sound while there is no AudioInfo. It is resampled to 16 kHz"
               " once; lower rates lose the voice's overtones.", unit="Hz", minimum=4000, maximum=384000),
@@ -31,13 +31,12 @@ INPUT_PARAMETERS = (
 """Of the input of sound (core/audio/stream.py, ros/sound_input.py)."""
 
 ARRAY_PARAMETERS = (
-    Parameter("microphone_positions", [], "Where the microphones are, one text \"x y z\" per channel, in the "
-              "microphone frame (x forward, y left, z up): [\"0.04 0.04 0\", \"-0.04 0.04 0\", \"-0.04 -0.04 0\", "
-              "\"0.04 -0.04 0\"]. Errors of some millimetres cost some degrees. Empty: there is no array, the channels "
-              "are mixed to one.", unit="m"),
-    Parameter("line_front", True, "Microphones on one line, two of them above all, tell only the angle against the "
-              "line. True: voices are taken to be in front of it. False: their direction is not told; they are "
-              "separated all the same."),
+    Parameter("microphone_positions", [], "Positions of the microphones, one text \"x y z\" per channel, in the "
+              "microphone frame: [\"0.04 0.04 0\", \"-0.04 0.04 0\", \"-0.04 -0.04 0\", \"0.04 -0.04 0\"]. Errors of "
+              "some millimetres cost some degrees. Empty: there is no array, the channels are mixed to one.", unit="m"),
+    Parameter("line_front", True, "Microphones on one line (as any two) tell only the angle against the line. True: "
+              "voices are taken to be in front of it. False: their direction is not told; they are separated all the "
+              "same."),
     Parameter("max_sources", 4, "Directions that are listened to at a time, at most. Each costs as much as the first "
               "search for directions.", minimum=1, maximum=8),
     Parameter("source_birth_time", 0.1, "Time over which a new direction must sound before it is listened to. Its "
@@ -55,8 +54,8 @@ ARRAY_PARAMETERS = (
 """Of the microphone array (core/audio/array.py), localisation and separation."""
 
 VOICE_ACTIVITY_PARAMETERS = (
-    Parameter("vad_model", "", "ONNX file of the voice activity network. Empty: silero_vad.onnx in the models directory"
-              " ($ROS4HRI_MODELS, or ~/.cache/ros4hri/models)."),
+    Parameter("vad_model", "", "ONNX file of the voice activity network. Empty: silero_vad.onnx in the models "
+              "directory."),
     Parameter("birth_threshold", 0.4, "Probability of speech from which somebody begins to speak, in noise. Higher: "
               "fewer false voices, later and fewer soft ones.", minimum=0.05, maximum=0.99, live=True),
     Parameter("clear_birth_threshold", 0.3, "The same where the sound stands out of the noise by `clear_snr`: there the"
@@ -67,14 +66,14 @@ VOICE_ACTIVITY_PARAMETERS = (
     Parameter("keep_threshold", 0.2, "Probability from which somebody who speaks goes on speaking. Lower bridges softer"
               " speech and keeps `is_speaking` longer behind it. Not above clear_birth_threshold.",
               minimum=0.01, maximum=0.99, live=True),
-    Parameter("noise_margin", 0.2, "Whoever speaks is louder than the noise floor by this much, else it is a pause,"
-              " whatever the network says: it goes on for some 0.1 s behind a word.", unit="dB", minimum=0.0,
+    Parameter("noise_margin", 0.2, "Sound that exceeds the noise floor by less than this is a pause, whatever the "
+              "network says: it goes on for some 0.1 s behind a word.", unit="dB", minimum=0.0,
               maximum=20.0, live=True),
-    Parameter("level_drop", 22.0, "Sound so far below the loudest of what was just said is a pause as well "
+    Parameter("level_drop", 22.0, "Sound this much below the loudest of the last words is a pause, too "
               "(reverberation, breath). Larger keeps more of soft endings.", unit="dB", minimum=6.0, maximum=90.0,
               live=True),
-    Parameter("onset_time", 0.032, "Time for which the probability has to stay above the threshold until somebody "
-              "speaks; rounded up to frames of 32 ms. Longer: fewer false voices, `is_speaking` so much later.",
+    Parameter("onset_time", 0.032, "Time above the threshold after which somebody speaks; rounded up to frames of 32 "
+              "ms. Longer: fewer false voices, `is_speaking` so much later.",
               unit="s",
               minimum=0.0, maximum=1.0, live=True),
     Parameter("speaking_hangover", 0.032, "`is_speaking` lasts this long behind the last sound of speech. Longer "
@@ -91,23 +90,23 @@ VOICE_ACTIVITY_PARAMETERS = (
               " noticed when the first consonant is over.", unit="s", minimum=0.0, maximum=1.0),
     Parameter("voice_timeout", 3.0, "Time after its last word for which a voice stays tracked.", unit="s", minimum=0.1,
               maximum=600.0, live=True),
-    Parameter("resume_time", 0.0, "Without an array: who begins to speak within this time after the last word of a "
-              "voice that is still tracked gets its id again, else a new one. Up to hangover_time, every turn is a new "
-              "voice: one microphone cannot tell who answers, and a voice that goes on for somebody else is matched "
-              "with the wrong face. Longer suits a robot with one user. With an array the direction decides, for as "
-              "long as the voice is tracked.", unit="s", minimum=0.0, maximum=600.0, live=True),
-    Parameter("direction_grace", 0.05, "With an array: what is heard in a direction counts as its voice for so long "
-              "after the last sound that came from there. Speech behind that is somebody else's, which the separation "
-              "lets through. Longer loses less where several speak at once, and hears more of others.", unit="s",
+    Parameter("resume_time", 0.0, "Without an array, speech within this time after the last word of a tracked voice "
+              "continues that voice. Up to hangover_time, every turn is a new voice: one microphone cannot tell who "
+              "answers, and a voice that goes on for somebody else is matched with the wrong face. Longer suits a "
+              "robot with one user. With an array the direction decides, for as long as the voice is tracked.",
+              unit="s", minimum=0.0, maximum=600.0, live=True),
+    Parameter("direction_grace", 0.05, "With an array, how long speech still counts for the voice of a direction "
+              "after the last sound from there. Speech behind that is somebody else's, which the separation lets "
+              "through. Longer loses less where several speak at once, and hears more of others.", unit="s",
               minimum=0.0, maximum=5.0),
-    Parameter("resume_angle", 0.35, "With an array: a new source less than this away from a tracked voice that is "
-              "silent is this voice again.", unit="rad", minimum=0.0, maximum=3.2, live=True),
+    Parameter("resume_angle", 0.35, "With an array, a source this close to a silent tracked voice is this voice "
+              "again.", unit="rad", minimum=0.0, maximum=3.2, live=True),
 )
 """Of voice activity detection, turns and voices (core/audio/vad.py, core/audio/turns.py)."""
 
 DIRECTION_PARAMETERS = (
-    Parameter("direction", True, "Find where voices come from and separate them, with two channels or more and the"
-              " positions of the microphones. Off: all channels are mixed to one."),
+    Parameter("direction", True, "Find the directions of voices and separate them, with two or more microphones at "
+              "known positions. Off: all channels are mixed to one."),
     Parameter("direction_distance", 1.0, "Distance from the microphone at which the frame voice_ID is put: an array"
               " knows the direction only.", unit="m", minimum=0.1, maximum=20.0, live=True),
 ) + ARRAY_PARAMETERS

@@ -11,9 +11,9 @@ subject's right; `MIRROR` has those of the left. Lengths are fractions of the di
 (63 mm in the canonical face), on the mesh turned and scaled onto the canonical face; axes: out = away from the
 mid-line, up = to the scalp, left = to the subject's left.
 
-`neutral` and `spread`: mean and standard deviation of a measure over people with a relaxed face, from photographs (see
-docs/face_features.md); start values until the person's own are known. `quantile`: quantile of the values of a person's
-quiet moments at which the neutral lies; below 0.5 for what expressions and speech only make larger.
+`neutral` and `spread`: mean and standard deviation of a measure over 26 photographs of relaxed faces (about 20 people);
+start values until the person's own are known. `quantile`: quantile of the values of a person's quiet moments at which
+the neutral lies; below 0.5 for what expressions and speech only make larger.
 """
 
 from __future__ import annotations

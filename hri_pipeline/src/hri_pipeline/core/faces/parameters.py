@@ -6,42 +6,41 @@ from hri_pipeline.core.onnx import PROVIDERS
 from hri_pipeline.core.parameters import Parameter, ParameterTable
 
 FACE_TRACKING_PARAMETERS = (
-    Parameter("face_detector_model", "", "ONNX file of the face detector. Empty: face_detection_full_range.onnx in"
-              " the models directory ($ROS4HRI_MODELS, or ~/.cache/ros4hri/models)."),
+    Parameter("face_detector_model", "", "ONNX file of the face detector. Empty: face_detection_full_range.onnx in "
+              "the models directory."),
     Parameter("face_mesh_model", "", "ONNX file of the face mesh with attention. Empty:"
               " face_landmarks_attention.onnx in the models directory."),
     Parameter("canonical_face", "", "The mean face used for head poses. Empty: canonical_face.npz in the models"
               " directory."),
-    Parameter("max_faces", 10, "Most faces tracked at the same time: of more, the large and central ones. A look at "
+    Parameter("max_faces", 10, "Most faces tracked at the same time: of more, the large and central ones. A run on "
               "one costs 2 to 5 ms on one core.", minimum=1, maximum=64, live=True),
     Parameter("min_detection_score", 0.6, "Score from which a detection may start a track. Lower finds fainter"
               " faces and more things that are none.", minimum=0.05, maximum=0.99, live=True),
-    Parameter("min_face_presence", 0.5, "Probability from which the mesh network is believed that it still sees a"
-              " face. Higher lets go of hidden faces sooner.", minimum=0.05, maximum=0.99, live=True),
-    Parameter("face_detection_period", 0.3, "Time between two looks of the detector at the whole image while something"
-              " is unclear (a new or a lost face), twice this while every face is known. Smaller finds new faces sooner"
-              " and costs more. 0: every image.",
+    Parameter("min_face_presence", 0.5, "Probability of the mesh network below which a face counts as lost. Higher "
+              "lets go of hidden faces sooner.", minimum=0.05, maximum=0.99, live=True),
+    Parameter("face_detection_period", 0.3, "Time between two runs of the detector on the whole image; twice this "
+              "while every face is known. Smaller finds new faces sooner and costs more. 0: every image.",
               unit="s", minimum=0.0, maximum=10.0, live=True),
-    Parameter("face_detection_tiles", 3, "The image is also searched in tiles x tiles parts, one part half-way between"
-              " two looks at the whole, for faces too small for it: a part in which something has changed, or where a "
-              "face waits for its confirmation. 1: no tiles.", minimum=1, maximum=4),
-    Parameter("face_mesh_rate", 10.0, "How often per second the mesh network looks at each face; in the images between,"
-              " the face goes where its picture goes (optical flow), with a confidence that says so. Higher follows "
-              "quick heads better, and costs more. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True),
-    Parameter("face_budget", 10.0, "Processor time per image for looks of the mesh network. With more faces than it"
-              " allows, they take turns. On a faster machine the same budget means more looks. The networks behind it"
-              " (expression, age and gender, recognition) take three quarters of it at most, over time, and 0.3 s at "
+    Parameter("face_detection_tiles", 3, "Small faces are searched in tiles x tiles parts of the image, one part "
+              "between two runs on the whole: a part in which something has changed, or where a face waits for its "
+              "confirmation. 1: no tiles.", minimum=1, maximum=4),
+    Parameter("face_mesh_rate", 10.0, "How often the mesh network runs on each face; in the images between, the face "
+              "goes where its picture goes (optical flow), with a confidence that says so. Higher follows quick "
+              "heads better, and costs more. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True),
+    Parameter("face_budget", 10.0, "Processor time per image for the mesh network. With more faces than it allows, "
+              "they take turns. On a faster machine the same budget means more runs. The networks behind it "
+              "(expression, age and gender, recognition) take three quarters of it at most, over time, and 0.3 s at "
               "once for who has just come.",
               unit="ms", minimum=1.0, maximum=1000.0, live=True),
     Parameter("face_birth_delay", 0.1, "Time for which a face must be seen before it gets its topics. Larger keeps out"
               " more flickering false faces.", unit="s", minimum=0.0, maximum=10.0, live=True),
-    Parameter("face_death_time", 1.0, "Time after which a face that is not seen any more is dropped with its id."
-              " Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True),
-    Parameter("face_min_detections", 2, "How many runs of the detector must have seen a face before it gets its topics."
-              " 1 finds faces one detection period sooner, and takes a badge or a pattern for a face more often.",
+    Parameter("face_death_time", 1.0, "Time after which a lost face is dropped with its id. Larger bridges longer "
+              "occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True),
+    Parameter("face_min_detections", 2, "Runs of the detector that must have seen a face before it gets its topics. "
+              "1 finds faces one detection period sooner, and takes a badge or a pattern for a face more often.",
               minimum=1, maximum=20, live=True),
-    Parameter("face_support_time", 4.0, "Time after which a face that only its mesh still sees, and the detector does"
-              " not, is dropped: it is a pattern that looked like a face for a moment.",
+    Parameter("face_support_time", 4.0, "Time after which a face that the detector no longer confirms is dropped: it "
+              "is a pattern that looked like a face for a moment.",
               unit="s", minimum=0.5, maximum=600.0, live=True),
 )
 """What finding and following faces needs."""
@@ -60,10 +59,10 @@ ANALYSIS_PARAMETERS = (
               " directory. One with the inputs and outputs of age-gender-recognition-retail-0013 is known by them."),
     Parameter("recognition_model", "", "ONNX file of the recognition network. Empty: face_recognition.onnx in the "
               "models directory."),
-    Parameter("recognition_policy", "learn", "`learn` makes a new person of a face seen well that nobody known has;"
-              " `enrolled` knows only who was enrolled by service.", choices=("learn", "enrolled")),
-    Parameter("recognition_learn_delay", 1.5, "Time for which an unknown face must be seen before it becomes a new"
-              " person. Larger makes fewer persons of passers-by.", unit="s", minimum=0.0, maximum=600.0, live=True),
+    Parameter("recognition_policy", "learn", "`learn`: an unknown face that is seen well becomes a new person; "
+              "`enrolled`: only people who were enrolled by service are recognised.", choices=("learn", "enrolled")),
+    Parameter("recognition_learn_delay", 1.5, "Time until an unknown face becomes a new person. Larger makes fewer "
+              "persons of passers-by.", unit="s", minimum=0.0, maximum=600.0, live=True),
     Parameter("gallery", "", "SQLite file that keeps who is known beyond the run: ids, templates and times, readable "
               "by its owner alone, in a directory of its own, whose name ends in .sqlite. It can be shared with the "
               "person manager (its `store`) and other recognisers. NAME.npz, a gallery of earlier versions: its people "
@@ -81,8 +80,8 @@ CAMERA_PARAMETERS = (
               " available is told once and skipped.", choices=tuple(PROVIDERS)),
     Parameter("image_transport", "raw", "Transport of the input: `raw` subscribes to `image`, `compressed` to"
               " `image/compressed`.", choices=("raw", "compressed")),
-    Parameter("fallback_fov", 1.0472, "Horizontal field of view of the camera while there is no calibration"
-              " (camera_info missing, or its K all zero). Distances scale with it.",
+    Parameter("fallback_fov", 1.0472, "Horizontal field of view of a camera without calibration (camera_info "
+              "missing, or K all zero). Distances scale with it.",
               unit="rad", minimum=0.1, maximum=3.0),
     Parameter("max_rate", 30.0, "Most images processed per second; the others are skipped, which leaves more of the"
               " processor to others. 0: as fast as they come.",
@@ -94,9 +93,9 @@ CAMERA_PARAMETERS = (
 """What every node that works on the camera's images needs."""
 
 DEPTH_PARAMETERS = (
-    Parameter("use_depth", False, "Subscribe to `depth`, a depth image registered to the colour image, and place "
-              "people by it. Without depth for an image, a face stands where its size and its irises put it, a body "
-              "where face, floor and size do."),
+    Parameter("use_depth", False, "Place people by `depth`, a depth image registered to the colour image. Without "
+              "depth for an image, a face stands where its size and its irises put it, a body where face, floor and "
+              "size do."),
     Parameter("depth_slop", 0.03, "Largest difference of the stamps of an image and its depth image. Larger takes more"
               " pairs of cameras that are not synchronised, and puts moving people where they were.",
               unit="s", minimum=0.0, maximum=1.0),

@@ -11,6 +11,8 @@ vote for where its middle is; a group is a set of people whose votes agree bette
   free-standing conversational groups in images", PLoS ONE 10(5), 2015). With Gaussians it is the logarithm of a Bayes
   factor: the density with which the votes share one middle, against middles that lie anywhere in `group_room` square
   metres.
+- A group has a size, too: its members have the middle at the same distance ahead, more or less. So circles of any size
+  are found without taking strangers for members of small ones.
 - It is minimised by joining the two groups that gain most (J. H. Ward, "Hierarchical grouping to optimize an objective
   function", JASA 58, 1963), and then by moving single people, instead of by graph cuts.
 - `GroupTracker` joins people who were in one formation for most of the last seconds, and keeps the ids of groups.
@@ -27,6 +29,7 @@ from typing import Any, Deque, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.special import log_ndtr
 
 from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.ids import IdGenerator
@@ -320,9 +323,10 @@ class GroupTracker:
         return dict(assign(cost, 2.0))
 
 
-# The information about a group's middle adds up over its members. Rows of the tables (8, ...) below: information matrix
-# (xx, xy, yy), information vector (x, y), squares of the votes in the metric of their information, log |covariance|,
-# people.
+# A group has a middle (x, y) and a size r, by which its circle is wider than `group_stride`; all three are normal, and
+# the information about them adds up over the members. Rows of the tables (12, ...) below: information matrix (xx, xy,
+# yy), information vector (x, y), the same of the size (xr, yr, rr, r), squares of the votes in the metric of their
+# information, log |covariance|, people. With the squares, log |covariance| and people in one row: (10, ...).
 _LEAST_SD = 0.02
 """m; no position of a person is known better."""
 
@@ -337,14 +341,18 @@ class FFormation(NamedTuple):
 
 
 class Votes(NamedTuple):
-    """Votes of everybody for the middle of the group: table (8, N) as above, relative to `middle` (2,) m."""
+    """Votes of everybody for the middle and the size of the group: table (12, N) as above, relative to `middle` (2,) m.
+
+    size: information about the size of any group beforehand, 1 / m^2.
+    """
 
     table: np.ndarray
     middle: np.ndarray
+    size: float
 
     def of(self, rows: Sequence[int]) -> Votes:
         """Return those of some of the people, in this order."""
-        return Votes(self.table[:, list(rows)], self.middle)
+        return Votes(self.table[:, list(rows)], self.middle, self.size)
 
 
 def votes_of(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: SimpleNamespace,
@@ -360,7 +368,7 @@ def votes_of(positions: np.ndarray, directions: np.ndarray, direction_sds: np.nd
     direction_sds: (N,) array
         Their standard deviations (rad).
     settings: SimpleNamespace
-        `group_stride`, `group_depth` and `group_width` (m) of the interactions node.
+        `group_stride`, `group_size_sd`, `group_depth` and `group_width` (m) of the interactions node.
     position_sds: (N,) array or None
         Standard deviations (m) of the places; None: exact.
 
@@ -371,7 +379,8 @@ def votes_of(positions: np.ndarray, directions: np.ndarray, direction_sds: np.nd
     """
     positions, directions, angles, places = _checked(positions, directions, direction_sds, position_sds)
     middle = positions.mean(axis=0) if len(positions) else np.zeros(2)
-    return Votes(_votes(positions - middle, directions, angles, places, settings), middle)
+    return Votes(_votes(positions - middle, directions, angles, places, settings), middle,
+                 1.0 / max(settings.group_size_sd, _LEAST_SD) ** 2)
 
 
 def find_formations(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: SimpleNamespace,
@@ -388,14 +397,14 @@ def formations_of(votes: Votes, settings: SimpleNamespace) -> List[FFormation]:
     table = votes.table
     if table.shape[1] < 2:
         return []
-    per_person = math.log(2.0 * math.pi / settings.group_room)
+    prior = _Prior(math.log(2.0 * math.pi / settings.group_room), settings.group_stride, votes.size)
     # What adds up to the cost without further ado is one row.
-    table = np.concatenate([table[:5], (table[5] + table[6] + 2.0 * per_person * table[7])[None]])
-    groups = groups_of(_moved(table, _joined(table, per_person), per_person))
+    table = np.concatenate([table[:9], (table[9] + table[10] + 2.0 * prior.per_person * table[11])[None]])
+    groups = groups_of(_moved(table, _joined(table, prior), prior))
     if not groups:
         return []
     totals = table @ membership(groups, table.shape[1])
-    found = zip(groups, _centres(totals) + votes.middle, _cost(totals, per_person).tolist())
+    found = zip(groups, _centres(totals, prior.size) + votes.middle, _cost(totals, prior).tolist())
     return [FFormation(members, centre, 1.0 / (1.0 + math.exp(-min(-cost / (len(members) - 1), 50.0))))
             for members, centre, cost in found]
 
@@ -421,7 +430,7 @@ def middles_of(votes: Votes, groups: Sequence[Sequence[int]]) -> np.ndarray:
     """Return the middles (G, 2) m of the o-spaces of given groups (rows, one at least each)."""
     if not len(groups):
         return np.zeros((0, 2))
-    return _centres(votes.table[:5] @ membership(groups, votes.table.shape[1])) + votes.middle
+    return _centres(votes.table[:9] @ membership(groups, votes.table.shape[1]), votes.size) + votes.middle
 
 
 def _checked(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray,
@@ -444,9 +453,10 @@ def _checked(positions: np.ndarray, directions: np.ndarray, direction_sds: np.nd
 
 def _votes(positions: np.ndarray, directions: np.ndarray, angles: np.ndarray, places: np.ndarray,
            settings: SimpleNamespace) -> np.ndarray:
-    """Return (8, N): the vote of each person for the middle of the group.
+    """Return (12, N): the vote of each person for the middle and the size of the group.
 
-    The vote lies `group_stride` ahead with the deviations `group_depth` along and `group_width` across the direction.
+    The vote lies `group_stride` and the size of the group ahead, with the deviations `group_depth` along and
+    `group_width` across the direction.
     Its moments under a direction that is normal around the circle: E cos = exp(-sd^2 / 2), E cos^2 = (1 + exp(-2 sd^2))
     / 2 (K. V. Mardia, P. E. Jupp, Directional Statistics, 2000, section 3.5.7); without a direction it is round.
     """
@@ -457,23 +467,55 @@ def _votes(positions: np.ndarray, directions: np.ndarray, angles: np.ndarray, pl
     along = depth * same + width * other + stride ** 2 * (same - once ** 2) + noise
     across = depth * other + width * same + stride ** 2 * other + noise
     cosine, sine = np.cos(directions), np.sin(directions)
-    x, y = (positions + stride * once[:, None] * np.stack([cosine, sine], axis=1)).T
+    right, left = once * cosine, once * sine
+    x, y = positions[:, 0] + stride * right, positions[:, 1] + stride * left
     xx, yy = cosine ** 2 / along + sine ** 2 / across, sine ** 2 / along + cosine ** 2 / across
     xy = cosine * sine * (1.0 / along - 1.0 / across)
     info_x, info_y = xx * x + xy * y, xy * x + yy * y
-    return np.stack([xx, xy, yy, info_x, info_y, info_x * x + info_y * y, np.log(along * across), np.ones(len(x))])
+    sized_x, sized_y = xx * right + xy * left, xy * right + yy * left
+    return np.stack([xx, xy, yy, info_x, info_y,
+                     sized_x, sized_y, right * sized_x + left * sized_y, right * info_x + left * info_y,
+                     info_x * x + info_y * y, np.log(along * across), np.ones(len(x))])
 
 
-def _cost(sums: np.ndarray, per_person: float) -> np.ndarray:
-    """Return the cost (...,) of groups (6, ...): -log of the Bayes factor for one middle against one for each; 0 for
-    one.
+class _Prior(NamedTuple):
+    """What is known of a group beforehand.
 
-    The last row: squares, log |covariance| and twice `per_person` for each of the people.
+    per_person: log of 2 pi by `group_room`; stride: distance (m) ahead at which the middle is expected; size:
+    information about the size, 1 / m^2.
     """
-    xx, xy, yy, x, y, rest = sums
+
+    per_person: float
+    stride: float
+    size: float
+
+
+def _cost(sums: np.ndarray, prior: _Prior) -> np.ndarray:
+    """Return the cost (...,) of groups (10, ...): -log of the Bayes factor for one middle and one size against one for
+    each; 0 for one.
+
+    The middle lies ahead, not behind: the size is a normal variable above -`stride` only. The last row: squares, log
+    |covariance| and twice `per_person` for each of the people.
+    """
+    xx, xy, yy, x, y, sized = _without_size(sums, prior.size)
     determinant = xx * yy - xy * xy
-    explained = (x * (yy * x - 2.0 * xy * y) + xx * y * y) / determinant
-    return 0.5 * (rest - explained + np.log(determinant)) - per_person
+    centre_x, centre_y = (yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant
+    explained = x * centre_x + y * centre_y + sums[8] * sums[8] / sized
+    # The posterior of the size, of which the vote is the negative, and its variance by the partitioned inverse.
+    along_x, along_y = sums[5] / sized, sums[6] / sized
+    smaller = sums[8] / sized - along_x * centre_x - along_y * centre_y
+    variance = 1.0 / sized + (yy * along_x ** 2 - 2.0 * xy * along_x * along_y + xx * along_y ** 2) / determinant
+    ahead = log_ndtr((prior.stride - smaller) / np.sqrt(variance)) - log_ndtr(prior.stride * math.sqrt(prior.size))
+    return 0.5 * (sums[9] - explained + np.log(determinant * sized / prior.size)) - prior.per_person - ahead
+
+
+def _without_size(sums: np.ndarray, size: float) -> Tuple[np.ndarray, ...]:
+    """Return the information about the middles (xx, xy, yy, x, y) whatever the sizes, and that about the sizes."""
+    xx, xy, yy, x, y, along_x, along_y, sized, moved = sums[:9]
+    sized = sized + size
+    share_x, share_y = along_x / sized, along_y / sized
+    return (xx - along_x * share_x, xy - along_x * share_y, yy - along_y * share_y,
+            x - share_x * moved, y - share_y * moved, sized)
 
 
 def membership(groups: Sequence[Sequence[int]], count: int) -> np.ndarray:
@@ -484,17 +526,17 @@ def membership(groups: Sequence[Sequence[int]], count: int) -> np.ndarray:
     return within
 
 
-def _centres(totals: np.ndarray) -> np.ndarray:
-    """Return the middles (G, 2) m of groups (5 and more, G)."""
-    xx, xy, yy, x, y = totals[:5]
+def _centres(totals: np.ndarray, size: float) -> np.ndarray:
+    """Return the middles (G, 2) m of groups (9 and more, G)."""
+    xx, xy, yy, x, y, _ = _without_size(totals, size)
     return (np.stack([yy * x - xy * y, xx * y - xy * x]) / (xx * yy - xy * xy)).T
 
 
-def _joined(votes: np.ndarray, per_person: float) -> np.ndarray:
+def _joined(votes: np.ndarray, prior: _Prior) -> np.ndarray:
     """Return the group (N,) of each person after joining, pair by pair, the groups that gain most."""
     count = votes.shape[1]
     sums, costs, labels, alive = votes.copy(), np.zeros(count), np.arange(count), np.ones(count, dtype=bool)
-    gains = _cost(sums[:, :, None] + sums[:, None], per_person)
+    gains = _cost(sums[:, :, None] + sums[:, None], prior)
     gains[np.diag_indices(count)] = np.inf
     while True:
         first, second = divmod(int(gains.argmin()), count)
@@ -504,13 +546,13 @@ def _joined(votes: np.ndarray, per_person: float) -> np.ndarray:
         sums[:, first] += sums[:, second]
         labels[labels == second] = first
         alive[second] = False
-        fresh = np.where(alive, _cost(sums + sums[:, first:first + 1], per_person) - costs - costs[first], np.inf)
+        fresh = np.where(alive, _cost(sums + sums[:, first:first + 1], prior) - costs - costs[first], np.inf)
         fresh[first] = np.inf
         gains[first], gains[:, first] = fresh, fresh
         gains[second], gains[:, second] = np.inf, np.inf
 
 
-def _moved(votes: np.ndarray, labels: np.ndarray, per_person: float) -> np.ndarray:
+def _moved(votes: np.ndarray, labels: np.ndarray, prior: _Prior) -> np.ndarray:
     """Return the groups (N,) after moving one person at a time to where the cost is least, or out of every group."""
     count = votes.shape[1]
     for _ in range(2 * count):
@@ -520,7 +562,7 @@ def _moved(votes: np.ndarray, labels: np.ndarray, per_person: float) -> np.ndarr
         alone = sizes[labels] == 1
         left = np.where(alone, votes, sums[:, labels] - votes)
         entered = (sums[:, None] + votes[:, :, None]).reshape(len(votes), -1)
-        costs = _cost(np.concatenate([sums, left, entered], axis=1), per_person)
+        costs = _cost(np.concatenate([sums, left, entered], axis=1), prior)
         leaving = costs[groups:groups + count] - costs[labels]
         change = costs[groups + count:].reshape(count, groups) - costs[:groups] + leaving[:, None]
         change[np.arange(count), labels] = leaving       # out of every group: what one alone costs is 0

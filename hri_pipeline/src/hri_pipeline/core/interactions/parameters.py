@@ -6,8 +6,8 @@ from hri_pipeline.core.parameters import LIST_TIMEOUT, Parameter, ParameterTable
 
 _FRAMES = (
     Parameter("rate", 15.0,
-              "Most results per second of sensor time; a result comes with a new image at most. Higher: gazes that "
-              "follow sooner, more load.", unit="Hz", minimum=1.0, maximum=60.0, live=True),
+              "Most results per second; there is at most one for each image. Higher: gazes that follow sooner, more "
+              "load.", unit="Hz", minimum=1.0, maximum=60.0, live=True),
     Parameter("reference_frame", "map",
               "Frame in which people are compared. Where no transform leads to it, the frame of the sensor takes its "
               "place, with one warning, and is taken for level.", shared="/humans/reference_frame"),
@@ -17,58 +17,57 @@ _FRAMES = (
               "the one that sees most people.",
               shared="/humans/robot_reference_frame"),
     Parameter("use_facs", False,
-              "Listen to the action units of the faces: a face whose unit 45 (eyelids closed) is above "
+              "Subscribe to the action units of the faces: a face whose unit 45 (eyelids closed) is above "
               "closed_threshold looks at nobody. Needed for face detectors that send gaze_ID while the eyes are "
               "closed; with interface rep155, where the node faces does so, it is always on. Makes the node faces "
               "compute action units."),
     LIST_TIMEOUT,
     Parameter("frame_timeout", 0.5,
-              "Frames of a face, a gaze or a body that are older than the newest ones by more than this are not used.",
+              "Frames of a face, gaze or body that are this much older than the newest ones are not used.",
               unit="s", minimum=0.05, maximum=5.0, live=True),
     Parameter("gaze_timeout", 0.15,
-              "A face whose frame gaze_ID is missing for so long while face_ID goes on has its eyes closed, where any "
-              "face of the same sensor has had one. Longer: for detectors that lose the gaze now and then; closed eyes "
-              "are noticed later.", unit="s", minimum=0.0, maximum=2.0, live=True),
+              "Eyes are closed when gaze_ID is missing this long while face_ID goes on; only where a face of the "
+              "same sensor has had a gaze_ID. Longer: for detectors that lose the gaze now and then; closed eyes are "
+              "noticed later.", unit="s", minimum=0.0, maximum=2.0, live=True),
     Parameter("groups_with_robot", True,
               "The robot may be a member of a group, under the empty id. It needs a place: robot_frame, or the "
               "camera.", live=True),
     Parameter("interface", "paper",
-              "paper: groups are GroupsStamped, gazes are in the list `gaze`. rep155: groups are Group, one message "
-              "each, and each gaze is also sent on `gazing`.", choices=("paper", "rep155")),
+              "paper: groups are GroupsStamped. rep155: groups are Group, one message each, and each gaze is also "
+              "sent on `gazing`.", choices=("paper", "rep155")),
 )
 
 _GAZE = (
     Parameter("gaze_sd", 0.14,
-              "Standard deviation of the direction of the eyes (gaze_ID) near the camera, on each axis. Larger: slower "
+              "Standard deviation of the eyes' direction (gaze_ID) near the camera, on each axis. Larger: slower "
               "decisions, fewer wrong ones.", unit="rad", minimum=0.02, maximum=1.0, live=True),
     Parameter("gaze_range", 3.0,
               "Distance from the camera from which the eyes are too small to be measured: beyond, gaze_ID counts no "
               "more than the direction of the head, and from half of it on less and less. Larger for cameras of high "
               "resolution: about 2.4 m per 1000 px of focal length.", unit="m", minimum=0.2, maximum=50.0, live=True),
     Parameter("head_sd", 0.09,
-              "Standard deviation of the direction of the head from a face (face_ID), on each axis.", unit="rad",
+              "Standard deviation of the head's direction from a face (face_ID), on each axis.", unit="rad",
               minimum=0.02,
               maximum=1.0, live=True),
     Parameter("skeleton_head_sd", 0.35,
-              "Standard deviation of the direction of the head from a skeleton (head_ID), on each axis.", unit="rad",
+              "Standard deviation of the head's direction from a skeleton (head_ID), on each axis.", unit="rad",
               minimum=0.02,
               maximum=2.0, live=True),
     Parameter("trunk_sd", 0.35,
-              "Standard deviation of the direction of the trunk (body_ID), to the sides.", unit="rad", minimum=0.02,
+              "Standard deviation of the trunk's direction (body_ID), to the sides.", unit="rad", minimum=0.02,
               maximum=2.0, live=True),
     Parameter("head_gain", 0.8,
-              "Part of the way from the direction of the trunk to the target that the head turns; the eyes do the "
-              "rest. Used where both directions are known.", minimum=0.3, maximum=1.0, live=True),
+              "Part of the turn from the trunk to the target that the head does; the eyes do the rest. Used where "
+              "both directions are known.", minimum=0.3, maximum=1.0, live=True),
     Parameter("eyes_in_head_sd", 0.21,
-              "Standard deviation of the eyes' direction in the head when somebody looks at somebody and the trunk is "
-              "not known. Larger: the head alone says less.", unit="rad", minimum=0.02, maximum=1.0, live=True),
+              "Standard deviation of the eyes' direction in the head of somebody whose trunk is not known. Larger: "
+              "the head alone says less.", unit="rad", minimum=0.02, maximum=1.0, live=True),
     Parameter("trunk_target_sd", 0.6,
-              "Standard deviation of the way from the direction of the trunk to what somebody looks at. Larger: people "
-              "of whom only the body is seen look at somebody less often.", unit="rad", minimum=0.1, maximum=2.0,
+              "Standard deviation of the angle between the trunk and the target of the gaze. Larger: people of whom "
+              "only the body is seen look at somebody less often.", unit="rad", minimum=0.1, maximum=2.0,
               live=True),
     Parameter("head_radius", 0.12,
-              "Radius of a head: the nearer it is, the larger is the part of the view that it takes, and it hides who "
-              "is behind.", unit="m",
+              "Radius of a head. A near head takes a larger part of the view, and hides who is behind.", unit="m",
               minimum=0.01, maximum=1.0, live=True),
     Parameter("max_distance", 8.0,
               "People and robots that are farther away are not looked at.", unit="m", minimum=0.5, maximum=100.0,
@@ -77,23 +76,22 @@ _GAZE = (
               "Part of the time in which people look at nobody. Higher: fewer gazes, surer ones.", minimum=0.01,
               maximum=0.99, live=True),
     Parameter("nobody_field", 2.0,
-              "Solid angle over which the gaze of somebody who looks at nobody is spread. Smaller: fewer gazes, surer "
-              "ones.", unit="sr",
+              "Solid angle over which gazes at nobody are spread. Smaller: fewer gazes, surer ones.", unit="sr",
               minimum=0.05, maximum=12.6, live=True),
     Parameter("dwell_time", 1.3,
-              "Mean time between two changes of what somebody looks at. Longer: fewer wrong changes, later right "
-              "ones.", unit="s",
+              "Mean time between two changes of the target of a gaze. Longer: fewer wrong changes, later right ones.",
+              unit="s",
               minimum=0.1, maximum=60.0, live=True),
     Parameter("evidence_time", 0.067,
-              "Time after which the error of a direction is another one: images that follow each other sooner say less "
-              "than as many independent ones. Longer: for detectors whose errors last.", unit="s", minimum=0.0,
+              "Correlation time of the error of a direction: images that follow each other sooner say less than as "
+              "many independent ones. Longer: for detectors whose errors last.", unit="s", minimum=0.0,
               maximum=5.0, live=True),
     Parameter("gaze_on", 0.4, "Probability from which a gaze begins.", minimum=0.05, maximum=0.99, live=True),
     Parameter("gaze_off", 0.3, "Probability below which a gaze ends; below gaze_on, so that it does not flicker.",
               minimum=0.01,
               maximum=0.99, live=True),
     Parameter("gaze_hold", 0.3,
-              "A gaze ends when nothing has been seen of the direction for so long.", unit="s", minimum=0.0,
+              "A gaze ends this long after the last observation of its direction.", unit="s", minimum=0.0,
               maximum=10.0, live=True),
     Parameter("closed_threshold", 0.5,
               "Closedness of the eyes, 0 to 1, from which they are closed: then there is no gaze.", minimum=0.05,
@@ -102,18 +100,17 @@ _GAZE = (
 
 _ENGAGEMENT = (
     Parameter("engagement", True,
-              "Publish engagement_status. False: it is left to another node, such as hri_engagement, which publishes "
-              "the same topic."),
+              "Publish engagement_status. False: another node does, such as hri_engagement."),
     Parameter("engagement_distance", 3.0,
               "Distance from the robot up to which somebody may be engaged with it.", unit="m", minimum=0.2,
               maximum=20.0, live=True),
     Parameter("engagement_distance_margin", 0.3,
-              "Somebody who was within engagement_distance has to be this much farther to be outside.", unit="m",
+              "How much farther than engagement_distance somebody must go to be outside again.", unit="m",
               minimum=0.0,
               maximum=5.0, live=True),
     Parameter("engagement_view", 1.2,
-              "Largest angle between where the robot looks and a person for their gaze to be mutual. pi: the robot "
-              "sees all around.",
+              "Largest angle between where the robot looks and a person it can look at. pi: the robot sees all "
+              "around.",
               unit="rad", minimum=0.1, maximum=3.15, live=True),
     Parameter("engagement_time", 1.5,
               "Time constant of the attention, the smoothed mutual gaze, 0 to 1. Longer: engaged later, and still so "
@@ -127,43 +124,46 @@ _ENGAGEMENT = (
     Parameter("disengaged_level", 0.12, "Attention below which somebody is disengaged.", minimum=0.01, maximum=0.97,
               live=True),
     Parameter("engagement_lost_time", 2.0,
-              "Somebody of whom neither place nor direction has been seen for so long has an unknown engagement.",
+              "Time without place and direction after which the engagement is unknown.",
               unit="s",
               minimum=0.1, maximum=60.0, live=True),
 )
 
 _GROUPS = (
     Parameter("group_stride", 0.4,
-              "Distance ahead of a person at which the middle of a group is expected. Larger: for people who stand in "
-              "wide circles.",
+              "Distance from a person to the expected middle of the group. Larger: for people who stand in wide "
+              "circles.",
               unit="m", minimum=0.0, maximum=2.0, live=True),
-    Parameter("group_depth", 0.5,
-              "Standard deviation of the middle of a group along the direction of a person. Larger: wide and narrow "
-              "circles alike.",
+    Parameter("group_size_sd", 0.3,
+              "Standard deviation of that distance between groups: circles may be wider or narrower, for all of their "
+              "members alike. Larger: wide and narrow circles alike.", unit="m", minimum=0.02, maximum=2.0, live=True),
+    Parameter("group_depth", 0.4,
+              "Standard deviation of the middle of a group along the direction of a person, beside the size of the "
+              "group. Larger: members stand nearer and farther than others of their group.",
               unit="m", minimum=0.05, maximum=2.0, live=True),
     Parameter("group_width", 0.3,
-              "Standard deviation of the middle of a group across the direction of a person. Larger: people side by "
-              "side and people turned away rather belong to a group.", unit="m", minimum=0.05, maximum=2.0, live=True),
+              "Standard deviation of the group's middle across a member's direction. Larger: people side by side and "
+              "people turned away rather belong to a group.", unit="m", minimum=0.05, maximum=2.0, live=True),
     Parameter("group_room", 22.0,
-              "Area in which the middles of two different groups lie anywhere: people form a group when their middles "
-              "agree better than by chance in this area. Larger: more and larger groups.", unit="m^2", minimum=1.0,
+              "Area over which the middles of groups are spread: people form a group when their middles agree better "
+              "than by chance in this area. Larger: more and larger groups.", unit="m^2", minimum=1.0,
               maximum=1000.0, live=True),
     Parameter("group_period", 0.3,
-              "Least time between two looks at who stands together, and between two messages of the groups. Longer: "
-              "less load.", unit="s", minimum=0.0, maximum=5.0, live=True),
+              "Least time between two results of the groups. Longer: less load.",
+              unit="s", minimum=0.0, maximum=5.0, live=True),
     Parameter("group_time", 2.0,
               "Time constant of who stands with whom: a group is who stood together for most of about twice this time. "
               "Longer: steadier groups, later changes.", unit="s", minimum=0.0, maximum=30.0, live=True),
     Parameter("group_speed", 0.7,
-              "Two people who move against each other faster than this, one who walks past or away, are not together, "
-              "wherever they are. Lower: people leave a group sooner, noise breaks it.", unit="m/s", minimum=0.1,
+              "Two people with a larger relative speed (one walks past or away) are not together, wherever they are. "
+              "Lower: people leave a group sooner, noise breaks it.", unit="m/s", minimum=0.1,
               maximum=10.0, live=True),
     Parameter("group_delay", 0.5,
-              "Two people who have been seen, both, for less than this are in no group yet.", unit="s", minimum=0.0,
+              "Least time for which people are seen before they are in a group.", unit="s", minimum=0.0,
               maximum=30.0, live=True),
     Parameter("group_hold_time", 1.0,
-              "A member who is not seen stays in the group for so long, and a group that ended less than this ago "
-              "comes back under its id.", unit="s", minimum=0.0, maximum=30.0, live=True),
+              "How long a member who is not seen stays in the group, and an ended group can return with its id.",
+              unit="s", minimum=0.0, maximum=30.0, live=True),
     Parameter("group_head_sd", 0.6,
               "Standard deviation of the direction of a head from that of its trunk: what the head says of the trunk. "
               "Larger: heads count less.", unit="rad", minimum=0.05, maximum=3.0, live=True),

@@ -7,9 +7,9 @@ from hri_pipeline.core.parameters import LIST_TIMEOUT, Parameter, ParameterTable
 MATCHER_PARAMETERS = ParameterTable(
     "face_body_matcher", "Finds out which face belongs to which body, from their positions in the image.", (
         Parameter("distance_scale", 0.6,
-                  "Mean distance between the eyes and nose of a face and those of a skeleton, in sizes of the "
-                  "face, at which the likelihood has fallen to 0.61. Higher: more tolerant of inexact "
-                  "skeletons, less certain among faces close together.", unit="face sizes", minimum=0.05,
+                  "Distance between the points of face and skeleton at which the likelihood has fallen to 0.61. "
+                  "Higher: more tolerant of inexact skeletons, less certain among faces close together.",
+                  unit="face sizes", minimum=0.05,
                   maximum=2.0, live=True),
         Parameter("min_likelihood", 0.3, "A face and a body of less likelihood are not matched.",
                   minimum=0.01, maximum=1.0, live=True),
@@ -20,14 +20,14 @@ MATCHER_PARAMETERS = ParameterTable(
                   "Time constant of the likelihood of a pair. Longer: fewer changes, later corrections.",
                   unit="s", minimum=0.0, maximum=10.0, live=True),
         Parameter("stay_bonus", 0.1,
-                  "Likelihood by which another body has to be better before a face changes over to it.",
+                  "Likelihood by which another body must be better before a face changes to it.",
                   minimum=0.0, maximum=0.5, live=True),
         Parameter("max_stamp_difference", 0.15,
-                  "Face and skeleton are compared when their images are at most this far apart.", unit="s",
+                  "Largest difference between the stamps of face and skeleton.", unit="s",
                   minimum=0.0, maximum=1.0, live=True),
         Parameter("hold_time", 10.0,
-                  "A pair that cannot be compared for so long, because one side is tracked without being "
-                  "seen, is withdrawn. Long enough for a node that hangs for a moment: its faces stay listed.",
+                  "A pair of which one side is not seen for this long is withdrawn. Long enough for a node that "
+                  "hangs for a moment: its faces stay listed.",
                   unit="s", minimum=0.1, maximum=30.0, live=True),
         LIST_TIMEOUT,
     ))
@@ -42,11 +42,11 @@ VOICE_MATCHER_PARAMETERS = ParameterTable(
                   "Advantage of the face that a voice is matched with, as a logarithm of odds. Higher: fewer changes, "
                   "later corrections.", minimum=0.0, maximum=5.0, live=True),
         Parameter("unseen_weight", 1.0,
-                  "How likely a voice comes from somebody whom nobody sees (or from a loudspeaker), beforehand and "
-                  "against one face. Higher: fewer matches, and surer ones.", minimum=0.01, maximum=100.0, live=True),
+                  "Prior odds that a voice comes from somebody out of view (or a loudspeaker), against one face. "
+                  "Higher: fewer matches, and surer ones.", minimum=0.01, maximum=100.0, live=True),
         Parameter("still_motion", 0.05,
-                  "Motion of a mouth, as standard deviation of its opening (0 to 1) over half a second, at which it "
-                  "may as well be still as moving. Higher: for noisy action units; quiet speakers are missed.",
+                  "Motion of a mouth (standard deviation of its opening, 0 to 1) at which it is as likely still as "
+                  "moving. Higher: for noisy action units; quiet speakers are missed.",
                   minimum=0.005, maximum=0.5, live=True),
         Parameter("direction_sd", 0.17,
                   "Standard deviation of the direction of voice_ID. Larger: for coarse arrays and echoes.", unit="rad",
@@ -56,21 +56,21 @@ VOICE_MATCHER_PARAMETERS = ParameterTable(
                   unit="s",
                   minimum=2.0, maximum=15.0, live=True),
         Parameter("onset_delay", 0.06,
-                  "Time from the first sound of a voice to the arrival of is_speaking.", unit="s", minimum=0.0,
+                  "Time from the first sound of a voice to is_speaking.", unit="s", minimum=0.0,
                   maximum=1.0),
         Parameter("hangover", 0.08,
-                  "Time from the last sound of a voice to the arrival of the end of is_speaking.", unit="s",
+                  "Time from the last sound of a voice to the end of is_speaking.", unit="s",
                   minimum=0.0,
                   maximum=2.0),
         Parameter("period", 0.25,
                   "Time between two comparisons while somebody speaks.", unit="s", minimum=0.05, maximum=1.0,
                   live=True),
         Parameter("linger_time", 10.0,
-                  "The node listens to faces and transforms while there is a voice, and for so long after the last "
-                  "one: what a mouth did before a voice began helps to tell whose it is.", unit="s", minimum=0.0,
+                  "How long after the last voice the node still subscribes to faces and transforms: what a mouth did "
+                  "before a voice began helps to tell whose it is.", unit="s", minimum=0.0,
                   maximum=3600.0, live=True),
         LIST_TIMEOUT,
         Parameter("interface", "paper",
-                  "Taken by every node of the stack, so that one launch argument sets all; the topics of this node are "
-                  "the same in both.", choices=("paper", "rep155")),
+                  "No effect on this node; every node takes it, so that one launch argument sets all.",
+                  choices=("paper", "rep155")),
     ))

@@ -23,8 +23,7 @@ _SENSES = (
     Parameter("sense_voice_rate", 0.0, "How often the direction of a voice is measured; 0: every cycle.", unit="Hz",
               minimum=0.0,
               maximum=200.0),
-    Parameter("sense_position_noise", 0.02, "Standard deviation of the place of a face or body across the line of "
-                                            "sight, each axis.",
+    Parameter("sense_position_noise", 0.02, "Standard deviation of positions across the line of sight, each axis.",
               unit="m", minimum=0.0, maximum=2.0),
     Parameter("sense_depth_noise", 0.03, "Standard deviation of the distance, as a share of it.", minimum=0.0,
               maximum=1.0),
@@ -46,7 +45,7 @@ _SENSES = (
     Parameter("sense_lid_errors", 0.02, "Share of the images in which open eyes are read as closed and closed ones as "
                                         "open.",
               minimum=0.0, maximum=0.5),
-    Parameter("sense_dropout", 0.1, "Share of the time in which a face or body that could be seen is not found.",
+    Parameter("sense_dropout", 0.1, "Share of the time in which a visible face or body is not found.",
               minimum=0.0,
               maximum=0.9),
     Parameter("sense_dropout_time", 0.3, "Mean length of such a gap.", unit="s", minimum=0.01, maximum=60.0),
@@ -55,13 +54,13 @@ _SENSES = (
               unit="s", minimum=0.0, maximum=60.0),
     Parameter("sense_birth_delay", 0.2, "How long a feature is seen before it is listed.", unit="s", minimum=0.0,
               maximum=10.0),
-    Parameter("sense_id_changes", 0.0, "How often a feature gets a new id out of nothing, per feature.", unit="1/min",
+    Parameter("sense_id_changes", 0.0, "How often a feature gets a new id without reason, per feature.", unit="1/min",
               minimum=0.0,
               maximum=600.0),
     Parameter("sense_ghosts", 0.0, "How often a face is found where nobody is; it lasts for half a second or a little "
                                    "more.",
               unit="1/min", minimum=0.0, maximum=600.0),
-    Parameter("sense_voices", True, "Who speaks is heard as a voice."),
+    Parameter("sense_voices", True, "People who speak are voices."),
     Parameter("sense_voice_hold", 2.0, "How long a voice stays listed after its last word.", unit="s", minimum=0.0,
               maximum=60.0),
 )
@@ -73,8 +72,8 @@ SCENE_PARAMETERS = ParameterTable(
         Parameter("seed", 0, "Another seed gives the same scene with other random numbers: looks, talk, noise, gaps.",
                   minimum=0,
                   maximum=2147483647),
-        Parameter("level", DETECTIONS, "detections: faces, bodies, voices and candidate matches, which a person "
-                  "manager fuses. persons: the persons themselves, for a graph without a person manager.",
+        Parameter("level", DETECTIONS, "detections: faces, bodies, voices and matches, for a person manager. "
+                  "persons: the persons themselves, without one.",
                   choices=(DETECTIONS, PERSONS)),
         Parameter("rate", 15.0, "Cycles per second of the scene's time: images, transforms, truth.", unit="Hz",
                   minimum=0.5,
@@ -87,7 +86,7 @@ SCENE_PARAMETERS = ParameterTable(
         Parameter("loop", True, "Start again at the end of the scene, after a pause in which nobody is there; ids are "
                   "new, stamps go on. False: the node ends."),
         Parameter("loop_pause", 2.0, "That pause, in the scene's time.", unit="s", minimum=0.0, maximum=600.0),
-        Parameter("wait_for", "", "Topic of which a subscriber has to be there before the scene begins, such as "
+        Parameter("wait_for", "", "Topic that must have a subscriber before the scene begins, such as "
                   "/humans/candidate_matches. Empty: begin at once."),
         Parameter("reference_frame", "map", "Frame of the scene: z up, floor at 0."),
         Parameter("robot_frame", "base_link", "Frame of the robot, on the floor."),
@@ -97,16 +96,15 @@ SCENE_PARAMETERS = ParameterTable(
                                                     "up."),
         Parameter("publish_robot", True, "Publish the transforms from reference_frame to robot, camera and microphone "
                                          "(static)."),
-        Parameter("width", 1280, "Width of the image that is thought of.", unit="px", minimum=64, maximum=8192),
-        Parameter("height", 720, "Height of that image.", unit="px", minimum=64, maximum=8192),
+        Parameter("width", 1280, "Width of the virtual image.", unit="px", minimum=64, maximum=8192),
+        Parameter("height", 720, "Height of the virtual image.", unit="px", minimum=64, maximum=8192),
         Parameter("matches", True, "Publish which face, body and voice belong together. False: a matcher does that."),
         Parameter("match_likelihood", 0.85, "Mean likelihood of those matches.", minimum=0.0, maximum=1.0),
-        Parameter("wrong_matches", 0.0, "Share of the matches that are said of the nearest other person, at a "
-                                        "likelihood of 0.4 at most.",
+        Parameter("wrong_matches", 0.0, "Share of the matches that name the nearest other person, with a likelihood "
+                  "of 0.4 at most.",
                   minimum=0.0, maximum=0.5),
-        Parameter("recognition", True, "Say after recognition_delay which face is of which person, by the name in the "
-                  "scene. False: all persons are anonymous, and somebody whose face and body were lost is somebody "
-                  "new."),
+        Parameter("recognition", True, "Recognise faces after recognition_delay, by the names in the scene. False: "
+                  "all persons are anonymous; somebody whose face and body were lost is somebody new."),
         Parameter("recognition_delay", 2.0, "Time from the first sight of a face to its recognition.", unit="s",
                   minimum=0.0,
                   maximum=600.0),

@@ -12,21 +12,21 @@ SOURCE_PARAMETERS = ParameterTable(
     "image_source",
     "Publishes a video file, pictures, a camera or a stream as a ROS camera.",
     [
-        Parameter("source", "", "What to show: a video file, a picture, a directory of pictures (in reading order), "
-                  "a camera (/dev/video0, or its number as a string) or a stream (rtsp://, http://). Required."),
+        Parameter("source", "", "Video file, picture, directory of pictures, camera (/dev/video0, or its number as a "
+                  "string) or stream (rtsp://, http://). Required."),
         Parameter("width", 1280, "Width of the images.", unit="px", minimum=16, maximum=8192),
         Parameter("height", 720, "Height of the images.", unit="px", minimum=16, maximum=8192),
-        Parameter("fit", "letterbox", "How a source of other proportions is brought to that size. letterbox: all of it "
-                  "is shown, with dark bars. crop: the image is filled and the rest cut off. native: the source's own "
-                  "size; width and height are ignored.", choices=FIT_CHOICES),
+        Parameter("fit", "letterbox", "How a source of other proportions is shown. letterbox: all of it, with dark "
+                  "bars. crop: the image is filled, the rest cut off. native: in its own size; width and height are "
+                  "ignored.", choices=FIT_CHOICES),
         Parameter("rate", 0.0, "Images per second. 0: the video's or camera's own rate, 30 for pictures. A video is "
                   "played frame by frame at this rate, so that another rate plays it faster or slower.",
                   unit="Hz", minimum=0.0, maximum=240.0),
         Parameter("loop", True, "Start again at the end. Stamps go on; a picture or video is never shown as the past."),
-        Parameter("at_end", STAY, "What to do at the end of the source when loop is false. stay: keep the node alive "
-                  "with `finished` true. exit: end the node with exit code 0.", choices=(STAY, EXIT)),
-        Parameter("wait_for_subscriber", False, "Start only when somebody listens to the images, so that the first "
-                  "frames of a video are not lost."),
+        Parameter("at_end", STAY, "At the end, when loop is false. stay: the node goes on with `finished` true. "
+                  "exit: it ends with exit code 0.", choices=(STAY, EXIT)),
+        Parameter("wait_for_subscriber", False, "Start only when somebody subscribes to the images; the first frames "
+                  "of a video are not lost then."),
         Parameter("frame_id", "camera_color_optical_frame", "Frame of the images: optical, z forward, x right, y "
                                                             "down."),
         Parameter("hfov", 60.0, "Horizontal field of view of the published image, bars included; gives K in "
@@ -34,11 +34,10 @@ SOURCE_PARAMETERS = ParameterTable(
         Parameter("jpeg_quality", 80, "Quality of image/compressed, which is made only while somebody listens.",
                   minimum=1, maximum=100),
         Parameter("seconds_per_picture", 8.0, "How long each picture is shown.", unit="s", minimum=0.1, maximum=3600.0),
-        Parameter("dark_between_pictures", 1.5, "How long the image is black before the next picture, part of the time "
-                  "of the picture. Longer than the trackers' death times, so that nobody becomes somebody else.",
+        Parameter("dark_between_pictures", 1.5, "How long the image is black before the next picture; part of its "
+                  "time. Longer than the trackers' death times, so that nobody becomes somebody else.",
                   unit="s", minimum=0.0, maximum=60.0),
-        Parameter("pan", 0.03, "Swing of the slow pan over a picture, to each side, as a fraction of the image. 0: "
-                               "still.",
+        Parameter("pan", 0.03, "Swing of the slow pan to each side, as a fraction of the image. 0: still.",
                   minimum=0.0, maximum=0.25),
         Parameter("pan_period", 12.0, "Time of one swing there and back.", unit="s", minimum=0.5, maximum=600.0),
         Parameter("zoom", 0.0, "Largest enlargement of the slow zoom over a picture, minus one. 0: none. A zoom costs "
@@ -55,9 +54,8 @@ SOUND_SOURCE_PARAMETERS = ParameterTable(
     "sound_source",
     "Plays a sound file, a directory of them or an ALSA device as audio_common_msgs.",
     [
-        Parameter("source", "", "What to play: a sound file (wav, flac, ogg, mp3, ... what libsndfile reads; .raw as "
-                  "16-bit samples of `raw_rate` and `raw_channels`), a directory of them (in reading order) or a "
-                  "microphone (alsa, or alsa:DEVICE with a name that `arecord -L` shows). Required."),
+        Parameter("source", "", "Sound file (what libsndfile reads, or .raw with 16-bit samples), directory of them, "
+                  "or microphone (alsa, or alsa:DEVICE as `arecord -L` shows it). Required."),
         Parameter("sample_rate", 0, "Rate of the sound that goes out. 0: that of the (first) file, 16000 of a "
                   "microphone. A file of another rate is resampled.", unit="Hz", minimum=0, maximum=192000),
         Parameter("channels", 0, "Channels of the sound that goes out. 0: those of the (first) file, 1 of a "
@@ -73,9 +71,10 @@ SOUND_SOURCE_PARAMETERS = ParameterTable(
         Parameter("loop", True, "Start again at the end of a file or directory."),
         Parameter("pause", 1.0, "Silence after each file, so that the next is a new turn.", unit="s", minimum=0.0,
                   maximum=600.0),
-        Parameter("at_end", STAY, "What to do at the end when loop is false. stay: keep the node alive with `finished` "
-                  "true. exit: end the node with exit code 0.", choices=(STAY, EXIT)),
-        Parameter("wait_for_subscriber", False, "Start only when somebody listens, so that the begin is not lost."),
+        Parameter("at_end", STAY, "At the end, when loop is false. stay: the node goes on with `finished` true. "
+                  "exit: it ends with exit code 0.", choices=(STAY, EXIT)),
+        Parameter("wait_for_subscriber", False, "Start only when somebody listens, so that the beginning is not "
+                  "lost."),
         Parameter("raw_rate", 16000, "Rate of files that end in .raw.", unit="Hz", minimum=4000, maximum=192000),
         Parameter("raw_channels", 1, "Channels of files that end in .raw.", minimum=1, maximum=32),
         Parameter("retry_period", 2.0, "How often a microphone that is not there is tried again.", unit="s",
