@@ -8,7 +8,7 @@ import numpy as np
 import rosgraph
 import rospy
 import rostest
-from demo_camera import FRAME, DemoCamera, Newest, photograph
+from demo_camera import FRAME, DemoCamera, photograph
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, TwistStamped
 from sensor_msgs.msg import Image, JointState, RegionOfInterest
@@ -18,7 +18,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from hri_fullbody.core.model.human import PAPER
 from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, IdsList, Skeleton2D
-from hri_pipeline.testing import pid_of, wait_for
+from hri_pipeline.testing import Latest, pid_of, wait_for
 
 START_S, WAIT_S = 60.0, 30.0
 MARKERS = "visualization/skeletons"
@@ -30,7 +30,7 @@ class BodiesTest(unittest.TestCase):
     def setUpClass(cls):
         cls.picture = photograph(1)
         cls.camera = DemoCamera(cls.picture)
-        cls.tracked = Newest("/humans/bodies/tracked", IdsList)
+        cls.tracked = Latest("/humans/bodies/tracked", IdsList)
         cls.tree = TfTree()
 
     @classmethod
@@ -40,20 +40,20 @@ class BodiesTest(unittest.TestCase):
 
     def setUp(self):
         self.camera.show(self.picture)
-        wait_for(lambda: self.tracked.last and len(self.tracked.last.ids) >= 3, START_S, "three bodies in tracked")
+        wait_for(lambda: self.tracked.value and len(self.tracked.value.ids) >= 3, START_S, "three bodies in tracked")
 
     def listen(self, topic, kind):
-        newest = Newest(topic, kind)
+        newest = Latest(topic, kind)
         self.addCleanup(newest.close)
         return newest
 
     def first(self, topic, kind):
         newest = self.listen(topic, kind)
-        return wait_for(lambda: newest.last, WAIT_S, "a message on " + topic)
+        return wait_for(lambda: newest.value, WAIT_S, "a message on " + topic)
 
     def test_each_body_has_roi_and_skeleton_of_its_image(self):
         height, width = self.picture.shape[:2]
-        for identity in self.tracked.last.ids:
+        for identity in self.tracked.value.ids:
             roi = self.first("/humans/bodies/{}/roi".format(identity), RegionOfInterest)
             skeleton = self.first("/humans/bodies/{}/skeleton2d".format(identity), Skeleton2D)
             self.assertGreater(roi.width, 50)
@@ -74,10 +74,10 @@ class BodiesTest(unittest.TestCase):
 
     def test_tracked_is_latched(self):
         late = self.listen("/humans/bodies/tracked", IdsList)
-        wait_for(lambda: late.last, 0.8, "the latched list, before the next one is due")
+        wait_for(lambda: late.value, 0.8, "the latched list, before the next one is due")
 
     def test_whole_skeletons_stand_in_front_of_the_camera_with_the_stamp_of_an_image(self):
-        for identity in self.tracked.last.ids:
+        for identity in self.tracked.value.ids:
             stamp = wait_for(lambda wanted=identity: self.tree.complete(wanted), WAIT_S,
                              "all frames of " + identity)[-1]
             self.assertIn(stamp, self.camera.stamps)
@@ -93,7 +93,7 @@ class BodiesTest(unittest.TestCase):
         self.assertEqual(self.tree.repeated, [])
 
     def test_joints_and_roots_go_out_together(self):
-        identity = self.tracked.last.ids[0]
+        identity = self.tracked.value.ids[0]
         joints = self.listen("/humans/bodies/{}/joint_states".format(identity), JointState)
         transforms = self.listen("/tf", TFMessage)
         wait_for(lambda: len(joints.messages) >= 6, WAIT_S, "joint states")
@@ -118,7 +118,7 @@ class BodiesTest(unittest.TestCase):
                             for message in roots() for item in message.transforms))
 
     def test_place_and_expression_of_a_body(self):
-        identity = self.tracked.last.ids[0]
+        identity = self.tracked.value.ids[0]
         place = "/humans/bodies/{}/".format(identity)
         expected = {"position": PointStamped, "velocity": TwistStamped, "attitude": BodyAttitude,
                     "posture": BodyPosture, "gesture": Gesture}
@@ -132,7 +132,7 @@ class BodiesTest(unittest.TestCase):
         self.assertLess(np.abs(body.translation - (point.x, point.y, point.z)).max(), 0.3)
 
     def test_a_crop_is_sent_to_whom_it_may_concern(self):
-        identity = self.tracked.last.ids[0]
+        identity = self.tracked.value.ids[0]
         cropped = self.first("/humans/bodies/{}/cropped".format(identity), Image)
         self.assertIn(cropped.header.stamp, self.camera.stamps)
         self.assertEqual((cropped.encoding, len(cropped.data)), ("bgr8", cropped.height * cropped.step))
@@ -154,7 +154,7 @@ class BodiesTest(unittest.TestCase):
         self.assertIn("models_ms_median", found)
         self.assertEqual(found["robot_state_publishers_restarted"], "0")
         self.assertEqual(found["errors"], "0")
-        self.assertEqual(found["statures_m"].count(" +- "), len(self.tracked.last.ids))
+        self.assertEqual(found["statures_m"].count(" +- "), len(self.tracked.value.ids))
 
     def test_markers_come_only_while_somebody_listens(self):
         def tracked_by_node():
@@ -162,41 +162,41 @@ class BodiesTest(unittest.TestCase):
             return any(topic == rospy.resolve_name(MARKERS) and "/hri_bodies" in nodes for topic, nodes in state[0])
 
         self.assertTrue(tracked_by_node())
-        markers = Newest(MARKERS, MarkerArray)
-        wait_for(lambda: markers.last and len(markers.last.markers) >= 6, WAIT_S, "markers of three bodies")
-        for marker in markers.last.markers:
+        markers = Latest(MARKERS, MarkerArray)
+        wait_for(lambda: markers.value and len(markers.value.markers) >= 6, WAIT_S, "markers of three bodies")
+        for marker in markers.value.markers:
             self.assertEqual(marker.header.frame_id, FRAME)
             self.assertIn(marker.header.stamp, self.camera.stamps)
             self.assertIn(marker.action, (Marker.ADD, Marker.DELETE))
             self.assertTrue(marker.action == Marker.DELETE or 0.0 < marker.lifetime.to_sec() <= 1.0)
-        self.assertEqual({marker.ns for marker in markers.last.markers if marker.action == Marker.ADD},
-                         set(self.tracked.last.ids))
+        self.assertEqual({marker.ns for marker in markers.value.markers if marker.action == Marker.ADD},
+                         set(self.tracked.value.ids))
         markers.close()
         # Whoever comes later gets no old markers: nothing is made or kept while nobody listens.
         heard = len(self.camera.stamps)
         wait_for(lambda: len(self.camera.stamps) > heard + 6, WAIT_S, "more images")
-        newest = max(marker.header.stamp for marker in markers.last.markers)
+        newest = max(marker.header.stamp for marker in markers.value.markers)
         late = self.listen(MARKERS, MarkerArray)
         wait_for(lambda: late.messages, WAIT_S, "markers again")
         self.assertGreater(late.messages[0].markers[0].header.stamp, newest)
 
     def test_a_silent_camera_empties_the_list_with_the_stamp_of_its_last_image(self):
-        before = self.tracked.last
+        before = self.tracked.value
         self.camera.show(None)
-        wait_for(lambda: self.tracked.last.ids == [], WAIT_S, "an empty list")
-        self.assertIn(self.tracked.last.header.stamp, self.camera.stamps)
-        self.assertGreaterEqual(self.tracked.last.header.stamp, before.header.stamp)
+        wait_for(lambda: self.tracked.value.ids == [], WAIT_S, "an empty list")
+        self.assertIn(self.tracked.value.header.stamp, self.camera.stamps)
+        self.assertGreaterEqual(self.tracked.value.header.stamp, before.header.stamp)
 
     def test_black_images_empty_the_list_and_leave_nothing(self):
-        gone = list(self.tracked.last.ids)
+        gone = list(self.tracked.value.ids)
         self.camera.show_black()
-        wait_for(lambda: self.tracked.last.ids == [], WAIT_S, "an empty list")
+        wait_for(lambda: self.tracked.value.ids == [], WAIT_S, "an empty list")
 
         for identity in gone:
             wait_until_gone(identity, WAIT_S)
         self.camera.show(self.picture)
-        wait_for(lambda: len(self.tracked.last.ids) >= 3, WAIT_S, "the bodies again")
-        self.assertFalse(set(gone) & set(self.tracked.last.ids))
+        wait_for(lambda: len(self.tracked.value.ids) >= 3, WAIT_S, "the bodies again")
+        self.assertFalse(set(gone) & set(self.tracked.value.ids))
 
 
 if __name__ == "__main__":

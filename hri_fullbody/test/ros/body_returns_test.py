@@ -5,11 +5,11 @@ import unittest
 
 import rospy
 import rostest
-from demo_camera import DemoCamera, Newest, photograph
+from demo_camera import DemoCamera, photograph
 from std_msgs.msg import String
 
 from hri_msgs.msg import IdsList, IdsMatch, Skeleton2D
-from hri_pipeline.testing import wait_for
+from hri_pipeline.testing import Latest, wait_for
 
 START_S, WAIT_S = 60.0, 30.0
 NOSE = 0
@@ -21,7 +21,7 @@ class BodyReturnsTest(unittest.TestCase):
         self.picture = photograph(1)
         self.camera = DemoCamera(self.picture)
         self.addCleanup(self.camera.close)
-        self.tracked = Newest("/humans/bodies/tracked", IdsList)
+        self.tracked = Latest("/humans/bodies/tracked", IdsList)
         self.addCleanup(self.tracked.close)
         self.matches = []
         self.listener = rospy.Subscriber("/humans/candidate_matches", IdsMatch, self.matches.append, queue_size=50)
@@ -29,11 +29,11 @@ class BodyReturnsTest(unittest.TestCase):
 
     def see_three(self):
         """{id: x of the nose} of the three bodies."""
-        wait_for(lambda: self.tracked.last and len(self.tracked.last.ids) == 3, START_S, "three bodies in tracked")
+        wait_for(lambda: self.tracked.value and len(self.tracked.value.ids) == 3, START_S, "three bodies in tracked")
         noses = {}
-        for body in self.tracked.last.ids:
-            skeleton = Newest("/humans/bodies/%s/skeleton2d" % body, Skeleton2D)
-            noses[body] = wait_for(lambda heard=skeleton: heard.last, WAIT_S, "a skeleton").skeleton[NOSE].x
+        for body in self.tracked.value.ids:
+            skeleton = Latest("/humans/bodies/%s/skeleton2d" % body, Skeleton2D)
+            noses[body] = wait_for(lambda heard=skeleton: heard.value, WAIT_S, "a skeleton").skeleton[NOSE].x
             skeleton.close()
         return noses
 
@@ -49,7 +49,7 @@ class BodyReturnsTest(unittest.TestCase):
         wait_for(lambda: all(publisher.get_num_connections() for publisher in publishers), WAIT_S,
                  "the node's interest")
         self.camera.show_black()
-        wait_for(lambda: not self.tracked.last.ids, WAIT_S, "an empty list")
+        wait_for(lambda: not self.tracked.value.ids, WAIT_S, "an empty list")
         self.camera.show(self.picture)
         after = self.see_three()
         self.assertTrue(set(after).isdisjoint(before), "an id came back")

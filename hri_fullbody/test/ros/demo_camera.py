@@ -64,20 +64,3 @@ class DemoCamera:
             self.stamps.add(header.stamp)
             self._info.publish(info)
             self._image.publish(bgr_to_image(picture, header))
-
-
-class Newest:
-    """Keeps the messages of a topic."""
-
-    def __init__(self, topic, kind):
-        self.messages = []
-        self._subscriber = rospy.Subscriber(topic, kind, self.messages.append, queue_size=20)
-
-    @property
-    def last(self):
-        """The newest message, None before the first."""
-        return self.messages[-1] if self.messages else None
-
-    def close(self):
-        """Stop listening."""
-        self._subscriber.unregister()

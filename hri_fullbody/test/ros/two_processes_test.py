@@ -6,10 +6,10 @@ import unittest
 import numpy as np
 import rospy
 import rostest
-from demo_camera import DemoCamera, Newest, photograph
+from demo_camera import DemoCamera, photograph
 
 from hri_msgs.msg import FacialLandmarks, IdsList, Skeleton2D
-from hri_pipeline.testing import wait_for
+from hri_pipeline.testing import Latest, wait_for
 
 START_S = 60.0
 
@@ -19,16 +19,16 @@ class TwoProcessesTest(unittest.TestCase):
     def setUp(self):
         self.camera = DemoCamera(photograph(6))
         self.addCleanup(self.camera.close)
-        self.lists = {kind: Newest("/humans/{}/tracked".format(kind), IdsList) for kind in ("faces", "bodies")}
+        self.lists = {kind: Latest("/humans/{}/tracked".format(kind), IdsList) for kind in ("faces", "bodies")}
         self.topics = {}
 
     def newest(self, kind, name, message):
         """Follow the tracked ids of a kind and return what they last published."""
-        ids = self.lists[kind].last.ids if self.lists[kind].last else []
+        ids = self.lists[kind].value.ids if self.lists[kind].value else []
         for identity in ids:
             if identity not in self.topics:
-                self.topics[identity] = Newest("/humans/{}/{}/{}".format(kind, identity, name), message)
-        return [self.topics[identity].last for identity in ids if self.topics[identity].last]
+                self.topics[identity] = Latest("/humans/{}/{}/{}".format(kind, identity, name), message)
+        return [self.topics[identity].value for identity in ids if self.topics[identity].value]
 
     def noses_per_face(self):
         """Number of noses inside each face."""
@@ -43,10 +43,10 @@ class TwoProcessesTest(unittest.TestCase):
 
     def test_every_face_gets_its_own_body(self):
         wait_for(lambda: self.noses_per_face() == [1, 1, 1, 1], START_S, "one nose in each of four faces")
-        ids = list(self.lists["bodies"].last.ids)
+        ids = list(self.lists["bodies"].value.ids)
         seen = len(self.camera.stamps)
         wait_for(lambda: len(self.camera.stamps) > seen + 12, START_S, "two more seconds of images")
-        self.assertEqual(self.lists["bodies"].last.ids, ids)
+        self.assertEqual(self.lists["bodies"].value.ids, ids)
         self.assertEqual(self.noses_per_face(), [1, 1, 1, 1])
 
 

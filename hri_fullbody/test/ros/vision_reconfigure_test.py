@@ -5,11 +5,11 @@ import unittest
 
 import rospy
 import rostest
-from demo_camera import DemoCamera, Newest, photograph
+from demo_camera import DemoCamera, photograph
 from dynamic_reconfigure.client import Client
 
 from hri_msgs.msg import FacialLandmarks, IdsList
-from hri_pipeline.testing import wait_for
+from hri_pipeline.testing import Latest, wait_for
 
 START_S = WAIT_S = 60.0
 
@@ -20,8 +20,8 @@ class VisionReconfigureTest(unittest.TestCase):
     def setUpClass(cls):
         cls.photograph = photograph(3)
         cls.camera = DemoCamera(cls.photograph)
-        cls.faces = Newest("/humans/faces/tracked", IdsList)
-        cls.bodies = Newest("/humans/bodies/tracked", IdsList)
+        cls.faces = Latest("/humans/faces/tracked", IdsList)
+        cls.bodies = Latest("/humans/bodies/tracked", IdsList)
         cls.client = Client("hri_vision", timeout=START_S)
 
     @classmethod
@@ -33,7 +33,7 @@ class VisionReconfigureTest(unittest.TestCase):
 
     @staticmethod
     def count(newest):
-        return len(newest.last.ids) if newest.last else 0
+        return len(newest.value.ids) if newest.value else 0
 
     def rate(self, images):
         """Images per second that were worked on, over the newest so many images, by their stamps; 0 before there are as
@@ -45,8 +45,8 @@ class VisionReconfigureTest(unittest.TestCase):
     def test_1_rate(self):
         # Faces that are not seen for seconds have to live on.
         self.client.update_configuration({"face_death_time": 60.0})
-        self.landmarks = [Newest("/humans/faces/{}/landmarks".format(face), FacialLandmarks)
-                          for face in self.faces.last.ids]
+        self.landmarks = [Latest("/humans/faces/{}/landmarks".format(face), FacialLandmarks)
+                          for face in self.faces.value.ids]
         self.addCleanup(lambda: [face.close() for face in self.landmarks])
         # Far from what a busy machine does.
         wait_for(lambda: self.rate(3) > 0.3, WAIT_S, "images are worked on")

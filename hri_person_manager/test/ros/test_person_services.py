@@ -8,14 +8,12 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import unittest
 from pathlib import Path
 
 import rosnode
 import rospy
 import rostest
-from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
@@ -23,24 +21,10 @@ from tf2_msgs.msg import TFMessage
 from hri_msgs.msg import AgeAndGender, IdsList, IdsMatch, SoftBiometrics
 from hri_person_manager.srv import Enrol, Export, Forget, ListKnown, Merge, SetName, SetNativeLanguage, Split
 from hri_pipeline.srv import Gallery, GalleryResponse
+from hri_pipeline.testing import Latest, transform, wait_for
 
 NODE = "/hri_person_manager"
 WAIT_S = 15.0
-
-
-class Latest:
-    """The newest message of a topic."""
-
-    def __init__(self, topic, kind):
-        self.value = None
-        self.subscriber = rospy.Subscriber(topic, kind, self._store)
-
-    def _store(self, message):
-        self.value = message
-
-    @property
-    def text(self):
-        return None if self.value is None else self.value.data
 
 
 class TestPersonServices(unittest.TestCase):
@@ -72,10 +56,7 @@ class TestPersonServices(unittest.TestCase):
         self.wait_for(lambda: self.tracked.value is not None and not self.tracked.value.ids, "everybody has left")
 
     def wait_for(self, condition, what, seconds=WAIT_S):
-        end = time.monotonic() + seconds
-        while not condition():
-            self.assertLess(time.monotonic(), end, "waited in vain for " + what)
-            time.sleep(0.02)
+        wait_for(condition, seconds, what)
 
     @classmethod
     def show(cls, kind, *ids):
@@ -115,29 +96,29 @@ class TestPersonServices(unittest.TestCase):
         topics = {name: Latest("/humans/persons/ann/" + name, kind)
                   for name, kind in (("name", String), ("native_language", String), ("demographics", AgeAndGender))}
         self.wait_for(lambda: all(topic.value is not None for topic in topics.values()), "the latched topics")
-        self.assertEqual(topics["name"].text, "Ann Ø")
-        self.assertEqual(topics["native_language"].text, "pt-BR")
+        self.assertEqual(topics["name"].data, "Ann Ø")
+        self.assertEqual(topics["native_language"].data, "pt-BR")
         found = topics["demographics"].value
         self.assertEqual((found.age, found.gender), (33.0, AgeAndGender.FEMALE))
         self.assertTrue(self.call("set_name", SetName, "ann", "").success)
-        self.wait_for(lambda: topics["name"].text == "", "the name is taken away")
+        self.wait_for(lambda: topics["name"].data == "", "the name is taken away")
         for topic in topics.values():
-            topic.subscriber.unregister()
+            topic.close()
         softbiometrics.unregister()
 
     def test_only_what_is_known_of_a_person_has_a_topic(self):
         self.someone(self.face, "lea")
         self.assertTrue(self.call("set_native_language", SetNativeLanguage, "lea", "fr").success)
         language = Latest("/humans/persons/lea/native_language", String)
-        self.wait_for(lambda: language.text == "fr", "the language")
+        self.wait_for(lambda: language.data == "fr", "the language")
         advertised = [name for name, _ in rospy.get_published_topics("/humans/persons/lea")]
         self.assertIn("/humans/persons/lea/native_language", advertised)
         self.assertNotIn("/humans/persons/lea/name", advertised)
         self.assertTrue(self.call("set_name", SetName, "lea", "Léa").success)
         name = Latest("/humans/persons/lea/name", String)
-        self.wait_for(lambda: name.text == "Léa", "the name, which is set later")
+        self.wait_for(lambda: name.data == "Léa", "the name, which is set later")
         for topic in (language, name):
-            topic.subscriber.unregister()
+            topic.close()
 
     def test_what_cannot_be_done_is_answered_not_done(self):
         self.someone(self.face, "bea")
@@ -165,12 +146,12 @@ class TestPersonServices(unittest.TestCase):
         face = Latest("/humans/persons/dan/face_id", String)
         self.assertTrue(self.call("merge", Merge, "dan", "cat").success)
         self.wait_for(lambda: self.tracked.value.ids == ["dan"], "one person")
-        self.wait_for(lambda: alias.text == "dan" and face.text == self.face and body.text == "b" + self.face,
+        self.wait_for(lambda: alias.data == "dan" and face.data == self.face and body.data == "b" + self.face,
                       "everything is dan's")
         self.assertTrue(self.call("split", Split, "cat").success)
-        self.wait_for(lambda: sorted(self.tracked.value.ids) == ["cat", "dan"] and alias.text == "", "two again")
+        self.wait_for(lambda: sorted(self.tracked.value.ids) == ["cat", "dan"] and alias.data == "", "two again")
         for topic in (alias, body, face):
-            topic.subscriber.unregister()
+            topic.close()
 
     def test_with_a_person_go_the_other_ids_of_that_human(self):
         self.someone(self.face, "ina")
@@ -252,13 +233,8 @@ class TestPersonServices(unittest.TestCase):
                       and listed("public") == ["whop1"], "the three lists")
 
     def place(self, distances):
-        message = TFMessage()
-        for face, distance in distances.items():
-            item = TransformStamped(child_frame_id="face_" + face)
-            item.header.frame_id, item.header.stamp = "camera", rospy.Time.now()
-            item.transform.translation.z, item.transform.rotation.w = distance, 1.0
-            message.transforms.append(item)
-        self.tf.publish(message)
+        self.tf.publish(TFMessage([transform("camera", "face_" + face, rospy.Time.now(), z=distance)
+                                   for face, distance in distances.items()]))
 
     def test_the_graph_is_text_for_graphviz(self):
         self.someone(self.face, "gus")
@@ -294,7 +270,7 @@ class TestPersonServices(unittest.TestCase):
         before = set(self.tracked.value.ids)
         # what is remembered is written twice a second
         self.wait_for(lambda: set(rospy.get_param(NODE + "_memory", {})) >= before, "they are remembered")
-        self.tracked.value = IdsList()
+        self.tracked.messages.append(IdsList())
         os.kill(self.process(), signal.SIGKILL)
         self.wait_for(lambda: set(self.tracked.value.ids) == before, "the same persons again")
         self.matches.publish(match)

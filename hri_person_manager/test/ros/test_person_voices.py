@@ -9,36 +9,14 @@ import unittest
 
 import rospy
 import rostest
-from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import Bool, Float32, Header, String
 from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import FacialActionUnits, IdsList, IdsMatch
+from hri_pipeline.testing import Latest, transform, wait_for
 
 WAIT_S = 15.0
 PERIOD_S = 1.0 / 15.0
-
-
-def transform(parent, child, x, y, stamp):
-    message = TransformStamped(child_frame_id=child)
-    message.header.frame_id, message.header.stamp = parent, stamp
-    message.transform.translation.x, message.transform.translation.y = x, y
-    message.transform.rotation.w = 1.0
-    return message
-
-
-class Latest:
-    """The newest message of a topic."""
-
-    def __init__(self, topic, kind):
-        self.value = None
-        self._subscriber = rospy.Subscriber(topic, kind, self._store)
-
-    def close(self):
-        self._subscriber.unregister()
-
-    def _store(self, message):
-        self.value = message.data
 
 
 class TestPersonVoices(unittest.TestCase):
@@ -50,7 +28,7 @@ class TestPersonVoices(unittest.TestCase):
         cls.matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=10)
         cls.tf = rospy.Publisher("/tf", TFMessage, queue_size=10)
         cls.static = rospy.Publisher("/tf_static", TFMessage, latch=True, queue_size=1)
-        cls.static.publish(TFMessage([transform("map", name, 0.0, 0.0, rospy.Time.now())
+        cls.static.publish(TFMessage([transform("map", name, rospy.Time.now())
                                       for name in ("camera", "microphone")]))
         cls.publishers, cls.frames = {}, {}
         cls.persons = []
@@ -103,7 +81,7 @@ class TestPersonVoices(unittest.TestCase):
                     cls.topic("faces/%s/facs" % face, FacialActionUnits).publish(
                         FacialActionUnits(Header(stamp=stamp), values, certain))
                 if cls.places:
-                    cls.tf.publish(TFMessage([transform(parent, child, x, y, stamp)
+                    cls.tf.publish(TFMessage([transform(parent, child, stamp, x, y)
                                               for child, (parent, x, y) in cls.places.items()]))
             time.sleep(PERIOD_S)
 
@@ -113,10 +91,7 @@ class TestPersonVoices(unittest.TestCase):
         self.frames.clear()
 
     def wait_for(self, condition, what):
-        end = time.monotonic() + WAIT_S
-        while not condition():
-            self.assertLess(time.monotonic(), end, "waited in vain for %s; persons: %s" % (what, self.persons))
-            time.sleep(0.03)
+        wait_for(condition, WAIT_S, lambda: "%s; persons: %s" % (what, self.persons))
 
     def one(self):
         self.wait_for(lambda: len(self.persons) == 1, "one person")
@@ -129,8 +104,8 @@ class TestPersonVoices(unittest.TestCase):
         certain = Latest("/humans/persons/%s/location_confidence" % person, Float32)
         features = {name: wanted.get(name, "") for name in topics}
         try:
-            self.wait_for(lambda: {name: topic.value for name, topic in topics.items()} == features
-                          and (confidence is None or certain.value == confidence), "%s with %s" % (person, features))
+            self.wait_for(lambda: {name: topic.data for name, topic in topics.items()} == features
+                          and (confidence is None or certain.data == confidence), "%s with %s" % (person, features))
         finally:
             for topic in (*topics.values(), certain):
                 topic.close()
@@ -143,16 +118,16 @@ class TestPersonVoices(unittest.TestCase):
         found = {}
         topics = {person: Latest("/humans/persons/%s/voice_id" % person, String) for person in persons}
         faces = {person: Latest("/humans/persons/%s/face_id" % person, String) for person in persons}
-        self.wait_for(lambda: any(topic.value == "va1" for topic in topics.values()), "the first turn")
-        found = {faces[person].value: person for person in persons}
-        self.assertEqual(topics[found["fa1"]].value, "va1")
+        self.wait_for(lambda: any(topic.data == "va1" for topic in topics.values()), "the first turn")
+        found = {faces[person].data: person for person in persons}
+        self.assertEqual(topics[found["fa1"]].data, "va1")
         self.world({"fa1": False, "fb1": False}, voices={"va1": False})
         self.world({"fa1": False, "fb1": True}, voices={"va1": False, "vb1": True})
-        self.wait_for(lambda: topics[found["fb1"]].value == "vb1", "the second turn")
+        self.wait_for(lambda: topics[found["fb1"]].data == "vb1", "the second turn")
         self.world({"fa1": True, "fb1": False}, voices={"va1": False, "vb1": False, "vc1": True})
-        self.wait_for(lambda: topics[found["fa1"]].value == "vc1", "the third turn")
+        self.wait_for(lambda: topics[found["fa1"]].data == "vc1", "the third turn")
         self.world({"fa1": False, "fb1": False})
-        self.wait_for(lambda: {topic.value for topic in topics.values()} == {""}, "both voices to end")
+        self.wait_for(lambda: {topic.data for topic in topics.values()} == {""}, "both voices to end")
         self.assertEqual(sorted(self.persons), sorted(persons))
 
     def test_a_voice_that_nobody_can_be_seen_for_is_a_person_without_a_place(self):

@@ -8,10 +8,12 @@ import subprocess
 import threading
 import time
 from contextlib import contextmanager
-from typing import Callable, Iterator, NamedTuple, Union
+from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Union
 from xmlrpc.client import ServerProxy
 
 import rosgraph
+import rospy
+from geometry_msgs.msg import TransformStamped
 
 _LOOK_S = 0.01
 
@@ -24,19 +26,55 @@ class Held(NamedTuple):
     rss_mb: float
 
 
-def wait_for(condition: Callable[[], object], timeout: float, what: Union[str, Callable[[], str]]) -> object:
-    """Return the first value of the condition that is true.
+class Latest:
+    """Keeps the messages of a topic."""
+
+    def __init__(self, topic: str, kind: Any) -> None:
+        self.messages: List[Any] = []
+        self._subscriber = rospy.Subscriber(topic, kind, self.messages.append, queue_size=20)
+
+    @property
+    def value(self) -> Any:
+        """The newest message, None before the first."""
+        return self.messages[-1] if self.messages else None
+
+    @property
+    def data(self) -> Any:
+        """What the newest message of std_msgs holds, None before the first."""
+        return getattr(self.value, "data", None)
+
+    def close(self) -> None:
+        """Stop listening. Idempotent."""
+        self._subscriber.unregister()
+
+
+def transform(parent: str, child: str, stamp: rospy.Time, x: float = 0.0, y: float = 0.0,
+              z: float = 0.0) -> TransformStamped:
+    """Return the transform of a frame at x, y, z (m) in its parent, with the same axes."""
+    message = TransformStamped(child_frame_id=child)
+    message.header.frame_id, message.header.stamp = parent, stamp
+    place = message.transform.translation
+    place.x, place.y, place.z = x, y, z
+    message.transform.rotation.w = 1.0
+    return message
+
+
+def wait_for(condition: Callable[[], object], timeout: float, what: Union[str, Callable[[], str]],
+             act: Optional[Callable[[], object]] = None, period: float = _LOOK_S) -> object:
+    """Return the first value of the condition that is true; it is looked at every `period` s, each time after `act`.
 
     Raises AssertionError after `timeout` s, which says `what` has not come; called then if it is a function.
     """
     deadline = time.monotonic() + timeout
     while True:
+        if act is not None:
+            act()
         value = condition()
         if value:
             return value
         if time.monotonic() > deadline:
             raise AssertionError("not within {:g} s: {}".format(timeout, what() if callable(what) else what))
-        time.sleep(_LOOK_S)
+        time.sleep(period)
 
 
 @contextmanager

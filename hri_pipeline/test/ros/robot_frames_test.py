@@ -7,21 +7,12 @@ import unittest
 import numpy as np
 import rospy
 import rostest
-from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
 from hri_pipeline.ros.tf import RobotTfListener, TfSubscriber
-from hri_pipeline.testing import wait_for
+from hri_pipeline.testing import transform, wait_for
 
 WAIT_S = 15.0
-
-
-def transform(parent, child, z, stamp):
-    message = TransformStamped(child_frame_id=child)
-    message.header.frame_id, message.header.stamp = parent, stamp
-    message.transform.translation.z = z
-    message.transform.rotation.w = 1.0
-    return message
 
 
 class Forger(rospy.Message):
@@ -52,13 +43,13 @@ class RobotFramesTest(unittest.TestCase):
 
     def test_fixed_and_moving_frames_make_the_way_and_skeletons_are_not_kept(self):
         frames = self.feed()
-        self.static.publish(TFMessage([transform("map", "base", 1.0, rospy.Time.now())]))
+        self.static.publish(TFMessage([transform("map", "base", rospy.Time.now(), z=1.0)]))
 
         def seen():
             stamp = rospy.Time.now()
             self.moving.publish(TFMessage(
-                [transform("base", "camera", 0.5, stamp), transform("camera", "face_abcde", 3.0, stamp),
-                 transform("camera", "person_abcde", 3.0, stamp)]))
+                [transform("base", "camera", stamp, z=0.5), transform("camera", "face_abcde", stamp, z=3.0),
+                 transform("camera", "person_abcde", stamp, z=3.0)]))
             return frames.lookup("camera", stamp)
 
         pose = wait_for(seen, WAIT_S, "the camera in map")
@@ -77,8 +68,8 @@ class RobotFramesTest(unittest.TestCase):
         def seen():
             stamp = rospy.Time.now()
             self.moving.publish(TFMessage(
-                [transform("map", "body_link", 1.0, stamp), transform("body_link", "head_pan_link", 0.5, stamp),
-                 transform("head_pan_link", "camera", 0.1, stamp)]))
+                [transform("map", "body_link", stamp, z=1.0), transform("body_link", "head_pan_link", stamp, z=0.5),
+                 transform("head_pan_link", "camera", stamp, z=0.1)]))
             return frames.lookup("camera", stamp)
 
         pose = wait_for(seen, WAIT_S, "the camera in map")
@@ -86,8 +77,8 @@ class RobotFramesTest(unittest.TestCase):
 
     def test_a_camera_on_a_fixed_face_plate(self):
         frames = self.feed()
-        self.static.publish(TFMessage([transform("map", "face_plate_link", 1.0, rospy.Time.now()),
-                                       transform("face_plate_link", "camera", 0.2, rospy.Time.now())]))
+        self.static.publish(TFMessage([transform("map", "face_plate_link", rospy.Time.now(), z=1.0),
+                                       transform("face_plate_link", "camera", rospy.Time.now(), z=0.2)]))
         pose = wait_for(lambda: frames.lookup("camera", rospy.Time()), WAIT_S, "the camera in map")
         self.assertTrue(np.allclose(pose.translation, (0.0, 0.0, 1.2)))
 
@@ -96,7 +87,7 @@ class RobotFramesTest(unittest.TestCase):
         feed = TfSubscriber(lambda data, frames, fixed: heard.append([name for name, _ in frames]))
         feed._name = "/nobody"
         self.addCleanup(feed.close)
-        early = TFMessage([transform("map", "early", 1.0, rospy.Time.now())])
+        early = TFMessage([transform("map", "early", rospy.Time.now(), z=1.0)])
         wait_for(lambda: self.moving.publish(early) or [b"early"] in heard, WAIT_S, "a listener")
         for data in (b"", b"\x00", struct.pack("<I", 2 ** 31), b"\xff" * 50):
             forged = Forger()
@@ -104,19 +95,19 @@ class RobotFramesTest(unittest.TestCase):
             self.moving.impl.acquire()
             self.moving.impl.publish(forged)
             self.moving.impl.release()
-        self.moving.publish(TFMessage([transform("map", "late", 1.0, rospy.Time.now())]))
+        self.moving.publish(TFMessage([transform("map", "late", rospy.Time.now(), z=1.0)]))
         wait_for(lambda: [b"late"] in heard, WAIT_S, "the good one")
         self.assertEqual(feed.refused, 4)
 
     def test_one_bad_transform_costs_only_itself(self):
         frames = self.feed()
-        bad = transform("map", "bad", 1.0, rospy.Time.now())
+        bad = transform("map", "bad", rospy.Time.now(), z=1.0)
         bad.header.stamp.secs = 2 ** 32 - 1     # tf2 ends the process that takes it
-        nan = transform("map", "nan", float("nan"), rospy.Time.now())
+        nan = transform("map", "nan", rospy.Time.now(), z=float("nan"))
 
         def seen():
             stamp = rospy.Time.now()
-            self.moving.publish(TFMessage([bad, nan, transform("map", "camera", 0.5, stamp)]))
+            self.moving.publish(TFMessage([bad, nan, transform("map", "camera", stamp, z=0.5)]))
             return frames.lookup("camera", stamp) and frames.lookup("camera", bad.header.stamp)
 
         wait_for(seen, WAIT_S, "the camera beside a bad transform")
@@ -132,7 +123,7 @@ class RobotFramesTest(unittest.TestCase):
         self.addCleanup(feed.close)
         self.addCleanup(other.close)
         wait_for(lambda: self.moving.get_num_connections(), WAIT_S, "a listener")
-        self.moving.publish(TFMessage([transform("map", "base", 1.0, rospy.Time.now())]))
+        self.moving.publish(TFMessage([transform("map", "base", rospy.Time.now(), z=1.0)]))
         marker = TfSubscriber(lambda data, frames, fixed: heard.append("marker"))
         marker._name = "/nobody"
         self.addCleanup(marker.close)

@@ -2,8 +2,6 @@
 """The face-body matcher from outside: landmarks and skeletons in, candidate matches out."""
 
 import sys
-import threading
-import time
 import unittest
 from pathlib import Path
 
@@ -13,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Header
 
 from hri_msgs.msg import FacialLandmarks, IdsList, IdsMatch, NormalizedPointOfInterest2D, Skeleton2D
+from hri_pipeline.testing import wait_for
 
 sys.path.append(str(Path(__file__).resolve().parents[3] / "scripts"))
 
@@ -77,13 +76,7 @@ class TestFaceBodyMatcher(unittest.TestCase):
                 self.bodies[name].publish(Skeleton2D(header=header, skeleton=skeleton(x)))
 
     def wait_for(self, condition, what, places):
-        end = time.monotonic() + WAIT_S
-        while time.monotonic() < end:
-            self.show(places)
-            if condition():
-                return
-            threading.Event().wait(0.05)
-        self.fail("waited %.0f s in vain for %s; matches: %s" % (WAIT_S, what, self.current()))
+        wait_for(condition, WAIT_S, lambda: "%s; matches: %s" % (what, self.current()), lambda: self.show(places), 0.05)
 
     def test_matches_follow_people_and_are_withdrawn(self):
         self.lists["faces"].publish(IdsList(ids=["fa", "fb"]))

@@ -1,8 +1,6 @@
 #!/usr/bin/env python3
 """The overlay node: draws on the image that the features belong to, and only while somebody looks."""
 
-import threading
-import time
 import unittest
 
 import numpy as np
@@ -14,6 +12,7 @@ from std_msgs.msg import Float32, Header, String
 from hri_msgs.msg import FacialLandmarks, IdsList, Skeleton2D
 from hri_pipeline.core.overlay import colour_of
 from hri_pipeline.ros.conversions import bgr_to_image, image_to_bgr, landmarks_to_msg, skeleton_to_msg
+from hri_pipeline.testing import wait_for
 
 LIMIT = 20.0
 WIDTH, HEIGHT = 320, 240
@@ -46,15 +45,6 @@ class TestOverlay(unittest.TestCase):
         self.landmarks.publish(landmarks_to_msg(face, header, WIDTH, HEIGHT))
         self.skeleton.publish(skeleton_to_msg(body, header, WIDTH, HEIGHT))
 
-    def wait_for(self, condition, work=lambda: None):
-        deadline = time.monotonic() + LIMIT
-        while not condition():
-            if time.monotonic() > deadline:
-                return False
-            work()
-            threading.Event().wait(0.05)
-        return True
-
     def test_draws_while_somebody_looks(self):
         self.assertEqual(self.image.get_num_connections(), 0, "it listens although nobody looks")
         pictures, stamps = [], set()
@@ -71,16 +61,16 @@ class TestOverlay(unittest.TestCase):
         def drawn():
             return any((image_to_bgr(picture) == colour).all(axis=2).sum() > 500 for picture in pictures[-3:])
 
-        self.assertTrue(self.wait_for(drawn, publish), "no person was drawn")
+        wait_for(drawn, LIMIT, "a person that is drawn", publish, 0.05)
         self.assertEqual((pictures[-1].width, pictures[-1].height), (WIDTH, HEIGHT))
         self.assertEqual(pictures[-1].header.frame_id, "eye")
         self.assertLessEqual({picture.header.stamp for picture in pictures}, stamps)
         # An image without size does not end the node.
         self.image.publish(Image(header=Header(stamp=rospy.Time.now()), encoding="bgr8"))
         seen = len(pictures)
-        self.assertTrue(self.wait_for(lambda: len(pictures) > seen, publish), "it stopped after a bad image")
+        wait_for(lambda: len(pictures) > seen, LIMIT, "an image after a bad one", publish, 0.05)
         looking.unregister()
-        self.assertTrue(self.wait_for(lambda: self.image.get_num_connections() == 0), "it goes on listening")
+        wait_for(lambda: self.image.get_num_connections() == 0, LIMIT, "that it listens no more")
 
 
 if __name__ == "__main__":

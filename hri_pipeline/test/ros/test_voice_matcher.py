@@ -10,11 +10,11 @@ import unittest
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import Bool, Header, String
 from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import FacialActionUnits, FacialLandmarks, IdsList, IdsMatch, NormalizedPointOfInterest2D
+from hri_pipeline.testing import transform, wait_for
 
 WAIT_S = 12.0
 PERIOD_S = 1.0 / 15.0
@@ -40,13 +40,8 @@ def landmarks(opening, stamp):
                            landmarks=[NormalizedPointOfInterest2D(*point) for point in points])
 
 
-def transform(parent, child, azimuth, stamp, distance=2.0):
-    message = TransformStamped(child_frame_id=child)
-    message.header.frame_id, message.header.stamp = parent, stamp
-    message.transform.translation.x = distance * math.cos(azimuth)
-    message.transform.translation.y = distance * math.sin(azimuth)
-    message.transform.rotation.w = 1.0
-    return message
+def towards(parent, child, azimuth, stamp, distance=2.0):
+    return transform(parent, child, stamp, distance * math.cos(azimuth), distance * math.sin(azimuth))
 
 
 class TestVoiceMatcher(unittest.TestCase):
@@ -56,8 +51,8 @@ class TestVoiceMatcher(unittest.TestCase):
                      for kind in ("faces", "voices", "persons")}
         cls.tf = rospy.Publisher("/tf", TFMessage, queue_size=10)
         cls.static = rospy.Publisher("/tf_static", TFMessage, latch=True, queue_size=1)
-        cls.static.publish(TFMessage([transform("base", "camera", 0.0, rospy.Time.now(), 0.1),
-                                      transform("base", "microphone", 0.0, rospy.Time.now(), 0.05)]))
+        cls.static.publish(TFMessage([towards("base", "camera", 0.0, rospy.Time.now(), 0.1),
+                                      towards("base", "microphone", 0.0, rospy.Time.now(), 0.05)]))
         cls.publishers, cls.received, cls.diagnostics = {}, [], {}
         rospy.Subscriber("/humans/candidate_matches", IdsMatch, cls.received.append, queue_size=100)
         rospy.Subscriber("/diagnostics", DiagnosticArray, cls.keep, queue_size=10)
@@ -101,7 +96,7 @@ class TestVoiceMatcher(unittest.TestCase):
                     cls.topic("faces/%s/%s" % (face, kind),
                               FacialActionUnits if make is units else FacialLandmarks).publish(
                         make(opening, stamp))
-                cls.tf.publish(TFMessage([transform(parent, child, azimuth, stamp)
+                cls.tf.publish(TFMessage([towards(parent, child, azimuth, stamp)
                                           for (parent, child), azimuth in cls.places.items()]))
             time.sleep(PERIOD_S)
 
@@ -128,11 +123,8 @@ class TestVoiceMatcher(unittest.TestCase):
         return {(item.id1, item.id2): item.confidence for item in list(self.received)}
 
     def wait_for(self, condition, what):
-        end = time.monotonic() + WAIT_S
-        while not condition():
-            self.assertLess(time.monotonic(), end, "waited in vain for %s; matches: %s, diagnostics: %s" % (
-                what, self.current(), {name: status.message for name, status in self.diagnostics.items()}))
-            time.sleep(0.02)
+        wait_for(condition, WAIT_S, lambda: "%s; matches: %s, diagnostics: %s" % (
+            what, self.current(), {name: status.message for name, status in self.diagnostics.items()}))
 
     def listening(self):
         status = self.diagnostics.get("matches")
@@ -192,7 +184,7 @@ class TestVoiceMatcher(unittest.TestCase):
         bad = FacialActionUnits(Header(stamp=rospy.Time.now()), [0.5] * 7, [float("nan")] * 99)
         self.wait_for(lambda: broken.publish(bad) or "FacialActionUnits needs 99" in self.diagnostics["faces"].message,
                       "the reason")
-        self.tf.publish(TFMessage([transform("microphone", "voice_vh1", float("nan"), rospy.Time.now())]))
+        self.tf.publish(TFMessage([towards("microphone", "voice_vh1", float("nan"), rospy.Time.now())]))
         self.wait_for(lambda: self.current().get(("vh1", "fh1"), 0.0) > 0.7, "the mouth that moves")
         self.clear()
         self.wait_for(lambda: not self.listening(), "the node to listen to nobody")

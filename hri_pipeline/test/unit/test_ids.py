@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
 
 FIRST, REST = string.ascii_letters, string.ascii_letters + string.digits + "_"
+OTHER = " -/.~;<>$()'\n\r\t\0\x7f\u00e4\u0301\u0660\u212a\uff11\uff21\U0001d7d8"
 LEGAL = st.builds(str.__add__, st.sampled_from(FIRST), st.text(REST, max_size=31))
 
 
@@ -21,8 +22,8 @@ def test_legal(text):
     assert is_valid_id(text)
 
 
-@given(st.text() | st.text(REST) | st.builds(lambda text, place, other: text[:place] + other + text[place:],
-                                             LEGAL, st.integers(0, 32), st.characters()))
+@given(st.text(REST + OTHER) | st.builds(lambda text, place, other: text[:place] + other + text[place:],
+                                         LEGAL, st.integers(0, 32), st.sampled_from(OTHER)))
 @example("")
 @example("x" * 33)
 @example("abcde\n")
