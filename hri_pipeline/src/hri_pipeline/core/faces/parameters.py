@@ -58,8 +58,10 @@ ANALYSIS_PARAMETERS = (
               " directory."),
     Parameter("age_gender_model", "", "ONNX file of the age and gender network. Empty: age_gender.onnx in the models"
               " directory. One with the inputs and outputs of age-gender-recognition-retail-0013 is known by them."),
-    Parameter("recognition_model", "", "ONNX file of the recognition network. Empty: face_recognition.onnx in the "
-              "models directory."),
+    Parameter("recognition_model", "", "Recognition network: `face_recognition`, `mobilefacenet` (tells alike people"
+              " better; docs/models.md tells its licence; `fetch_models --models mobilefacenet` gets it), `faceres`, or"
+              " an ONNX file of one of them. Empty: face_recognition. Each has templates of its own in `gallery`: who"
+              " was learnt with one is not known to another, and is kept."),
     Parameter("recognition_policy", "learn", "`learn` makes a new person of a face seen well that nobody known has;"
               " `enrolled` knows only who was enrolled by service.", choices=("learn", "enrolled")),
     Parameter("recognition_learn_delay", 1.5, "Time for which an unknown face must be seen before it becomes a new"

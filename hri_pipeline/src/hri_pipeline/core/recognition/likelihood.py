@@ -36,8 +36,7 @@ _MAX_EXPONENT = 40.0
 _LEAST_LIKELIHOOD = 0.05
 """Candidates below it are not compared with each other."""
 _SCALES_BELOW = 7.0
-"""Two persons are one when their templates are nearer than the midpoint by this many scales: odds of a thousand to
-one."""
+"""Logarithm of odds of a thousand to one."""
 _VIEW_SHARE = 0.4
 """Part of the scale against alike persons that is due to the single view; N independent views leave 1/N of it."""
 _KIN_BELOW, _KIN_WIDER = 3.0, 1.2
@@ -58,6 +57,8 @@ class TemplateCalibration:
     kin_midpoint : distance at which same and alike person are equally likely; by default below `midpoint`.
     kin_scale : distance over which the odds against an alike person change by a factor e, for a single view.
     spread : typical distance of two views of one person that are independent of each other; `midpoint` / 2 by default.
+    one_human : distance below which two persons, or two faces, are one human for certain; by default where the odds
+        against a stranger are a thousand to one.
 
     Raises
     ------
@@ -72,10 +73,11 @@ class TemplateCalibration:
     kin_midpoint: float = math.nan
     kin_scale: float = math.nan
     spread: float = math.nan
+    one_human: float = math.nan
 
     def __post_init__(self) -> None:
         defaults = {"kin_midpoint": self.midpoint - _KIN_BELOW * self.scale, "kin_scale": _KIN_WIDER * self.scale,
-                    "spread": 0.5 * self.midpoint}
+                    "spread": 0.5 * self.midpoint, "one_human": self.midpoint - _SCALES_BELOW * self.scale}
         for name, value in defaults.items():
             if math.isnan(getattr(self, name)):
                 object.__setattr__(self, name, value)
@@ -88,11 +90,6 @@ class TemplateCalibration:
     def contradiction(self) -> float:
         """Distance from which on a view is hardly of the same person, and rather of somebody alike."""
         return self.kin_midpoint + self.kin_scale
-
-    @property
-    def one_human(self) -> float:
-        """Distance below which two persons, or two faces, are one human for certain."""
-        return self.midpoint - _SCALES_BELOW * self.scale
 
     def likelihoods(self, distances: np.ndarray, population: int, views: float = 1.0) -> np.ndarray:
         """Likelihood (..., N) that it is this person, for the distances (..., N) to N of `population` known ones.
