@@ -76,7 +76,7 @@ KINDS: Dict[str, EmbeddingKind] = {
     # people nobody farther than about 0.30 gets a name. Views of one person at different times of a film: 0.20.
     "face_recognition": EmbeddingKind("face_recognition", "image", "embedding", 150, 128, (0.0, 0.0, 0.0), True,
                                       TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15,
-                                                          kin_midpoint=0.325, kin_scale=0.020, spread=0.20)),
+                                                          kin_midpoint=0.32, kin_scale=0.018, spread=0.20)),
     # Half of the people of scripts/benchmarks/identity_names.py: same, on other pictures, 0.60 +- 0.15, most 0.93
     # (elsewhere 0.77 +- 0.17); different 1.39 +- 0.10, least 0.81 (single views of all qualities). What kin are was not
     # measured: inferred from its error rate on a film of alike people, 1.0 to 1.3.
