@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from typing import AbstractSet, Deque, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import AbstractSet, Deque, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -29,8 +29,8 @@ DOUBT_STEP, DOUBT_LIMIT = 3.0, 4.0
 So one view never does it, and two that are plainly of somebody else always do."""
 CHANGE = 0.05
 """Least change of a likelihood that is published."""
-HOLD = 0.2
-"""A face takes a person over from another face only when it is likelier by this much."""
+HOLD = 1.0
+"""A face takes a person over from another face only when the logarithm of its odds is larger by this much."""
 FIRST_INTERVAL, NAMED_INTERVAL, LONGEST_INTERVAL = 0.25, 1.0, 5.0
 """Time (s) between two crops of a face at first or in doubt, and after many of one that has a name, or has none: a name
 that is wrong must be noticed soon."""
@@ -202,6 +202,7 @@ class FaceIdentity:
     person : id of the person it is taken for, empty when that is not known.
     barred : its person was forgotten, so it is not learnt again.
     doubt : of the person it is taken for.
+    refuted : ids of persons it was taken for and is no longer: no candidates until it is taken for them again.
     apart : by id of a person that it is not, as that person was seen beside it: the face that was that person then.
     beside : by id of another face, the time (s) since when both are seen.
     result : of the last comparison with the gallery, None before the first one.
@@ -216,6 +217,7 @@ class FaceIdentity:
     person: str = ""
     barred: bool = False
     doubt: NameDoubt = field(default_factory=NameDoubt)
+    refuted: Set[str] = field(default_factory=set)
     apart: Dict[str, str] = field(default_factory=dict)
     beside: Dict[str, float] = field(default_factory=dict)
     result: Optional[MatchResult] = None
@@ -269,6 +271,7 @@ class FaceIdentity:
             self.doubt.add(template, log_odds)
             if self.doubt.is_enough:
                 self.evidence.restart(self.doubt.views)
+                self.refuted.add(self.person)
                 self.person = ""
         swapped = self.evidence.swaps != swaps
         if swapped:
@@ -283,8 +286,9 @@ class FaceIdentity:
         likely = {one.person_id: round(one.likelihood, 3) for one in self.candidates}
         if self.person:
             return {self.person: likely[self.person]}
+        no_more = taken | self.refuted | self.apart.keys()
         return {person_id: min(likelihood, MOST_UNSURE) for person_id, likelihood in likely.items()
-                if likelihood >= LEAST_PUBLISHED and person_id not in taken and person_id not in self.apart}
+                if likelihood >= LEAST_PUBLISHED and person_id not in no_more}
 
     def decide(self, best: Optional[PersonCandidate]) -> None:
         """Take the face for `best`, the candidate it was given, if that is sure enough."""
@@ -294,6 +298,9 @@ class FaceIdentity:
         self.person = best.person_id if is_sure and best is not None else ""
         if self.person != before:
             self.doubt.clear()
+            self.refuted.discard(self.person)
+            if before:
+                self.refuted.add(before)
 
     def take_changes(self, holds: Mapping[str, float]) -> List[PersonMatch]:
         """Return how `holds` differs from what was published last, withdrawals first, and take it as published."""
@@ -308,7 +315,7 @@ class FaceIdentity:
 
 
 def _assigned(faces: Sequence[FaceIdentity], taken: AbstractSet[str]) -> List[Optional[PersonCandidate]]:
-    """Return a candidate or None for each face: no person twice, none of `taken`, with the largest total likelihood.
+    """Return a candidate or None for each face: no person twice, none of `taken`, with the largest total of log odds.
 
     It is the linear assignment problem (Kuhn 1955, "The Hungarian method for the assignment problem").
     """
@@ -318,15 +325,20 @@ def _assigned(faces: Sequence[FaceIdentity], taken: AbstractSet[str]) -> List[Op
     columns = {name: column for column, name in enumerate(sorted(set().union(*options)))} if options else {}
     if not columns:
         return [None] * len(faces)
-    worth = np.zeros((len(faces), len(columns)))
+    worth, least = np.zeros((len(faces), len(columns))), _log_odds(LEAST_PUBLISHED)
     for row, (face, option) in enumerate(zip(faces, options)):
         for name, one in option.items():
-            worth[row, columns[name]] = one.likelihood + HOLD * (name == face.person)
+            # The sum of logarithms of odds: the assignment that is likeliest as a whole.
+            worth[row, columns[name]] = _log_odds(one.likelihood) - least + HOLD * (name == face.person)
     names = list(columns)
     chosen: List[Optional[PersonCandidate]] = [None] * len(faces)
     for row, column in zip(*linear_sum_assignment(worth, maximize=True)):
         chosen[row] = options[row].get(names[column])
     return chosen
+
+
+def _log_odds(likelihood: float) -> float:
+    return math.log(likelihood / (1.0 - likelihood))
 
 
 def assign_persons(faces: Sequence[FaceIdentity], newest: float) -> None:
