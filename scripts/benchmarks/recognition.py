@@ -92,28 +92,31 @@ class Encounters:
                 label.label, label.file, label.frame, verdict, ", a second id" if person_id else ""))
 
 
-def recognising_stage(gallery: str = "") -> FacePipeline:
-    """Return a face stage that recognises, and does nothing else; gallery: its file, empty for none.
+def recognising_stage(gallery: str = "", model: str = "") -> FacePipeline:
+    """Return a face stage that recognises, and does nothing else.
+
+    gallery: its file, empty for none; model: the network, empty for the default.
 
     Raises ModelError when a model is missing.
     """
-    return FacePipeline(FACES.resolve({"gallery": gallery, "action_units": False, "expression": False,
-                                    "age_gender": False}))
+    return FacePipeline(FACES.resolve({"gallery": gallery, "recognition_model": model, "action_units": False,
+                                       "expression": False, "age_gender": False}))
 
 
 def recognise_twice(wanted: Sequence[LabelledFace], models: Path,
-                    say: Callable[[str], None] = lambda text: None) -> Encounters:
+                    say: Callable[[str], None] = lambda text: None, model: str = "") -> Encounters:
     """Show the pictures of `wanted` one after the other, everybody unknown at first, and again in another run that has
     only the file of the first.
 
-    models: directory of the models. Raises FileNotFoundError with the mend when a picture is absent.
+    models: directory of the models; model: the network, empty for the default. Raises FileNotFoundError with the mend
+    when a picture is absent.
     """
     with tempfile.TemporaryDirectory() as directory:
         file = str(Path(directory) / "faces.gallery")
-        with closing(recognising_stage(file)) as stage:
+        with closing(recognising_stage(file, model)) as stage:
             encounters = Encounters(stage)
             _show_all(encounters, wanted, models, lambda name: say("first run: " + name))
-        with closing(recognising_stage(file)) as stage:
+        with closing(recognising_stage(file, model)) as stage:
             encounters.use(stage)
             _show_all(encounters, wanted, models, lambda name: say("second run: " + name))
     return encounters

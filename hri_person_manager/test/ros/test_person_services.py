@@ -209,6 +209,24 @@ class TestPersonServices(unittest.TestCase):
         self.assertIn("/broken/gallery: the disk", answer.message)
         self.assertNotIn("somebody_else", answer.message)
 
+    def test_enrolling_somebody_alike_is_refused_and_done_as_somebody_new(self):
+        asked = []
+
+        def answer(request):
+            asked.append((request.command, request.id, request.other))
+            is_new = request.command == "enrol_new"
+            return GalleryResponse(success=is_new, id="ned" if is_new else "", message="the face looks like kim")
+        service = rospy.Service("/recogniser/gallery", Gallery, answer)
+        self.addCleanup(service.shutdown)
+        self.someone(self.face, "kim")
+        refused = self.call("enrol", Enrol, "kim", "Ned")
+        self.assertFalse(refused.success)
+        self.assertIn("looks like kim", refused.message)
+        made = self.call("enrol_new", Enrol, "kim", "Ned")
+        self.assertTrue(made.success, made.message)
+        self.assertEqual(made.id, "ned")
+        self.assertEqual(asked, [("enrol", "kim", self.face), ("enrol_new", "", self.face)])
+
     def test_merging_through_an_alias_is_answered_as_it_is_done(self):
         for number, person in enumerate(("pia", "quy", "ron")):
             self.recognise("z%d" % number, person)

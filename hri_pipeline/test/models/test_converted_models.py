@@ -51,13 +51,15 @@ def test_tflite_equals_litert(product: Product) -> None:
     contents = read_members(archive_of(product), dict(product.members))
     interpreter = interpreter_type(model_content=next(iter(contents.values())), num_threads=1)
     interpreter.allocate_tensors()
-    shape = [3] + list(interpreter.get_input_details()[0]["shape"][1:])
+    batch, *sizes = interpreter.get_input_details()[0]["shape"]
+    shape = [3] + sizes
     images = np.random.default_rng(1).uniform(-1, 1, shape).astype(np.float32)
     results = run(convert(product, contents), images)
     details = {d["name"].split(":")[0]: d["index"] for d in interpreter.get_output_details()}
     by_shape = {tuple(d["shape"][1:]): d["index"] for d in interpreter.get_output_details()}
     for row in range(len(images)):
-        interpreter.set_tensor(interpreter.get_input_details()[0]["index"], images[row : row + 1])
+        given = np.repeat(images[row : row + 1], batch, axis=0)
+        interpreter.set_tensor(interpreter.get_input_details()[0]["index"], given)
         interpreter.invoke()
         for name, result in zip(product.outputs, results):
             index = details[name] if name in details else by_shape[result.shape[1:]]

@@ -6,7 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.labels import nearest_face
 from benchmarks.recognition import Encounters, identities, images, recognise_twice, recognising_stage
+from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.onnx import ModelError, models_directory
 from hri_pipeline.core.recognition.embedding import FaceEmbedder, face_chip, load_face_embedder, similarity
 
@@ -128,6 +130,30 @@ def test_another_model_and_a_damaged_one_are_told_by_name(tmp_path, wrong):
         FaceEmbedder(target)
     with pytest.raises(ModelError, match="absent.onnx"):
         load_face_embedder(str(tmp_path / "absent.onnx"))
+
+
+def test_mobilefacenet_tells_people_apart_and_is_asked_for_by_its_name():
+    path = models_directory() / "mobilefacenet.onnx"
+    if not path.is_file():
+        pytest.skip("no {}; get it with `rosrun hri_pipeline fetch_models --models mobilefacenet`".format(path))
+    network = load_face_embedder("mobilefacenet")
+    assert (network.kind, network.dimension, network.size) == ("mobilefacenet", 192, 112)
+    wanted = [label for label in pictures_of("one", "other", "demo_03", "demo_01")]
+    stage = recognising_stage()
+    seen = {}
+    for of_image, image in images(wanted, models_directory()):
+        stage.reset()
+        camera = CameraModel.from_fov(image.shape[1], image.shape[0], 0.9)
+        for number in range(8):
+            faces = stage.update(image, camera, 1.0 + 0.2 * number)
+        for label in of_image:
+            face = faces[nearest_face(label, np.array([face.box for face in faces]), image.shape)]
+            seen.setdefault(label.label, []).append(network.embed([network.crop(image, face.mesh)])[0])
+    assert len(seen) == 4 and len(seen["one"]) == 5
+    same = [np.linalg.norm(a - b) for views in seen.values() for a in views for b in views]
+    others = [np.linalg.norm(a - b) for name in seen for a in seen[name] for other in seen if other != name
+              for b in seen[other]]
+    assert max(same) < network.calibration.kin_midpoint < min(others)
 
 
 def test_the_other_network_is_known_by_its_outputs(embedder):

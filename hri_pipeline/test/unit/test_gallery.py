@@ -50,7 +50,27 @@ def test_the_more_are_known_the_closer_a_match_must_be(persons):
     likelihood = [CALIBRATION.likelihoods(np.array([distance] + [1.0] * (persons - 1)), persons)[0]
                   for distance in (0.1, 0.2, 0.3, 0.36, 0.5)]
     assert likelihood == sorted(likelihood, reverse=True)
-    assert likelihood[3] == pytest.approx(1.0 / (5 + persons), rel=0.01)
+    at_odds_of_one = CALIBRATION.likelihoods(np.array([CALIBRATION.fair_midpoint]), persons)[0]
+    assert at_odds_of_one < 1.0 / (5 + persons)
+    assert CALIBRATION.limit(0.8, persons) > CALIBRATION.limit(0.8, 10 * persons)
+    assert CALIBRATION.limit(0.8, persons) < CALIBRATION.limit(0.8, persons, views=4.0) < CALIBRATION.kin_midpoint
+
+
+def test_the_limit_is_where_the_likelihood_is_reached():
+    limit = CALIBRATION.limit(0.8, 12, 2.0)
+    assert CALIBRATION.likelihoods(np.array([limit]), 12, 2.0)[0] == pytest.approx(0.8, abs=1e-3)
+
+
+def test_the_false_match_rate_is_bounded_by_the_odds():
+    """On distances drawn from densities whose ratios are those of the calibration."""
+    random, calibration = np.random.RandomState(0), CALIBRATION
+    deviation = np.sqrt(calibration.kin_scale * 0.16)
+    mean = calibration.kin_midpoint + 0.08
+    kin = random.normal(mean, deviation, 100000)
+    for distance in (0.2, 0.25, 0.28):
+        stranger, alike = calibration.false_match_rates(distance, 10)
+        assert (kin < distance).mean() <= alike < 1.0 and 0.0 < stranger < 1.0
+    assert calibration.false_match_rates(0.25, 100)[0] == pytest.approx(10 * calibration.false_match_rates(0.25, 10)[0])
 
 
 def test_two_alike_persons_share_the_likelihood():
@@ -59,10 +79,35 @@ def test_two_alike_persons_share_the_likelihood():
 
 
 @pytest.mark.parametrize("values", [(0.36, 0.30, 0.02, 0.1), (0.36, 0.4, 0.0, 0.1), (0.36, 0.4, 0.02, 0.5),
-                                    (float("nan"), 0.4, 0.02, 0.1)])
+                                    (float("nan"), 0.4, 0.02, 0.1), (0.36, 0.4, 0.018, 0.15, 0.37),
+                                    (0.36, 0.4, 0.018, 0.15, 0.32, 0.0)])
 def test_a_calibration_is_checked(values):
     with pytest.raises(ValueError, match="midpoint"):
         TemplateCalibration(*values)
+
+
+def test_two_who_are_apart_stay_so_until_somebody_goes(gallery):
+    fill(gallery, 4)
+    gallery.keep_apart("p0001", "p0002")
+    gallery.keep_apart("p0002", "p0003")
+    assert gallery.are_apart("p0002", "p0001") and not gallery.are_apart("p0001", "p0003")
+    assert gallery.distance("p0001", "p0002") is None and gallery.distance("p0001", "p0003") is not None
+    gallery.merge("p0001", "p0000")
+    assert gallery.are_apart("p0000", "p0002")
+    gallery.merge("p0000", "p0002")
+    assert not gallery.are_apart("p0002", "p0002") and gallery.are_apart("p0002", "p0003")
+    gallery.remove("p0003")
+    assert not gallery.are_apart("p0002", "p0003")
+    with pytest.raises(GalleryError, match="nobody"):
+        gallery.keep_apart("p0002", "nobody")
+
+
+def test_who_is_alike(gallery):
+    fill(gallery, 3)
+    assert [one.person_id for one in gallery.alike(face(1, 0.3), 0.4)] == ["p0001"]
+    assert gallery.alike(face(1, 0.3), 0.25) == [] == gallery.alike(face(1, 0.3), 0.4, except_for="p0001")
+    assert gallery.nearest("p0001", face(1, 0.3)) == pytest.approx(0.3, abs=1e-3)
+    assert gallery.nearest("nobody", face(1)) is None
 
 
 def test_room_for_more_persons_is_empty_room(gallery):

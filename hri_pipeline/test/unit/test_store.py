@@ -221,6 +221,20 @@ def test_a_newer_schema_is_refused_and_left_alone(path, monkeypatch):
     assert not list(path.parent.glob("*.damaged-*"))
 
 
+def test_a_store_of_the_first_schema_is_read_and_brought_to_the_newest(path, monkeypatch):
+    with monkeypatch.context() as patched:
+        patched.setattr(store_module, "MIGRATIONS", store_module.MIGRATIONS[:1])
+        filled(path).close()
+    store = PersonStore(path)
+    ids = [record.id for record in store.load_records()]
+    assert len(ids) == 4 and store.load_apart() == set()
+    store.put_apart([frozenset(ids[:2]), frozenset((ids[0], "nobody"))])
+    assert store.load_apart() == {frozenset(ids[:2])}, "of those who are known only"
+    store.remove_record(ids[0])
+    assert store.load_apart() == set()
+    store.close()
+
+
 def test_a_database_of_another_program_is_left_alone(path):
     path.parent.mkdir(mode=0o700)
     other = sqlite3.connect(str(path))

@@ -49,6 +49,48 @@ def test_the_same_people_in_another_run(store, other):
     assert second.export("anna").enrolled and not second.export("bert").enrolled
 
 
+def test_two_who_are_apart_are_so_for_all_and_until_one_is_forgotten(store, other):
+    first, second = gallery(store), gallery(other)
+    for number, name in enumerate(("anna", "bert", "carl")):
+        first.add_person(name, face(number)[None])
+    first.keep_apart("bert", "anna")
+    first.keep_apart("bert", "carl")
+    first.flush()
+    second.flush()
+    assert second.are_apart("anna", "bert") and second.are_apart("carl", "bert")
+    assert not second.are_apart("anna", "carl")
+    second.remove("carl")
+    second.flush()
+    first.flush()
+    assert store.load_apart() == {frozenset(("anna", "bert"))} and not first.are_apart("bert", "carl")
+    first.merge("bert", "anna")
+    first.flush()
+    second.flush()
+    assert store.load_apart() == set() and not second.are_apart("anna", "bert")
+
+
+def test_each_network_has_templates_of_its_own_and_those_of_the_others_stay(store, other):
+    old = gallery(store)
+    old.add_person("anna", face(1)[None], enrolled=True)
+    old.flush()
+    wide = np.zeros((1, 192), np.float32)
+    wide[0, 5] = 1.0
+    new = StoredGallery(other, "mobilefacenet", 192, CALIBRATION, clock=lambda: 200.0)
+    assert new.ids() == [], "nobody is known by this network"
+    new.add_person("anna", wide, enrolled=True)
+    new.add_person("bert", wide)
+    new.flush()
+    old.flush()
+    assert old.ids() == ["anna"] and np.array_equal(old.export("anna").templates, face(1)[None])
+    assert np.array_equal(store.load_templates("mobilefacenet", 192)[0].templates, wide)
+    assert [person.id for person in store.load_templates("net", SIZE)] == ["anna"]
+    assert [record.first_seen for record in store.load_records()] == [100.0, 200.0]
+    old.remove("anna")
+    old.flush()
+    new.flush()
+    assert new.ids() == ["bert"], "who is forgotten is forgotten by every network"
+
+
 def test_one_learns_what_the_other_has_learnt(store, other):
     first, second = gallery(store), gallery(other)
     first.add_person("anna", face(1)[None])

@@ -9,7 +9,15 @@ import onnxruntime
 import pytest
 
 from hri_pipeline.models.catalogue import ConversionError
-from hri_pipeline.models.tflite_graph import Operator, SparseDimension, Tensor, TfliteGraph, densify, read_tflite
+from hri_pipeline.models.tflite_graph import (
+    Operator,
+    SparseDimension,
+    Tensor,
+    TfliteGraph,
+    densify,
+    fold_prelus,
+    read_tflite,
+)
 from hri_pipeline.models.tflite_to_onnx import convert_graph, same_padding
 
 PLAIN = {"FusedActivationFunction": 0}
@@ -100,10 +108,29 @@ def test_prelu_is_written_as_depthwise_convolutions() -> None:
     )
 
 
+@pytest.mark.parametrize("is_leaky", [True, False])
+def test_a_leaky_activation_of_five_operators_becomes_one(is_leaky: bool) -> None:
+    """relu(x) + a (x - |x|); of the other graph, a (y - |x|), nothing is folded, and it is converted all the same."""
+    shape, slope = [1, 4, 5, 3], random(3)
+    tensors = [Tensor("in0", shape), Tensor("in1", shape), Tensor("a", [3], slope)]
+    tensors += [Tensor(name, shape) for name in ("relu", "abs", "sub", "mul", "out")]
+    operators = [Operator("RELU", [0], [3]), Operator("ABS", [0], [4]),
+                 Operator("SUB", [0 if is_leaky else 1, 4], [5], PLAIN), Operator("MUL", [2, 5], [6], PLAIN),
+                 Operator("ADD", [3, 6], [7], PLAIN)]
+    graph = TfliteGraph(tensors, fold_prelus(tensors, operators), [0, 1], [7])
+    assert ("PRELU" in [operator.kind for operator in graph.operators]) == is_leaky
+    model, first, other = convert_graph(graph, "m"), random(2, 4, 5, 3), random(2, 4, 5, 3)
+    assert any(node.op_type == "Abs" for node in model.graph.node) != is_leaky, "what is not needed is not converted"
+    expected = np.maximum(first, 0) + slope * ((first if is_leaky else other) - np.abs(first))
+    feed = {"in0": first, "in1": other}
+    np.testing.assert_allclose(run(model, feed)[0], expected, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     "kind, numpy_function",
     [
         ("RELU", lambda x: np.maximum(x, 0)),
+        ("ABS", np.abs),
         ("LOGISTIC", lambda x: 1 / (1 + np.exp(-x))),
         ("HARD_SWISH", lambda x: x * np.clip(x + 3, 0, 6) / 6),
     ],

@@ -28,8 +28,8 @@ LEFT_OUT: Dict[str, Dict[str, str]] = {
         **{name: _CAMERA for name in (
             "image", "camera_info", "depth", "image_transport", "fallback_fov", "faces", "bodies", "overlay",
             "one_process", "up_frame",
-            "providers", "quality", "vision_rate", "max_people", "privacy", "recognition", "store_key", "faces_config",
-            "bodies_config",
+            "providers", "quality", "vision_rate", "max_people", "privacy", "recognition", "recognition_model",
+            "store_key", "faces_config", "bodies_config",
             "vision_config", "overlay_config")},
         **{name: _SOUND for name in (
             "audio", "audio_info", "microphone_frame", "microphone_positions", "speech", "speech_grammar",

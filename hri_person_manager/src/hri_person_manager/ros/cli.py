@@ -61,6 +61,8 @@ _COMMANDS: Dict[str, Tuple[str, type, Tuple[str, ...], str]] = {
     "split": ("split", Split, ("id",), "undo a merge"),
     "forget": ("forget", Forget, ("id",), "remove everything that is known of a person"),
     "enrol": ("enrol", Enrol, ("id", "name"), "the person ID, who is seen now, agrees to be recognised"),
+    "enrol-new": ("enrol_new", Enrol, ("id", "name"), "the same, as a new person although the face looks like "
+                                                      "somebody who is known"),
     "export": ("export", Export, ("id",), "print everything that is known of a person, or of all, as JSON"),
 }
 NOBODY = 3
@@ -105,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
     for command, (_, _, fields, text) in _COMMANDS.items():
         added = commands.add_parser(command, help=text, description=text)
         for field in fields:
-            optional = command == "export" or (command == "enrol" and field == "name")
+            optional = command == "export" or (command.startswith("enrol") and field == "name")
             added.add_argument(field, nargs="?" if optional else None, default="")
     commands.add_parser("forget-all", help="remove everybody").add_argument("--yes", action="store_true", help="really")
     commands.add_parser("make-key",

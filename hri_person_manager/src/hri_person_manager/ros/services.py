@@ -118,7 +118,8 @@ class PersonServices:
             ("split", Split, self._kept(self._split), SplitResponse),
             ("forget", Forget, self._forget, ForgetResponse),
             ("forget_all", Trigger, self._forget_all, TriggerResponse),
-            ("export", Export, self._export, ExportResponse), ("enrol", Enrol, self._kept(self._enrol), EnrolResponse))]
+            ("export", Export, self._export, ExportResponse), ("enrol", Enrol, self._kept(self._enrol), EnrolResponse),
+            ("enrol_new", Enrol, self._kept(self._enrol_new), EnrolResponse))]
         self._services.append(rospy.Service("~list_known", ListKnown, self._list_known))
 
     def close(self) -> None:
@@ -213,14 +214,18 @@ class PersonServices:
         text = json.dumps({"persons": records, "galleries": galleries}, ensure_ascii=False)
         return ExportResponse(True, "{} persons".format(len(records)), text)
 
-    def _enrol(self, request: EnrolRequest) -> EnrolResponse:
+    def _enrol_new(self, request: EnrolRequest) -> EnrolResponse:
+        return self._enrol(request, is_new=True)
+
+    def _enrol(self, request: EnrolRequest, is_new: bool = False) -> EnrolResponse:
         with self._lock:
             state = next((state for state in self._manager.snapshot(rospy.get_time()).persons
                           if state.id == request.id), None)
         if state is None or not state.face:
             raise RegisterError("the person {!r} has no face that is seen now".format(request.id[:40]))
-        known = "" if state.anonymous else state.id
-        answers = self._galleries.call(GalleryRequest.ENROL, known, state.face)
+        known = "" if state.anonymous or is_new else state.id
+        command = GalleryRequest.ENROL_NEW if is_new else GalleryRequest.ENROL
+        answers = self._galleries.call(command, known, state.face)
         learned = [answer.response.id for answer in answers if answer.response.success and answer.response.id]
         if not learned:
             raise RegisterError(_first_lines(answers) if answers else _NO_RECOGNISER)

@@ -34,6 +34,7 @@ _OPTIONS: Dict[str, Tuple[str, Tuple[str, ...]]] = {
     ),
     "ADD": ("AddOptions", ("FusedActivationFunction",)),
     "MUL": ("MulOptions", ("FusedActivationFunction",)),
+    "SUB": ("SubOptions", ("FusedActivationFunction",)),
     "RESIZE_BILINEAR": ("ResizeBilinearOptions", ("AlignCorners", "HalfPixelCenters")),
     "DEPTH_TO_SPACE": ("DepthToSpaceOptions", ("BlockSize",)),
     "CONCATENATION": ("ConcatenationOptions", ("Axis", "FusedActivationFunction")),
@@ -101,7 +102,8 @@ def read_tflite(content: bytes, model_name: str) -> TfliteGraph:
     ]
     inputs = [int(i) for i in source.InputsAsNumpy()]
     outputs = [int(i) for i in source.OutputsAsNumpy()]
-    return TfliteGraph(tensors, _fold_constants(tensors, operators, sparse), inputs, outputs)
+    remaining = _fold_constants(tensors, operators, sparse)
+    return TfliteGraph(tensors, fold_prelus(tensors, remaining), inputs, outputs)
 
 
 def _import_tflite() -> Any:
@@ -185,6 +187,48 @@ def _fold_constants(
         else:
             remaining.append(operator)  # an integer constant with scale: reported as an unknown operator
     return remaining
+
+
+def fold_prelus(tensors: List[Tensor], operators: Sequence[Operator]) -> List[Operator]:
+    """Replace relu(x) + a (x - |x|), as older exporters write a leaky activation, by PRELU with the slope 2 a.
+
+    The constants of the new slopes are added to `tensors`; the operators whose results are then unused stay, and are
+    dropped where only what the outputs need is converted.
+    """
+    made_by = {operator.outputs[0]: operator for operator in operators if operator.outputs}
+    folded = []
+    for operator in operators:
+        found = _leaky_part(operator, made_by, tensors) if operator.kind == "ADD" else None
+        if found is None:
+            folded.append(operator)
+            continue
+        source, factor = found
+        data = tensors[factor].data
+        assert data is not None
+        tensors.append(Tensor(tensors[factor].name + " doubled", tensors[factor].shape, 2.0 * data))
+        folded.append(Operator("PRELU", [source, len(tensors) - 1], list(operator.outputs)))
+    return folded
+
+
+def _leaky_part(add: Operator, made_by: Mapping[int, Operator], tensors: Sequence[Tensor]) -> Optional[Tuple[int, int]]:
+    """The indices of x and of the constant a where an addition is relu(x) + a (x - |x|), else None."""
+    if add.options.get("FusedActivationFunction", 0):
+        return None
+    for first, second in (add.inputs, add.inputs[::-1]):
+        relu, product = made_by.get(first), made_by.get(second)
+        if relu is None or product is None or (relu.kind, product.kind) != ("RELU", "MUL"):
+            continue
+        constants = [index for index in product.inputs if tensors[index].data is not None]
+        others = [made_by.get(index) for index in product.inputs if index not in constants]
+        if len(constants) != 1 or len(others) != 1 or others[0] is None or others[0].kind != "SUB":
+            continue
+        source, negative = others[0].inputs
+        magnitude = made_by.get(negative)
+        is_plain = not any(one.options.get("FusedActivationFunction", 0) for one in (product, others[0]))
+        if is_plain and magnitude is not None and magnitude.kind == "ABS":
+            if magnitude.inputs == [source] == relu.inputs:
+                return source, constants[0]
+    return None
 
 
 def _densify(tensor: Tensor, sparsity: Any) -> np.ndarray:

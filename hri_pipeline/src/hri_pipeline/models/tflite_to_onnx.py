@@ -233,7 +233,7 @@ def _pad(conversion: "TfliteConversion", operator: Operator) -> str:
 def _elementwise(conversion: "TfliteConversion", operator: Operator) -> str:
     rank = len(conversion.shape(operator.outputs[0]))
     operands = [conversion.operand(index, rank) for index in operator.inputs]
-    value = conversion.builder.node({"ADD": "Add", "MUL": "Mul"}[operator.kind], operands)
+    value = conversion.builder.node({"ADD": "Add", "MUL": "Mul", "SUB": "Sub"}[operator.kind], operands)
     return _activate(conversion, operator, value)
 
 
@@ -341,6 +341,8 @@ OPERATORS: Dict[str, OperatorConverter] = {
     "PAD": _pad,
     "ADD": _elementwise,
     "MUL": _elementwise,
+    "SUB": _elementwise,
+    "ABS": _unary("Abs"),
     "RELU": _unary("Relu"),
     "LOGISTIC": _unary("Sigmoid"),
     "HARD_SWISH": _unary("HardSwish"),

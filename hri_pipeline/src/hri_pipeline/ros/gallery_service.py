@@ -33,7 +33,7 @@ class GalleryService:
         self._commands: Dict[str, Callable[[GalleryRequest], GalleryAnswer]] = {
             GalleryRequest.FORGET: self._forget, GalleryRequest.FORGET_ALL: self._forget_all,
             GalleryRequest.MERGE: self._merge, GalleryRequest.ENROL: self._enrol, GalleryRequest.LIST: self._list,
-            GalleryRequest.EXPORT: self._export}
+            GalleryRequest.EXPORT: self._export, GalleryRequest.ENROL_NEW: self._enrol_new}
         self._writer = StoreWriter(recognition.flush, notify=_log)
         self._closed = False
         self._service = rospy.Service("~gallery", Gallery, self._answer)
@@ -87,6 +87,9 @@ class GalleryService:
 
     def _enrol(self, request: GalleryRequest) -> GalleryAnswer:
         return "enrolled", self._recognition.recogniser.enrol(request.other, request.id), ""
+
+    def _enrol_new(self, request: GalleryRequest) -> GalleryAnswer:
+        return "enrolled", self._recognition.recogniser.enrol(request.other, request.id, confirm=True), ""
 
     def _list(self, request: GalleryRequest) -> GalleryAnswer:
         known = self._recognition.recogniser.list_known()

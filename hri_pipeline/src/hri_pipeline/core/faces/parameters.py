@@ -57,8 +57,10 @@ ANALYSIS_PARAMETERS = (
               " directory."),
     Parameter("age_gender_model", "", "ONNX file of the age and gender network. Empty: age_gender.onnx in the models"
               " directory. One with the inputs and outputs of age-gender-recognition-retail-0013 is known by them."),
-    Parameter("recognition_model", "", "ONNX file of the recognition network. Empty: face_recognition.onnx in the "
-              "models directory."),
+    Parameter("recognition_model", "", "Recognition network: `face_recognition`, `mobilefacenet`, `faceres`, or an ONNX"
+              " file of one of them; empty: face_recognition. `mobilefacenet` tells alike people better; its licence"
+              " stands in docs/models.md, and `fetch_models --models mobilefacenet` gets it. Each has templates of its"
+              " own in `gallery`: who was learnt with one is not known to another, and is kept."),
     Parameter("recognition_policy", "learn", "`learn`: an unknown face that is seen well becomes a new person; "
               "`enrolled`: only people who were enrolled by service are recognised.", choices=("learn", "enrolled")),
     Parameter("recognition_learn_delay", 1.5, "Time until an unknown face becomes a new person. Larger makes fewer "

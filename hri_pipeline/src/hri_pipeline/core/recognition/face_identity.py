@@ -4,9 +4,10 @@ may be the same person.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
-from typing import AbstractSet, Deque, Dict, List, Mapping, Optional, Sequence
+from typing import AbstractSet, Deque, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -17,20 +18,28 @@ MAX_CROPS = 8
 """Templates that are kept of one face: the newest ones."""
 SWAP_CROPS = 3
 """When this number of templates in a row contradicts the earlier ones, the tracker has moved to another face."""
-ACCEPT, RELEASE = 0.6, 0.3
+ACCEPT, RELEASE = 0.75, 0.5
 """Likelihood from which a face is taken for a person, and below which it no longer is."""
-LEAST_PUBLISHED = 0.1
-"""Least likelihood of a candidate that is published."""
+NAMING_CROPS = 2
+"""Templates without which no face is taken for a person: one may be of a moment's chance likeness."""
+LEAST_PUBLISHED, MOST_UNSURE = 0.1, 0.45
+"""Least likelihood of a candidate that is published, and the largest one of somebody that a face is not taken for."""
+DOUBT_STEP, DOUBT_LIMIT = 3.0, 4.0
+"""Largest part of one view in the doubt of a name (logarithm of odds), and the doubt at which the name is taken back.
+So one view never does it, and two that are plainly of somebody else always do."""
 CHANGE = 0.05
 """Least change of a likelihood that is published."""
-HOLD = 0.2
-"""A face takes a person over from another face only when it is likelier by this much."""
-FIRST_INTERVAL, LONGEST_INTERVAL = 0.25, 5.0
-"""Time (s) between two crops of a face at first, and after many."""
+HOLD = 1.0
+"""A face takes a person over from another face only when the logarithm of its odds is larger by this much."""
+FIRST_INTERVAL, NAMED_INTERVAL, LONGEST_INTERVAL = 0.25, 1.0, 5.0
+"""Time (s) between two crops of a face at first or in doubt, and after many of one that has a name, or has none: a name
+that is wrong must be noticed soon."""
 PATIENCE = 4
 """Crops of a recognised face after which the next ones come less and less often; of another one: twice as many."""
 TOGETHER = 0.5
 """Faces seen within this time (s) are present at the same time: not every face is measured in every image."""
+BESIDE = 1.0
+"""Time (s) for which two faces are seen together before they are two people: a track may outlast its face."""
 BETTER = 0.15
 """A crop whose quality exceeds the best one so far by this much gets a template early."""
 
@@ -50,10 +59,11 @@ class FaceEvidence:
     Parameters
     ----------
     contradiction : distance from the mean of the templates above which a template is of somebody else.
+    spread : typical distance of two templates of one face that are independent of each other.
     """
 
-    def __init__(self, contradiction: float) -> None:
-        self._contradiction = contradiction
+    def __init__(self, contradiction: float, spread: float) -> None:
+        self._contradiction, self._spread = contradiction, spread
         self._kept: Deque[FaceTemplate] = deque(maxlen=MAX_CROPS)
         self._contradicting: List[FaceTemplate] = []
         self._mean: Optional[np.ndarray] = None
@@ -72,6 +82,21 @@ class FaceEvidence:
         """Quality of the best crop, 0 without any."""
         return max((one.quality for one in self._kept), default=0.0)
 
+    @property
+    def views(self) -> float:
+        """How many independent views the templates are worth: n^2 over the sum of their correlations.
+
+        Two templates whose distance is `spread` are independent, two that are the same count as one: a face that does
+        not move shows the same view again and again. It is the effective sample size of a mean (Kish 1965, "Survey
+        Sampling").
+        """
+        if not self._kept:
+            return 0.0
+        templates = np.stack([one.template for one in self._kept])
+        squares = 2.0 - 2.0 * np.einsum("nd,md->nm", templates, templates)
+        correlations = np.clip(1.0 - squares / self._spread ** 2, 0.0, 1.0)
+        return float(len(templates) ** 2 / correlations.sum())
+
     def good(self, quality: float) -> int:
         """How many crops are at least this good."""
         return sum(one.quality >= quality for one in self._kept)
@@ -88,10 +113,20 @@ class FaceEvidence:
         else:
             self._kept.append(template)
         self._contradicting = []
+        self._average()
+        return True
+
+    def restart(self, templates: Sequence[FaceTemplate]) -> None:
+        """Go on with these templates only: those before were of somebody else."""
+        self._kept = deque(templates, maxlen=MAX_CROPS)
+        self._contradicting = []
+        self.swaps += 1
+        self._average()
+
+    def _average(self) -> None:
         weighted = np.sum([one.quality * one.template for one in self._kept], axis=0)
         length = float(np.linalg.norm(weighted))
         self._mean = (weighted / length).astype(np.float32) if length > 0.0 else self._kept[-1].template
-        return True
 
     def mean(self) -> Optional[np.ndarray]:
         """Return the mean of the templates weighted by quality, a unit vector (D,); None without any."""
@@ -109,6 +144,31 @@ class FaceEvidence:
     def _distance(self, one: FaceTemplate) -> float:
         assert self._mean is not None
         return float(np.linalg.norm(one.template - self._mean))
+
+
+class NameDoubt:
+    """Whether the views of a face speak against the name that it has: a cumulative sum of the logarithms of their odds
+    (Page 1954, "Continuous inspection schemes"). Views that fit make up for earlier doubts, and for no later ones.
+    """
+
+    def __init__(self) -> None:
+        self.level = 0.0
+        self.views: List[FaceTemplate] = []
+        """The templates since the doubt began."""
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether the name has to be taken back."""
+        return self.level >= DOUBT_LIMIT
+
+    def add(self, one: FaceTemplate, log_odds: float) -> None:
+        """Add a view; log_odds: of the view alone, that it is of the person named."""
+        self.level = max(0.0, self.level - float(np.clip(log_odds, -DOUBT_STEP, DOUBT_STEP)))
+        self.views = (self.views + [one])[-MAX_CROPS:] if self.level > 0.0 else []
+
+    def clear(self) -> None:
+        """Doubt nothing."""
+        self.level, self.views = 0.0, []
 
 
 @dataclass(frozen=True)
@@ -137,10 +197,14 @@ class FaceIdentity:
     Attributes
     ----------
     evidence : its templates.
-    last_seen, due : times (s) of the last image with the face, and of the next crop.
+    last_seen, cropped : times (s) of the last image with the face, and of the last crop.
     crops : number of crops so far.
     person : id of the person it is taken for, empty when that is not known.
     barred : its person was forgotten, so it is not learnt again.
+    doubt : of the person it is taken for.
+    refuted : ids of persons it was taken for and is no longer: no candidates until it is taken for them again.
+    apart : by id of a person that it is not, as that person was seen beside it: the face that was that person then.
+    beside : by id of another face, the time (s) since when both are seen.
     result : of the last comparison with the gallery, None before the first one.
     published : likelihood by person, as last published.
     """
@@ -148,12 +212,21 @@ class FaceIdentity:
     id: str
     evidence: FaceEvidence
     last_seen: float
-    due: float
+    cropped: float = -math.inf
     crops: int = 0
     person: str = ""
     barred: bool = False
+    doubt: NameDoubt = field(default_factory=NameDoubt)
+    refuted: Set[str] = field(default_factory=set)
+    apart: Dict[str, str] = field(default_factory=dict)
+    beside: Dict[str, float] = field(default_factory=dict)
     result: Optional[MatchResult] = None
     published: Dict[str, float] = field(default_factory=dict)
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether it has a name that nothing speaks against."""
+        return bool(self.person) and self.doubt.level == 0.0
 
     @property
     def candidates(self) -> Sequence[PersonCandidate]:
@@ -166,27 +239,68 @@ class FaceIdentity:
 
     def interval(self) -> float:
         """Return the time (s) to the next crop: short while there is something to decide, ever longer later."""
-        patience = PATIENCE if self.person else 2 * PATIENCE
-        return float(min(FIRST_INTERVAL * 1.5 ** min(50, max(0, self.crops - patience)), LONGEST_INTERVAL))
+        if self.doubt.level > 0.0:
+            return FIRST_INTERVAL
+        patience, longest = (PATIENCE, NAMED_INTERVAL) if self.person else (2 * PATIENCE, LONGEST_INTERVAL)
+        return float(min(FIRST_INTERVAL * 1.5 ** min(50, max(0, self.crops - patience)), longest))
+
+    @property
+    def due(self) -> float:
+        """Time (s) of the next crop."""
+        return self.cropped + self.interval()
 
     def is_due(self, quality: float, stamp: float) -> bool:
         """Return whether a crop of this quality is worth a template at `stamp` (s)."""
         early = quality > self.evidence.best_quality + BETTER
-        return stamp >= (self.due - self.interval() + FIRST_INTERVAL if early else self.due)
+        return stamp >= (self.cropped + FIRST_INTERVAL if early else self.due)
 
     def note_crop(self, stamp: float, again: bool) -> None:
         """Note a crop at `stamp` (s). again: it shows somebody else, so the next crops come soon."""
         self.crops = 1 if again else self.crops + 1
-        self.due = stamp + self.interval()
+        self.cropped = stamp
         self.result = None
+
+    def take(self, template: FaceTemplate, log_odds: Optional[float]) -> None:
+        """Add a template; log_odds: of this view alone, that it is of the person named, None without a name.
+
+        Where the views speak against the name, it is taken back, and only the views since then count.
+        """
+        swaps = self.evidence.swaps
+        agrees = self.evidence.add(template)
+        if log_odds is not None:
+            self.doubt.add(template, log_odds)
+            if self.doubt.is_enough:
+                self.evidence.restart(self.doubt.views)
+                self.refuted.add(self.person)
+                self.person = ""
+        swapped = self.evidence.swaps != swaps
+        if swapped:
+            self.barred = False
+            self.apart.clear()
+            self.beside.clear()
+            self.doubt.clear()
+        self.note_crop(template.stamp, again=swapped or not agrees)
 
     def holds(self, taken: AbstractSet[str]) -> Dict[str, float]:
         """Return likelihood by person: the person it is taken for, else the candidates that are not in `taken`."""
         likely = {one.person_id: round(one.likelihood, 3) for one in self.candidates}
         if self.person:
             return {self.person: likely[self.person]}
-        return {person_id: likelihood for person_id, likelihood in likely.items()
-                if likelihood >= LEAST_PUBLISHED and person_id not in taken}
+        no_more = taken | self.refuted | self.apart.keys()
+        return {person_id: min(likelihood, MOST_UNSURE) for person_id, likelihood in likely.items()
+                if likelihood >= LEAST_PUBLISHED and person_id not in no_more}
+
+    def decide(self, best: Optional[PersonCandidate]) -> None:
+        """Take the face for `best`, the candidate it was given, if that is sure enough."""
+        before = self.person
+        enough = RELEASE if best is not None and best.person_id == before else ACCEPT
+        is_sure = best is not None and best.likelihood >= enough and len(self.evidence) >= NAMING_CROPS
+        self.person = best.person_id if is_sure and best is not None else ""
+        if self.person != before:
+            self.doubt.clear()
+            self.refuted.discard(self.person)
+            if before:
+                self.refuted.add(before)
 
     def take_changes(self, holds: Mapping[str, float]) -> List[PersonMatch]:
         """Return how `holds` differs from what was published last, withdrawals first, and take it as published."""
@@ -201,24 +315,30 @@ class FaceIdentity:
 
 
 def _assigned(faces: Sequence[FaceIdentity], taken: AbstractSet[str]) -> List[Optional[PersonCandidate]]:
-    """Return a candidate or None for each face: no person twice, none of `taken`, with the largest total likelihood.
+    """Return a candidate or None for each face: no person twice, none of `taken`, with the largest total of log odds.
 
     It is the linear assignment problem (Kuhn 1955, "The Hungarian method for the assignment problem").
     """
     options = [{one.person_id: one for one in face.candidates
-                if one.likelihood >= LEAST_PUBLISHED and one.person_id not in taken} for face in faces]
+                if one.likelihood >= LEAST_PUBLISHED and one.person_id not in taken
+                and one.person_id not in face.apart} for face in faces]
     columns = {name: column for column, name in enumerate(sorted(set().union(*options)))} if options else {}
     if not columns:
         return [None] * len(faces)
-    worth = np.zeros((len(faces), len(columns)))
+    worth, least = np.zeros((len(faces), len(columns))), _log_odds(LEAST_PUBLISHED)
     for row, (face, option) in enumerate(zip(faces, options)):
         for name, one in option.items():
-            worth[row, columns[name]] = one.likelihood + HOLD * (name == face.person)
+            # The sum of logarithms of odds: the assignment that is likeliest as a whole.
+            worth[row, columns[name]] = _log_odds(one.likelihood) - least + HOLD * (name == face.person)
     names = list(columns)
     chosen: List[Optional[PersonCandidate]] = [None] * len(faces)
     for row, column in zip(*linear_sum_assignment(worth, maximize=True)):
         chosen[row] = options[row].get(names[column])
     return chosen
+
+
+def _log_odds(likelihood: float) -> float:
+    return math.log(likelihood / (1.0 - likelihood))
 
 
 def assign_persons(faces: Sequence[FaceIdentity], newest: float) -> None:
@@ -228,9 +348,37 @@ def assign_persons(faces: Sequence[FaceIdentity], newest: float) -> None:
                   [face for face in faces if not face.is_there(newest)]):
         chosen = _assigned(group, taken)
         for face, one in zip(group, chosen):
-            enough = RELEASE if one is not None and one.person_id == face.person else ACCEPT
-            face.person = one.person_id if one is not None and one.likelihood >= enough else ""
+            face.decide(one)
         taken.update(one.person_id for one in chosen if one is not None)
+
+
+def note_beside(faces: Sequence[FaceIdentity], newest: float, different: float) -> List[Tuple[str, str]]:
+    """Note which faces are seen beside each other at `newest` (s); returns pairs of ids of persons who are two people.
+
+    A face that was beside a named one for BESIDE is not that person, now and after the other has left. Two views of one
+    face (a mirror, a second detection) are no two people: faces nearer to each other than `different` do not count.
+    """
+    there = [face for face in faces if face.is_there(newest) and face.evidence.mean() is not None]
+    ids, pairs = {face.id for face in there}, []
+    for face in faces:
+        face.beside = {other: since for other, since in face.beside.items() if face in there and other in ids}
+    for index, face in enumerate(there):
+        for other in there[:index]:
+            since = face.beside.setdefault(other.id, newest)
+            other.beside[face.id] = since
+            if newest - since < BESIDE or not _are_different(face, other, different):
+                continue
+            for one, two in ((face, other), (other, face)):
+                if one.is_certain and one.person != two.person:
+                    two.apart.setdefault(one.person, one.id)
+            if face.is_certain and other.is_certain:
+                pairs.append((face.person, other.person))
+    return pairs
+
+
+def _are_different(face: FaceIdentity, other: FaceIdentity, limit: float) -> bool:
+    first, second = face.evidence.mean(), other.evidence.mean()
+    return first is not None and second is not None and float(np.linalg.norm(first - second)) >= limit
 
 
 def _differ(likelihood: float, before: float) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from pathlib import Path
-from typing import Callable, Dict, List, Optional, Set, Tuple, Union
+from typing import Callable, Dict, FrozenSet, List, Optional, Sequence, Set, Tuple, Union
 
 import numpy as np
 
@@ -68,6 +68,7 @@ class MemoryGallery:
         self._templates = np.zeros((16, max_templates, dimension), np.float32)
         self._count = np.zeros(16, np.int32)
         self._enrolled = np.zeros(16, bool)
+        self._apart: Set[FrozenSet[str]] = set()
 
     def __len__(self) -> int:
         return len(self._ids)
@@ -111,8 +112,54 @@ class MemoryGallery:
             self._enrolled[self._row_of(person_id)] = enrolled
             self._changed()
 
-    def match(self, templates: np.ndarray, most: int = 5, enrolled_only: bool = False) -> List[MatchResult]:
-        """Compare templates (N, D) with everybody, or with those who are enrolled."""
+    def keep_apart(self, first: str, second: str) -> None:
+        """Note that two known persons are two people for certain: they were seen beside each other."""
+        with self._lock:
+            self._row_of(first), self._row_of(second)
+            if first != second and not self.are_apart(first, second):
+                self._apart.add(frozenset((first, second)))
+                self._changed()
+
+    def are_apart(self, first: str, second: str) -> bool:
+        """Return whether two persons are known to be two people."""
+        with self._lock:
+            return frozenset((first, second)) in self._apart
+
+    def drop_views(self, person_id: str, template: np.ndarray, below: float) -> None:
+        """Forget the templates of a person nearer than `below` to this one (D,), which is of somebody else. The first
+        one stays."""
+        template = self._checked(np.asarray(template)[None])[0]
+        with self._lock:
+            row = self._row_of(person_id)
+            views = self._templates[row, :self._count[row]]
+            kept = views[(np.arange(len(views)) == 0) | (np.linalg.norm(views - template, axis=1) >= below)].copy()
+            if len(kept) < len(views):
+                self._templates[row], self._count[row] = 0.0, len(kept)
+                self._templates[row, :len(kept)] = kept
+                self._changed()
+
+    def nearest(self, person_id: str, template: np.ndarray) -> Optional[float]:
+        """Return the distance of a template (D,) from the nearest one of a person, None for somebody unknown."""
+        template = self._checked(np.asarray(template)[None])[0]
+        with self._lock:
+            row = self._row.get(person_id)
+            if row is None:
+                return None
+            return _distance(float((self._templates[row, :self._count[row]] @ template).max()))
+
+    def alike(self, template: np.ndarray, below: float, except_for: str = "") -> List[PersonCandidate]:
+        """Return who has a template nearer than `below` to this one (D,), nearest first, but for those who are known
+        to be another person than `except_for`."""
+        result, = self.match(np.asarray(template)[None], most=len(self) or 1)
+        return [one for one in result.candidates if one.distance < below and one.person_id != except_for
+                and not self.are_apart(one.person_id, except_for)]
+
+    def match(self, templates: np.ndarray, most: int = 5, enrolled_only: bool = False,
+              views: Optional[Sequence[float]] = None) -> List[MatchResult]:
+        """Compare templates (N, D) with everybody, or with those who are enrolled.
+
+        views: how many independent views (1 or more) each template is the mean of; 1 by default.
+        """
         templates = self._checked(templates)
         with self._lock:
             count = len(self._ids)
@@ -125,19 +172,20 @@ class MemoryGallery:
             nearest = products.reshape(len(templates), len(rows), self._max_templates).max(axis=2)
             distances = np.sqrt(np.maximum(0.0, 2.0 - 2.0 * nearest.astype(np.float64)))
             names = [self._ids[row] for row in rows] if enrolled_only else list(self._ids)
-        return [self._result(line, names, most) for line in distances]
+        worth = [1.0] * len(templates) if views is None else views
+        return [self._result(line, names, most, one) for line, one in zip(distances, worth)]
 
     def distance(self, first: str, second: str) -> Optional[float]:
-        """Return the distance of the nearest templates of two persons; None for two who were both enrolled, as two
-        people."""
+        """Return the distance of the nearest templates of two persons; None for two who are two people for certain, or
+        were both enrolled, as two people."""
         with self._lock:
             if first not in self._row or second not in self._row:
                 return None
             rows = self._row[first], self._row[second]
-            if self._enrolled[rows[0]] and self._enrolled[rows[1]]:
+            if self._enrolled[rows[0]] and self._enrolled[rows[1]] or self.are_apart(first, second):
                 return None
             views = [self._templates[row, :self._count[row]] for row in rows]
-            return float(np.sqrt(max(0.0, 2.0 - 2.0 * float((views[0] @ views[1].T).max()))))
+            return _distance(float((views[0] @ views[1].T).max()))
 
     def remove(self, person_id: str) -> bool:
         """Forget a person; return whether the person was known."""
@@ -145,20 +193,24 @@ class MemoryGallery:
             found = person_id in self._row
             if found:
                 self._drop(person_id)
+                self._apart = {pair for pair in self._apart if person_id not in pair}
                 self._changed()
             return found
 
     def clear(self) -> None:
         """Forget everybody."""
         with self._lock:
-            self._row, self._ids = {}, []
+            self._row, self._ids, self._apart = {}, [], set()
             self._templates[:] = 0.0
             self._count[:] = 0
             self._enrolled[:] = False
             self._changed()
 
     def merge(self, source: str, target: str) -> None:
-        """`source` is the same person as `target`: its templates go there and its id is gone."""
+        """`source` is the same person as `target`: its templates go there and its id is gone.
+
+        It is a person's wish, and stronger than what was seen: two who were kept apart may be merged.
+        """
         if source == target:
             raise GalleryError("person {} cannot be merged into itself".format(source))
         with self._lock:
@@ -166,6 +218,8 @@ class MemoryGallery:
             for template in self._templates[row, :self._count[row]].copy():
                 self._place(goal, template)
             self._enrolled[goal] |= self._enrolled[row]
+            self._apart = {pair if source not in pair else pair - {source} | {target} for pair in self._apart
+                           if pair != {source, target}}
             self._drop(source)
             self._changed()
 
@@ -240,12 +294,17 @@ class MemoryGallery:
         self._templates[row, redundant] = template
         return True
 
-    def _result(self, distances: np.ndarray, names: List[str], most: int) -> MatchResult:
-        likelihoods = self.calibration.likelihoods(distances, len(names))
+    def _result(self, distances: np.ndarray, names: List[str], most: int, views: float) -> MatchResult:
+        likelihoods = self.calibration.likelihoods(distances, len(names), views)
         order = np.argsort(distances)[:most]
         candidates = tuple(PersonCandidate(names[i], float(distances[i]), float(likelihoods[i])) for i in order)
         place = {name: number for number, name in enumerate(names)}
         return join_alike(MatchResult(candidates, len(names)), self.distance, place.__getitem__, self.calibration)
+
+
+def _distance(product: float) -> float:
+    """Distance of two unit vectors by their scalar product."""
+    return float(np.sqrt(max(0.0, 2.0 - 2.0 * product)))
 
 
 class StoredGallery(MemoryGallery):
@@ -274,6 +333,7 @@ class StoredGallery(MemoryGallery):
         self._store, self._clock = store, clock
         self._in_step = threading.RLock()       # of flush() and close()
         self._stored: Dict[str, KnownPerson] = {}
+        self._stored_apart: Set[FrozenSet[str]] = set()
         self._version = -1
         self._written = self.revision
         self._forgotten: Set[str] = set()       # they are in the store still
@@ -343,6 +403,7 @@ class StoredGallery(MemoryGallery):
         if version != self._version:
             stored = self._store.load_templates(self.model, self.dimension)
             self._apply({person.id: person for person in stored})
+            self._apply_apart(self._store.load_apart())
             self._version = version
 
     def _apply(self, stored: Dict[str, KnownPerson]) -> None:
@@ -356,6 +417,13 @@ class StoredGallery(MemoryGallery):
             self._stored = stored
             if is_written:
                 self._written = self.revision
+
+    def _apply_apart(self, stored: Set[FrozenSet[str]]) -> None:
+        with self._lock:
+            # Of somebody who is forgotten here nothing comes back.
+            known = {pair for pair in stored if not (self._forgets_all or pair & self._forgotten)}
+            self._apart = (self._apart - (self._stored_apart - stored)) | known
+            self._stored_apart = stored
 
     def _take_person(self, person: KnownPerson) -> bool:
         """Let a person be here as in the store; False where there is no room, or a template is none."""
@@ -381,6 +449,7 @@ class StoredGallery(MemoryGallery):
         with self._lock:
             revision = self.revision
             present = {person_id: self.export(person_id) for person_id in self.ids()}
+            apart = set(self._apart)
         for person_id, person in present.items():
             if not _same(person, self._stored.get(person_id)):
                 self._store.put_templates(person, self.model, self._clock(), is_new=person_id not in self._stored)
@@ -390,6 +459,9 @@ class StoredGallery(MemoryGallery):
                 nothing = np.empty((0, self.dimension), np.float32)
                 self._store.put_templates(KnownPerson(person_id, nothing, person.enrolled), self.model, self._clock(),
                                           is_new=False)
+        if apart != self._stored_apart:
+            self._store.put_apart(apart - self._stored_apart, self._stored_apart - apart)
+            self._stored_apart = apart
         return present, revision
 
 

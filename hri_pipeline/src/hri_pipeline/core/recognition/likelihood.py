@@ -1,22 +1,33 @@
 """From distances between face templates to likelihoods that they are of the same person.
 
-One comparison: the logarithm of the odds "same : different" falls linearly with the distance (logistic
-calibration of a comparison score; Brummer and du Preez 2006, "Application-independent evaluation of speaker
-detection"). Many comparisons: whoever is seen is unknown, or one of the N known persons, each with the odds 1 : N + 4
-beforehand (open-set identification). So the larger the gallery, the closer a match must be, and two alike persons share
-the likelihood. Somebody who has got two ids (seen from the side first, or by two cameras at once) would share it with
+Open-set identification: whoever is seen is one of the N known persons, or somebody unknown. An unknown person is a
+stranger, of whom N + 4 are expected for each known one, or looks like somebody known (kin, a child, a chance likeness),
+which is taken to be as likely beforehand as that it is the known person. Against each of the two the logarithm of the
+odds falls linearly with the distance (logistic calibration of a comparison score; Brummer and du Preez 2006,
+"Application-independent evaluation of speaker detection"):
+
+    odds = 1 / (exp(-(kin_midpoint - d) / kin_scale) + (N + 4) exp(-(fair_midpoint - d) / scale))
+
+So the larger the gallery, the closer a match must be, and two alike persons share the likelihood, which is the margin
+to the second best. Several views of a face narrow the first scale, as far as they are independent.
+
+A likelihood ratio tells its false match rate: somebody else exceeds the ratio t with a probability of 1 / t at most
+(Markov's inequality; Good 1950, "Probability and the Weighing of Evidence").
+
+Somebody who has got two ids (seen from the side first, or by two cameras at once) would share the likelihood with
 himself: `join_alike` gives it to one of them.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-from typing import Callable, List, Optional, Sequence, Tuple
+from typing import Callable, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
 STRANGERS = 4
-"""How many unknown persons are expected besides the known ones: where few are known, most are unknown."""
+"""How many strangers are expected besides one for each known person."""
 MAX_LIKELIHOOD = 0.99
 """Upper limit of the likelihood from comparing two pictures."""
 UNIT_TOLERANCE = 1e-3
@@ -25,57 +36,110 @@ _MAX_EXPONENT = 40.0
 _LEAST_LIKELIHOOD = 0.05
 """Candidates below it are not compared with each other."""
 _SCALES_BELOW = 7.0
-"""Two persons are one when their templates are nearer than the midpoint by this many scales: odds of a thousand to
-one."""
+"""Logarithm of odds of a thousand to one."""
+_VIEW_SHARE = 0.4
+"""Part of the scale against alike persons that is due to the single view; N independent views leave 1/N of it."""
+_KIN_BELOW, _KIN_WIDER = 3.0, 1.2
+"""Where nothing was measured of alike people: their midpoint is so many scales below the other, their scale so many
+times the other."""
 
 
 @dataclass(frozen=True)
 class TemplateCalibration:
-    """Odds of "same : different" of two templates at a distance d: exp((midpoint - d) / scale).
-
-    All distances are those of unit vectors (0 to 2).
+    """Odds of "same : different" of templates at a distance d. All distances are those of unit vectors (0 to 2).
 
     Parameters
     ----------
-    midpoint : distance at which both are equally likely, with a margin for caution.
-    fair_midpoint : the same without a margin, for the question whether somebody is certainly new.
-    scale : distance over which the odds change by a factor e.
+    midpoint : distance at which same and stranger are equally likely, with a margin for caution.
+    fair_midpoint : the same without a margin.
+    scale : distance over which the odds against a stranger change by a factor e.
     near : distance below which a new template of a person adds nothing.
+    kin_midpoint : distance at which same and alike person are equally likely; by default below `midpoint`.
+    kin_scale : distance over which the odds against an alike person change by a factor e, for a single view.
+    spread : typical distance of two views of one person that are independent of each other; `midpoint` / 2 by default.
+    one_human : distance below which two persons, or two faces, are one human for certain; by default where the odds
+        against a stranger are a thousand to one.
 
     Raises
     ------
     ValueError
-        They are not in the order 0 < near < midpoint <= fair_midpoint < 2, or the scale is not positive.
+        They are not in the order 0 < near < kin_midpoint <= midpoint <= fair_midpoint < 2, or a scale is not positive.
     """
 
     midpoint: float
     fair_midpoint: float
     scale: float
     near: float
+    kin_midpoint: float = math.nan
+    kin_scale: float = math.nan
+    spread: float = math.nan
+    one_human: float = math.nan
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.near < self.midpoint <= self.fair_midpoint < 2.0 or not self.scale > 0.0:
-            raise ValueError("calibration needs 0 < near < midpoint <= fair_midpoint < 2 and scale > 0, got {}".format(
-                self))
+        defaults = {"kin_midpoint": self.midpoint - _KIN_BELOW * self.scale, "kin_scale": _KIN_WIDER * self.scale,
+                    "spread": 0.5 * self.midpoint, "one_human": self.midpoint - _SCALES_BELOW * self.scale}
+        for name, value in defaults.items():
+            if math.isnan(getattr(self, name)):
+                object.__setattr__(self, name, value)
+        ordered = 0.0 < self.near < self.kin_midpoint <= self.midpoint <= self.fair_midpoint < 2.0
+        if not (ordered and min(self.scale, self.kin_scale, self.spread) > 0.0):
+            raise ValueError("calibration needs 0 < near < kin_midpoint <= midpoint <= fair_midpoint < 2 and positive"
+                             " scales, got {}".format(self))
 
-    def likelihoods(self, distances: np.ndarray, population: int) -> np.ndarray:
-        """Likelihood (..., N) that it is this person, for the distances (..., N) to N of `population` known ones."""
-        odds = self._odds(distances, self.midpoint, population)
+    @property
+    def contradiction(self) -> float:
+        """Distance from which on a view is hardly of the same person, and rather of somebody alike."""
+        return self.kin_midpoint + self.kin_scale
+
+    def likelihoods(self, distances: np.ndarray, population: int, views: float = 1.0) -> np.ndarray:
+        """Likelihood (..., N) that it is this person, for the distances (..., N) to N of `population` known ones.
+
+        views : how many independent views the distances are of (1 or more).
+        """
+        odds = np.exp(self.log_odds(distances, population, views))
         return np.minimum(odds / (1.0 + odds.sum(axis=-1, keepdims=True)), MAX_LIKELIHOOD)
+
+    def log_odds(self, distances: np.ndarray, population: int, views: float = 1.0) -> np.ndarray:
+        """Logarithm (...,) of the odds "this person : anybody else who is not known", for distances (...,)."""
+        against = self._exponential((np.asarray(distances, dtype=np.float64) - self.kin_midpoint)
+                                    / self._kin_scale(views))
+        against += (population + STRANGERS) * self._exponential(
+            (np.asarray(distances, dtype=np.float64) - self.fair_midpoint) / self.scale)
+        return -np.log(against)
 
     def known(self, distances: np.ndarray, population: int) -> np.ndarray:
         """Likelihood (...,), without caution, that it is any of the persons at the distances (..., N)."""
-        odds = self._odds(distances, self.fair_midpoint, population).sum(axis=-1)
+        ratios = self._exponential((self.fair_midpoint - np.asarray(distances, dtype=np.float64)) / self.scale)
+        odds = ratios.sum(axis=-1) / (population + STRANGERS)
         return odds / (1.0 + odds)
 
-    def _odds(self, distances: np.ndarray, midpoint: float, population: int) -> np.ndarray:
-        exponent = (midpoint - np.asarray(distances, dtype=np.float64)) / self.scale
-        return np.exp(np.clip(exponent, -_MAX_EXPONENT, _MAX_EXPONENT)) / (population + STRANGERS)
+    def limit(self, likelihood: float, population: int, views: float = 1.0) -> float:
+        """Return the largest distance at which somebody, the only candidate, has this likelihood (0 to 1)."""
+        low, high = 0.0, 2.0
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            is_enough = float(self.likelihoods(np.array([middle]), population, views)[0]) >= likelihood
+            low, high = (middle, high) if is_enough else (low, middle)
+        return low
+
+    def false_match_rates(self, distance: float, population: int, views: float = 1.0) -> Tuple[float, float]:
+        """Return upper bounds of the probabilities that a stranger is as near as this to anybody of `population`, and
+        that somebody alike is as near to the one who is like him."""
+        stranger = population * float(self._exponential((distance - self.fair_midpoint) / self.scale))
+        return min(1.0, stranger), min(1.0, float(self._exponential(
+            (distance - self.kin_midpoint) / self._kin_scale(views))))
+
+    def _kin_scale(self, views: float) -> float:
+        return self.kin_scale * (1.0 - _VIEW_SHARE + _VIEW_SHARE / max(1.0, views))
+
+    @staticmethod
+    def _exponential(exponent: Union[float, np.ndarray]) -> np.ndarray:
+        return np.exp(np.clip(exponent, -_MAX_EXPONENT, _MAX_EXPONENT))
 
 
 @dataclass(frozen=True)
 class PersonCandidate:
-    """Somebody that a template may be of: distance of the nearest template of that person, calibrated likelihood."""
+    """Somebody that a face may be: distance of the nearest template of that person, calibrated likelihood."""
 
     person_id: str
     distance: float
@@ -104,7 +168,7 @@ def join_alike(result: MatchResult, distance: Callable[[str, str], Optional[floa
                     key=lambda one: order(one.person_id))
     kept: List[PersonCandidate] = []
     same: List[Tuple[str, str]] = []
-    limit = calibration.midpoint - _SCALES_BELOW * calibration.scale
+    limit = calibration.one_human
     for one in likely:
         for index, other in enumerate(kept):
             between = distance(other.person_id, one.person_id)

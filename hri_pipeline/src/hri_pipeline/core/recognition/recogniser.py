@@ -2,7 +2,8 @@
 
 A face is compared with the gallery by the mean of its crops. Close to one person and to no other: known, and a view of
 that person that is new is learnt. Far from everybody, seen well and for long enough: a new person, where learning is
-allowed. Between the two: candidates, with lower likelihoods. Two faces in one image are never the same person.
+allowed. Between the two: candidates, with lower likelihoods. A name that later views contradict is taken back. Two
+faces in one image are never the same person, and stay two people for ever.
 
 `FaceRecognition` is what the face pipeline uses: the network, the gallery and the `Recogniser` put together.
 """
@@ -20,12 +21,14 @@ from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.private_file import TemplateCipher
 from hri_pipeline.core.recognition.embedding import load_face_embedder
 from hri_pipeline.core.recognition.face_identity import (
+    NAMING_CROPS,
     FaceEvidence,
     FaceIdentity,
     FaceTemplate,
     PersonMatch,
     SamePersons,
     assign_persons,
+    note_beside,
 )
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery, open_gallery
 from hri_pipeline.core.recognition.likelihood import MatchResult
@@ -96,8 +99,9 @@ class Recogniser:
             self._newest = stamp
             for face_id in qualities:
                 if face_id not in self._faces:
+                    calibration = self.gallery.calibration
                     self._faces[face_id] = FaceIdentity(
-                        face_id, FaceEvidence(self.gallery.calibration.fair_midpoint), stamp, stamp)
+                        face_id, FaceEvidence(calibration.contradiction, calibration.spread), stamp)
                 self._faces[face_id].last_seen = stamp
             waiting = [face_id for face_id, quality in qualities.items()
                        if quality >= self._min_quality and self._faces[face_id].is_due(quality, stamp)]
@@ -122,6 +126,7 @@ class Recogniser:
         with self._lock:
             self._compare()
             assign_persons(list(self._faces.values()), self._newest)
+            self._note_beside()
             self._learn()
             taken = {face.person for face in self._faces.values() if face.person}
             changed = [match for face in self._faces.values() for match in face.take_changes(face.holds(taken))]
@@ -171,24 +176,56 @@ class Recogniser:
             face = self._faces.get(face_id)
             return face.person if face is not None else ""
 
-    def enrol(self, face_id: str, person_id: str = "") -> str:
+    def enrol(self, face_id: str, person_id: str = "", confirm: bool = False) -> str:
         """Make a face an enrolled person: `person_id`, or who it is taken for, or somebody new. Returns the id.
 
-        Raises GalleryError when the face is not there, or has not been seen well.
+        Parameters
+        ----------
+        confirm : it is so although the face looks like somebody else who is known, or not like `person_id`. Without an
+            id it is somebody new then, and kept apart from those it looks like.
+
+        Raises
+        ------
+        GalleryError
+            The face is not there, has not been seen well, or looks like somebody else and that is not confirmed.
         """
         with self._lock:
             face = self._faces.get(face_id)
             template = face.evidence.mean() if face is not None else None
-            if face is None or template is None:
+            if face is None or template is None or len(face.evidence) < NAMING_CROPS:
                 raise GalleryError("face {!r} is not tracked, or has not been seen well enough yet".format(face_id))
-            person_id = person_id or face.person or self._new_id()
-            if person_id in self.gallery:
-                self.gallery.add_template(person_id, template)
-                self.gallery.enrol(person_id)
-            else:
-                self.gallery.add_person(person_id, template[None], enrolled=True)
+            person_id = person_id or ("" if confirm else face.person) or self._new_id()
+            alike = [one.person_id for one in self.gallery.alike(
+                template, self.gallery.calibration.fair_midpoint, person_id) if one.person_id not in face.apart]
+            if not confirm:
+                self._refuse_to_enrol(template, person_id, alike)
+            for other in alike:
+                # What was learnt while this face was taken for somebody else.
+                self.gallery.drop_views(other, template, self.gallery.calibration.one_human)
+            self._store_enrolled(person_id, template)
+            for other in alike + [other for other in face.apart if other in self.gallery]:
+                self.gallery.keep_apart(person_id, other)
             face.barred = False
             return person_id
+
+    def _refuse_to_enrol(self, template: np.ndarray, person_id: str, alike: Sequence[str]) -> None:
+        """Raise GalleryError where a face looks more like somebody else, or not at all like the person it shall be."""
+        calibration, distance = self.gallery.calibration, self.gallery.nearest(person_id, template)
+        if distance is not None and distance > calibration.kin_midpoint:
+            raise GalleryError("the face does not look like {} (distance {:.2f}); if it is, confirm it".format(
+                person_id, distance))
+        nearer = [other for other in alike
+                  if distance is None or (self.gallery.nearest(other, template) or 0.0) < distance]
+        if nearer:
+            raise GalleryError("the face looks like {}, who is known already; if it is somebody else, confirm"
+                               " it".format(", ".join(nearer)))
+
+    def _store_enrolled(self, person_id: str, template: np.ndarray) -> None:
+        if person_id in self.gallery:
+            self.gallery.add_template(person_id, template)
+            self.gallery.enrol(person_id)
+        else:
+            self.gallery.add_person(person_id, template[None], enrolled=True)
 
     def forget(self, person_id: str) -> bool:
         """Forget a person; a face in view is not learnt again. Returns whether the person was known.
@@ -236,24 +273,37 @@ class Recogniser:
         if template.shape != (self.gallery.dimension,) or not abs(float(np.linalg.norm(template)) - 1.0) < 1e-3:
             self._refused += 1
             return
-        swaps = face.evidence.swaps
-        agrees = face.evidence.add(FaceTemplate(template, quality, stamp))
-        swapped = face.evidence.swaps != swaps
-        face.barred = face.barred and not swapped
-        face.note_crop(stamp, again=swapped or not agrees)
+        before = face.person
+        distance = self.gallery.nearest(before, template) if before else None
+        log_odds = None if distance is None else float(self.gallery.calibration.log_odds(
+            np.array(distance), len(self.gallery)))
+        face.take(FaceTemplate(template, quality, stamp), log_odds)
+        if before and not face.person:
+            # Who was beside a face with a wrong name may be that person.
+            for other in self._faces.values():
+                other.apart = {person_id: beside for person_id, beside in other.apart.items() if beside != face_id}
 
     def _compare(self) -> None:
-        """PersonMatch the faces that have changed; all of them when the gallery has."""
+        """Compare the faces that have changed; all of them when the gallery has."""
         every, self._revision = self._revision != self.gallery.revision, self.gallery.revision
         stale = [face for face in self._faces.values() if every or face.result is None]
         known = [(face, mean) for face, mean in ((face, face.evidence.mean()) for face in stale) if mean is not None]
         for face in stale:
             face.result = MatchResult((), 0)
         if known:
-            results = self.gallery.match(np.stack([mean for _, mean in known]), enrolled_only=not self._learns)
+            results = self.gallery.match(np.stack([mean for _, mean in known]), enrolled_only=not self._learns,
+                                         views=[face.evidence.views for face, _ in known])
             for (face, _), result in zip(known, results):
                 face.result = result
                 self._same.update(result.same)
+
+    def _note_beside(self) -> None:
+        pairs = note_beside(list(self._faces.values()), self._newest, self.gallery.calibration.one_human)
+        for first, second in pairs:
+            try:
+                self.gallery.keep_apart(first, second)
+            except GalleryError:
+                pass    # forgotten or merged in this moment, by another thread
 
     def _learn(self) -> None:
         """Keep new views of sure persons; make persons of faces seen well that are nobody's."""
@@ -288,13 +338,19 @@ class Recogniser:
         alike = calibration.midpoint - 2.0 * calibration.scale
         if any(one.distance < alike for one in face.candidates if one.person_id in others):
             return False
-        free = [one.distance for one in face.candidates if one.person_id not in others]
-        return not free or bool(calibration.known(np.array(free), len(self.gallery)) < NEW_BELOW)
+        free = [one.distance for one in face.candidates
+                if one.person_id not in others and one.person_id not in face.apart]
+        # Somebody alike who is known already: it may be him after all, or kin. Neither is learnt unasked.
+        return not free or min(free) >= calibration.contradiction and bool(
+            calibration.known(np.array(free), len(self.gallery)) < NEW_BELOW)
 
     def _make_person(self, face: FaceIdentity, mean: np.ndarray) -> None:
         person_id = self._new_id()
         try:
             self.gallery.add_person(person_id, mean[None])
+            for other in face.apart:
+                if other in self.gallery:
+                    self.gallery.keep_apart(person_id, other)
         except GalleryError:
             face.barred = True
             return

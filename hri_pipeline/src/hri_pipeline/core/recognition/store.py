@@ -19,7 +19,7 @@ import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Tuple, Union
+from typing import Any, Callable, Dict, FrozenSet, Iterable, Iterator, List, Mapping, Optional, Set, Tuple, Union
 
 import numpy as np
 
@@ -35,6 +35,8 @@ MIGRATIONS: Tuple[Tuple[str, ...], ...] = (
      "CREATE TABLE templates (person TEXT NOT NULL REFERENCES persons (id) ON DELETE CASCADE, model TEXT NOT NULL,"
      " number INTEGER NOT NULL, template BLOB NOT NULL, PRIMARY KEY (person, model, number)) WITHOUT ROWID",
      "CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID"),
+    ("CREATE TABLE apart (first TEXT NOT NULL REFERENCES persons (id) ON DELETE CASCADE,"
+     " second TEXT NOT NULL REFERENCES persons (id) ON DELETE CASCADE, PRIMARY KEY (first, second)) WITHOUT ROWID",),
 )
 """The statements that lead from each version of the schema to the next."""
 PERIOD_S, RETRY_S = 1.0, 1.0
@@ -434,6 +436,20 @@ class PersonStore:
                 database.executemany("INSERT INTO templates VALUES (?, ?, ?, ?)",
                                      [(person.id, model, number, blob) for number, blob in enumerate(blobs)])
             return rows.rowcount > 0
+
+    def load_apart(self) -> Set[FrozenSet[str]]:
+        """Return the pairs of ids of persons who are two people for certain."""
+        with self._database.reading() as database:
+            return {frozenset(row) for row in database.execute("SELECT first, second FROM apart").fetchall()}
+
+    def put_apart(self, new: Iterable[FrozenSet[str]], gone: Iterable[FrozenSet[str]] = ()) -> None:
+        """Add pairs of ids of persons who are two people, where both are in the store, and remove others."""
+        with self._database.writing() as database:
+            for first, second in map(sorted, gone):
+                database.execute("DELETE FROM apart WHERE first = ? AND second = ?", (first, second))
+            for first, second in map(sorted, new):
+                database.execute("INSERT OR IGNORE INTO apart SELECT a.id, b.id FROM persons a, persons b"
+                                 " WHERE a.id = ? AND b.id = ?", (first, second))
 
     def note_once(self, name: str) -> bool:
         """Note that something was done; False where that was noted before."""
