@@ -17,7 +17,9 @@ import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.analysis import FaceAnalysis, FaceDemand
+from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook, PictureCuts
 from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector
+from hri_pipeline.core.faces.flow import FaceFlow
 from hri_pipeline.core.faces.gaze import EyeGeometry, GazeEstimator, GazeSmoother
 from hri_pipeline.core.faces.head_pose import (
     HeadPoseEstimator,
@@ -46,7 +48,6 @@ from hri_pipeline.core.faces.scheduler import DetectionScheduler, MeshScheduler
 from hri_pipeline.core.faces.tracker import (
     LEAST_VERIFICATION,
     VERIFIED,
-    FaceFlow,
     FaceMeasurement,
     FaceTrack,
     FaceTracker,
@@ -103,10 +104,10 @@ class FacePipeline:
     def __init__(self, settings: SimpleNamespace, ids: Optional[IdGenerator] = None,
                  notify: Optional[Callable[[str], None]] = None) -> None:
         self.times = StageTimes()
-        self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify)
         canonical = load_canonical_face(model_path(settings.canonical_face, "canonical_face.npz"))
         self._geometry = FaceGeometry(canonical)
         self._analysis = FaceAnalysis(settings, canonical, self.times, notify)
+        self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify, judge=self._judge())
         self._last_stamp = -np.inf
         self._published = self._predicted = 0
 
@@ -162,6 +163,13 @@ class FacePipeline:
         faces = [observation for observation, face in zip(observed, tracked) if face.confirmed]
         self._count(faces)
         return self._analysis.update(bgr, faces, stamp, demand, self._tracking.detected)
+
+    def _judge(self) -> AppearanceJudge:
+        """Return what compares the looks of faces, by templates where persons are recognised."""
+        if self._analysis.recognition is None:
+            return AppearanceJudge()
+        embedder = self._analysis.recognition.embedder
+        return AppearanceJudge(embedder.embed, embedder.size, embedder.calibration.fair_midpoint)
 
     def _forget_dropped(self) -> None:
         """Drop the state of faces that are not tracked any more."""
@@ -237,6 +245,8 @@ class FaceTrackingPipeline:
         Called with one line of text for each execution provider that is skipped.
     clock
         Processor time in s, used for the time budget.
+    judge
+        Compares the looks of faces; by default by small pictures alone.
 
     Raises
     ------
@@ -246,7 +256,7 @@ class FaceTrackingPipeline:
 
     def __init__(self, settings: SimpleNamespace, times: StageTimes, ids: Optional[IdGenerator] = None,
                  notify: Optional[Callable[[str], None]] = None,
-                 clock: Callable[[], float] = time.thread_time) -> None:
+                 clock: Callable[[], float] = time.thread_time, judge: Optional[AppearanceJudge] = None) -> None:
         detector = _load(settings.face_detector_model, "face_detection_full_range.onnx", FaceDetector.OUTPUTS,
                          settings.providers, notify)
         mesh = _load(settings.face_mesh_model, "face_landmarks_attention.onnx", FaceMesh.OUTPUTS,
@@ -255,7 +265,8 @@ class FaceTrackingPipeline:
         self._detection_scheduler = DetectionScheduler(settings.face_detection_period, settings.face_detection_tiles)
         self._mesh = FaceMesh(mesh)
         self._mesh_scheduler = MeshScheduler(*_rate_and_budget(settings))
-        self._tracker = FaceTracker(ids=ids, **_limits(settings))
+        self._tracker = FaceTracker(ids=ids, judge=judge, **_limits(settings))
+        self._cuts = PictureCuts()
         self._clock = clock
         self._times = times
         self._flow = FaceFlow()
@@ -292,14 +303,21 @@ class FaceTrackingPipeline:
 
     def update(self, bgr: np.ndarray, stamp: float) -> List[TrackedFace]:
         """Return the faces seen in the (H, W, 3) uint8 image of `stamp` (s), oldest first, unconfirmed ones too."""
+        with self._times("face_flow"):
+            cut = self._cuts.update(bgr)
         self._predict(bgr, stamp)
         expected = self._tracker.expected(stamp)
         urgent = self._overlapping(expected, stamp)
         chosen = set(self._mesh_scheduler.choose([track.id for track in expected], stamp, urgent))
+        if cut:
+            chosen = {track.id for track in expected}
+            self._detection_scheduler.reset()
         skipped = {track.id for track in expected} - chosen
         measured = self._measure_tracks(bgr, [track for track in expected if track.id in chosen], stamp)
         measured += self._detect(bgr, measured, skipped, stamp)
-        seen = self._tracker.update(measured, stamp, skipped, (bgr.shape[1], bgr.shape[0]))
+        seen = self._tracker.update(measured, stamp, skipped, (bgr.shape[1], bgr.shape[0]), cut)
+        if self._tracker.replaced:
+            self._detection_scheduler.reset()
         return [self._tracked_face(track, stamp) for track in seen]
 
     def reset(self) -> None:
@@ -308,6 +326,7 @@ class FaceTrackingPipeline:
         self._detection_scheduler.reset()
         self._mesh_scheduler.reset()
         self._flow.reset()
+        self._cuts.reset()
 
     def _predict(self, bgr: np.ndarray, stamp: float) -> None:
         """Move the tracks by optical flow."""
@@ -411,7 +430,8 @@ class FaceTrackingPipeline:
                      score: float = 0.0,
                      verification: float = 0.0) -> FaceMeasurement:
         return FaceMeasurement(result.points, result.presence, may_start,
-                               face_colours(bgr, bounding_box(result.points)), hit_weight, score, verification)
+                               face_colours(bgr, bounding_box(result.points)), hit_weight, score, verification,
+                               FaceLook(bgr, result.points))
 
     def _unconfirmed(self, stamp: float) -> List[np.ndarray]:
         """Centres (2,) px of the faces that are not confirmed yet, or were not detected for long."""
