@@ -34,6 +34,8 @@ from hri_pipeline.core.faces.mesh import (
     CanonicalFace,
     FaceMesh,
     FaceMeshResult,
+    FaceRoi,
+    agreement_score,
     bounding_box,
     is_face,
     is_sound,
@@ -404,13 +406,25 @@ class FaceTrackingPipeline:
         return track.verification < VERIFIED and not track.published
 
     def _verify(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> None:
-        """Verify tracks that the detector sees in this image with the mesh of a turned crop, the best verified
-        first."""
+        """Verify tracks that the detector sees in this image, the best verified first."""
         chosen = sorted(tracks, key=lambda track: -track.verification)[:_VERIFIED_PER_IMAGE]
         rois = [roi_from_mesh(track.measurement.mesh, track.shift(stamp)) for track in chosen]
-        results = self._mesh.run(bgr, rois + [turned_roi(roi) for roi in rois])
-        for track, straight, turned in zip(chosen, results, results[len(rois):]):
-            track.add_verification(verification_score(track.score, straight, turned))
+        straight = self._mesh.run(bgr, rois)
+        for track, score in zip(chosen, self._verified(bgr, rois, straight, [track.score for track in chosen])):
+            track.add_verification(score)
+
+    def _verified(self, bgr: np.ndarray, rois: Sequence[FaceRoi], straight: Sequence[FaceMeshResult],
+                  scores: Sequence[float]) -> List[float]:
+        """Scores -1 (no face) to 1 (a face) of meshes by what a turned crop shows, and a second look of the detector.
+
+        scores: 0 to 1, of their detections.
+        """
+        turned = self._mesh.run(bgr, [turned_roi(roi) for roi in rois])
+        sound = [index for index, result in enumerate(straight) if is_sound(result)]
+        again = dict(zip(sound, self._detector.look_again(bgr, [bounding_box(straight[i].points) for i in sound])))
+        return [min(verification_score(score, result, other),
+                    agreement_score(again.get(index), result, self._min_score))
+                for index, (score, result, other) in enumerate(zip(scores, straight, turned))]
 
     def _measure_detections(self, bgr: np.ndarray, detections: Sequence[FaceDetection]) -> List[FaceMeasurement]:
         """Run the mesh network twice at detections: their box gives a coarse crop, the first mesh gives a good one."""
@@ -418,11 +432,11 @@ class FaceTrackingPipeline:
         first = self._mesh.run(bgr, [roi_from_detection(detection) for detection in detections])
         sound = [(detection, result) for detection, result in zip(detections, first) if is_sound(result)]
         rois = [roi_from_mesh(result.points) for _, result in sound]
-        results = self._mesh.run(bgr, rois + [turned_roi(roi) for roi in rois])
+        results = self._mesh.run(bgr, rois)
+        verified = self._verified(bgr, rois, results, [detection.score for detection, _ in sound])
         return [self._measurement(bgr, result, detection.score >= self._min_score or result.presence >= CERTAIN,
-                                  self._hit_weight(detection), detection.score,
-                                  verification_score(detection.score, result, turned))
-                for (detection, _), result, turned in zip(sound, results, results[len(rois):])
+                                  self._hit_weight(detection), detection.score, score)
+                for (detection, _), result, score in zip(sound, results, verified)
                 if is_face(result, width, height, self._min_presence)]
 
     @staticmethod
