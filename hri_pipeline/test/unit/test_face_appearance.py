@@ -181,3 +181,12 @@ def test_somebody_who_walks_through_the_picture_is_no_cut():
 def test_empty_pictures_are_no_cut_and_any_size_is_taken():
     cuts = PictureCuts()
     assert not any(cuts.update(np.full(shape, 7, np.uint8)) for shape in ((480, 640, 3), (1, 1, 3), (3, 900, 3)))
+
+
+def test_who_is_not_there_any_more_takes_nobody_s_place():
+    """After a cut there are as many others at once, although the faces of before are remembered for a moment."""
+    faces = FaceTracker(0.0, 1.0, 2, IdGenerator(seed=1), judge=AppearanceJudge(Network(), 150, 0.8))
+    before = show(faces, *[(scene((1, 200), (2, 600)), [200, 600])] * 3)[-1]
+    image = scene((3, 200), (4, 600))
+    tracks = faces.update([measurement(image, 200), measurement(image, 600)], 0.3, cut=True)
+    assert len(tracks) == 2 and not {track.id for track in tracks} & set(before.values())

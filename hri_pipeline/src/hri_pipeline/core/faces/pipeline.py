@@ -81,6 +81,8 @@ _DETECTION_AGE = 0.4
 """Fraction of `face_support_time` without a detection after which the detector is asked for where the face is."""
 _PREDICTION_TIME = 0.3
 """Time constant (s) with which the presence of a face that was not measured falls."""
+ANEW_PERIOD = 0.25
+"""Least time (s) between two searches of all the picture for somebody who took another one's place."""
 _SKIN = np.array([1, 4, 5, 6, 9, 151, 195, 197, 50, 280, 101, 330, 36, 266, 117, 346, 107, 336, 8, 168])
 """Vertices of nose, cheeks and forehead, where a depth image sees skin and neither hair nor background."""
 
@@ -269,6 +271,7 @@ class FaceTrackingPipeline:
         self._mesh_scheduler = MeshScheduler(*_rate_and_budget(settings))
         self._tracker = FaceTracker(ids=ids, judge=judge, **_limits(settings))
         self._cuts = PictureCuts()
+        self._anew_at = -np.inf
         self._clock = clock
         self._times = times
         self._flow = FaceFlow()
@@ -313,13 +316,13 @@ class FaceTrackingPipeline:
         chosen = set(self._mesh_scheduler.choose([track.id for track in expected], stamp, urgent))
         if cut:
             chosen = {track.id for track in expected}
-            self._detection_scheduler.reset()
+            self._search_anew(stamp)
         skipped = {track.id for track in expected} - chosen
         measured = self._measure_tracks(bgr, [track for track in expected if track.id in chosen], stamp)
         measured += self._detect(bgr, measured, skipped, stamp)
         seen = self._tracker.update(measured, stamp, skipped, (bgr.shape[1], bgr.shape[0]), cut)
         if self._tracker.replaced:
-            self._detection_scheduler.reset()
+            self._search_anew(stamp)
         return [self._tracked_face(track, stamp) for track in seen]
 
     def reset(self) -> None:
@@ -329,6 +332,13 @@ class FaceTrackingPipeline:
         self._mesh_scheduler.reset()
         self._flow.reset()
         self._cuts.reset()
+        self._anew_at = -np.inf
+
+    def _search_anew(self, stamp: float) -> None:
+        """Let the detector search everywhere next time, but not more often than once in `ANEW_PERIOD`."""
+        if stamp - self._anew_at >= ANEW_PERIOD:
+            self._detection_scheduler.reset()
+            self._anew_at = stamp
 
     def _predict(self, bgr: np.ndarray, stamp: float) -> None:
         """Move the tracks by optical flow."""

@@ -185,7 +185,7 @@ class FaceTracker:
     def has_room_for(self, box: np.ndarray, view: Optional[Tuple[int, int]]) -> bool:
         """Whether a new face with this box (4,) px could be tracked: there are few, or it has a higher priority than
         one of them."""
-        known = [track for track in self._tracks if self.is_confirmed(track)]
+        known = [track for track in self._tracks if self.is_confirmed(track) and not track.replaced]
         if len(known) < self._max_faces:
             return True
         return priority(box, view) > DISPLACE_FACTOR * min(priority(track.measurement.box, view) for track in known)
@@ -232,7 +232,8 @@ class FaceTracker:
         a track: a detection there was one of this face."""
         new = [m for m in measurements if m.may_start or (id(m) in strangers and m.presence >= SURE_FACE)]
         for measurement in sorted(new, key=lambda m: -priority(m.box, view)):
-            if len(self._tracks) >= self._max_faces + SPARE_TRACKS or not self.has_room_for(measurement.box, view):
+            count = sum(not track.replaced for track in self._tracks)
+            if count >= self._max_faces + SPARE_TRACKS or not self.has_room_for(measurement.box, view):
                 break
             life = TrackLife(stamp, self._birth_delay, self._death_time)
             track = FaceTrack(self._ids.new(), measurement, life, stamp)
@@ -268,7 +269,7 @@ class FaceTracker:
 
     def _keep_best(self, view: Optional[Tuple[int, int]]) -> None:
         """Keep the `max_faces` faces of highest priority; published ones get a bonus, or they would flicker."""
-        known = [track for track in self._tracks if self.is_confirmed(track)]
+        known = [track for track in self._tracks if self.is_confirmed(track) and not track.replaced]
         known.sort(key=lambda track: -priority(track.measurement.box,
                                                view) * (DISPLACE_FACTOR if track.published else 1.0))
         surplus = {track.id for track in known[self._max_faces:]}
@@ -304,6 +305,7 @@ class FaceTracker:
                 self._continue(track, measurements[continued[row]], stamp)
             elif track.id not in skipped or cut:
                 track.miss()
+                track.replaced = track.replaced or cut
         taken = set(continued.values())
         return [m for column, m in enumerate(measurements) if column not in taken], {
             id(measurements[column]) for column in strangers - taken}
