@@ -135,3 +135,22 @@ def test_the_input_is_rgb_from_minus_one_to_one_with_black_borders():
     batch = network.inputs[0][0]
     assert batch[96, 96] == pytest.approx((51 / 127.5 - 1, -1.0, 1.0))
     assert (batch[:48] == -1.0).all() and (batch[144:] == -1.0).all()
+
+
+def test_a_face_is_looked_for_again_in_a_square_of_its_own():
+    image = np.zeros((400, 400, 3), np.uint8)
+    network = OneFace(24 * 48 + 24, 2.0)
+    # The face of the network is 40 of 192 px: that of a square of 4 sizes of 50 px is 41.7 px wide.
+    places = [np.array([150.0, 150.0, 200.0, 200.0]), np.array([-60.0, -60.0, -10.0, -10.0])]
+    near, outside = FaceDetector(network).look_again(image, places)
+    assert len(network.inputs) == 1 and network.inputs[0].shape[0] == 2, "in one batch"
+    assert (near.box[:2] + near.box[2:]) / 2.0 == pytest.approx((177, 177), abs=3.0)
+    assert near.box[2] - near.box[0] == pytest.approx(41.7, abs=1.0)
+    assert outside is None, "its square was moved into the image"
+    assert FaceDetector(network).look_again(image, []) == []
+
+
+@pytest.mark.parametrize("anchor, logit", [(24 * 48 + 24, -1.0), (8 * 48 + 24, 2.0)])
+def test_a_face_that_is_faint_or_beside_is_not_found_again(anchor, logit):
+    box = np.array([150.0, 150.0, 200.0, 200.0])
+    assert FaceDetector(OneFace(anchor, logit)).look_again(np.zeros((400, 400, 3), np.uint8), [box]) == [None]

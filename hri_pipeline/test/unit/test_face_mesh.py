@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
+from hri_pipeline.core.faces.detector import FaceDetection
 from hri_pipeline.core.faces.mesh import (
     LANDMARK_TO_MESH,
     LANDMARKS,
     LEFT_PUPIL,
     MESH_POINTS,
     RIGHT_PUPIL,
+    FaceMeshResult,
+    agreement_score,
     bounding_box,
     landmarks_from_mesh,
     normalised,
@@ -65,3 +68,23 @@ def test_normalised_is_clipped_and_needs_a_size():
 
 def test_bounding_box():
     assert bounding_box(np.array([[3.0, 9.0, 0.0], [1.0, 12.0, 5.0]])) == pytest.approx((1, 9, 3, 12))
+
+
+def seen_again(score, moved=0.0):
+    """A mesh of 100 px, and the face that the detector finds there, its eyes, nose and mouth `moved` px away."""
+    points = np.random.RandomState(0).uniform(0.0, 100.0, (MESH_POINTS, 3))
+    points[[5, 6]] = [[0.0], [100.0]]
+    places = [points[list(vertices), :2].mean(axis=0) for vertices in ((33, 133), (362, 263), (1,), (13, 14))]
+    keypoints = np.array(places + [np.zeros(2)] * 2) + (moved, 0.0)
+    return FaceDetection(np.array([0.0, 0.0, 100.0, 100.0]), keypoints, score), FaceMeshResult(1.0, points)
+
+
+@pytest.mark.parametrize("score, moved, verdict", [
+    (0.9, 2.0, 1.0), (0.9, 40.0, -1.0), (0.66, 0.0, 0.0), (0.5, 0.0, -1.0), (0.72, 5.0, 0.667)])
+def test_a_face_is_sure_when_the_detector_sees_its_parts_where_the_mesh_does(score, moved, verdict):
+    again, mesh = seen_again(score, moved)
+    assert agreement_score(again, mesh, 0.6) == pytest.approx(verdict, abs=0.01)
+
+
+def test_what_the_detector_does_not_find_again_is_none():
+    assert agreement_score(None, seen_again(0.9)[1], 0.6) == -1.0

@@ -5,10 +5,10 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_pipeline.core.faces import tracker as tracker_module
+from hri_pipeline.core.faces import flow as flow_module
+from hri_pipeline.core.faces.flow import FaceFlow
 from hri_pipeline.core.faces.mesh import MESH_POINTS
 from hri_pipeline.core.faces.tracker import (
-    FaceFlow,
     FaceMeasurement,
     FaceTracker,
     explains,
@@ -482,8 +482,8 @@ def test_another_picture_and_one_without_marks_tell_nothing():
 
 def test_images_without_a_box_are_not_shrunk_until_one_follows_and_nothing_else_changes(monkeypatch):
     shrunk = []
-    shrink = tracker_module.shrink
-    monkeypatch.setattr(tracker_module, "shrink", lambda image: shrunk.append(image) or shrink(image))
+    shrink = flow_module.shrink
+    monkeypatch.setattr(flow_module, "shrink", lambda image: shrunk.append(image) or shrink(image))
     images = [moved(texture(), 2.0 * number, -1.5 * number) for number in range(8)]
     counts, lazy, eager = [0, 0, 0, 2, 1, 2, 0, 0], FaceFlow(), FaceFlow()
     for image, count in zip(images, counts):

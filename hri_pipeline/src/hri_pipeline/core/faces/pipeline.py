@@ -17,7 +17,9 @@ import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.analysis import FaceAnalysis, FaceDemand
+from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook, PictureCuts
 from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector
+from hri_pipeline.core.faces.flow import FaceFlow
 from hri_pipeline.core.faces.gaze import EyeGeometry, GazeEstimator, GazeSmoother
 from hri_pipeline.core.faces.head_pose import (
     HeadPoseEstimator,
@@ -32,6 +34,8 @@ from hri_pipeline.core.faces.mesh import (
     CanonicalFace,
     FaceMesh,
     FaceMeshResult,
+    FaceRoi,
+    agreement_score,
     bounding_box,
     is_face,
     is_sound,
@@ -46,7 +50,6 @@ from hri_pipeline.core.faces.scheduler import DetectionScheduler, MeshScheduler
 from hri_pipeline.core.faces.tracker import (
     LEAST_VERIFICATION,
     VERIFIED,
-    FaceFlow,
     FaceMeasurement,
     FaceTrack,
     FaceTracker,
@@ -78,6 +81,8 @@ _DETECTION_AGE = 0.4
 """Fraction of `face_support_time` without a detection after which the detector is asked for where the face is."""
 _PREDICTION_TIME = 0.3
 """Time constant (s) with which the presence of a face that was not measured falls."""
+ANEW_PERIOD = 0.25
+"""Least time (s) between two searches of all the picture for somebody who took another one's place."""
 _SKIN = np.array([1, 4, 5, 6, 9, 151, 195, 197, 50, 280, 101, 330, 36, 266, 117, 346, 107, 336, 8, 168])
 """Vertices of nose, cheeks and forehead, where a depth image sees skin and neither hair nor background."""
 
@@ -103,10 +108,10 @@ class FacePipeline:
     def __init__(self, settings: SimpleNamespace, ids: Optional[IdGenerator] = None,
                  notify: Optional[Callable[[str], None]] = None) -> None:
         self.times = StageTimes()
-        self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify)
         canonical = load_canonical_face(model_path(settings.canonical_face, "canonical_face.npz"))
         self._geometry = FaceGeometry(canonical)
         self._analysis = FaceAnalysis(settings, canonical, self.times, notify)
+        self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify, judge=self._judge())
         self._last_stamp = -np.inf
         self._published = self._predicted = 0
 
@@ -162,6 +167,13 @@ class FacePipeline:
         faces = [observation for observation, face in zip(observed, tracked) if face.confirmed]
         self._count(faces)
         return self._analysis.update(bgr, faces, stamp, demand, self._tracking.detected)
+
+    def _judge(self) -> AppearanceJudge:
+        """Return what compares the looks of faces, by templates where persons are recognised."""
+        if self._analysis.recognition is None:
+            return AppearanceJudge()
+        embedder = self._analysis.recognition.embedder
+        return AppearanceJudge(embedder.embed, embedder.size, embedder.calibration.fair_midpoint)
 
     def _forget_dropped(self) -> None:
         """Drop the state of faces that are not tracked any more."""
@@ -237,6 +249,8 @@ class FaceTrackingPipeline:
         Called with one line of text for each execution provider that is skipped.
     clock
         Processor time in s, used for the time budget.
+    judge
+        Compares the looks of faces; by default by small pictures alone.
 
     Raises
     ------
@@ -246,7 +260,7 @@ class FaceTrackingPipeline:
 
     def __init__(self, settings: SimpleNamespace, times: StageTimes, ids: Optional[IdGenerator] = None,
                  notify: Optional[Callable[[str], None]] = None,
-                 clock: Callable[[], float] = time.thread_time) -> None:
+                 clock: Callable[[], float] = time.thread_time, judge: Optional[AppearanceJudge] = None) -> None:
         detector = _load(settings.face_detector_model, "face_detection_full_range.onnx", FaceDetector.OUTPUTS,
                          settings.providers, notify)
         mesh = _load(settings.face_mesh_model, "face_landmarks_attention.onnx", FaceMesh.OUTPUTS,
@@ -255,7 +269,9 @@ class FaceTrackingPipeline:
         self._detection_scheduler = DetectionScheduler(settings.face_detection_period, settings.face_detection_tiles)
         self._mesh = FaceMesh(mesh)
         self._mesh_scheduler = MeshScheduler(*_rate_and_budget(settings))
-        self._tracker = FaceTracker(ids=ids, **_limits(settings))
+        self._tracker = FaceTracker(ids=ids, judge=judge, **_limits(settings))
+        self._cuts = PictureCuts()
+        self._anew_at = -np.inf
         self._clock = clock
         self._times = times
         self._flow = FaceFlow()
@@ -292,14 +308,21 @@ class FaceTrackingPipeline:
 
     def update(self, bgr: np.ndarray, stamp: float) -> List[TrackedFace]:
         """Return the faces seen in the (H, W, 3) uint8 image of `stamp` (s), oldest first, unconfirmed ones too."""
+        with self._times("face_flow"):
+            cut = self._cuts.update(bgr)
         self._predict(bgr, stamp)
         expected = self._tracker.expected(stamp)
         urgent = self._overlapping(expected, stamp)
         chosen = set(self._mesh_scheduler.choose([track.id for track in expected], stamp, urgent))
+        if cut:
+            chosen = {track.id for track in expected}
+            self._search_anew(stamp)
         skipped = {track.id for track in expected} - chosen
         measured = self._measure_tracks(bgr, [track for track in expected if track.id in chosen], stamp)
         measured += self._detect(bgr, measured, skipped, stamp)
-        seen = self._tracker.update(measured, stamp, skipped, (bgr.shape[1], bgr.shape[0]))
+        seen = self._tracker.update(measured, stamp, skipped, (bgr.shape[1], bgr.shape[0]), cut)
+        if self._tracker.replaced:
+            self._search_anew(stamp)
         return [self._tracked_face(track, stamp) for track in seen]
 
     def reset(self) -> None:
@@ -308,6 +331,14 @@ class FaceTrackingPipeline:
         self._detection_scheduler.reset()
         self._mesh_scheduler.reset()
         self._flow.reset()
+        self._cuts.reset()
+        self._anew_at = -np.inf
+
+    def _search_anew(self, stamp: float) -> None:
+        """Let the detector search everywhere next time, but not more often than once in `ANEW_PERIOD`."""
+        if stamp - self._anew_at >= ANEW_PERIOD:
+            self._detection_scheduler.reset()
+            self._anew_at = stamp
 
     def _predict(self, bgr: np.ndarray, stamp: float) -> None:
         """Move the tracks by optical flow."""
@@ -385,13 +416,25 @@ class FaceTrackingPipeline:
         return track.verification < VERIFIED and not track.published
 
     def _verify(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> None:
-        """Verify tracks that the detector sees in this image with the mesh of a turned crop, the best verified
-        first."""
+        """Verify tracks that the detector sees in this image, the best verified first."""
         chosen = sorted(tracks, key=lambda track: -track.verification)[:_VERIFIED_PER_IMAGE]
         rois = [roi_from_mesh(track.measurement.mesh, track.shift(stamp)) for track in chosen]
-        results = self._mesh.run(bgr, rois + [turned_roi(roi) for roi in rois])
-        for track, straight, turned in zip(chosen, results, results[len(rois):]):
-            track.add_verification(verification_score(track.score, straight, turned))
+        straight = self._mesh.run(bgr, rois)
+        for track, score in zip(chosen, self._verified(bgr, rois, straight, [track.score for track in chosen])):
+            track.add_verification(score)
+
+    def _verified(self, bgr: np.ndarray, rois: Sequence[FaceRoi], straight: Sequence[FaceMeshResult],
+                  scores: Sequence[float]) -> List[float]:
+        """Scores -1 (no face) to 1 (a face) of meshes by what a turned crop shows, and a second look of the detector.
+
+        scores: 0 to 1, of their detections.
+        """
+        turned = self._mesh.run(bgr, [turned_roi(roi) for roi in rois])
+        sound = [index for index, result in enumerate(straight) if is_sound(result)]
+        again = dict(zip(sound, self._detector.look_again(bgr, [bounding_box(straight[i].points) for i in sound])))
+        return [min(verification_score(score, result, other),
+                    agreement_score(again.get(index), result, self._min_score))
+                for index, (score, result, other) in enumerate(zip(scores, straight, turned))]
 
     def _measure_detections(self, bgr: np.ndarray, detections: Sequence[FaceDetection]) -> List[FaceMeasurement]:
         """Run the mesh network twice at detections: their box gives a coarse crop, the first mesh gives a good one."""
@@ -399,11 +442,11 @@ class FaceTrackingPipeline:
         first = self._mesh.run(bgr, [roi_from_detection(detection) for detection in detections])
         sound = [(detection, result) for detection, result in zip(detections, first) if is_sound(result)]
         rois = [roi_from_mesh(result.points) for _, result in sound]
-        results = self._mesh.run(bgr, rois + [turned_roi(roi) for roi in rois])
+        results = self._mesh.run(bgr, rois)
+        verified = self._verified(bgr, rois, results, [detection.score for detection, _ in sound])
         return [self._measurement(bgr, result, detection.score >= self._min_score or result.presence >= CERTAIN,
-                                  self._hit_weight(detection), detection.score,
-                                  verification_score(detection.score, result, turned))
-                for (detection, _), result, turned in zip(sound, results, results[len(rois):])
+                                  self._hit_weight(detection), detection.score, score)
+                for (detection, _), result, score in zip(sound, results, verified)
                 if is_face(result, width, height, self._min_presence)]
 
     @staticmethod
@@ -411,7 +454,8 @@ class FaceTrackingPipeline:
                      score: float = 0.0,
                      verification: float = 0.0) -> FaceMeasurement:
         return FaceMeasurement(result.points, result.presence, may_start,
-                               face_colours(bgr, bounding_box(result.points)), hit_weight, score, verification)
+                               face_colours(bgr, bounding_box(result.points)), hit_weight, score, verification,
+                               FaceLook(bgr, result.points))
 
     def _unconfirmed(self, stamp: float) -> List[np.ndarray]:
         """Centres (2,) px of the faces that are not confirmed yet, or were not detected for long."""

@@ -5,9 +5,8 @@ each predicted place and the ones found at new detections) are first freed of du
 the least total cost. So when one face passes in front of another the one measurement goes to the track whose motion and
 colours it continues; the hidden face is predicted, and is found again where it re-appears.
 
-Optical flow of some points on each face (`FaceFlow`): pyramidal Lucas-Kanade (Bouguet 2000) on the green channel at
-half size. Ten faces cost about 1 ms, a fifth of one inference of the mesh network, and, unlike a constant velocity, it
-sees that a head or the camera has turned back.
+A track is one face: where its look changes suddenly, it jumps, was lost, or the picture was cut, it goes on only with
+what is the same by appearance (`appearance.AppearanceJudge`). Another face at its place gets another track.
 """
 
 from __future__ import annotations
@@ -15,12 +14,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Collection, List, Optional, Sequence, Tuple
+from typing import Collection, List, Optional, Sequence, Set, Tuple
 
 import cv2
 import numpy as np
 
 from hri_pipeline.core.assignment import assign
+from hri_pipeline.core.faces.appearance import LOOKED_AWAY, AppearanceJudge, FaceLook, FaceMemory, Verdict
 from hri_pipeline.core.faces.mesh import bounding_box
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.tracks import TrackLife
@@ -51,6 +51,12 @@ VELOCITY_TIME = 0.15
 """Time constant (s) of the velocity estimate."""
 COLOUR_WEIGHT = 0.5
 """Cost of an appearance distance of 1, in face sizes of distance."""
+JUMP = 0.5
+"""Cost (face sizes) from which a face is no longer where it was expected."""
+DOUBT_TIME, TURNED_DOUBT_TIME = 0.4, 0.8
+"""Time (s) for which a face may look like neither the same nor another one; the same in profile."""
+SURE_FACE = 0.9
+"""Presence from which another face at the place of a track is a face without a detection."""
 PART_SIZE, PART_INSIDE = 0.6, 0.7
 """A box is a part of another one when its size is below this fraction of the other's, and this much of it lies
 inside."""
@@ -66,30 +72,18 @@ _COLOUR_GRID = (4, 5)
 _COLOUR_MEMORY = 0.9
 _SAME_COLOURS, _OTHER_COLOURS = 0.03, 0.12
 """Mean difference of the colours (of 1) of one face between two images, and of two people's."""
-SHRINK = 2
-"""Pixels of the image for one of the picture in which points are followed."""
-_GRID = 4
-_INNER = 0.35
-"""Half the side of the grid of points, of the box: its rim shows what is behind the face."""
-_WINDOW, _LEVELS = (9, 9), 3
-_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 8, 0.05)
-_LEAST_BOX = 8.0
-"""Side (px of the picture) of the smallest box that has room for points that differ."""
-_SPREAD, _SPREAD_PART = 0.7, 0.05
-"""Points agree whose motions differ from the median by less than this (px of the picture) and this part of the box."""
-_AGREEING = 0.5
-"""Part of the points that must agree."""
-_OTHER = 20.0
-"""Mean difference of grey values about a point from which it is another one."""
 
 
 class FaceTracker:
     """Assigns measurements to tracks; knows nothing of images."""
 
     def __init__(self, birth_delay: float, death_time: float, max_faces: int, ids: Optional[IdGenerator] = None,
-                 min_detections: int = 1, support_time: float = np.inf) -> None:
-        """All but ids, and the errors: see limit."""
+                 min_detections: int = 1, support_time: float = np.inf,
+                 judge: Optional[AppearanceJudge] = None) -> None:
+        """judge: compares looks of faces; the others but ids, and the errors: see limit."""
         self._ids = ids if ids is not None else IdGenerator()
+        self._judge = judge if judge is not None else AppearanceJudge()
+        self.replaced = False
         self._tracks: List[FaceTrack] = []
         self._stamp: Optional[float] = None
         self._interval = 0.0
@@ -152,7 +146,7 @@ class FaceTracker:
 
     def expected(self, stamp: float) -> List[FaceTrack]:
         """The tracks to measure at their predicted place: those just seen, and those lost a moment ago."""
-        return [track for track in self._tracks if not self._dead(track, stamp)
+        return [track for track in self._tracks if not self._dead(track, stamp) and not track.replaced
                 and (track.visible or stamp - track.life.last_seen <= COAST_TIME)]
 
     def add_detections(self, boxes: Sequence[np.ndarray], stamp: float, weights: Optional[Sequence[float]] = None,
@@ -191,16 +185,18 @@ class FaceTracker:
     def has_room_for(self, box: np.ndarray, view: Optional[Tuple[int, int]]) -> bool:
         """Whether a new face with this box (4,) px could be tracked: there are few, or it has a higher priority than
         one of them."""
-        known = [track for track in self._tracks if self.is_confirmed(track)]
+        known = [track for track in self._tracks if self.is_confirmed(track) and not track.replaced]
         if len(known) < self._max_faces:
             return True
         return priority(box, view) > DISPLACE_FACTOR * min(priority(track.measurement.box, view) for track in known)
 
     def update(self, measurements: Sequence[FaceMeasurement], stamp: float,
-               skipped: Collection[str] = (), view: Optional[Tuple[int, int]] = None) -> List[FaceTrack]:
+               skipped: Collection[str] = (), view: Optional[Tuple[int, int]] = None,
+               cut: bool = False) -> List[FaceTrack]:
         """Associate the measurements of an image with the tracks; returns the tracks seen in it, oldest first.
 
         A face unseen for longer than the death time is dropped, an unconfirmed one that is missed once as well.
+        `replaced` then tells whether somebody else's face was found at the place of a track.
 
         Parameters
         ----------
@@ -214,30 +210,66 @@ class FaceTracker:
         view
             Width and height of the image, px, None when not known: of more than `max_faces` the large and central ones
             stay.
+        cut
+            Whether the picture shows something else than the last one: nothing is where it is expected.
         """
         # After a gap that is long for these images, a face counts as a new one.
         self._tracks = [track for track in self._tracks if not self._dead(track, stamp)
                         and stamp - track.detected_at <= self._support_time]
         self._note_interval(stamp)
         measurements = without_duplicates(measurements)
-        rest = self._assign(measurements, stamp, skipped)
+        rest, strangers = self._assign(measurements, stamp, skipped, cut)
+        self.replaced = bool(strangers)
         self._tracks = [track for track in self._tracks if track.visible or self.is_confirmed(track)]
-        self._begin(rest, stamp, view)
+        self._begin(rest, stamp, view, strangers)
+        self._reunite(stamp)
         self._keep_best(view)
         return [track for track in self._tracks if track.visible]
 
-    def _begin(self, measurements: Sequence[FaceMeasurement], stamp: float, view: Optional[Tuple[int, int]]) -> None:
-        """Start tracks, of the faces with the highest priority first."""
-        new = sorted((m for m in measurements if m.may_start), key=lambda m: -priority(m.box, view))
-        for measurement in new:
-            if len(self._tracks) >= self._max_faces + SPARE_TRACKS or not self.has_room_for(measurement.box, view):
+    def _begin(self, measurements: Sequence[FaceMeasurement], stamp: float, view: Optional[Tuple[int, int]],
+               strangers: Collection[int] = ()) -> None:
+        """Start tracks, of the faces with the highest priority first. strangers: `id` of measurements at the place of
+        a track: a detection there was one of this face."""
+        new = [m for m in measurements if m.may_start or (id(m) in strangers and m.presence >= SURE_FACE)]
+        for measurement in sorted(new, key=lambda m: -priority(m.box, view)):
+            count = sum(not track.replaced for track in self._tracks)
+            if count >= self._max_faces + SPARE_TRACKS or not self.has_room_for(measurement.box, view):
                 break
             life = TrackLife(stamp, self._birth_delay, self._death_time)
-            self._tracks.append(FaceTrack(self._ids.new(), measurement, life, stamp))
+            track = FaceTrack(self._ids.new(), measurement, life, stamp)
+            if id(measurement) in strangers:
+                track.hit_count = 1.0
+            if measurement.look is not None:
+                track.memory = self._judge.begin(measurement.look, stamp)
+            self._tracks.append(track)
+
+    def _reunite(self, stamp: float) -> None:
+        """Continue lost tracks with faces that were not published yet and are the same by appearance, wherever they
+        are."""
+        lost = [track for track in self._tracks if not track.visible]
+        new = [track for track in self._tracks if not track.published and track.visible and track.measured_at >= stamp]
+        for candidate in new if lost else ():
+            look = candidate.measurement.look
+            same = [track for track in lost if not track.visible and track.memory is not None and look is not None
+                    and self._judge.is_found(track.memory, look)]
+            if len(same) == 1:
+                same[0].add_detection(stamp, score=candidate.score)
+                self._continue(same[0], candidate.measurement, stamp)
+                self._tracks.remove(candidate)
+
+    def _continue(self, track: FaceTrack, measurement: FaceMeasurement, stamp: float) -> None:
+        """Update a track with a measurement of its face."""
+        if measurement.look is not None:
+            if track.memory is None:
+                track.memory = self._judge.begin(measurement.look, stamp)
+            elif track.doubtful_since is None:
+                self._judge.remember(track.memory, measurement.look, stamp)
+            measurement.look.release()
+        track.continue_with(measurement, stamp)
 
     def _keep_best(self, view: Optional[Tuple[int, int]]) -> None:
         """Keep the `max_faces` faces of highest priority; published ones get a bonus, or they would flicker."""
-        known = [track for track in self._tracks if self.is_confirmed(track)]
+        known = [track for track in self._tracks if self.is_confirmed(track) and not track.replaced]
         known.sort(key=lambda track: -priority(track.measurement.box,
                                                view) * (DISPLACE_FACTOR if track.published else 1.0))
         surplus = {track.id for track in known[self._max_faces:]}
@@ -256,22 +288,73 @@ class FaceTracker:
             self._interval = max(last, _INTERVAL_MEMORY * self._interval)
         self._stamp = stamp
 
-    def _assign(self, measurements: List[FaceMeasurement], stamp: float,
-                skipped: Collection[str]) -> List[FaceMeasurement]:
-        """Continue the tracks; returns the measurements that belong to none."""
-        taken = set()
-        pairs = []
+    def _assign(self, measurements: List[FaceMeasurement], stamp: float, skipped: Collection[str],
+                cut: bool) -> Tuple[List[FaceMeasurement], Set[int]]:
+        """Continue the tracks; returns the measurements that belong to none, and the `id` of those of them which are
+        somebody else's face at the place of a track."""
+        pairs: List[Tuple[int, int]] = []
+        strangers: Set[int] = set()
         if self._tracks and measurements:
             cost = np.array([track.cost(measurements, stamp) for track in self._tracks])
-            pairs = assign(cost, GATE_LOST + COLOUR_WEIGHT)
+            if cut:
+                cost = self._cost_by_appearance(measurements, cost)
+            pairs, strangers = self._same_faces(cost, measurements, stamp, cut)
         continued = dict(pairs)
         for row, track in enumerate(self._tracks):
             if row in continued:
-                taken.add(continued[row])
-                track.continue_with(measurements[continued[row]], stamp)
-            elif track.id not in skipped:
+                self._continue(track, measurements[continued[row]], stamp)
+            elif track.id not in skipped or cut:
                 track.miss()
-        return [m for column, m in enumerate(measurements) if column not in taken]
+                track.replaced = track.replaced or cut
+        taken = set(continued.values())
+        return [m for column, m in enumerate(measurements) if column not in taken], {
+            id(measurements[column]) for column in strangers - taken}
+
+    def _cost_by_appearance(self, measurements: Sequence[FaceMeasurement], cost: np.ndarray) -> np.ndarray:
+        """Costs (T, N) after a cut of the picture: those of the appearance, where it can be told, wherever a face
+        is."""
+        cost = cost.copy()
+        for row, track in enumerate(self._tracks):
+            for column, measurement in enumerate(measurements):
+                if track.memory is not None and measurement.look is not None:
+                    distance = self._judge.distance(track.memory, measurement.look)
+                    cost[row, column] = cost[row, column] if distance is None else distance
+        return cost
+
+    def _same_faces(self, cost: np.ndarray, measurements: Sequence[FaceMeasurement], stamp: float,
+                    cut: bool) -> Tuple[List[Tuple[int, int]], Set[int]]:
+        """Assign at the least cost, without pairs that are not the same face; returns the pairs, and the columns that
+        were refused."""
+        judged: Set[Tuple[int, int]] = set()
+        strangers: Set[int] = set()
+        while True:
+            pairs = assign(cost, GATE_LOST + COLOUR_WEIGHT)
+            others = [pair for pair in pairs if pair not in judged
+                      and not self._is_same(self._tracks[pair[0]], measurements[pair[1]], stamp, cut)]
+            if not others:
+                return pairs, strangers
+            judged.update(pairs)
+            for row, column in others:
+                cost[row, column] = np.inf
+                strangers.add(column)
+                self._tracks[row].replaced = True
+
+    def _is_same(self, track: FaceTrack, measurement: FaceMeasurement, stamp: float, cut: bool) -> bool:
+        """Whether a measurement at the place of a track shows its face; what cannot be told yet counts for a
+        moment."""
+        if track.memory is None or measurement.look is None:
+            return True
+        doubtful = cut or track.replaced or stamp - track.life.last_seen > COAST_TIME
+        if not (doubtful or track.is_unusual(measurement, stamp)):
+            return True
+        verdict = self._judge.verdict(track.memory, measurement.look, stamp, doubtful)
+        if verdict is Verdict.SAME:
+            track.doubtful_since = None
+        elif verdict is Verdict.UNSURE:
+            since = track.doubtful_since = stamp if track.doubtful_since is None else track.doubtful_since
+            limit = TURNED_DOUBT_TIME if measurement.look.asymmetry > LOOKED_AWAY else DOUBT_TIME
+            return stamp - since < limit
+        return verdict is Verdict.SAME
 
 
 def without_duplicates(measurements: Sequence[FaceMeasurement]) -> List[FaceMeasurement]:
@@ -337,7 +420,8 @@ class FaceMeasurement:
 
     mesh: (478, 3) px; presence: probability 0 to 1; may_start: it may start a track; colours: see `face_colours`, None
     when not measured; hit_weight: what its detection adds to the hit count, 0 to 1; score: of its detection, or of the
-    track at which it was found, 0 to 1; verification: see `mesh.verification_score`, -1 (no face) to 1 (a face).
+    track at which it was found, 0 to 1; verification: see `mesh.verification_score`, -1 (no face) to 1 (a face); look:
+    what it looks like, None where that is not compared.
     """
 
     mesh: np.ndarray
@@ -347,6 +431,7 @@ class FaceMeasurement:
     hit_weight: float = 1.0
     score: float = 0.0
     verification: float = 1.0
+    look: Optional[FaceLook] = None
 
     @cached_property
     def box(self) -> np.ndarray:
@@ -370,6 +455,9 @@ class FaceTrack:
         self.hit_count = measurement.hit_weight
         self.score, self.verification = measurement.score, measurement.verification
         self.published = False
+        self.replaced = False
+        self.memory: Optional[FaceMemory] = None
+        self.doubtful_since: Optional[float] = None
         self.detected_at = stamp
         self._velocity = np.zeros(2)
         self._colours = measurement.colours
@@ -418,9 +506,25 @@ class FaceTrack:
         away = centres - (self._centre + self.shift(stamp))
         distance = np.sqrt(away[:, 0] ** 2 + away[:, 1] ** 2) / self._size
         cost = distance + SIZE_WEIGHT * np.abs(np.log(sizes / self._size))
-        cost[cost > (GATE_SEEN if self.visible else GATE_LOST)] = np.inf
+        gate = GATE_SEEN if self.visible else GATE_LOST
+        colours = COLOUR_WEIGHT * np.array([self._appearance_distance(m.colours) for m in measurements])
+        # Without a look, the colours alone say whether it is somebody else.
+        compared = np.array([m.look is not None and self.memory is not None for m in measurements])
+        cost[np.where(compared, cost, cost + colours) > gate] = np.inf
         cost[[self._is_part_of(measurement, stamp) for measurement in measurements]] = PART_COST
-        return cost + COLOUR_WEIGHT * np.array([self._appearance_distance(m.colours) for m in measurements])
+        return cost + colours
+
+    def is_unusual(self, measurement: FaceMeasurement, stamp: float) -> bool:
+        """Whether a measurement looks unlike this face, is not where it is expected, or the face was not seen in the
+        last image."""
+        if self.memory is None or measurement.look is None:
+            return False
+        if not self.visible or self.doubtful_since is not None or self.memory.has_changed(measurement.look, stamp):
+            return True
+        centre, size = measurement.place
+        away = float(np.linalg.norm(centre - self._centre - self.shift(stamp))) / self._size
+        return (away + SIZE_WEIGHT * abs(math.log(size / self._size)) > JUMP
+                or self._appearance_distance(measurement.colours) >= 1.0)
 
     def _is_part_of(self, measurement: FaceMeasurement, stamp: float) -> bool:
         """Whether this track holds on to a part of the face that the detector is as sure of."""
@@ -437,7 +541,7 @@ class FaceTrack:
         self._update_colours(measurement.colours)
         self.measurement = measurement
         self.score = max(self.score, measurement.score)
-        self.visible = True
+        self.visible, self.replaced = True, False
         self.life.seen(stamp)
 
     def _update_colours(self, colours: Optional[np.ndarray]) -> None:
@@ -498,80 +602,3 @@ def _place(box: np.ndarray) -> Tuple[np.ndarray, float]:
     """Centre (2,) px and size (mean side, px, at least 1) of a box."""
     x0, y0, x1, y1 = box.tolist()
     return np.array([(x0 + x1) / 2.0, (y0 + y1) / 2.0]), max(1.0, (x1 - x0 + y1 - y0) / 2.0)
-
-
-class FaceFlow:
-    """Optical flow of boxes from each image to the next. Not thread-safe.
-
-    An image without boxes is kept as it is, and shrunk only if there are some in the next one.
-    """
-
-    def __init__(self) -> None:
-        self._image: Optional[np.ndarray] = None        # the last one, where it has not been shrunk
-        self._picture: Optional[np.ndarray] = None      # the last one, shrunk
-
-    def update(self, bgr: np.ndarray, boxes: Sequence[np.ndarray],
-               expected: Sequence[np.ndarray]) -> List[Optional[np.ndarray]]:
-        """Return how far (2,) px each box has moved from the last image to `bgr` (H, W, 3); None where that is not
-        seen.
-
-        boxes: (4,) px each, where they were in the last image; expected: (2,) px each, where the search begins. Nobody
-        may write to `bgr` until the next call.
-        """
-        if not boxes:
-            self._image, self._picture = bgr, None
-            return []
-        before = shrink(self._image) if self._image is not None else self._picture
-        self._image, self._picture = None, shrink(bgr)
-        if before is None or before.shape != self._picture.shape:
-            return [None] * len(boxes)
-        places = np.asarray(boxes, dtype=np.float64) / SHRINK
-        points = _grids(places)
-        guess = points + np.asarray(expected, dtype=np.float64)[:, None] / SHRINK
-        found, status, error = cv2.calcOpticalFlowPyrLK(
-            before, self._picture, _flat(points), _flat(guess), winSize=_WINDOW, maxLevel=_LEVELS, criteria=_STOP,
-            flags=cv2.OPTFLOW_USE_INITIAL_FLOW)
-        motions = np.asarray(found).reshape(points.shape).astype(np.float64) - points
-        good = (np.asarray(status).reshape(points.shape[:2]) > 0) & (
-            np.asarray(error).reshape(points.shape[:2]) < _OTHER
-        )
-        return _common(motions, good, (places[:, 2:] - places[:, :2]).min(axis=1))
-
-    def reset(self) -> None:
-        """Forget the last image."""
-        self._image = self._picture = None
-
-
-def shrink(bgr: np.ndarray) -> np.ndarray:
-    """Return the picture (H / SHRINK, W / SHRINK) of an image (H, W, 3), in which points are followed."""
-    green = cv2.extractChannel(bgr, 1)
-    size = (max(1, green.shape[1] // SHRINK), max(1, green.shape[0] // SHRINK))
-    return cv2.resize(green, size, interpolation=cv2.INTER_AREA)
-
-
-def _grids(boxes: np.ndarray) -> np.ndarray:
-    """Points (N, P, 2) on a grid in the inner part of boxes (N, 4)."""
-    steps = np.linspace(-_INNER, _INNER, _GRID)
-    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(1, -1, 2)
-    return (boxes[:, None, :2] + boxes[:, None, 2:]) / 2.0 + grid * (boxes[:, None, 2:] - boxes[:, None, :2])
-
-
-def _flat(points: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(points.reshape(-1, 1, 2), dtype=np.float32)
-
-
-def _common(motions: np.ndarray, good: np.ndarray, sides: np.ndarray) -> List[Optional[np.ndarray]]:
-    """The motion (2,) px of the image that most points of each box share; None without one.
-
-    motions: (N, P, 2) px of the picture; good: (N, P), which points were found; sides: (N,) px of the picture.
-    """
-    ordered = np.sort(np.where(good[..., None], motions, np.inf), axis=1)
-    counts = good.sum(axis=1)
-    middle = ordered[np.arange(len(ordered)), counts // 2]
-    middle[~np.isfinite(middle).all(axis=1)] = 0.0
-    apart = motions - middle[:, None]
-    agree = good & (np.hypot(apart[..., 0], apart[..., 1]) < (_SPREAD + _SPREAD_PART * sides)[:, None])
-    agreeing = agree.sum(axis=1)
-    enough = (agreeing >= _AGREEING * good.shape[1]) & (sides >= _LEAST_BOX)
-    mean = SHRINK * (motions * agree[..., None]).sum(axis=1) / np.maximum(agreeing, 1)[:, None]
-    return [motion if known else None for motion, known in zip(mean, enough.tolist())]

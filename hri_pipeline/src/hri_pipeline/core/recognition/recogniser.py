@@ -19,7 +19,7 @@ import numpy as np
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.private_file import TemplateCipher
-from hri_pipeline.core.recognition.embedding import load_face_embedder
+from hri_pipeline.core.recognition.embedding import FaceEmbedder, load_face_embedder
 from hri_pipeline.core.recognition.face_identity import (
     NAMING_CROPS,
     FaceEvidence,
@@ -393,6 +393,11 @@ class FaceRecognition:
         self._due: List[str] = []
         self._asked = -np.inf
         self._qualities: Mapping[str, float] = {}
+
+    @property
+    def embedder(self) -> FaceEmbedder:
+        """The network that makes the templates."""
+        return self._embedder
 
     def due(self, qualities: Mapping[str, float], stamp: float, limit: int = 1) -> bool:
         """Note the faces measured in this image; return whether one of them is worth a template now.

@@ -1,0 +1,192 @@
+"""Whether a track is still of the same face: small pictures, templates, cuts of the picture; with faces that do not
+exist."""
+
+import cv2
+import numpy as np
+import pytest
+
+from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook, PictureCuts, Verdict, asymmetry, correlation
+from hri_pipeline.core.faces.mesh import MESH_POINTS
+from hri_pipeline.core.faces.tracker import FaceMeasurement, FaceTracker
+from hri_pipeline.core.ids import IdGenerator
+
+STEP = 0.1
+SIZE = 100.0
+
+
+def mesh(x, y=200.0, size=SIZE, turned=0.0):
+    """A mesh about x, y px with the points that place a face; turned: the nose, in halves of the eyes' distance."""
+    points = np.random.RandomState(0).uniform(-0.5, 0.5, (MESH_POINTS, 3))
+    points[:2, :2] = (-0.5, -0.5), (0.5, 0.5)
+    points[[33, 133, 362, 263], :2] = (-0.3, -0.2), (-0.12, -0.2), (0.12, -0.2), (0.3, -0.2)
+    points[[2, 4], :2] = (0.0, 0.1), (0.3 * turned, 0.05)
+    return points * size + (x, y, 0.0)
+
+
+def person(seed):
+    """A picture (80, 80, 3) that is of one person only."""
+    small = np.random.RandomState(seed).randint(0, 255, (9, 9, 1), np.uint8)
+    return np.repeat(cv2.resize(small, (120, 120), interpolation=cv2.INTER_CUBIC)[..., None], 3, axis=2)
+
+
+def scene(*people, light=1.0):
+    """A grey image with people, (seed, x) each, about y = 200."""
+    image = np.full((400, 800, 3), 90, np.uint8)
+    for seed, x in people:
+        image[140:260, x - 60:x + 60] = person(seed)
+    return (image * light).astype(np.uint8)
+
+
+def look(image, x, turned=0.0):
+    return FaceLook(image, mesh(x, turned=turned))
+
+
+def measurement(image, x, may_start=True, turned=0.0):
+    points = mesh(x, turned=turned)
+    return FaceMeasurement(points, 0.99, may_start, look=FaceLook(image, points))
+
+
+class Network:
+    """Stands for the recognition network: people are told apart by the grey values of their crops; counts its runs."""
+
+    def __init__(self):
+        self.runs = 0
+
+    def __call__(self, crops):
+        self.runs += 1
+        grey = np.array([cv2.resize(cv2.cvtColor(crop, cv2.COLOR_BGR2GRAY), (8, 8)).ravel() for crop in crops], float)
+        grey -= grey.mean(axis=1, keepdims=True)
+        return (grey / np.linalg.norm(grey, axis=1, keepdims=True)).astype(np.float32)
+
+
+@pytest.fixture(params=["templates", "pictures"])
+def faces(request):
+    judge = AppearanceJudge(Network(), 150, 0.8) if request.param == "templates" else AppearanceJudge()
+    return FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=judge)
+
+
+def show(faces, *images, start=0.0):
+    """Show (image, x positions) STEP apart; returns the ids of the faces that were seen, by place."""
+    seen = []
+    for index, (image, places) in enumerate(images):
+        tracks = faces.update([measurement(image, x) for x in places], start + index * STEP)
+        seen.append({int(round(track.measurement.box[[0, 2]].mean())): track.id for track in tracks})
+    return seen
+
+
+def test_a_look_is_alike_in_any_light_and_unlike_another_person():
+    one = look(scene((1, 200)), 200)
+    assert correlation(one, look(scene((1, 500), light=0.4), 500)) > 0.97
+    assert correlation(one, look(scene((2, 200)), 200)) < 0.7
+    assert correlation(one, look(np.full((400, 800, 3), 90, np.uint8), 200)) == 1.0, "nothing to be seen"
+
+
+def test_asymmetry_is_that_of_the_nose():
+    assert asymmetry(mesh(200)) == pytest.approx(0.0)
+    assert asymmetry(mesh(200, turned=-0.6)) == pytest.approx(0.6)
+
+
+def test_somebody_else_at_the_same_place_is_another_face(faces):
+    seen = show(faces, *[(scene((1, 200)), [200])] * 5, *[(scene((2, 200)), [200])] * 5)
+    assert seen[4][200] == seen[0][200] and seen[9][200] not in (None, seen[0][200])
+    assert seen[5].get(200) != seen[0][200], "not for one image"
+
+
+def test_a_new_light_and_a_shift_are_no_other_face(faces):
+    seen = show(faces, *[(scene((1, 200), light=0.3), [200])] * 5, *[(scene((1, 220)), [220])] * 5)
+    assert seen[9][220] == seen[0][200] and len(faces.tracks) == 1
+
+
+def test_what_was_lost_goes_on_with_the_same_face_only(faces):
+    lost = [(scene(), [])] * 3
+    seen = show(faces, *[(scene((1, 200)), [200])] * 5, *lost, *[(scene((1, 230)), [230])] * 2)
+    assert seen[-1][230] == seen[0][200]
+    faces.reset()
+    seen = show(faces, *[(scene((1, 200)), [200])] * 5, *lost, *[(scene((2, 230)), [230])] * 2, start=10.0)
+    assert seen[-1][230] != seen[0][200]
+
+
+def test_who_stood_behind_somebody_that_walked_past_has_the_old_id(faces):
+    images = [(scene((1, 400)), [400])] * 5
+    images += [(scene((1, 400), (2, x)) if abs(x - 400) > 120 else scene((2, x)),
+                [400, x] if abs(x - 400) > 120 else [x]) for x in range(100, 760, 40)]
+    seen = show(faces, *images, *[(scene((1, 400)), [400])] * 2)
+    assert seen[-1][400] == seen[0][400]
+    assert not any(place != 400 and identity == seen[0][400] for one in seen for place, identity in one.items())
+
+
+def test_after_a_cut_a_face_is_the_one_it_looks_like_wherever_it_is():
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceJudge(Network(), 150, 0.8))
+    before = show(faces, *[(scene((1, 200), (2, 600)), [200, 600])] * 5)[-1]
+    image = scene((2, 200), (3, 600))
+    tracks = faces.update([measurement(image, 200, False), measurement(image, 600)], 0.5, cut=True)
+    after = {int(round(track.measurement.box[[0, 2]].mean())): track.id for track in tracks}
+    assert after[200] == before[600] and after[600] not in before.values()
+
+
+def test_the_network_runs_seldom_on_a_face_that_goes_on():
+    network = Network()
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceJudge(network, 150, 0.8))
+    show(faces, *[(scene((1, 200)), [200])] * 100)
+    assert 1 <= network.runs <= 6
+
+
+def test_a_verdict_that_is_not_clear_is_no_change_of_face():
+    judge = AppearanceJudge(lambda crops: np.tile(np.float32([1.0, 0.0]), (len(crops), 1)), 150, 0.4)
+    memory = judge.begin(look(scene((1, 200)), 200), 0.0)
+    angles = {Verdict.SAME: 0.30, Verdict.UNSURE: 0.36, Verdict.OTHER: 0.60}
+    for verdict, angle in angles.items():
+        seen = look(scene((2, 200)), 200)
+        seen.keep_crop(150)
+        seen.template = np.float32([np.cos(angle), np.sin(angle)])
+        assert judge.verdict(memory, seen, 1.0) is verdict
+        assert judge.verdict(memory, seen, 1.0, doubtful=True) is (
+            Verdict.SAME if verdict is Verdict.SAME else Verdict.OTHER)
+
+
+def test_a_face_too_small_for_a_template_is_compared_by_its_picture():
+    judge = AppearanceJudge(Network(), 150, 0.8)
+    small = [FaceLook(scene((seed, 200)), mesh(200, size=20.0)) for seed in (1, 1, 2)]
+    memory = judge.begin(small[0], 0.0)
+    assert judge.distance(memory, small[1]) is None
+    assert judge.verdict(memory, small[1], 0.1) is Verdict.SAME
+
+
+def view(seed, shift=(0, 0), light=1.0, offset=0.0):
+    """A picture of a room, seen by a camera that has moved by `shift` px."""
+    small = np.random.RandomState(seed).randint(0, 255, (16, 22, 3), np.uint8)
+    room = cv2.resize(small, (880, 640), interpolation=cv2.INTER_CUBIC)
+    x, y = 120 + shift[0], 80 + shift[1]
+    return np.clip(room[y:y + 480, x:x + 640] * light + offset, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("after, is_cut", [
+    (view(1), False), (view(1, (100, 0)), False), (view(1, (-60, 40)), False), (view(1, light=0.3), False),
+    (view(1, light=0.6, offset=60.0), False), (view(2), True), (np.zeros((480, 640, 3), np.uint8), True)])
+def test_cuts_of_the_picture(after, is_cut):
+    cuts = PictureCuts()
+    assert not cuts.update(view(1)), "nothing before"
+    assert cuts.update(after) is is_cut
+    assert not cuts.update(after)
+
+
+def test_somebody_who_walks_through_the_picture_is_no_cut():
+    cuts = PictureCuts()
+    for x in range(-150, 640, 40):
+        image = view(1)
+        image[100:, max(0, x):max(0, x + 150)] = 200
+        assert not cuts.update(image)
+
+
+def test_empty_pictures_are_no_cut_and_any_size_is_taken():
+    cuts = PictureCuts()
+    assert not any(cuts.update(np.full(shape, 7, np.uint8)) for shape in ((480, 640, 3), (1, 1, 3), (3, 900, 3)))
+
+
+def test_who_is_not_there_any_more_takes_nobody_s_place():
+    """After a cut there are as many others at once, although the faces of before are remembered for a moment."""
+    faces = FaceTracker(0.0, 1.0, 2, IdGenerator(seed=1), judge=AppearanceJudge(Network(), 150, 0.8))
+    before = show(faces, *[(scene((1, 200), (2, 600)), [200, 600])] * 3)[-1]
+    image = scene((3, 200), (4, 600))
+    tracks = faces.update([measurement(image, 200), measurement(image, 600)], 0.3, cut=True)
+    assert len(tracks) == 2 and not {track.id for track in tracks} & set(before.values())
