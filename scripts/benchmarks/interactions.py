@@ -45,12 +45,15 @@ def _told(value: object) -> bool:
 KEYS: Sequence[Tuple[str, str, Callable[[object], bool]]] = (
     ("gaze_3", "both >= 0.90, closed 0", _gaze), ("gaze_6", "both >= 0.90, closed 0", _gaze),
     ("gaze_without_closed_eyes_rule", "(told)", _told), ("photographs", "(told)", _told),
+    ("eyes", "<= 3 %, 5 %", lambda value: isinstance(value, dict) and value["open_told_shut"] <= 0.03
+     and value["shut_told_open"] <= 0.05),
     ("groups_f1", ">= 0.83, 0.90, 0.78", _groups), ("engagement", "illegal 0, each level", _engagement),
     ("cpu_percent_10", "<= 3 %", _most(3.0)), ("cpu_percent_30", "<= 10 %", _most(10.0)),
     ("crowd", "flat, stable ids", _crowd))
 
 PARTS: Dict[str, Sequence[str]] = {
     "gaze": ("gaze_3", "gaze_6", "gaze_without_closed_eyes_rule"), "photographs": ("photographs",),
+    "eyes": ("eyes",),
     "groups": ("groups_f1",), "engagement": ("engagement",), "cpu": ("cpu_percent_10", "cpu_percent_30"),
     "crowd": ("crowd",)}
 
@@ -124,6 +127,10 @@ def _measure(part: str, hours: float, overlay: Optional[Path]) -> Dict[str, obje
         models = models_directory()
         tables = photographs(models, overlay)
         return {"photographs": tables[USE_FACS], "photographs_without_use_facs": tables[FRAMES]}
+    if part == "eyes":
+        from benchmarks.face_figures import eye_errors
+        errors = eye_errors(models_directory())
+        return {"eyes": _rounded(errors["eyes"]), "eyes_wrong_of": errors["counts"]}
     if part == "crowd":
         from benchmarks.crowd import crowd
         return {"crowd": _rounded(crowd(hours), 2)}

@@ -56,11 +56,29 @@ def test_who_looks_past_everybody_looks_at_nobody():
         "bob": ROBOT}
 
 
-def test_closed_eyes_end_a_gaze_at_once_and_a_lost_face_does_not_open_them():
+@pytest.mark.parametrize("length", [0.1, 0.2, 0.26])
+def test_a_blink_does_not_end_a_gaze(length):
+    room = Room()
+    room.look(1.0, [room.person("ann", ROBOT)])
+    shut = room.person("ann", head_direction=towards(room.places["ann"], ROBOT_AT), eyes_closed=0.9)
+    for _ in range(round(length * RATE)):
+        assert room.look(0.0, [shut]) == {"ann": ROBOT}
+    assert room.look(0.0, [room.person("ann", ROBOT)]) == {"ann": ROBOT}
+
+
+def test_a_slow_blink_leads_back_to_the_same_target_at_once():
+    room = Room()
+    room.look(1.0, [room.person("ann", ROBOT)])
+    shut = room.person("ann", head_direction=towards(room.places["ann"], ROBOT_AT), eyes_closed=0.9)
+    assert room.look(0.4, [shut]) == {}
+    assert room.look(0.0, [room.person("ann", ROBOT)]) == {"ann": ROBOT}
+
+
+def test_closed_eyes_end_a_gaze_after_a_blink_and_a_lost_face_does_not_open_them():
     room = Room()
     assert room.look(0.5, [room.person("ann", ROBOT)]) == {"ann": ROBOT}
     shut = room.person("ann", head_direction=towards(room.places["ann"], ROBOT_AT), eyes_closed=0.9)
-    assert room.look(0.05, [shut]) == {}
+    assert room.look(0.35, [shut]) == {}
     assert room.look(1.0, [shut]) == {}
     assert room.look(0.5, [room.person("ann")]) == {}
     assert room.look(0.4, [room.person("ann", ROBOT)]) == {"ann": ROBOT}

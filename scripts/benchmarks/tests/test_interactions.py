@@ -8,7 +8,7 @@ import json
 from benchmarks import interactions
 
 ASKED = {"gaze_3", "gaze_6", "gaze_without_closed_eyes_rule", "groups_f1", "cpu_percent_10", "cpu_percent_30",
-         "photographs",
+         "photographs", "eyes",
          "engagement", "crowd"}
 MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3], "versions": {}}
 
@@ -44,6 +44,12 @@ def test_the_table_tells_what_falls_short() -> None:
         "engagement": True, "crowd": False}
     assert " NO " in lines({"gaze_3": dict(good, closed_gazes=1)})["gaze_3"]
     assert " NO " in lines({"groups_f1": {"CoffeeBreak": 0.86, "Synth": 0.89, "CoffeeBreak_noisy": 0.81}})["groups_f1"]
+
+
+def test_eyes_fall_short_above_three_and_five_percent() -> None:
+    for errors, short in (((0.03, 0.05), False), ((0.031, 0.0), True), ((0.0, 0.06), True)):
+        value = dict(zip(("open_told_shut", "shut_told_open"), errors))
+        assert (" NO " in lines({"eyes": value})["eyes"]) is short
 
 
 def test_the_confusion_table_is_a_table() -> None:

@@ -16,13 +16,15 @@ class GazeEstimate:
 
     direction: (3,) unit vector in the optical frame, None while the eyes are closed or nothing is known.
     confidence: 0 to 1, of the direction. eyes_closed: 0 (open) to 1 (closed). from_eyes: 0 when the direction is that
-    of the head alone, 1 when the irises decide.
+    of the head alone, 1 when the irises decide. lids: core.faces.gaze.Lids, what the image says of the eyelids; None
+    when that is not known.
     """
 
     direction: Optional[np.ndarray]
     confidence: float
     eyes_closed: float
     from_eyes: float = 0.0
+    lids: Optional[Any] = None
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class FaceObservation:
     core.faces.expression.ExpressionEstimate; soft_biometrics: SoftBiometrics; each None when not estimated in this
     image. head_scale: size of this head over the canonical one, and its standard deviation; None without a pose.
     measured: False when the face was predicted and not measured in this image, because there were too many faces.
+    blendshapes: (52,) 0 to 1, see core.faces.blendshapes; None without a pose and when it was not measured.
     """
 
     id: str
@@ -62,6 +65,7 @@ class FaceObservation:
     head_scale: Optional[float] = None
     head_scale_sd: Optional[float] = None
     measured: bool = True
+    blendshapes: Optional[np.ndarray] = None
 
 
 @dataclass(frozen=True)

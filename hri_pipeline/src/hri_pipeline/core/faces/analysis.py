@@ -196,7 +196,8 @@ class FaceAnalysis:
             for face in faces:
                 if face.id in wanted and face.measured:
                     estimator = self._units.setdefault(face.id, ActionUnitEstimator(self._measures))
-                    found[face.id] = estimator.update(face.mesh, face.pose, stamp, face.score, size)
+                    closed = None if face.gaze is None else face.gaze.eyes_closed
+                    found[face.id] = estimator.update(face.mesh, face.pose, stamp, face.score, size, closed)
         return found
 
     def _assess(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float,

@@ -17,6 +17,7 @@ import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.analysis import FaceAnalysis, FaceDemand
+from hri_pipeline.core.faces.blendshapes import Blendshapes
 from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector
 from hri_pipeline.core.faces.gaze import EyeGeometry, GazeEstimator, GazeSmoother
 from hri_pipeline.core.faces.head_pose import (
@@ -105,7 +106,9 @@ class FacePipeline:
         self.times = StageTimes()
         self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify)
         canonical = load_canonical_face(model_path(settings.canonical_face, "canonical_face.npz"))
-        self._geometry = FaceGeometry(canonical)
+        blendshapes = Blendshapes(model_path(settings.face_blendshapes_model, "face_blendshapes.onnx"),
+                                  settings.providers, notify)
+        self._geometry = FaceGeometry(canonical, blendshapes)
         self._analysis = FaceAnalysis(settings, canonical, self.times, notify)
         self._last_stamp = -np.inf
         self._published = self._predicted = 0
@@ -447,8 +450,9 @@ class FaceTrackingPipeline:
 class FaceGeometry:
     """Head pose, gaze and head size of every tracked face, over time; all faces of an image are solved together."""
 
-    def __init__(self, canonical: CanonicalFace) -> None:
+    def __init__(self, canonical: CanonicalFace, blendshapes: Blendshapes) -> None:
         self._canonical = canonical
+        self._blendshapes = blendshapes
         self._to_face = canonical.face_frame().inverse()
         self._heads = HeadPoseEstimator(canonical)
         self._eyes = EyeGeometry(canonical)
@@ -499,11 +503,13 @@ class FaceGeometry:
     def _measure_eyes(self, posed: Sequence[Tuple[_Face, TrackedFace, Pose]], camera: CameraModel, stamp: float,
                       depth: Optional[np.ndarray]) -> None:
         """Measure gaze and head size of the faces that have a pose."""
+        meshes = [found.mesh for _, found, _ in posed]
+        shapes = self._blendshapes.run(meshes)
         gazes, irises = self._gazes.estimate_all(
-            [found.mesh for _, found, _ in posed], [pose for _, _, pose in posed], camera,
-            [found.presence for _, found, _ in posed])
+            meshes, [pose for _, _, pose in posed], camera, [found.presence for _, found, _ in posed], shapes)
         focal = float(camera.matrix[0, 0])
-        for (face, found, pose), gaze, diameters in zip(posed, gazes, irises):
+        for (face, found, pose), gaze, diameters, movements in zip(posed, gazes, irises, shapes):
+            face.blendshapes = movements
             face.gaze = face.gaze_smoother(gaze, stamp)
             from_eyes = 0.0 if face.gaze_smoother.is_closed else gaze.from_eyes
             for source, scale in (("iris", scale_from_iris(diameters, pose, self._eyes, focal, from_eyes)),
@@ -526,7 +532,8 @@ class FaceGeometry:
         if gaze is not None and not found.measured:
             gaze = GazeEstimate(gaze.direction, gaze.confidence * found.presence, gaze.eyes_closed, gaze.from_eyes)
         return FaceObservation(found.id, found.box, found.presence, landmarks, found.mesh, pose, gaze,
-                               head_scale=scale, head_scale_sd=scale_sd, measured=found.measured)
+                               head_scale=scale, head_scale_sd=scale_sd, measured=found.measured,
+                               blendshapes=face.blendshapes if found.measured and face.raw is not None else None)
 
     @staticmethod
     def _placed(face: _Face, found: TrackedFace, camera: CameraModel, stamp: float
@@ -554,6 +561,7 @@ class _Face:
         self.pose: Optional[Pose] = None
         self.gaze: Optional[GazeEstimate] = None
         self.mesh: Optional[np.ndarray] = None
+        self.blendshapes: Optional[np.ndarray] = None
 
     def set_pose(self, pose: Optional[Pose], mesh: np.ndarray, stamp: float) -> None:
         """Set the pose measured in the image of `stamp` (s), None for no plausible one."""
