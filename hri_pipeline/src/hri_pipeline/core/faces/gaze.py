@@ -55,8 +55,8 @@ _CLOSED_TIME = 0.06
 """Time constant (s) of the closedness: shorter than a blink (0.1 to 0.3 s), longer than one image's noise."""
 LEAST_IRIS, GOOD_IRIS = np.array([2.4, 3.0]), np.array([4.5, 7.0])
 """Diameter (px) of the iris up to which it is not used, and from which the head pose is not used, to the sides, and up
-or down. Pictures made smaller, blurred, noisy and compressed: at 2.6 px (a face of 30 px) the turn to the sides is still
-the full picture's (slope 0.9), up and down it is not (0.1); at 3.5 px 1.0 and 0.4, at 5.2 px 0.95 and 0.7."""
+or down. Pictures made smaller, blurred, noisy and compressed: at 2.6 px (a face of 30 px) the turn to the sides is
+still the full picture's (slope 0.9), up and down it is not (0.1); at 3.5 px 1.0 and 0.4, at 5.2 px 0.95 and 0.7."""
 _SHAPE_TURN, _SHAPE_UP = np.deg2rad(25.0), np.deg2rad((30.0, 6.0))
 """Turn (rad) of eyes in the head by the blendshapes: to the side per unit; up per unit, and of eyes straight ahead."""
 _SECOND_OPINION = 0.5
