@@ -83,7 +83,8 @@ class GazeTargets:
         ratios, times = evidence(lines, self._settings)
         ids = people.ids
         closed = self._closed(people, stamp)
-        looked_at = self._filter.update(ids, self._weights(lines, ids, stamp), ratios, times, closed, dt,
+        weights = self._weights(lines, ids, stamp) * self._filter.attention(ids, people.speaking)
+        looked_at = self._filter.update(ids, weights, ratios, times, closed, dt,
                                         closed & self._blinking(people, closed, stamp))
         names = ids + [ROBOT]
         return [GazeTarget(ids[sender], names[target], self._filter.probability(sender, target))
@@ -136,13 +137,34 @@ _LEAST_VISIBLE = 0.02
 _HEAD_BESIDE_EYES = 0.64
 """How much the head's direction counts beside that of the eyes: its error stays the same as long as somebody looks at
 one target."""
+_UNSEEN_TRUNK_SD = 0.7
+"""Standard deviation (rad) of a trunk that is not seen from the direction to the robot: of whom a camera sees a face and
+no body, the body is mostly towards it."""
+_HEAD_GAIN_SD = 0.2
+"""Standard deviation of the part of the way that heads turn: some people move their heads and others their eyes (Fuller
+1992: nearly none to nearly all of the way)."""
+_UP_PART = 0.6
+"""Standard deviation of eyes in the head up and down over that to the sides: people stand about equally high, and their
+targets are beside each other."""
+
+
+class GazePriors:
+    """Weights of the targets before a direction is known, over that of somebody who is silent and looks elsewhere."""
+
+    SPEAKING = 2.0
+    """Somebody who speaks. Listeners look 1.6 times as much at the one they listen to as at others, and 2.2 times as
+    much as a speaker does at one of several listeners (Vertegaal, Slagter, van der Veer, Nijholt, CHI 2001)."""
+    MUTUAL = 1.5
+    """Somebody who looks at the observer: gazes that are met last and come back (Argyle and Cook 1976: of the 60 % of
+    the time in which one of two looks at the other, both do for half; by chance it would be 36 %)."""
+
 _TWO_PI = 2.0 * math.pi
 
 
 class SightLines:
     """Directions and distances from every observer to every target: the N people, then the robot; T = N + 1.
 
-    heads, gazes, faces, trunks, deviations: those of the people. units: (N, T, 3) unit vectors; distances: (N, T) m;
+    heads, gazes, faces, trunks, deviations, depths, faceless: those of the people. units: (N, T, 3) unit vectors; distances: (N, T) m;
     possible: (N, T), which targets can be looked at.
     """
 
@@ -150,6 +172,7 @@ class SightLines:
         count = len(people)
         self.heads, self.gazes, self.faces, self.trunks = people.heads, people.gazes, people.faces, people.trunks
         self.deviations = people.deviations
+        self.depths, self.faceless = people.depths, people.faceless
         targets = np.empty((count + 1, 3))
         targets[:-1] = self.heads
         targets[-1] = UNKNOWN if robot is None else robot
@@ -163,6 +186,20 @@ class SightLines:
         self.possible = possible
         self.distances = np.maximum(lengths, _LEAST_DISTANCE)
         self.units = between / lengths[..., None]
+
+    def extents(self, head_radius: float) -> Tuple[np.ndarray, np.ndarray]:
+        """Return the variances (N, T), rad^2, of where a target is seen from an observer, to the sides and up or down:
+        somebody looks at any point of a head, and both places are uncertain, most of all along the camera's ray."""
+        lateral = self.deviations[:, :1] ** 2
+        place = (_SIZE_PART * head_radius) ** 2 + lateral + np.append(lateral[:, 0], _ROBOT_SD ** 2)
+        depths = np.concatenate([self.depths, np.zeros((1, 3))])
+        sideways = np.stack([-self.units[..., 1], self.units[..., 0]], axis=2)
+        sideways /= np.maximum(np.sqrt((sideways * sideways).sum(axis=2)), 1e-6)[..., None]
+        own = (sideways @ self.depths[:, :2, None])[..., 0]
+        others = (sideways * depths[:, :2]).sum(axis=2)
+        square = self.distances * self.distances
+        return ((place + own * own + others * others) / square,
+                (place + self.depths[:, 2:] ** 2 + depths[:, 2] ** 2) / square)
 
     def weights(self, head_radius: float) -> np.ndarray:
         """Return the prior weights (N, T) of the targets, 0 to 1, before a direction is known.
@@ -183,7 +220,8 @@ class SightLines:
 def evidence(lines: SightLines, settings: SimpleNamespace) -> Tuple[np.ndarray, np.ndarray]:
     """Compare the directions of everybody with the lines to all targets.
 
-    Eyes and head count together, the trunk where neither is known.
+    Eyes and head count together. Somebody without a face tells nothing, or, where the settings say so, by the head of
+    the skeleton, or by the trunk where neither is known.
 
     Returns
     -------
@@ -196,49 +234,53 @@ def evidence(lines: SightLines, settings: SimpleNamespace) -> Tuple[np.ndarray, 
     by_eyes = placed & (lines.gazes[:, 0] == lines.gazes[:, 0])
     by_head = placed & (lines.faces[:, 0] == lines.faces[:, 0])
     by_trunk = placed & (lines.trunks[:, 0] == lines.trunks[:, 0]) & ~(by_eyes | by_head)
+    if not settings.gaze_without_face:
+        by_head &= ~lines.faceless
+        by_trunk[:] = False
     squares = lines.deviations * lines.deviations
-    places = np.empty(len(placed) + 1)
-    places[:-1], places[-1] = squares[:, 0], _ROBOT_SD ** 2
-    extent = ((_SIZE_PART * settings.head_radius) ** 2 + places + squares[:, :1]) / (lines.distances * lines.distances)
-    eyes, heads, aside = _densities(lines, squares, extent, settings)
+    extents = lines.extents(settings.head_radius)
+    eyes, heads, aside = _densities(lines, squares, extents, settings)
     even = -math.log(settings.nobody_field)
     # Those who look at nobody turn their heads to where their eyes look, too.
     nobody, weight = np.where(by_eyes, aside, even), np.where(by_eyes, _HEAD_BESIDE_EYES, 1.0)
     ratios = np.where(by_eyes[:, None], eyes - even, 0.0)
     ratios += np.where(by_head[:, None], weight[:, None] * (heads - nobody[:, None]), 0.0)
     if by_trunk.any():
-        facing = _facing(lines.trunks, lines.units, squares[:, 3:] + settings.trunk_target_sd ** 2 + extent)
+        facing = _facing(lines.trunks, lines.units, squares[:, 3:] + settings.trunk_target_sd ** 2 + extents[0])
         ratios = np.where(by_trunk[:, None], facing, ratios)
     # A trunk that points elsewhere than the eyes does so as long as the person looks there.
     times = np.where(by_eyes | by_head, settings.evidence_time, np.where(by_trunk, settings.dwell_time, np.inf))
     return np.where(lines.possible, ratios, _NEVER), times
 
 
-def _densities(lines: SightLines, squares: np.ndarray, extent: np.ndarray, settings: SimpleNamespace
+def _densities(lines: SightLines, squares: np.ndarray, extents: Sequence[np.ndarray], settings: SimpleNamespace
                ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Log densities (1/sr) of the eyes (N, T) and of the heads (N, T) for each target, and of the heads for the eyes
     (N,).
 
     NaN where a direction is not known.
     """
-    units, spread = _head_for(lines.units, lines.trunks, settings)
-    own = squares[:, 1] + spread
-    # Eyes and heads; the heads for the eyes behind the targets.
-    cosines, variances = (np.ones((2, len(own), extent.shape[1] + 1)) for _ in range(2))
-    cosines[0, :, :-1] = (lines.units @ lines.gazes[:, :, None])[..., 0]
-    cosines[1, :, :-1] = (units @ lines.faces[:, :, None])[..., 0]
-    cosines[1, :, -1] = (lines.faces * lines.gazes).sum(axis=1)
-    np.add(squares[:, 2:3], extent, out=variances[0, :, :-1])
-    np.add(own[:, None], extent, out=variances[1, :, :-1])
-    variances[1, :, -1] = own + squares[:, 2]
-    eyes, heads = _density(cosines, variances)
-    return eyes[:, :-1], heads[:, :-1], heads[:, -1]
+    # What the eyes look at is a target like all others for the head; without eyes it is of no use.
+    aims = np.concatenate([lines.units, lines.gazes[:, None]], axis=1)
+    turned, sides, up = _head_for(aims, lines.trunks, settings)
+    own = [squares[:, 1:2] + np.concatenate([extent, squares[:, 2:3]], axis=1) for extent in extents]
+    heads = _density(turned, lines.faces, own[0] + sides, own[1] + up)
+    eyes = [squares[:, 2:3] + extent for extent in extents]
+    return _density(lines.units, lines.gazes, *eyes), heads[:, :-1], heads[:, -1]
 
 
-def _density(cosines: np.ndarray, variances: np.ndarray) -> np.ndarray:
-    """Log of the Gaussian density (1/sr) at angles of these cosines; variances in rad^2 on each axis."""
-    angles = np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0))
-    return -0.5 * angles * angles / variances - np.log(_TWO_PI * variances)
+def _density(units: np.ndarray, directions: np.ndarray, sides: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Log of the Gaussian density (1/sr) of directions (N, 3) about units (N, T, 3); variances (N, T) in rad^2 to the
+    sides, and up and down."""
+    bearing = np.arctan2(units[..., 1], units[..., 0]) - np.arctan2(directions[:, 1], directions[:, 0])[:, None]
+    bearing -= _TWO_PI * np.rint(bearing / _TWO_PI)
+    level = np.hypot(units[..., 0], units[..., 1]) * np.hypot(directions[:, 0], directions[:, 1])[:, None]
+    heights = np.arcsin(_sine(units[..., 2])) - np.arcsin(_sine(directions[:, 2]))[:, None]
+    return -0.5 * (bearing * bearing * level / sides + heights * heights / up) - np.log(_TWO_PI * np.sqrt(sides * up))
+
+
+def _sine(values: np.ndarray) -> np.ndarray:
+    return np.minimum(np.maximum(values, -1.0), 1.0)
 
 
 def _facing(trunks: np.ndarray, units: np.ndarray, variances: np.ndarray) -> np.ndarray:
@@ -249,26 +291,35 @@ def _facing(trunks: np.ndarray, units: np.ndarray, variances: np.ndarray) -> np.
     return -0.5 * turns ** 2 / variances - 0.5 * np.log(_TWO_PI * variances) + np.log(_TWO_PI)
 
 
-def _head_for(units: np.ndarray, trunks: np.ndarray, settings: SimpleNamespace) -> Tuple[np.ndarray, np.ndarray]:
-    """Where the head points (N, T, 3) when somebody looks at each target, and its variance (N,) rad^2.
+def _head_for(units: np.ndarray, trunks: np.ndarray, settings: SimpleNamespace
+              ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the head points (N, T, 3) when somebody looks at each target, and its variances (N, T) rad^2 to the sides
+    and up or down.
 
-    The head turns `head_gain` of the way from the trunk, in the horizontal plane; without a trunk it points at the
-    target.
+    The head turns `head_gain` of the way from the trunk, in the horizontal plane, more or less. A trunk that is not seen
+    is taken to face the robot, the last target but one; without a robot the head points at the target.
     """
-    known = trunks[:, 0] == trunks[:, 0]
+    seen = trunks[:, 0] == trunks[:, 0]
+    trunks = np.where(seen[:, None], trunks, units[:, -2])
+    known = (trunks[:, 0] != 0.0) | (trunks[:, 1] != 0.0)
+    unsure = np.where(seen, 0.0, ((1.0 - settings.head_gain) * _UNSEEN_TRUNK_SD) ** 2)
+    spread = np.where(seen, 0.5, 1.0) * settings.eyes_in_head_sd ** 2
+    sides = np.broadcast_to((spread + np.where(known, unsure, 0.0))[:, None], units.shape[:2])
+    up = np.broadcast_to(_UP_PART ** 2 * spread[:, None], units.shape[:2])
     if not known.any():
-        return units, np.full(len(trunks), settings.eyes_in_head_sd ** 2)
+        return units, sides, up
     x, y = units[..., 0], units[..., 1]
     turns = np.arctan2(y, x) - np.arctan2(trunks[:, 1], trunks[:, 0])[:, None]
     turns -= _TWO_PI * np.rint(turns / _TWO_PI)
     # Towards the back the head turns as far as it can, and the trunk says little: the whole way. So it does without a
     # trunk.
-    back = np.where(np.abs(turns) < 0.75 * math.pi, (settings.head_gain - 1.0) * turns, 0.0)
+    turns = np.where((np.abs(turns) < 0.75 * math.pi) & known[:, None], turns, 0.0)
+    back = (settings.head_gain - 1.0) * turns
     cosine, sine = np.cos(back), np.sin(back)
     turned = units.copy()
     turned[..., 0] = cosine * x - sine * y
     turned[..., 1] = sine * x + cosine * y
-    return turned, np.where(known, 0.5, 1.0) * settings.eyes_in_head_sd ** 2
+    return turned, sides + (_HEAD_GAIN_SD * turns) ** 2, up
 
 
 _MOST_DT = 1.0
@@ -319,6 +370,16 @@ class GazeTargetFilter:
         self._unseen = np.where(seen, 0.0, np.where(held, self._unseen, self._unseen + dt))
         self._decide((closed & ~held) | (self._unseen > self._settings.gaze_hold))
         return self._current.copy()
+
+    def attention(self, ids: Sequence[str], speaking: Optional[np.ndarray]) -> np.ndarray:
+        """Return the factors (N, T) of GazePriors on the weights of the targets; speaking: (N,), None unknown."""
+        factors = np.ones((len(ids), len(ids) + 1))
+        if speaking is not None:
+            factors[:, :-1][:, speaking] *= GazePriors.SPEAKING
+        if list(ids) == self._ids:
+            # How likely each one looks at the observer.
+            factors[:, :-1] *= 1.0 + (GazePriors.MUTUAL - 1.0) * self._probabilities[:, :len(ids)].T
+        return factors
 
     def probability(self, person: int, target: int) -> float:
         """Return how likely a person (index of the last update) looks at a target."""

@@ -38,13 +38,16 @@ _FRAMES = (
 )
 
 _GAZE = (
-    Parameter("gaze_sd", 0.14,
+    Parameter("gaze_sd", 0.11,
               "Standard deviation of the direction of the eyes (gaze_ID) near the camera, on each axis. Larger: slower "
               "decisions, fewer wrong ones.", unit="rad", minimum=0.02, maximum=1.0, live=True),
-    Parameter("gaze_range", 3.0,
+    Parameter("gaze_without_face", False,
+              "Tell gazes of people of whom only the body is seen, by the head of the skeleton or the trunk: right four "
+              "times in ten.", live=True),
+    Parameter("gaze_range", 5.0,
               "Distance from the camera from which the eyes are too small to be measured: beyond, gaze_ID counts no "
               "more than the direction of the head, and from half of it on less and less. Larger for cameras of high "
-              "resolution: about 2.4 m per 1000 px of focal length.", unit="m", minimum=0.2, maximum=50.0, live=True),
+              "resolution: about 4.5 m per 1000 px of focal length, where a face is 30 px wide.", unit="m", minimum=0.2, maximum=50.0, live=True),
     Parameter("head_sd", 0.09,
               "Standard deviation of the direction of the head from a face (face_ID), on each axis.", unit="rad",
               minimum=0.02,
@@ -64,7 +67,7 @@ _GAZE = (
               "not known. Larger: the head alone says less.", unit="rad", minimum=0.02, maximum=1.0, live=True),
     Parameter("trunk_target_sd", 0.6,
               "Standard deviation of the way from the direction of the trunk to what somebody looks at. Larger: people "
-              "of whom only the body is seen look at somebody less often.", unit="rad", minimum=0.1, maximum=2.0,
+              "of whom only the body is seen look at somebody less often (gaze_without_face).", unit="rad", minimum=0.1, maximum=2.0,
               live=True),
     Parameter("head_radius", 0.12,
               "Radius of a head: the nearer it is, the larger is the part of the view that it takes, and it hides who "
@@ -73,7 +76,7 @@ _GAZE = (
     Parameter("max_distance", 8.0,
               "People and robots that are farther away are not looked at.", unit="m", minimum=0.5, maximum=100.0,
               live=True),
-    Parameter("nobody_prior", 0.4,
+    Parameter("nobody_prior", 0.3,
               "Part of the time in which people look at nobody. Higher: fewer gazes, surer ones.", minimum=0.01,
               maximum=0.99, live=True),
     Parameter("nobody_field", 2.0,
@@ -84,12 +87,12 @@ _GAZE = (
               "Mean time between two changes of what somebody looks at. Longer: fewer wrong changes, later right "
               "ones.", unit="s",
               minimum=0.1, maximum=60.0, live=True),
-    Parameter("evidence_time", 0.067,
+    Parameter("evidence_time", 0.08,
               "Time after which the error of a direction is another one: images that follow each other sooner say less "
               "than as many independent ones. Longer: for detectors whose errors last.", unit="s", minimum=0.0,
               maximum=5.0, live=True),
-    Parameter("gaze_on", 0.4, "Probability from which a gaze begins.", minimum=0.05, maximum=0.99, live=True),
-    Parameter("gaze_off", 0.3, "Probability below which a gaze ends; below gaze_on, so that it does not flicker.",
+    Parameter("gaze_on", 0.45, "Probability from which a gaze begins.", minimum=0.05, maximum=0.99, live=True),
+    Parameter("gaze_off", 0.33, "Probability below which a gaze ends; below gaze_on, so that it does not flicker.",
               minimum=0.01,
               maximum=0.99, live=True),
     Parameter("gaze_hold", 0.3,
