@@ -226,3 +226,14 @@ def test_a_head_that_is_turned_half_the_way_looks_at_the_only_one_there():
         sd = math.hypot(0.09, 0.35 * (math.radians(head) - math.radians(30.0)))
         ann = room.person("ann", head_direction=turned, head_direction_sd=sd)
         assert room.look(1.5, [ann, room.person("bob")]) == {"ann": "bob"}, head
+
+
+@pytest.mark.parametrize("distance", [0.15, 0.25, 0.3, 0.5])
+def test_a_face_close_to_the_camera_that_looks_beside_it_by_two_degrees_looks_at_it(distance):
+    room = Room()
+    room.places["ann"] = np.array([distance, 0.0, 1.3])
+    beside = np.array([-math.cos(math.radians(2.0)), math.sin(math.radians(2.0)), 0.0])
+    away = np.array([-math.cos(math.radians(60.0)), math.sin(math.radians(60.0)), 0.0])
+    near = room.person("ann", head_direction=beside, gaze_direction=beside, eyes_closed=0.0)
+    assert room.look(0.2, [near]) == room.look(3.0, [near]) == {"ann": ROBOT}
+    assert room.look(3.0, [room.person("ann", head_direction=away, gaze_direction=away, eyes_closed=0.0)]) == {}

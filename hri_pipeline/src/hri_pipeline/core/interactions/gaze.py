@@ -130,6 +130,8 @@ _LEAST_DISTANCE = 0.2
 _BEHIND = 0.25
 """What hides somebody is at least this much nearer (m)."""
 _ROBOT_SD = 0.1
+_MOST_EXTENT = 0.2 ** 2
+"""Largest variance (rad^2) of where a target is seen: what fills the view is not looked at less for that."""
 _HALF_WEIGHT = 4.0
 """Distance (m) from which somebody is looked at half as often as somebody near: the outer part of Hall's social
 space."""
@@ -138,8 +140,8 @@ _HEAD_BESIDE_EYES = 0.64
 """How much the head's direction counts beside that of the eyes: its error stays the same as long as somebody looks at
 one target."""
 _UNSEEN_TRUNK_SD = 0.7
-"""Standard deviation (rad) of a trunk that is not seen from the direction to the robot: of whom a camera sees a face and
-no body, the body is mostly towards it."""
+"""Standard deviation (rad) of a trunk that is not seen from the direction to the robot: of whom a camera sees a face
+and no body, the body is mostly towards it."""
 _HEAD_GAIN_SD = 0.2
 """Standard deviation of the part of the way that heads turn: some people move their heads and others their eyes (Fuller
 1992: nearly none to nearly all of the way)."""
@@ -151,12 +153,13 @@ targets are beside each other."""
 class GazePriors:
     """Weights of the targets before a direction is known, over that of somebody who is silent and looks elsewhere."""
 
-    SPEAKING = 2.0
-    """Somebody who speaks. Listeners look 1.6 times as much at the one they listen to as at others, and 2.2 times as
-    much as a speaker does at one of several listeners (Vertegaal, Slagter, van der Veer, Nijholt, CHI 2001)."""
+    SPEAKING = 3.0
+    """Somebody who is heard. Among four, people looked seven times as much at the one to whom they listened as at
+    others (Vertegaal, Slagter, van der Veer, Nijholt, CHI 2001); less here, as a voice may be another one's."""
     MUTUAL = 1.5
-    """Somebody who looks at the observer: gazes that are met last and come back (Argyle and Cook 1976: of the 60 % of
-    the time in which one of two looks at the other, both do for half; by chance it would be 36 %)."""
+    """Somebody who looks at the observer. In the same study who speaks looks three times as much at whom he speaks to
+    as at others, and is looked at seven times as much: looks are returned, also where no voice is heard. Only a part of
+    it, so that an error does not breed another one."""
 
 _TWO_PI = 2.0 * math.pi
 
@@ -164,8 +167,8 @@ _TWO_PI = 2.0 * math.pi
 class SightLines:
     """Directions and distances from every observer to every target: the N people, then the robot; T = N + 1.
 
-    heads, gazes, faces, trunks, deviations, depths, faceless: those of the people. units: (N, T, 3) unit vectors; distances: (N, T) m;
-    possible: (N, T), which targets can be looked at.
+    heads, gazes, faces, trunks, deviations, depths, faceless: those of the people. units: (N, T, 3) unit vectors;
+    distances: (N, T) m; possible: (N, T), which targets can be looked at.
     """
 
     def __init__(self, people: PeopleSnapshot, robot: Optional[np.ndarray], max_distance: float) -> None:
@@ -198,8 +201,8 @@ class SightLines:
         own = (sideways @ self.depths[:, :2, None])[..., 0]
         others = (sideways * depths[:, :2]).sum(axis=2)
         square = self.distances * self.distances
-        return ((place + own * own + others * others) / square,
-                (place + self.depths[:, 2:] ** 2 + depths[:, 2] ** 2) / square)
+        return (np.minimum((place + own * own + others * others) / square, _MOST_EXTENT),
+                np.minimum((place + self.depths[:, 2:] ** 2 + depths[:, 2] ** 2) / square, _MOST_EXTENT))
 
     def weights(self, head_radius: float) -> np.ndarray:
         """Return the prior weights (N, T) of the targets, 0 to 1, before a direction is known.
@@ -296,8 +299,8 @@ def _head_for(units: np.ndarray, trunks: np.ndarray, settings: SimpleNamespace
     """Where the head points (N, T, 3) when somebody looks at each target, and its variances (N, T) rad^2 to the sides
     and up or down.
 
-    The head turns `head_gain` of the way from the trunk, in the horizontal plane, more or less. A trunk that is not seen
-    is taken to face the robot, the last target but one; without a robot the head points at the target.
+    The head turns `head_gain` of the way from the trunk, in the horizontal plane, more or less. A trunk that is not
+    seen is taken to face the robot, the last target but one; without a robot the head points at the target.
     """
     seen = trunks[:, 0] == trunks[:, 0]
     trunks = np.where(seen[:, None], trunks, units[:, -2])
@@ -346,8 +349,8 @@ class GazeTargetFilter:
         self._unseen = np.zeros(0)
         self._weights = self._latest_prior = np.zeros((0, 2))
 
-    def update(self, ids: Sequence[str], weights: np.ndarray, ratios: np.ndarray, times: np.ndarray, closed: np.ndarray,
-               dt: float, blinking: Optional[np.ndarray] = None) -> np.ndarray:
+    def update(self, ids: Sequence[str], weights: np.ndarray, ratios: np.ndarray, times: np.ndarray,
+               closed: np.ndarray, dt: float, blinking: Optional[np.ndarray] = None) -> np.ndarray:
         """Take the evidence of `dt` s; return what each person looks at (N,): index of a target, -1 for nobody.
 
         weights (N, T), ratios (N, T) and times (N,): see evidence; T = N + 1 with the robot last. closed (N,): the eyes

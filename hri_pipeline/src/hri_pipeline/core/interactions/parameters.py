@@ -42,12 +42,13 @@ _GAZE = (
               "Standard deviation of the direction of the eyes (gaze_ID) near the camera, on each axis. Larger: slower "
               "decisions, fewer wrong ones.", unit="rad", minimum=0.02, maximum=1.0, live=True),
     Parameter("gaze_without_face", False,
-              "Tell gazes of people of whom only the body is seen, by the head of the skeleton or the trunk: right four "
-              "times in ten.", live=True),
+              "Tell gazes of people of whom only the body is seen, by the head of the skeleton or the trunk: right "
+              "four times in ten.", live=True),
     Parameter("gaze_range", 5.0,
               "Distance from the camera from which the eyes are too small to be measured: beyond, gaze_ID counts no "
               "more than the direction of the head, and from half of it on less and less. Larger for cameras of high "
-              "resolution: about 4.5 m per 1000 px of focal length, where a face is 30 px wide.", unit="m", minimum=0.2, maximum=50.0, live=True),
+              "resolution: about 4.5 m per 1000 px of focal length, where a face is 30 px wide.",
+              unit="m", minimum=0.2, maximum=50.0, live=True),
     Parameter("head_sd", 0.09,
               "Standard deviation of the direction of the head from a face (face_ID), on each axis.", unit="rad",
               minimum=0.02,
@@ -67,8 +68,8 @@ _GAZE = (
               "not known. Larger: the head alone says less.", unit="rad", minimum=0.02, maximum=1.0, live=True),
     Parameter("trunk_target_sd", 0.6,
               "Standard deviation of the way from the direction of the trunk to what somebody looks at. Larger: people "
-              "of whom only the body is seen look at somebody less often (gaze_without_face).", unit="rad", minimum=0.1, maximum=2.0,
-              live=True),
+              "of whom only the body is seen look at somebody less often (gaze_without_face).",
+              unit="rad", minimum=0.1, maximum=2.0, live=True),
     Parameter("head_radius", 0.12,
               "Radius of a head: the nearer it is, the larger is the part of the view that it takes, and it hides who "
               "is behind.", unit="m",

@@ -63,13 +63,13 @@ class PeopleSnapshot:
     """N people in the reference frame (z up, m); what is not known is NaN. The rows of all arrays are those of `ids`.
 
     heads: (N, 3) m; gazes, faces, trunks: (N, 3) unit vectors; deviations: (N, 4) of head's place (m), face, gaze and
-    trunk (rad); closed: (N,) closedness of the eyes, 0 to 1; depths: (N, 3) direction
-    in which the head's place is least certain times its standard deviation (m) there, zeros unknown; faceless: (N,) bool, whose face is
-    not seen; speaking: (N,) bool, who is heard, None when nobody
-    listens.
+    trunk (rad); closed: (N,) closedness of the eyes, 0 to 1; depths: (N, 3) direction in which the head's place is
+    least certain times its standard deviation (m) there, zeros unknown; faceless: (N,) bool, whose face is not seen;
+    speaking: (N,) bool, who is heard, None when nobody listens.
     """
 
-    __slots__ = ("closed", "depths", "deviations", "faceless", "faces", "gazes", "heads", "ids", "speaking", "trunks")
+    __slots__ = ("closed", "depths", "deviations", "faceless", "faces", "gazes", "heads", "ids", "speaking",
+                 "trunks")
 
     def __init__(self, ids: List[str], heads: np.ndarray, gazes: np.ndarray, faces: np.ndarray, trunks: np.ndarray,
                  deviations: np.ndarray, closed: np.ndarray) -> None:
@@ -351,8 +351,8 @@ def _closed(frames: PeopleTf, face: Timed, gaze: Optional[Timed], closure: Optio
     return 1.0 if missing > settings.gaze_timeout else math.nan
 
 
-def _person(identity: str, mine: _Frames, closed: float, far: float, turn: float, poses: Mapping[str, Pose], sensors: Sequence[str]
-            ) -> Optional[_Person]:
+def _person(identity: str, mine: _Frames, closed: float, far: float, turn: float, poses: Mapping[str, Pose],
+            sensors: Sequence[str]) -> Optional[_Person]:
     """Choose among the frames whose sensors have a pose; None where there is none."""
     face, head, body, person, place, gaze = (row if row >= 0 and sensors[row] in poses else -1 for row in mine)
     if face >= 0:
