@@ -193,6 +193,19 @@ def test_blendshapes_are_a_second_opinion_where_the_eyes_disagree():
     assert degrees(estimator().estimate(agreed, pose, CAMERA, 1.0, shapes).direction, towards(10, 0)) < 1.0
 
 
+def test_fresh_blendshapes_are_asked_for_where_the_eyes_may_be_shut():
+    pose = pose_of()
+    asked = []
+
+    def shapes(needed):
+        asked.append(needed.tolist())
+        return np.stack([shapes_of(0.1)] * len(needed))
+
+    for opening, need in ((0.27, False), (0.15, True), (0.05, True)):
+        estimator(opening).estimate_all([mesh_of(pose, towards(0, 0), opening)], [pose], CAMERA, [1.0], shapes)
+        assert asked.pop() == [need]
+
+
 def test_tiny_faces_tell_nothing_of_the_lids_and_count_as_open():
     pose = pose_of(place=(0.0, 0.0, 12.0))
     assert estimator(0.05).estimate(mesh_of(pose, towards(0, 0), 0.05), pose, CAMERA).eyes_closed < OPEN

@@ -8,7 +8,7 @@ import json
 from benchmarks import interactions
 
 ASKED = {"gaze_3", "gaze_6", "gaze_without_closed_eyes_rule", "groups_f1", "cpu_percent_10", "cpu_percent_30",
-         "photographs", "eyes", "gaze_independent", "gaze_no_face",
+         "photographs", "gaze_real", "eyes", "gaze_independent", "gaze_no_face",
          "engagement", "crowd"}
 MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3], "versions": {}}
 

@@ -49,7 +49,6 @@ class FaceObservation:
     core.faces.expression.ExpressionEstimate; soft_biometrics: SoftBiometrics; each None when not estimated in this
     image. head_scale: size of this head over the canonical one, and its standard deviation; None without a pose.
     measured: False when the face was predicted and not measured in this image, because there were too many faces.
-    blendshapes: (52,) 0 to 1, see core.faces.blendshapes; None without a pose and when it was not measured.
     """
 
     id: str
@@ -65,7 +64,6 @@ class FaceObservation:
     head_scale: Optional[float] = None
     head_scale_sd: Optional[float] = None
     measured: bool = True
-    blendshapes: Optional[np.ndarray] = None
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import List, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -44,6 +44,8 @@ together are surer than they should be, as they come from the same points."""
 _MORE_CLOSED = 0.75
 """Weight of the eye that looks more closed: hair over one eye makes it look open, and little makes an open one look
 shut; a wink is as short as a blink."""
+_WIDE_OPEN = 0.2
+"""Aspect ratio of both lids from which no eye is shut, whoever's it is: blendshapes of a moment ago will do."""
 _LEVEL, _CLEARLY_OPEN = 0.4, 0.25
 """What is usual for somebody's eyes is learnt from images in which the eyes look less down than this (coefficient), and
 whose closedness, by what is usual for most people, is below this."""
@@ -96,8 +98,9 @@ class GazeEstimator:
         return self.estimate_all([mesh], [pose], camera, [presence], None if shapes is None else shapes[None])[0][0]
 
     def estimate_all(self, meshes: Sequence[np.ndarray], poses: Sequence[Pose], camera: CameraModel,
-                     presences: Sequence[float], shapes: Optional[np.ndarray] = None
-                     ) -> Tuple[List[GazeEstimate], np.ndarray]:
+                     presences: Sequence[float],
+                     shapes: Union[np.ndarray, Callable[[np.ndarray], np.ndarray], None] = None) -> Tuple[
+                         List[GazeEstimate], np.ndarray]:
         """Return direction and eye closure of each face, and the diameters of the irises (F, 2) px.
 
         There is a direction for closed eyes too (`GazeSmoother` withholds it).
@@ -113,7 +116,8 @@ class GazeEstimator:
         presences
             Probability 0 to 1 of each face.
         shapes
-            (F, 52) blendshapes; without them the lids are judged by their opening alone.
+            (F, 52) blendshapes, or what gives them, called with (F,) bool: whose eyes may be shut, so that fresh ones
+            are needed. None: the lids are judged by their opening alone.
         """
         if not len(meshes):
             return [], np.zeros((0, 2))
@@ -121,6 +125,9 @@ class GazeEstimator:
         rotations = np.stack([pose.rotation for pose in poses])
         measures = self._eyes.measure(stack, rotations, np.stack([pose.translation for pose in poses]), camera)
         widths = stack[..., 0].max(axis=1) - stack[..., 0].min(axis=1)
+        if callable(shapes):
+            openness = np.where(measures.visibility > 0.3, measures.openness, np.inf).min(axis=1)
+            shapes = shapes(~((openness > _WIDE_OPEN) & np.isfinite(openness)))
         lids = _lids(measures, widths, shapes)
         directions, iris_weights = _directions(measures, rotations, shapes)
         gazes = []

@@ -79,6 +79,8 @@ _DETECTION_AGE = 0.4
 """Fraction of `face_support_time` without a detection after which the detector is asked for where the face is."""
 _PREDICTION_TIME = 0.3
 """Time constant (s) with which the presence of a face that was not measured falls."""
+_SHAPES_AGE = 0.4
+"""Time (s) for which blendshapes of open eyes are used again: half a millisecond for each face."""
 _SKIN = np.array([1, 4, 5, 6, 9, 151, 195, 197, 50, 280, 101, 330, 36, 266, 117, 346, 107, 336, 8, 168])
 """Vertices of nose, cheeks and forehead, where a depth image sees skin and neither hair nor background."""
 
@@ -503,19 +505,26 @@ class FaceGeometry:
     def _measure_eyes(self, posed: Sequence[Tuple[_Face, TrackedFace, Pose]], camera: CameraModel, stamp: float,
                       depth: Optional[np.ndarray]) -> None:
         """Measure gaze and head size of the faces that have a pose."""
-        meshes = [found.mesh for _, found, _ in posed]
-        shapes = self._blendshapes.run(meshes)
         gazes, irises = self._gazes.estimate_all(
-            meshes, [pose for _, _, pose in posed], camera, [found.presence for _, found, _ in posed], shapes)
+            [found.mesh for _, found, _ in posed], [pose for _, _, pose in posed], camera,
+            [found.presence for _, found, _ in posed], lambda needed: self._shapes(posed, needed, stamp))
         focal = float(camera.matrix[0, 0])
-        for (face, found, pose), gaze, diameters, movements in zip(posed, gazes, irises, shapes):
-            face.blendshapes = movements
+        for (face, found, pose), gaze, diameters in zip(posed, gazes, irises):
             face.gaze = face.gaze_smoother(gaze, stamp)
             from_eyes = 0.0 if face.gaze_smoother.is_closed else gaze.from_eyes
             for source, scale in (("iris", scale_from_iris(diameters, pose, self._eyes, focal, from_eyes)),
                                   ("depth", self._depth_scale(found.mesh, pose, depth))):
                 if scale is not None:
                     face.scale.add(source, scale)
+
+    def _shapes(self, posed: Sequence[Tuple[_Face, TrackedFace, Pose]], needed: np.ndarray,
+                stamp: float) -> np.ndarray:
+        """Blendshapes (F, 52): fresh ones where they are needed, else those of a moment ago."""
+        due = [(face, found.mesh) for (face, found, _), need in zip(posed, needed.tolist())
+               if need or face.blendshapes is None or not 0.0 <= stamp - face.shaped_at < _SHAPES_AGE]
+        for (face, _), face_shapes in zip(due, self._blendshapes.run([mesh for _, mesh in due])):
+            face.blendshapes, face.shaped_at = face_shapes, stamp
+        return np.stack([face.blendshapes for face, _, _ in posed if face.blendshapes is not None])
 
     def _depth_scale(self, mesh: np.ndarray, pose: Pose, depth: Optional[np.ndarray]) -> Optional[float]:
         if depth is None:
@@ -532,8 +541,7 @@ class FaceGeometry:
         if gaze is not None and not found.measured:
             gaze = GazeEstimate(gaze.direction, gaze.confidence * found.presence, gaze.eyes_closed, gaze.from_eyes)
         return FaceObservation(found.id, found.box, found.presence, landmarks, found.mesh, pose, gaze,
-                               head_scale=scale, head_scale_sd=scale_sd, measured=found.measured,
-                               blendshapes=face.blendshapes if found.measured and face.raw is not None else None)
+                               head_scale=scale, head_scale_sd=scale_sd, measured=found.measured)
 
     @staticmethod
     def _placed(face: _Face, found: TrackedFace, camera: CameraModel, stamp: float
@@ -562,6 +570,7 @@ class _Face:
         self.gaze: Optional[GazeEstimate] = None
         self.mesh: Optional[np.ndarray] = None
         self.blendshapes: Optional[np.ndarray] = None
+        self.shaped_at = -math.inf
 
     def set_pose(self, pose: Optional[Pose], mesh: np.ndarray, stamp: float) -> None:
         """Set the pose measured in the image of `stamp` (s), None for no plausible one."""

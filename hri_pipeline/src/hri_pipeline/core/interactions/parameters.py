@@ -38,7 +38,7 @@ _FRAMES = (
 )
 
 _GAZE = (
-    Parameter("gaze_sd", 0.11,
+    Parameter("gaze_sd", 0.1,
               "Standard deviation of the direction of the eyes (gaze_ID) near the camera, on each axis. Larger: slower "
               "decisions, fewer wrong ones.", unit="rad", minimum=0.02, maximum=1.0, live=True),
     Parameter("gaze_without_face", False,
@@ -77,7 +77,7 @@ _GAZE = (
     Parameter("max_distance", 8.0,
               "People and robots that are farther away are not looked at.", unit="m", minimum=0.5, maximum=100.0,
               live=True),
-    Parameter("nobody_prior", 0.3,
+    Parameter("nobody_prior", 0.4,
               "Part of the time in which people look at nobody. Higher: fewer gazes, surer ones.", minimum=0.01,
               maximum=0.99, live=True),
     Parameter("nobody_field", 2.0,
