@@ -37,6 +37,7 @@ KEYS: Sequence[Tuple[str, str, Callable[[object], bool]]] = (
     ("face_body_depth_ratio_median", "0.85 .. 1.15",
      lambda value: isinstance(value, float) and 0.85 <= value <= 1.15),
     ("eyes_closed", "(told)", lambda value: value is not None),
+    ("expression", "precision >= 0.8", lambda value: isinstance(value, dict) and value["precision"] >= 0.8),
     ("recognition", "wrong 0, unknown 0", _no_error("wrong", "unknown")),
     ("ids_60s", "5", lambda value: value == 5), ("gallery_1000_ms", "(told)", lambda value: value is not None),
     ("churn_2000", "flat", lambda value: isinstance(value, dict) and all(
@@ -45,7 +46,8 @@ KEYS: Sequence[Tuple[str, str, Callable[[object], bool]]] = (
 PARTS: Dict[str, Sequence[str]] = {
     "cpu": ("cpu_ms_1", "cpu_ms_3", "cpu_ms_10"), "pose": ("pose_mae_deg", "pose_position_percent"),
     "portraits": ("portrait_pitch_median_deg",), "depth": ("face_body_depth_ratio_median",),
-    "eyes": ("eyes_closed",), "recognition": ("recognition",), "ids": ("ids_60s",), "gallery": ("gallery_1000_ms",),
+    "eyes": ("eyes_closed",), "expression": ("expression",),
+    "recognition": ("recognition",), "ids": ("ids_60s",), "gallery": ("gallery_1000_ms",),
     "churn": ("churn_2000",)}
 
 
@@ -101,6 +103,9 @@ def _measure(part: str, models: Path) -> Dict[str, object]:
         return {"face_body_depth_ratio_median": face_body_depth_ratio_median(models)}
     if part == "churn":
         return {"churn_2000": face_figures.churn(CHURN_FACES, models)}
+    if part == "expression":
+        figures = face_figures.expressions(models)
+        return {"expression": dict(figures["expression"], tuned=figures["tuned"])}
     if part == "ids":
         return {"ids_60s": face_figures.ids(models, IDS_SECONDS)}
     key = PARTS[part][0]

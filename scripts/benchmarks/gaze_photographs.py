@@ -93,6 +93,16 @@ def confusion(gazes: Sequence[LabelledGaze], answers: Sequence[GazeAnswer]) -> D
     return table
 
 
+def told_of(table: Mapping[str, Mapping[str, int]]) -> Dict[str, float]:
+    """Return precision and recall of the looks into the camera and at people out of a confusion table, and how many
+    looks were told and are there."""
+    told = {truth: sum(row[answer] for answer in (CAMERA, PERSON, WRONG_PERSON)) for truth, row in table.items()}
+    right = table[CAMERA][CAMERA] + table[PERSON][PERSON]
+    there = sum(table[CAMERA].values()) + sum(table[PERSON].values())
+    return {"precision": right / max(1, sum(told.values())), "recall": right / max(1, there),
+            "told": sum(told.values()), "looks": there}
+
+
 def photographs(models: Path, overlay: Optional[Path] = None, settings: Optional[SimpleNamespace] = None
                 ) -> Dict[str, Dict[str, Dict[str, int]]]:
     """Return confusion tables, rows truth, of all labelled faces; each picture is looked at as a film of 2 s.

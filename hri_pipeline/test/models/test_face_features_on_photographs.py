@@ -117,7 +117,7 @@ def test_evident_expressions(evident):
     model = ExpressionModel(models_directory() / "face_expression.onnx")
     right, confidences = [], []
     for label, image, mesh, units in evident:
-        probabilities = model.probabilities([model.crop(image, mesh)])[0]
+        probabilities = model.probabilities([model.crops(image, mesh)])[0]
         estimate = ExpressionTracker().update(probabilities, units, 0.0)
         right.append(estimate.category == label)
         confidences.append(estimate.confidence)

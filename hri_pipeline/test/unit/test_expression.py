@@ -7,12 +7,15 @@ from hri_pipeline.core.faces.action_units import SLOTS, ActionUnits
 from hri_pipeline.core.faces.expression import (
     CATEGORIES,
     HOLD_TIME,
+    LEAST_CONFIDENCE,
     NETWORK_MEMORY,
     PLANE,
     PROTOTYPES,
+    ExpressionModel,
     ExpressionTracker,
     tempered,
     unit_scores,
+    view_quality,
 )
 
 EMFACS = {"happy": (6, 12), "sad": (1, 4, 15, 17), "angry": (4, 5, 7, 23, 24), "scared": (1, 2, 4, 5, 20, 25, 26),
@@ -63,6 +66,47 @@ def test_agreement_is_surer_and_contradiction_less_sure_than_the_network_alone()
     assert agreed.category == "happy" and agreed.confidence > alone
     assert doubtful.category == "happy" and doubtful.confidence < alone - 0.1
     assert clear.category == "angry"
+
+
+def test_raised_corners_of_a_mouth_that_weeps_are_no_smile():
+    estimate = ExpressionTracker().update(sure("sad", 0.9), units((12,), 0.7, 0.7), 0.0)
+    assert estimate.category == "sad"
+    assert estimate.confidence < LEAST_CONFIDENCE, "both disagree: nothing is told"
+
+
+def test_a_face_that_is_small_or_turned_away_is_less_sure():
+    tracker = ExpressionTracker()
+    assert tracker.update(sure("happy"), None, 0.0, 0.5).confidence == pytest.approx(0.47)
+    mesh = np.array([[0.0, 0.0], [100.0, 120.0]])
+    assert view_quality(mesh, 0.2) == view_quality(mesh, None) == 1.0
+    assert view_quality(mesh, 1.2) == 0.0 and view_quality(0.2 * mesh, 0.0) == 0.0
+    assert 0.0 < view_quality(0.4 * mesh, 0.8) < view_quality(mesh, 0.8) < 1.0
+
+
+class Network:
+    """Instead of the network: sure of one category for each view, in turn."""
+
+    def __init__(self, *indices):
+        self.indices, self.seen = indices, None
+
+    def run(self, feed):
+        self.seen = feed["image"]
+        return {"expression": np.eye(7, dtype=np.float32)[[self.indices[row % len(self.indices)]
+                                                           for row in range(len(self.seen))]]}
+
+
+def test_two_views_of_which_one_is_mirrored_are_averaged():
+    model = ExpressionModel.__new__(ExpressionModel)
+    model._model = Network(1, 1, 1, 2)
+    image = np.random.RandomState(0).randint(0, 255, (200, 200, 3)).astype(np.uint8)
+    mesh = np.random.RandomState(1).uniform(50, 150, (478, 3))
+    views = model.crops(image, mesh)
+    assert views.shape == (2, 112, 112, 3)
+    agreed, split = model.probabilities([views, views])
+    assert agreed.argmax() == 1 and agreed[1] > 0.9
+    assert split[1] == pytest.approx(split[2]) and split[1] < 0.51
+    assert (model._model.seen[0] == views[0][..., ::-1]).all(), "RGB"
+    assert model.probabilities([]).shape == (0, 7)
 
 
 def test_units_that_are_seen_badly_say_little():

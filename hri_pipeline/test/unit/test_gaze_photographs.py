@@ -18,6 +18,7 @@ from benchmarks.gaze_photographs import (
     confusion,
     labelled_gazes,
     observers,
+    told_of,
 )
 from benchmarks.labels import labelled_eyes
 from hri_pipeline.core.geometry import Pose
@@ -88,3 +89,12 @@ def test_a_face_becomes_an_onlooker_in_a_level_frame() -> None:
     assert person.gaze_direction is not None
     assert np.allclose(person.gaze_direction, -person.head / np.linalg.norm(person.head))
     assert person.eyes_closed == pytest.approx(0.8)
+
+
+def test_precision_and_recall_of_the_looks_that_are_told() -> None:
+    table = {truth: dict.fromkeys(("camera", "person", "wrong person", "nobody", "closed", "not found"), 0)
+             for truth in ("camera", "person", "nobody", "closed")}
+    table["camera"].update({"camera": 6, "nobody": 2})
+    table["person"].update({"person": 1, "wrong person": 1})
+    table["nobody"]["camera"] = 2
+    assert told_of(table) == {"precision": 0.7, "recall": 0.7, "told": 10, "looks": 10}

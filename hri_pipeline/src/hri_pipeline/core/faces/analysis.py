@@ -32,7 +32,14 @@ import numpy as np
 
 from hri_pipeline.core.faces.action_units import ActionUnitEstimator, ActionUnits, FaceMeasures
 from hri_pipeline.core.faces.age_gender import AgeGenderFusion, load_age_gender
-from hri_pipeline.core.faces.expression import ExpressionEstimate, ExpressionModel, ExpressionTracker
+from hri_pipeline.core.faces.crops import turned_away
+from hri_pipeline.core.faces.expression import (
+    LEAST_CONFIDENCE,
+    ExpressionEstimate,
+    ExpressionModel,
+    ExpressionTracker,
+    view_quality,
+)
 from hri_pipeline.core.faces.mesh import CanonicalFace
 from hri_pipeline.core.faces.scheduler import CropQualities, TimeBudget, most_overdue, next_turn
 from hri_pipeline.core.observations import FaceObservation, SoftBiometrics
@@ -196,7 +203,8 @@ class FaceAnalysis:
             for face in faces:
                 if face.id in wanted and face.measured:
                     estimator = self._units.setdefault(face.id, ActionUnitEstimator(self._measures))
-                    found[face.id] = estimator.update(face.mesh, face.pose, stamp, face.score, size)
+                    closed = None if face.gaze is None else face.gaze.eyes_closed
+                    found[face.id] = estimator.update(face.mesh, face.pose, stamp, face.score, size, closed)
         return found
 
     def _assess(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float,
@@ -295,7 +303,7 @@ class ExpressionProcessor:
         face, _ = self._next(faces, stamp, wanted)
         if face is not None:
             self._last_runs[face.id] = stamp
-            self._fresh[face.id] = self._model.probabilities([self._model.crop(bgr, face.mesh)])[0]
+            self._fresh[face.id] = self._model.probabilities([self._model.crops(bgr, face.mesh)])[0]
 
     def combine(self, faces: Sequence[FaceObservation], units: Mapping[str, ActionUnits], stamp: float,
                 wanted: AbstractSet[str]) -> None:
@@ -304,11 +312,14 @@ class ExpressionProcessor:
         for face in faces:
             if face.id in wanted and face.measured:
                 tracker = self._trackers.setdefault(face.id, ExpressionTracker())
-                self._latest[face.id] = tracker.update(self._fresh.pop(face.id, None), units.get(face.id), stamp)
+                quality = view_quality(face.mesh, None if face.pose is None else turned_away(face.pose))
+                self._latest[face.id] = tracker.update(self._fresh.pop(face.id, None), units.get(face.id), stamp,
+                                                       quality)
 
     def estimate(self, face_id: str) -> Optional[ExpressionEstimate]:
-        """Return the expression of a face in this image, None when it was not measured."""
-        return self._latest.get(face_id)
+        """Return the expression of a face in this image, None when it was not measured or is not sure enough."""
+        latest = self._latest.get(face_id)
+        return None if latest is None or latest.confidence < LEAST_CONFIDENCE else latest
 
     def _next(self, faces: Sequence[FaceObservation], stamp: float, wanted: AbstractSet[str]
               ) -> Tuple[Optional[FaceObservation], float]:

@@ -1,7 +1,10 @@
-"""Gaze direction and eye closure of a face, from the irises, the eyelids and the head pose together.
+"""Gaze direction and eye closure of a face, from irises, eyelids, blendshapes and the head pose together.
 
 The irises are more accurate than the head while they are large enough to be measured; below that the direction is the
-head's, with a lower confidence. While the eyes are closed there is no direction.
+head's, with a lower confidence. While the eyes are closed there is no direction. Eyes are closed for their own person:
+the opening of the lids and the blink coefficients of the blendshapes are compared with what they usually are
+(`OpenEyes`). As long as that is not known, they are those of most people, so that narrow eyes, eyes that look down and
+small faces are open unless they are clearly shut.
 
 Eyeball constants: fitted on 36 open-eyed faces of portraits, most of which look at the camera. The two eyes then
 disagree by 7.0 degrees and the mean of both is 4.5 degrees off the camera (medians); with an eyeball of 12 mm radius
@@ -14,27 +17,52 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import List, Optional, Sequence, Tuple
+from typing import Callable, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.faces.action_units import RunningNeutral
+from hri_pipeline.core.faces.blendshapes import EYE_BLINK, LOOK_DOWN, LOOK_IN, LOOK_OUT, LOOK_UP
 from hri_pipeline.core.faces.mesh import CanonicalFace
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import GazeEstimate
 from hri_pipeline.core.one_euro import OneEuro
 
-CLOSED_RATIO = 0.17
-"""Aspect ratio of the lids (geometric mean of both eyes) below which they are closed: right for all of 62 closed and
-120 open labelled faces (scripts/benchmarks/eyes.txt), on which it was set; 0.175 takes one laughing face for closed."""
-_RATIO_WIDTH = 0.02
-"""Change of the aspect ratio that makes the odds of closed e times as large: its noise."""
+USUAL_OPENNESS, USUAL_BLINK = (0.27, 0.05), (0.22, 0.10)
+"""Aspect ratio of open lids and their blink coefficient: mean and standard deviation over people and pictures, of the
+tuning half of scripts/benchmarks/eyes.txt (see `face_figures.TUNING`)."""
+_SHUT_PART, _SHUT_OPENNESS = 0.45, (0.07, 0.15)
+"""Lids are shut below this part of their usual opening, within these limits of the ratio."""
+_SHUT_BLINK, _BLINK_LIMITS = 0.76, (0.47, 0.60)
+"""Blink coefficient of shut eyes; the limit lies half way from the usual one to it, within these limits."""
+_DOWN_OPENNESS, _DOWN_BLINK = 0.2, 0.04
+"""Lids that follow a gaze straight down: narrower by this part, blink coefficient higher by this."""
+_OPENNESS_WIDTH, _BLINK_WIDTH, _SHARED = 0.02, 0.04, 1.5
+"""Change of ratio and of coefficient that makes the odds of closed e times as large: their noise; and by how much both
+together are surer than they should be, as they come from the same points."""
+_MORE_CLOSED = 0.75
+"""Weight of the eye that looks more closed: hair over one eye makes it look open, and little makes an open one look
+shut; a wink is as short as a blink."""
+_WIDE_OPEN = 0.2
+"""Aspect ratio of both lids from which no eye is shut, whoever's it is: blendshapes of a moment ago will do."""
+_LEVEL, _CLEARLY_OPEN = 0.4, 0.25
+"""What is usual for somebody's eyes is learnt from images in which the eyes look less down than this (coefficient), and
+whose closedness, by what is usual for most people, is below this."""
+_UNKNOWN = 0.3
+"""Closedness of eyes of which nothing is known, as of a face too small for them: open, below OPEN."""
 CLOSED, OPEN = 0.65, 0.35
 """Smoothed closedness from which the eyes are closed, and below which they are open again."""
 _CLOSED_TIME = 0.06
 """Time constant (s) of the closedness: shorter than a blink (0.1 to 0.3 s), longer than one image's noise."""
-LEAST_IRIS, GOOD_IRIS = 5.0, 10.0
-"""Diameter (px) of the iris up to which it is not used, and from which the head pose is not used."""
+LEAST_IRIS, GOOD_IRIS = np.array([2.4, 3.0]), np.array([4.5, 7.0])
+"""Diameter (px) of the iris up to which it is not used, and from which the head pose is not used, to the sides, and up
+or down. Pictures made smaller, blurred, noisy and compressed: at 2.6 px (a face of 30 px) the turn to the sides is
+still the full picture's (slope 0.9), up and down it is not (0.1); at 3.5 px 1.0 and 0.4, at 5.2 px 0.95 and 0.7."""
+_SHAPE_TURN, _SHAPE_UP = np.deg2rad(25.0), np.deg2rad((30.0, 6.0))
+"""Turn (rad) of eyes in the head by the blendshapes: to the side per unit; up per unit, and of eyes straight ahead."""
+_SECOND_OPINION = 0.5
+"""Weight of that where the irises have none, beside the head: its error is twice that of the irises."""
 MAX_AWAY = np.deg2rad((40.0, 30.0))
 """Largest turn (rad) of eyes in the head, to the sides and up or down (Stahl 1999: people turn the head before)."""
 _AGREE, _DISAGREE = np.deg2rad(8.0), np.deg2rad(25.0)
@@ -64,12 +92,15 @@ class GazeEstimator:
     def __init__(self, eyes: EyeGeometry) -> None:
         self._eyes = eyes
 
-    def estimate(self, mesh: np.ndarray, pose: Pose, camera: CameraModel, presence: float = 1.0) -> GazeEstimate:
-        """Return the gaze of one face, see `estimate_all`."""
-        return self.estimate_all([mesh], [pose], camera, [presence])[0][0]
+    def estimate(self, mesh: np.ndarray, pose: Pose, camera: CameraModel, presence: float = 1.0,
+                 shapes: Optional[np.ndarray] = None) -> GazeEstimate:
+        """Return the gaze of one face, see `estimate_all`; shapes: (52,)."""
+        return self.estimate_all([mesh], [pose], camera, [presence], None if shapes is None else shapes[None])[0][0]
 
     def estimate_all(self, meshes: Sequence[np.ndarray], poses: Sequence[Pose], camera: CameraModel,
-                     presences: Sequence[float]) -> Tuple[List[GazeEstimate], np.ndarray]:
+                     presences: Sequence[float],
+                     shapes: Union[np.ndarray, Callable[[np.ndarray], np.ndarray], None] = None) -> Tuple[
+                         List[GazeEstimate], np.ndarray]:
         """Return direction and eye closure of each face, and the diameters of the irises (F, 2) px.
 
         There is a direction for closed eyes too (`GazeSmoother` withholds it).
@@ -84,6 +115,9 @@ class GazeEstimator:
             Camera model of the image's size.
         presences
             Probability 0 to 1 of each face.
+        shapes
+            (F, 52) blendshapes, or what gives them, called with (F,) bool: whose eyes may be shut, so that fresh ones
+            are needed. None: the lids are judged by their opening alone.
         """
         if not len(meshes):
             return [], np.zeros((0, 2))
@@ -91,50 +125,123 @@ class GazeEstimator:
         rotations = np.stack([pose.rotation for pose in poses])
         measures = self._eyes.measure(stack, rotations, np.stack([pose.translation for pose in poses]), camera)
         widths = stack[..., 0].max(axis=1) - stack[..., 0].min(axis=1)
-        closed = _closedness(measures, widths)
-        directions, iris_weights = _directions(measures, rotations)
+        if callable(shapes):
+            openness = np.where(measures.visibility > 0.3, measures.openness, np.inf).min(axis=1)
+            shapes = shapes(~((openness > _WIDE_OPEN) & np.isfinite(openness)))
+        lids = _lids(measures, widths, shapes)
+        directions, iris_weights = _directions(measures, rotations, shapes)
         gazes = []
         for index, presence in enumerate(presences):
             confidence = HEAD_CONFIDENCE + iris_weights[index] * (EYES_CONFIDENCE - HEAD_CONFIDENCE)
-            gazes.append(GazeEstimate(directions[index], float(confidence * presence), float(closed[index]),
-                                      float(iris_weights[index])))
+            gazes.append(GazeEstimate(directions[index], float(confidence * presence), closedness(lids[index]),
+                                      float(iris_weights[index]), lids[index]))
         return gazes, measures.irises
 
 
-def _closedness(measures: EyeMeasures, widths: np.ndarray) -> np.ndarray:
-    """(F,) how likely the eyes are closed, 0 to 1, 0.5 when nothing is known; looking down counts as closed."""
-    # In profile only the near eye counts.
-    weights = np.maximum(measures.visibility, 1e-3) ** 2
-    # The geometric mean: hair over one eye makes it look wide open, and nothing makes an open one look shut.
-    logs = np.log(np.maximum(measures.openness, 1e-3))
-    ratio = np.exp((weights * logs).sum(axis=1) / weights.sum(axis=1))
-    known = np.minimum(np.maximum((widths - _LEAST_FACE) / (_GOOD_FACE - _LEAST_FACE), 0.0), 1.0)
-    odds = np.minimum(np.maximum((CLOSED_RATIO - ratio) / _RATIO_WIDTH, -30.0), 30.0)
-    closed = 0.5 + known * (1.0 / (1.0 + np.exp(-odds)) - 0.5)
-    return np.where(np.isfinite(ratio), closed, 0.5)
+class Lids(NamedTuple):
+    """What one image says of the lids of a face, the subject's right eye first.
+
+    openness: aspect ratios; blink: coefficients of the blendshapes, None without them; weights: how well each eye is
+    seen; down: how far the eyes look down, 0 to 1; known: 0 (a face too small for its lids) to 1.
+    """
+
+    openness: Tuple[float, float]
+    blink: Optional[Tuple[float, float]]
+    weights: Tuple[float, float]
+    down: float
+    known: float
 
 
-def _directions(measures: EyeMeasures, rotations: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+_ANYBODY = (USUAL_OPENNESS[0], USUAL_OPENNESS[0], USUAL_BLINK[0], USUAL_BLINK[0])
+
+
+def closedness(lids: Lids, usual: Sequence[float] = _ANYBODY) -> float:
+    """Return how likely the eyes are closed, 0 to 1, _UNKNOWN when nothing is known.
+
+    usual: aspect ratio of the right and of the left eye while they are open, and their blink coefficients.
+    """
+    odds = [min(max(_odds(lids, side, usual[side], usual[2 + side]), -30.0), 30.0) for side in (0, 1)]
+    more = 0 if odds[0] > odds[1] else 1
+    weights = [lids.weights[side] * (_MORE_CLOSED if side == more else 1.0 - _MORE_CLOSED) for side in (0, 1)]
+    mean = (weights[0] * odds[0] + weights[1] * odds[1]) / (weights[0] + weights[1])
+    if not math.isfinite(mean):
+        return _UNKNOWN
+    return _UNKNOWN + lids.known * (1.0 / (1.0 + math.exp(-mean)) - _UNKNOWN)
+
+
+def _odds(lids: Lids, side: int, openness: float, blink: float) -> float:
+    """Logarithm of the odds that one eye is shut."""
+    limit = min(max(_SHUT_PART * openness, _SHUT_OPENNESS[0]), _SHUT_OPENNESS[1]) * (1.0 - _DOWN_OPENNESS * lids.down)
+    odds = (limit - lids.openness[side]) / _OPENNESS_WIDTH
+    if lids.blink is None:
+        return odds
+    limit = min(max(0.5 * (blink + _SHUT_BLINK), _BLINK_LIMITS[0]), _BLINK_LIMITS[1]) + _DOWN_BLINK * lids.down
+    return (odds + (lids.blink[side] - limit) / _BLINK_WIDTH) / _SHARED
+
+
+class OpenEyes:
+    """What is usual for the open eyes of one person: learnt while they look ahead or up and are clearly open."""
+
+    def __init__(self) -> None:
+        mean, deviation = (np.repeat([USUAL_OPENNESS[column], USUAL_BLINK[column]], 2) for column in (0, 1))
+        # Lids are lowered more often than they are wide.
+        self._neutral = RunningNeutral(mean, deviation, np.array([0.6, 0.6, 0.4, 0.4]))
+
+    def closedness(self, lids: Lids, stamp: float) -> float:
+        """Return how likely the eyes are closed at `stamp` (s), 0 to 1, and learn from them when they are open."""
+        usual: Sequence[float] = self._neutral.value.tolist()
+        if lids.blink is not None and lids.known >= 0.5 and min(lids.weights) > 0.3 and lids.down < _LEVEL:
+            if closedness(lids) < _CLEARLY_OPEN:
+                self._neutral.add(np.array(lids.openness + lids.blink), stamp)
+        return closedness(lids, usual)
+
+
+def _lids(measures: EyeMeasures, widths: np.ndarray, shapes: Optional[np.ndarray]) -> List[Lids]:
+    """Lids of each face; in profile only the near eye counts."""
+    best = np.maximum(measures.visibility.max(axis=1, keepdims=True), 1e-3)
+    # From 30 degrees of yaw on the far eye is seen less than 0.6 as well as the near one.
+    weights = np.minimum(np.maximum((measures.visibility / best - 0.6) / 0.3, 1e-3), 1.0).tolist()
+    known = np.minimum(np.maximum((widths - _LEAST_FACE) / (_GOOD_FACE - _LEAST_FACE), 0.0), 1.0).tolist()
+    blinks: Sequence[Optional[Tuple[float, float]]] = [None] * len(widths)
+    if shapes is not None:
+        blinks = [(right, left) for right, left in shapes[:, EYE_BLINK].tolist()]
+    downs = [0.0] * len(widths) if shapes is None else shapes[:, LOOK_DOWN].mean(axis=1).tolist()
+    return [Lids(tuple(openness), blink, tuple(weight), down, one) for openness, blink, weight, down, one
+            in zip(measures.openness.tolist(), blinks, weights, downs, known)]
+
+
+def _directions(measures: EyeMeasures, rotations: np.ndarray, shapes: Optional[np.ndarray]
+                ) -> Tuple[np.ndarray, np.ndarray]:
     """(F, 3) directions of the gaze, and (F,) weight of the irises, 0 to 1: 0 is the head alone."""
-    sizes = (measures.irises - LEAST_IRIS) / (GOOD_IRIS - LEAST_IRIS)
-    weights = measures.visibility * np.minimum(np.maximum(sizes, 0.0), 1.0)
+    # Beyond 40 degrees of yaw the near eye alone.
+    seen = _limited((measures.visibility - 0.25) / 0.5)
     lines = measures.lines
+    finite = np.isfinite(lines).all(axis=(1, 2))
+    mean = (np.nan_to_num(lines) * (seen + 1e-9)[..., None]).sum(axis=1)
     apart = np.arccos(np.minimum(np.maximum((lines[:, 0] * lines[:, 1]).sum(axis=1), -1.0), 1.0))
     agree = np.minimum(np.maximum((_DISAGREE - apart) / (_DISAGREE - _AGREE), 0.0), 1.0)
-    iris_weight = weights.max(axis=1) * np.where(measures.visibility.min(axis=1) > 0.3, agree, 1.0)
-    iris_weight = np.where(np.isfinite(lines).all(axis=(1, 2)), iris_weight, 0.0)
-    mean = (np.nan_to_num(lines) * (weights + 1e-9)[..., None]).sum(axis=1)
+    agree = np.where(finite, np.where(measures.visibility.min(axis=1) > 0.3, agree, 1.0), 0.0)
+    sizes = _limited((measures.irises[..., None] - LEAST_IRIS) / (GOOD_IRIS - LEAST_IRIS))
+    large = (seen[..., None] * sizes).max(axis=1)
+    weights = large * agree[:, None]
     # In the head: x out of the face, y to the subject's left, z up.
     inside = (mean[:, None] @ rotations)[:, 0]
-    left = np.arctan2(inside[:, 1], inside[:, 0])
-    up = np.arctan2(inside[:, 2], np.sqrt(inside[:, 0] ** 2 + inside[:, 1] ** 2))
+    angles = np.stack([np.arctan2(inside[:, 1], inside[:, 0]),
+                       np.arctan2(inside[:, 2], np.sqrt(inside[:, 0] ** 2 + inside[:, 1] ** 2))], axis=1)
     # A larger turn than eyes can make is an error; where the irises have no weight, the head is used.
-    left = np.minimum(np.maximum(left, -MAX_AWAY[0]), MAX_AWAY[0])
-    up = np.minimum(np.maximum(up, -MAX_AWAY[1]), MAX_AWAY[1])
-    inside = iris_weight[:, None] * np.stack([np.cos(up) * np.cos(left), np.cos(up) * np.sin(left), np.sin(up)], axis=1)
-    inside[:, 0] += 1.0 - iris_weight
-    inside /= np.sqrt((inside ** 2).sum(axis=1))[:, None]
-    return (rotations @ inside[..., None])[..., 0], iris_weight
+    angles = weights * np.minimum(np.maximum(angles, -MAX_AWAY), MAX_AWAY)
+    if shapes is not None:
+        angles += _SECOND_OPINION * (large - weights) * _eyes_in_head(shapes)
+    cosine = np.cos(angles[:, 1])
+    turned = np.stack([cosine * np.cos(angles[:, 0]), cosine * np.sin(angles[:, 0]), np.sin(angles[:, 1])], axis=1)
+    return (rotations @ turned[..., None])[..., 0], weights[:, 0]
+
+
+def _eyes_in_head(shapes: np.ndarray) -> np.ndarray:
+    """(F, 2) turn of the eyes to the subject's left, and up, rad, by the blendshapes (F, 52)."""
+    left = shapes[:, LOOK_IN[RIGHT]] - shapes[:, LOOK_OUT[RIGHT]] + shapes[:, LOOK_OUT[LEFT]] - shapes[:, LOOK_IN[LEFT]]
+    up = (shapes[:, LOOK_UP] - shapes[:, LOOK_DOWN]).mean(axis=1)
+    return np.stack([0.5 * _SHAPE_TURN * left, _SHAPE_UP[0] * up + _SHAPE_UP[1]], axis=1)
 
 
 class GazeSmoother:
@@ -143,17 +250,17 @@ class GazeSmoother:
     def __init__(self, min_cutoff: float = 2.0, beta: float = 6.0) -> None:
         """min_cutoff: Hz at rest; beta: Hz per (rad/s)."""
         self._direction = OneEuro(min_cutoff, beta)
+        self._eyes = OpenEyes()
         self._closed: Optional[float] = None
         self._stamp = 0.0
         self.is_closed = False
 
     def __call__(self, gaze: GazeEstimate, stamp: float) -> GazeEstimate:
         """Return the filtered gaze at `stamp` (s); its direction is None while the eyes are closed."""
-        if self._closed is None or stamp < self._stamp:
-            closed = gaze.eyes_closed
-        else:
+        closed = gaze.eyes_closed if gaze.lids is None else self._eyes.closedness(gaze.lids, stamp)
+        if self._closed is not None and stamp >= self._stamp:
             gain = 1.0 - np.exp(-(stamp - self._stamp) / _CLOSED_TIME)
-            closed = self._closed + gain * (gaze.eyes_closed - self._closed)
+            closed = self._closed + gain * (closed - self._closed)
         self._closed, self._stamp = closed, stamp
         self.is_closed = bool(closed > (OPEN if self.is_closed else CLOSED))
         closed = float(closed)
@@ -185,7 +292,7 @@ def gaze_frame(face: Pose, direction: np.ndarray) -> Pose:
 class EyeMeasures:
     """Measures of the eyes of F faces, the subject's right eye first.
 
-    openness: (F, 2) aspect ratio of the lids, about 0.3 open and under 0.175 closed, without foreshortening;
+    openness: (F, 2) aspect ratio of the lids, about 0.27 open and under 0.12 closed, without foreshortening;
     visibility: (F, 2) 0 (hidden by the nose) to 1; lines: (F, 2, 3) unit directions in the optical frame; irises: (F,
     2) diameters, px.
     """

@@ -10,6 +10,8 @@ FACE_TRACKING_PARAMETERS = (
               "the models directory."),
     Parameter("face_mesh_model", "", "ONNX file of the face mesh with attention. Empty:"
               " face_landmarks_attention.onnx in the models directory."),
+    Parameter("face_blendshapes_model", "", "ONNX file of the movements of the face (eyelids, eyes, brows, mouth)."
+              " Empty: face_blendshapes.onnx in the models directory."),
     Parameter("canonical_face", "", "The mean face used for head poses. Empty: canonical_face.npz in the models"
               " directory."),
     Parameter("max_faces", 10, "Most faces tracked at the same time: of more, the large and central ones. A run on "

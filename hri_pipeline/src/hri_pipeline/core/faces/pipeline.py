@@ -18,6 +18,7 @@ import numpy as np
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.analysis import FaceAnalysis, FaceDemand
 from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook, PictureCuts
+from hri_pipeline.core.faces.blendshapes import Blendshapes
 from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector
 from hri_pipeline.core.faces.flow import FaceFlow
 from hri_pipeline.core.faces.gaze import EyeGeometry, GazeEstimator, GazeSmoother
@@ -83,6 +84,8 @@ _PREDICTION_TIME = 0.3
 """Time constant (s) with which the presence of a face that was not measured falls."""
 ANEW_PERIOD = 0.25
 """Least time (s) between two searches of all the picture for somebody who took another one's place."""
+_SHAPES_AGE = 0.4
+"""Time (s) for which blendshapes of open eyes are used again: half a millisecond for each face."""
 _SKIN = np.array([1, 4, 5, 6, 9, 151, 195, 197, 50, 280, 101, 330, 36, 266, 117, 346, 107, 336, 8, 168])
 """Vertices of nose, cheeks and forehead, where a depth image sees skin and neither hair nor background."""
 
@@ -109,7 +112,9 @@ class FacePipeline:
                  notify: Optional[Callable[[str], None]] = None) -> None:
         self.times = StageTimes()
         canonical = load_canonical_face(model_path(settings.canonical_face, "canonical_face.npz"))
-        self._geometry = FaceGeometry(canonical)
+        blendshapes = Blendshapes(model_path(settings.face_blendshapes_model, "face_blendshapes.onnx"),
+                                  settings.providers, notify)
+        self._geometry = FaceGeometry(canonical, blendshapes)
         self._analysis = FaceAnalysis(settings, canonical, self.times, notify)
         self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify, judge=self._judge())
         self._last_stamp = -np.inf
@@ -491,8 +496,9 @@ class FaceTrackingPipeline:
 class FaceGeometry:
     """Head pose, gaze and head size of every tracked face, over time; all faces of an image are solved together."""
 
-    def __init__(self, canonical: CanonicalFace) -> None:
+    def __init__(self, canonical: CanonicalFace, blendshapes: Blendshapes) -> None:
         self._canonical = canonical
+        self._blendshapes = blendshapes
         self._to_face = canonical.face_frame().inverse()
         self._heads = HeadPoseEstimator(canonical)
         self._eyes = EyeGeometry(canonical)
@@ -545,7 +551,7 @@ class FaceGeometry:
         """Measure gaze and head size of the faces that have a pose."""
         gazes, irises = self._gazes.estimate_all(
             [found.mesh for _, found, _ in posed], [pose for _, _, pose in posed], camera,
-            [found.presence for _, found, _ in posed])
+            [found.presence for _, found, _ in posed], lambda needed: self._shapes(posed, needed, stamp))
         focal = float(camera.matrix[0, 0])
         for (face, found, pose), gaze, diameters in zip(posed, gazes, irises):
             face.gaze = face.gaze_smoother(gaze, stamp)
@@ -554,6 +560,15 @@ class FaceGeometry:
                                   ("depth", self._depth_scale(found.mesh, pose, depth))):
                 if scale is not None:
                     face.scale.add(source, scale)
+
+    def _shapes(self, posed: Sequence[Tuple[_Face, TrackedFace, Pose]], needed: np.ndarray,
+                stamp: float) -> np.ndarray:
+        """Blendshapes (F, 52): fresh ones where they are needed, else those of a moment ago."""
+        due = [(face, found.mesh) for (face, found, _), need in zip(posed, needed.tolist())
+               if need or face.blendshapes is None or not 0.0 <= stamp - face.shaped_at < _SHAPES_AGE]
+        for (face, _), face_shapes in zip(due, self._blendshapes.run([mesh for _, mesh in due])):
+            face.blendshapes, face.shaped_at = face_shapes, stamp
+        return np.stack([face.blendshapes for face, _, _ in posed if face.blendshapes is not None])
 
     def _depth_scale(self, mesh: np.ndarray, pose: Pose, depth: Optional[np.ndarray]) -> Optional[float]:
         if depth is None:
@@ -598,6 +613,8 @@ class _Face:
         self.pose: Optional[Pose] = None
         self.gaze: Optional[GazeEstimate] = None
         self.mesh: Optional[np.ndarray] = None
+        self.blendshapes: Optional[np.ndarray] = None
+        self.shaped_at = -math.inf
 
     def set_pose(self, pose: Optional[Pose], mesh: np.ndarray, stamp: float) -> None:
         """Set the pose measured in the image of `stamp` (s), None for no plausible one."""

@@ -24,6 +24,11 @@ measured wrongly opens none."""
 _STILL_S = 0.19
 _CLOSED_MEMORY_S = 2.0
 """Eyes that were closed when they were last seen are taken for closed for this time (s)."""
+_BLINK_S = 0.27
+"""Eyes closed for less (s) do not end a gaze: blinks take 0.1 to 0.4 s, of which the lids cover the pupil for less than
+0.3 s (Caffier, Erdmann, Ullsperger, Eur. J. Appl. Physiol. 89, 2003: 0.20 s in all, 0.33 s when drowsy)."""
+_LONG_BLINK_S = 0.5
+"""Eyes that open again within this time (s) go on looking where they looked, without having to be seen open twice."""
 
 
 class GazeTargets:
@@ -39,6 +44,7 @@ class GazeTargets:
         self._filter = GazeTargetFilter(settings)
         self._stamp: Optional[float] = None
         self._closed_at: Dict[str, float] = {}
+        self._open_at: Dict[str, float] = {}
         self._weighed: List[str] = []
         self._weighed_at = 0.0
         self._latest_weights = np.zeros((0, 1))
@@ -47,6 +53,7 @@ class GazeTargets:
         """Forget everything, as after a time jump."""
         self._filter.reset()
         self._closed_at.clear()
+        self._open_at.clear()
         self._weighed = []
         self._stamp = None
 
@@ -76,7 +83,9 @@ class GazeTargets:
         ratios, times = evidence(lines, self._settings)
         ids = people.ids
         closed = self._closed(people, stamp)
-        looked_at = self._filter.update(ids, self._weights(lines, ids, stamp), ratios, times, closed, dt)
+        weights = self._weights(lines, ids, stamp) * self._filter.attention(ids, people.speaking)
+        looked_at = self._filter.update(ids, weights, ratios, times, closed, dt,
+                                        closed & self._blinking(people, closed, stamp))
         names = ids + [ROBOT]
         return [GazeTarget(ids[sender], names[target], self._filter.probability(sender, target))
                 for sender, target in enumerate(looked_at.tolist()) if target >= 0]
@@ -97,11 +106,21 @@ class GazeTargets:
             hidden = np.isnan(people.closed) & np.isnan(people.gazes[:, 0])
             for row, identity in enumerate(people.ids):
                 before = since.get(identity)
-                if before is not None and not closed[row] and stamp - before < (_CLOSED_MEMORY_S if hidden[row]
-                                                                                else _REOPEN_S):
+                if before is None or closed[row]:
+                    continue
+                blinked = stamp - self._open_at.get(identity, -math.inf) <= _LONG_BLINK_S
+                if stamp - before < (_CLOSED_MEMORY_S if hidden[row] else 0.0 if blinked else _REOPEN_S):
                     self._closed_at[identity] = before
                     closed[row] = True
         return closed
+
+    def _blinking(self, people: PeopleSnapshot, closed: np.ndarray, stamp: float) -> np.ndarray:
+        """Return whose eyes were open a moment ago, (N,)."""
+        seen_open = ~closed & ((people.closed == people.closed) | (people.gazes[:, 0] == people.gazes[:, 0]))
+        self._open_at = {identity: stamp if opened else self._open_at[identity]
+                         for identity, opened in zip(people.ids, seen_open.tolist())
+                         if opened or identity in self._open_at}
+        return np.array([stamp - self._open_at.get(identity, -math.inf) <= _BLINK_S for identity in people.ids])
 
 
 _NEVER = -1e9
@@ -111,6 +130,8 @@ _LEAST_DISTANCE = 0.2
 _BEHIND = 0.25
 """What hides somebody is at least this much nearer (m)."""
 _ROBOT_SD = 0.1
+_MOST_EXTENT = 0.2 ** 2
+"""Largest variance (rad^2) of where a target is seen: what fills the view is not looked at less for that."""
 _HALF_WEIGHT = 4.0
 """Distance (m) from which somebody is looked at half as often as somebody near: the outer part of Hall's social
 space."""
@@ -118,20 +139,43 @@ _LEAST_VISIBLE = 0.02
 _HEAD_BESIDE_EYES = 0.64
 """How much the head's direction counts beside that of the eyes: its error stays the same as long as somebody looks at
 one target."""
+_UNSEEN_TRUNK_SD = 0.7
+"""Standard deviation (rad) of a trunk that is not seen from the direction to the robot: of whom a camera sees a face
+and no body, the body is mostly towards it."""
+_HEAD_GAIN_SD = 0.2
+"""Standard deviation of the part of the way that heads turn: some people move their heads and others their eyes (Fuller
+1992: nearly none to nearly all of the way)."""
+_UP_PART = 0.6
+"""Standard deviation of eyes in the head up and down over that to the sides: people stand about equally high, and their
+targets are beside each other."""
+
+
+class GazePriors:
+    """Weights of the targets before a direction is known, over that of somebody who is silent and looks elsewhere."""
+
+    SPEAKING = 3.0
+    """Somebody who is heard. Among four, people looked seven times as much at the one to whom they listened as at
+    others (Vertegaal, Slagter, van der Veer, Nijholt, CHI 2001); less here, as a voice may be another one's."""
+    MUTUAL = 1.5
+    """Somebody who looks at the observer. In the same study who speaks looks three times as much at whom he speaks to
+    as at others, and is looked at seven times as much: looks are returned, also where no voice is heard. Only a part of
+    it, so that an error does not breed another one."""
+
 _TWO_PI = 2.0 * math.pi
 
 
 class SightLines:
     """Directions and distances from every observer to every target: the N people, then the robot; T = N + 1.
 
-    heads, gazes, faces, trunks, deviations: those of the people. units: (N, T, 3) unit vectors; distances: (N, T) m;
-    possible: (N, T), which targets can be looked at.
+    heads, gazes, faces, trunks, deviations, depths, faceless: those of the people. units: (N, T, 3) unit vectors;
+    distances: (N, T) m; possible: (N, T), which targets can be looked at.
     """
 
     def __init__(self, people: PeopleSnapshot, robot: Optional[np.ndarray], max_distance: float) -> None:
         count = len(people)
         self.heads, self.gazes, self.faces, self.trunks = people.heads, people.gazes, people.faces, people.trunks
         self.deviations = people.deviations
+        self.depths, self.faceless = people.depths, people.faceless
         targets = np.empty((count + 1, 3))
         targets[:-1] = self.heads
         targets[-1] = UNKNOWN if robot is None else robot
@@ -145,6 +189,20 @@ class SightLines:
         self.possible = possible
         self.distances = np.maximum(lengths, _LEAST_DISTANCE)
         self.units = between / lengths[..., None]
+
+    def extents(self, head_radius: float) -> Tuple[np.ndarray, np.ndarray]:
+        """Return the variances (N, T), rad^2, of where a target is seen from an observer, to the sides and up or down:
+        somebody looks at any point of a head, and both places are uncertain, most of all along the camera's ray."""
+        lateral = self.deviations[:, :1] ** 2
+        place = (_SIZE_PART * head_radius) ** 2 + lateral + np.append(lateral[:, 0], _ROBOT_SD ** 2)
+        depths = np.concatenate([self.depths, np.zeros((1, 3))])
+        sideways = np.stack([-self.units[..., 1], self.units[..., 0]], axis=2)
+        sideways /= np.maximum(np.sqrt((sideways * sideways).sum(axis=2)), 1e-6)[..., None]
+        own = (sideways @ self.depths[:, :2, None])[..., 0]
+        others = (sideways * depths[:, :2]).sum(axis=2)
+        square = self.distances * self.distances
+        return (np.minimum((place + own * own + others * others) / square, _MOST_EXTENT),
+                np.minimum((place + self.depths[:, 2:] ** 2 + depths[:, 2] ** 2) / square, _MOST_EXTENT))
 
     def weights(self, head_radius: float) -> np.ndarray:
         """Return the prior weights (N, T) of the targets, 0 to 1, before a direction is known.
@@ -165,7 +223,8 @@ class SightLines:
 def evidence(lines: SightLines, settings: SimpleNamespace) -> Tuple[np.ndarray, np.ndarray]:
     """Compare the directions of everybody with the lines to all targets.
 
-    Eyes and head count together, the trunk where neither is known.
+    Eyes and head count together. Somebody without a face tells nothing, or, where the settings say so, by the head of
+    the skeleton, or by the trunk where neither is known.
 
     Returns
     -------
@@ -178,49 +237,53 @@ def evidence(lines: SightLines, settings: SimpleNamespace) -> Tuple[np.ndarray, 
     by_eyes = placed & (lines.gazes[:, 0] == lines.gazes[:, 0])
     by_head = placed & (lines.faces[:, 0] == lines.faces[:, 0])
     by_trunk = placed & (lines.trunks[:, 0] == lines.trunks[:, 0]) & ~(by_eyes | by_head)
+    if not settings.gaze_without_face:
+        by_head &= ~lines.faceless
+        by_trunk[:] = False
     squares = lines.deviations * lines.deviations
-    places = np.empty(len(placed) + 1)
-    places[:-1], places[-1] = squares[:, 0], _ROBOT_SD ** 2
-    extent = ((_SIZE_PART * settings.head_radius) ** 2 + places + squares[:, :1]) / (lines.distances * lines.distances)
-    eyes, heads, aside = _densities(lines, squares, extent, settings)
+    extents = lines.extents(settings.head_radius)
+    eyes, heads, aside = _densities(lines, squares, extents, settings)
     even = -math.log(settings.nobody_field)
     # Those who look at nobody turn their heads to where their eyes look, too.
     nobody, weight = np.where(by_eyes, aside, even), np.where(by_eyes, _HEAD_BESIDE_EYES, 1.0)
     ratios = np.where(by_eyes[:, None], eyes - even, 0.0)
     ratios += np.where(by_head[:, None], weight[:, None] * (heads - nobody[:, None]), 0.0)
     if by_trunk.any():
-        facing = _facing(lines.trunks, lines.units, squares[:, 3:] + settings.trunk_target_sd ** 2 + extent)
+        facing = _facing(lines.trunks, lines.units, squares[:, 3:] + settings.trunk_target_sd ** 2 + extents[0])
         ratios = np.where(by_trunk[:, None], facing, ratios)
     # A trunk that points elsewhere than the eyes does so as long as the person looks there.
     times = np.where(by_eyes | by_head, settings.evidence_time, np.where(by_trunk, settings.dwell_time, np.inf))
     return np.where(lines.possible, ratios, _NEVER), times
 
 
-def _densities(lines: SightLines, squares: np.ndarray, extent: np.ndarray, settings: SimpleNamespace
+def _densities(lines: SightLines, squares: np.ndarray, extents: Sequence[np.ndarray], settings: SimpleNamespace
                ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Log densities (1/sr) of the eyes (N, T) and of the heads (N, T) for each target, and of the heads for the eyes
     (N,).
 
     NaN where a direction is not known.
     """
-    units, spread = _head_for(lines.units, lines.trunks, settings)
-    own = squares[:, 1] + spread
-    # Eyes and heads; the heads for the eyes behind the targets.
-    cosines, variances = (np.ones((2, len(own), extent.shape[1] + 1)) for _ in range(2))
-    cosines[0, :, :-1] = (lines.units @ lines.gazes[:, :, None])[..., 0]
-    cosines[1, :, :-1] = (units @ lines.faces[:, :, None])[..., 0]
-    cosines[1, :, -1] = (lines.faces * lines.gazes).sum(axis=1)
-    np.add(squares[:, 2:3], extent, out=variances[0, :, :-1])
-    np.add(own[:, None], extent, out=variances[1, :, :-1])
-    variances[1, :, -1] = own + squares[:, 2]
-    eyes, heads = _density(cosines, variances)
-    return eyes[:, :-1], heads[:, :-1], heads[:, -1]
+    # What the eyes look at is a target like all others for the head; without eyes it is of no use.
+    aims = np.concatenate([lines.units, lines.gazes[:, None]], axis=1)
+    turned, sides, up = _head_for(aims, lines.trunks, settings)
+    own = [squares[:, 1:2] + np.concatenate([extent, squares[:, 2:3]], axis=1) for extent in extents]
+    heads = _density(turned, lines.faces, own[0] + sides, own[1] + up)
+    eyes = [squares[:, 2:3] + extent for extent in extents]
+    return _density(lines.units, lines.gazes, *eyes), heads[:, :-1], heads[:, -1]
 
 
-def _density(cosines: np.ndarray, variances: np.ndarray) -> np.ndarray:
-    """Log of the Gaussian density (1/sr) at angles of these cosines; variances in rad^2 on each axis."""
-    angles = np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0))
-    return -0.5 * angles * angles / variances - np.log(_TWO_PI * variances)
+def _density(units: np.ndarray, directions: np.ndarray, sides: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Log of the Gaussian density (1/sr) of directions (N, 3) about units (N, T, 3); variances (N, T) in rad^2 to the
+    sides, and up and down."""
+    bearing = np.arctan2(units[..., 1], units[..., 0]) - np.arctan2(directions[:, 1], directions[:, 0])[:, None]
+    bearing -= _TWO_PI * np.rint(bearing / _TWO_PI)
+    level = np.hypot(units[..., 0], units[..., 1]) * np.hypot(directions[:, 0], directions[:, 1])[:, None]
+    heights = np.arcsin(_sine(units[..., 2])) - np.arcsin(_sine(directions[:, 2]))[:, None]
+    return -0.5 * (bearing * bearing * level / sides + heights * heights / up) - np.log(_TWO_PI * np.sqrt(sides * up))
+
+
+def _sine(values: np.ndarray) -> np.ndarray:
+    return np.minimum(np.maximum(values, -1.0), 1.0)
 
 
 def _facing(trunks: np.ndarray, units: np.ndarray, variances: np.ndarray) -> np.ndarray:
@@ -231,26 +294,35 @@ def _facing(trunks: np.ndarray, units: np.ndarray, variances: np.ndarray) -> np.
     return -0.5 * turns ** 2 / variances - 0.5 * np.log(_TWO_PI * variances) + np.log(_TWO_PI)
 
 
-def _head_for(units: np.ndarray, trunks: np.ndarray, settings: SimpleNamespace) -> Tuple[np.ndarray, np.ndarray]:
-    """Where the head points (N, T, 3) when somebody looks at each target, and its variance (N,) rad^2.
+def _head_for(units: np.ndarray, trunks: np.ndarray, settings: SimpleNamespace
+              ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the head points (N, T, 3) when somebody looks at each target, and its variances (N, T) rad^2 to the sides
+    and up or down.
 
-    The head turns `head_gain` of the way from the trunk, in the horizontal plane; without a trunk it points at the
-    target.
+    The head turns `head_gain` of the way from the trunk, in the horizontal plane, more or less. A trunk that is not
+    seen is taken to face the robot, the last target but one; without a robot the head points at the target.
     """
-    known = trunks[:, 0] == trunks[:, 0]
+    seen = trunks[:, 0] == trunks[:, 0]
+    trunks = np.where(seen[:, None], trunks, units[:, -2])
+    known = (trunks[:, 0] != 0.0) | (trunks[:, 1] != 0.0)
+    unsure = np.where(seen, 0.0, ((1.0 - settings.head_gain) * _UNSEEN_TRUNK_SD) ** 2)
+    spread = np.where(seen, 0.5, 1.0) * settings.eyes_in_head_sd ** 2
+    sides = np.broadcast_to((spread + np.where(known, unsure, 0.0))[:, None], units.shape[:2])
+    up = np.broadcast_to(_UP_PART ** 2 * spread[:, None], units.shape[:2])
     if not known.any():
-        return units, np.full(len(trunks), settings.eyes_in_head_sd ** 2)
+        return units, sides, up
     x, y = units[..., 0], units[..., 1]
     turns = np.arctan2(y, x) - np.arctan2(trunks[:, 1], trunks[:, 0])[:, None]
     turns -= _TWO_PI * np.rint(turns / _TWO_PI)
     # Towards the back the head turns as far as it can, and the trunk says little: the whole way. So it does without a
     # trunk.
-    back = np.where(np.abs(turns) < 0.75 * math.pi, (settings.head_gain - 1.0) * turns, 0.0)
+    turns = np.where((np.abs(turns) < 0.75 * math.pi) & known[:, None], turns, 0.0)
+    back = (settings.head_gain - 1.0) * turns
     cosine, sine = np.cos(back), np.sin(back)
     turned = units.copy()
     turned[..., 0] = cosine * x - sine * y
     turned[..., 1] = sine * x + cosine * y
-    return turned, np.where(known, 0.5, 1.0) * settings.eyes_in_head_sd ** 2
+    return turned, sides + (_HEAD_GAIN_SD * turns) ** 2, up
 
 
 _MOST_DT = 1.0
@@ -277,12 +349,13 @@ class GazeTargetFilter:
         self._unseen = np.zeros(0)
         self._weights = self._latest_prior = np.zeros((0, 2))
 
-    def update(self, ids: Sequence[str], weights: np.ndarray, ratios: np.ndarray, times: np.ndarray, closed: np.ndarray,
-               dt: float) -> np.ndarray:
+    def update(self, ids: Sequence[str], weights: np.ndarray, ratios: np.ndarray, times: np.ndarray,
+               closed: np.ndarray, dt: float, blinking: Optional[np.ndarray] = None) -> np.ndarray:
         """Take the evidence of `dt` s; return what each person looks at (N,): index of a target, -1 for nobody.
 
         weights (N, T), ratios (N, T) and times (N,): see evidence; T = N + 1 with the robot last. closed (N,): the eyes
-        are closed, whatever else is known.
+        are closed, whatever else is known. blinking (N,): of those, who closed them a moment ago: what they look at
+        stays.
         """
         prior = self._prior(weights)
         self._follow(list(ids), prior)
@@ -296,9 +369,20 @@ class GazeTargetFilter:
         np.multiply(ratios, share[:, None], out=scores[:, :-1])
         belief *= np.exp(scores - scores.max(axis=1, keepdims=True))
         self._probabilities = belief / np.maximum(belief.sum(axis=1, keepdims=True), 1e-300)
-        self._unseen = np.where(seen, 0.0, self._unseen + dt)
-        self._decide(closed | (self._unseen > self._settings.gaze_hold))
+        held = np.zeros(len(closed), dtype=bool) if blinking is None else blinking
+        self._unseen = np.where(seen, 0.0, np.where(held, self._unseen, self._unseen + dt))
+        self._decide((closed & ~held) | (self._unseen > self._settings.gaze_hold))
         return self._current.copy()
+
+    def attention(self, ids: Sequence[str], speaking: Optional[np.ndarray]) -> np.ndarray:
+        """Return the factors (N, T) of GazePriors on the weights of the targets; speaking: (N,), None unknown."""
+        factors = np.ones((len(ids), len(ids) + 1))
+        if speaking is not None:
+            factors[:, :-1][:, speaking] *= GazePriors.SPEAKING
+        if list(ids) == self._ids:
+            # How likely each one looks at the observer.
+            factors[:, :-1] *= 1.0 + (GazePriors.MUTUAL - 1.0) * self._probabilities[:, :len(ids)].T
+        return factors
 
     def probability(self, person: int, target: int) -> float:
         """Return how likely a person (index of the last update) looks at a target."""

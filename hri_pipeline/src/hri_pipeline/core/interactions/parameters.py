@@ -38,13 +38,17 @@ _FRAMES = (
 )
 
 _GAZE = (
-    Parameter("gaze_sd", 0.14,
-              "Standard deviation of the eyes' direction (gaze_ID) near the camera, on each axis. Larger: slower "
+    Parameter("gaze_sd", 0.1,
+              "Standard deviation of the direction of the eyes (gaze_ID) near the camera, on each axis. Larger: slower "
               "decisions, fewer wrong ones.", unit="rad", minimum=0.02, maximum=1.0, live=True),
-    Parameter("gaze_range", 3.0,
+    Parameter("gaze_without_face", False,
+              "Tell gazes of people of whom only the body is seen, by the head of the skeleton or the trunk: right "
+              "four times in ten.", live=True),
+    Parameter("gaze_range", 5.0,
               "Distance from the camera from which the eyes are too small to be measured: beyond, gaze_ID counts no "
               "more than the direction of the head, and from half of it on less and less. Larger for cameras of high "
-              "resolution: about 2.4 m per 1000 px of focal length.", unit="m", minimum=0.2, maximum=50.0, live=True),
+              "resolution: about 4.5 m per 1000 px of focal length, where a face is 30 px wide.",
+              unit="m", minimum=0.2, maximum=50.0, live=True),
     Parameter("head_sd", 0.09,
               "Standard deviation of the head's direction from a face (face_ID), on each axis.", unit="rad",
               minimum=0.02,
@@ -63,9 +67,9 @@ _GAZE = (
               "Standard deviation of the eyes' direction in the head of somebody whose trunk is not known. Larger: "
               "the head alone says less.", unit="rad", minimum=0.02, maximum=1.0, live=True),
     Parameter("trunk_target_sd", 0.6,
-              "Standard deviation of the angle between the trunk and the target of the gaze. Larger: people of whom "
-              "only the body is seen look at somebody less often.", unit="rad", minimum=0.1, maximum=2.0,
-              live=True),
+              "Standard deviation of the way from the direction of the trunk to what somebody looks at. Larger: people "
+              "of whom only the body is seen look at somebody less often (gaze_without_face).",
+              unit="rad", minimum=0.1, maximum=2.0, live=True),
     Parameter("head_radius", 0.12,
               "Radius of a head. A near head takes a larger part of the view, and hides who is behind.", unit="m",
               minimum=0.01, maximum=1.0, live=True),
@@ -82,12 +86,12 @@ _GAZE = (
               "Mean time between two changes of the target of a gaze. Longer: fewer wrong changes, later right ones.",
               unit="s",
               minimum=0.1, maximum=60.0, live=True),
-    Parameter("evidence_time", 0.067,
-              "Correlation time of the error of a direction: images that follow each other sooner say less than as "
-              "many independent ones. Longer: for detectors whose errors last.", unit="s", minimum=0.0,
+    Parameter("evidence_time", 0.08,
+              "Time after which the error of a direction is another one: images that follow each other sooner say less "
+              "than as many independent ones. Longer: for detectors whose errors last.", unit="s", minimum=0.0,
               maximum=5.0, live=True),
-    Parameter("gaze_on", 0.4, "Probability from which a gaze begins.", minimum=0.05, maximum=0.99, live=True),
-    Parameter("gaze_off", 0.3, "Probability below which a gaze ends; below gaze_on, so that it does not flicker.",
+    Parameter("gaze_on", 0.45, "Probability from which a gaze begins.", minimum=0.05, maximum=0.99, live=True),
+    Parameter("gaze_off", 0.33, "Probability below which a gaze ends; below gaze_on, so that it does not flicker.",
               minimum=0.01,
               maximum=0.99, live=True),
     Parameter("gaze_hold", 0.3,

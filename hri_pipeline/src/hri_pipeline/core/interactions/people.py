@@ -63,15 +63,21 @@ class PeopleSnapshot:
     """N people in the reference frame (z up, m); what is not known is NaN. The rows of all arrays are those of `ids`.
 
     heads: (N, 3) m; gazes, faces, trunks: (N, 3) unit vectors; deviations: (N, 4) of head's place (m), face, gaze and
-    trunk (rad); closed: (N,) closedness of the eyes, 0 to 1.
+    trunk (rad); closed: (N,) closedness of the eyes, 0 to 1; depths: (N, 3) direction in which the head's place is
+    least certain times its standard deviation (m) there, zeros unknown; faceless: (N,) bool, whose face is not seen;
+    speaking: (N,) bool, who is heard, None when nobody listens.
     """
 
-    __slots__ = ("closed", "deviations", "faces", "gazes", "heads", "ids", "trunks")
+    __slots__ = ("closed", "depths", "deviations", "faceless", "faces", "gazes", "heads", "ids", "speaking",
+                 "trunks")
 
     def __init__(self, ids: List[str], heads: np.ndarray, gazes: np.ndarray, faces: np.ndarray, trunks: np.ndarray,
                  deviations: np.ndarray, closed: np.ndarray) -> None:
         self.ids, self.heads, self.gazes, self.faces, self.trunks = ids, heads, gazes, faces, trunks
         self.deviations, self.closed = deviations, closed
+        self.depths = np.zeros((len(ids), 3))
+        self.faceless = (faces[:, 0] != faces[:, 0]) & (gazes[:, 0] != gazes[:, 0])
+        self.speaking: Optional[np.ndarray] = None
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -195,8 +201,13 @@ HEAD_ABOVE_HIPS = 0.65
 """Height (m) of the eyes above the middle of the hips of somebody who stands: about 0.38 of the stature (Winter
 2009)."""
 _LEAST_LEVEL = 0.3
-_PLACE_SD, _PLACE_SD_PER_M, _FALLBACK_SD = 0.03, 0.02, 0.15
-"""Standard deviations (m) of heads: at the camera, more for each metre of distance, and from anything but a face."""
+_PLACE_SD, _DEPTH_PART, _FALLBACK_SD = 0.03, 0.045, 0.15
+"""Standard deviations (m) of heads: across the ray of the camera, along it for each metre of distance (heads differ by
+5.5 %, irises tell a part of it), and from anything but a face."""
+_GOOD_TURN, _TURN_SLOPE, _TURN_MOST = math.radians(30.0), 0.35, math.radians(20.0)
+"""Yaw (rad) up to which a head's direction is as good as from the front; more standard deviation per rad beyond, and at
+most: published trackers err by 4 to 6 degrees on faces from the front, by 10 and more near the profile (Zhu et al.,
+3DDFA, CVPR 2016). Irises of a turned head are measured by one eye, and seen from the side."""
 
 
 class Seen(NamedTuple):
@@ -210,7 +221,7 @@ class _Person(NamedTuple):
     """Rows of one person's frames, -1 for none.
 
     place: what places the person, of `source`; head, gaze, trunk: directions. range: how far from the sensor the face
-    is (m).
+    is (m); turn: angle (rad) between the face and the way to the sensor.
     """
 
     id: str
@@ -221,6 +232,7 @@ class _Person(NamedTuple):
     trunk: int
     eyes_closed: float
     range: float
+    turn: float
 
 
 class _Rows:
@@ -283,21 +295,29 @@ def gather(frames: PeopleTf, places: Places, newest: float, settings: SimpleName
     people = [person for person in (_person(*one, poses, rows.sensors) for one in found) if person is not None]
     if not people:
         return PeopleSnapshot.empty()
-    return _snapshot(people, _placed(rows, poses), settings)
+    snapshot = _snapshot(people, _placed(rows, poses), settings)
+    for row, person in enumerate(people):
+        snapshot.faceless[row] = person.source not in ("face", "person")
+        if person.source == "face":
+            ray = snapshot.heads[row] - poses[rows.sensors[person.place]].translation
+            snapshot.depths[row] = _DEPTH_PART * ray
+    return snapshot
 
 
 def _collect(identity: str, frames: PeopleTf, oldest: float, settings: SimpleNamespace, closures: Mapping[str, Seen],
-             rows: _Rows) -> Tuple[_Frames, float, float]:
-    """Add the rows of one person; return them, the closedness of the eyes (NaN unknown), and the distance of the face
-    (m)."""
+             rows: _Rows) -> Tuple[_Frames, float, float, float]:
+    """Add the rows of one person; return them, the closedness of the eyes (NaN unknown), the distance of the face (m)
+    and its turn away from the sensor (rad)."""
     features, mine = frames.people[identity], {}
     face_id, body_id = features.face or "", features.body or ""
-    closed, far = math.nan, 0.0
+    closed, far, turn = math.nan, 0.0, 0.0
     face = frames.get("face_" + face_id, oldest) if face_id else None
     if face is not None:
         mine["face"] = rows.add((face.transform,))
         x, y, z = face.transform.translation
         far = math.sqrt(x * x + y * y + z * z)
+        i, j, k = rows.vectors[-1]
+        turn = math.acos(min(max(-(x * i + y * j + z * k) / max(far, 1e-9), -1.0), 1.0))
         gaze = frames.get("gaze_" + face_id)
         closed = _closed(frames, face, gaze, closures.get(face_id), settings)
         if gaze is not None and face.stamp - gaze.stamp <= settings.gaze_timeout and far < settings.gaze_range:
@@ -314,7 +334,7 @@ def _collect(identity: str, frames: PeopleTf, oldest: float, settings: SimpleNam
         # Neither face nor body is known: the frame of the person is taken for that of the face.
         unknown = features == Features() and person.stamp >= oldest
         mine["person" if unknown else "place"] = rows.add((person.transform,))
-    return _Frames(**mine), closed, far
+    return _Frames(**mine), closed, far, turn
 
 
 def _closed(frames: PeopleTf, face: Timed, gaze: Optional[Timed], closure: Optional[Seen],
@@ -331,16 +351,16 @@ def _closed(frames: PeopleTf, face: Timed, gaze: Optional[Timed], closure: Optio
     return 1.0 if missing > settings.gaze_timeout else math.nan
 
 
-def _person(identity: str, mine: _Frames, closed: float, far: float, poses: Mapping[str, Pose], sensors: Sequence[str]
-            ) -> Optional[_Person]:
+def _person(identity: str, mine: _Frames, closed: float, far: float, turn: float, poses: Mapping[str, Pose],
+            sensors: Sequence[str]) -> Optional[_Person]:
     """Choose among the frames whose sensors have a pose; None where there is none."""
     face, head, body, person, place, gaze = (row if row >= 0 and sensors[row] in poses else -1 for row in mine)
     if face >= 0:
-        return _Person(identity, "face", face, face, gaze, body, closed, far)
+        return _Person(identity, "face", face, face, gaze, body, closed, far, turn)
     for source, row, facing in (("head", head, head), ("body", body, -1), ("person", person, person),
                                 ("place", place, -1)):
         if row >= 0:
-            return _Person(identity, source, row, facing, -1, body, math.nan, far)
+            return _Person(identity, source, row, facing, -1, body, math.nan, far, 0.0)
     return None
 
 
@@ -362,7 +382,7 @@ def _placed(rows: _Rows, poses: Mapping[str, Pose]) -> np.ndarray:
 
 
 def _snapshot(people: Sequence[_Person], placed: np.ndarray, settings: SimpleNamespace) -> PeopleSnapshot:
-    ids, sources, place, head, gaze, trunk, closed, ranges = zip(*people)
+    ids, sources, place, head, gaze, trunk, closed, ranges, turns = zip(*people)
     chosen = placed[np.array((place, head, gaze, trunk))]
     heads, faces, gazes, trunks = chosen[0, :, 0], chosen[1, :, 1], chosen[2, :, 1], chosen[3, :, 1]
     if "body" in sources:
@@ -371,10 +391,16 @@ def _snapshot(people: Sequence[_Person], placed: np.ndarray, settings: SimpleNam
     if lying.any():
         trunks[lying] = np.nan
     deviations = np.array([(
-        _PLACE_SD + _PLACE_SD_PER_M * far if source == "face" else _FALLBACK_SD,
-        settings.skeleton_head_sd if source == "head" else settings.head_sd, _gaze_sd(far, settings), settings.trunk_sd)
-        for source, far in zip(sources, ranges)])
+        _PLACE_SD if source == "face" else _FALLBACK_SD,
+        settings.skeleton_head_sd if source == "head" else math.hypot(settings.head_sd, _turn_sd(turn)),
+        math.hypot(_gaze_sd(far, settings), _turn_sd(turn)), settings.trunk_sd)
+        for source, far, turn in zip(sources, ranges, turns)])
     return PeopleSnapshot(list(ids), heads, gazes, faces, trunks, deviations, np.array(closed))
+
+
+def _turn_sd(turn: float) -> float:
+    """Standard deviation (rad) that a turn (rad) away from the sensor adds to a direction."""
+    return min(_TURN_SLOPE * max(turn - _GOOD_TURN, 0.0), _TURN_MOST)
 
 
 def _gaze_sd(distance: float, settings: SimpleNamespace) -> float:
