@@ -7,7 +7,14 @@ import os
 import numpy as np
 import pytest
 
-from hri_pipeline.core.private_file import StoreError, TemplateCipher, hold, make_key_file, read_private
+from hri_pipeline.core.private_file import (
+    StoreError,
+    TemplateCipher,
+    hold,
+    make_key_file,
+    make_private_directory,
+    read_private,
+)
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore
 
 
@@ -64,6 +71,19 @@ def test_what_is_no_plain_file_costs_no_descriptor(tmp_path):
         with pytest.raises(OSError):
             read_private(tmp_path / "store")
     assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_two_processes_may_make_the_directory_at_once(tmp_path, monkeypatch):
+    directory = tmp_path / "private"
+    is_dir, asked = type(directory).is_dir, []
+
+    def before_the_other_made_it(path):
+        asked.append(path)
+        return is_dir(path) and len(asked) > 1
+    directory.mkdir(mode=0o700)
+    monkeypatch.setattr(type(directory), "is_dir", before_the_other_made_it)
+    make_private_directory(directory)
+    assert asked[0] == directory
 
 
 def test_a_lock_is_given_to_one_at_a_time(tmp_path):

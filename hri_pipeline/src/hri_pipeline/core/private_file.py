@@ -73,7 +73,7 @@ def make_private_directory(directory: Path) -> None:
     """Make the directory of a store, mode 0700, where there is none. StoreError, also when others can read it."""
     try:
         if not directory.is_dir():
-            directory.mkdir(mode=0o700, parents=True)
+            directory.mkdir(mode=0o700, parents=True, exist_ok=True)    # another process may be faster
         if directory.stat().st_mode & 0o077:
             raise StoreError("directory {} can be read by others; run `chmod 700 {}`, or name "
                              "a directory of its own".format(directory, directory))
