@@ -306,6 +306,28 @@ class TestPersonManager(unittest.TestCase):
         self.match("feeee", IdsMatch.FACE, "beeee", IdsMatch.BODY, 0.0)
         self.wait_for(lambda: len(self.tracked.value.ids) == 2, "two persons")
 
+    def test_two_who_are_told_to_be_two_part_within_two_seconds(self):
+        self.announce(faces=["fnnnn"], bodies=["bnnnn"])
+        self.match("fnnnn", IdsMatch.FACE, "ann", IdsMatch.PERSON, 0.9)
+        self.match("bnnnn", IdsMatch.BODY, "ann", IdsMatch.PERSON, 0.6)
+        body_id = self.latest("ann", "body_id", String)
+        self.wait_for(lambda: body_id.value and body_id.value.data == "bnnnn", "ann with the body")
+        said = time.monotonic()
+        self.match("fnnnn", IdsMatch.FACE, "bnnnn", IdsMatch.BODY, 0.0)
+        self.wait_for(lambda: body_id.value.data == "" and len(self.tracked.value.ids) == 2, "two persons")
+        self.assertLess(time.monotonic() - said, 2.5)       # and what the topics of a new person take
+
+    def test_a_recogniser_that_doubts_takes_the_name_from_the_body_as_well(self):
+        self.announce(faces=["fdddd"], bodies=["bdddd"])
+        self.match("fdddd", IdsMatch.FACE, "bdddd", IdsMatch.BODY, 0.9)
+        self.match("fdddd", IdsMatch.FACE, "ann", IdsMatch.PERSON, 0.9)
+        self.match("bdddd", IdsMatch.BODY, "ann", IdsMatch.PERSON, 0.7)
+        self.wait_for(lambda: self.tracked.value.ids == ["ann"], "ann")
+        said = time.monotonic()
+        self.match("fdddd", IdsMatch.FACE, "ann", IdsMatch.PERSON, 0.2)
+        self.wait_for(lambda: self.tracked.value.ids and "ann" not in self.tracked.value.ids, "somebody unknown")
+        self.assertLess(time.monotonic() - said, 2.5)
+
     def test_hostile_matches_and_ids_do_no_harm(self):
         for value in (float("nan"), float("inf"), -1.0, 1.2, 5.0):
             self.match("fffff", IdsMatch.FACE, "bffff", IdsMatch.BODY, value)

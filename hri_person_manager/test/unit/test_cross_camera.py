@@ -7,12 +7,12 @@ import itertools
 import numpy as np
 import pytest
 
-from hri_person_manager.core.cross_camera import SensorTrack
 from hri_person_manager.core.features import Kind, MatchNode
 from hri_person_manager.core.location import Place, PlaceSource
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
+from hri_person_manager.core.triangulation import SensorTrack
 from hri_pipeline.core.geometry import Pose
 
 RATE = 15.0
@@ -65,8 +65,13 @@ class Room:
         for key, point in seen.items():
             position = np.array([*point, 1.6]) + self._chance.normal(0.0, self._noise, 3)
             self.manager.on_place(PlaceSource.FACE, self._faces[key],
-                                  Place(self.frame, Pose(np.eye(3), position), self.now),
+                                  Place(self.frame, Pose(np.eye(3), position), self.now, origin=self._origin(key[0])),
                                   self.now, key[0])
+
+    def _origin(self, camera):
+        """The cameras stand on both sides, in turn, 3 m away."""
+        low, high, _ = self.views[camera]
+        return np.array([0.5 * (low + high), -3.0 if list(self.views).index(camera) % 2 else 3.0, 1.6])
 
 
 OVERLAPPING = {"left": (0.0, 4.0, 0.0), "right": (2.0, 6.0, 0.15)}
@@ -156,7 +161,7 @@ def test_two_side_by_side_are_two_persons(gap, seed):
     assert len(room.tracked) == 2
     owners = [{room.manager.person_of(MatchNode(Kind.FACE, room.face(camera, person))) for camera in room.views}
               for person in (0, 1)]
-    assert owners[0].isdisjoint(owners[1])
+    assert (owners[0] - {None}).isdisjoint(owners[1])       # what may be either is nobody's yet
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -252,7 +257,7 @@ def test_a_face_that_two_cameras_know_may_stand_farther_apart():
     assert len(room.tracked) == 2
     room.say(room.face("left", 0), "ann")
     room.say(room.face("right", 0), "ann", 0.8)
-    room.run(3.0, standing(3.0))
+    room.run(4.0, standing(3.0))
     assert room.tracked == ("ann",)
 
 
@@ -303,23 +308,23 @@ def test_what_is_kept_is_bounded():
     for _ in range(12):
         start = room.now
         room.run(4.0, walking(1.5, 1.0, since=start))
-        room.run(1.0, lambda time: None)
+        room.run(8.0, lambda time: None)
     cross = room.manager._cameras
-    assert len(cross._tracks) <= 2 and len(cross._near) <= 2 and len(cross.links) <= 2
-    assert len(room.manager.merges) <= 2
+    assert not cross._tracks and not cross._view_of and len(cross._humans) <= 2 and len(cross._near) <= 2
+    assert len(cross._two) <= 2 and len(room.manager.merges) <= 2
 
 
-def test_a_source_that_lags_does_not_begin_the_stretch_of_a_person_anew():
-    track = SensorTrack()
+def place_of(track, x, stamp, source=PlaceSource.FACE):
+    track.add(int(source), np.array([x, 0.0, 1.6]), np.eye(3), None, stamp)
+
+
+def test_a_source_that_lags_does_not_begin_the_stretch_of_a_track_anew():
+    track = SensorTrack("camera")
     for number in range(60):
         now = 10.0 + 0.05 * number
-        track.add(PlaceSource.FACE, "camera", (now, 0.0), now)
-        track.add(PlaceSource.BODY, "camera", (now - 1.5, 0.0), now - 1.5)
-        track.add(PlaceSource.BODY, "other camera", (now - 2.0, 0.0), now - 2.0)
-    assert track.began == 10.0 and track.ended == now and track.velocity[0] == pytest.approx(1.0)
-    other = SensorTrack()
-    other.add(PlaceSource.FACE, "camera", (0.0, 0.0), 10.0)
-    other.add(PlaceSource.FACE, "camera", (0.0, 0.0), 12.0)
-    assert track.overlap(other) == pytest.approx(2.0)
-    track.add(PlaceSource.FACE, "camera", (0.0, 0.0), 2.0)           # time has jumped back
+        place_of(track, now, now)
+        place_of(track, now - 1.5, now - 1.5, PlaceSource.BODY)
+    assert track.began == 10.0 and track.ended == now and track.at(now).velocity[0] == pytest.approx(1.0)
+    assert track.at(now + 0.1).position[0] == pytest.approx(now + 0.1)
+    place_of(track, 0.0, 2.0)           # time has jumped back
     assert track.began == track.ended == 2.0

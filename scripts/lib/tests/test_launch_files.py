@@ -48,6 +48,7 @@ OTHER_DEFAULTS = {
     ("bag.launch", "up_frame"): "a camera_tilt that is given says where up is",
     ("scene.launch", "robot_frame"): "the robot of the simulator looks where its camera looks",
     ("two_cameras.launch", "reference_frame"): "the places of the cameras are given in it",
+    ("two_cameras.launch", "up_frame"): "the places of the cameras in the reference frame are known, so the floor is",
     ("two_machines.launch", "image_transport"): "the images go over a network",
 }
 

@@ -1,147 +1,92 @@
-"""The same person in the views of several cameras, by place and time.
+"""The same person in the views of several cameras, by rays, time and names.
 
-Persons whose features come from different sensors are one human if they stand at one place of the reference frame for a
-while and walk alike. A person who has left one view, and a new person in the view of another camera at the place where
-the first one must be by now, are one human, too (camera hand-off). Persons that one sensor has seen at the same time
-are two; so are two to whom the recogniser of one sensor gave different names. (Recognisers that do not share a gallery
-give one human several names.)
+A `View` is what one sensor sees of one human: a face, a body, or both. A `Human` is one or more views that are one
+human. Views of different sensors are joined when their places agree, as exactly as the rays tell (see `triangulation`),
+and when no other way to pair up what both sensors see is nearly as likely. As long as a new view can be explained by
+somebody who is known, but not yet by whom, it is *held*: no person is made of it. A human who has left all views, and
+a new view at the place where that human must be by now, are one, too (camera hand-off). Views that one sensor has had
+at the same time are two humans; so are two to whom the recogniser of one sensor gave different names, or of whom it
+says that one is not the other. (Recognisers that do not share a gallery give one human several names.)
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from dataclasses import dataclass
-from itertools import combinations
-from typing import Deque, Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Set, Tuple
+from types import MappingProxyType
+from typing import (
+    Callable,
+    Container,
+    Dict,
+    FrozenSet,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+)
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
-from hri_pipeline.core.assignment import assign
+from hri_person_manager.core.features import Kind, MatchNode
+from hri_person_manager.core.triangulation import (
+    FRESH_S,
+    SETTLING_S,
+    Estimate,
+    SensorTrack,
+    fuse,
+    ray_covariance,
+    squared_distances,
+)
 
-FRESH_S = 0.5              # who was seen so long ago is seen now
-WINDOW_S = 1.0             # of the velocity
-SHORTEST_S = 0.3           # of the places that tell a velocity
-FASTEST_MPS = 3.0          # a person who runs
-SETTLING_S = 0.2           # the first places of a stretch are averaged
-Point = Tuple[float, float]
 LIKELIHOOD = 0.8
-PARTING = 2.0              # a link ends beyond so many times the distance, after so many times the time, of joining
-CLEARER_BY_M = 0.15        # another pairing has to be farther apart by so much
+GATE = 1.7                 # Mahalanobis distance up to which two places are one,
+LOOSE_GATE = 4.0           # and up to which a view may be somebody who is known
+STAYS = 1.5                # a pair that was near stays so up to so many times the squared distance
+CLEARER_BY = 10.0          # squared distance by which every other pairing has to be worse
+LIKELY = 8.0               # squared distance up to which two may be one
+UNPAIRED = 20.0            # squared distance that stands for two views that are nobody's else
+REFINED = (2.0, 100.0)     # squared distances that are reckoned again
+SLOWER = 3.0               # beyond the gate, up to the loose one, so many times as long
+PARTING = 2.0              # a human is parted beyond so many times the gate, after so many times the time, of joining
+OVERLAP_S = 0.2            # two views of one sensor that were there at once for so long are two humans
+STANDING_MPS = 0.15        # who goes slower stands
+SOONER = 0.3               # of the time, for a human whom the same sensor has just lost, or who has the same name
+RETURN_S = 3.0             # s after which a sensor has lost somebody for good
 ALIKE_MPS = 0.8            # difference of two measured velocities of one human
-HANDOVER_M = 1.0           # between where a lost person must be and where one comes up,
-HANDOVER_GROWTH_MPS = 0.3  # and so much more for each second out of sight
-NEW_S = 2.0                # so long somebody counts as new
+HOLD_S = 15.0              # s for which a view is held at most
+NAME_ALIKE = -6.0          # squared distance that a common name is worth
+NEW_S = 2.0                # so long a view counts as new
+EXTRAPOLATED_S = 0.5       # a lost human surely walks on for so long
+HANDOVER_GATE = 2.2        # Mahalanobis distance, place and velocity
+HANDOVER_M, HANDOVER_GROWTH_MPS = 0.15, 0.1    # deviation of where a lost human is by then, and its growth
+HANDOVER_HEIGHT_M = 0.05
+VELOCITY_SHARE = 0.5       # 1/s; uncertainty of a velocity per that of a place
+CHANGE_MPS = 0.25          # deviation of how a velocity changes out of sight
+LOOKING_S = 0.8            # a new view is looked at for so long before it is taken for a lost human
+LEARNT_VARIANCE = 0.1 ** 2     # a scale is used from then on
+FIXED_VARIANCE = 0.08 ** 2     # of a scale that was learnt, as far as it changes with the moment
 MAX_SENSORS = 50
 MAX_NAMES = 1000
 _NOBODY: FrozenSet[str] = frozenset()
-Pair = FrozenSet[str]
+Pair = FrozenSet[int]
 
 
-class SensorTrack:
-    """Places (m, in the horizontal plane of the reference frame) by stamp (s), as one sensor after the other gives
-    them.
+class SensedGroup(NamedTuple):
+    """What the manager knows of features that belong together.
 
-    began, ended: stamps of the first and the last place of the present stretch, in which `sensor` saw the person
-    without a gap. Where two sensors or two features give places at once, those of the better source count.
+    person: whose they are, empty while that is nobody. names: who recognisers say that it is, doubted: and who not.
     """
 
-    def __init__(self) -> None:
-        self._reset()
-
-    def _reset(self) -> None:
-        self.sensor = ""
-        self.began = self.ended = -math.inf
-        self._source = 0
-        self._points: Deque[Tuple[float, float, float]] = deque()
-        self._first = (0, 0.0, 0.0)
-        self._seen: Dict[str, Tuple[float, float]] = {}
-        self._stamps: Dict[Tuple[int, str], float] = {}
-        self._fit: Optional[Tuple[float, float, float, float, float]] = None
-
-    @property
-    def length(self) -> float:
-        """Length of the present stretch, s."""
-        return self.ended - self.began
-
-    @property
-    def start(self) -> Point:
-        """Mean of the first places of the present stretch, m."""
-        count, x, y = self._first
-        return x / count, y / count
-
-    @property
-    def velocity(self) -> Point:
-        """Velocity over the last second, m/s; 0 while too little is known."""
-        return self._line()[3:]
-
-    def add(self, source: int, sensor: str, point: Point, stamp: float) -> None:
-        """Take a place; one not newer than the last is left out. Where a source goes far back, all starts afresh."""
-        if stamp < self._stamps.get((source, sensor), -math.inf) - WINDOW_S:
-            self._reset()
-        self._stamps[source, sensor] = stamp
-        first, last = self._seen.get(sensor, (stamp, stamp))
-        self._seen[sensor] = (min(first, stamp), max(last, stamp))
-        fresh = stamp - self.ended <= FRESH_S
-        if fresh and ((source, sensor) != (self._source, self.sensor) and source >= self._source
-                      or stamp <= self.ended):
-            return
-        if not fresh or sensor != self.sensor:
-            self.began, self._first = stamp, (0, 0.0, 0.0)
-            self._points.clear()
-        self.sensor, self._source, self.ended = sensor, source, stamp
-        if stamp - self.began <= SETTLING_S:
-            count, x, y = self._first
-            self._first = (count + 1, x + point[0], y + point[1])
-        self._points.append((stamp, *point))
-        while self._points[0][0] < stamp - WINDOW_S:
-            self._points.popleft()
-        self._fit = None
-
-    def expected(self, stamp: float) -> Point:
-        """Where the person is at a time near or after the last place, walking on as it went, m."""
-        time, x, y, u, v = self._line()
-        return x + u * (stamp - time), y + v * (stamp - time)
-
-    def overlap(self, other: "SensorTrack") -> float:
-        """For how long (s) one sensor has seen both at the same time; negative: it has not."""
-        return max((min(last, other._seen[sensor][1]) - max(first, other._seen[sensor][0])
-                    for sensor, (first, last) in self._seen.items() if sensor in other._seen), default=-math.inf)
-
-    def absorb(self, other: "SensorTrack") -> None:
-        """Take over when the sensors saw a person that has turned out to be this one."""
-        for sensor, (first, last) in other._seen.items():
-            own = self._seen.get(sensor, (first, last))
-            self._seen[sensor] = (min(first, own[0]), max(last, own[1]))
-
-    def _line(self) -> Tuple[float, float, float, float, float]:
-        """Straight line through the places of the last second: time s, x, y m, velocity m/s."""
-        if self._fit is None:
-            count = len(self._points)
-            time, x, y = (sum(values) / count for values in zip(*self._points))
-            square = sum((point[0] - time) ** 2 for point in self._points)
-            u = v = 0.0
-            if self._points[-1][0] - self._points[0][0] >= SHORTEST_S:
-                u = sum((point[0] - time) * point[1] for point in self._points) / square
-                v = sum((point[0] - time) * point[2] for point in self._points) / square
-                scale = min(1.0, FASTEST_MPS / max(math.hypot(u, v), 1e-9))
-                u, v = u * scale, v * scale
-            self._fit = (time, x, y, u, v)
-        return self._fit
-
-
-class CameraPerson(NamedTuple):
-    """What the manager knows of one person of its table.
-
-    representative: id of the person that stands for it. present: it has features. names: who recognisers say that it
-    is.
-    """
-
-    id: str
-    representative: str
-    present: bool
-    anonymous: bool
+    features: FrozenSet[MatchNode]
+    person: str
     names: FrozenSet[str] = frozenset()
+    doubted: FrozenSet[str] = frozenset()
 
 
 class CrossCameraLink(NamedTuple):
@@ -153,30 +98,141 @@ class CrossCameraLink(NamedTuple):
 
 
 @dataclass
-class _Nearness:
-    """Smoothed distance (m) of a pair, since when (s) it is near or far, and the last time it was compared (s)."""
+class _Scale:
+    """How much farther away somebody is than one feature tells at one sensor, with its variance: learnt where rays
+    cross."""
 
-    distance: float
+    value: float = 1.0
+    variance: float = math.inf
+
+    def learn(self, value: float, variance: float) -> None:
+        """Take a measurement; those of one second are no better than one."""
+        if not math.isfinite(self.variance):
+            self.value, self.variance = value, variance
+            return
+        gain = max(0.02, self.variance / (self.variance + 10.0 * variance))
+        self.value += gain * (value - self.value)
+        self.variance = max(0.03 ** 2, (1.0 - gain) * self.variance)
+
+
+class View:
+    """What one sensor sees of one human."""
+
+    def __init__(self, number: int, sensor: str) -> None:
+        self.number, self.sensor = number, sensor
+        self.tracks: Dict[MatchNode, SensorTrack] = {}
+        self.person = ""
+        self.names = self.doubted = _NOBODY
+        self.began = math.inf
+
+    @property
+    def best(self) -> SensorTrack:
+        """The track that places the human: of the best source that is fresh, else the newest."""
+        newest = self.ended
+        return min(self.tracks.values(), key=lambda track: (newest - track.ended > FRESH_S, track.source,
+                                                            -track.ended))
+
+    @property
+    def ended(self) -> float:
+        """Stamp of the newest place, s."""
+        return max((track.ended for track in self.tracks.values()), default=-math.inf)
+
+    @property
+    def slots(self) -> Set[Tuple[str, Kind]]:
+        """Sensor and kinds of the features: a human has one of each."""
+        return {(self.sensor, feature.kind) for feature in self.tracks}
+
+    def at(self, stamp: float, scales: Mapping[Tuple[str, int], _Scale] = MappingProxyType({})) -> Estimate:
+        """Where the human is at a time (s) near the newest place, by this view; scales: what was learnt of this human
+        by sensor and source."""
+        time, found = self.near(stamp, scales)
+        return found._replace(position=found.position + found.velocity * (stamp - time))
+
+    def near(self, stamp: float, scales: Mapping[Tuple[str, int], _Scale] = MappingProxyType({})
+             ) -> Tuple[float, Estimate]:
+        """The mean place of the moment around `stamp` (s), or of the last one before, and its time (s)."""
+        track = self.best
+        time, found = track.near(stamp)
+        scale = scales.get((self.sensor, track.source))
+        if scale is None or track.origin is None or scale.variance > LEARNT_VARIANCE:
+            return time, found
+        ray = found.position - track.origin
+        length = float(np.linalg.norm(ray))
+        unit = ray / max(length, 1e-6)
+        less = float(unit @ found.covariance @ unit) - (scale.variance + FIXED_VARIANCE) * length ** 2
+        return time, Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
+                              found.covariance - max(0.0, less) * np.outer(unit, unit))
+
+
+class Human:
+    """Views that are one human, and who that was so far.
+
+    persons: ids of persons of the table that this human is or was. scales: by sensor and source of the
+    place. seen: stamp of the newest place by sensor, s. lost: where it was when the last view ended, with the stamp and
+    the sensors of that time.
+    """
+
+    def __init__(self, number: int, view: View) -> None:
+        self.number, self.views = number, [view]
+        self.persons: "OrderedDict[str, None]" = OrderedDict()
+        self.names = _NOBODY
+        self.scales: Dict[Tuple[str, int], _Scale] = {}
+        self.seen: Dict[str, float] = {}
+        self.lost: Optional[Tuple[Estimate, float, FrozenSet[str]]] = None
+
+    @property
+    def slots(self) -> Set[Tuple[str, Kind]]:
+        """Sensor and kinds of all features."""
+        return {slot for view in self.views for slot in view.slots}
+
+    @property
+    def sensors(self) -> Set[str]:
+        """Sensors that see it."""
+        return {view.sensor for view in self.views}
+
+
+@dataclass
+class _Nearness:
+    """Smoothed squared distance of a pair, since when (s) it is near, likely or far, and when it was compared (s)."""
+
+    square: float
     since: float
     stamp: float
     near: bool
+    likely_since: float = math.inf
 
 
 class CrossCamera:
-    """Follows places of persons per sensor and tells who is one human. Times are stamps of the measurements, s."""
+    """Follows what each sensor sees and tells who is one human. Times are stamps of the measurements, s."""
 
     def __init__(self, distance: float, time: float, handover: float) -> None:
         """Take the limits, see limit()."""
         self.limit(distance, time, handover)
-        self._tracks: Dict[str, SensorTrack] = {}
+        self._tracks: Dict[MatchNode, SensorTrack] = {}
+        self._view_of: Dict[MatchNode, View] = {}
+        self._human_of: Dict[int, Human] = {}
+        self._humans: Dict[int, Human] = {}
         self._near: Dict[Pair, _Nearness] = {}
-        self._links: Set[Pair] = set()
+        self._apart: Dict[int, _Nearness] = {}
+        self._two: Set[Pair] = set()
         self._sensors: Set[str] = set()
         self._named_by: "OrderedDict[str, Set[str]]" = OrderedDict()
+        self._told: Set[FrozenSet[str]] = set()
+        self._kept: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
+        self._parted: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
+        self._numbers = itertools.count()
         self._newest = -math.inf
+        self._explained: Dict[int, Set[int]] = {}
+        self._returned: Set[Pair] = set()
+        self.held: FrozenSet[MatchNode] = frozenset()
+        self.due: List[FrozenSet[MatchNode]] = []
 
     def limit(self, distance: float, time: float, handover: float) -> None:
-        """Join persons nearer than `distance` m for `time` s, and the lost with the new for `handover` s; 0: never."""
+        """Join persons nearer than `distance` m for `time` s, and the lost with the new for `handover` s; 0: never.
+
+        The distance holds for places whose exactness is not known; a tenth of it is how exact the poses of the cameras
+        are.
+        """
         self._distance, self._time, self._handover = distance, time, handover
 
     @property
@@ -184,213 +240,557 @@ class CrossCamera:
         """Tell whether fewer than two sensors have placed anybody so far, so that there is nothing to join."""
         return len(self._sensors) < 2
 
-    def retain(self, person_ids: Iterable[str]) -> None:
-        """Forget everybody else; for the time while it is idle."""
-        kept = set(person_ids)
-        for gone in self._tracks.keys() - kept:
-            del self._tracks[gone]
+    def covariance(self, position: np.ndarray, origin: Optional[np.ndarray], along: float) -> np.ndarray:
+        """Covariance (3, 3) m^2 of a place; origin: of the sensor, None where it is not known."""
+        if origin is None:
+            return (self._distance / GATE) ** 2 / 2.0 * np.diag([1.0, 1.0, 25.0])
+        return ray_covariance(position, origin, along, exactness=0.1 * self._distance)
 
-    @property
-    def links(self) -> Tuple[Tuple[str, str], ...]:
-        """The pairs that are joined now."""
-        return tuple((min(pair), max(pair)) for pair in self._links)
-
-    def add_place(self, person_id: str, source: int, sensor: str, point: Point, stamp: float) -> None:
-        """Take a place (m, in the horizontal plane) of a person of the table; a lower `source` is a better one."""
+    def add_place(self, feature: MatchNode, source: int, sensor: str, position: np.ndarray, covariance: np.ndarray,
+                  origin: Optional[np.ndarray], stamp: float) -> None:
+        """Take a place (3,) m of a tracked feature with its covariance (3, 3) m^2; a lower `source` is a better one."""
         if sensor not in self._sensors:
             if len(self._sensors) >= MAX_SENSORS:
                 return
             self._sensors.add(sensor)
-        track = self._tracks.get(person_id)
-        if track is None:
-            track = self._tracks[person_id] = SensorTrack()
-        track.add(source, sensor, point, stamp)
+        track = self._tracks.get(feature)
+        if track is None or track.sensor != sensor:
+            track = self._tracks[feature] = SensorTrack(sensor)
+            view = self._view_of.pop(feature, None)
+            if view is not None:
+                view.tracks.pop(feature, None)
+        track.add(source, position, covariance, origin, stamp)
         self._newest = max(self._newest, stamp)
 
-    def update(self, persons: Iterable[CameraPerson], merged: Mapping[str, str]) -> List[CrossCameraLink]:
-        """Return the links that are new or over; merged: persons of the table that have become others.
+    def fused(self, feature: MatchNode, stamp: float) -> Optional[Estimate]:
+        """Where the human of a feature is at `stamp` (s) by all who see it; None where one sensor does, or none."""
+        view = self._view_of.get(feature)
+        if view is None or not view.tracks:
+            return None
+        human = self._human_of[view.number]
+        views = [other for other in human.views if abs(stamp - other.ended) <= FRESH_S]
+        if len({other.sensor for other in views}) < 2 and not human.scales:
+            return None
+        return _fuse_views(views or [view], stamp, human.scales)
 
-        Persons that are in neither are forgotten.
+    def update(self, groups: Iterable[SensedGroup], is_split: Callable[[str, str], bool]) -> None:
+        """Take who belongs together; decides who is one human, which views are held, and which are due to be told.
+
+        is_split(id, id): tells whether a user has parted two persons.
         """
-        facts = {person.id: person for person in persons}
-        changed = self._follow_merged(facts, merged)
-        self._note_names(facts.values())
-        changed += self._separate(facts)
-        changed += self._join(facts)
-        if self._handover > 0.0:
-            changed += self._hand_over(facts)
+        self._regroup(groups)
+        self._part_by_hand(is_split)
+        live = [view for view in self._views() if self._newest - view.ended <= FRESH_S]
+        self._note_names(live)
+        self._note_two(live)
+        self._come_back_by_name()
+        if live and not self.is_idle:
+            self._separate(live)
+            self._join(live)
+            self._learn_scales(live)
+        self._hold(live)
+        self._forget_lost()
+
+    def links(self, owner: Callable[[MatchNode], str], exists: Container[str]) -> List[CrossCameraLink]:
+        """Return the links between persons that are new or over.
+
+        owner(feature): the id of its person, empty for none. exists: all persons of the table.
+        """
+        wanted: Dict[FrozenSet[str], None] = {}
+        current = {owner(feature) for feature in self._view_of} - {""}
+        for human in self._humans.values():
+            own = [owner(feature) for view in human.views for feature in sorted(view.tracks)]
+            human.persons.update(dict.fromkeys(person for person in own if person))
+            for person in [person for person in human.persons
+                           if person not in exists or person in current and person not in own]:
+                del human.persons[person]
+            first, *others = human.persons or [""]
+            wanted.update((frozenset((first, other)), None) for other in others)
+        wanted.update(dict.fromkeys(self._still_kept(current, exists)))
+        changed = [CrossCameraLink(min(pair), max(pair), 0.0) for pair in self._told - wanted.keys()]
+        changed += [CrossCameraLink(min(pair), max(pair), LIKELIHOOD) for pair in wanted if pair not in self._told]
+        self._told = set(wanted)
         return changed
 
-    def _follow_merged(self, facts: Mapping[str, CameraPerson], merged: Mapping[str, str]) -> List[CrossCameraLink]:
-        """Remove persons that have gone; links with one are moved to the person that it has become, else its neighbours
-        are linked."""
-        changed = []
-        for gone in {end for pair in self._links for end in pair if end not in facts}:
-            ends = [end for pair in self._links if gone in pair for end in pair - {gone}]
-            ends = [merged.get(gone, "")] + ends
-            self._links = {pair for pair in self._links if gone not in pair}
-            ends = list(dict.fromkeys(end for end in ends if end in facts))
-            for first, second in zip(ends, ends[1:]):
-                self._links.add(frozenset((first, second)))
-                changed.append(CrossCameraLink(first, second, LIKELIHOOD))
-        for gone in [key for key in self._tracks if key not in facts]:
-            target = self._tracks.get(merged.get(gone, ""))
-            if target is not None:
-                target.absorb(self._tracks[gone])
-            del self._tracks[gone]
-        for pair in [pair for pair in self._near if not pair <= facts.keys()]:
-            del self._near[pair]
-        return changed
+    def _still_kept(self, current: Container[str], exists: Container[str]) -> List[FrozenSet[str]]:
+        """Links of humans that all sensors have lost: they hold while their persons are there, and not seen apart."""
+        for pair in list(self._kept):
+            first, second = pair
+            if first not in exists or second not in exists or pair in self._parted or (
+                    first in current and second in current):
+                del self._kept[pair]
+        while len(self._kept) > MAX_NAMES:
+            self._kept.popitem(last=False)
+        return list(self._kept)
 
-    def _note_names(self, persons: Iterable[CameraPerson]) -> None:
+    def _views(self) -> List[View]:
+        return [view for human in self._humans.values() for view in human.views]
+
+    # ----- who belongs together at one sensor
+
+    def _regroup(self, groups: Iterable[SensedGroup]) -> None:
+        """Make the views anew; a view goes on as long as one of its features does."""
+        taken: Set[int] = set()
+        seen: Set[MatchNode] = set()
+        for group in groups:
+            by_sensor: Dict[str, List[MatchNode]] = {}
+            for feature in sorted(group.features):
+                if feature in self._tracks:
+                    by_sensor.setdefault(self._tracks[feature].sensor, []).append(feature)
+            for sensor, features in by_sensor.items():
+                view = self._view_for(sensor, features, taken)
+                taken.add(view.number)
+                seen.update(features)
+                if view.names and group.names and not view.names & group.names:
+                    self._begin_anew(view)      # it is somebody else after all
+                view.person, view.names, view.doubted = group.person, group.names, group.doubted
+        for feature in [feature for feature in self._tracks if feature not in seen]:
+            del self._tracks[feature]
+            before = self._view_of.pop(feature, None)
+            if before is not None:
+                before.tracks.pop(feature, None)
+        for view in self._views():
+            if not view.tracks:
+                self._remove(view)
+
+    def _view_for(self, sensor: str, features: List[MatchNode], taken: Set[int]) -> View:
+        known = {view.number: view for view in (self._view_of.get(feature) for feature in features)
+                 if view is not None and view.number not in taken}
+        view = known[min(known)] if known else View(next(self._numbers), sensor)
+        if not known:
+            self._humans[view.number] = self._human_of[view.number] = Human(view.number, view)
+        for number in sorted(known)[1:]:
+            self._unite(self._human_of[view.number], self._human_of[number])
+        for feature in features:
+            before = self._view_of.get(feature)
+            if before is not None and before is not view:
+                before.tracks.pop(feature, None)
+            self._view_of[feature] = view
+            view.tracks[feature] = self._tracks[feature]
+        for feature in [feature for feature in view.tracks if feature not in features]:
+            del view.tracks[feature]
+            if self._view_of.get(feature) is view:
+                del self._view_of[feature]
+        view.began = min([view.began] + ([] if known else [track.began for track in view.tracks.values()]))
+        return view
+
+    def _remove(self, view: View) -> None:
+        human = self._human_of.pop(view.number)
+        human.views.remove(view)
+        self._apart.pop(view.number, None)
+        explained = self._explained.get(human.number, set()) & self._humans.keys()
+        if not human.views and (human.lost is None or not human.persons or explained):
+            self._drop(human)       # nobody was told of it, or it was somebody who is still there
+
+    def _drop(self, human: Human) -> None:
+        first, *others = human.persons or [""]
+        self._kept.update(dict.fromkeys(frozenset((first, other)) for other in others))
+        self._humans.pop(human.number, None)
+        self._two = {pair for pair in self._two if human.number not in pair}
+        self._near = {pair: near for pair, near in self._near.items() if human.number not in pair}
+
+    def _unite(self, human: Human, other: Human) -> None:
+        """Make one human of two, whatever is known of them."""
+        if human is other:
+            return
+        if other.persons and other.number < human.number:
+            human, other = other, human
+        for view in other.views:
+            self._human_of[view.number] = human
+        human.views += other.views
+        human.persons.update(other.persons)
+        human.scales = {**other.scales, **human.scales}
+        human.seen = {**other.seen, **human.seen}
+        human.names |= other.names
+        self._two |= {frozenset((human.number, *(pair - {other.number}))) for pair in self._two
+                      if other.number in pair and human.number not in pair}
+        if human.views:
+            human.lost = None
+        other.persons.clear()
+        self._drop(other)
+
+    def _take_out(self, view: View) -> None:
+        """Make a human of its own of a view."""
+        human = self._human_of[view.number]
+        if len(human.views) < 2:
+            return
+        human.views.remove(view)
+        new = Human(next(self._numbers), view)
+        self._humans[new.number] = self._human_of[view.number] = new
+        human.scales = {key: scale for key, scale in human.scales.items() if key[0] != view.sensor}
+        human.seen.pop(view.sensor, None)
+        new.names = view.names
+        human.names = frozenset().union(*(one.names for one in human.views))
+        if view.person:
+            human.persons.pop(view.person, None)
+        self._apart.pop(view.number, None)
+
+    def _begin_anew(self, view: View) -> None:
+        """Let a view be somebody of whom nothing is known."""
+        human = self._human_of[view.number]
+        if len(human.views) > 1:
+            self._take_out(view)
+            return
+        self._drop(human)
+        view.began = view.ended
+        new = Human(next(self._numbers), view)
+        self._humans[new.number] = self._human_of[view.number] = new
+
+    def _part_by_hand(self, is_split: Callable[[str, str], bool]) -> None:
+        """Part whom a user has parted."""
+        for first, second in [sorted(pair) for pair in self._told]:
+            if not is_split(first, second):
+                continue
+            self._parted[frozenset((first, second))] = None
+            for human in list(self._humans.values()):
+                if first in human.persons and second in human.persons:
+                    for view in [view for view in human.views if view.person == second]:
+                        self._take_out(view)
+                    human.persons.pop(second, None)
+        while len(self._parted) > MAX_NAMES:
+            self._parted.popitem(last=False)
+
+    # ----- who are two
+
+    def _note_names(self, live: Iterable[View]) -> None:
         """Remember at which sensors each name is given."""
-        for fact in persons:
-            if fact.present and self._is_fresh(fact.id):
-                for name in fact.names:
-                    self._named_by.setdefault(name, set()).add(self._tracks[fact.id].sensor)
+        for view in live:
+            for name in view.names:
+                self._named_by.setdefault(name, set()).add(view.sensor)
         while len(self._named_by) > MAX_NAMES:
             self._named_by.popitem(last=False)
+        for human in self._humans.values():
+            if human.views:
+                human.names = frozenset().union(*(view.names for view in human.views))
 
-    def _separate(self, facts: Mapping[str, CameraPerson]) -> List[CrossCameraLink]:
-        """End the links of those who are apart, were seen at once by one sensor, or have two names."""
-        over = []
-        for pair in list(self._links):
-            first, second = pair
-            nearness = self._compare(first, second) if self._is_fresh(first) and self._is_fresh(second) else None
-            apart = nearness is not None and not nearness.near and (
-                nearness.stamp - nearness.since >= PARTING * self._time)
-            if apart or self._are_two(facts[first], facts[second], FRESH_S):
-                self._links.discard(pair)
-                self._near.pop(pair, None)
-                over.append(CrossCameraLink(min(pair), max(pair), 0.0))
-        return over
+    def _note_two(self, live: List[View]) -> None:
+        """Remember the humans that one sensor sees at the same time."""
+        for first, second in itertools.combinations(live, 2):
+            one, other = self._human_of[first.number], self._human_of[second.number]
+            if first.sensor == second.sensor and one is not other and first.slots & second.slots and (
+                    min(first.ended, second.ended) - max(first.began, second.began) > OVERLAP_S):
+                self._two.add(frozenset((one.number, other.number)))
 
-    def _join(self, facts: Mapping[str, CameraPerson]) -> List[CrossCameraLink]:
-        here = sorted((key for key, fact in facts.items() if fact.present and self._is_fresh(key)),
-                      key=lambda key: (self._tracks[key].sensor, key))
-        views: Dict[Tuple[str, str], Dict[Tuple[str, str], float]] = {}
-        for first, second in combinations(here, 2):
-            sensors = (self._tracks[first].sensor, self._tracks[second].sensor)
-            if sensors[0] != sensors[1] and self._may_join(facts, first, second):
-                alike = bool(facts[first].names & facts[second].names)
-                views.setdefault(sensors, {})[first, second] = self._compare(first, second, alike).distance
-        found = []
-        for distances in views.values():
-            for first, second in _clear_pairs(distances, PARTING * self._distance, facts):
-                nearness = self._near[frozenset((first, second))]
-                if nearness.near and nearness.stamp - nearness.since >= self._time and self._walk_alike(first, second):
-                    found += self._link(facts, first, second)
-        return found
+    def _other_names(self, first: FrozenSet[str], second: FrozenSet[str]) -> bool:
+        return not first & second and any(
+            self._named_by.get(a, _NOBODY) & self._named_by.get(b, _NOBODY) for a in first for b in second)
 
-    def _hand_over(self, facts: Mapping[str, CameraPerson]) -> List[CrossCameraLink]:
-        present = {fact.representative for fact in facts.values() if fact.present}
-        lost: Dict[str, str] = {}
-        for key, fact in facts.items():
-            if fact.representative not in present and key in self._tracks:
-                best = lost.get(fact.representative)
-                if best is None or self._tracks[best].ended < self._tracks[key].ended:
-                    lost[fact.representative] = key
-        new = [key for key, fact in facts.items() if fact.present and fact.anonymous and self._is_new(key)]
-        apart = {(old, young): distance for old in lost.values() for young in new
-                 for distance in (self._jump(old, young),)
-                 if distance is not None and self._may_join(facts, old, young)}
-        return [link for old, young in _clear_pairs(apart, HANDOVER_M, facts)
-                for link in self._link(facts, facts[old].representative, young)]
+    def _may_be_one(self, one: Human, other: Human) -> bool:
+        """Tell whether nothing is known that makes two humans of them."""
+        if frozenset((one.number, other.number)) in self._two or one.slots & other.slots:
+            return False
+        if _is_doubted(one.views, other.views) or self._other_names(one.names, other.names):
+            return False
+        return not any(frozenset((a, b)) in self._parted for a in one.persons for b in other.persons)
 
-    def _jump(self, old: str, young: str) -> Optional[float]:
-        """Distance (m) of where somebody new came up from where a lost person must be by then; None if out of the
-        question.
+    def _separate(self, live: List[View]) -> None:
+        """Take views out of humans that they are apart from, or that are somebody else."""
+        for human in list(self._humans.values()):
+            views = [view for view in human.views if view in live]
+            for view in sorted(views, key=lambda item: -item.began):
+                others = [other for other in views if other is not view and other in human.views]
+                if not others:
+                    continue
+                names = frozenset().union(*(other.names for other in others))
+                if self._other_names(view.names, names) or _is_doubted([view], others) or self._is_apart(view, others):
+                    self._take_out(view)
+                    self._two.add(frozenset((human.number, self._human_of[view.number].number)))
 
-        Ways that grow with the time out of sight are taken off.
-        """
-        before, after = self._tracks[old], self._tracks[young]
-        away = after.began - before.ended
-        if not -SETTLING_S <= away <= self._handover or after.sensor == before.sensor:
+    def _is_apart(self, view: View, others: List[View]) -> bool:
+        if others[0].began > view.began and len(others) == 1:
+            return False        # of two, the younger one is asked
+        stamp = min([view.ended] + [other.ended for other in others])
+        found = [view.at(stamp), _fuse_views(others, stamp)]
+        square = float(squared_distances(np.array([item.position for item in found]), np.array([
+            found[0].covariance + _lengthened(view, found[0])] + [
+            found[1].covariance + sum(_lengthened(other, found[1]) for other in others) / len(others) ** 2]))[0, 1])
+        alike = any(view.names & other.names for other in others)
+        limit = (PARTING * GATE * (SLOWER if alike else 1.0)) ** 2
+        state = self._smooth(self._apart, view.number, square, stamp, limit)
+        return not state.near and stamp - state.since >= PARTING * self._time
+
+    # ----- who are one
+
+    def _smooth(self, known: Dict, key: object, square: float, stamp: float, limit: float) -> _Nearness:
+        """Follow the squared distance of a pair; it is near below `limit`."""
+        state = known.get(key)
+        if state is None or stamp < state.stamp or stamp - state.stamp > 2.0:
+            state = known[key] = _Nearness(square, stamp, stamp, square <= limit)
+        elif stamp > state.stamp:
+            gain = 1.0 - math.exp(-2.0 * (stamp - state.stamp) / max(self._time, 1e-3))
+            state.square += gain * (square - state.square)
+            near = state.square <= limit * (STAYS if state.near else 1.0)
+            state.since = state.since if near == state.near else stamp
+            state.near, state.stamp = near, stamp
+        likely = state.square <= LOOSE_GATE ** 2
+        state.likely_since = min(state.likely_since, stamp) if likely else math.inf
+        return state
+
+    def _join(self, live: List[View]) -> None:
+        """Unite the humans of views that are clearly one."""
+        seen = [human for human in self._humans.values() if any(view in live for view in human.views)]
+        costs = self._costs(seen, live)
+        self._explained.clear()
+        for pair, _ in sorted(self._pair_up(seen, live, costs).items(), key=lambda item: item[1]):
+            if not pair <= self._humans.keys():
+                continue
+            one, other = (self._humans[number] for number in sorted(pair))
+            if self._may_be_one(one, other) and self._is_ripe(pair, one, other, live):
+                self._unite(one, other)
+
+    def _come_back_by_name(self) -> None:
+        """Let a lost human go on whose person somebody is again."""
+        lost = {person: human for human in self._humans.values() if not human.views for person in human.persons}
+        for view in self._views() if lost else ():
+            before = lost.get(view.person)
+            human = self._human_of[view.number]
+            if before is not None and before.number in self._humans and self._may_be_one(before, human):
+                self._unite(before, human)
+
+    def _is_ripe(self, pair: Pair, one: Human, other: Human, live: List[View]) -> bool:
+        if not one.views or not other.views:
+            return pair in self._returned
+        state = self._near.get(pair)
+        if state is None or self._velocity_apart(one, other, live) > ALIKE_MPS:
+            return False
+        returns = any(view.began - RETURN_S <= b.seen.get(view.sensor, -math.inf) < view.began + OVERLAP_S
+                      for a, b in ((one, other), (other, one)) for view in a.views)
+        sooner = SOONER if returns or one.names & other.names else 1.0
+        return (state.near and state.stamp - state.since >= sooner * self._time
+                or state.stamp - state.likely_since >= SLOWER * self._time)
+
+    def _velocity_apart(self, one: Human, other: Human, live: List[View]) -> float:
+        found = [np.mean([view.best.at(view.ended).velocity[:2] for view in human.views if view in live], axis=0)
+                 for human in (one, other)]
+        return float(np.linalg.norm(found[0] - found[1]))
+
+    def _costs(self, seen: List[Human], live: List[View]) -> Dict[Pair, float]:
+        """Smoothed squared distances of all pairs that may be one, and of lost humans and new views."""
+        if len(seen) < 1:
+            return {}
+        stamp = max(self._newest - 0.8 * FRESH_S, min(view.ended for view in live))
+        views = [[view for view in human.views if view in live] for human in seen]
+        places = [_fuse_views(of, stamp, human.scales) for of, human in zip(views, seen)]
+        squares = squared_distances(np.array([place.position for place in places]),
+                                    np.array([place.covariance for place in places]))
+        costs: Dict[Pair, float] = {}
+        for (row, one), (column, other) in itertools.combinations(enumerate(seen), 2):
+            pair = frozenset((one.number, other.number))
+            if self._may_be_one(one, other):
+                square = float(squares[row, column])
+                if REFINED[0] < square < REFINED[1]:
+                    square = _refined(places[row], places[column], views[row], views[column])
+                if one.names & other.names:
+                    square /= PARTING ** 2
+                square += _name_bonus(one, other)
+                costs[pair] = self._smooth(self._near, pair, square, stamp, GATE ** 2).square
+        self._returned.clear()
+        for lost, human in itertools.product([human for human in self._humans.values() if not human.views], seen):
+            found = self._jump(lost, human) if self._may_be_one(lost, human) else None
+            if found is not None:
+                pair = frozenset((lost.number, human.number))
+                costs[pair] = found[0] + _name_bonus(lost, human)
+                if found[1]:
+                    self._returned.add(pair)
+        return costs
+
+    def _pair_up(self, seen: List[Human], live: List[View], costs: Mapping[Pair, float]) -> Dict[Pair, float]:
+        """Pair up whom one sensor sees with whom another one sees, or who is lost; returns the clear pairs and their
+        costs."""
+        clear: Dict[Pair, float] = {}
+        unclear: Set[Pair] = set()
+        lost = [human for human in self._humans.values() if not human.views]
+        sensors = sorted({view.sensor for view in live})
+        for sensor, other in itertools.permutations([*sensors, ""], 2):
+            rows = [human for human in seen if other in human.sensors and sensor not in human.sensors] + lost
+            columns = [human for human in seen if sensor in human.sensors and other not in human.sensors]
+            if rows and columns:
+                self._assign(rows, columns, costs, clear, unclear)
+        return {pair: cost for pair, cost in clear.items()
+                if pair not in unclear and not self._has_rival(pair, seen, costs)}
+
+    def _has_rival(self, pair: Pair, seen: List[Human], costs: Mapping[Pair, float]) -> bool:
+        """Tell whether one of a pair might as well be somebody else whom yet another sensor sees."""
+        for one, other in itertools.permutations(pair):
+            for rival in seen:
+                cost = costs.get(frozenset((one, rival.number)), math.inf)
+                if rival.number in pair or cost >= costs[pair] + CLEARER_BY:
+                    continue
+                human = self._humans[other]
+                if not human.sensors & rival.sensors and (
+                        costs.get(frozenset((other, rival.number)), math.inf) > LIKELY):
+                    return True
+        return False
+
+    def _assign(self, rows: List[Human], columns: List[Human], costs: Mapping[Pair, float], clear: Dict[Pair, float],
+                unclear: Set[Pair]) -> None:
+        table = np.array([[costs.get(frozenset((row.number, column.number)), math.inf) for column in columns]
+                          for row in rows])
+        best, pairs = _least(table)
+        unclear.update(frozenset((rows[row].number, columns[column].number))
+                       for row, column in zip(*np.nonzero(np.isfinite(table))) if (row, column) not in pairs)
+        for row, column in pairs:
+            pair = frozenset((rows[row].number, columns[column].number))
+            self._explained.setdefault(rows[row].number, set()).add(columns[column].number)
+            self._explained.setdefault(columns[column].number, set()).add(rows[row].number)
+            without = table.copy()
+            without[row, column] = math.inf
+            if _least(without)[0] - best >= CLEARER_BY:
+                clear[pair] = float(table[row, column])
+            else:
+                unclear.add(pair)
+
+    def _jump(self, lost: Human, human: Human) -> Optional[Tuple[float, bool]]:
+        """Squared distance of where a new human came up from where a lost one must be by then, and whether it is known
+        well enough that they are one; None if out of the question."""
+        if lost.lost is None:
             return None
-        distance = math.dist(before.expected(after.began), after.start) - HANDOVER_GROWTH_MPS * max(0.0, away)
-        return max(0.0, distance) if distance <= HANDOVER_M else None
+        estimate, ended, sensors = lost.lost
+        view = min(human.views, key=lambda item: item.began)
+        track, away = view.best, view.began - ended
+        if not -FRESH_S <= away <= max(self._handover, FRESH_S) or view.ended - view.began > NEW_S:
+            return None
+        square = _way_squared(estimate, track.start, track.at(track.ended), max(away, 0.0))
+        known = (square <= HANDOVER_GATE ** 2 and view.ended - view.began >= LOOKING_S
+                 and 0.0 < self._handover and -SETTLING_S <= away <= self._handover
+                 and view.sensor not in sensors and len(human.persons) <= 1)
+        return square, known
 
-    def _compare(self, first: str, second: str, alike: bool = False) -> _Nearness:
-        """Smoothed distance of two persons that are both seen now.
+    def _learn_scales(self, live: List[View]) -> None:
+        """Learn by how much the distance of each view is wrong, where the rays of several cross."""
+        for human in self._humans.values():
+            views = [view for view in human.views if view in live]
+            if len({view.sensor for view in views}) < 2:
+                continue
+            stamp = min(view.ended for view in views)
+            place = _fuse_views(views, stamp)
+            for view in views:
+                if view.best.origin is not None:
+                    scale = human.scales.setdefault((view.sensor, view.best.source), _Scale())
+                    scale.learn(*_measured_scale(view, place, stamp))
 
-        Two that are joined, or that look alike to a recogniser, may be farther apart.
-        """
-        pair = frozenset((first, second))
-        one, other = self._tracks[first], self._tracks[second]
-        stamp = min(one.ended, other.ended)
-        distance = math.dist(one.expected(stamp), other.expected(stamp))
-        limit = self._distance * (PARTING if alike or pair in self._links else 1.0)
-        known = self._near.get(pair)
-        if known is None or stamp < known.stamp:
-            self._near[pair] = _Nearness(distance, stamp, stamp, distance <= limit)
-        elif stamp > known.stamp:
-            if stamp - known.stamp > FRESH_S:
-                known.since = stamp
-            known.distance += (1.0 - math.exp(-2.0 * (stamp - known.stamp) / max(self._time, 1e-3))) * (
-                distance - known.distance)
-            near = known.distance <= limit
-            known.since = known.since if near == known.near else stamp
-            known.near, known.stamp = near, stamp
-        return self._near[pair]
+    # ----- who is told
 
-    def _link(self, facts: Mapping[str, CameraPerson], first: str, second: str) -> List[CrossCameraLink]:
-        # An earlier link of this round may stand against it.
-        if not self._may_join(facts, first, second):
-            return []
-        pair = frozenset((first, second))
-        self._links.add(pair)
-        self._near.pop(pair, None)
-        return [CrossCameraLink(first, second, LIKELIHOOD)]
+    def _hold(self, live: List[View]) -> None:
+        """Choose the views of which no person is made yet, and those whose person is known by now."""
+        held: Set[MatchNode] = set()
+        self.due = []
+        known = {human.number for human in self._humans.values() if human.persons or not human.views}
+        for view in sorted(live, key=lambda item: (item.began, item.number)):
+            human = self._human_of[view.number]
+            if not view.person and human.persons:
+                self.due.append(frozenset(view.tracks))
+            elif not view.person and self._explained.get(human.number, set()) & known and (
+                    view.ended - view.began <= HOLD_S):
+                held.update(view.tracks)
+            known.add(human.number)
+        self.held = frozenset(held)
 
-    def _may_join(self, facts: Mapping[str, CameraPerson], first: str, second: str) -> bool:
-        """Tell whether nobody joined with one of them, now or so far, has been seen beside somebody joined with the
-        other."""
-        one, other = self._joined(facts, first), self._joined(facts, second)
-        return not one & other and not any(self._are_two(facts[a], facts[b]) for a in one for b in other)
-
-    def _joined(self, facts: Mapping[str, CameraPerson], person_id: str) -> Set[str]:
-        representative = facts[person_id].representative
-        found = {key for key, fact in facts.items() if fact.representative == representative}
-        return found | {end for pair in self._links if pair & found for end in pair}
-
-    def _are_two(self, first: CameraPerson, second: CameraPerson, tolerance: float = 0.0) -> bool:
-        """Tell whether two persons cannot be one: named differently by one sensor, or seen at once for `tolerance`
-        s."""
-        if not first.names & second.names and any(
-                self._named_by.get(a, _NOBODY) & self._named_by.get(b, _NOBODY) for a in first.names
-                for b in second.names):
-            return True
-        one, other = self._tracks.get(first.id), self._tracks.get(second.id)
-        return one is not None and other is not None and one.overlap(other) > tolerance
-
-    def _walk_alike(self, first: str, second: str) -> bool:
-        return math.dist(self._tracks[first].velocity, self._tracks[second].velocity) <= ALIKE_MPS
-
-    def _is_fresh(self, person_id: str) -> bool:
-        track = self._tracks.get(person_id)
-        return track is not None and self._newest - track.ended <= FRESH_S
-
-    def _is_new(self, person_id: str) -> bool:
-        return self._is_fresh(person_id) and SETTLING_S <= self._tracks[person_id].length <= NEW_S
+    def _forget_lost(self) -> None:
+        """Note where humans are, as long as somebody sees them, and forget who is away for too long."""
+        for human in list(self._humans.values()):
+            views = [view for view in human.views if self._newest - view.ended <= FRESH_S]
+            if views:
+                human.seen.update((view.sensor, view.ended) for view in views)
+                stamp = max(view.ended for view in views)
+                human.lost = (_fuse_views(views, stamp, human.scales), stamp, frozenset(view.sensor for view in views))
+            elif not human.views and (human.lost is None or not (
+                    self._newest - human.lost[1] <= max(self._handover, 1.0) + NEW_S)):
+                self._drop(human)
 
 
-def _clear_pairs(distances: Mapping[Tuple[str, str], float], limit: float,
-                 facts: Mapping[str, CameraPerson]) -> List[Tuple[str, str]]:
-    """Pair up so that all is least, and leave out the pairs that might as well be others.
+def _is_doubted(views: List[View], others: List[View]) -> bool:
+    """Tell whether a recogniser says of one of these views that it is not who one of the others is."""
+    return any(a.doubted & (b.names | {b.person}) for one, two in ((views, others), (others, views))
+               for a in one for b in two)
 
-    distances: m, of the pairs that are possible; none is paired beyond `limit` m.
+
+def _fuse_views(views: List[View], stamp: float, scales: Mapping[Tuple[str, int], _Scale] = MappingProxyType({})
+                ) -> Estimate:
+    """Where a human is at `stamp` (s) by all of these views; those of heads only, where there are some."""
+    heads = [view for view in views if view.best.source < 2] or views
+    if len(heads) == 1:
+        return heads[0].at(stamp, scales)
+    moments = [view.near(stamp, scales) for view in heads]
+    covariances = np.array([item.covariance for _, item in moments])
+    velocity, _ = fuse(np.array([item.velocity for _, item in moments]), covariances)
+    if float(velocity @ velocity) < STANDING_MPS ** 2:
+        velocity = np.zeros(3)
+    # One view tells the velocity along its ray badly, all together well.
+    position, covariance = fuse(np.array([item.position + velocity * (stamp - time) for time, item in moments]),
+                                covariances)
+    return Estimate(position, velocity, covariance)
+
+
+def _name_bonus(one: Human, other: Human) -> float:
+    """What names are worth, as a squared distance."""
+    return NAME_ALIKE if one.names & other.names else 0.0
+
+
+def _way_squared(lost: Estimate, start: np.ndarray, new: Estimate, away: float) -> float:
+    """Squared distance of how somebody new came up, at `start` (3,) m, from how a lost human must, `away` s later.
+
+    It surely walks on for 0.5 s, and anything between standing still and walking on after that. The velocity counts,
+    too: as errors of places change within a second, it is as uncertain as a place, per second.
     """
-    rows = sorted({first for first, _ in distances})
-    columns = sorted({second for _, second in distances})
-    cost = np.full((len(rows), len(columns)), np.inf)
-    for (first, second), distance in distances.items():
-        cost[rows.index(first), columns.index(second)] = distance
-    chosen = []
-    for row, column in assign(cost, limit):
-        pair = (rows[row], columns[column])
-        representatives = {facts[key].representative for key in pair}
-        rivals = [value for other, value in distances.items()
-                  if len({facts[key].representative for key in other} & representatives) == 1]
-        if min(rivals, default=math.inf) >= cost[row, column] + CLEARER_BY_M:
-            chosen.append(pair)
-    return chosen
+    near, far = (lost.velocity * time for time in (min(away, EXTRAPOLATED_S), away))
+    offset, way = start - lost.position - near, far - near
+    length = float(way @ way)
+    if length > 1e-9:
+        offset = offset - way * min(1.0, max(0.0, float(offset @ way) / length))
+    doubt = VELOCITY_SHARE ** 2
+    spread = (HANDOVER_M + HANDOVER_GROWTH_MPS * away) ** 2
+    covariance = lost.covariance * (1.0 + doubt * min(away, 1.0) ** 2) + new.covariance + np.diag(
+        [spread, spread, HANDOVER_HEIGHT_M ** 2])
+    changed = (new.velocity - lost.velocity)[:2]
+    of_change = doubt * (lost.covariance + new.covariance)[:2, :2] + CHANGE_MPS ** 2 * np.eye(2)
+    return float(offset @ np.linalg.solve(covariance, offset) + changed @ np.linalg.solve(of_change, changed))
+
+
+def _refined(one: Estimate, other: Estimate, views: List[View], others: List[View]) -> float:
+    """Squared distance of two places with the errors along the rays that they have when both are one human's: these
+    grow with the true distance, not with that which an error has shortened."""
+    middle, _ = fuse(np.array([one.position, other.position]), np.array([one.covariance, other.covariance]))
+    both = one.covariance + other.covariance
+    for place, of in ((one, views), (other, others)):
+        if len(of) == 1 and of[0].best.origin is not None:
+            ray = place.position - of[0].best.origin
+            square = float(ray @ ray)
+            told = float((middle - of[0].best.origin) @ (middle - of[0].best.origin)) / square
+            along = float(ray @ place.covariance @ ray) / square
+            both = both + (min(max(told, 0.3), 3.0) - 1.0) * along / square * np.outer(ray, ray)
+    offset = one.position - other.position
+    return float(offset @ np.linalg.solve(both, offset))
+
+
+def _lengthened(view: View, place: Estimate) -> np.ndarray:
+    """What to add to the covariance (3, 3) of a place so that a ray counts for its direction: who is joined may be a
+    child, twice as wrong along the ray as others."""
+    if view.best.origin is None:
+        return np.zeros((3, 3))
+    ray = place.position - view.best.origin
+    return (PARTING ** 2 - 1.0) * float(ray @ view.best.covariance @ ray) / float(ray @ ray) ** 2 * np.outer(ray, ray)
+
+
+def _measured_scale(view: View, place: Estimate, stamp: float) -> Tuple[float, float]:
+    """How much farther away a human is than a view tells, by its place where rays cross; and the variance of that."""
+    origin = view.best.origin
+    assert origin is not None
+    ray = view.best.at(stamp).position - origin
+    length = max(float(np.linalg.norm(ray)), 1e-6)
+    unit = ray / length
+    return (float((place.position - origin) @ unit) / length,
+            float(unit @ place.covariance @ unit) / length ** 2 + FIXED_VARIANCE)
+
+
+def _least(table: np.ndarray) -> Tuple[float, List[Tuple[int, int]]]:
+    """The least sum of costs of pairs of rows and columns, and these pairs; who is not paired costs half of
+    UNPAIRED."""
+    rows, columns = table.shape
+    full = np.full((rows + columns, rows + columns), 0.0)
+    full[:rows, :columns] = np.where(np.isfinite(table), np.minimum(table, 1e6), 1e6)
+    full[:rows, columns:] = np.where(np.eye(rows, dtype=bool), UNPAIRED / 2.0, 1e6)
+    full[rows:, :columns] = np.where(np.eye(columns, dtype=bool), UNPAIRED / 2.0, 1e6)
+    chosen = list(zip(*linear_sum_assignment(full)))
+    return (float(sum(full[pair] for pair in chosen)),
+            [(int(row), int(column)) for row, column in chosen if row < rows and column < columns])

@@ -113,13 +113,17 @@ _OF_BODY = (PlaceSource.HEAD, PlaceSource.BODY)
 class Place:
     """A pose in a named frame at a time: `pose` maps person coordinates to `frame` (m), `stamp` in s.
 
-    exact_stamp: the same time as the caller knows it, for the caller; a float of seconds loses nanoseconds.
+    exact_stamp: the same time as the caller knows it, for the caller; a float of seconds loses nanoseconds. origin:
+    where the sensor was, (3,) m in `frame`; None where that is not known. covariance: (3, 3) m^2 of the position in
+    `frame`, None where it is not known.
     """
 
     frame: str
     pose: Pose
     stamp: float
     exact_stamp: object = None
+    origin: Optional[np.ndarray] = None
+    covariance: Optional[np.ndarray] = None
 
     @property
     def horizontal(self) -> Tuple[float, float]:

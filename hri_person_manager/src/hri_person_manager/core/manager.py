@@ -5,10 +5,13 @@ All times are seconds of one clock and are given by the caller. Not thread-safe:
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Set, Tuple
 
-from hri_person_manager.core.cross_camera import CameraPerson, CrossCamera
+import numpy as np
+
+from hri_person_manager.core.cross_camera import CrossCamera, SensedGroup
 from hri_person_manager.core.features import Kind, MatchNode, TrackedFeatures
 from hri_person_manager.core.location import Decay, FeaturePlaces, Location, Place, PlaceSource
 from hri_person_manager.core.match_graph import Association, CandidateMatch
@@ -16,12 +19,13 @@ from hri_person_manager.core.merges import Merges
 from hri_person_manager.core.persons import (
     ANONYMOUS_PREFIX,
     KnownIds,
-    PersonEntry,
     PersonTable,
     PublishedPersons,
     Snapshot,
 )
+from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.parameters import ParameterError
 
 MAX_UNSEEN_PERSONS = 32       # permanent persons kept with their topics although nobody sees them
 _KIND_OF_SOURCE = {PlaceSource.FACE: Kind.FACE, PlaceSource.HEAD: Kind.BODY, PlaceSource.BODY: Kind.BODY,
@@ -40,6 +44,7 @@ class PersonManager:
         self._decay = Decay(settings.decay, settings.half_life, settings.confidence_floor)
         self._new_id = new_id or IdGenerator().new
         self._tracked = TrackedFeatures()
+        self._errors = sensor_errors(settings.distance_errors)
         self._start_afresh(KnownIds(), Merges(self._threshold))
 
     def _start_afresh(self, known: KnownIds, merges: Merges) -> None:
@@ -120,6 +125,7 @@ class PersonManager:
             for node in nodes:
                 if node.kind == Kind.PERSON and not node.id.startswith(ANONYMOUS_PREFIX):
                     self._remember(node.id)
+        self._association.refute(match, now)
         if nodes[0].kind == nodes[1].kind == Kind.PERSON:
             changed = self._merges.set(nodes[0].id, nodes[1].id, match.likelihood)
             return self._update_merges(now) and changed
@@ -236,17 +242,18 @@ class PersonManager:
         feature = MatchNode(_KIND_OF_SOURCE[source], feature_id)
         if feature not in self._tracked:
             return None
+        place = self._with_covariance(source, place, sensor)
         latest = self._places.add(feature, source, place, now, sensor)
-        owner = self._table.owner(feature)
-        if owner is None:
-            return None
         if (
             self._settings.cross_camera
             and source != PlaceSource.VOICE
             and place.frame == self._settings.reference_frame
         ):
             # Only places in the reference frame can be compared.
-            self._cameras.add_place(owner.id, int(source), sensor, place.horizontal, place.stamp)
+            place = self._compare_across_cameras(feature, source, place, sensor)
+        owner = self._table.owner(feature)
+        if owner is None:
+            return None
         person = self._published.representative(owner)
         if person is not owner:
             owner.location.offer(source, place, now, feature, latest.fresh)
@@ -272,7 +279,7 @@ class PersonManager:
 
     def tick(self, now: float) -> None:
         """Let time pass: unassigned features become persons, places fade, forgotten persons go."""
-        expired = self._expire_inferred(now)
+        expired = self._expire_inferred(now) | self._association.solve_refuted(now)
         waiting = self._table.waiting_until()
         if expired or (waiting is not None and now >= waiting):
             self._associate(now)
@@ -281,7 +288,7 @@ class PersonManager:
             if self._table.persons[person_id].anonymous:
                 self._merges.remove(person_id)
             self._table.remove(person_id)
-        if self._join_across_cameras() or gone:
+        if self._join_across_cameras(now) or gone:
             self._update_merges(now)
 
     def silent(self, now: float) -> List[Tuple[str, Place]]:
@@ -321,23 +328,60 @@ class PersonManager:
         self._association.solve([other for node in expired for other in self._association.remove(node)])
         return bool(expired)
 
-    def _join_across_cameras(self) -> bool:
+    def _with_covariance(self, source: PlaceSource, place: Place, sensor: str) -> Place:
+        """The place with how exact it is, where that is known: of what a camera sees, if one knows where that is."""
+        origin = np.zeros(3) if place.origin is None and place.frame == sensor else place.origin
+        if source == PlaceSource.VOICE or origin is None or place.covariance is not None:
+            return place
+        covariance = self._cameras.covariance(place.pose.translation, origin, self._errors.get(
+            sensor, self._settings.distance_error))
+        return replace(place, origin=origin, covariance=covariance)
+
+    def _compare_across_cameras(self, feature: MatchNode, source: PlaceSource, place: Place, sensor: str) -> Place:
+        """Take the place of a feature that a camera sees; returns where its human is by all cameras that see it."""
+        covariance = place.covariance
+        if covariance is None:
+            covariance = self._cameras.covariance(place.pose.translation, None, self._settings.distance_error)
+        self._cameras.add_place(feature, int(source), sensor, place.pose.translation, covariance, place.origin,
+                                place.stamp)
+        fused = self._cameras.fused(feature, place.stamp) if not self._cameras.is_idle else None
+        if fused is None:
+            return place
+        return replace(place, pose=Pose(place.pose.rotation, fused.position), covariance=fused.covariance)
+
+    def _join_across_cameras(self, now: float) -> bool:
         """Join and part persons by what several cameras see; returns whether any merge may have changed."""
-        if self._cameras.is_idle:
-            self._cameras.retain(self._table.persons)
+        if not self._settings.cross_camera:
             return False
-        merged = {id: alias.target for id, alias in self._table.aliases.items()}
+        self._cameras.update(self._sensed_groups(now), self._merges.is_split)
+        due = frozenset().union(*self._cameras.due)
+        self._table.hold(self._cameras.held, due)
+        if due:
+            self._associate(now)
         changed = False
-        for link in self._cameras.update([self._camera_person(person) for person in self._table.persons.values()],
-                                         merged):
+        for link in self._cameras.links(self._owner_id, self._table.persons):
             likelihood = max(link.likelihood, self._threshold) if link.likelihood > 0.0 else 0.0
             changed |= self._merges.set_observed(link.first, link.second, likelihood)
         return changed
 
-    def _camera_person(self, person: PersonEntry) -> CameraPerson:
-        names = {name for feature in person.features for name in self._association.recognised_as(feature)}
-        return CameraPerson(person.id, self._merges.representative(person.id), bool(person.features), person.anonymous,
-                           frozenset(names if person.anonymous else names | {person.id}))
+    def _owner_id(self, feature: MatchNode) -> str:
+        owner = self._table.owner(feature)
+        return owner.id if owner is not None else ""
+
+    def _sensed_groups(self, now: float) -> List[SensedGroup]:
+        groups = []
+        for group in self._association.groups:
+            features = frozenset(node for node in group if node.kind in (Kind.FACE, Kind.BODY))
+            if not features:
+                continue
+            owner = self._table.owner(min(features))
+            names = {name for feature in features for name in self._association.recognised_as(feature)}
+            if owner is not None and not owner.anonymous:
+                names.add(owner.id)
+            doubted = {name for feature in features for name in self._association.refuted_as(feature, now)}
+            groups.append(SensedGroup(features, owner.id if owner is not None else "", frozenset(names),
+                                      frozenset(doubted)))
+        return groups
 
     def _match_anonymous(self, feature: MatchNode, person_id: str, likelihood: float, now: float) -> bool:
         """Take a match with an anonymous person: one without features gets this feature, else the owner of the feature
@@ -414,3 +458,21 @@ class PersonManager:
 
 def _camera_limits(settings: SimpleNamespace) -> Tuple[float, float, float]:
     return settings.cross_camera_distance, settings.cross_camera_time, settings.cross_camera_handover
+
+
+def sensor_errors(items: Iterable[str]) -> Dict[str, float]:
+    """Read `FRAME=SHARE` for each sensor whose distances are more or less exact than those of others.
+
+    Raises ParameterError for anything else.
+    """
+    found = {}
+    for item in items:
+        frame, _, share = item.partition("=")
+        try:
+            found[frame.strip().lstrip("/")] = value = float(share)
+        except ValueError:
+            value = 0.0
+        if not (frame.strip() and 0.001 <= value <= 1.0):
+            raise ParameterError("~distance_errors has {!r}, wanted FRAME=SHARE with a share of 0.001 to 1, such as "
+                             "camera_depth_optical_frame=0.03".format(item))
+    return found

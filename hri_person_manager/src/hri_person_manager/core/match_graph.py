@@ -16,7 +16,7 @@ import math
 from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Any, Callable, Container, Dict, FrozenSet, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 from typing import Counter as CounterType
 
 from hri_person_manager.core.features import Kind, MatchNode
@@ -25,6 +25,9 @@ from hri_pipeline.core.ids import is_valid_id
 
 UNDER_WAY_S = 2.0     # s; matches that were sent just before a person was forgotten have arrived after so long
 _NOBODY: Mapping = {}
+REFUTED_S = 1.0       # s for which two are told to be two, both being there, before that parts what others link
+MAX_REFUTED = 1000
+MAX_CUTS = 6
 MAX_PENDING_MATCHES = 1000      # matches kept for features that are not tracked (yet)
 Group = FrozenSet[MatchNode]
 
@@ -178,11 +181,13 @@ class MatchGraph:
         for other in list(self.neighbours(node)):
             self._drop(node, other)
 
-    def keep_linked(self, leaving: MatchNode, group: Iterable[MatchNode], threshold: float) -> None:
+    def keep_linked(self, leaving: MatchNode, group: Iterable[MatchNode], threshold: float,
+                    refuted: Container[FrozenSet[MatchNode]] = ()) -> None:
         """Keep transitive links: the members of a group stay linked when the node in the middle of a chain leaves.
 
         Where two members were linked only through `leaving`, an edge takes its place. Its likelihood is the
-        product along the path, at least the threshold: that evidence was enough when it was given.
+        product along the path, at least the threshold: that evidence was enough when it was given. refuted: pairs that
+        are not linked.
         """
         members = sorted(group)
         products = path_products(members, self._likelihoods(members, threshold))
@@ -202,7 +207,7 @@ class MatchGraph:
         pairs.sort(key=lambda pair: -products.get(frozenset(pair), 0.0))
         for first, second in pairs:
             product = products.get(frozenset((first, second)), 0.0)
-            if product > 0.0 and parts[first] is not parts[second]:
+            if product > 0.0 and parts[first] is not parts[second] and frozenset((first, second)) not in refuted:
                 self.set(first, second, max(product, threshold))
                 join(first, second)
 
@@ -217,10 +222,12 @@ class MatchGraph:
                     pending.append(other)
         return sorted(found)
 
-    def solve(self, nodes: Iterable[MatchNode], threshold: float) -> Grouping:
+    def solve(self, nodes: Iterable[MatchNode], threshold: float,
+              refuted: Iterable[FrozenSet[MatchNode]] = ()) -> Grouping:
         """Part the given (present) nodes into groups, each component of the graph on its own.
 
-        The components share a bounded amount of work; what the small ones leave goes to the large ones.
+        refuted: pairs that are not in one group, whatever links them. The components share a bounded amount of work;
+        what the small ones leave goes to the large ones.
         """
         present = set(nodes)
         components: List[List[MatchNode]] = []
@@ -235,7 +242,14 @@ class MatchGraph:
         for number, members in enumerate(sorted(components, key=len)):
             work = Work(units / (len(components) - number))
             units -= work.left
-            found, exact = best_partition(members, self._likelihoods(members, threshold), work)
+            edges = self._likelihoods(members, threshold)
+            found, exact = best_partition(members, edges, work)
+            for _ in range(MAX_CUTS):
+                weakest = _weakest_links(found, edges, refuted)
+                if not weakest:
+                    break
+                edges = {pair: value for pair, value in edges.items() if pair not in weakest}
+                found, exact = _parted(members, edges, work)
             units += work.left
             groups.extend(found)
             approximate.update(() if exact else members)
@@ -253,6 +267,45 @@ class MatchGraph:
             del self._neighbours[node][other]
             if not self._neighbours[node]:
                 del self._neighbours[node]
+
+
+def _weakest_links(groups: Iterable[FrozenSet[MatchNode]], edges: Mapping[FrozenSet[MatchNode], float],
+                   refuted: Iterable[FrozenSet[MatchNode]]) -> Set[FrozenSet[MatchNode]]:
+    """The weakest edge on the best path between each refuted pair that is in one group."""
+    found = set()
+    for pair in refuted:
+        group = next((group for group in groups if pair <= group), None)
+        if group is None:
+            continue
+        first, second = sorted(pair)
+        part = {node: {node} for node in group}
+        inside = [edge for edge in edges if edge <= group]
+        for edge in sorted(inside, key=lambda edge: (-edges[edge], sorted(edge))):
+            one, other = edge
+            joined = part[one] | part[other]
+            for node in joined:
+                part[node] = joined
+            if second in part[first]:
+                found.add(edge)
+                break
+    return found
+
+
+def _parted(members: Sequence[MatchNode], edges: Mapping[FrozenSet[MatchNode], float],
+            work: Work) -> Tuple[List[FrozenSet[MatchNode]], bool]:
+    """Part nodes that edges may not connect any more."""
+    left, groups, exact = list(members), [], True
+    while left:
+        component = [left.pop(0)]
+        for node in component:
+            reached = [other for other in left if frozenset((node, other)) in edges]
+            component.extend(reached)
+            left = [other for other in left if other not in reached]
+        inside = {pair: value for pair, value in edges.items() if pair <= set(component)}
+        found, proved = best_partition(component, inside, work)
+        groups.extend(found)
+        exact = exact and proved
+    return groups, exact
 
 
 def path_products(members: Sequence[MatchNode],
@@ -287,6 +340,8 @@ class Association:
         self._groups: Dict[MatchNode, Group] = {}
         self._pending: "OrderedDict[FrozenSet[MatchNode], CandidateMatch]" = OrderedDict()
         self._approximate: Set[MatchNode] = set()
+        self._refuted: "OrderedDict[FrozenSet[MatchNode], float]" = OrderedDict()
+        self._standing: Set[FrozenSet[MatchNode]] = set()       # of these, for long enough
 
     @property
     def exact(self) -> bool:
@@ -322,6 +377,32 @@ class Association:
         return {node.id for node, likelihood in self._graph.neighbours(feature).items()
                 if node.kind == Kind.PERSON and likelihood >= self.threshold}
 
+    def refute(self, match: CandidateMatch, now: float) -> None:
+        """Note what a match says not to be so at `now` (s): two that are there are two humans, or the recogniser doubts
+        a name that it has given. A match that counts takes that back. Before add()."""
+        pair = frozenset((match.first, match.second))
+        if match.likelihood >= self.threshold:
+            self._refuted.pop(pair, None)
+        elif pair not in self._refuted and all(self._is_present(node) for node in pair) and (
+                match.likelihood <= 0.0
+                or (self._graph.likelihood(match.first, match.second) or 0.0) >= self.threshold
+                and Kind.PERSON in {node.kind for node in pair}):
+            self._refuted[pair] = now
+            while len(self._refuted) > MAX_REFUTED:
+                self._refuted.popitem(last=False)
+
+    def refuted_as(self, feature: MatchNode, now: float) -> Set[str]:
+        """Ids of the persons that recognisers say a feature is not, for long enough at `now` (s)."""
+        return {node.id for pair, since in self._refuted.items() if feature in pair and now - since >= REFUTED_S
+                for node in pair if node.kind == Kind.PERSON}
+
+    def solve_refuted(self, now: float) -> bool:
+        """Part groups of two who were told to be two for long enough at `now` (s); returns whether one has changed."""
+        due = [pair for pair, since in self._refuted.items() if now - since >= REFUTED_S
+               and any(pair <= group for group in {self._groups[node] for node in pair if node in self._groups})]
+        self._standing = {pair for pair, since in self._refuted.items() if now - since >= REFUTED_S}
+        return self.solve([node for pair in due for node in pair]) if due else False
+
     def add(self, match: CandidateMatch) -> bool:
         """Put a match into the graph; it is pending while one of its features is not tracked.
 
@@ -351,8 +432,9 @@ class Association:
         """Take a feature out of the graph; returns the nodes that have to be solved again."""
         group = self._groups.get(node, frozenset((node,)))
         touched = set(self._graph.neighbours(node)) | set(group)
-        self._graph.keep_linked(node, group, self.threshold)
+        self._graph.keep_linked(node, group, self.threshold, self._refuted)
         self._graph.remove(node)
+        self._forget_refuted(node)
         self.drop_group(node)
         return sorted(touched - {node})
 
@@ -369,10 +451,16 @@ class Association:
         """Forget a node with all its matches; returns the nodes that have to be solved again."""
         touched = list(self._graph.neighbours(node))
         self._graph.remove(node)
+        self._forget_refuted(node)
         for key in [key for key in self._pending if node in key]:
             del self._pending[key]
         self.drop_group(node)
         return touched
+
+    def _forget_refuted(self, node: MatchNode) -> None:
+        for pair in [pair for pair in self._refuted if node in pair]:
+            del self._refuted[pair]
+            self._standing.discard(pair)
 
     def solve(self, nodes: Iterable[MatchNode]) -> bool:
         """Solve the components of these nodes again, as far as they are present; returns whether a group has
@@ -381,7 +469,7 @@ class Association:
         for node in nodes:
             if node not in touched and self._is_present(node):
                 touched.update(self._graph.component(node, self.threshold, self._is_present))
-        solution = self._graph.solve(touched, self.threshold)
+        solution = self._graph.solve(touched, self.threshold, self._standing & self._refuted.keys())
         self._approximate = (self._approximate - touched) | solution.approximate
         return any([self._store_group(group) for group in solution.groups])
 

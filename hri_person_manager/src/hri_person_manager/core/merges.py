@@ -111,6 +111,10 @@ class Merges:
             self._split.popitem(last=False)
         return True
 
+    def is_split(self, first: str, second: str) -> bool:
+        """Tell whether a user has parted two persons, so that observation does not merge them."""
+        return frozenset((first, second)) in self._split
+
     def update(self, persons: Iterable[str], rank: Callable[[str], Tuple]) -> bool:
         """Choose the representative of all merged persons among the present `persons`: the one of least `rank`.
 

@@ -51,14 +51,22 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
               "Join persons whom several cameras see at one place, and keep the id of somebody who walks from one "
               "view to another. Nothing happens with one camera, or without transforms to the reference frame."),
     Parameter("cross_camera_distance", 0.5,
-              "Horizontal distance up to which two cameras see the same person; twice as far they see two again. "
-              "Larger: for inexact places or calibration; people who stand closer together may be taken for one.",
+              "How exact the cameras' poses are, times ten: rays that pass each other by a tenth of it (and by 2 % of "
+              "the distance) are one person. Larger: for an inexact calibration; people who stand close together may "
+              "be taken for one.",
               unit="m",
               minimum=0.05, maximum=3.0, live=True),
     Parameter("cross_camera_time", 1.0,
-              "Time for which two places agree before the persons are joined; after twice as long apart they are "
-              "parted.",
+              "Time for which the rays of two cameras agree before the persons are joined, three times as long where "
+              "they agree less well; after twice as long apart they are parted.",
               unit="s", minimum=0.1, maximum=30.0, live=True),
+    Parameter("distance_error", 0.12,
+              "Error of the distance of a face or a body along the ray of its camera (standard deviation), as a share "
+              "of the distance: 0.12 without depth, about 0.03 with a depth image.",
+              minimum=0.005, maximum=1.0, live=True),
+    Parameter("distance_errors", [],
+              "The same for single cameras, as FRAME=SHARE with the optical frame, such as "
+              "camera_depth_optical_frame=0.03; distance_error holds for the others."),
     Parameter("cross_camera_handover", 4.0,
               "Time in which somebody who left one view may appear in another, where the last velocity leads, as the "
               "same person. 0: never.", unit="s", minimum=0.0, maximum=60.0,

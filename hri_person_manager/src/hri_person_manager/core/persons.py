@@ -65,6 +65,8 @@ class PersonTable:
         self._unassigned: Dict[MatchNode, float] = {}
         self._of_feature: Dict[MatchNode, PersonEntry] = {}
         self._expected: Dict[MatchNode, str] = {}
+        self._held: FrozenSet[MatchNode] = frozenset()
+        self._due: FrozenSet[MatchNode] = frozenset()
         self.persons: Dict[str, PersonEntry] = {}
         self.aliases: Dict[str, Alias] = {}
 
@@ -86,6 +88,10 @@ class PersonTable:
         """Assign a feature without a person, in the next associate(), to an anonymous person that has lost all
         features."""
         self._expected[feature] = person_id
+
+    def hold(self, held: FrozenSet[MatchNode], due: FrozenSet[MatchNode]) -> None:
+        """Make no anonymous person of the features `held`, however long they wait; make one of those `due` at once."""
+        self._held, self._due = held, due
 
     def owner(self, feature: MatchNode) -> Optional[PersonEntry]:
         """Return the person that a feature belongs to, None if it is assigned to nobody."""
@@ -123,7 +129,8 @@ class PersonTable:
         """Return the time (s) at which the next unassigned feature becomes a person, None if none waits."""
         if not self._unassigned or not self._anonymous_persons:
             return None
-        return min(since + self._delay_of((node,)) for node, since in self._unassigned.items())
+        return min((since + self._delay_of((node,)) for node, since in self._unassigned.items()
+                    if node not in self._held), default=None)
 
     def remove(self, person_id: str) -> None:
         """Forget a person and those merged into it."""
@@ -172,7 +179,8 @@ class PersonTable:
             lost = self.persons.get(expected)
             if lost is not None and lost.anonymous and all(owner is not lost for owner in owners.values()):
                 owners[group] = lost
-            elif self._anonymous_persons and (expected or now - since >= self._delay_of(group) - 1e-9):
+            elif self._anonymous_persons and (expected or self._due & group or not self._held & group and (
+                    now - since >= self._delay_of(group) - 1e-9)):
                 free = expected and expected not in self.persons and expected not in self.aliases
                 person = self._make(expected if free else ANONYMOUS_PREFIX + self._new_id())
                 self.persons[person.id] = owners[group] = person

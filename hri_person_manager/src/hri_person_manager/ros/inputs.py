@@ -182,7 +182,8 @@ class ReferenceFrame:
         sensor = self._last[2]
         if sensor is None:
             return Place(feature_pose.sensor, feature_pose.pose, feature_pose.stamp, stamped.stamp)
-        return Place(self._frame, sensor.compose(feature_pose.pose), feature_pose.stamp, stamped.stamp)
+        return Place(self._frame, sensor.compose(feature_pose.pose), feature_pose.stamp, stamped.stamp,
+                     sensor.translation)
 
     def _miss(self, sensor: str) -> None:
         if sensor not in self._missing_since:
