@@ -31,6 +31,7 @@ from hri_fullbody.core.model.dimensions import DimensionSettings, PersonDimensio
 from hri_fullbody.core.model.human import Dimensions, Layout, layout_for
 from hri_fullbody.core.tracking.reidentification import BodyReidentifier, Reidentification, TrackAppearance
 from hri_fullbody.core.tracking.scheduler import PoseScheduler
+from hri_fullbody.core.tracking.track import BodyTrack
 from hri_fullbody.core.tracking.tracker import BodyTracker
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.error_log import ItemGuard
@@ -200,9 +201,15 @@ class BodyPipeline:
     def _reidentify(self, stamp: float) -> None:
         """Compare new bodies with those lost in the last seconds."""
         self.reidentified = self._reidentifier.update(
-            [TrackAppearance(track.id, track.appearance, track.detection.root) for track in self._tracker.tracks
-             if track.confirmed],
-            stamp)
+            [self._appearance(track) for track in self._tracker.tracks if track.confirmed], stamp)
+
+    def _appearance(self, track: BodyTrack) -> TrackAppearance:
+        """What re-identification needs to know of a body: its stature as of the image before."""
+        last = self._last_models.get(track.id)
+        return TrackAppearance(track.id, track.appearance, track.detection.root,
+                               None if last is None else last.model.stature,
+                               0.1 if last is None else last.model.stature_sd, track.face_id,
+                               track.visible and not track.returning)
 
     def _solve_pnp(self, estimate: PoseEstimate, camera: CameraModel) -> Optional[np.ndarray]:
         """Place the landmarks of an estimate in the optical frame: (33, 3) m, or None."""

@@ -536,10 +536,10 @@ def identity_scores(frames: Iterable[MotFrame], distance: float = 0.5,
     trues: Dict[str, int] = {}
     founds: Dict[str, int] = {}
     steps = []
-    for frame in frames:
-        true, found, alike = _wanted(frame, distance, apart or _apart)
-        steps.append((np.array([trues.setdefault(name, len(trues)) for name in true], dtype=int),
-                      np.array([founds.setdefault(name, len(founds)) for name in found], dtype=int), alike))
+    for frame in (required_only(frame, distance, apart) for frame in frames):
+        steps.append((np.array([trues.setdefault(name, len(trues)) for name in frame.truth], dtype=int),
+                      np.array([founds.setdefault(name, len(founds)) for name in frame.found], dtype=int),
+                      _similarity(frame, distance, apart)))
     true_count = np.bincount(np.concatenate([rows for rows, _, _ in steps] or [[]]).astype(int), minlength=len(trues))
     found_count = np.bincount(np.concatenate([columns for _, columns, _ in steps] or [[]]).astype(int),
                               minlength=len(founds))
@@ -556,19 +556,23 @@ def identity_scores(frames: Iterable[MotFrame], distance: float = 0.5,
 Step = Tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def _wanted(frame: MotFrame, distance: float, apart: Apart) -> Tuple[List[str], List[str], np.ndarray]:
-    """Ids of a frame that count, and their similarities (T, F)."""
-    true, found = list(frame.truth), list(frame.found)
-    alike = np.array([[max(0.0, 1.0 - apart(frame.truth[row], frame.found[column]) / (2.0 * distance))
-                       for column in found] for row in true]).reshape(len(true), len(found))
+def required_only(frame: MotFrame, distance: float = 0.5, apart: Optional[Apart] = None) -> MotFrame:
+    """Return a frame without those who need not be found, and without what is found nearer to them than to others."""
     if frame.required is None:
-        return true, found, alike
-    needed = np.array([name in frame.required for name in true], dtype=bool)
+        return frame
+    true, found, alike = list(frame.truth), list(frame.found), _similarity(frame, distance, apart)
     rows, columns = linear_sum_assignment(-np.where(alike >= _HALF - _TINY, alike, 0.0))
-    beside = [column for row, column in zip(rows, columns) if not needed[row] and alike[row, column] >= _HALF - _TINY]
-    counts = ~np.isin(np.arange(len(found)), beside)
-    return ([name for name, keep in zip(true, needed) if keep], [name for name, keep in zip(found, counts) if keep],
-            alike[needed][:, counts])
+    beside = {found[column] for row, column in zip(rows, columns)
+              if true[row] not in frame.required and alike[row, column] >= _HALF - _TINY}
+    return MotFrame({name: place for name, place in frame.truth.items() if name in frame.required},
+                    {name: place for name, place in frame.found.items() if name not in beside})
+
+
+def _similarity(frame: MotFrame, distance: float, apart: Optional[Apart]) -> np.ndarray:
+    """Similarities (T, F), 0 to 1, of the places of a frame; 0.5 at `distance`."""
+    measure = apart or _apart
+    return np.array([[max(0.0, 1.0 - measure(true, found) / (2.0 * distance)) for found in frame.found.values()]
+                     for true in frame.truth.values()]).reshape(len(frame.truth), len(frame.found))
 
 
 def _hota(steps: Sequence[Step], true_count: np.ndarray, found_count: np.ndarray) -> Tuple[float, float, float]:

@@ -108,9 +108,14 @@ def _histogram(image: np.ndarray, samples: Optional[np.ndarray]) -> Optional[np.
         return None
     pixels = image[cells[inside, 1], cells[inside, 0]]
     lightness, first, second = cv2.cvtColor(pixels[None], cv2.COLOR_BGR2LAB)[0].T.astype(np.float64)
+    return histogram_of_colours(lightness, first - 128.0, second - 128.0)
+
+
+def histogram_of_colours(lightness: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Histogram (21,), sum 1, of pixels (N,): their lightness (0 to 255), and where they lie on both axes of colour."""
     # A little more or less light is forgiven.
     light = np.convolve(np.pad(_counts(lightness, _LIGHTNESS), 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
-    return np.concatenate([light / light.sum(), _counts(first - 128.0, _COLOUR), _counts(second - 128.0, _COLOUR)]) / 3.0
+    return np.concatenate([light / light.sum(), _counts(first, _COLOUR), _counts(second, _COLOUR)]) / 3.0
 
 
 def _counts(values: np.ndarray, middles: np.ndarray) -> np.ndarray:

@@ -40,6 +40,7 @@ _APPEARANCE_MEAN, _APPEARANCE_SD = 0.21, 0.07
 _LARGEST_DISTANCE, _LARGEST_DISTANCE_AFTER = 0.55, 0.42    # while it is followed, and when it comes back
 _UNKNOWN_DISTANCE = 0.3
 _CLEARER_BY = 0.15         # two standard deviations
+_BESIDE, _THERE = 0.4, 0.2  # body sizes
 _HIDDEN_COST = 1.5          # of two that fit alike, the one that was visible a moment ago is meant
 _FOREIGN_COST = 0.5         # found in the window of another body
 UNCONFIRMED_TIME = 2.0
@@ -108,21 +109,33 @@ def cost_matrix(tracks: Sequence[BodyTrack], detections: Sequence[PoseDetection]
         owner = owners.get(seen_in.id) if seen_in is not None else None
         for row, track in enumerate(tracks):
             foreign = owner not in (None, track.id)
-            if not track.visible and track.face_id not in own and _shows_another(track, detection, tracks, stamp):
+            if track.face_id not in own and _shows_another(track, detection, tracks, stamp):
                 continue
             costs[row, column] = association_cost(track, detection, stamp, own.get(track.face_id or ""), foreign)
     return costs
 
 
 def _shows_another(track: BodyTrack, detection: PoseDetection, tracks: Sequence[BodyTrack], stamp: float) -> bool:
-    """Tell whether a detection is where one of the visible bodies is, so that a hidden one may not take it; unless its
-    clothes are clearly those of the hidden one."""
+    """Tell whether a detection rather is another of the visible bodies, so that this one may not take it.
+
+    Of a hidden body: one that is there and not clearly of other clothes, or one beside it whose clothes fit better.
+    Of a visible one: one that is there, and whose clothes fit clearly better.
+    """
     own = difference(track.appearance, detection.appearance)
     for other in tracks:
-        if other.visible and same_body(other.expected(stamp), detection.estimate):
-            its = difference(other.appearance, detection.appearance)
-            if own is None or its is None or own + _CLEARER_BY > its:
+        if other is track or not other.visible:
+            continue
+        there = other.expected(stamp)
+        offset = math.hypot(*(detection.estimate.centre - there.centre)) / other.motion.size
+        if offset > _BESIDE:
+            continue
+        its = difference(other.appearance, detection.appearance)
+        better = own - its if own is not None and its is not None else 0.0
+        if track.visible:
+            if better > _CLEARER_BY and offset < _THERE:
                 return True
+        elif better > (-_CLEARER_BY if same_body(there, detection.estimate) else 0.0):
+            return True
     return False
 
 

@@ -20,7 +20,8 @@ _IMAGE_NOISE = 0.02
 _SPACE_ACCELERATION = 2.0      # m/s2: a person who starts to walk
 _SPACE_SPEED = 1.0             # m/s
 _SPACE_NOISE = 0.03            # m, across the view
-_DEPTH_NOISE = 0.06            # of the depth: statures and the network's error
+_DEPTH_NOISE = 0.06            # of the depth: statures and the network's error,
+_DEPTH_NOISE_PX = 4.0          # and that of so many pixels of the body's size
 _LARGEST_GAP = 2.0             # s: after a longer one the velocity says nothing any more
 _VELOCITY_LASTS = 1.5          # s: time constant with which a walk is forgotten; people turn and stop
 
@@ -122,12 +123,16 @@ class BodyMotion:
         if root is None or self._space is None:
             return 0.0
         value, sd = self._space.predict(stamp, _SPACE_ACCELERATION)
-        return float(abs(root[2] - value[2]) / math.hypot(sd[2], 2.0 * _DEPTH_NOISE * max(abs(value[2]), 0.5)))
+        return float(abs(root[2] - value[2]) / math.hypot(sd[2], 2.0 * self._depth_noise(float(value[2]))))
+
+    def _depth_noise(self, depth: float) -> float:
+        """Standard deviation (m) of one measurement of a depth (m)."""
+        return math.hypot(_DEPTH_NOISE, _DEPTH_NOISE_PX / max(self.size, 1.0)) * max(abs(depth), 0.5)
 
     def _locate(self, root: Optional[np.ndarray], stamp: float) -> None:
         if root is None:
             return
-        sd = np.array([_SPACE_NOISE, _SPACE_NOISE, _DEPTH_NOISE * max(abs(float(root[2])), 0.5)])
+        sd = np.array([_SPACE_NOISE, _SPACE_NOISE, self._depth_noise(float(root[2]))])
         if self._space is None or stamp - self._space.stamp > _LARGEST_GAP:
             self._space = ConstantVelocity(root, sd, _SPACE_SPEED, stamp)
         else:
@@ -142,6 +147,7 @@ _APPEARANCE_LEARN_S = 1.5
 _LEAST_MISSES = 2
 # How many times as long a body is waited for that vanished inside the image: somebody or something stands before it.
 _HIDDEN_PATIENCE = 3.0
+_SHORT_GAP_S = 0.3          # after a longer one a single detection may be somebody else
 _SURE_S = 1.0               # of which it was seen before
 _EDGE = 0.15                # body sizes from the side of the image, within which it may have left
 # A body slower than this (sizes per second) stays where it was: what seems to move a little is the network's noise, and
@@ -152,7 +158,8 @@ _STILL = 0.25
 class BodyTrack:
     """One body over time. All stamps are seconds of the images' clock.
 
-    visible: its last inference found it. hidden: it was missed, and has not left. inferred_at: stamp of that. misses: inferences in a row that did not find it.
+    visible: its last inference found it. inferred_at: stamp of that. misses: inferences in a row that did not find it.
+    hidden: it was missed, and has not left. returning: it was seen once after a gap.
     box_confirmed: None until the person detector was asked for the body, then whether it has ever seen a person there.
     turn: for the scheduler, rising with every inference. wait: time (s) between two turns lately. appearance: see
     `appearance.describe`, learnt while unoccluded.
@@ -168,6 +175,7 @@ class BodyTrack:
         self.stamp = stamp
         self.visible = True
         self.hidden = False
+        self.returning = False
         self.inferred_at = stamp
         self.misses = 0
         self.turn = 0
@@ -252,6 +260,7 @@ class BodyTrack:
         unhidden: nobody stands before it, so that its appearance may be learnt.
         """
         step = max(0.0, stamp - self.stamp)
+        self.returning = not self.visible and step > _SHORT_GAP_S
         self.detection, self.stamp, self._expected = detection, stamp, None
         self.described_at = self.described_at if detection.appearance is None else stamp
         self.visible, self.hidden, self.inferred_at, self.misses = True, False, stamp, 0
@@ -282,8 +291,8 @@ class BodyTrack:
         reach = _EDGE * self.motion.size
         x = float(self.estimate.centre[0] + self.moved(stamp)[0])
         box = self.estimate.box
-        self.hidden = (bool(self.box_confirmed or self.face_id is not None) and self.life.last_seen - self.born_at >= _SURE_S
-                       and box[0] > reach and box[2] < width - reach and reach < x < width - reach)
+        known = self.life.last_seen - self.born_at >= _SURE_S and bool(self.box_confirmed or self.face_id is not None)
+        self.hidden = known and bool(box[0] > reach and box[2] < width - reach and reach < x < width - reach)
 
     def missed(self, stamp: float) -> None:
         """Note that an inference did not find the body."""
