@@ -81,7 +81,8 @@ def test_where_strangers_come_all_the_time_a_return_is_less_likely():
     for strangers in (0, 12):
         known = BodyReidentifier(10.0)
         for number in range(24):
-            show(known, 2.0 * number, 2.0 * number + 2.0, *([body("s%d" % number, 100 + number)] * (number < strangers)))
+            passing = [body("s%d" % number, 100 + number)] if number < strangers else []
+            show(known, 2.0 * number, 2.0 * number + 2.0, *passing)
         show(known, 48.0, 52.0, body("a", 1))
         known.update([], 52.0)
         (found,) = show(known, 53.0, 55.0, body("b", 1)) or [None]

@@ -39,8 +39,8 @@ _LARGEST_DEPTH = 3.5        # standard deviations
 _APPEARANCE_MEAN, _APPEARANCE_SD = 0.21, 0.07
 _LARGEST_DISTANCE, _LARGEST_DISTANCE_AFTER = 0.55, 0.42    # while it is followed, and when it comes back
 _UNKNOWN_DISTANCE = 0.3
-_CLEARER_BY = 0.15         # two standard deviations
-_BESIDE, _THERE = 0.4, 0.2  # body sizes
+_CLEARER_BY, _BETTER_BY = 0.15, 0.03    # two standard deviations, and what already speaks for another
+_BESIDE, _THERE = 0.2, 0.12  # body sizes
 _HIDDEN_COST = 1.5          # of two that fit alike, the one that was visible a moment ago is meant
 _FOREIGN_COST = 0.5         # found in the window of another body
 UNCONFIRMED_TIME = 2.0
@@ -134,7 +134,7 @@ def _shows_another(track: BodyTrack, detection: PoseDetection, tracks: Sequence[
         if track.visible:
             if better > _CLEARER_BY and offset < _THERE:
                 return True
-        elif better > (-_CLEARER_BY if same_body(there, detection.estimate) else 0.0):
+        elif better > (-_CLEARER_BY if same_body(there, detection.estimate) else _BETTER_BY):
             return True
     return False
 
