@@ -72,9 +72,9 @@ BODY_STAGE_PARAMETERS = (
               "looks where those take longer. One that vanished inside the image, as behind somebody, is waited for three "
               "times as long. Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0,
               live=True),
-    Parameter("body_memory", 10.0, "Time for which a lost body is remembered by its clothes, place, stature and face: a "
-              "new body that is seen for 1 s, and is likely by 0.9 to be nobody else, is told to be the same person (the "
-              "id is a new one all the same). 0: never.", unit="s",
+    Parameter("body_memory", 10.0, "Time for which a lost body is remembered by its clothes, place, stature and face: "
+              "a new body that is seen for 1 s, and is likely by 0.9 to be nobody else, is told to be the same person "
+              "(the id is a new one all the same). 0: never.", unit="s",
               minimum=0.0, maximum=300.0),
 )
 """What BodyPipeline needs, besides `providers`."""

@@ -111,8 +111,8 @@ class BodyReidentifier:
             del self._lost[key]
         while len(self._lost) > MAX_LOST:
             self._lost.popitem(last=False)
-        for body in seen.values():
-            self._take(body, stamp)
+        for now in seen.values():
+            self._take(now, stamp)
         return self._decide(stamp) if self._memory > 0.0 else []
 
     def _take(self, body: TrackAppearance, stamp: float) -> None:

@@ -93,8 +93,8 @@ class BodyTracker:
         self.schedule.reset()
 
     def published(self, stamp: float) -> List[BodyTrack]:
-        """Confirmed bodies that their last inference found, after a gap the last two, not longer ago than the death time
-        or their turn takes."""
+        """Confirmed bodies that their last inference found (after a gap, the last two), not longer ago than the death
+        time or their turn takes."""
         return [track for track in self.tracks if track.confirmed and track.visible and not track.returning
                 and stamp - track.stamp <= max(self._death_time, _OVERDUE * track.wait)]
 
