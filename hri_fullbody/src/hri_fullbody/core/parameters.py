@@ -69,8 +69,8 @@ BODY_STAGE_PARAMETERS = (
               " more flickering false bodies.", unit="s", minimum=0.0, maximum=10.0, live=True),
     Parameter("body_death_time", 1.0, "Time after which a body that is looked for in vain (twice at least) is dropped "
               "with its id. One that waits for its look is published for as long, or for one and a half rounds of "
-              "looks where those take longer. One that vanished inside the image, as behind somebody, is waited for three "
-              "times as long. Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0,
+              "looks where those take longer. One that vanished inside the image, as behind somebody, is waited for "
+              "three times as long. Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0,
               live=True),
     Parameter("body_memory", 10.0, "Time for which a lost body is remembered by its clothes, place, stature and face: "
               "a new body that is seen for 1 s, and is likely by 0.9 to be nobody else, is told to be the same person "
