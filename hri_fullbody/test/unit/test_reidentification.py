@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_fullbody.core.tracking.reidentification import LEAST_LIKELIHOOD, WATCH_S, BodyReidentifier, TrackAppearance
+from hri_fullbody.core.tracking.reidentification import (
+    LEAST_LIKELIHOOD,
+    WATCH_S,
+    BodyReidentifier,
+    TrackAppearance,
+    marginals,
+)
 
 
 def clothes(seed, noise=0.0):
@@ -125,3 +131,11 @@ def test_nothing_is_remembered_without_memory_after_a_reset_or_beyond_the_bound(
     assert len(known._lost) <= 51
     with pytest.raises(ValueError, match="memory"):
         BodyReidentifier(-1.0)
+
+
+def test_probabilities_of_an_assignment_exclude_that_somebody_is_two():
+    """One new and one lost: o / (1 + o). Two new who claim one: neither. Two clear pairs: both, in spite of a rival."""
+    assert marginals(np.array([[9.0]])) == pytest.approx(np.array([[0.9]]))
+    assert marginals(np.array([[20.0], [20.0]])) == pytest.approx(np.full((2, 1), 20.0 / 41.0), abs=1e-3)
+    clear = marginals(np.array([[30.0, 10.0], [0.1, 100.0]]))
+    assert clear[0, 0] > 0.95 and clear[1, 1] > 0.95 and (clear.sum(axis=1) <= 1.0).all()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict, deque
 from dataclasses import dataclass
-from typing import Deque, Dict, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Deque, Dict, Iterable, List, NamedTuple, Optional
 
 import numpy as np
 
@@ -39,6 +39,8 @@ _THERE_S = 3.0              # who is seen so soon after the start has not come, 
 _NEAR_M, _INEXACT, _WALK_MPS, _LONGEST_WALK_S = 0.3, 0.12, 0.6, 5.0
 _AREA_M2, _SAME_DOOR = 30.0, 0.5
 _FASTEST_MPS = 2.0
+_NEW_SHARE = 0.5            # probability from which somebody counts as one more who wears what he wears
+_ITERATIONS = 20
 _STATURE_SD = 0.09          # m, of adults
 _SAME_FACE = 6.0            # logarithm: a face that goes on from one body to the next
 
@@ -144,18 +146,19 @@ class BodyReidentifier:
         odds = np.array([[self._odds(self._living[new], self._lost[old], stamp) for old in lost] for new in rivals])
         odds = odds.reshape(len(rivals), len(lost))
         found = []
+        likely = marginals(odds)
         for key in due:
             del self._undecided[key]
             row = rivals.index(key)
-            likelihood, column = _most_likely(odds, row)
+            new = 1.0 - float(likely[row].sum())
             if self._begun is not None and self._living[key].first - self._begun > _THERE_S:
-                self._newcomers += 1.0 / (1.0 + float(odds[row].sum()))
-            if likelihood >= LEAST_LIKELIHOOD:
-                found.append(Reidentification(key, lost[column], likelihood))
-                odds[:, column] = 0.0
-                del self._lost[lost[column]]
+                self._newcomers += new
+            best = int(np.argmax(likely[row])) if lost else -1
+            if best >= 0 and likely[row, best] >= LEAST_LIKELIHOOD:
+                found.append(Reidentification(key, lost[best], float(likely[row, best])))
+                del self._lost[lost[best]]
             appearance = self._living[key].now.appearance
-            if appearance is not None:
+            if appearance is not None and new > _NEW_SHARE:
                 self._wardrobe.append(appearance)
         return found
 
@@ -193,17 +196,19 @@ class BodyReidentifier:
         return -math.inf if any(body.now.face == face for body in others) else 0.0
 
 
-def _most_likely(odds: np.ndarray, row: int) -> Tuple[float, int]:
-    """Likelihood and number of the most likely of the lost for one new body. odds: (N, L) against the newcomer.
+def marginals(odds: np.ndarray) -> np.ndarray:
+    """Probabilities (N, L) of each new body being each of the lost, where nobody is two; what is left is a newcomer.
 
-    What else explains it: a newcomer, another of the lost, or that the lost one is another of the new bodies.
+    odds: (N, L) against the newcomer. Belief propagation for data association: J. L. Williams, R. A. Lau, "Approximate
+    Evaluation of Marginal Association Probabilities with Belief Propagation", IEEE Trans. AES 50(4), 2014.
     """
-    if not odds.shape[1]:
-        return 0.0, -1
-    column = int(np.argmax(odds[row]))
-    own = float(odds[row, column])
-    rest = 1.0 + float(odds[row].sum() + odds[:, column].sum()) - 2.0 * own
-    return own / (own + rest), column
+    free = np.ones_like(odds)
+    for _ in range(_ITERATIONS):
+        weighted = odds * free
+        claims = odds / (1.0 + weighted.sum(axis=1, keepdims=True) - weighted)
+        free = 1.0 / (1.0 + claims.sum(axis=0, keepdims=True) - claims)
+    weighted = odds * free
+    return weighted / (1.0 + weighted.sum(axis=1, keepdims=True))
 
 
 def _place_evidence(new: Optional[np.ndarray], old: Optional[np.ndarray], gap: float) -> float:
