@@ -56,7 +56,7 @@ class BodyReturnsTest(unittest.TestCase):
         wait_for(lambda: len(self.matches) >= 2, WAIT_S, "matches of bodies with persons")
         for match in self.matches:
             self.assertEqual((match.id1_type, match.id2_type), (IdsMatch.BODY, IdsMatch.PERSON))
-            self.assertGreater(match.confidence, 0.5)
+            self.assertGreaterEqual(match.confidence, 0.9)
             self.assertAlmostEqual(after[match.id1], before[persons[match.id2]], delta=0.05, msg="somebody else's body")
 
 

@@ -5,79 +5,137 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_fullbody.core.tracking.reidentification import BodyReidentifier, TrackAppearance
+from hri_fullbody.core.tracking.reidentification import (
+    LEAST_LIKELIHOOD,
+    WATCH_S,
+    BodyReidentifier,
+    TrackAppearance,
+    marginals,
+)
 
 
 def clothes(seed, noise=0.0):
-    """Histograms (2, 17) of somebody's clothes, seen with some noise."""
+    """Histograms (5, 21) of somebody's clothes, seen with some noise."""
     generator = np.random.default_rng(seed)
-    looks = np.zeros((2, 17))
+    looks = np.zeros((5, 21))
     for row in looks:
-        row[generator.choice(17, 3, replace=False)] = (0.5, 0.3, 0.2)
-    looks = looks + noise * np.random.default_rng(seed + 100).random((2, 17)) / 17.0
+        row[generator.choice(21, 3, replace=False)] = (0.5, 0.3, 0.2)
+    looks = looks + noise * np.random.default_rng(seed + 100).random((5, 21)) / 21.0
     return looks / looks.sum(axis=1, keepdims=True)
 
 
-def body(name, seed, x=0.0, noise=0.3):
-    return TrackAppearance(name, clothes(seed, noise), np.array([x, 0.0, 3.0]))
+def body(name, seed, x=0.0, noise=0.3, **more):
+    return TrackAppearance(name, clothes(seed, noise), np.array([x, 0.0, 3.0]), **more)
 
 
-def told(continuity, stamp, *bodies):
-    return [(item.id, item.earlier) for item in continuity.update(bodies, stamp)]
+def show(known, begin, end, *bodies):
+    """Show bodies ten times a second; returns what is told of them."""
+    return [item for stamp in np.arange(begin, end - 1e-6, 0.1) for item in known.update(bodies, stamp)]
 
 
-def test_who_comes_back_in_the_same_clothes_is_known_again():
-    continuity = BodyReidentifier(10.0)
-    assert told(continuity, 0.0, body("a", 1)) == []
-    assert told(continuity, 1.0) == []
-    (found,) = continuity.update([body("b", 1, 1.0, 0.5)], 3.0)
-    assert (found.id, found.earlier) == ("b", "a") and 0.5 <= found.likelihood <= 0.75
-    assert told(continuity, 3.1, body("b", 1, 1.0)) == []
+def told(known, begin, end, *bodies):
+    return [(item.id, item.earlier) for item in show(known, begin, end, *bodies)]
+
+
+def after(*earlier, watched=20.0):
+    """Return a reidentifier that has seen these bodies leave after some quiet time."""
+    known = BodyReidentifier(10.0)
+    show(known, 0.0, watched, *earlier)
+    known.update([], watched)
+    return known
+
+
+def test_who_comes_back_in_the_same_clothes_is_known_again_once():
+    known = after(body("a", 1))
+    assert told(known, 21.0, 21.0 + WATCH_S - 0.05, body("b", 1, 0.5, 0.5)) == []
+    (found,) = show(known, 21.0 + WATCH_S, 22.5, body("b", 1, 0.5, 0.5))
+    assert (found.id, found.earlier) == ("b", "a") and LEAST_LIKELIHOOD <= found.likelihood < 1.0
+    assert told(known, 22.5, 25.0, body("b", 1, 0.5, 0.5)) == []
 
 
 def test_other_clothes_too_far_or_too_late_are_somebody_else():
-    for later, new in ((3.0, body("b", 2)), (1.5, body("b", 1, 4.0)), (12.0, body("b", 1))):
-        continuity = BodyReidentifier(10.0)
-        told(continuity, 0.0, body("a", 1))
-        told(continuity, 1.0)
-        assert told(continuity, later, new) == []
+    for begin, new in ((21.0, body("b", 2)), (20.2, body("b", 1, 5.0)), (31.0, body("b", 1))):
+        assert told(after(body("a", 1)), begin, begin + 3.0, new) == []
 
 
-def test_who_is_still_there_is_not_lost():
-    continuity = BodyReidentifier(10.0)
-    told(continuity, 0.0, body("a", 1))
-    assert told(continuity, 1.0, body("a", 1), body("b", 1)) == []
+def test_who_is_still_there_or_only_hidden_is_not_lost():
+    known = BodyReidentifier(10.0)
+    show(known, 0.0, 20.0, body("a", 1))
+    assert told(known, 20.0, 23.0, body("a", 1), body("b", 1)) == []
+    assert told(known, 23.0, 25.0, body("a", 1, visible=False), body("b", 1), body("c", 1)) == []
 
 
 def test_two_in_uniform_are_not_guessed_at_and_two_in_their_own_clothes_are_told_apart():
-    continuity = BodyReidentifier(10.0)
-    told(continuity, 0.0, body("a", 1), body("b", 1))
-    told(continuity, 1.0)
-    assert told(continuity, 2.0, body("c", 1)) == []
-    continuity = BodyReidentifier(10.0)
-    told(continuity, 0.0, body("a", 1), body("b", 2))
-    told(continuity, 1.0)
-    assert sorted(told(continuity, 2.0, body("d", 2), body("c", 1))) == [("c", "a"), ("d", "b")]
+    assert told(after(body("a", 1), body("b", 1)), 21.0, 24.0, body("c", 1)) == []
+    known = after(body("a", 1), body("b", 2))
+    assert sorted(told(known, 21.0, 24.0, body("d", 2), body("c", 1))) == [("c", "a"), ("d", "b")]
+
+
+def test_of_two_who_come_in_the_same_clothes_neither_is_told():
+    assert told(after(body("a", 1)), 21.0, 24.0, body("b", 1), body("c", 1)) == []
+
+
+def test_clothes_that_many_wear_say_little():
+    known = BodyReidentifier(10.0)
+    show(known, 0.0, 20.0, *[body("w%d" % number, 1) for number in range(6)], body("a", 1))
+    known.update([body("w%d" % number, 1) for number in range(6)], 20.0)
+    assert told(known, 21.0, 24.0, *[body("w%d" % number, 1) for number in range(6)], body("b", 1)) == []
+
+
+def test_where_strangers_come_all_the_time_a_return_is_less_likely():
+    likelihoods = []
+    for strangers in (0, 12):
+        known = BodyReidentifier(10.0)
+        for number in range(24):
+            passing = [body("s%d" % number, 100 + number)] if number < strangers else []
+            show(known, 2.0 * number, 2.0 * number + 2.0, *passing)
+        show(known, 48.0, 52.0, body("a", 1))
+        known.update([], 52.0)
+        (found,) = show(known, 53.0, 55.0, body("b", 1)) or [None]
+        likelihoods.append(0.0 if found is None else found.likelihood)
+    assert likelihoods[1] < likelihoods[0] - 0.005
+
+
+def test_a_stature_that_differs_is_somebody_else_and_one_that_is_measured_badly_says_nothing():
+    def tall(name, stature, sd):
+        return body(name, 1, stature=stature, stature_sd=sd)
+    assert told(after(tall("a", 1.80, 0.03)), 21.0, 24.0, tall("b", 1.62, 0.03)) == []
+    assert told(after(tall("a", 1.80, 0.15)), 21.0, 24.0, tall("b", 1.62, 0.15)) == [("b", "a")]
+
+
+def test_a_face_that_goes_on_is_the_same_human_and_that_of_another_is_not():
+    known = after(body("a", 1, face="f"), watched=3.0)
+    assert told(known, 12.0, 14.0, body("b", 1, 2.0, noise=0.8, face="f")) == [("b", "a")]
+    known = BodyReidentifier(10.0)
+    show(known, 0.0, 20.0, body("a", 1), body("x", 2, face="f"))
+    known.update([body("x", 2, face="f")], 20.0)
+    assert told(known, 21.0, 24.0, body("b", 1, face="f"), body("x", 2)) == []
 
 
 def test_a_body_that_does_not_show_itself_yet_is_told_of_when_it_does():
-    continuity = BodyReidentifier(10.0)
-    told(continuity, 0.0, body("a", 1))
-    told(continuity, 1.0)
-    assert told(continuity, 2.0, TrackAppearance("b", None, None)) == []
-    assert told(continuity, 2.5, body("b", 1)) == [("b", "a")]
+    known = after(body("a", 1))
+    assert told(known, 21.0, 23.0, TrackAppearance("b", None, None)) == []
+    assert told(known, 23.0, 23.5, body("b", 1)) == [("b", "a")]
 
 
 def test_nothing_is_remembered_without_memory_after_a_reset_or_beyond_the_bound():
-    for continuity in (BodyReidentifier(0.0), BodyReidentifier(10.0)):
-        told(continuity, 0.0, body("a", 1))
-        told(continuity, 1.0)
-        if continuity._memory:
-            continuity.reset()
-        assert told(continuity, 2.0, body("b", 1)) == []
-    continuity = BodyReidentifier(1e9)
-    for number in range(500):
-        told(continuity, float(number), body("a%d" % number, number))
-    assert len(continuity._lost) <= 51
+    for known in (BodyReidentifier(0.0), BodyReidentifier(10.0)):
+        show(known, 0.0, 5.0, body("a", 1))
+        if known._memory:
+            known.reset()
+        assert told(known, 6.0, 9.0, body("b", 1)) == []
+    known = BodyReidentifier(1e9)
+    for number in range(200):
+        known.update([body("a%d" % number, number)], 2.0 * number)
+        known.update([body("a%d" % number, number)], 2.0 * number + 1.5)
+    assert len(known._lost) <= 51
     with pytest.raises(ValueError, match="memory"):
         BodyReidentifier(-1.0)
+
+
+def test_probabilities_of_an_assignment_exclude_that_somebody_is_two():
+    """One new and one lost: o / (1 + o). Two new who claim one: neither. Two clear pairs: both, in spite of a rival."""
+    assert marginals(np.array([[9.0]])) == pytest.approx(np.array([[0.9]]))
+    assert marginals(np.array([[20.0], [20.0]])) == pytest.approx(np.full((2, 1), 20.0 / 41.0), abs=1e-3)
+    clear = marginals(np.array([[30.0, 10.0], [0.1, 100.0]]))
+    assert clear[0, 0] > 0.95 and clear[1, 1] > 0.95 and (clear.sum(axis=1) <= 1.0).all()

@@ -54,12 +54,12 @@ def test_birth_needs_the_delay_and_not_a_number_of_images():
     assert confirmed(tracker) == ["b0"]
 
 
-def test_id_stays_while_the_person_walks_and_dies_after_the_death_time():
+def test_id_stays_while_the_person_walks_and_dies_the_death_time_after_leaving():
     scene = Scene([(300, 400)])
     tracker = make(scene)
     stamp = run(tracker, 0.0, 4, boxes=[box_of(300, 400)])
     for step in range(30):
-        scene.people = [(300 + 10 * step, 400)]
+        scene.people = [(300 + 34 * step, 400)]
         stamp = run(tracker, stamp, 1)
     assert confirmed(tracker) == ["b0"]
     scene.people = []
@@ -67,6 +67,21 @@ def test_id_stays_while_the_person_walks_and_dies_after_the_death_time():
     assert confirmed(tracker) == ["b0"]
     assert not tracker.tracks[0].visible
     run(tracker, stamp, 3)
+    assert tracker.tracks == []
+
+
+def test_who_vanishes_inside_the_image_is_waited_for_longer():
+    scene = Scene([(600, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(600, 400)])
+    scene.people = []
+    stamp = run(tracker, stamp, 25)
+    assert confirmed(tracker) == ["b0"] and tracker.published(stamp) == [] and tracker.awaits_return(stamp)
+    scene.people = [(640, 400)]
+    stamp = run(tracker, stamp, 3, boxes=[box_of(640, 400)])
+    assert confirmed(tracker) == ["b0"] and tracker.published(stamp - 0.1)
+    scene.people = []
+    run(tracker, stamp, 33)
     assert tracker.tracks == []
 
 

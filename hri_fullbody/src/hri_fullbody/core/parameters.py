@@ -69,10 +69,11 @@ BODY_STAGE_PARAMETERS = (
               " more flickering false bodies.", unit="s", minimum=0.0, maximum=10.0, live=True),
     Parameter("body_death_time", 1.0, "Time after which a body that two searches have not found is dropped with its "
               "id. One that waits for its look is published for as long, or for one and a half rounds of looks where "
-              "those take longer. Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0,
-              live=True),
-    Parameter("body_memory", 10.0, "Time for which the clothes and the place of a lost body are remembered: a new "
-              "body that fits is told to be the same person (the id is a new one all the same). 0: never.", unit="s",
+              "those take longer; one that vanished inside the image, as behind somebody, is waited for three times as "
+              "long. Larger bridges longer occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True),
+    Parameter("body_memory", 10.0, "Time for which a lost body is remembered by clothes, place, stature and face: a "
+              "new body seen for 1 s that is somebody remembered with a likelihood of 0.9 or more is told to be the "
+              "same person (the id is a new one all the same). 0: never.", unit="s",
               minimum=0.0, maximum=300.0),
 )
 """What BodyPipeline needs, besides `providers`."""

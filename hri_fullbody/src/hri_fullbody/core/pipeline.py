@@ -31,6 +31,7 @@ from hri_fullbody.core.model.dimensions import DimensionSettings, PersonDimensio
 from hri_fullbody.core.model.human import Dimensions, Layout, layout_for
 from hri_fullbody.core.tracking.reidentification import BodyReidentifier, Reidentification, TrackAppearance
 from hri_fullbody.core.tracking.scheduler import PoseScheduler
+from hri_fullbody.core.tracking.track import BodyTrack
 from hri_fullbody.core.tracking.tracker import BodyTracker
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.error_log import ItemGuard
@@ -50,6 +51,7 @@ _SEEN = 0.5
 # windows of the budget are for those who wait.
 SLOW_S = 0.25
 _SLOW_NEW = 2
+_HIDDEN_SHARE, _HIDDEN_NEW = 0.3, 2     # of the detector's period, and windows for new ones, while somebody is hidden
 # Boxes of the person detector from this part of the score that starts a body confirm that somebody is there.
 _FAINT = 0.5
 _HEAD_SAMPLES = 200
@@ -177,9 +179,10 @@ class BodyPipeline:
         """Search for new bodies: with the person detector when it is due, else in a few of the candidate windows.
 
         When the detector is due in every image, or images are slow, both are done in each. It is asked at once for a
-        body that was found without it.
+        body that was found without it, and more often while one is hidden.
         """
-        due = stamp - self._last_detection >= self._settings.person_detection_period or self._tracker.awaits_detector
+        period = self._settings.person_detection_period * (_HIDDEN_SHARE if self._tracker.awaits_return(stamp) else 1.0)
+        due = stamp - self._last_detection >= period or self._tracker.awaits_detector
         detected_before, self._detected_before = self._detected_before, due
         if due:
             self._last_detection = stamp
@@ -190,16 +193,23 @@ class BodyPipeline:
                 return
         windows, budget = self._settings.new_windows_per_image, self._settings.pose_budget
         if budget:
-            windows = min(windows, max(1, budget - self._tracker.windows))
+            least = _HIDDEN_NEW if self._tracker.awaits_return(stamp) else 1
+            windows = min(windows, max(least, budget - self._tracker.windows))
         with self.times("new bodies"):
             self._tracker.try_new(bgr, stamp, faces, windows)
 
     def _reidentify(self, stamp: float) -> None:
         """Compare new bodies with those lost in the last seconds."""
         self.reidentified = self._reidentifier.update(
-            [TrackAppearance(track.id, track.appearance, track.detection.root) for track in self._tracker.tracks
-             if track.confirmed],
-            stamp)
+            [self._appearance(track) for track in self._tracker.tracks if track.confirmed], stamp)
+
+    def _appearance(self, track: BodyTrack) -> TrackAppearance:
+        """What re-identification needs to know of a body: its stature as of the image before."""
+        last = self._last_models.get(track.id)
+        return TrackAppearance(track.id, track.appearance, track.detection.root,
+                               None if last is None else last.model.stature,
+                               0.1 if last is None else last.model.stature_sd, track.face_id,
+                               track.visible and not track.returning)
 
     def _solve_pnp(self, estimate: PoseEstimate, camera: CameraModel) -> Optional[np.ndarray]:
         """Place the landmarks of an estimate in the optical frame: (33, 3) m, or None."""

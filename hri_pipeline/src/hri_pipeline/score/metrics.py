@@ -1,8 +1,8 @@
 """Scores of a bag: persons, gazes and groups against the truth where the bag holds it, and what can be told without.
 
-`score` gives all figures of a record. Below it are the metrics themselves: CLEAR-MOT of tracks, precision and recall of
-pairs and of groups, word errors; and `counts`, for bags whose truth is only how many people there are and which words
-are said.
+`score` gives all figures of a record. Below it are the metrics themselves: CLEAR-MOT, IDF1 and HOTA of tracks,
+precision and recall of pairs and of groups, word errors; and `counts`, for bags whose truth is only how many people
+there are and which words are said.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import (
     AbstractSet,
     Any,
+    Callable,
     Dict,
     FrozenSet,
     Hashable,
@@ -28,6 +29,7 @@ from typing import (
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from hri_pipeline.core.geometry import iou_matrix
 from hri_pipeline.score.bag import INTERACTIONS, KINDS, PERSONS, Record, TruthFrame
 
 LATENCY = 0.1
@@ -54,8 +56,11 @@ def score(record: Record, distance: float = 0.5) -> Figures:
     figures.update(counts(record))
     figures["has_truth"] = bool(record.truth or record.true_words or any(record.counted.values()))
     if record.truth:
-        mot = clear_mot(mot_frames(record), distance)
+        frames = mot_frames(record)
+        mot = clear_mot(frames, distance)
         figures.update(_mot(mot, record))
+        identity = identity_scores(frames, distance)
+        figures.update(idf1=identity.idf1, hota=identity.hota, deta=identity.deta, assa=identity.assa)
         figures.update(_gaze(record, mot))
         figures.update(_group_figures(record, mot))
         figures.update(_confidence(record, mot))
@@ -391,6 +396,7 @@ def pair_scores(found: Sequence[AbstractSet[Hashable]], truth: Sequence[Abstract
 
 
 Place = Sequence[float]
+Apart = Callable[[Place, Place], float]
 
 
 class MotFrame(NamedTuple):
@@ -429,15 +435,17 @@ class MotScores:
         return 1.0 - wrong / self.truths if self.truths else None
 
 
-def clear_mot(frames: Iterable[MotFrame], distance: float = 0.5) -> MotScores:
+def clear_mot(frames: Iterable[MotFrame], distance: float = 0.5, apart: Optional[Apart] = None) -> MotScores:
     """Compare found with true places: CLEAR-MOT (Bernardin and Stiefelhagen, EURASIP J. Image and Video Processing
     2008).
 
     A pair that was matched in the frame before stays so while it is not farther apart than `distance` (m); the rest is
     matched with the least total distance. A switch: a true id is matched with another found id than the last time. A
     fragment: a true id that was matched and lost, is matched again. A found place next to somebody who need not be
-    found is no false positive. Raises ValueError for a distance that is not positive.
+    found is no false positive. apart: another measure of how far two places are from each other, in the unit of
+    `distance`, such as `box_distance`. Raises ValueError for a distance that is not positive.
     """
+    apart = apart or _apart
     if not distance > 0.0:
         raise ValueError("the distance is {} m, legal range above 0".format(distance))
     last: Dict[str, str] = {}
@@ -450,9 +458,9 @@ def clear_mot(frames: Iterable[MotFrame], distance: float = 0.5) -> MotScores:
     total = 0.0
     for frame in frames:
         required = set(frame.truth) if frame.required is None else set(frame.required) & set(frame.truth)
-        matched = _matched(frame, before, distance)
+        matched = _matched(frame, before, distance, apart)
         for true, found in matched.items():
-            total += _apart(frame.truth[true], frame.found[found])
+            total += apart(frame.truth[true], frame.found[found])
             counts["switches"] += true in last and last[true] != found
             counts["fragments"] += true in lost
             last[true] = found
@@ -469,15 +477,15 @@ def clear_mot(frames: Iterable[MotFrame], distance: float = 0.5) -> MotScores:
     return MotScores(distance=mean, persons=len(ever & wanted), persons_true=len(wanted), pairs=tuple(pairs), **counts)
 
 
-def _matched(frame: MotFrame, before: Mapping[str, str], distance: float) -> Dict[str, str]:
+def _matched(frame: MotFrame, before: Mapping[str, str], distance: float, apart: Apart) -> Dict[str, str]:
     """True id -> found id of one frame."""
     matched = {true: found for true, found in before.items() if true in frame.truth and found in frame.found
-               and _apart(frame.truth[true], frame.found[found]) <= distance}
+               and apart(frame.truth[true], frame.found[found]) <= distance}
     truths = [true for true in frame.truth if true not in matched]
     taken = set(matched.values())
     founds = [found for found in frame.found if found not in taken]
     if truths and founds:
-        cost = np.array([[_apart(frame.truth[true], frame.found[found]) for found in founds] for true in truths])
+        cost = np.array([[apart(frame.truth[true], frame.found[found]) for found in founds] for true in truths])
         rows, columns = linear_sum_assignment(np.where(cost <= distance, cost, 1e6))
         matched.update((truths[row], founds[column]) for row,
                        column in zip(rows, columns) if cost[row, column] <= distance)
@@ -486,6 +494,104 @@ def _matched(frame: MotFrame, before: Mapping[str, str], distance: float) -> Dic
 
 def _apart(first: Place, second: Place) -> float:
     return float(np.linalg.norm(np.subtract(first, second)))
+
+
+def box_distance(first: Place, second: Place) -> float:
+    """Return 1 less the intersection over union of two boxes x0, y0, x1, y1, px: 0 to 1."""
+    return 1.0 - float(iou_matrix(np.array([first], dtype=np.float64), np.array([second], dtype=np.float64))[0, 0])
+
+
+@dataclass(frozen=True)
+class IdentityScores:
+    """How well ids are kept over the whole time, 0 to 1; None where there is nothing to compare.
+
+    idf1: share of the places, true and found, that the best one-to-one pairing of ids makes agree. hota: geometric
+    mean of detection (deta) and association (assa), averaged over thresholds of the similarity.
+    """
+
+    idf1: Optional[float]
+    hota: Optional[float]
+    deta: Optional[float]
+    assa: Optional[float]
+
+
+_ALPHAS = np.arange(0.05, 0.99, 0.05)
+_HALF = 0.5
+_TINY = 1e-9
+
+
+def identity_scores(frames: Iterable[MotFrame], distance: float = 0.5,
+                    apart: Optional[Apart] = None) -> IdentityScores:
+    """Compare ids over the whole time: IDF1 and HOTA.
+
+    IDF1: E. Ristani et al., "Performance Measures and a Data Set for Multi-Target, Multi-Camera Tracking", ECCV
+    workshops 2016, with pairs not farther apart than `distance`. HOTA: J. Luiten et al., "HOTA: A Higher Order Metric
+    for Evaluating Multi-Object Tracking", IJCV 129, 2021, with the similarity 1 - apart / (2 distance), not below 0:
+    its middle threshold is `distance`, and with `box_distance` and 0.5 it is the intersection over union. Who need not
+    be found, and what is found there, is left out first, as MOTChallenge does with distractors. Raises ValueError for a
+    distance that is not positive.
+    """
+    if not distance > 0.0:
+        raise ValueError("the distance is {} m, legal range above 0".format(distance))
+    trues: Dict[str, int] = {}
+    founds: Dict[str, int] = {}
+    steps = []
+    for frame in (required_only(frame, distance, apart) for frame in frames):
+        steps.append((np.array([trues.setdefault(name, len(trues)) for name in frame.truth], dtype=int),
+                      np.array([founds.setdefault(name, len(founds)) for name in frame.found], dtype=int),
+                      _similarity(frame, distance, apart)))
+    true_count = np.bincount(np.concatenate([rows for rows, _, _ in steps] or [[]]).astype(int), minlength=len(trues))
+    found_count = np.bincount(np.concatenate([columns for _, columns, _ in steps] or [[]]).astype(int),
+                              minlength=len(founds))
+    if not trues and not founds:
+        return IdentityScores(None, None, None, None)
+    together = np.zeros((len(trues), len(founds)))
+    for rows, columns, alike in steps:
+        together[np.ix_(rows, columns)] += alike >= _HALF - _TINY
+    best = together[linear_sum_assignment(-together)].sum()
+    idf1 = 2.0 * float(best) / float(true_count.sum() + found_count.sum())
+    return IdentityScores(idf1, *_hota(steps, true_count, found_count))
+
+
+Step = Tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def required_only(frame: MotFrame, distance: float = 0.5, apart: Optional[Apart] = None) -> MotFrame:
+    """Return a frame without those who need not be found, and without what is found nearer to them than to others."""
+    if frame.required is None:
+        return frame
+    true, found, alike = list(frame.truth), list(frame.found), _similarity(frame, distance, apart)
+    rows, columns = linear_sum_assignment(-np.where(alike >= _HALF - _TINY, alike, 0.0))
+    beside = {found[column] for row, column in zip(rows, columns)
+              if true[row] not in frame.required and alike[row, column] >= _HALF - _TINY}
+    return MotFrame({name: place for name, place in frame.truth.items() if name in frame.required},
+                    {name: place for name, place in frame.found.items() if name not in beside})
+
+
+def _similarity(frame: MotFrame, distance: float, apart: Optional[Apart]) -> np.ndarray:
+    """Similarities (T, F), 0 to 1, of the places of a frame; 0.5 at `distance`."""
+    measure = apart or _apart
+    return np.array([[max(0.0, 1.0 - measure(true, found) / (2.0 * distance)) for found in frame.found.values()]
+                     for true in frame.truth.values()]).reshape(len(frame.truth), len(frame.found))
+
+
+def _hota(steps: Sequence[Step], true_count: np.ndarray, found_count: np.ndarray) -> Tuple[float, float, float]:
+    """HOTA, DetA and AssA: means over the thresholds. In each frame the pairs are those whose ids go together best
+    over the whole time (equation 12 and section 5 of the article), of these the more similar ones."""
+    overlap = np.zeros((len(true_count), len(found_count)))
+    for rows, columns, alike in steps:
+        either = alike.sum(axis=1, keepdims=True) + alike.sum(axis=0, keepdims=True) - alike
+        overlap[np.ix_(rows, columns)] += np.divide(alike, either, out=np.zeros_like(alike), where=either > _TINY)
+    total = true_count[:, None] + found_count[None, :]
+    global_alike = overlap / np.maximum(total - overlap, _TINY)
+    matches = np.zeros((len(_ALPHAS),) + overlap.shape)
+    for rows, columns, alike in steps:
+        chosen = linear_sum_assignment(-global_alike[np.ix_(rows, columns)] * alike)
+        matches[:, rows[chosen[0]], columns[chosen[1]]] += alike[chosen] >= _ALPHAS[:, None] - _TINY
+    hits = matches.sum(axis=(1, 2))
+    detection = hits / np.maximum(true_count.sum() + found_count.sum() - hits, 1)
+    association = (matches * matches / np.maximum(total - matches, 1)).sum(axis=(1, 2)) / np.maximum(hits, 1)
+    return (float(np.sqrt(detection * association).mean()), float(detection.mean()), float(association.mean()))
 
 
 def word_errors(said: Sequence[str], recognised: Sequence[str]) -> int:

@@ -11,7 +11,7 @@ from typing import Dict, List, Optional, Sequence, Set
 
 import numpy as np
 
-from hri_fullbody.core.detection.pose_estimator import PoseDetection, inside
+from hri_fullbody.core.detection.pose_estimator import PoseDetection, inside, same_body
 from hri_fullbody.core.detection.windows import FaceBox
 from hri_fullbody.core.localization.localizer import face_cue
 from hri_fullbody.core.tracking.appearance import difference
@@ -24,15 +24,23 @@ NOSE_IN_FACE = 0.5
 NOSE_IN_OWN_FACE = 0.65
 MAX_COST = 14.0
 _CENTRE_NOISE = 0.08        # of the body's size: the trunk of one body in two windows
-_FARTHEST = 3.0             # body sizes: nobody gets so far while he is remembered
+# Who was hidden comes back near where he would be, or stayed, and as large: standard deviations in body sizes, at once
+# and per second, and of the logarithm of the size.
+_RETURN_SD, _RETURN_SPEED_SD = 0.2, 0.25
+_RETURN_SIZE_SD, _RETURN_SIZE_SPEED_SD = 0.12, 0.06
+_LARGEST_RETURN = 2.5       # standard deviations
 # What the window of another body shows is a visible body only where that is expected: else it is somebody between them.
 _FOREIGN_OFFSET = 1.5       # standard deviations
 _FOREIGN_NOSE = 0.1         # body sizes
 _LARGEST_OFFSET = 4.0       # standard deviations
 _LARGEST_DEPTH = 3.5        # standard deviations
-_APPEARANCE_SD = 0.16            # Hellinger distance of one human in two images, see the test on photographs
-_LARGEST_DISTANCE, _LARGEST_DISTANCE_AFTER = 0.6, 0.45    # while it is followed, and when it comes back
+# Hellinger distance of what was learnt of one human to another image of him: mean and standard deviation, of the people
+# in the first 40 s of vtest.avi.
+_APPEARANCE_MEAN, _APPEARANCE_SD = 0.21, 0.07
+_LARGEST_DISTANCE, _LARGEST_DISTANCE_AFTER = 0.55, 0.42    # while it is followed, and when it comes back
 _UNKNOWN_DISTANCE = 0.3
+_CLEARER_BY, _BETTER_BY = 0.15, 0.03    # two standard deviations, and what already speaks for another
+_BESIDE, _THERE = 0.2, 0.12  # body sizes
 _HIDDEN_COST = 1.5          # of two that fit alike, the one that was visible a moment ago is meant
 _FOREIGN_COST = 0.5         # found in the window of another body
 UNCONFIRMED_TIME = 2.0
@@ -54,12 +62,10 @@ def association_cost(track: BodyTrack, detection: PoseDetection, stamp: float, f
     nose = detection.estimate.nose
     if foreign_face or (face is not None and face.distance(nose) > NOSE_IN_OWN_FACE):
         return math.inf
-    if (
-        face is None
-        and math.hypot(*(detection.estimate.centre - track.estimate.centre)) > _FARTHEST * track.motion.size
-    ):
+    offset = (track.motion.image_distance(detection.estimate.centre, stamp, _CENTRE_NOISE) if track.visible
+              else _return_distance(track, detection, stamp))
+    if face is None and not track.visible and offset > _LARGEST_RETURN:
         return math.inf
-    offset = track.motion.image_distance(detection.estimate.centre, stamp, _CENTRE_NOISE)
     if face is None and track.visible and detection.source != track.id and (
             offset > _FOREIGN_OFFSET or _nose_offset(track, detection, stamp) > _FOREIGN_NOSE):
         return math.inf
@@ -71,9 +77,21 @@ def association_cost(track: BodyTrack, detection: PoseDetection, stamp: float, f
     if face is None and (offset > _LARGEST_OFFSET or depth > _LARGEST_DEPTH or apart > _LARGEST_DISTANCE):
         return np.inf
     cost = min(offset, _LARGEST_OFFSET) ** 2 / 2.0 + min(depth, _LARGEST_DEPTH) ** 2 / 4.0
-    cost += (apart / _APPEARANCE_SD) ** 2 / 2.0
+    cost += (max(0.0, apart - _APPEARANCE_MEAN) / _APPEARANCE_SD) ** 2 / 2.0
     cost += (0.0 if track.visible else _HIDDEN_COST) + (0.0 if detection.source == track.id else _FOREIGN_COST)
     return min(cost, MAX_COST - 1.0) if face is not None else cost
+
+
+def _return_distance(track: BodyTrack, detection: PoseDetection, stamp: float) -> float:
+    """How far a detection is from where a hidden body would be, or from where it was last seen, whichever is nearer,
+    and from its size, in standard deviations."""
+    centre = detection.estimate.centre
+    offset = min(math.hypot(*(centre - place)) for place in (
+        track.estimate.centre, track.estimate.centre + track.moved(stamp))) / track.motion.size
+    gap = max(0.0, stamp - track.stamp)
+    larger = math.log(detection.estimate.extent / track.motion.size)
+    return math.hypot(offset / (_RETURN_SD + _RETURN_SPEED_SD * gap),
+                      larger / (_RETURN_SIZE_SD + _RETURN_SIZE_SPEED_SD * gap))
 
 
 def _nose_offset(track: BodyTrack, detection: PoseDetection, stamp: float) -> float:
@@ -91,8 +109,34 @@ def cost_matrix(tracks: Sequence[BodyTrack], detections: Sequence[PoseDetection]
         owner = owners.get(seen_in.id) if seen_in is not None else None
         for row, track in enumerate(tracks):
             foreign = owner not in (None, track.id)
+            if track.face_id not in own and _shows_another(track, detection, tracks, stamp):
+                continue
             costs[row, column] = association_cost(track, detection, stamp, own.get(track.face_id or ""), foreign)
     return costs
+
+
+def _shows_another(track: BodyTrack, detection: PoseDetection, tracks: Sequence[BodyTrack], stamp: float) -> bool:
+    """Tell whether a detection rather is another of the visible bodies, so that this one may not take it.
+
+    Of a hidden body: one that is there and not clearly of other clothes, or one beside it whose clothes fit better.
+    Of a visible one: one that is there, and whose clothes fit clearly better.
+    """
+    own = difference(track.appearance, detection.appearance)
+    for other in tracks:
+        if other is track or not other.visible:
+            continue
+        there = other.expected(stamp)
+        offset = math.hypot(*(detection.estimate.centre - there.centre)) / other.motion.size
+        if offset > _BESIDE:
+            continue
+        its = difference(other.appearance, detection.appearance)
+        better = own - its if own is not None and its is not None else 0.0
+        if track.visible:
+            if better > _CLEARER_BY and offset < _THERE:
+                return True
+        elif better > (-_CLEARER_BY if same_body(there, detection.estimate) else _BETTER_BY):
+            return True
+    return False
 
 
 def nearest_face(detection: PoseDetection, faces: Sequence[FaceBox]) -> Optional[FaceBox]:

@@ -10,7 +10,7 @@ from hri_fullbody.core.tracking.track import BodyTrack
 
 _FAST = 1.0             # body sizes per second from which a body counts as fast
 _NEWBORN_WEIGHT = 3.0
-_HIDDEN_WEIGHT = 0.6
+_HIDDEN_WEIGHT = 0.4
 _LONGEST_ROUND = 64     # turns whose waits are kept: the most bodies there can be
 _PAUSE_S = 3.0          # without any image bodies wait for the camera, not for their turn
 

@@ -20,12 +20,16 @@ _IMAGE_NOISE = 0.02
 _SPACE_ACCELERATION = 2.0      # m/s2: a person who starts to walk
 _SPACE_SPEED = 1.0             # m/s
 _SPACE_NOISE = 0.03            # m, across the view
-_DEPTH_NOISE = 0.06            # of the depth: statures and the network's error
+_DEPTH_NOISE = 0.06            # of the depth: statures and the network's error,
+_DEPTH_NOISE_PX = 4.0          # and that of so many pixels of the body's size
 _LARGEST_GAP = 2.0             # s: after a longer one the velocity says nothing any more
+_VELOCITY_LASTS = 1.5          # s: time constant with which a walk is forgotten; people turn and stop
 
 
 class ConstantVelocity:
-    """Kalman filter of points that move with a constant velocity but for random accelerations, each axis alone.
+    """Kalman filter of points that move with a velocity that changes by random accelerations, each axis alone.
+
+    Without measurements the velocity fades with a time constant of 1.5 s, as in R. A. Singer's model of 1970.
 
     value: (D,). sd: (D,) or a number, its standard deviation. speed_sd: that of the unknown velocity at the start.
     R. E. Kalman, "A New Approach to Linear Filtering and Prediction Problems", 1960.
@@ -46,7 +50,7 @@ class ConstantVelocity:
         """
         step = min(max(0.0, stamp - self.stamp), _LARGEST_GAP)
         pp, _, _ = self._grown(step, acceleration)
-        return self.value + self.velocity * step, np.sqrt(pp)
+        return self.value + self.velocity * _travelled(step), np.sqrt(pp)
 
     def update(self, value: np.ndarray, sd: Union[float, np.ndarray], stamp: float, acceleration: float) -> None:
         """Take a measurement of `stamp` (s); one that is not newer than the last changes nothing."""
@@ -54,9 +58,10 @@ class ConstantVelocity:
         if step <= 0.0:
             return
         pp, pv, vv = self._grown(step, acceleration)
-        error = np.asarray(value, dtype=np.float64) - (self.value + self.velocity * step)
+        predicted = self.value + self.velocity * _travelled(step)
+        error = np.asarray(value, dtype=np.float64) - predicted
         gain_p, gain_v = pp / (pp + np.square(sd)), pv / (pp + np.square(sd))
-        self.value = self.value + self.velocity * step + gain_p * error
+        self.value = predicted + gain_p * error
         self.velocity = self.velocity + gain_v * error
         self._pp, self._pv, self._vv = (1.0 - gain_p) * pp, (1.0 - gain_p) * pv, vv - gain_v * pv
         self.stamp = float(stamp)
@@ -67,6 +72,11 @@ class ConstantVelocity:
         pp = self._pp + 2.0 * step * self._pv + step ** 2 * self._vv + noise * step ** 4 / 4.0
         pv = self._pv + step * self._vv + noise * step ** 3 / 2.0
         return pp, pv, self._vv + noise * step ** 2
+
+
+def _travelled(step: float) -> float:
+    """Time (s) at full velocity that goes as far as `step` s at a fading one."""
+    return _VELOCITY_LASTS * (1.0 - math.exp(-step / _VELOCITY_LASTS))
 
 
 class BodyMotion:
@@ -113,12 +123,16 @@ class BodyMotion:
         if root is None or self._space is None:
             return 0.0
         value, sd = self._space.predict(stamp, _SPACE_ACCELERATION)
-        return float(abs(root[2] - value[2]) / math.hypot(sd[2], 2.0 * _DEPTH_NOISE * max(abs(value[2]), 0.5)))
+        return float(abs(root[2] - value[2]) / math.hypot(sd[2], 2.0 * self._depth_noise(float(value[2]))))
+
+    def _depth_noise(self, depth: float) -> float:
+        """Standard deviation (m) of one measurement of a depth (m)."""
+        return math.hypot(_DEPTH_NOISE, _DEPTH_NOISE_PX / max(self.size, 1.0)) * max(abs(depth), 0.5)
 
     def _locate(self, root: Optional[np.ndarray], stamp: float) -> None:
         if root is None:
             return
-        sd = np.array([_SPACE_NOISE, _SPACE_NOISE, _DEPTH_NOISE * max(abs(float(root[2])), 0.5)])
+        sd = np.array([_SPACE_NOISE, _SPACE_NOISE, self._depth_noise(float(root[2]))])
         if self._space is None or stamp - self._space.stamp > _LARGEST_GAP:
             self._space = ConstantVelocity(root, sd, _SPACE_SPEED, stamp)
         else:
@@ -131,6 +145,11 @@ _FADE_S = 0.4
 _OCCLUDED_NOISE = 4.0     # times as much, while somebody else is in the same place
 _APPEARANCE_LEARN_S = 1.5
 _LEAST_MISSES = 2
+# How many times as long a body is waited for that vanished inside the image: somebody or something stands before it.
+_HIDDEN_PATIENCE = 3.0
+_SHORT_GAP_S = 0.3          # after a longer one a single detection may be somebody else
+_SURE_S = 1.0               # of which it was seen before
+_EDGE = 0.15                # body sizes from the side of the image, within which it may have left
 # A body slower than this (sizes per second) stays where it was: what seems to move a little is the network's noise, and
 # a window that follows it would drift away.
 _STILL = 0.25
@@ -140,6 +159,7 @@ class BodyTrack:
     """One body over time. All stamps are seconds of the images' clock.
 
     visible: its last inference found it. inferred_at: stamp of that. misses: inferences in a row that did not find it.
+    hidden: it was missed, and has not left. returning: it was seen once after a gap.
     box_confirmed: None until the person detector was asked for the body, then whether it has ever seen a person there.
     turn: for the scheduler, rising with every inference. wait: time (s) between two turns lately. appearance: see
     `appearance.describe`, learnt while unoccluded.
@@ -154,6 +174,8 @@ class BodyTrack:
         self.detection = detection
         self.stamp = stamp
         self.visible = True
+        self.hidden = False
+        self.returning = False
         self.inferred_at = stamp
         self.misses = 0
         self.turn = 0
@@ -196,7 +218,8 @@ class BodyTrack:
         if face is not None and stamp < self._anchored_until:
             return window_from_face(face, self._anchor_side)
         window = self.estimate.next_window()
-        x, y = np.asarray(window.centre) + self.moved(stamp)
+        # A hidden body is looked for where its motion takes it, and where it vanished, by turns.
+        x, y = np.asarray(window.centre) + (self.moved(stamp) if self.misses % 2 == 0 else 0.0)
         return Window((float(x), float(y)), window.size, window.angle)
 
     def next_anchor(self, attempt: int) -> float:
@@ -237,9 +260,10 @@ class BodyTrack:
         unhidden: nobody stands before it, so that its appearance may be learnt.
         """
         step = max(0.0, stamp - self.stamp)
+        self.returning = not self.visible and step > _SHORT_GAP_S
         self.detection, self.stamp, self._expected = detection, stamp, None
         self.described_at = self.described_at if detection.appearance is None else stamp
-        self.visible, self.inferred_at, self.misses = True, stamp, 0
+        self.visible, self.hidden, self.inferred_at, self.misses = True, False, stamp, 0
         self.motion.update(detection.estimate.centre, detection.estimate.extent, detection.root, stamp,
                            1.0 if unhidden else _OCCLUDED_NOISE)
         if unhidden:
@@ -251,9 +275,24 @@ class BodyTrack:
         """Tell whether the body was missed twice, and is unseen for longer than the death time.
 
         Without an inference a body is not gone: with many people, or few images, turns are rarer than that; the id
-        stays.
+        stays. One that is hidden is waited for three times as long.
         """
-        return self.misses >= _LEAST_MISSES and self.life.dead(stamp)
+        age = stamp - self.life.last_seen
+        return self.misses >= _LEAST_MISSES and self.life.dead(
+            self.life.last_seen + (age / _HIDDEN_PATIENCE if self.hidden else age))
+
+    def waits(self, stamp: float) -> bool:
+        """Tell whether the body is not seen, and expected where it was hidden."""
+        return self.hidden and not self.visible and not self.dead(stamp)
+
+    def judge_hidden(self, stamp: float, width: float) -> None:
+        """Note whether a body that was missed is hidden by something, in an image of `width` px: it was well known, and
+        has not left at a side."""
+        reach = _EDGE * self.motion.size
+        x = float(self.estimate.centre[0] + self.moved(stamp)[0])
+        box = self.estimate.box
+        known = self.life.last_seen - self.born_at >= _SURE_S and bool(self.box_confirmed or self.face_id is not None)
+        self.hidden = known and bool(box[0] > reach and box[2] < width - reach and reach < x < width - reach)
 
     def missed(self, stamp: float) -> None:
         """Note that an inference did not find the body."""

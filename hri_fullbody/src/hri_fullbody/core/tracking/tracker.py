@@ -39,6 +39,7 @@ Locate = Callable[[PoseEstimate], Optional[np.ndarray]]
 _SECOND_OFFSET, _SECOND_SHARE = 0.12, 0.75
 _OCCLUDED_SHARE = 0.15
 _DESCRIBE_S = 0.4
+_LEAST_INSIDE = 0.25    # of the box of the landmarks that are seen: what lies outside the image is made up
 _OVERDUE = 1.5      # times as long as others lately waited for their inference
 
 
@@ -92,8 +93,9 @@ class BodyTracker:
         self.schedule.reset()
 
     def published(self, stamp: float) -> List[BodyTrack]:
-        """Confirmed bodies that their last inference found, not longer ago than the death time or their turn takes."""
-        return [track for track in self.tracks if track.confirmed and track.visible
+        """Confirmed bodies that their last inference found (after a gap, the last two), not longer ago than the death
+        time or their turn takes."""
+        return [track for track in self.tracks if track.confirmed and track.visible and not track.returning
                 and stamp - track.stamp <= max(self._death_time, _OVERDUE * track.wait)]
 
     def follow(self, image: np.ndarray, stamp: float, faces: Sequence[FaceBox] = (),
@@ -115,12 +117,19 @@ class BodyTracker:
         self._associate(distinct(detections, [face.id if face else None for face in near]), chosen, stamp, faces)
         self._hide_duplicates(stamp)
         self._link_faces(faces, stamp)
+        for track in self.tracks:
+            if not track.visible:
+                track.judge_hidden(stamp, image.shape[1])
         self.tracks = [track for track in self.tracks if not track.dead(stamp)]
 
     @property
     def awaits_detector(self) -> bool:
         """Whether there is a body for which the person detector was not asked yet."""
         return any(track.box_confirmed is None for track in self.tracks)
+
+    def awaits_return(self, stamp: float) -> bool:
+        """Tell whether there is a hidden body that may come back any time."""
+        return any(track.waits(stamp) for track in self.tracks)
 
     def propose(self, boxes: Sequence[np.ndarray], faces: Sequence[FaceBox], stamp: float,
                 faint: Optional[Sequence[np.ndarray]] = None) -> None:
@@ -211,6 +220,8 @@ class BodyTracker:
     def _try_candidate(self, candidate: BodyCandidate, image: np.ndarray, stamp: float, face: Optional[FaceBox],
              faces: Sequence[FaceBox]) -> None:
         estimate = self._infer(image, candidate.window(face), None, face, faces, stamp)
+        if face is None and candidate.first is None and self._returns(image, estimate, stamp, faces):
+            return
         result = candidate.judge(estimate, face, self._min_score)
         if result.found is not None:
             detection = self._make_detection(image, result.found, None, stamp)
@@ -220,6 +231,22 @@ class BodyTracker:
             self._candidates.give_up(candidate.face_id, stamp)
         else:
             self._candidates.put_back(candidate)
+
+    def _returns(self, image: np.ndarray, estimate: PoseEstimate, stamp: float, faces: Sequence[FaceBox]) -> bool:
+        """Give what a person's box shows at once to the hidden body that it fits; tell whether there is one."""
+        hidden = [track for track in self.tracks if not track.visible]
+        if not hidden or not is_sound(estimate, self._min_score):
+            return False
+        detection = self._make_detection(image, estimate, None, stamp)
+        if detection is None or nearest_face(detection, faces) is not None:
+            return False
+        costs = cost_matrix(self.tracks, [detection], stamp, faces)[:, 0]
+        best = int(np.argmin(costs))
+        if self.tracks[best].visible or costs[best] > MAX_COST:
+            return False
+        self.tracks[best].update(detection, stamp, False)
+        self.tracks[best].box_confirmed = True
+        return True
 
     def _start_track(self, detection: PoseDetection, stamp: float, face: Optional[FaceBox], anchor: Optional[float],
                faces: Sequence[FaceBox]) -> None:
@@ -263,7 +290,8 @@ class BodyTracker:
     def _make_detection(self, image: np.ndarray, estimate: PoseEstimate, track: Optional[BodyTrack],
                stamp: float) -> Optional[PoseDetection]:
         """Make a detection of an estimate from the window of `track`, None when it is no body."""
-        if not is_sound(estimate, self._min_score):
+        picture = np.array([0.0, 0.0, image.shape[1], image.shape[0]])
+        if not is_sound(estimate, self._min_score) or inside(estimate.box, picture) < _LEAST_INSIDE:
             return None
         appearance = describe(image, estimate) if track is None or self._needs_appearance(track, stamp) else None
         return PoseDetection(estimate, self._locate(estimate), appearance, None if track is None else track.id)
