@@ -103,18 +103,21 @@ class OnnxModel:
         names = {full: short for short, full in PROVIDERS.items()}
         self.provider = names.get(self._session.get_providers()[0], self._session.get_providers()[0])
         self.input_names = [tensor.name for tensor in self._session.get_inputs()]
+        self.input_shapes = {tensor.name: list(tensor.shape) for tensor in self._session.get_inputs()}
         self.output_names = [tensor.name for tensor in self._session.get_outputs()]
         self._require("input", inputs, self.input_names)
         self._require("output", outputs, self.output_names)
         self._wanted = list(outputs) or self.output_names
 
-    def run(self, feed: Dict[str, np.ndarray]) -> Dict[str, np.ndarray]:
+    def run(self, feed: Dict[str, np.ndarray], outputs: Optional[Sequence[str]] = None) -> Dict[str, np.ndarray]:
         """Run the model.
 
         Parameters
         ----------
         feed : dict of str to numpy.ndarray
             Arrays by the names of inputs.
+        outputs : sequence of str, optional
+            Names of the wanted outputs, instead of those named at the begin.
 
         Returns
         -------
@@ -126,13 +129,14 @@ class OnnxModel:
         ModelError
             When onnxruntime refuses a name, a shape or a type.
         """
+        wanted = self._wanted if outputs is None else list(outputs)
         try:
-            values = self._session.run(self._wanted, feed)
+            values = self._session.run(wanted, feed)
         except Exception as error:  # onnxruntime's errors have no common base class but Exception
             shapes = {name: getattr(value, "shape", None) for name, value in feed.items()}
             raise ModelError("model {} refused input {}: {}".format(
                 self._path, shapes, first_line(error))) from error
-        return dict(zip(self._wanted, values))
+        return dict(zip(wanted, values))
 
     def _load(self, providers: Sequence[str], threads: int) -> onnxruntime.InferenceSession:
         if not self._path.is_file():
