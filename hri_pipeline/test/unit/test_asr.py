@@ -13,8 +13,12 @@ import pytest
 
 from hri_pipeline.core.asr import engines, worker
 from hri_pipeline.core.asr.engines import (
+    AUTO,
+    DECODER,
+    ENCODER,
     ENGINES,
     RATE,
+    TOKENIZER,
     EngineChoice,
     check_choice,
     engine_choice,
@@ -40,18 +44,21 @@ def all_packages(monkeypatch):
 
 
 def test_the_parameter_knows_the_engines():
-    assert set(ENGINE_NAMES) == {""} | set(ENGINES)
+    assert set(ENGINE_NAMES) == {"", AUTO} | set(ENGINES)
 
 
 @pytest.mark.parametrize("choice, words", [
-    (EngineChoice("sphinx"), ("speech_engine", "'sphinx'", "pocketsphinx, vosk")),
+    (EngineChoice("sphinx"), ("speech_engine", "'sphinx'", "moonshine, pocketsphinx, vosk")),
     (EngineChoice("vosk"), ("speech_model is empty", "vosk")),
     (EngineChoice("sherpa_onnx"), ("speech_model is empty", "sherpa_onnx")),
     (EngineChoice("vosk", "/no/such/model"), ("speech_model", "'/no/such/model'", "vosk")),
     (EngineChoice("pocketsphinx", grammar="yes or no"), ("speech_grammar", "#JSGF")),
     (EngineChoice("vosk", "/", grammar=JSGF), ("speech_grammar", "JSON list")),
     (EngineChoice("sherpa_onnx", "/", grammar=JSGF), ("speech_grammar", "dictation only")),
-    (EngineChoice("pocketsphinx", language="de-DE"), ("speech_language", "'de-DE'", "speech_model"))])
+    (EngineChoice("pocketsphinx", language="de-DE"), ("speech_language", "'de-DE'", "speech_model")),
+    (EngineChoice("moonshine", language="es"), ("speech_language", "'es'", "speech_model")),
+    (EngineChoice("moonshine", grammar=JSGF), ("speech_grammar", "moonshine", "auto")),
+    (EngineChoice("moonshine", "/usr"), ("speech_model", "/usr", "encoder_model.onnx"))])
 def test_a_choice_that_cannot_work_is_refused(all_packages, choice, words):
     with pytest.raises(ParameterError) as caught:
         check_choice(choice)
@@ -106,8 +113,39 @@ def test_a_grammar_that_is_not_there_is_named(tmp_path):
 
 
 def test_the_settings_make_a_choice():
-    settings = SimpleNamespace(**dict(DEFAULTS, speech_model="models/x", speech_grammar=JSGF, speech_language="en-GB"))
-    assert engine_choice(settings) == EngineChoice("pocketsphinx", os.path.abspath("models/x"), JSGF, "en-GB")
+    settings = SimpleNamespace(**dict(DEFAULTS, speech_model="models/x", speech_grammar=JSGF, speech_language="en-GB",
+                                      speech_text="written"))
+    assert engine_choice(settings) == EngineChoice("pocketsphinx", os.path.abspath("models/x"), JSGF, "en-GB", True)
+
+
+def test_free_speech_goes_to_moonshine_where_its_model_is_there(monkeypatch, tmp_path):
+    def chosen(**changes):
+        return engine_choice(SimpleNamespace(**dict(DEFAULTS, **changes))).engine
+
+    monkeypatch.setenv("ROS4HRI_MODELS", str(tmp_path))
+    assert chosen() == "pocketsphinx"
+    for name in (ENCODER, DECODER, TOKENIZER):
+        assert chosen(speech_engine="moonshine") == "moonshine" and chosen() == "pocketsphinx"
+        (tmp_path / name).write_bytes(b"x")
+    assert chosen() == "moonshine" and chosen(speech_grammar=JSGF) == "pocketsphinx"
+    assert chosen(speech_engine="pocketsphinx") == "pocketsphinx"
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    assert chosen(speech_model=str(mine)) == "pocketsphinx"
+    for name in ("encoder_model.onnx", "decoder_model_merged.onnx", "tokenizer.json"):
+        (mine / name).write_bytes(b"x")
+    assert chosen(speech_model=str(mine)) == "moonshine"
+    check_choice(EngineChoice("moonshine", str(mine), language="es"))
+
+
+def test_a_model_of_moonshine_that_is_no_model_is_named(monkeypatch, tmp_path):
+    monkeypatch.setenv("ROS4HRI_MODELS", str(tmp_path))
+    with pytest.raises(ParameterError, match="moonshine.*fetch_models"):
+        check_choice(EngineChoice("moonshine"))
+    for name in (ENCODER, DECODER, TOKENIZER):
+        (tmp_path / name).write_bytes(b"{}")
+    with pytest.raises(ParameterError, match="moonshine.*vocabulary"):
+        make_engine(EngineChoice("moonshine"))
 
 
 def test_messages_come_out_as_they_went_in_however_they_are_cut():

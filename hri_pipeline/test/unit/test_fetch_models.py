@@ -97,6 +97,8 @@ def make_ready_files(directory: Path, padding: int = 0) -> Path:
         procrustes_index=np.arange(33),
         procrustes_weight=np.ones(33),
     )
+    vocabulary = {"model": {"vocab": {"<unk>": 0}}}
+    (directory / "moonshine_tokenizer.json").write_text(json.dumps(vocabulary), encoding="utf-8")
     return directory
 
 
@@ -141,6 +143,14 @@ def test_ready_directory_is_copied_checked_and_listed(tmp_path: Path) -> None:
     assert run("--from", str(other), "--directory", str(target), "--models", models)[0] == 0
     assert contents(target)["silero_vad.onnx"] == contents(other)["silero_vad.onnx"]
     assert contents(target)["age_gender.onnx"] == before["age_gender.onnx"]
+
+
+def test_a_vocabulary_that_is_none_is_refused(tmp_path: Path) -> None:
+    source, target = make_ready_files(tmp_path / "source"), tmp_path / "target"
+    for text in ("[", '{"model": {"vocab": {}}}'):
+        (source / "moonshine_tokenizer.json").write_text(text)
+        result = run("--from", str(source), "--directory", str(target))
+        check_failure(result, "moonshine_tokenizer.json")
 
 
 def test_ready_directory_without_manifest_is_accepted(tmp_path: Path) -> None:

@@ -169,6 +169,7 @@ class OnnxModel:
         self.name = self._path.stem
         self.provider = _short_name(self._session.get_providers()[0])
         self.input_names = [tensor.name for tensor in self._session.get_inputs()]
+        self.input_shapes = {tensor.name: list(tensor.shape) for tensor in self._session.get_inputs()}
         self.output_names = [tensor.name for tensor in self._session.get_outputs()]
         self._require("input", inputs, self.input_names)
         self._require("output", outputs, self.output_names)
@@ -180,13 +181,15 @@ class OnnxModel:
         if self._log is not None:
             self._log.providers[self.name], self._log.inferences[self.name] = self.provider, 0
 
-    def run(self, feed: Dict[str, np.ndarray]) -> Dict[str, np.ndarray]:
+    def run(self, feed: Dict[str, np.ndarray], outputs: Optional[Sequence[str]] = None) -> Dict[str, np.ndarray]:
         """Run the model.
 
         Parameters
         ----------
         feed : dict of str to numpy.ndarray
             Arrays by the names of inputs.
+        outputs : sequence of str, optional
+            Names of the wanted outputs, instead of those named at the begin.
 
         Returns
         -------
@@ -198,17 +201,18 @@ class OnnxModel:
         ModelError
             When onnxruntime refuses a name, a shape or a type.
         """
+        wanted = self._wanted if outputs is None else list(outputs)
         try:
-            values = self._run_batched(feed) if self._batched else self._session.run(self._wanted, feed)
+            values = self._run_batched(feed, wanted) if self._batched else self._session.run(wanted, feed)
         except Exception as error:  # onnxruntime's errors have no common base class but Exception
             shapes = {name: getattr(value, "shape", None) for name, value in feed.items()}
             raise ModelError("model {} refused input {}: {}".format(
                 self._path, shapes, first_line(error))) from error
         if self._log is not None:
             self._log.inferences[self.name] += len(next(iter(feed.values())))
-        return dict(zip(self._wanted, values))
+        return dict(zip(wanted, values))
 
-    def _run_batched(self, feed: Dict[str, np.ndarray]) -> List[np.ndarray]:
+    def _run_batched(self, feed: Dict[str, np.ndarray], wanted: List[str]) -> List[np.ndarray]:
         """Run batches of the prepared sizes; what was filled up is left out of the outputs."""
         count = len(next(iter(feed.values())))
         parts = []
@@ -218,7 +222,7 @@ class OnnxModel:
             size = next(size for size in BATCH_SIZES if size >= length)
             filled = {name: value if length == size else np.concatenate(
                 [value, np.zeros((size - length,) + value.shape[1:], value.dtype)]) for name, value in part.items()}
-            parts.append([value[:length] for value in self._batched[size].run(self._wanted, filled)])
+            parts.append([value[:length] for value in self._batched[size].run(wanted, filled)])
         return parts[0] if len(parts) == 1 else [np.concatenate(values) for values in zip(*parts)]
 
     def _takes_batches(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import zipfile
 from pathlib import Path, PurePosixPath
 from typing import Any, Callable, Dict, List, Mapping, Optional
@@ -106,6 +107,8 @@ def describe(path: Path, output: str) -> Dict[str, List[Dict[str, Any]]]:
         return _describe_onnx(path, output)
     if output.endswith(".npz"):
         _check_canonical_face(path)
+    elif output.endswith(".json"):
+        _check_vocabulary(path)
     elif output.endswith(".mp4"):
         if path.read_bytes()[4:8] != MP4_MARK:
             raise FetchError("%s is not an MP4 film" % path)
@@ -156,6 +159,15 @@ def _describe_onnx(path: Path, output: str) -> Dict[str, List[Dict[str, Any]]]:
                 "name" % (path, kind, ", ".join(missing), ", ".join(present))
             )
     return found
+
+
+def _check_vocabulary(path: Path) -> None:
+    try:
+        vocabulary = json.loads(path.read_text(encoding="utf-8"))["model"]["vocab"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FetchError("%s cannot be read as a tokenizer.json: %r" % (path, error)) from error
+    if not isinstance(vocabulary, dict) or not vocabulary:
+        raise FetchError("%s holds no vocabulary" % path)
 
 
 def _check_canonical_face(path: Path) -> None:

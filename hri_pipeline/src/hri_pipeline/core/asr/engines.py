@@ -1,21 +1,20 @@
-"""The recognisers of speech: what each of them can do, how one is chosen, and the grammar it is given.
+"""The recognisers of speech: how one is chosen, the grammar it is given, and pocketsphinx.
 
-pocketsphinx is the default and is tested with recordings. vosk and sherpa-onnx are experimental: written after the
-documented interfaces of vosk 0.3.45 and sherpa-onnx 1.10 to 2.0, tested without their models, and not installed with
-this package. The package of an engine is imported when the engine is made, in a process of its own (worker.py).
+Moonshine (moonshine.py) is the default for free speech, pocketsphinx for a grammar; vosk and sherpa-onnx (adapters.py)
+are for users who bring a model. An engine is imported when it is made, in a process of its own (worker.py).
 """
 
 from __future__ import annotations
 
 import importlib.util
-import json
 import math
 import re
 from pathlib import Path
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Protocol, Sequence
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 import numpy as np
 
+from hri_pipeline.core.onnx import ModelError, model_path
 from hri_pipeline.core.parameters import ParameterError
 
 RATE = 16000
@@ -31,12 +30,14 @@ class EngineChoice(NamedTuple):
     model : directory, empty for the model that comes with the engine.
     grammar : text of a grammar, empty for dictation.
     language : IETF tag.
+    written : with capitals and punctuation, where the engine knows them; False: plain words in lower case.
     """
 
     engine: str
     model: str = ""
     grammar: str = ""
     language: str = "en-US"
+    written: bool = False
 
 
 class Recognised(NamedTuple):
@@ -210,138 +211,6 @@ def _pocketsphinx_options(choice: EngineChoice) -> Dict[str, Any]:
     return options
 
 
-_UNKNOWN = "[unk]"
-
-
-class VoskEngine:
-    """One recogniser of vosk (Kaldi); experimental. Its confidence is the mean of those of the words.
-
-    Raises ParameterError for a model or a list of phrases that cannot be used.
-    """
-
-    def __init__(self, choice: EngineChoice) -> None:
-        import vosk
-        vosk.SetLogLevel(-1)
-        phrases = _phrase_list(choice.grammar)
-        # Always a path: with a name or a language the package would download a model.
-        path = str(Path(choice.model).expanduser())
-        try:
-            self._model: Any = vosk.Model(model_path=path)
-            arguments = (self._model, float(RATE)) + ((phrases,) if phrases else ())
-            self._recogniser: Any = vosk.KaldiRecognizer(*arguments)
-        except Exception as error:  # the package raises bare Exception
-            raise ParameterError(
-                "parameter speech_model is {}, which vosk does not load: {}".format(path, error)
-            ) from error
-        self._recogniser.SetWords(True)
-        self._done: List[dict] = []
-
-    def start(self) -> None:
-        """Begin an utterance; one that was not finished is forgotten."""
-        self._recogniser.Reset()
-        self._done = []
-
-    def feed(self, samples: np.ndarray) -> None:
-        """Take (n,) int16 samples at 16 kHz."""
-        # True: vosk has heard a pause and begins a new sentence; for us the utterance goes on.
-        if len(samples) and self._recogniser.AcceptWaveform(np.ascontiguousarray(samples, dtype="<i2").tobytes()):
-            self._done.append(json.loads(self._recogniser.Result()))
-
-    def partial(self) -> str:
-        """Return the text so far."""
-        return _joined_text(self._done + [{"text": json.loads(self._recogniser.PartialResult()).get("partial", "")}])
-
-    def finish(self) -> Recognised:
-        """End the utterance."""
-        parts = self._done + [json.loads(self._recogniser.FinalResult())]
-        words = [float(word.get("conf", 0.0)) for part in parts for word in part.get("result", ())
-                 if word.get("word") != _UNKNOWN]
-        confidence = sum(words) / len(words) if words else 0.0
-        return Recognised(_joined_text(parts), min(max(confidence, 0.0), 1.0))
-
-    def close(self) -> None:
-        """Free the model. Idempotent."""
-        self._recogniser = self._model = None
-
-
-def _joined_text(parts: List[dict]) -> str:
-    words = " ".join(str(part.get("text", "")) for part in parts).split()
-    return " ".join(word for word in words if word != _UNKNOWN)
-
-
-def _phrase_list(grammar: str) -> str:
-    """The JSON list of phrases, with a word for all others."""
-    if not grammar:
-        return ""
-    try:
-        phrases = json.loads(grammar)
-    except ValueError as error:
-        raise ParameterError("parameter speech_grammar is no JSON list of phrases: {}".format(error)) from error
-    if not isinstance(phrases, list) or not phrases or not all(isinstance(phrase, str) for phrase in phrases):
-        raise ParameterError("parameter speech_grammar must be a JSON list of phrases, as in [\"go home\", \"stop\"]")
-    return json.dumps(phrases if _UNKNOWN in phrases else phrases + [_UNKNOWN])
-
-
-# What a streaming model still wants to see behind the last word.
-_TAIL_S = 0.6
-
-
-class SherpaEngine:
-    """One recogniser of sherpa-onnx with a streaming transducer, in one thread; experimental. Its confidence is the
-    geometric mean of the tokens' probabilities.
-
-    Raises ParameterError for a model that cannot be used.
-    """
-
-    def __init__(self, choice: EngineChoice) -> None:
-        import sherpa_onnx
-        directory = Path(choice.model).expanduser()
-        files = {name: str(one_file(directory, *patterns)) for name, patterns in (
-            ("tokens", ("tokens.txt",)), ("encoder", ("encoder*.int8.onnx", "encoder*.onnx")),
-            ("decoder", ("decoder*.int8.onnx", "decoder*.onnx")), ("joiner", ("joiner*.int8.onnx", "joiner*.onnx")))}
-        try:
-            self._recogniser: Any = sherpa_onnx.OnlineRecognizer.from_transducer(
-                num_threads=1, sample_rate=RATE, feature_dim=80, decoding_method="greedy_search", **files)
-        except Exception as error:  # whatever the library raises
-            raise ParameterError("parameter speech_model is {}, which sherpa-onnx does not load: {}".format(
-                directory, error)) from error
-        self._stream: Any = None
-
-    def start(self) -> None:
-        """Begin an utterance; one that was not finished is forgotten."""
-        self._stream = self._recogniser.create_stream()
-
-    def feed(self, samples: np.ndarray) -> None:
-        """Take (n,) int16 samples at 16 kHz."""
-        self._stream.accept_waveform(RATE, np.asarray(samples, dtype=np.float32) / 32768.0)
-        self._decode()
-
-    def partial(self) -> str:
-        """Return the text so far."""
-        return self._recogniser.get_result(self._stream).strip().lower()
-
-    def finish(self) -> Recognised:
-        """End the utterance."""
-        self._stream.accept_waveform(RATE, np.zeros(int(_TAIL_S * RATE), dtype=np.float32))
-        self._stream.input_finished()
-        self._decode()
-        text = self.partial()
-        # Packages before 1.10 do not tell the logarithms of the probabilities.
-        tell = getattr(self._recogniser, "ys_probs", None)
-        logarithms = list(tell(self._stream)) if tell is not None else []
-        self._stream = None
-        confidence = math.exp(min(sum(logarithms) / len(logarithms), 0.0)) if logarithms and text else 0.0
-        return Recognised(text, confidence)
-
-    def close(self) -> None:
-        """Free the model. Idempotent."""
-        self._stream = self._recogniser = None
-
-    def _decode(self) -> None:
-        while self._recogniser.is_ready(self._stream):
-            self._recogniser.decode_stream(self._stream)
-
-
 class EngineKind(NamedTuple):
     """Where an engine comes from. package: as pip knows it; module: as Python imports it."""
 
@@ -351,12 +220,30 @@ class EngineKind(NamedTuple):
     needs_model: bool
 
 
+def _make_moonshine(choice: EngineChoice) -> SpeechEngine:
+    from hri_pipeline.core.asr.moonshine import MoonshineEngine
+    return MoonshineEngine(choice)
+
+
+def _make_vosk(choice: EngineChoice) -> SpeechEngine:
+    from hri_pipeline.core.asr.adapters import VoskEngine
+    return VoskEngine(choice)
+
+
+def _make_sherpa(choice: EngineChoice) -> SpeechEngine:
+    from hri_pipeline.core.asr.adapters import SherpaEngine
+    return SherpaEngine(choice)
+
+
 ENGINES: Dict[str, EngineKind] = {
+    "moonshine": EngineKind("onnxruntime", "onnxruntime", _make_moonshine, False),
     "pocketsphinx": EngineKind("pocketsphinx", "pocketsphinx", PocketsphinxEngine, False),
-    "vosk": EngineKind("vosk", "vosk", VoskEngine, True),
-    "sherpa_onnx": EngineKind("sherpa-onnx", "sherpa_onnx", SherpaEngine, True),
+    "vosk": EngineKind("vosk", "vosk", _make_vosk, True),
+    "sherpa_onnx": EngineKind("sherpa-onnx", "sherpa_onnx", _make_sherpa, True),
 }
 """Known engines by the value of speech_engine."""
+AUTO = "auto"
+"""Value of speech_engine with which engine_choice() chooses."""
 
 
 def check_choice(choice: EngineChoice) -> None:
@@ -382,9 +269,24 @@ def check_choice(choice: EngineChoice) -> None:
             )
         )
     _check_grammar(choice)
-    if choice.engine == "pocketsphinx" and not choice.model and choice.language.split("-")[0].lower() != "en":
-        raise ParameterError("parameter speech_language is {!r}, but the model inside pocketsphinx knows English only: "
-                             "set speech_model to the directory of a model for that language".format(choice.language))
+    if not (choice.model or kind.needs_model or is_english(choice.language)):
+        raise ParameterError("parameter speech_language is {!r}, but the model of {} that comes with this package knows"
+                             " English only: set speech_model to the directory of a model for that language".format(
+                                 choice.language, choice.engine))
+    if choice.engine == "moonshine":
+        _check_moonshine(choice.model)
+
+
+def is_english(language: str) -> bool:
+    """Tell whether an IETF tag is one of English."""
+    return language.replace("_", "-").split("-")[0].lower() == "en"
+
+
+def _check_moonshine(directory: str) -> None:
+    try:
+        model_files(directory)
+    except ModelError as error:
+        raise ParameterError("parameter speech_engine is 'moonshine': {}".format(error)) from error
 
 
 def _check_grammar(choice: EngineChoice) -> None:
@@ -392,8 +294,8 @@ def _check_grammar(choice: EngineChoice) -> None:
         return
     begins = {"pocketsphinx": "#JSGF", "vosk": "["}.get(choice.engine)
     if begins is None:
-        raise ParameterError("parameter speech_grammar is set, but {} knows dictation only: leave it empty".format(
-            choice.engine))
+        raise ParameterError("parameter speech_grammar is set, but {} knows dictation only: leave it empty, or set "
+                             "speech_engine to auto".format(choice.engine))
     if not choice.grammar.lstrip("\ufeff \t\r\n").startswith(begins):
         raise ParameterError("parameter speech_grammar gives {} a text that begins with {!r}; it needs {}".format(
             choice.engine, choice.grammar[:20],
@@ -452,9 +354,43 @@ def read_grammar(value: str, directory: Optional[Path] = None) -> str:
 
 def engine_choice(settings: Any) -> EngineChoice:
     """Return the choice that the parameters speech_* make. Raises ParameterError for a grammar that is not there."""
-    return EngineChoice(settings.speech_engine,
-                        settings.speech_model and str(Path(settings.speech_model).expanduser().absolute()),
-                        read_grammar(settings.speech_grammar, grammar_directory()), settings.speech_language)
+    model = settings.speech_model and str(Path(settings.speech_model).expanduser().absolute())
+    grammar = read_grammar(settings.speech_grammar, grammar_directory())
+    engine = settings.speech_engine
+    if engine == AUTO:
+        engine = "moonshine" if not grammar and _has_moonshine(model) else "pocketsphinx"
+    return EngineChoice(engine, model, grammar, settings.speech_language, settings.speech_text == "written")
+
+
+def _has_moonshine(directory: str) -> bool:
+    try:
+        model_files(directory)
+    except ModelError:
+        return False
+    return True
+
+
+ENCODER, DECODER, TOKENIZER = "moonshine_encoder.onnx", "moonshine_decoder.onnx", "moonshine_tokenizer.json"
+"""Files of Moonshine in the models directory."""
+_AUTHORS_NAMES = ("encoder_model.onnx", "decoder_model_merged.onnx", "tokenizer.json")
+
+
+def model_files(directory: str) -> Tuple[Path, Path, Path]:
+    """Return Moonshine's encoder, decoder and vocabulary: of the models directory, or of a directory of the user, where
+    they have the names that Moonshine's authors give.
+
+    Raises
+    ------
+    ModelError
+        One of them is not there.
+    """
+    if not directory:
+        return model_path("", ENCODER), model_path("", DECODER), model_path("", TOKENIZER)
+    paths = [Path(directory) / name for name in _AUTHORS_NAMES]
+    missing = [path.name for path in paths if not path.is_file()]
+    if missing:
+        raise ModelError("{} (parameter speech_model) lacks {}".format(directory, ", ".join(missing)))
+    return paths[0], paths[1], paths[2]
 
 
 def grammar_directory() -> Optional[Path]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hri_pipeline.core.parameters import Parameter
 
-ENGINES = ("", "pocketsphinx", "vosk", "sherpa_onnx")
+ENGINES = ("", "auto", "moonshine", "pocketsphinx", "vosk", "sherpa_onnx")
 
 AUDIO_FEATURE_PARAMETERS = (
     Parameter("features_rate", 25.0, "Frames of `features` per second and voice, to a whole number of the 10 ms steps "
@@ -16,24 +16,28 @@ AUDIO_FEATURE_PARAMETERS = (
 """What AudioFeatureExtractor needs (core/audio/features.py)."""
 
 SPEECH_RECOGNITION_PARAMETERS = (
-    Parameter("speech_engine", "pocketsphinx", "Recogniser: `pocketsphinx` has an English model inside, `vosk` and"
-              " `sherpa_onnx` need their package and a model (`speech_model`); these two are experimental. Empty: no "
-              "recognition.", choices=ENGINES),
-    Parameter("speech_model", "", "Directory of the recogniser's model. Empty: the model inside pocketsphinx; the "
-              "others have none. pocketsphinx: a directory with an acoustic model (mdef, means, ...), one *.dict and, "
+    Parameter("speech_engine", "auto", "Recogniser. `auto`: `moonshine` for free speech, which `fetch_models` brings; "
+              "`pocketsphinx` with a grammar, or where Moonshine's model is not there. `vosk` and `sherpa_onnx` are"
+              " for users who bring a model (`speech_model`) and install the package. Empty: no recognition.",
+              choices=ENGINES),
+    Parameter("speech_model", "", "Directory of the recogniser's model. Empty: the English one that comes with "
+              "`moonshine` and `pocketsphinx`. moonshine: encoder_model.onnx, decoder_model_merged.onnx, "
+              "tokenizer.json; pocketsphinx: an acoustic model (mdef, means, ...), one *.dict and, "
               "for dictation, one *.lm or *.lm.bin; vosk: an unpacked model; sherpa_onnx: tokens.txt with "
               "encoder*.onnx, decoder*.onnx, joiner*.onnx of a streaming transducer."),
     Parameter("speech_grammar", "", "Sentences that are possible: a JSGF grammar as text (begins with `#JSGF`), the "
               "path of a file with one, or the name of a grammar of this package (`commands`, `digits`). With vosk a "
-              "JSON list of phrases. Empty: dictation, any words of the model, with many more errors and 10 times the "
-              "processor time. sherpa_onnx knows dictation only."),
-    Parameter("speech_language", "en-US", "Language of the model, an IETF tag; goes into the messages. The model inside"
-              " pocketsphinx knows English only."),
-    Parameter("speech_max_speakers", 2, "Voices that are recognised at the same time. Each has a process of its own (in"
-              " the default set 130 MB for dictation, 65 MB with a grammar), the second is started when it is first"
-              " needed. Further voices wait, and lose sound when they wait longer than `speech_queue`.",
+              "JSON list of phrases. Empty: free speech. moonshine and sherpa_onnx know free speech only."),
+    Parameter("speech_text", "plain", "`plain`: words in lower case without punctuation. `written`: as the recogniser "
+              "writes it; moonshine knows capitals and punctuation.", choices=("plain", "written")),
+    Parameter("speech_language", "en-US", "Language of the model, an IETF tag; goes into the messages. The models that"
+              " come with this package know English only."),
+    Parameter("speech_max_speakers", 2, "Voices that are recognised at the same time. Each has a process of its own "
+              "(moonshine 230 MB, pocketsphinx 65 MB with a grammar and 130 MB without); the second starts when it is"
+              " first needed. Further voices wait, and lose sound when they wait longer than `speech_queue`.",
               minimum=1, maximum=8),
-    Parameter("speech_partial_rate", 3.0, "Texts so far per second of speech. 0: none, only whole sentences.",
+    Parameter("speech_partial_rate", 3.0, "Texts so far per second of speech, at most. 0: none, only whole sentences. "
+              "moonshine gives fewer: it hears the whole sentence again for each, in 8 % of the time.",
               unit="Hz",
               minimum=0.0, maximum=10.0),
     Parameter("speech_min_confidence", 0.05, "Sentences of less confidence are not published. Higher: fewer commands "

@@ -12,13 +12,16 @@ from typing import Any, Dict, List, Optional, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.asr.engines import RATE, check_choice, engine_choice
+from hri_pipeline.core.asr.engines import AUTO, RATE, check_choice, engine_choice
 from hri_pipeline.core.asr.pool import HANG_S, QueuedUtterance, SpeechPool
 from hri_pipeline.core.audio.stream import encode_s16
+from hri_pipeline.core.onnx import FETCH_HINT
 
 OK, WARN, ERROR = 0, 1, 2
 LONGEST_S = 30.0
 """A turn that goes on for longer is cut: recognisers keep a whole utterance in memory."""
+_FALLBACK = ("speech is recognised by pocketsphinx, which errs in half of the words of free speech: "
+             + FETCH_HINT.replace("get it", "get Moonshine") + ", or set speech_grammar")
 _MOST_RESULTS = 1000
 # How long a problem stays in diagnostics.
 _TELL_S = 60.0
@@ -70,6 +73,8 @@ class SpeechRecognition:
         choice = engine_choice(settings)
         check_choice(choice)
         self._language = choice.language
+        is_fallback = settings.speech_engine == AUTO and choice.engine == "pocketsphinx" and not choice.grammar
+        self._hint = _FALLBACK if is_fallback and not choice.model else ""
         self._limit = settings.speech_queue
         self.least_confidence = settings.speech_min_confidence
         self._lock = threading.Lock()
@@ -158,6 +163,8 @@ class SpeechRecognition:
         if late:
             return WARN, ("recognition of speech is too slow, {:.1f} s of sound were dropped: use a grammar, or allow "
                           "more voices (speech_max_speakers) where there are processors").format(dropped), values
+        if self._hint:
+            return WARN, self._hint, values
         return OK, "speech is recognised by {}".format(self._pool.engine), values
 
     def close(self) -> None:
