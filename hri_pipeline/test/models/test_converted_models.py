@@ -64,14 +64,19 @@ def test_tflite_equals_litert(product: Product) -> None:
         interpreter.invoke()
         for name, result in zip(product.outputs, results):
             index = details[name] if name in details else only if only is not None else by_shape[result.shape[1:]]
-            expected = interpreter.get_tensor(index).reshape(result.shape[1:])  # one may lack the batch
+            expected = interpreter.get_tensor(index)
+            if expected.size != result[row].size:       # one may lack the batch, another has it fixed
+                expected = expected[0]
+            expected = expected.reshape(result.shape[1:])
             limit = RELATIVE_LIMIT * max(float(np.abs(expected).max()), 1.0)
             np.testing.assert_allclose(result[row], expected, atol=limit, rtol=0, err_msg=name)
 
 
-@pytest.mark.parametrize(
-    "product", [p for p in PRODUCTS if p.output.endswith(".onnx")], ids=lambda product: product.name
-)
+# Moonshine's networks are taken as they are, and have a sentence at a time.
+BATCHED = [p for p in PRODUCTS if p.output.endswith(".onnx") and not p.name.startswith("moonshine")]
+
+
+@pytest.mark.parametrize("product", BATCHED, ids=lambda product: product.name)
 def test_batch_rows_are_independent(product: Product) -> None:
     content = convert(product, read_members(archive_of(product), dict(product.members)))
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
