@@ -33,7 +33,7 @@ _WARDROBE = 40              # people whose clothes are remembered for that
 _RETURN_SHARE, _RETURN_S = 0.5, 5.0
 _NEWCOMER_S = 30.0
 _MOST_PRIOR_ODDS = 2.0      # without evidence: however quiet it was, a stranger may come
-_THERE_S = 3.0              # who is seen so soon after the start has not come, but was there
+_THERE_S = 10.0             # who is seen so soon after the start has not come, but was there; ten people take 8 s
 # Standard deviation of where somebody comes back: so much, a part of the distance, and what is walked in this time at
 # most. Half of the strangers come in where others go out, the rest anywhere in this area, m2.
 _NEAR_M, _INEXACT, _WALK_MPS, _LONGEST_WALK_S = 0.3, 0.12, 0.6, 5.0
