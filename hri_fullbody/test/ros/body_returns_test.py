@@ -12,6 +12,8 @@ from hri_msgs.msg import IdsList, IdsMatch, Skeleton2D
 from hri_pipeline.testing import Latest, wait_for
 
 START_S, WAIT_S = 60.0, 30.0
+SEEN_S = 1.5
+"""Who was seen for less than a second is not remembered."""
 NOSE = 0
 
 
@@ -30,12 +32,13 @@ class BodyReturnsTest(unittest.TestCase):
     def see_three(self):
         """{id: x of the nose} of the three bodies."""
         wait_for(lambda: self.tracked.value and len(self.tracked.value.ids) == 3, START_S, "three bodies in tracked")
-        noses = {}
-        for body in self.tracked.value.ids:
-            skeleton = Latest("/humans/bodies/%s/skeleton2d" % body, Skeleton2D)
-            noses[body] = wait_for(lambda heard=skeleton: heard.value, WAIT_S, "a skeleton").skeleton[NOSE].x
+        skeletons = {body: Latest("/humans/bodies/%s/skeleton2d" % body, Skeleton2D) for body in self.tracked.value.ids}
+        for skeleton in skeletons.values():
+            wait_for(lambda heard=skeleton: heard.value and
+                     (heard.value.header.stamp - heard.messages[0].header.stamp).to_sec() > SEEN_S, WAIT_S,
+                     "a body that is seen for {:g} s".format(SEEN_S))
             skeleton.close()
-        return noses
+        return {body: skeleton.value.skeleton[NOSE].x for body, skeleton in skeletons.items()}
 
     def test_new_bodies_are_matched_with_the_persons_of_the_earlier_ones(self):
         before = self.see_three()

@@ -46,8 +46,7 @@ _LEAST_TOKENS = 6
 _LOOPS = 4
 _LONGEST_LOOP = 8
 # The decoder ends at once where nobody speaks, at .96 and more for noises; also at times where somebody does, but then
-# it is less sure (below .9: of 28 recordings in 4 levels of noise 9 without a text, with this 1; words wrong .277,
-# .264).
+# it is less sure (below .9: of 7 recordings, 4 framings and 4 levels of noise 9 of 112 without a text, with this 1).
 _SURE_OF_NOTHING = math.log(0.9)
 _PARTIAL_FROM_S = 0.5
 _LEAST_S = 0.1
