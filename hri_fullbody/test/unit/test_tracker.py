@@ -23,13 +23,13 @@ def box_of(x, y):
     return standing_at(x, y).box
 
 
-def run(tracker, start, count, faces=(), boxes=()):
+def run(tracker, start, count, faces=(), boxes=(), image=IMAGE):
     """Feed `count` images and return the stamp of the next one."""
     for index in range(count):
         stamp = start + index * STEP
-        tracker.follow(IMAGE, stamp, faces)
+        tracker.follow(image, stamp, faces)
         tracker.propose(boxes, faces, stamp)
-        tracker.try_new(IMAGE, stamp, faces, 4)
+        tracker.try_new(image, stamp, faces, 4)
     return start + count * STEP
 
 
@@ -67,6 +67,18 @@ def test_id_stays_while_the_person_walks_and_dies_the_death_time_after_leaving()
     assert confirmed(tracker) == ["b0"]
     assert not tracker.tracks[0].visible
     run(tracker, stamp, 3)
+    assert tracker.tracks == []
+
+
+def test_nobody_is_waited_for_behind_a_cut_of_the_picture():
+    scene = Scene([(600, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(600, 400)])
+    other = np.random.default_rng(1).integers(0, 255, (9, 16, 3)).astype(np.uint8).repeat(80, 0).repeat(80, 1)
+    stamp = run(tracker, stamp, 2, image=other)         # somebody else stands at the same place
+    assert tracker.published(stamp) == []
+    scene.people = []
+    run(tracker, stamp, 12, image=other)
     assert tracker.tracks == []
 
 

@@ -38,6 +38,7 @@ _LARGEST_DEPTH = 3.5        # standard deviations
 # in the first 40 s of vtest.avi.
 _APPEARANCE_MEAN, _APPEARANCE_SD = 0.21, 0.07
 _LARGEST_DISTANCE, _LARGEST_DISTANCE_AFTER = 0.55, 0.42    # while it is followed, and when it comes back
+_LARGEST_DISTANCE_AFTER_CUT = 0.27      # 95 % of the distances of one human
 _UNKNOWN_DISTANCE = 0.3
 _CLEARER_BY, _BETTER_BY = 0.15, 0.03    # two standard deviations, and what already speaks for another
 _BESIDE, _THERE = 0.2, 0.12  # body sizes
@@ -72,7 +73,8 @@ def association_cost(track: BodyTrack, detection: PoseDetection, stamp: float, f
     depth = track.motion.depth_distance(detection.root, stamp)
     apart = difference(track.appearance, detection.appearance)
     apart = apart if apart is not None else 0.0 if track.visible else _UNKNOWN_DISTANCE
-    if face is None and not track.visible and apart > _LARGEST_DISTANCE_AFTER:
+    if face is None and not track.visible and apart > (
+            _LARGEST_DISTANCE_AFTER_CUT if track.cut else _LARGEST_DISTANCE_AFTER):
         return math.inf
     if face is None and (offset > _LARGEST_OFFSET or depth > _LARGEST_DEPTH or apart > _LARGEST_DISTANCE):
         return np.inf

@@ -159,7 +159,8 @@ class BodyTrack:
     """One body over time. All stamps are seconds of the images' clock.
 
     visible: its last inference found it. inferred_at: stamp of that. misses: inferences in a row that did not find it.
-    hidden: it was missed, and has not left. returning: it was seen once after a gap.
+    hidden: it was missed, and has not left. cut: the picture has changed since it was seen. returning: it was seen once
+    after a gap.
     box_confirmed: None until the person detector was asked for the body, then whether it has ever seen a person there.
     turn: for the scheduler, rising with every inference. wait: time (s) between two turns lately. appearance: see
     `appearance.describe`, learnt while unoccluded.
@@ -175,6 +176,7 @@ class BodyTrack:
         self.stamp = stamp
         self.visible = True
         self.hidden = False
+        self.cut = False
         self.returning = False
         self.inferred_at = stamp
         self.misses = 0
@@ -263,7 +265,7 @@ class BodyTrack:
         self.returning = not self.visible and step > _SHORT_GAP_S
         self.detection, self.stamp, self._expected = detection, stamp, None
         self.described_at = self.described_at if detection.appearance is None else stamp
-        self.visible, self.hidden, self.inferred_at, self.misses = True, False, stamp, 0
+        self.visible, self.hidden, self.cut, self.inferred_at, self.misses = True, False, False, stamp, 0
         self.motion.update(detection.estimate.centre, detection.estimate.extent, detection.root, stamp,
                            1.0 if unhidden else _OCCLUDED_NOISE)
         if unhidden:
@@ -292,7 +294,14 @@ class BodyTrack:
         x = float(self.estimate.centre[0] + self.moved(stamp)[0])
         box = self.estimate.box
         known = self.life.last_seen - self.born_at >= _SURE_S and bool(self.box_confirmed or self.face_id is not None)
-        self.hidden = known and bool(box[0] > reach and box[2] < width - reach and reach < x < width - reach)
+        self.hidden = bool(known and not self.cut and box[0] > reach and box[2] < width - reach
+                           and reach < x < width - reach)
+
+    def cut_off(self, stamp: float) -> None:
+        """Note that the image shows something else than the one before: the body is neither there nor hidden, until
+        somebody with its clothes is."""
+        self.cut = True
+        self.missed(stamp)
 
     def missed(self, stamp: float) -> None:
         """Note that an inference did not find the body."""

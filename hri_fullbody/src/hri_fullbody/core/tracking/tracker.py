@@ -32,6 +32,7 @@ from hri_fullbody.core.tracking.scheduler import PoseScheduler
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.error_log import ItemGuard
+from hri_pipeline.core.faces.appearance import PictureCuts
 from hri_pipeline.core.tracks import TrackLife
 
 Locate = Callable[[PoseEstimate], Optional[np.ndarray]]
@@ -72,6 +73,7 @@ class BodyTracker:
         self.schedule = schedule or PoseScheduler()
         self._guard = guard or ItemGuard()
         self._candidates = CandidateQueue()
+        self._cuts = PictureCuts()
         self._locate: Locate = lambda estimate: None
         self.tracks: List[BodyTrack] = []
         self.windows = 0
@@ -90,6 +92,7 @@ class BodyTracker:
         """Forget all bodies."""
         self.tracks = []
         self._candidates.clear()
+        self._cuts.reset()
         self.schedule.reset()
 
     def published(self, stamp: float) -> List[BodyTrack]:
@@ -107,6 +110,9 @@ class BodyTracker:
         """
         self._locate = locate or (lambda estimate: None)
         self.windows = 0
+        if self._cuts.update(image):
+            for track in self.tracks:
+                track.cut_off(stamp)
         own = {track.id: self._own_face(track, faces, stamp) for track in self.tracks}
         chosen = self.schedule.choose(self.tracks, stamp, min(for_new, len(self._candidates)))
         self._retries = self._max_retries
