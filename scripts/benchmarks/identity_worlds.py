@@ -28,7 +28,7 @@ _STATURES = ((0.03, 0.03), (0.10, 0.06))    # standard deviations told and true:
 
 
 @dataclass
-class Human:
+class SimulatedHuman:
     """Somebody. colours: (5, 3) mean lightness (0 to 255) and both colour axes of the parts. spread: (5, 3)."""
 
     colours: np.ndarray
@@ -48,17 +48,17 @@ class Encounter(NamedTuple):
     alone: bool
 
 
-def human(random: np.random.Generator, like: Optional[Human] = None) -> Human:
+def human(random: np.random.Generator, like: Optional[SimulatedHuman] = None) -> SimulatedHuman:
     """Draw somebody; like: whose clothes are of similar colours."""
     if like is not None:
         apart = np.array([6.0, 2.0, 2.0] if random.random() < _VERY_LIKE else [20.0, 6.0, 6.0])
-        return Human(like.colours + random.normal(0.0, apart, (PARTS, 3)), like.spread,
+        return SimulatedHuman(like.colours + random.normal(0.0, apart, (PARTS, 3)), like.spread,
                      float(random.normal(1.70, 0.09)))
     upper, lower = _colour(random), _colour(random)
     colours = np.array([upper if row == 0 or (row < 3 and random.random() < _SAME_AS_TRUNK) else
                         lower if row == 3 or (row == 4 and random.random() < _SAME_AS_TRUNK) else _colour(random)
                         for row in range(PARTS)])
-    return Human(colours, random.uniform([6.0, 1.5, 1.5], [25.0, 5.0, 5.0], (PARTS, 3)),
+    return SimulatedHuman(colours, random.uniform([6.0, 1.5, 1.5], [25.0, 5.0, 5.0], (PARTS, 3)),
                  float(random.normal(1.70, 0.09)))
 
 
@@ -69,7 +69,7 @@ def _colour(random: np.random.Generator) -> np.ndarray:
     return np.array([random.uniform(60.0, 220.0), strength * math.cos(hue), strength * math.sin(hue)])
 
 
-def seen_clothes(person: Human, random: np.random.Generator) -> np.ndarray:
+def seen_clothes(person: SimulatedHuman, random: np.random.Generator) -> np.ndarray:
     """Return what is learnt of somebody's clothes in one stay: other light, another side, some background."""
     light, tint = random.normal(0.0, 5.0), random.normal(0.0, 1.0, 2)
     # Some stays are seen badly.
@@ -90,8 +90,8 @@ class World:
     def __init__(self, seed: int, people: int, memory: float = 10.0) -> None:
         self._random = np.random.default_rng(seed)
         self._told_sd, self._true_sd = _STATURES[int(self._random.integers(len(_STATURES)))]
-        self._here: Dict[str, Human] = {}
-        self._gone: Dict[str, Tuple[Human, float]] = {}
+        self._here: Dict[str, SimulatedHuman] = {}
+        self._gone: Dict[str, Tuple[SimulatedHuman, float]] = {}
         self._looks: Dict[str, TrackAppearance] = {}
         self._count, self._memory, self._stamp = 0, memory, 0.0
         self.reidentifier = BodyReidentifier(memory)
@@ -139,12 +139,12 @@ class World:
         alone = not any(_alike(stranger, other) for other, _ in known.values())
         return Encounter(self._enter(stranger), None, alone)
 
-    def _placed(self, person: Human) -> Human:
+    def _placed(self, person: SimulatedHuman) -> SimulatedHuman:
         far = self._random.uniform(1.5, 6.0)
         person.place = np.array([far * self._random.uniform(-0.5, 0.5), 0.0, far])
         return person
 
-    def _enter(self, person: Human) -> str:
+    def _enter(self, person: SimulatedHuman) -> str:
         self._count += 1
         key = "b{}".format(self._count)
         far = float(np.linalg.norm(person.place))
@@ -172,6 +172,6 @@ class World:
         return told
 
 
-def _alike(first: Human, second: Human) -> bool:
+def _alike(first: SimulatedHuman, second: SimulatedHuman) -> bool:
     """Tell whether two people are dressed so that the clothes do not tell them apart."""
     return bool(np.abs(first.colours - second.colours).mean(axis=0).max() < 12.0)

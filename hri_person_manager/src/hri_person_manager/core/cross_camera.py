@@ -1,6 +1,6 @@
 """The same person in the views of several cameras, by rays, time and names.
 
-A `View` is what one sensor sees of one human: a face, a body, or both. A `Human` is one or more views that are one
+A `View` is what one sensor sees of one human: a face, a body, or both. A `ViewGroup` is one or more views that are one
 human. Views of different sensors are joined when their places agree, as exactly as the rays tell (see `triangulation`),
 and when no other way to pair up what both sensors see is nearly as likely. As long as a new view can be explained by
 somebody who is known, but not yet by whom, it is *held*: no person is made of it. A human who has left all views, and
@@ -164,7 +164,7 @@ class View:
                               found.covariance - max(0.0, less) * np.outer(unit, unit))
 
 
-class Human:
+class ViewGroup:
     """Views that are one human, and who that was so far.
 
     persons: ids of persons of the table that this human is or was. scales: by sensor and source of the
@@ -210,8 +210,8 @@ class CrossCamera:
         self.limit(distance, time, handover)
         self._tracks: Dict[MatchNode, SensorTrack] = {}
         self._view_of: Dict[MatchNode, View] = {}
-        self._human_of: Dict[int, Human] = {}
-        self._humans: Dict[int, Human] = {}
+        self._human_of: Dict[int, ViewGroup] = {}
+        self._humans: Dict[int, ViewGroup] = {}
         self._near: Dict[Pair, _Nearness] = {}
         self._apart: Dict[int, _Nearness] = {}
         self._two: Set[Pair] = set()
@@ -358,7 +358,7 @@ class CrossCamera:
                  if view is not None and view.number not in taken}
         view = known[min(known)] if known else View(next(self._numbers), sensor)
         if not known:
-            self._humans[view.number] = self._human_of[view.number] = Human(view.number, view)
+            self._humans[view.number] = self._human_of[view.number] = ViewGroup(view.number, view)
         for number in sorted(known)[1:]:
             self._unite(self._human_of[view.number], self._human_of[number])
         for feature in features:
@@ -382,14 +382,14 @@ class CrossCamera:
         if not human.views and (human.lost is None or not human.persons or explained):
             self._drop(human)       # nobody was told of it, or it was somebody who is still there
 
-    def _drop(self, human: Human) -> None:
+    def _drop(self, human: ViewGroup) -> None:
         first, *others = human.persons or [""]
         self._kept.update(dict.fromkeys(frozenset((first, other)) for other in others))
         self._humans.pop(human.number, None)
         self._two = {pair for pair in self._two if human.number not in pair}
         self._near = {pair: near for pair, near in self._near.items() if human.number not in pair}
 
-    def _unite(self, human: Human, other: Human) -> None:
+    def _unite(self, human: ViewGroup, other: ViewGroup) -> None:
         """Make one human of two, whatever is known of them."""
         if human is other:
             return
@@ -415,7 +415,7 @@ class CrossCamera:
         if len(human.views) < 2:
             return
         human.views.remove(view)
-        new = Human(next(self._numbers), view)
+        new = ViewGroup(next(self._numbers), view)
         self._humans[new.number] = self._human_of[view.number] = new
         human.scales = {key: scale for key, scale in human.scales.items() if key[0] != view.sensor}
         human.seen.pop(view.sensor, None)
@@ -433,7 +433,7 @@ class CrossCamera:
             return
         self._drop(human)
         view.began = view.ended
-        new = Human(next(self._numbers), view)
+        new = ViewGroup(next(self._numbers), view)
         self._humans[new.number] = self._human_of[view.number] = new
 
     def _part_by_hand(self, is_split: Callable[[str, str], bool]) -> None:
@@ -475,7 +475,7 @@ class CrossCamera:
         return not first & second and any(
             self._named_by.get(a, _NOBODY) & self._named_by.get(b, _NOBODY) for a in first for b in second)
 
-    def _may_be_one(self, one: Human, other: Human) -> bool:
+    def _may_be_one(self, one: ViewGroup, other: ViewGroup) -> bool:
         """Tell whether nothing is known that makes two humans of them."""
         if frozenset((one.number, other.number)) in self._two or one.slots & other.slots:
             return False
@@ -547,7 +547,7 @@ class CrossCamera:
             if before is not None and before.number in self._humans and self._may_be_one(before, human):
                 self._unite(before, human)
 
-    def _is_ripe(self, pair: Pair, one: Human, other: Human, live: List[View]) -> bool:
+    def _is_ripe(self, pair: Pair, one: ViewGroup, other: ViewGroup, live: List[View]) -> bool:
         if not one.views or not other.views:
             return pair in self._returned
         state = self._near.get(pair)
@@ -559,12 +559,12 @@ class CrossCamera:
         return (state.near and state.stamp - state.since >= sooner * self._time
                 or state.stamp - state.likely_since >= SLOWER * self._time)
 
-    def _velocity_apart(self, one: Human, other: Human, live: List[View]) -> float:
+    def _velocity_apart(self, one: ViewGroup, other: ViewGroup, live: List[View]) -> float:
         found = [np.mean([view.best.at(view.ended).velocity[:2] for view in human.views if view in live], axis=0)
                  for human in (one, other)]
         return float(np.linalg.norm(found[0] - found[1]))
 
-    def _costs(self, seen: List[Human], live: List[View]) -> Dict[Pair, float]:
+    def _costs(self, seen: List[ViewGroup], live: List[View]) -> Dict[Pair, float]:
         """Smoothed squared distances of all pairs that may be one, and of lost humans and new views."""
         if len(seen) < 1:
             return {}
@@ -594,7 +594,7 @@ class CrossCamera:
                     self._returned.add(pair)
         return costs
 
-    def _pair_up(self, seen: List[Human], live: List[View], costs: Mapping[Pair, float]) -> Dict[Pair, float]:
+    def _pair_up(self, seen: List[ViewGroup], live: List[View], costs: Mapping[Pair, float]) -> Dict[Pair, float]:
         """Pair up whom one sensor sees with whom another one sees, or who is lost; returns the clear pairs and their
         costs."""
         clear: Dict[Pair, float] = {}
@@ -609,7 +609,7 @@ class CrossCamera:
         return {pair: cost for pair, cost in clear.items()
                 if pair not in unclear and not self._has_rival(pair, seen, costs)}
 
-    def _has_rival(self, pair: Pair, seen: List[Human], costs: Mapping[Pair, float]) -> bool:
+    def _has_rival(self, pair: Pair, seen: List[ViewGroup], costs: Mapping[Pair, float]) -> bool:
         """Tell whether one of a pair might as well be somebody else whom yet another sensor sees."""
         for one, other in itertools.permutations(pair):
             for rival in seen:
@@ -622,7 +622,7 @@ class CrossCamera:
                     return True
         return False
 
-    def _assign(self, rows: List[Human], columns: List[Human], costs: Mapping[Pair, float], clear: Dict[Pair, float],
+    def _assign(self, rows: List[ViewGroup], columns: List[ViewGroup], costs: Mapping[Pair, float], clear: Dict[Pair, float],
                 unclear: Set[Pair]) -> None:
         table = np.array([[costs.get(frozenset((row.number, column.number)), math.inf) for column in columns]
                           for row in rows])
@@ -640,7 +640,7 @@ class CrossCamera:
             else:
                 unclear.add(pair)
 
-    def _jump(self, lost: Human, human: Human) -> Optional[Tuple[float, bool]]:
+    def _jump(self, lost: ViewGroup, human: ViewGroup) -> Optional[Tuple[float, bool]]:
         """Squared distance of where a new human came up from where a lost one must be by then, and whether it is known
         well enough that they are one; None if out of the question."""
         if lost.lost is None:
@@ -722,7 +722,7 @@ def _fuse_views(views: List[View], stamp: float, scales: Mapping[Tuple[str, int]
     return Estimate(position, velocity, covariance)
 
 
-def _name_bonus(one: Human, other: Human) -> float:
+def _name_bonus(one: ViewGroup, other: ViewGroup) -> float:
     """What names are worth, as a squared distance."""
     return NAME_ALIKE if one.names & other.names else 0.0
 
