@@ -622,7 +622,8 @@ class CrossCamera:
                     return True
         return False
 
-    def _assign(self, rows: List[ViewGroup], columns: List[ViewGroup], costs: Mapping[Pair, float], clear: Dict[Pair, float],
+    def _assign(self, rows: List[ViewGroup], columns: List[ViewGroup],
+                costs: Mapping[Pair, float], clear: Dict[Pair, float],
                 unclear: Set[Pair]) -> None:
         table = np.array([[costs.get(frozenset((row.number, column.number)), math.inf) for column in columns]
                           for row in rows])
