@@ -71,6 +71,9 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
               "Time in which somebody who left one view may appear in another, where the last velocity leads, as the "
               "same person. 0: never.", unit="s", minimum=0.0, maximum=60.0,
               live=True),
+    Parameter("people_msgs", False,
+              "Publish /people (people_msgs/People) for navigation: positions, velocities, and as tags group, "
+              "engagement, posture."),
     Parameter("source_timeout", 0.5,
               "Silence of the face frame after which the body places the person, and of all frames after which the "
               "last place is sent again. Where face and body were seen together, the body goes on after 0.25 s, or "

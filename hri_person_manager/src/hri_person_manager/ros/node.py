@@ -23,6 +23,7 @@ from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.persons import ANONYMOUS_PREFIX, Snapshot
 from hri_person_manager.core.register import PersonRegister, SqliteRecordStore
 from hri_person_manager.ros.inputs import ReferenceFrame, StampedFeaturePose, TfInput
+from hri_person_manager.ros.navigation import PeopleTopic
 from hri_person_manager.ros.services import PersonServices
 from hri_person_manager.ros.topics import PersonSpaces, PersonTopics
 from hri_person_manager.ros.visualization import GraphTopic, PersonMarkers
@@ -208,6 +209,7 @@ class PersonManagerNode:
         self._topics = PersonTopics(self._register)
         self._markers = PersonMarkers()
         self._graph = GraphTopic()
+        self._people = PeopleTopic() if settings.people_msgs else None
         self._tf = TfPublisher()
         self._tf_input = TfInput(settings.reference_frame, settings.source_timeout, self._on_poses)
         self._reference = ReferenceFrame(settings.reference_frame, self._tf_input)
@@ -291,6 +293,8 @@ class PersonManagerNode:
             for owner in (self._topics, self._spaces, self._graph, self._markers, self._tf, self._report,
                           self._restart_state):
                 owner.close()
+        if self._people is not None:
+            self._people.close()
         problem = self._writer.close()
         if problem:
             rospy.logerr("~store: %s", problem)
@@ -337,7 +341,10 @@ class PersonManagerNode:
                     self._spaces.note_sensor(person_id, stamped.feature_pose.sensor, stamped.feature_pose.source)
                     moved[person_id] = transform_to_msg(place.pose, stamped.stamp, place.frame,
                                                         "person_" + person_id)
+                    self._topics.publish_position(person_id, place, stamped.stamp)
             self._tf.send(list(moved.values()))
+            if moved and self._people is not None and self._people.is_wanted:
+                self._people.update(self._manager.snapshot(now), self._sensed)
             if any(self._topics.confidence(person_id) < 1.0 for person_id in moved):
                 self._publish_state()
 
@@ -361,10 +368,15 @@ class PersonManagerNode:
         self._forget_gone()
         self._manager.tick(now)
         if now > 0.0:
+            silent = self._manager.silent(now)
             self._tf.send([transform_to_msg(place.pose, stamp, place.frame, "person_" + person_id)
-                           for person_id, place in self._manager.silent(now)])
+                           for person_id, place in silent])
+            for person_id, place in silent:
+                self._topics.publish_position(person_id, place, stamp)
         self._publish_state()
         snapshot = self._manager.snapshot(now)
+        if self._people is not None and self._people.is_wanted:
+            self._people.update(snapshot, stamp)
         self._markers.publish(snapshot)
         self._spaces.update(snapshot, self._sensed)
         self._graph.update(lambda: graph_text(snapshot, self._manager.matches, self._manager.merges, self._threshold))

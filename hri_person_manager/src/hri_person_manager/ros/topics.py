@@ -12,6 +12,7 @@ from typing import Dict, Optional, Set, Tuple
 
 import genpy
 import rospy
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from std_msgs.msg import Bool, Float32, Header, String
 
 from hri_msgs.msg import AgeAndGender
@@ -20,6 +21,7 @@ from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_person_manager.core.proxemics import Proxemics, Space, horizontal_distance
 from hri_person_manager.core.register import DemographicsEstimate, PersonRegister
 from hri_person_manager.ros.inputs import TfInput
+from hri_person_manager.ros.navigation import position_to_msg
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import to_time
@@ -38,6 +40,7 @@ _TOPICS = {
     "location_confidence": TopicSpec(Float32, True, 10),
     "anonymous": TopicSpec(Bool, True, 10),
     "alias": TopicSpec(String, True, 10),
+    "position": TopicSpec(PoseWithCovarianceStamped),
 }
 # Most people have none of these, few have all; each topic costs a file descriptor and a call of the master.
 _KNOWN_TOPICS = {
@@ -108,6 +111,14 @@ class PersonTopics:
         """Return the location confidence last said of a person, 0 if there is none."""
         person = self._persons.get(person_id)
         return float(person.published.get("location_confidence", person.state.confidence)) if person else 0.0
+
+    def publish_position(self, person_id: str, place: Place, stamp: genpy.Time) -> None:
+        """Publish where a person is, with the covariance, while somebody subscribes."""
+        person = self._persons.get(person_id)
+        if person is not None and person.leases.has_subscribers(person_id, "position"):
+            message = position_to_msg(place, stamp)
+            if message is not None:
+                person.leases.publish(person_id, "position", message)
 
     def waiting(self) -> Tuple[int, str]:
         """Return how many persons are not listed because their topics could not be opened, and why."""

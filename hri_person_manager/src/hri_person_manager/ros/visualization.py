@@ -5,22 +5,27 @@ See the graph with `rostopic echo -p /humans/graph`, or with xdot.
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Callable, List
 
 import rospy
 from geometry_msgs.msg import Point, Quaternion
 from geometry_msgs.msg import Pose as PoseMsg
+from scipy.spatial.transform import Rotation
 from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
+from hri_person_manager.core.location import Place
 from hri_person_manager.core.persons import Snapshot
+from hri_person_manager.core.triangulation import ellipse
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.ros.rospy_compat import release
 
 RADIUS = 0.06           # m
 TEXT_HEIGHT = 0.12      # m
 TEXT_ABOVE = 0.55       # m, above the two lines that the body's own label has there
+THICKNESS = 0.01        # m, of an ellipse
 LIFETIME_S = 0.5
 GRAPH_PERIOD_S = 0.2
 
@@ -32,7 +37,7 @@ class PersonMarkers:
         self._publisher = rospy.Publisher("visualization/persons", MarkerArray, queue_size=1)
 
     def publish(self, snapshot: Snapshot) -> None:
-        """Show the persons that have a place; they fade with the confidence of their location."""
+        """Show the persons that have a place, with its 95 % ellipse; they fade with the confidence of their location."""
         if not self._publisher.get_num_connections():
             return
         markers: List[Marker] = []
@@ -55,11 +60,29 @@ class PersonMarkers:
                 marker.header.frame_id = state.place.frame
                 marker.scale.x = marker.scale.y = marker.scale.z = size
                 markers.append(marker)
+            markers += _ellipse(number, state.place)
         self._publisher.publish(MarkerArray(markers))
 
     def close(self) -> None:
         """Take the topic back. Idempotent."""
         release(self._publisher)
+
+
+def _ellipse(number: int, place: Place) -> List[Marker]:
+    """The horizontal 95 % ellipse of a place, as a flat disc at its height; none where it is not known."""
+    covariance = place.horizontal_covariance
+    if covariance is None:
+        return []
+    major, minor, turn = ellipse(covariance)
+    optical = is_optical(place.frame)
+    # The disc lies in x and y, in x and z of an optical frame; it is turned within its plane.
+    rotation = Rotation.from_euler("XZ", [math.pi / 2.0, turn] if optical else [0.0, turn]).as_quat()
+    marker = Marker(ns="uncertainty", id=number, type=Marker.CYLINDER, color=ColorRGBA(0.1, 0.7, 1.0, 0.15),
+                    pose=PoseMsg(Point(*place.pose.translation.tolist()), Quaternion(*rotation.tolist())),
+                    lifetime=rospy.Duration(LIFETIME_S))
+    marker.header.frame_id = place.frame
+    marker.scale.x, marker.scale.y, marker.scale.z = 2.0 * major, 2.0 * minor, THICKNESS
+    return [marker]
 
 
 def _label(person_id: str) -> str:
