@@ -83,6 +83,11 @@ PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodie
     Parameter("store", "",
               "File (SQLite) in which permanent persons are kept across runs: ids, names, languages, demographics, "
               "times; the recognisers keep their templates in the same file. Empty: in memory only."),
+    Parameter("store_key", "",
+              "File with the key that names, languages, demographics and times in `store` are encrypted with: that of "
+              "the recognisers (their `gallery_key`); make one with `people make-key FILE`. Empty: not encrypted."),
+    Parameter("store_read_only", [],
+              "More stores, whose people are known by name, too, but never changed; same key."),
     Parameter("store_max_age", 0.0,
               "Persons not seen for longer are removed from the store without a trace. 0: never.", unit="days",
               minimum=0.0, maximum=36500.0),

@@ -3,8 +3,8 @@
 A camera knows the direction of a person well and the distance badly: without depth or floor, 12 % of the distance along
 the ray and 2 % across were measured on four synchronised cameras. So a place is a Gaussian that is long along its ray;
 two are compared by their Mahalanobis distance, and fused by their inverse covariances (the best linear estimate; R.
-Kalman, Journal of Basic Engineering 82, 1960). Where rays cross, that is the triangulation of the person. A voice tells a
-direction only; a place of which nothing new is heard becomes less certain with time.
+Kalman, Journal of Basic Engineering 82, 1960). Where rays cross, that is the triangulation of the person. A voice tells
+a direction only; a place of which nothing new is heard becomes less certain with time.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from hri_person_manager.core.features import FEATURES, MAX_FEATURES, Kind, Match
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.persons import ANONYMOUS_PREFIX, Snapshot
-from hri_person_manager.core.register import PersonRegister, SqliteRecordStore
+from hri_person_manager.core.register import PersonRecord, PersonRegister, SqliteRecordStore, record_of
 from hri_person_manager.ros.inputs import ReferenceFrame, StampedFeaturePose, TfInput
 from hri_person_manager.ros.navigation import PeopleTopic
 from hri_person_manager.ros.services import PersonServices
@@ -29,10 +29,10 @@ from hri_person_manager.ros.topics import PersonSpaces, PersonTopics
 from hri_person_manager.ros.visualization import GraphTopic, PersonMarkers
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.process import share_arenas
 from hri_pipeline.core.recognition.gallery import SHARED_ENDINGS
-from hri_pipeline.core.recognition.store import PersonStore, StoreWriter
+from hri_pipeline.core.recognition.store import PersonStore, StoreWriter, read_store
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.rospy_compat import release
@@ -65,12 +65,26 @@ def open_store(settings: SimpleNamespace) -> Optional[SqliteRecordStore]:
         raise ParameterError("~store: {} does not end in {}, by which recognisers know the file that they share; name "
                              "it so".format(settings.store, ", ".join(SHARED_ENDINGS)))
     try:
-        store = PersonStore(settings.store, notify=rospy.logerr)
+        store = PersonStore(settings.store, _cipher(settings), rospy.logerr)
+        store.load_records()    # a wrong key, or none, is told at the start
     except StoreError as error:
-        raise ParameterError("~store: {}".format(error)) from error
+        raise ParameterError("~store, ~store_key: {}".format(error)) from error
     rospy.logwarn("persons are kept across runs in %s: ids, names, languages, apparent age and gender, times, "
-                  "templates of faces. Forget them with `rosrun hri_person_manager people forget ID`", store.path)
+                  "templates of faces%s. Forget them with `rosrun hri_person_manager people forget ID`", store.path,
+                  ", encrypted" if settings.store_key else "")
     return SqliteRecordStore(store, settings.store_max_age, settings.store_max_persons)
+
+
+def _cipher(settings: SimpleNamespace) -> Optional[TemplateCipher]:
+    return TemplateCipher(settings.store_key) if settings.store_key else None
+
+
+def borrowed_records(settings: SimpleNamespace) -> List[PersonRecord]:
+    """Read the stores of the parameter `store_read_only`. Raises ParameterError when one cannot be used."""
+    try:
+        return [record_of(row) for path in settings.store_read_only for row in read_store(path, _cipher(settings))[0]]
+    except StoreError as error:
+        raise ParameterError("~store_read_only: {}".format(error)) from error
 
 
 class RestartState:
@@ -203,7 +217,7 @@ class PersonManagerNode:
         self._sensed = genpy.Time()     # stamp of the newest image or sound of which a list or a transform has come
         self._feeds: Dict[str, IdSubscribers] = {}
         self._store = open_store(settings)
-        self._register = PersonRegister(self._store)
+        self._register = PersonRegister(self._store, borrowed_records(settings))
         self._remember_earlier_runs()
         self._writer = StoreWriter(self._write_store, WRITE_S)
         self._topics = PersonTopics(self._register)

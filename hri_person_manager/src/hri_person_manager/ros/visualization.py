@@ -37,7 +37,7 @@ class PersonMarkers:
         self._publisher = rospy.Publisher("visualization/persons", MarkerArray, queue_size=1)
 
     def publish(self, snapshot: Snapshot) -> None:
-        """Show the persons that have a place, with its 95 % ellipse; they fade with the confidence of their location."""
+        """Show the persons that have a place, with its 95 % ellipse; they fade with their confidence."""
         if not self._publisher.get_num_connections():
             return
         markers: List[Marker] = []
