@@ -22,11 +22,13 @@ LEFT_OUT: Dict[str, Dict[str, str]] = {
     "bag.launch": {},
     "two_machines.launch": {},
     "demo.launch": {
-        "sensor": _TOPICS, "sensor_namespace": _TOPICS, "image": _TOPICS, "camera_info": _TOPICS, "audio": _TOPICS, "audio_info": _TOPICS, "microphone_frame": _TOPICS,
+        "sensor": _TOPICS, "sensor_namespace": _TOPICS,
+        "image": _TOPICS, "camera_info": _TOPICS, "audio": _TOPICS, "audio_info": _TOPICS, "microphone_frame": _TOPICS,
         "voices": "the argument sound decides", "reference_frame": "the place of the camera is given in map"},
     "scene.launch": {
         **{name: _CAMERA for name in (
-            "sensor", "sensor_namespace", "image", "camera_info", "depth", "image_transport", "fallback_fov", "faces", "bodies", "overlay",
+            "sensor", "sensor_namespace",
+            "image", "camera_info", "depth", "image_transport", "fallback_fov", "faces", "bodies", "overlay",
             "one_process", "up_frame",
             "providers", "quality", "vision_rate", "max_people", "privacy", "recognition", "recognition_model",
             "faces_config", "bodies_config",

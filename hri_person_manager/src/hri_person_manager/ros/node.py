@@ -9,7 +9,7 @@ import time
 import xmlrpc.client
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Callable, Dict, List, Mapping, Optional, Tuple
+from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import genpy
 import rospy
@@ -29,12 +29,14 @@ from hri_person_manager.ros.topics import PersonSpaces, PersonTopics
 from hri_person_manager.ros.visualization import GraphTopic, PersonMarkers
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.process import share_arenas
 from hri_pipeline.core.recognition.gallery import SHARED_ENDINGS
 from hri_pipeline.core.recognition.store import PersonStore, StoreWriter, read_store
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.privacy import PrivacyTopic
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import TfPublisher
@@ -77,6 +79,15 @@ def open_store(settings: SimpleNamespace) -> Optional[SqliteRecordStore]:
 
 def _cipher(settings: SimpleNamespace) -> Optional[TemplateCipher]:
     return TemplateCipher(settings.store_key) if settings.store_key else None
+
+
+def data_use(settings: SimpleNamespace, records: Sequence[PersonRecord]) -> DataUse:
+    """Return what is computed of persons and kept of them; records: everybody who is known."""
+    stored = ("ids", "consent", "names", "languages", "apparent age and gender", "times") if settings.store else ()
+    return DataUse(("who belongs together", "positions", "names and languages that were given",
+                    "apparent age and gender over time"), settings.store, stored,
+                   settings.store_max_age if settings.store else 0.0, bool(settings.store and settings.store_key),
+                   tuple(record.id for record in records if record.enrolled))
 
 
 def borrowed_records(settings: SimpleNamespace) -> List[PersonRecord]:
@@ -223,6 +234,8 @@ class PersonManagerNode:
         self._topics = PersonTopics(self._register)
         self._markers = PersonMarkers()
         self._graph = GraphTopic()
+        self._settings = settings
+        self._privacy = PrivacyTopic()
         self._people = PeopleTopic() if settings.people_msgs else None
         self._tf = TfPublisher()
         self._tf_input = TfInput(settings.reference_frame, settings.source_timeout, self._on_poses)
@@ -305,7 +318,7 @@ class PersonManagerNode:
         self._tf_input.close()
         with self._lock:
             for owner in (self._topics, self._spaces, self._graph, self._markers, self._tf, self._report,
-                          self._restart_state):
+                          self._restart_state, self._privacy):
                 owner.close()
         if self._people is not None:
             self._people.close()
@@ -403,6 +416,7 @@ class PersonManagerNode:
                 rospy.logerr_throttle(_LOG_PERIOD_S, "~store: %s" % self._writer.problem)
             self._report.update(snapshot, self._jumps, self._writer.problem, self._topics.waiting())
             self._register.keep_demographics(state.id for state in snapshot.persons)
+            self._privacy.set(data_use(self._settings, self._register.records))
 
     def _present(self) -> Dict[str, List[MatchNode]]:
         """Who is made of which features, for the case that this node dies."""

@@ -71,8 +71,8 @@ ANALYSIS_PARAMETERS = (
               "by its owner alone, in a directory of its own, whose name ends in .sqlite. It can be shared with the "
               "person manager (its `store`) and other recognisers. NAME.npz, a gallery of earlier versions: its people "
               "are moved to NAME.sqlite. Empty: in memory only."),
-    Parameter("gallery_key", "", "File with the key that templates, names and times in `gallery` are encrypted with; make one with"
-              " `rosrun hri_person_manager people make-key FILE`. Empty: not encrypted."),
+    Parameter("gallery_key", "", "File with the key that templates, names and times in `gallery` are encrypted with;"
+              " make one with `rosrun hri_person_manager people make-key FILE`. Empty: not encrypted."),
     Parameter("gallery_read_only", [], "More stores, whose people are recognised, too, but never changed: plain ones, "
               "or with the key of `gallery_key`."),
 )

@@ -19,7 +19,22 @@ import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Callable, Dict, FrozenSet, Iterable, Iterator, List, Mapping, Optional, Sequence, Set, Tuple, Union
+from typing import (
+    Any,
+    Callable,
+    ContextManager,
+    Dict,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
 import numpy as np
 
@@ -214,7 +229,7 @@ class PersonDatabase:
         if self._connection is not None:
             self._connection.close()
             self._connection = None
-        with self._alone() as is_alone:
+        with self.alone() as is_alone:
             for file in [Path(str(self.path) + ending) for ending in ("", *_JOURNALS)]:
                 if is_alone and file.exists():
                     file.unlink()
@@ -226,7 +241,7 @@ class PersonDatabase:
         if size % _page_size(self.path):
             return "it is cut off"
         if size == 0 and not is_journal:
-            with self._alone() as is_alone:
+            with self.alone() as is_alone:
                 if is_alone:
                     return "it is empty"
         try:
@@ -248,7 +263,7 @@ class PersonDatabase:
         return "" if found == "ok" else str(found).replace("\n", " ")[:200]
 
     def _put_aside(self, reason: str) -> None:
-        with self._alone() as is_alone:
+        with self.alone() as is_alone:
             if not is_alone:
                 raise StoreError("{} is damaged ({}), and another process holds it; end that one".format(
                     self.path, reason))
@@ -257,7 +272,7 @@ class PersonDatabase:
             self.path, reason, target))
 
     @contextmanager
-    def _alone(self) -> Iterator[bool]:
+    def alone(self) -> Iterator[bool]:
         """Tell whether no other process holds the store; none can open it before the end of the block if that is so."""
         assert self._held is not None
         try:
@@ -350,6 +365,11 @@ class PersonStore:
     def close(self) -> None:
         """Give the file back. May be called again."""
         self._database.close()
+
+    def alone(self) -> ContextManager[bool]:
+        """Tell whether no other process uses the store; none can begin to before the end of the block if that is
+        so."""
+        return self._database.alone()
 
     def load_records(self) -> List[StoredPerson]:
         """Return everybody, in the order of ids."""
