@@ -22,7 +22,7 @@ OWN_FIELDS = {
     "hri_msgs/GazeSenderReceiver": ["sender", "receiver", "confidence"],
     "hri_msgs/GazesStamped": ["header", "gazes"],
     "hri_msgs/GroupsStamped": ["header", "groups", "confidences"],
-    "hri_msgs/PrivacyNotice": ["header", "node", "computes", "store", "stored", "max_age", "encrypted", "agreed"],
+    "hri_msgs/PrivacyNotice": ["node", "computes", "store", "stored", "max_age", "encrypted", "agreed"],
 }
 
 

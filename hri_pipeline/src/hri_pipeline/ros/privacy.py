@@ -9,7 +9,6 @@ import rospy
 
 from hri_msgs.msg import PrivacyNotice
 from hri_pipeline.core.privacy import DataUse
-from hri_pipeline.ros.conversions import make_header
 from hri_pipeline.ros.rospy_compat import release
 
 TOPIC = "/humans/privacy"
@@ -30,9 +29,8 @@ class PrivacyTopic:
             return
         self._use = use
         self._publisher.publish(PrivacyNotice(
-            header=make_header(rospy.Time.now(), ""), node=rospy.get_name(), computes=list(use.computes),
-            store=use.store, stored=list(use.stored), max_age=use.max_age, encrypted=use.encrypted,
-            agreed=list(use.agreed)))
+            node=rospy.get_name(), computes=list(use.computes), store=use.store, stored=list(use.stored),
+            max_age=use.max_age, encrypted=use.encrypted, agreed=list(use.agreed)))
 
     def close(self) -> None:
         """Take the topic back. Idempotent."""
