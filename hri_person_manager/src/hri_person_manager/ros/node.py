@@ -8,7 +8,6 @@ import threading
 import time
 import xmlrpc.client
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import genpy
@@ -20,6 +19,7 @@ from hri_person_manager.core.display import graph_text
 from hri_person_manager.core.features import FEATURES, MAX_FEATURES, Kind, MatchNode
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import MatchGuard
+from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import ANONYMOUS_PREFIX, Snapshot
 from hri_person_manager.core.register import PersonRecord, PersonRegister, SqliteRecordStore, record_of
 from hri_person_manager.ros.inputs import ReferenceFrame, StampedFeaturePose, TfInput
@@ -55,7 +55,7 @@ _FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", K
           ("voices", Kind.VOICE, {}))
 
 
-def open_store(settings: SimpleNamespace) -> Optional[SqliteRecordStore]:
+def open_store(settings: PersonManagerSettings) -> Optional[SqliteRecordStore]:
     """Open the file of the parameter `store` and say so; None without one.
 
     Raises ParameterError naming the parameter and the fix when the file cannot be used.
@@ -77,11 +77,11 @@ def open_store(settings: SimpleNamespace) -> Optional[SqliteRecordStore]:
     return SqliteRecordStore(store, settings.store_max_age, settings.store_max_persons)
 
 
-def _cipher(settings: SimpleNamespace) -> Optional[TemplateCipher]:
+def _cipher(settings: PersonManagerSettings) -> Optional[TemplateCipher]:
     return TemplateCipher(settings.store_key) if settings.store_key else None
 
 
-def data_use(settings: SimpleNamespace, records: Sequence[PersonRecord]) -> DataUse:
+def data_use(settings: PersonManagerSettings, records: Sequence[PersonRecord]) -> DataUse:
     """Return what is computed of persons and kept of them; records: everybody who is known."""
     stored = ("ids", "consent", "names", "languages", "apparent age and gender", "times") if settings.store else ()
     return DataUse(("who belongs together", "positions", "names and languages that were given",
@@ -90,7 +90,7 @@ def data_use(settings: SimpleNamespace, records: Sequence[PersonRecord]) -> Data
                    tuple(record.id for record in records if record.enrolled))
 
 
-def borrowed_records(settings: SimpleNamespace) -> List[PersonRecord]:
+def borrowed_records(settings: PersonManagerSettings) -> List[PersonRecord]:
     """Read the stores of the parameter `store_read_only`. Raises ParameterError when one cannot be used."""
     try:
         return [record_of(row) for path in settings.store_read_only for row in read_store(path, _cipher(settings))[0]]
@@ -214,7 +214,7 @@ class PersonManagerNode:
     The caller of spin() lets time pass ten times a second of wall time, whatever the simulated clock does.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: PersonManagerSettings) -> None:
         sys.setswitchinterval(SWITCH_S)
         self._lock = threading.RLock()
         self._stop = threading.Event()
@@ -295,7 +295,7 @@ class PersonManagerNode:
             with self._lock:
                 self._tick()
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: PersonManagerSettings) -> None:
         """Take up the values of the live parameters, from any thread.
 
         ValueError for borders of spaces in the wrong order.
