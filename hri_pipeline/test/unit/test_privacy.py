@@ -14,7 +14,8 @@ def test_the_text_says_what_where_how_long_and_who_agreed():
     text = notice([("/b", DataUse(())),
                    ("/a", DataUse(("names",), "/data/p.sqlite", ("names", "times"), 30.0, True, ("ada", "bob")))])
     assert text.splitlines() == [
-        "/a computes: names", "    keeps in /data/p.sqlite, encrypted: names, times; removed 30 days after the last time",
+        "/a computes: names",
+        "    keeps in /data/p.sqlite, encrypted: names, times; removed 30 days after the last time",
         "    agreed to be recognised: ada, bob", "/b computes: nothing of people", "    keeps nothing beyond the run"]
     plain = notice([("/a", DataUse(("names",), "/p", ("names",)))])
     assert "not encrypted" in plain and "without a limit" in plain

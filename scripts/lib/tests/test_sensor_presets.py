@@ -17,7 +17,8 @@ ROOT = Path(__file__).resolve().parents[3]
 def preset(path: Path, argument: str, sensor: str) -> str:
     """The default of an argument with a sensor chosen, as roslaunch finds it."""
     names: Dict[str, str] = {"sensor": sensor}
-    defaults = {tag.get("name"): tag.get("default", "") for tag in ElementTree.parse(str(path)).getroot().findall("arg")}
+    tags = ElementTree.parse(str(path)).getroot().findall("arg")
+    defaults = {tag.get("name"): tag.get("default", "") for tag in tags}
     for name in ("sensor_namespace", argument):
         names[name] = str(eval(defaults[name][len("$(eval "):-1], {"__builtins__": {}}, dict(names)))
     return names[argument]
@@ -40,4 +41,4 @@ def test_without_a_sensor_the_topics_are_as_ever() -> None:
 
 def test_the_page_names_every_sensor() -> None:
     page = (ROOT / "docs" / "sensors.md").read_text(encoding="utf-8")
-    assert set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)) == {"sensor", *DRIVERS}, "the head of the table, and each"
+    assert set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)) == {"sensor", *DRIVERS}
