@@ -70,7 +70,7 @@ def open_store(settings: PersonManagerSettings) -> Optional[SqliteRecordStore]:
         store = PersonStore(settings.store, _cipher(settings), rospy.logerr)
         store.load_records()    # a wrong key, or none, is told at the start
     except StoreError as error:
-        raise ParameterError("~store, ~store_key: {}".format(error)) from error
+        raise ParameterError("~store: {}".format(error)) from error
     rospy.logwarn("persons are kept across runs in %s: ids, names, languages, apparent age and gender, times, "
                   "templates of faces%s. Forget them with `rosrun hri_person_manager people forget ID`", store.path,
                   ", encrypted" if settings.store_key else "")
