@@ -29,6 +29,7 @@ from hri_pipeline.core.asr.engines import (
 )
 from hri_pipeline.core.asr.moonshine import plain_words
 from hri_pipeline.core.asr.parameters import SPEECH_RECOGNITION_PARAMETERS
+from hri_pipeline.core.asr.recognition import PAUSE_S
 from hri_pipeline.core.audio.pipeline import VoicePipeline
 from hri_pipeline.core.audio.stream import encode_s16
 from hri_pipeline.score.metrics import word_errors
@@ -134,19 +135,25 @@ def measure(task: Task) -> Transcription:
 
 
 def turn_texts(engine: SpeechEngine, sound: np.ndarray) -> List[Recognised]:
-    """Return the texts of the turns in a sound (n,) that are published."""
+    """Return the texts of the turns in a sound (n,) that are published; pauses are told as SpeechRecognition does."""
     pipeline = VoicePipeline(activity_settings(), activity_model())
     texts: List[Recognised] = []
+    length = spoken = 0
     for number, block in enumerate(blocks(sound.astype(np.float32))):
         for seen in pipeline.update(block):
             if seen.onset:
                 engine.start()
+                length = 0
             if len(seen.samples):
                 engine.feed(np.frombuffer(encode_s16(seen.samples), np.int16))
+                length += len(seen.samples)
+                spoken = length if seen.speaking else spoken
+                if length - spoken - len(seen.samples) < PAUSE_S * RATE <= length - spoken:
+                    engine.pause()
             if seen.turn and number % _PARTIAL_BLOCKS == 0:
                 engine.partial()
             if seen.end:
-                texts.append(engine.finish())
+                texts.append(engine.finish(spoken))
     return [found for found in texts if found.text and found.confidence >= least_confidence()]
 
 
@@ -291,7 +298,7 @@ def _recognise(engine: SpeechEngine, samples: np.ndarray) -> Recognised:
     data = np.frombuffer(encode_s16(samples), np.int16)
     for place in range(0, len(data), _BLOCK):
         engine.feed(data[place:place + _BLOCK])
-    return engine.finish()
+    return engine.finish(len(data))
 
 
 def _own(name: str) -> str:

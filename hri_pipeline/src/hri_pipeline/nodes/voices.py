@@ -18,6 +18,7 @@ from typing import Callable, Deque, Dict, List, Optional, Sequence, Set, Tuple
 import numpy as np
 import rospy
 
+from hri_pipeline.core.asr.engines import LanguageError
 from hri_pipeline.core.asr.recognition import SpeechRecognition
 from hri_pipeline.core.audio.array import parse_positions
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
@@ -211,8 +212,9 @@ class VoiceProcessor:
         self._pipeline = VoicePipeline(settings, self._model, None, self._ids)
         self._channels = 0
         self._speech: Optional[SpeechRecognition] = None
+        self._no_speech = ""
         if settings.speech and SpeechRecognition.enabled(settings):
-            self._speech = SpeechRecognition(settings)
+            self._start_speech()
         self._topics = VoiceTopics(settings, self._speech is not None)
         self._tracked_list = TrackedList(NAMESPACE + "/tracked")
         self._transforms = TfPublisher()
@@ -300,6 +302,8 @@ class VoiceProcessor:
             found["voices"] = (WARN, self._misfit(), values)
         if self._speech is not None:
             found["speech"] = self._speech.status()
+        elif self._no_speech:
+            found["speech"] = (ERROR, self._no_speech, {})
         return found
 
     def close(self) -> None:
@@ -312,6 +316,14 @@ class VoiceProcessor:
         self._transforms.close()
         if self._speech is not None:
             self._speech.close()
+
+    def _start_speech(self) -> None:
+        """Start the recogniser. Without a model for the language there are voices, and no speech."""
+        try:
+            self._speech = SpeechRecognition(self._settings)
+        except LanguageError as error:
+            self._no_speech = str(error)
+            rospy.logerr("%s", error)
 
     def _restart(self, channels: int) -> None:
         """Start a new pipeline for this number of channels."""
@@ -358,7 +370,7 @@ class VoiceProcessor:
         if observation.onset:
             self._speech.start(observation.id, observation.stamp)
         if observation.turn and len(observation.samples):
-            self._speech.feed(observation.id, observation.samples, observation.stamp)
+            self._speech.feed(observation.id, observation.samples, observation.stamp, observation.speaking)
             self._unfinished.add(observation.id)
         if observation.end:
             self._speech.end(observation.id)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hri_pipeline.core.parameters import Parameter
 
-ENGINES = ("", "auto", "moonshine", "pocketsphinx", "vosk", "sherpa_onnx")
+ENGINES = ("", "auto", "moonshine", "pocketsphinx")
 
 AUDIO_FEATURE_PARAMETERS = (
     Parameter("features_rate", 25.0, "Frames of `features` per second and voice, to a whole number of the 10 ms steps "
@@ -16,22 +16,22 @@ AUDIO_FEATURE_PARAMETERS = (
 """What AudioFeatureExtractor needs (core/audio/features.py)."""
 
 SPEECH_RECOGNITION_PARAMETERS = (
+    Parameter("language", "", "Language that is spoken, an IETF tag such as `es` or `de-DE`; it picks the model and goes "
+              "into the messages. Empty: speech_language. The models that come with this package know English only; "
+              "those of others lie in the models directory as `moonshine_es` or `pocketsphinx_de`, with the files of "
+              "speech_model. Without one nobody is understood, and diagnostics say so."),
     Parameter("speech_engine", "auto", "Recogniser. `auto`: `moonshine` for free speech, which `fetch_models` brings; "
-              "`pocketsphinx` with a grammar, or where Moonshine's model is not there. `vosk` and `sherpa_onnx` are"
-              " for users who bring a model (`speech_model`) and install the package. Empty: no recognition.",
+              "`pocketsphinx` with a grammar, or where Moonshine's model is not there. Empty: no recognition.",
               choices=ENGINES),
-    Parameter("speech_model", "", "Directory of the recogniser's model. Empty: the English one that comes with "
-              "`moonshine` and `pocketsphinx`. moonshine: encoder_model.onnx, decoder_model_merged.onnx, "
-              "tokenizer.json; pocketsphinx: an acoustic model (mdef, means, ...), one *.dict and, "
-              "for dictation, one *.lm or *.lm.bin; vosk: an unpacked model; sherpa_onnx: tokens.txt with "
-              "encoder*.onnx, decoder*.onnx, joiner*.onnx of a streaming transducer."),
+    Parameter("speech_model", "", "Directory of the recogniser's model. Empty: that of the language. moonshine: "
+              "encoder_model.onnx, decoder_model_merged.onnx, tokenizer.json; pocketsphinx: an acoustic model (mdef, "
+              "means, ...), one *.dict and, for dictation, one *.lm or *.lm.bin."),
     Parameter("speech_grammar", "", "Sentences that are possible: a JSGF grammar as text (begins with `#JSGF`), the "
-              "path of a file with one, or the name of a grammar of this package (`commands`, `digits`). With vosk a "
-              "JSON list of phrases. Empty: free speech. moonshine and sherpa_onnx know free speech only."),
+              "path of a file with one, or the name of a grammar of this package (`commands`, `digits`). Empty: free "
+              "speech. moonshine knows free speech only."),
     Parameter("speech_text", "plain", "`plain`: words in lower case without punctuation. `written`: as the recogniser "
               "writes it; moonshine knows capitals and punctuation.", choices=("plain", "written")),
-    Parameter("speech_language", "en-US", "Language of the model, an IETF tag; goes into the messages. The models that"
-              " come with this package know English only."),
+    Parameter("speech_language", "en-US", "Language where `language` is empty, an IETF tag."),
     Parameter("speech_max_speakers", 2, "Voices that are recognised at the same time. Each has a process of its own "
               "(moonshine 230 MB, pocketsphinx 65 MB with a grammar and 130 MB without); the second starts when it is"
               " first needed. Further voices wait, and lose sound when they wait longer than `speech_queue`.",

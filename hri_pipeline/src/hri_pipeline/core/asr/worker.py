@@ -29,12 +29,12 @@ _MARK = b"HR"
 _HEADER = struct.Struct("<2sBxIIffI")   # mark, kind, utterance, samples, confidence, busy, length of the body
 LONGEST_BODY = 1 << 20
 
-CONFIGURE, START, AUDIO, END = 1, 2, 3, 4
-"""Kinds of messages from the node: engine (JSON), begin of an utterance, 16-bit samples of it, its end."""
+CONFIGURE, START, AUDIO, END, PAUSE = 1, 2, 3, 4, 5
+"""Kinds of messages from the node: engine (JSON), begin of an utterance, 16-bit samples of it, its end, a pause in it."""
 READY, FAILED, PROGRESS, PARTIAL, FINAL = 65, 66, 67, 68, 69
 """Kinds of messages from the process: the engine is loaded, or why not; sound was worked on, text so far, whole
 text."""
-_KINDS = {CONFIGURE, START, AUDIO, END, READY, FAILED, PROGRESS, PARTIAL, FINAL}
+_KINDS = {CONFIGURE, START, AUDIO, END, PAUSE, READY, FAILED, PROGRESS, PARTIAL, FINAL}
 
 _PR_SET_PDEATHSIG = 1
 _CHUNK = 1 << 16
@@ -52,7 +52,7 @@ class SpeechMessage(NamedTuple):
     Attributes
     ----------
     utterance : its number.
-    samples : how many samples of it were worked on.
+    samples : how many samples of it were worked on; of END: behind how many nothing was said.
     confidence : of its text, 0 to 1.
     busy : processor time (s) since the last message of PROGRESS, PARTIAL or FINAL.
     body : samples, text in UTF-8, or JSON.
@@ -137,8 +137,11 @@ class SpeechWorker:
             return
         elif message.kind == AUDIO:
             self._feed(self._engine, message.body)
+        elif message.kind == PAUSE:
+            self._engine.pause()
+            self._report_progress(self._engine)
         elif message.kind == END:
-            self._report(FINAL, *self._engine.finish())
+            self._report(FINAL, *self._engine.finish(message.samples))
             self._utterance = None
 
     def close(self) -> None:
@@ -164,13 +167,19 @@ class SpeechWorker:
         engine.feed(samples)
         self._samples += len(samples)
         if self._partial_samples and self._samples >= self._next_partial:
-            self._next_partial = self._samples + self._partial_samples
-            text = engine.partial()
-            if text != self._text:
-                self._text = text
-                self._report(PARTIAL, text, 0.0)
-                return
-        self._report(PROGRESS, "", 0.0)
+            self._report_progress(engine)
+        else:
+            self._report(PROGRESS, "", 0.0)
+
+    def _report_progress(self, engine: SpeechEngine) -> None:
+        """Send the text so far if it is new and wanted, else only how far the work has come."""
+        self._next_partial = self._samples + self._partial_samples
+        text = engine.partial() if self._partial_samples else self._text
+        if text == self._text:
+            self._report(PROGRESS, "", 0.0)
+            return
+        self._text = text
+        self._report(PARTIAL, text, 0.0)
 
     def _report(self, kind: int, text: str, confidence: float) -> None:
         now = time.process_time()
