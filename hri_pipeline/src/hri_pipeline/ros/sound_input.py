@@ -239,7 +239,9 @@ class SoundInput:
         self._stream = None
         if form is not None:
             rospy.loginfo("%s: %s", self.topic, form.text)
-            self._stream = SoundStream(form, options.gap_tolerance, options.input_latency, options.resampling)
+            self._stream = SoundStream(form, options.gap_tolerance, options.input_latency, options.resampling,
+                                       options.microphone_channels,
+                                       is_array=options.direction and len(options.microphone_positions) > 1)
 
     def _problem(self) -> Problem:
         """Return level and text of the worst problem of the input."""

@@ -34,6 +34,9 @@ ARRAY_PARAMETERS = (
     Parameter("microphone_positions", [], "Positions of the microphones, one text \"x y z\" per channel, in the "
               "microphone frame: [\"0.04 0.04 0\", \"-0.04 0.04 0\", \"-0.04 -0.04 0\", \"0.04 -0.04 0\"]. Errors of "
               "some millimetres cost some degrees. Empty: there is no array, the channels are mixed to one.", unit="m"),
+    Parameter("microphone_channels", [-1], "Channels of the sound that are used, counted from 0: the channel of each of "
+              "microphone_positions, in their order. A ReSpeaker v2 sends six, of which 1 to 4 are microphones: "
+              "[1, 2, 3, 4]. [-1]: all.", minimum=-1, maximum=31),
     Parameter("line_front", True, "Microphones on one line (as any two) tell only the angle against the line. True: "
               "voices are taken to be in front of it. False: their direction is not told; they are separated all the "
               "same."),
