@@ -21,6 +21,7 @@ import rospy
 from hri_pipeline.core.asr.engines import LanguageError
 from hri_pipeline.core.asr.recognition import SpeechRecognition
 from hri_pipeline.core.audio.array import parse_positions
+from hri_pipeline.core.audio.own_voice import BargeInFilter, RobotSpeech, hear_humans
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
 from hri_pipeline.core.audio.separation import SoundSeparator
 from hri_pipeline.core.audio.stream import RATE, STALL_S, SoundBlock
@@ -33,7 +34,7 @@ from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.publishers import TrackedList
-from hri_pipeline.ros.sound_input import SoundInput
+from hri_pipeline.ros.sound_input import RobotVoiceInput, SoundInput
 from hri_pipeline.ros.tf import TfPublisher
 from hri_pipeline.ros.voice_topics import NAMESPACE, VoiceTopics
 
@@ -210,6 +211,9 @@ class VoiceProcessor:
         self._model = ActivityModel(model_path(settings.vad_model, "silero_vad.onnx"), notify=rospy.logwarn)
         self._ids = IdGenerator()
         self._pipeline = VoicePipeline(settings, self._model, None, self._ids)
+        self._robot = RobotSpeech(settings)
+        self._robot_input = RobotVoiceInput(self._robot)
+        self._barge_in: Optional[BargeInFilter] = None
         self._channels = 0
         self._speech: Optional[SpeechRecognition] = None
         self._no_speech = ""
@@ -233,7 +237,8 @@ class VoiceProcessor:
         channels = block.samples.shape[1]
         if channels != self._channels:
             self._restart(channels)
-        observations = self._pipeline.update(block)
+        self._robot_input.update(block.stamp)
+        observations = hear_humans(self._pipeline, self._robot, self._barge_in, block)
         self._end = block.stamp + len(block.samples) / RATE
         # Most blocks complete no frame, or there are no voices.
         if observations or self._pipeline.tracked != self._present:
@@ -297,7 +302,7 @@ class VoiceProcessor:
         values: Dict[str, object] = {"tracked": len(tracked), "channels": self._channels,
                                      "direction": bool(self._array_fits())}
         values.update(self._counts)
-        found = {"voices": (OK, "{} voices".format(len(tracked)), values)}
+        found = {"voices": (OK, "{} voices".format(len(tracked)), values), "own voice": self._robot_input.status()}
         if len(self._positions) and self._channels and not self._array_fits():
             found["voices"] = (WARN, self._misfit(), values)
         if self._speech is not None:
@@ -311,6 +316,7 @@ class VoiceProcessor:
         if self._closed:
             return
         self._closed = True
+        self._robot_input.close()
         self._tracked_list.close()
         self._topics.close_ids()
         self._transforms.close()
@@ -330,17 +336,19 @@ class VoiceProcessor:
         if self._channels:
             self.reset()
         self._channels = channels
-        array = SoundSeparator(self._positions, self._settings) if self._array_fits() else None
-        if len(self._positions) and array is None:
+        self._barge_in = None
+        if self._array_fits():
+            self._barge_in = BargeInFilter(SoundSeparator(self._positions, self._settings), self._robot, self._settings)
+        elif len(self._positions):
             rospy.logwarn("%s", self._misfit())
-        self._pipeline = VoicePipeline(self._settings, self._model, array, self._ids)
+        self._pipeline = VoicePipeline(self._settings, self._model, self._barge_in, self._ids)
 
     def _array_fits(self) -> bool:
         return len(self._positions) >= 2 and len(self._positions) == self._channels
 
     def _misfit(self) -> str:
         return "~microphone_positions has {} microphones and the sound {} channels: no directions; give one position " \
-               "per channel".format(len(self._positions), self._channels)
+               "per channel, or select channels by ~microphone_channels".format(len(self._positions), self._channels)
 
     def _publish(self, observations: Sequence[VoiceObservation], stamp: Optional[float] = None) -> None:
         ids = self._pipeline.tracked

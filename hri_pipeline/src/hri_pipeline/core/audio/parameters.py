@@ -115,6 +115,19 @@ DIRECTION_PARAMETERS = (
 ) + ARRAY_PARAMETERS
 """Of localisation and separation, and of the frames of voices."""
 
+OWN_VOICE_PARAMETERS = (
+    Parameter("robot_speaking_timeout", 30.0, "A `robot_speaking` that stays true is believed for so long after the last "
+              "message. Robots that say more at a time repeat it.", unit="s", minimum=1.0, maximum=600.0, live=True),
+    Parameter("robot_tail", 0.4, "The robot is still heard for so long after it said that it has ended, or after its "
+              "sound: buffers of its sound card, and echoes of the room.", unit="s", minimum=0.0, maximum=5.0, live=True),
+    Parameter("barge_in_angle", 0.5, "With an array, somebody who speaks while the robot does is heard from this far "
+              "beside the directions of the robot's voice, which are learnt.", unit="rad", minimum=0.1, maximum=3.2,
+              live=True),
+    Parameter("barge_in_margin", 3.0, "How much louder than the robot that must be, at the microphones. Lower hears more "
+              "people, and words of the robot with them.", unit="dB", minimum=-20.0, maximum=40.0, live=True),
+)
+"""Of the robot's own voice (core/audio/own_voice.py)."""
+
 FEATURE_PARAMETERS = (
     Parameter("features", True, "Publish the 16 descriptors of each voice (`features`), while somebody listens. They"
               " are personal data, and what emotion recognition is made of."),
@@ -141,6 +154,6 @@ VOICES = ParameterTable(
     "voices",
     "Node voices: finds out who speaks, from where, and what is said, in the sound of a microphone or an array of "
     "them.",
-    INPUT_PARAMETERS + VOICE_ACTIVITY_PARAMETERS + DIRECTION_PARAMETERS + FEATURE_PARAMETERS + SPEECH_PARAMETERS
-    + OUTPUT_PARAMETERS,
+    INPUT_PARAMETERS + VOICE_ACTIVITY_PARAMETERS + DIRECTION_PARAMETERS + OWN_VOICE_PARAMETERS + FEATURE_PARAMETERS
+    + SPEECH_PARAMETERS + OUTPUT_PARAMETERS,
 )
