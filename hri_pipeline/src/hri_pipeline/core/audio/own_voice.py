@@ -12,7 +12,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import Deque, Dict, List, Optional, Tuple
+from typing import Deque, Dict, List, Optional, Set, Tuple
 
 import numpy as np
 
@@ -24,16 +24,15 @@ from hri_pipeline.core.audio.stream import RATE, SoundBlock
 QUIET_DBFS = -60.0
 """Played sound below this is a pause of the robot."""
 _HISTORY_S = 30.0
-# A source that has been louder than the robot for so long is somebody; what it said meanwhile, at most _HELD_S, is kept.
+# A source that was louder than the robot for _LOUDER_S of the last _HELD_S is somebody, and this sound is kept.
 _LOUDER_S, _HELD_S = 0.2, 0.5
 # Own directions are those in which sound is heard for half of the time in which the robot speaks. Seconds of the robot's
 # speech: before anything is known, and time constant of forgetting.
 _OWN_SHARE, _LEAST_S, _MEMORY_S = 0.5, 0.3, 30.0
 # Directions this close (rad) are one.
 _SAME = math.radians(20.0)
-# Time constant (s) of the robot's level while it is heard.
-_LEVEL_S = 1.0
-_TINY = 1e-12
+# The level of the robot is this percentile of the powers of its last pieces; people who are 6 dB louder pass it.
+_PERCENTILE, _PIECES = 70.0, 300
 
 
 class RobotSpeech:
@@ -145,7 +144,7 @@ class BargeInFilter:
         # These outlive reset(): the robot's loudspeaker stays where it is.
         self._places: List[_Place] = []
         self._spoken = 0.0
-        self._level = 0.0
+        self._powers: Deque[float] = deque(maxlen=_PIECES)
         self._forget_sources()
 
     def reset(self) -> None:
@@ -174,8 +173,7 @@ class BargeInFilter:
         return found
 
     def _forget_sources(self) -> None:
-        self._somebody: Dict[int, bool] = {}
-        self._louder: Dict[int, float] = {}
+        self._somebody: Set[int] = set()
         self._held: Dict[int, List[SourceSignal]] = {}
 
     def _learn(self, signals: List[SourceSignal]) -> None:
@@ -192,10 +190,8 @@ class BargeInFilter:
         for signal in active:
             self._place_of(signal.direction).heard += length
         self._places = [place for place in self._places if place.heard > 0.01 * self._spoken]
-        loudest = max([_power(signal) for signal in active if self._is_own(signal.direction)], default=0.0)
-        if loudest > _TINY:
-            share = 1.0 - math.exp(-length / _LEVEL_S)
-            self._level = loudest if self._level == 0.0 else self._level + share * (loudest - self._level)
+        if not self._somebody and all(self._is_own(signal.direction) for signal in active):
+            self._powers.append(max(_power(signal) for signal in active))
 
     def _place_of(self, direction: Optional[np.ndarray]) -> _Place:
         near = [place for place in self._places if _angle(place.direction, direction) < _SAME]
@@ -216,20 +212,19 @@ class BargeInFilter:
             return [signal]
         if signal.direction is None or self._spoken < _LEAST_S or self._is_own(signal.direction):
             self._held.pop(key, None)
-            self._louder.pop(key, None)
             return []
-        length = len(signal.samples) / RATE
-        limit = self._level * 10.0 ** (0.1 * self._settings.barge_in_margin)
-        is_louder = signal.active and 0.0 < limit < _power(signal)
-        self._louder[key] = max(0.0, self._louder.get(key, 0.0) + (length if is_louder else -length))
         held = self._held.setdefault(key, [])
         held.append(signal)
-        if self._louder[key] < _LOUDER_S:
-            while sum(len(one.samples) for one in held) > _HELD_S * RATE:
-                del held[0]
+        while sum(len(one.samples) for one in held) > _HELD_S * RATE:
+            del held[0]
+        if not self._powers or sum(len(one.samples) for one in held if self._is_louder(one)) < _LOUDER_S * RATE:
             return []
-        self._somebody[key] = True
+        self._somebody.add(key)
         return self._held.pop(key)
+
+    def _is_louder(self, signal: SourceSignal) -> bool:
+        level = float(np.percentile(self._powers, _PERCENTILE))
+        return signal.active and _power(signal) > level * 10.0 ** (0.1 * self._settings.barge_in_margin)
 
 
 def _power(signal: SourceSignal) -> float:

@@ -123,7 +123,7 @@ OWN_VOICE_PARAMETERS = (
     Parameter("barge_in_angle", 0.5, "With an array, somebody who speaks while the robot does is heard from this far "
               "beside the directions of the robot's voice, which are learnt.", unit="rad", minimum=0.1, maximum=3.2,
               live=True),
-    Parameter("barge_in_margin", 3.0, "How much louder than the robot that must be, at the microphones. Lower hears more "
+    Parameter("barge_in_margin", 0.0, "How much louder than the robot that must be, at the microphones. Lower hears more "
               "people, and words of the robot with them.", unit="dB", minimum=-20.0, maximum=40.0, live=True),
 )
 """Of the robot's own voice (core/audio/own_voice.py)."""
