@@ -1,7 +1,8 @@
 """A ReSpeaker v2 with its six channels in a simulated room: directions, and the robot that speaks beside it.
 
-The robot is the reader of LibriVox, from a loudspeaker 0.25 m away; people say other recordings at 1 to 1.5 m. Constants
-of the own voice were chosen on TUNING_FILES and seeds below 1000; figures are of HELD_OUT_FILES and seeds from 1000 on.
+The robot is the reader of LibriVox, from a loudspeaker 0.25 m away; people say other recordings at 1 to 1.5 m.
+Constants of the own voice were chosen on TUNING_FILES and seeds below 1000; figures are of HELD_OUT_FILES and seeds
+from 1000 on.
 """
 
 from __future__ import annotations
@@ -202,11 +203,9 @@ def six_channels(seeds: Sequence[int], names: Sequence[str] = HELD_OUT_FILES) ->
         scene = make_scene(seed, False, 0.0, names)
         separator = SoundSeparator(parse_positions(settings.microphone_positions), settings)
         for block in _blocks(scene, settings.microphone_channels, True):
+            signals = separator.process(block.samples)
             if scene.talks[0] <= block.stamp - 100.0 < scene.talks[1]:
-                errors += [azimuth_errors(signal.direction, scene.direction) for signal in separator.process(block.samples)
-                           if signal.active]
-            else:
-                separator.process(block.samples)
+                errors += [azimuth_errors(signal.direction, scene.direction) for signal in signals if signal.active]
     return float(np.degrees(np.median(errors)))
 
 

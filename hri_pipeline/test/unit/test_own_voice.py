@@ -103,7 +103,7 @@ class Scene:
                 begin = self.time + signal.offset / RATE
                 heard.setdefault(signal.key, []).append((begin, len(signal.samples)))
             self.time += STEP_S
-        for key, parts in heard.items():
+        for parts in heard.values():
             ends = [begin + length / RATE for begin, length in parts]
             assert np.allclose([begin for begin, _ in parts[1:]], ends[:-1]), "nothing is missing, nothing comes twice"
         return {key: sum(length for _, length in parts) / RATE for key, parts in heard.items()}
@@ -127,7 +127,8 @@ def test_the_robot_is_not_heard_and_its_echo_neither(scene):
 
 
 @pytest.mark.parametrize("degrees, level, heard", [
-    (120.0, 0.2, True), (120.0, 0.12, True), (120.0, 0.1, False), (120.0, 0.08, False), (15.0, 0.2, False), (40.0, 0.2, True)])
+    (120.0, 0.2, True), (120.0, 0.12, True), (120.0, 0.1, False), (120.0, 0.08, False), (15.0, 0.2, False),
+    (40.0, 0.2, True)])
 def test_who_is_louder_and_elsewhere_is_heard(scene, degrees, level, heard):
     scene.robot.tell(True, 100.0)
     scene.play(2.0, s1=(0.0, 0.1))

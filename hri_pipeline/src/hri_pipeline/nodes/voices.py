@@ -237,7 +237,7 @@ class VoiceProcessor:
         channels = block.samples.shape[1]
         if channels != self._channels:
             self._restart(channels)
-        self._robot_input.update(block.stamp)
+        self._robot_input.update(rospy.get_time())
         observations = hear_humans(self._pipeline, self._robot, self._barge_in, block)
         self._end = block.stamp + len(block.samples) / RATE
         # Most blocks complete no frame, or there are no voices.
@@ -277,7 +277,8 @@ class VoiceProcessor:
         self._end = 0.0
 
     def poll(self) -> None:
-        """Publish the new results of speech recognition."""
+        """Publish the new results of speech recognition, and take note of what the robot says of its own voice."""
+        self._robot_input.update(rospy.get_time())
         if self._speech is None:
             return
         for result in self._speech.poll():

@@ -337,7 +337,8 @@ class RobotVoiceInput:
         now = rospy.get_time()
         values: Dict[str, object] = {"robot_speaks": self._robot.speaks(now, now)}
         if self._robot.problem:
-            return WARN, "{} is no longer believed: {}".format(self._speaking.resolved_name, self._robot.problem), values
+            return WARN, "{} is no longer believed: {}".format(self._speaking.resolved_name,
+                                                               self._robot.problem), values
         if time.monotonic() - self._bad[1] < _BAD_S:
             return WARN, self._bad[0], values
         return OK, "the robot speaks" if values["robot_speaks"] else "the robot is silent", values

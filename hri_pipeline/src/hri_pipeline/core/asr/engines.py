@@ -265,8 +265,8 @@ def check_choice(choice: EngineChoice) -> None:
     _check_grammar(choice)
     if not (choice.model or is_english(choice.language)):
         raise LanguageError(
-            "nobody is understood: parameter language is {!r}, and there is no model for it. Put Moonshine's {} into {}, "
-            "or an acoustic model, dictionary and language model of pocketsphinx into {}, or set speech_model".format(
+            "nobody is understood: parameter language is {!r}, and there is no model for it. Put Moonshine's {} into "
+            "{}, or an acoustic model, dictionary and language model of pocketsphinx into {}, or set speech_model".format(
                 choice.language, ", ".join(_AUTHORS_NAMES), language_directory("moonshine", choice.language),
                 language_directory("pocketsphinx", choice.language)))
     if choice.engine == "moonshine":
@@ -302,8 +302,8 @@ def _check_grammar(choice: EngineChoice) -> None:
         raise ParameterError("parameter speech_grammar is set, but {} knows dictation only: leave it empty, or set "
                              "speech_engine to auto".format(choice.engine))
     if not choice.grammar.lstrip("\ufeff \t\r\n").startswith("#JSGF"):
-        raise ParameterError("parameter speech_grammar gives a text that begins with {!r}; it needs a JSGF grammar, which "
-                             "begins with #JSGF".format(choice.grammar[:20]))
+        raise ParameterError("parameter speech_grammar gives a text that begins with {!r}; it needs a JSGF grammar, "
+                             "which begins with #JSGF".format(choice.grammar[:20]))
 
 
 def make_engine(choice: EngineChoice) -> SpeechEngine:

@@ -207,9 +207,9 @@ class MoonshineEngine:
 
     What was said so far is found by transcribing the open sound once more, which costs more the longer it is: pause()
     does so, and finish() has its text where nothing was said since; partial() only as often as keeps it at
-    PARTIAL_SHARE of the time, so a machine that is busy gets fewer texts. Speech of more than `CUT_FROM_S` is cut at the next pause, and at the quietest place when there is
-    none for long; the text of the pieces before the cut is final. A piece of less than SHORT_S, where Moonshine errs,
-    gets silence behind it.
+    PARTIAL_SHARE of the time, so a machine that is busy gets fewer texts. Speech of more than `CUT_FROM_S` is cut at
+    the next pause, and at the quietest place when there is none for long; the text of the pieces before the cut is
+    final. A piece of less than SHORT_S, where Moonshine errs, gets silence behind it.
 
     The confidence estimates the share of right words: a logistic function of the mean logarithm of the tokens'
     probabilities (see CALIBRATION).

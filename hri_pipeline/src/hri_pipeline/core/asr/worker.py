@@ -30,7 +30,7 @@ _HEADER = struct.Struct("<2sBxIIffI")   # mark, kind, utterance, samples, confid
 LONGEST_BODY = 1 << 20
 
 CONFIGURE, START, AUDIO, END, PAUSE = 1, 2, 3, 4, 5
-"""Kinds of messages from the node: engine (JSON), begin of an utterance, 16-bit samples of it, its end, a pause in it."""
+"""Kinds of messages from the node: engine (JSON), begin of an utterance, 16-bit samples of it, its end, a pause."""
 READY, FAILED, PROGRESS, PARTIAL, FINAL = 65, 66, 67, 68, 69
 """Kinds of messages from the process: the engine is loaded, or why not; sound was worked on, text so far, whole
 text."""

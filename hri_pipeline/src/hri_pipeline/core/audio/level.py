@@ -143,8 +143,8 @@ class SoundLevel:
             return "{} dead: one and the same value; check the microphone".format(self._named(constant))
         silent, copies = self._silent(pieces), self._copies(pieces)
         if silent:
-            return "{} silent: more than {:.0f} dB below the others; check the microphone, or ~microphone_channels".format(
-                self._named(silent), _SILENT_DB)
+            return "{} silent: more than {:.0f} dB below the others; check the microphone, or " \
+                   "~microphone_channels".format(self._named(silent), _SILENT_DB)
         if copies and self._is_array:
             return "{} copies of each other: no directions from them; correct ~microphone_channels".format(
                 self._named(copies))

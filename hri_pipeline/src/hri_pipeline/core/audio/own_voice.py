@@ -1,9 +1,9 @@
 """The robot's own voice: while the robot speaks, nobody is heard but who is louder and comes from elsewhere.
 
-`RobotSpeech` knows when the robot speaks: from its word for it, and from the sound that it plays. `BargeInFilter` stands
-between the separation and the voices: it learns from where the robot is heard, drops all sources while the robot speaks,
-and lets those through that are louder than the robot and away from it. Without an array, sound is not heard meanwhile.
-All times are seconds of the stamps of sound.
+`RobotSpeech` knows when the robot speaks: from its word for it, and from the sound that it plays. `BargeInFilter`
+stands between the separation and the voices: it learns from where the robot is heard, drops all sources while the robot
+speaks, and lets those through that are louder than the robot and away from it. Without an array, sound is not heard
+meanwhile. All times are seconds of the stamps of sound.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ QUIET_DBFS = -60.0
 _HISTORY_S = 30.0
 # A source that was louder than the robot for _LOUDER_S of the last _HELD_S is somebody, and this sound is kept.
 _LOUDER_S, _HELD_S = 0.2, 0.5
-# Own directions are those in which sound is heard for half of the time in which the robot speaks. Seconds of the robot's
-# speech: before anything is known, and time constant of forgetting.
+# Own directions are those in which sound is heard for half of the time in which the robot speaks. Seconds of the
+# robot's speech: before anything is known, and time constant of forgetting.
 _OWN_SHARE, _LEAST_S, _MEMORY_S = 0.5, 0.3, 30.0
 # Directions this close (rad) are one.
 _SAME = math.radians(20.0)
@@ -223,7 +223,7 @@ class BargeInFilter:
         return self._held.pop(key)
 
     def _is_louder(self, signal: SourceSignal) -> bool:
-        level = float(np.percentile(self._powers, _PERCENTILE))
+        level = float(np.percentile(list(self._powers), _PERCENTILE))
         return signal.active and _power(signal) > level * 10.0 ** (0.1 * self._settings.barge_in_margin)
 
 

@@ -34,8 +34,8 @@ ARRAY_PARAMETERS = (
     Parameter("microphone_positions", [], "Positions of the microphones, one text \"x y z\" per channel, in the "
               "microphone frame: [\"0.04 0.04 0\", \"-0.04 0.04 0\", \"-0.04 -0.04 0\", \"0.04 -0.04 0\"]. Errors of "
               "some millimetres cost some degrees. Empty: there is no array, the channels are mixed to one.", unit="m"),
-    Parameter("microphone_channels", [-1], "Channels of the sound that are used, counted from 0: the channel of each of "
-              "microphone_positions, in their order. A ReSpeaker v2 sends six, of which 1 to 4 are microphones: "
+    Parameter("microphone_channels", [-1], "Channels of the sound that are used, counted from 0: the channel of each "
+              "of microphone_positions, in their order. A ReSpeaker v2 sends six, of which 1 to 4 are microphones: "
               "[1, 2, 3, 4]. [-1]: all.", minimum=-1, maximum=31),
     Parameter("line_front", True, "Microphones on one line (as any two) tell only the angle against the line. True: "
               "voices are taken to be in front of it. False: their direction is not told; they are separated all the "
@@ -116,15 +116,17 @@ DIRECTION_PARAMETERS = (
 """Of localisation and separation, and of the frames of voices."""
 
 OWN_VOICE_PARAMETERS = (
-    Parameter("robot_speaking_timeout", 30.0, "A `robot_speaking` that stays true is believed for so long after the last "
-              "message. Robots that say more at a time repeat it.", unit="s", minimum=1.0, maximum=600.0, live=True),
+    Parameter("robot_speaking_timeout", 30.0, "A `robot_speaking` that stays true is believed for so long after the "
+              "last message. Robots that say more at a time repeat it.", unit="s", minimum=1.0, maximum=600.0,
+              live=True),
     Parameter("robot_tail", 0.4, "The robot is still heard for so long after it said that it has ended, or after its "
-              "sound: buffers of its sound card, and echoes of the room.", unit="s", minimum=0.0, maximum=5.0, live=True),
+              "sound: buffers of its sound card, and echoes of the room.", unit="s", minimum=0.0, maximum=5.0,
+              live=True),
     Parameter("barge_in_angle", 0.5, "With an array, somebody who speaks while the robot does is heard from this far "
               "beside the directions of the robot's voice, which are learnt.", unit="rad", minimum=0.1, maximum=3.2,
               live=True),
-    Parameter("barge_in_margin", 0.0, "How much louder than the robot that must be, at the microphones. Lower hears more "
-              "people, and words of the robot with them.", unit="dB", minimum=-20.0, maximum=40.0, live=True),
+    Parameter("barge_in_margin", 0.0, "How much louder than the robot that must be, at the microphones. Lower hears "
+              "more people, and words of the robot with them.", unit="dB", minimum=-20.0, maximum=40.0, live=True),
 )
 """Of the robot's own voice (core/audio/own_voice.py)."""
 

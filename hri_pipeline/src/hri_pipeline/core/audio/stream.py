@@ -445,8 +445,8 @@ class SoundStream:
                 "is ~sample_rate (or the AudioInfo), ~channels or ~sample_format right, or is sound lost on its way?"
             return "{:.0f} samples a second come instead of {}: {}".format(came, self.form.sample_rate, hint)
         if self._missing:
-            return "~microphone_channels names channel {}, and the sound has {} channel{} (from 0 on): all are used; is " \
-                   "it the right device, and its firmware?".format(
+            return "~microphone_channels names channel {}, and the sound has {} channel{} (from 0 on): all are used; " \
+                   "is it the right device, and its firmware?".format(
                        self._missing[0], self.form.channels, "" if self.form.channels == 1 else "s")
         return self._level.problem()
 
