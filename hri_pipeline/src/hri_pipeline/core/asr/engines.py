@@ -266,7 +266,7 @@ def check_choice(choice: EngineChoice) -> None:
     if not (choice.model or is_english(choice.language)):
         raise LanguageError(
             "nobody is understood: parameter language is {!r}, and there is no model for it. Put Moonshine's {} into "
-            "{}, or an acoustic model, dictionary and language model of pocketsphinx into {}, or set speech_model".format(
+            "{}, or acoustic model, dictionary and language model of pocketsphinx into {}, or set speech_model".format(
                 choice.language, ", ".join(_AUTHORS_NAMES), language_directory("moonshine", choice.language),
                 language_directory("pocketsphinx", choice.language)))
     if choice.engine == "moonshine":

@@ -17,8 +17,8 @@ AUDIO_FEATURE_PARAMETERS = (
 
 SPEECH_RECOGNITION_PARAMETERS = (
     Parameter("language", "", "Language that is spoken, an IETF tag such as `es` or `de-DE`; it picks the model and "
-              "goes into the messages. Empty: speech_language. The models that come with this package know English only;"
-              " those of others lie in the models directory as `moonshine_es` or `pocketsphinx_de`, with the files of "
+              "goes into the messages. Empty: speech_language. The models that come with this package know English "
+              "only; those of others lie in the models directory as `moonshine_es` or `pocketsphinx_de`, with the files of "
               "speech_model. Without one nobody is understood, and diagnostics say so."),
     Parameter("speech_engine", "auto", "Recogniser. `auto`: `moonshine` for free speech, which `fetch_models` brings; "
               "`pocketsphinx` with a grammar, or where Moonshine's model is not there. Empty: no recognition.",
