@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
@@ -23,7 +22,7 @@ from benchmarks.voice_figures import activity_model, energy_labels
 from hri_pipeline.core.asr.engines import EngineChoice, SpeechEngine, make_engine
 from hri_pipeline.core.audio.array import parse_positions
 from hri_pipeline.core.audio.own_voice import BargeInFilter, RobotSpeech, hear_humans
-from hri_pipeline.core.audio.parameters import VOICES
+from hri_pipeline.core.audio.parameters import VOICES, VoicesSettings
 from hri_pipeline.core.audio.pipeline import VoicePipeline
 from hri_pipeline.core.audio.separation import SoundSeparator
 from hri_pipeline.core.audio.stream import SoundBlock, SoundFormat, SoundStream, encode_s16
@@ -69,7 +68,7 @@ class Answer(NamedTuple):
     heard: List[Tuple[float, Optional[np.ndarray]]]
 
 
-def preset() -> SimpleNamespace:
+def preset() -> VoicesSettings:
     """Return the parameters of voices for this device."""
     return VOICES.resolve(yaml.safe_load(PRESET.read_text(encoding="utf-8")))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,14 +26,13 @@ from hri_pipeline.core.asr.engines import (
     read_grammar,
 )
 from hri_pipeline.core.asr.parameters import ENGINES as ENGINE_NAMES
-from hri_pipeline.core.asr.parameters import SPEECH_RECOGNITION_PARAMETERS
+from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.asr.pool import QueuedUtterance
 from hri_pipeline.core.asr.recognition import SpeechRecognition
 from hri_pipeline.core.asr.worker import MessageReader, PipeError, SpeechMessage, SpeechWorker
 from hri_pipeline.core.parameters import ParameterError
 
 JSGF = "#JSGF V1.0; grammar g; public <g> = yes | no;"
-DEFAULTS = {parameter.name: parameter.default for parameter in SPEECH_RECOGNITION_PARAMETERS}
 
 
 @pytest.fixture
@@ -106,14 +104,14 @@ def test_a_grammar_that_is_not_there_is_named(tmp_path):
 
 
 def test_the_settings_make_a_choice():
-    settings = SimpleNamespace(**dict(DEFAULTS, speech_model="models/x", speech_grammar=JSGF, speech_language="en-GB",
-                                      speech_text="written"))
+    settings = SpeechSettings(speech_model="models/x", speech_grammar=JSGF, speech_language="en-GB",
+                              speech_text="written")
     assert engine_choice(settings) == EngineChoice("pocketsphinx", os.path.abspath("models/x"), JSGF, "en-GB", True)
 
 
 def test_free_speech_goes_to_moonshine_where_its_model_is_there(monkeypatch, tmp_path):
     def chosen(**changes):
-        return engine_choice(SimpleNamespace(**dict(DEFAULTS, **changes))).engine
+        return engine_choice(SpeechSettings(**changes)).engine
 
     monkeypatch.setenv("ROS4HRI_MODELS", str(tmp_path))
     assert chosen() == "pocketsphinx"
@@ -136,7 +134,7 @@ def test_the_language_picks_the_model_and_without_one_the_mend_is_named(monkeypa
     monkeypatch.setenv("ROS4HRI_MODELS", str(tmp_path))
 
     def choice(**changes):
-        return engine_choice(SimpleNamespace(**dict(DEFAULTS, speech_engine=engine, **changes)))
+        return engine_choice(SpeechSettings(speech_engine=engine, **changes))
 
     with pytest.raises(LanguageError) as caught:
         check_choice(choice(language="es-MX"))

@@ -12,7 +12,6 @@ import threading
 import time
 import traceback
 from collections import deque
-from types import SimpleNamespace
 from typing import Callable, Deque, Dict, List, Optional, Sequence, Set, Tuple
 
 import numpy as np
@@ -22,6 +21,7 @@ from hri_pipeline.core.asr.engines import LanguageError
 from hri_pipeline.core.asr.recognition import SpeechRecognition
 from hri_pipeline.core.audio.array import parse_positions
 from hri_pipeline.core.audio.own_voice import BargeInFilter, RobotSpeech, hear_humans
+from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
 from hri_pipeline.core.audio.separation import SoundSeparator
 from hri_pipeline.core.audio.stream import RATE, STALL_S, SoundBlock
@@ -29,7 +29,6 @@ from hri_pipeline.core.audio.vad import ActivityModel, check_thresholds
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.onnx import model_path
-from hri_pipeline.core.parameters import apply_settings
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
@@ -59,8 +58,7 @@ class VoicesNode:
 
     Parameters
     ----------
-    settings : SimpleNamespace
-        Values of VOICES (core/audio/parameters.py).
+    settings : VoicesSettings
 
     Raises
     ------
@@ -68,7 +66,7 @@ class VoicesNode:
         See VoiceProcessor.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: VoicesSettings) -> None:
         self._settings = settings
         self._lock = threading.RLock()
         self._closed = threading.Event()
@@ -101,15 +99,16 @@ class VoicesNode:
                 self._reported = time.monotonic()
                 self._guard(self._report)
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: VoicesSettings) -> None:
         """Apply the values of the live parameters between two blocks.
 
         Raises ValueError for thresholds in the wrong order.
         """
         check_thresholds(settings)
         with self._lock:
-            apply_settings(self._settings, settings)
+            self._settings = settings
             self._processor.reconfigure(settings)
+            self._input.reconfigure(settings)
 
     def close(self) -> None:
         """Stop spin() and release everything. Idempotent."""
@@ -192,8 +191,7 @@ class VoiceProcessor:
 
     Parameters
     ----------
-    settings : SimpleNamespace
-        Values of VOICES (core/audio/parameters.py).
+    settings : VoicesSettings
 
     Raises
     ------
@@ -203,7 +201,7 @@ class VoiceProcessor:
         For impossible positions of microphones, or a wrong grammar.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: VoicesSettings) -> None:
         self._settings = settings
         rospy.loginfo("%s", privacy_line(settings))
         has_array = settings.direction and settings.microphone_positions
@@ -256,9 +254,14 @@ class VoiceProcessor:
         self._update_topics(())
         self._tracked_list.set([], rospy.Time.from_sec(max(0.0, self._end)))
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
-        """Apply the live parameters that are not read where they are used."""
-        self._topics.restart_features()
+    def reconfigure(self, settings: VoicesSettings) -> None:
+        """Apply the values of the live parameters."""
+        self._settings = settings
+        self._pipeline.reconfigure(settings)
+        self._robot.reconfigure(settings)
+        if self._barge_in is not None:
+            self._barge_in.reconfigure(settings)
+        self._topics.reconfigure(settings)
         if self._speech is not None:
             self._speech.least_confidence = settings.speech_min_confidence
 
@@ -405,7 +408,7 @@ class VoiceProcessor:
         self._transforms.send(transforms)
 
 
-def privacy_line(settings: SimpleNamespace) -> str:
+def privacy_line(settings: VoicesSettings) -> str:
     """Return one line of log that says what is computed from voices."""
     kinds = [name for name in ("features", "speech", "direction") if getattr(settings, name)]
     off = [name for name in ("features", "speech", "direction") if name not in kinds]

@@ -6,7 +6,6 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict, deque
-from types import SimpleNamespace
 from typing import Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 
 import audio_common_msgs.msg
@@ -15,6 +14,7 @@ from audio_common_msgs.msg import AudioData, AudioInfo
 from std_msgs.msg import Bool
 
 from hri_pipeline.core.audio.own_voice import RobotSpeech
+from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.stream import SoundBlock, SoundError, SoundFormat, SoundStream
 from hri_pipeline.core.error_log import Outage
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
@@ -55,13 +55,12 @@ class SoundInput:
 
     Parameters
     ----------
-    settings : SimpleNamespace
-        Values of INPUT_PARAMETERS (core/audio/parameters.py).
+    settings : VoicesSettings
     on_restart : callable, optional
         Called without arguments when a new stream begins: time has gone back, or the format has changed.
     """
 
-    def __init__(self, settings: SimpleNamespace, on_restart: Optional[Callable[[], None]] = None) -> None:
+    def __init__(self, settings: VoicesSettings, on_restart: Optional[Callable[[], None]] = None) -> None:
         self._settings = settings
         self.on_restart = on_restart
         self._condition = threading.Condition()
@@ -90,6 +89,10 @@ class SoundInput:
         if AudioDataStamped is not None:
             self._subscribers.append(rospy.Subscriber("audio_stamped", AudioDataStamped, self._on_stamped,
                                                       buff_size=BUFFER_BYTES, tcp_nodelay=True))
+
+    def reconfigure(self, settings: VoicesSettings) -> None:
+        """Take up the values of the live parameters."""
+        self._settings = settings
 
     def next(self, timeout: float) -> List[SoundBlock]:
         """Return the next blocks of sound. Waits at most `timeout` s; empty when there is no sound."""

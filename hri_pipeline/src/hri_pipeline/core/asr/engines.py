@@ -14,6 +14,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Protocol, Se
 
 import numpy as np
 
+from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.onnx import ModelError, model_path, models_directory
 from hri_pipeline.core.parameters import ParameterError
 
@@ -356,7 +357,7 @@ def read_grammar(value: str, directory: Optional[Path] = None) -> str:
         raise ParameterError("parameter speech_grammar: {} cannot be read: {}".format(path, error)) from error
 
 
-def engine_choice(settings: Any) -> EngineChoice:
+def engine_choice(settings: SpeechSettings) -> EngineChoice:
     """Return the choice that the parameters speech_* and language make.
 
     Without speech_model, that of English is the one that comes with the engine, and that of another language lies in

@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 from typing import Deque, Dict, List, Optional, Set, Tuple
 
 import numpy as np
 
 from hri_pipeline.core.audio.level import level_dbfs
+from hri_pipeline.core.audio.parameters import OwnVoiceSettings, VoicesSettings
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
 from hri_pipeline.core.audio.separation import SoundSeparator, SourceSignal
 from hri_pipeline.core.audio.stream import RATE, SoundBlock
@@ -40,8 +40,7 @@ class RobotSpeech:
 
     Parameters
     ----------
-    settings : SimpleNamespace
-        With robot_speaking_timeout and robot_tail (s).
+    settings : OwnVoiceSettings
 
     Attributes
     ----------
@@ -49,12 +48,16 @@ class RobotSpeech:
         Why the last word "I speak" is no longer believed; empty where it is, or was taken back.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: OwnVoiceSettings) -> None:
         self._settings = settings
         self._since: Optional[float] = None
         self._told = -math.inf
         self._spans: Deque[Tuple[float, float]] = deque()
         self.problem = ""
+
+    def reconfigure(self, settings: OwnVoiceSettings) -> None:
+        """Use other settings from now on."""
+        self._settings = settings
 
     def tell(self, speaking: bool, stamp: float) -> None:
         """Note that the robot says at `stamp` (s) whether it speaks; it may say so again and again."""
@@ -127,8 +130,7 @@ class BargeInFilter:
     ----------
     array : SoundSeparator
     robot : RobotSpeech
-    settings : SimpleNamespace
-        With barge_in_angle (rad) and barge_in_margin (dB).
+    settings : VoicesSettings
 
     Attributes
     ----------
@@ -136,7 +138,7 @@ class BargeInFilter:
         s, of the first sample that `process` gets next.
     """
 
-    def __init__(self, array: SoundSeparator, robot: RobotSpeech, settings: SimpleNamespace) -> None:
+    def __init__(self, array: SoundSeparator, robot: RobotSpeech, settings: VoicesSettings) -> None:
         self._array = array
         self._robot = robot
         self._settings = settings
@@ -151,6 +153,11 @@ class BargeInFilter:
         """Forget the sound so far, after a gap or when time jumps."""
         self._array.reset()
         self._forget_sources()
+
+    def reconfigure(self, settings: VoicesSettings) -> None:
+        """Use other settings from now on, in the separator as well."""
+        self._settings = settings
+        self._array.reconfigure(settings)
 
     def process(self, samples: np.ndarray) -> List[SourceSignal]:
         """Add samples (N, C), -1 to 1, and return the sources that are somebody. Raises ValueError, see
