@@ -265,5 +265,11 @@ def test_the_worker_makes_the_text_ready_in_a_pause(monkeypatch):
                     SpeechMessage(worker.PAUSE, 7), SpeechMessage(worker.END, 7, 400)):
         speech.answer(message)
     assert engine.calls == [("start",), ("feed",), ("pause",), ("partial",), ("finish", 400)]
+    del engine.calls[:]
+    speech.answer(SpeechMessage(worker.START, 8))
+    for more in (True, True, False):
+        speech.answer(SpeechMessage(worker.AUDIO, 8, body=b"\x00" * 40000), more)
+    assert engine.calls == [("start",), ("feed",), ("feed",), ("feed",), ("partial",)], "no text while sound waits"
+    del sent[4:]
     kinds = [(message.kind, message.text) for message in MessageReader().feed(b"".join(sent))]
     assert kinds == [(worker.READY, ""), (worker.PROGRESS, ""), (worker.PARTIAL, "so far"), (worker.FINAL, "all")]

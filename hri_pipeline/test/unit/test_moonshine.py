@@ -175,6 +175,15 @@ def test_long_speech_is_cut_at_a_pause_and_joined(engine):
     assert 0.0 < confidence < 1.0
 
 
+def test_a_cut_in_the_pause_that_was_transcribed_costs_nothing(engine):
+    feed(engine, speech(CUT_FROM_S - 0.3))
+    feed(engine, speech(0.2, 1.0))
+    engine.pause()
+    feed(engine, speech(0.4, 1.0))
+    assert engine.partial() == engine.finish(int((CUT_FROM_S - 0.3) * RATE)).text == "w59"
+    assert len(engine._model.heard) == 1
+
+
 def test_speech_without_a_pause_is_cut_before_it_is_too_long(engine):
     feed(engine, speech(3 * CUT_AT_S))
     engine.finish(10 ** 9)

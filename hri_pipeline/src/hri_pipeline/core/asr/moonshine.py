@@ -245,7 +245,7 @@ class MoonshineEngine:
             sound = self._sound()
             cut = _place_of_cut(sound)
             if cut:
-                self._done.append(self._transcribe(sound[:cut]))
+                self._done.append(self._text_before(cut, sound))
                 self._parts, self._length, self._last = [sound[cut:]], len(sound) - cut, _Piece(_NOTHING, 0)
                 self._cut += cut
 
@@ -267,7 +267,7 @@ class MoonshineEngine:
         """End the utterance; its text is empty where no word was heard."""
         sound = self._sound()
         covered = self._last.samples
-        if not covered or spoken > self._cut + covered and _is_loud(sound[covered:], sound):
+        if spoken > self._cut + covered and (not covered or _is_loud(sound[covered:], sound)):
             self.pause()
         last = self._last.transcript
         text = self._text([last])
@@ -284,6 +284,13 @@ class MoonshineEngine:
         if len(self._parts) != 1:
             self._parts = [np.concatenate(self._parts)] if self._parts else [np.zeros(0, np.int16)]
         return self._parts[0]
+
+    def _text_before(self, cut: int, sound: np.ndarray) -> Transcript:
+        """Return the text of sound[:cut]: that of the last pause, where nothing is said between both."""
+        first, last = sorted((cut, self._last.samples))
+        if self._last.samples and not _is_loud(sound[first:last], sound):
+            return self._last.transcript
+        return self._transcribe(sound[:cut])
 
     def _transcribe(self, sound: np.ndarray) -> Transcript:
         if len(sound) < _LEAST_S * RATE:

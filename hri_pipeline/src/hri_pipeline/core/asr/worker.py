@@ -119,8 +119,8 @@ class SpeechWorker:
         self._text = ""
         self._busy = time.process_time()
 
-    def answer(self, message: SpeechMessage) -> None:
-        """Do what a message asks.
+    def answer(self, message: SpeechMessage, more: bool = False) -> None:
+        """Do what a message asks. more: others wait already, so that a text so far would come late and delay them.
 
         Raises ParameterError for an engine that does not load, PipeError for a malformed message.
         """
@@ -136,7 +136,7 @@ class SpeechWorker:
         elif message.utterance != self._utterance:
             return
         elif message.kind == AUDIO:
-            self._feed(self._engine, message.body)
+            self._feed(self._engine, message.body, more)
         elif message.kind == PAUSE:
             self._engine.pause()
             self._report_progress(self._engine)
@@ -162,11 +162,11 @@ class SpeechWorker:
         self._engine = make_engine(choice)
         self._send(SpeechMessage(READY).packed())
 
-    def _feed(self, engine: SpeechEngine, data: bytes) -> None:
+    def _feed(self, engine: SpeechEngine, data: bytes, more: bool) -> None:
         samples = np.frombuffer(data[:len(data) // 2 * 2], dtype="<i2")
         engine.feed(samples)
         self._samples += len(samples)
-        if self._partial_samples and self._samples >= self._next_partial:
+        if self._partial_samples and self._samples >= self._next_partial and not more:
             self._report_progress(engine)
         else:
             self._report(PROGRESS, "", 0.0)
@@ -223,8 +223,9 @@ def main() -> int:
             data = os.read(source, _CHUNK)
             if not data:
                 return 0
-            for message in reader.feed(data):
-                worker.answer(message)
+            messages = reader.feed(data)
+            for number, message in enumerate(messages, start=1):
+                worker.answer(message, more=number < len(messages))
     except ParameterError as error:
         send(SpeechMessage(FAILED, body=str(error).encode("utf-8")[:LONGEST_BODY]).packed())
         return REFUSED
