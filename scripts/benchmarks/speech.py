@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import time
 from pathlib import Path
-from typing import Dict, List, NamedTuple, Sequence, Tuple
+from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -29,7 +29,8 @@ from hri_pipeline.core.asr.engines import (
 )
 from hri_pipeline.core.asr.moonshine import plain_words
 from hri_pipeline.core.asr.parameters import SpeechSettings
-from hri_pipeline.core.audio.pipeline import VoicePipeline
+from hri_pipeline.core.asr.recognition import PAUSE_S
+from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
 from hri_pipeline.core.audio.stream import encode_s16
 from hri_pipeline.score.metrics import word_errors
 
@@ -110,9 +111,14 @@ def grammar_tasks() -> List[Task]:
 
 def dictation_task(names: Sequence[str]) -> Task:
     """Return recordings for free speech. Raises FileNotFoundError with the mend."""
-    words = dict(transcriptions("librivox", "transcription"), **transcriptions("cards", "cards.transcription"))
-    words.update(SPOKEN)
+    words = all_words()
     return Task("dictation", "", _read({name: words[name] for name in names}))
+
+
+def all_words() -> Dict[str, str]:
+    """Return {recording: what is said in it}. Raises FileNotFoundError."""
+    words = dict(transcriptions("librivox", "transcription"), **transcriptions("cards", "cards.transcription"))
+    return dict(words, **SPOKEN)
 
 
 def measure(task: Task) -> Transcription:
@@ -133,21 +139,36 @@ def measure(task: Task) -> Transcription:
     return Transcription(errors, words, texts, busy, sound)
 
 
+class TurnReader:
+    """Gives the sound of one voice at a time to an engine, as SpeechRecognition does."""
+
+    def __init__(self, engine: SpeechEngine) -> None:
+        self._engine = engine
+        self._length = self._spoken = self._frames = 0
+
+    def add(self, seen: VoiceObservation) -> Optional[Recognised]:
+        """Add what is seen of the voice; return the text at the end of a turn, if it is sure enough to be published."""
+        if seen.onset:
+            self._engine.start()
+            self._length = self._frames = 0
+        if len(seen.samples):
+            self._engine.feed(np.frombuffer(encode_s16(seen.samples), np.int16))
+            self._length += len(seen.samples)
+            self._spoken = self._length if seen.speaking else self._spoken
+            if self._length - self._spoken - len(seen.samples) < PAUSE_S * RATE <= self._length - self._spoken:
+                self._engine.pause()
+        self._frames += seen.turn
+        if seen.turn and self._frames % _PARTIAL_BLOCKS == 0:
+            self._engine.partial()
+        found = self._engine.finish(self._spoken) if seen.end else None
+        return found if found and found.text and found.confidence >= least_confidence() else None
+
+
 def turn_texts(engine: SpeechEngine, sound: np.ndarray) -> List[Recognised]:
     """Return the texts of the turns in a sound (n,) that are published."""
-    pipeline = VoicePipeline(activity_settings(), activity_model())
-    texts: List[Recognised] = []
-    for number, block in enumerate(blocks(sound.astype(np.float32))):
-        for seen in pipeline.update(block):
-            if seen.onset:
-                engine.start()
-            if len(seen.samples):
-                engine.feed(np.frombuffer(encode_s16(seen.samples), np.int16))
-            if seen.turn and number % _PARTIAL_BLOCKS == 0:
-                engine.partial()
-            if seen.end:
-                texts.append(engine.finish())
-    return [found for found in texts if found.text and found.confidence >= least_confidence()]
+    pipeline, reader = VoicePipeline(activity_settings(), activity_model()), TurnReader(engine)
+    texts = [reader.add(seen) for block in blocks(sound.astype(np.float32)) for seen in pipeline.update(block)]
+    return [text for text in texts if text is not None]
 
 
 def dictate(task: Task, far: bool, seeds: Sequence[int]) -> Transcription:
@@ -162,7 +183,7 @@ def dictate(task: Task, far: bool, seeds: Sequence[int]) -> Transcription:
         for utterance in task.utterances:
             sound = _placed(utterance.samples, far, random)
             found = turn_texts(engine, sound)
-            said, heard = (_compared(text) for text in (utterance.words, " ".join(part.text for part in found)))
+            said, heard = (compared(text) for text in (utterance.words, " ".join(part.text for part in found)))
             errors += word_errors(said, heard)
             words += len(said)
             texts.append((" ".join(said), " ".join(heard), min([part.confidence for part in found], default=0.0)))
@@ -184,7 +205,7 @@ def _placed(samples: np.ndarray, far: bool, random: np.random.RandomState) -> np
     return sound * (0.5 / np.abs(sound).max())
 
 
-def _compared(text: str) -> List[str]:
+def compared(text: str) -> List[str]:
     """Return the words of a text, spelt in one way."""
     return [_SAME_WORDS.get(word, word) for word in plain_words(text).split()]
 
@@ -290,7 +311,7 @@ def _recognise(engine: SpeechEngine, samples: np.ndarray) -> Recognised:
     data = np.frombuffer(encode_s16(samples), np.int16)
     for place in range(0, len(data), _BLOCK):
         engine.feed(data[place:place + _BLOCK])
-    return engine.finish()
+    return engine.finish(len(data))
 
 
 def _own(name: str) -> str:

@@ -51,7 +51,7 @@ def play(speech: SpeechRecognition, sound: np.ndarray) -> Heard:
             if seen.onset:
                 speech.start(seen.id, seen.stamp)
             if len(seen.samples):
-                speech.feed(seen.id, seen.samples, seen.stamp)
+                speech.feed(seen.id, seen.samples, seen.stamp, seen.speaking)
             if seen.end:
                 speech.end(seen.id)
                 ends[seen.id] = time.monotonic() - begin

@@ -21,8 +21,6 @@ _KEYS_OF_MODULES = {"cv2": "python3-opencv", "cryptography": "python3-cryptograp
                     "rospkg": "python3-rospkg", "scipy": "python3-scipy", "yaml": "python3-yaml"}
 _MODULES = {"opencv-python-headless": "cv2", "pyyaml": "yaml"}
 """Names of modules whose PyPI package has another name."""
-_OPTIONAL = {"vosk", "sherpa_onnx"}
-"""Recognisers that a user installs who wants them."""
 _FOUND = re.compile(r'\$\(find ([\w-]+)\)|\bpkg="([\w-]+)"')
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 
@@ -58,7 +56,7 @@ def from_pypi(root: Path) -> Set[str]:
              for line in path.read_text().splitlines()]
     names = {re.split(r"[ ;<>=\[]", line)[0].lower() for line in lines if re.match(r"\w", line)}
     modules = {_MODULES.get(name, name.replace("-", "_")) for name in names}
-    return (modules | _OPTIONAL) - set(_KEYS_OF_MODULES)
+    return modules - set(_KEYS_OF_MODULES)
 
 
 def imported(files: Iterable[Path]) -> Set[str]:

@@ -33,7 +33,7 @@ def recognise(engine, samples):
     for place in range(0, len(data), RATE // 3):
         engine.feed(data[place:place + RATE // 3])
         partial.append(engine.partial())
-    return engine.finish(), [text for text in partial if text]
+    return engine.finish(len(data)), [text for text in partial if text]
 
 
 @pytest.mark.skipif(not available(), reason=ABSENT)

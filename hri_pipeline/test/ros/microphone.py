@@ -1,5 +1,6 @@
 """A microphone for tests: publishes sound in its own time, and remembers when each sample was heard."""
 
+import math
 import threading
 import time
 
@@ -10,6 +11,7 @@ from audio_common_msgs.msg import AudioData, AudioInfo
 RATE = 16000
 DATA = "/usr/share/pocketsphinx/test/data/"
 CHUNK_S = 0.02
+SOUND_SPEED = 343.0
 
 
 def speech():
@@ -24,6 +26,18 @@ def speech():
 def noise(seconds, level=1e-3):
     """White noise."""
     return np.random.default_rng(1).normal(0.0, level, int(seconds * RATE))
+
+
+def from_direction(positions, samples, azimuth):
+    """What microphones at positions (C, 3), m, hear of a far sound (N,) at `azimuth` rad, (N, C), with some noise of
+    their own."""
+    towards = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+    frequencies = np.fft.rfftfreq(len(samples), 1.0 / RATE)
+    spectrum = np.fft.rfft(samples)
+    heard = [np.fft.irfft(spectrum * np.exp(2j * math.pi * frequencies * position.dot(towards) / SOUND_SPEED),
+                          len(samples))
+             for position in positions]
+    return np.array(heard).T + np.random.default_rng(3).normal(0.0, 2e-4, (len(samples), len(positions)))
 
 
 def to_bytes(samples):

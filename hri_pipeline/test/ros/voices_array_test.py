@@ -9,7 +9,7 @@ import numpy as np
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
-from microphone import RATE, Microphone, noise, speech
+from microphone import RATE, Microphone, from_direction, noise, speech
 from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import IdsList, LiveSpeech
@@ -17,18 +17,6 @@ from hri_pipeline.testing import wait_for
 
 LIMIT = 30.0
 POSITIONS = np.array([(0.04, 0.04, 0.0), (-0.04, 0.04, 0.0), (-0.04, -0.04, 0.0), (0.04, -0.04, 0.0)])
-SOUND_SPEED = 343.0
-
-
-def from_direction(samples, azimuth):
-    """What the microphones hear of a far sound (N,) at `azimuth` rad, (N, 4), with some noise of their own."""
-    towards = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-    frequencies = np.fft.rfftfreq(len(samples), 1.0 / RATE)
-    spectrum = np.fft.rfft(samples)
-    heard = [np.fft.irfft(spectrum * np.exp(2j * math.pi * frequencies * position.dot(towards) / SOUND_SPEED),
-                          len(samples))
-             for position in POSITIONS]
-    return np.array(heard).T + np.random.default_rng(3).normal(0.0, 2e-4, (len(samples), 4))
 
 
 class VoicesArrayTest(unittest.TestCase):
@@ -56,7 +44,7 @@ class VoicesArrayTest(unittest.TestCase):
 
     def test_a_voice_has_a_frame_in_its_direction_and_says_live_what_it_says(self):
         azimuth = math.radians(60.0)
-        self.microphone.play(from_direction(speech(), azimuth))
+        self.microphone.play(from_direction(POSITIONS, speech(), azimuth))
         wait_for(lambda: self.lists[-1].ids, LIMIT, "a voice is tracked")
         identity = self.lists[-1].ids[0]
         wait_for(lambda: len([one for one in self.transforms if one.child_frame_id == "voice_" + identity]) > 20, LIMIT,

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
-import sys
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -20,6 +17,7 @@ from hri_pipeline.core.asr.engines import (
     RATE,
     TOKENIZER,
     EngineChoice,
+    LanguageError,
     check_choice,
     engine_choice,
     grammar_directory,
@@ -30,6 +28,7 @@ from hri_pipeline.core.asr.engines import (
 from hri_pipeline.core.asr.parameters import ENGINES as ENGINE_NAMES
 from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.asr.pool import QueuedUtterance
+from hri_pipeline.core.asr.recognition import SpeechRecognition
 from hri_pipeline.core.asr.worker import MessageReader, PipeError, SpeechMessage, SpeechWorker
 from hri_pipeline.core.parameters import ParameterError
 
@@ -47,15 +46,9 @@ def test_the_parameter_knows_the_engines():
 
 
 @pytest.mark.parametrize("choice, words", [
-    (EngineChoice("sphinx"), ("speech_engine", "'sphinx'", "moonshine, pocketsphinx, vosk")),
-    (EngineChoice("vosk"), ("speech_model is empty", "vosk")),
-    (EngineChoice("sherpa_onnx"), ("speech_model is empty", "sherpa_onnx")),
-    (EngineChoice("vosk", "/no/such/model"), ("speech_model", "'/no/such/model'", "vosk")),
+    (EngineChoice("sphinx"), ("speech_engine", "'sphinx'", "moonshine, pocketsphinx")),
+    (EngineChoice("pocketsphinx", "/no/such/model"), ("speech_model", "'/no/such/model'", "pocketsphinx")),
     (EngineChoice("pocketsphinx", grammar="yes or no"), ("speech_grammar", "#JSGF")),
-    (EngineChoice("vosk", "/", grammar=JSGF), ("speech_grammar", "JSON list")),
-    (EngineChoice("sherpa_onnx", "/", grammar=JSGF), ("speech_grammar", "dictation only")),
-    (EngineChoice("pocketsphinx", language="de-DE"), ("speech_language", "'de-DE'", "speech_model")),
-    (EngineChoice("moonshine", language="es"), ("speech_language", "'es'", "speech_model")),
     (EngineChoice("moonshine", grammar=JSGF), ("speech_grammar", "moonshine", "auto")),
     (EngineChoice("moonshine", "/usr"), ("speech_model", "/usr", "encoder_model.onnx"))])
 def test_a_choice_that_cannot_work_is_refused(all_packages, choice, words):
@@ -65,7 +58,7 @@ def test_a_choice_that_cannot_work_is_refused(all_packages, choice, words):
 
 
 @pytest.mark.parametrize("engine, package",
-                         [("vosk", "vosk"), ("sherpa_onnx", "sherpa-onnx"), ("pocketsphinx", "pocketsphinx")])
+                         [("moonshine", "onnxruntime"), ("pocketsphinx", "pocketsphinx")])
 def test_a_missing_package_is_named(monkeypatch, engine, package):
     monkeypatch.setattr(engines.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ParameterError, match="speech_engine.*`pip install {}`".format(package)):
@@ -95,7 +88,6 @@ def test_grammars_come_from_a_text_a_file_or_the_package(tmp_path):
     path.write_text("\ufeff" + JSGF, encoding="utf-8")
     assert read_grammar("") == "" and read_grammar("  " + JSGF) == JSGF
     assert read_grammar(str(path)) == JSGF and read_grammar("mine", tmp_path) == JSGF
-    assert read_grammar('["go home"]') == '["go home"]'
     for name in ("commands", "digits"):
         assert read_grammar(name, grammar_directory()).startswith("#JSGF")
 
@@ -137,6 +129,29 @@ def test_free_speech_goes_to_moonshine_where_its_model_is_there(monkeypatch, tmp
     check_choice(EngineChoice("moonshine", str(mine), language="es"))
 
 
+@pytest.mark.parametrize("engine", ["moonshine", "pocketsphinx", AUTO])
+def test_the_language_picks_the_model_and_without_one_the_mend_is_named(monkeypatch, tmp_path, engine):
+    monkeypatch.setenv("ROS4HRI_MODELS", str(tmp_path))
+
+    def choice(**changes):
+        return engine_choice(SpeechSettings(speech_engine=engine, **changes))
+
+    with pytest.raises(LanguageError) as caught:
+        check_choice(choice(language="es-MX"))
+    words = ("'es-MX'", str(tmp_path / "moonshine_es"), str(tmp_path / "pocketsphinx_es"), "speech_model")
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+    with pytest.raises(LanguageError):
+        check_choice(choice(speech_language="de"))
+    kind = "pocketsphinx" if engine == "pocketsphinx" else "moonshine"
+    (tmp_path / (kind + "_es")).mkdir()
+    for name in ("encoder_model.onnx", "decoder_model_merged.onnx", "tokenizer.json"):
+        (tmp_path / (kind + "_es") / name).write_bytes(b"x")
+    found = choice(language="es-MX", speech_language="de")
+    assert (found.engine, found.model, found.language) == (kind, str(tmp_path / (kind + "_es")), "es-MX")
+    check_choice(found)
+    assert choice(language="EN_gb").model == ""
+
+
 def test_a_model_of_moonshine_that_is_no_model_is_named(monkeypatch, tmp_path):
     monkeypatch.setenv("ROS4HRI_MODELS", str(tmp_path))
     with pytest.raises(ParameterError, match="moonshine.*fetch_models"):
@@ -148,7 +163,7 @@ def test_a_model_of_moonshine_that_is_no_model_is_named(monkeypatch, tmp_path):
 
 
 def test_messages_come_out_as_they_went_in_however_they_are_cut():
-    sent = [SpeechMessage(worker.CONFIGURE, body=b'{"engine": "vosk"}'),
+    sent = [SpeechMessage(worker.CONFIGURE, body=b'{"engine": "moonshine"}'),
             SpeechMessage(worker.AUDIO, 4000000000, body=b"\x01\x02"),
             SpeechMessage(worker.FINAL, 7, 1600, 0.5, 0.25, "grüße".encode("utf-8")), SpeechMessage(worker.FINAL)]
     stream = b"".join(message.packed() for message in sent)
@@ -188,7 +203,7 @@ def test_a_body_that_is_too_long_is_refused():
     SpeechMessage(worker.START, 1), SpeechMessage(worker.CONFIGURE, body=b"[1]"),
     SpeechMessage(worker.CONFIGURE, body=b"\xff"),
     SpeechMessage(worker.CONFIGURE, body=b'{"partial_rate": 3.0, "model": "x"}'),
-    SpeechMessage(worker.CONFIGURE, body=b'{"partial_rate": 3.0, "engine": "vosk", "colour": "red"}')])
+    SpeechMessage(worker.CONFIGURE, body=b'{"partial_rate": 3.0, "engine": "moonshine", "colour": "red"}')])
 def test_a_message_that_names_no_engine_is_refused(message):
     with pytest.raises(PipeError):
         SpeechWorker(lambda answer: None).answer(message)
@@ -210,59 +225,6 @@ def test_an_utterance_knows_when_its_sound_was_and_how_much_waits():
     assert utterance.waiting == pytest.approx(1.0) and len([data for data in iter(utterance.take, None)]) == 5
 
 
-class _Recogniser:
-    """Answers as the documentation of vosk says; without a model the real one cannot be made."""
-
-    def __init__(self, model, rate, phrases=None):
-        self.rate, self.phrases, self.blocks = rate, phrases, 0
-
-    def SetWords(self, wanted):
-        assert wanted is True
-
-    def Reset(self):
-        self.blocks = 0
-
-    def AcceptWaveform(self, data):
-        assert isinstance(data, bytes)
-        self.blocks += 1
-        return int(self.blocks == 2)
-
-    def Result(self):
-        return json.dumps({"text": "go home", "result": [{"word": "go", "conf": 1.0}, {"word": "home", "conf": 0.5}]})
-
-    def PartialResult(self):
-        return json.dumps({"partial": "and"})
-
-    def FinalResult(self):
-        return json.dumps({"text": "and [unk] stop",
-                           "result": [{"word": "and", "conf": 0.9}, {"word": "[unk]", "conf": 0.1},
-                                                                {"word": "stop", "conf": 0.6}]})
-
-
-def test_vosk_puts_the_sentences_of_one_turn_together(monkeypatch, tmp_path):
-    fake = ModuleType("vosk")
-    fake.SetLogLevel, fake.Model, fake.KaldiRecognizer = (
-        (lambda level: None),
-        (lambda model_path: object()),
-        _Recogniser,
-    )
-    fake.__spec__ = importlib.util.spec_from_loader("vosk", None)
-    monkeypatch.setitem(sys.modules, "vosk", fake)
-    engine = make_engine(EngineChoice("vosk", str(tmp_path), '["go home", "stop"]'))
-    for _ in range(2):
-        engine.start()
-        for _ in range(3):
-            engine.feed(np.zeros(512, dtype=np.int16))
-        assert engine.partial() == "go home and"
-        text, confidence = engine.finish()
-        assert text == "go home and stop" and confidence == pytest.approx((1.0 + 0.5 + 0.9 + 0.6) / 4)
-    for grammar in ('["a"', "[]", "[1]"):
-        with pytest.raises(ParameterError, match="speech_grammar"):
-            make_engine(EngineChoice("vosk", str(tmp_path), grammar))
-    engine.close()
-    engine.close()
-
-
 def test_silence_around_the_words_is_left_out():
     random = np.random.default_rng(0)
     speech, margin = 16000, 8 * 320
@@ -273,3 +235,41 @@ def test_silence_around_the_words_is_left_out():
     assert len(left) == speech + 2 * margin and np.array_equal(left, samples[RATE - margin:RATE + speech + margin])
     for data in (b"", b"\x00\x00" * 100, b"\x00\x00" * 16000):
         assert engines._trim_silence(data) == data
+
+
+def test_a_pause_is_told_once_and_in_its_place():
+    utterance = QueuedUtterance(1, "abcde", 100.0, limit=10.0)
+    block = np.zeros(512, dtype="<i2").tobytes()
+    for speaking in [True] * 3 + [False] * 8 + [True] * 2 + [False] * 6:
+        utterance.add(block, 100.0)
+        SpeechRecognition._note_pause(utterance, speaking, 512)
+    taken = list(iter(utterance.take, None))
+    assert [number for number, data in enumerate(taken) if not data] == [8, 19]
+    assert utterance.spoken == 13 * 512 and utterance.sent == utterance.accepted == 19 * 512
+
+
+def test_the_worker_makes_the_text_ready_in_a_pause(monkeypatch):
+    class Engine:
+        def __init__(self):
+            self.calls = []
+
+        def __getattr__(self, name):
+            return lambda *arguments: (self.calls.append((name, *arguments[name == "feed":])),
+                                       ("so far" if name == "partial" else ("all", 0.5)))[1]
+
+    engine, sent = Engine(), []
+    monkeypatch.setattr(worker, "make_engine", lambda choice: engine)
+    speech = SpeechWorker(sent.append)
+    for message in (SpeechMessage(worker.CONFIGURE, body=b'{"partial_rate": 3.0, "engine": "moonshine"}'),
+                    SpeechMessage(worker.START, 7), SpeechMessage(worker.AUDIO, 7, body=b"\x00" * 1000),
+                    SpeechMessage(worker.PAUSE, 7), SpeechMessage(worker.END, 7, 400)):
+        speech.answer(message)
+    assert engine.calls == [("start",), ("feed",), ("pause",), ("partial",), ("finish", 400)]
+    del engine.calls[:]
+    speech.answer(SpeechMessage(worker.START, 8))
+    for more in (True, True, False):
+        speech.answer(SpeechMessage(worker.AUDIO, 8, body=b"\x00" * 40000), more)
+    assert engine.calls == [("start",), ("feed",), ("feed",), ("feed",), ("partial",)], "no text while sound waits"
+    del sent[4:]
+    kinds = [(message.kind, message.text) for message in MessageReader().feed(b"".join(sent))]
+    assert kinds == [(worker.READY, ""), (worker.PROGRESS, ""), (worker.PARTIAL, "so far"), (worker.FINAL, "all")]

@@ -295,6 +295,51 @@ def test_bad_sound_is_named(sound, words):
     assert re.search(words, stream.problem()) if words else stream.problem() == ""
 
 
+def six_channels():
+    """Noise of 3 s that differs in each channel: processed sound, four microphones, silence of the loudspeaker."""
+    random = np.random.default_rng(4)
+    return random.normal(0.0, 0.05, (3 * RATE, 6)) * [1.0, 1.0, 1.0, 1.0, 1.0, 0.0]
+
+
+def test_channels_are_selected_in_the_order_of_the_microphones_and_others_do_not_count():
+    for form in (SoundFormat(6), SoundFormat(6, 48000)):
+        stream = SoundStream(form, channels=[4, 1, 3], is_array=True)
+        sound = np.repeat(six_channels(), form.sample_rate // RATE, axis=0)
+        found = np.concatenate([block.samples for block in deliver(stream, sound, form.sample_rate)])
+        assert found.shape[1] == 3 and stream.problem() == "", form
+        if form.sample_rate == RATE:
+            np.testing.assert_allclose(found, sound[:len(found), [4, 1, 3]], atol=1e-4)
+    assert "channel 5 of 6 is dead" in problem_of(six_channels(), channels=[-1])
+
+
+def problem_of(sound, **options):
+    stream = SoundStream(SoundFormat(sound.shape[1]), **options)
+    deliver(stream, sound)
+    return stream.problem()
+
+
+@pytest.mark.parametrize("change, words", [
+    (lambda sound: sound * [1, 1, 0.01, 1, 1, 1], "channel 2 of 6 is silent: .*~microphone_channels"),
+    (lambda sound: sound[:, [0, 1, 2, 1, 4, 5]] * [1, 1, 1, 0.7, 1, 1], "channels 1, 3 of 6 are copies.*no directions"),
+    (lambda sound: sound * [1, 1, 1, 1, 60, 1], r"clipped: .*\(channel 4 of 6\)"),
+    (lambda sound: sound * [1, 1, 1, 0, 1, 1], "channel 3 of 6 is dead"),
+    (lambda sound: sound[:, :2], "names channel 2, and the sound has 2 channels"),
+    (lambda sound: 1e-3 * sound * [1, 1, 0.3, 1, 1, 1], "^$")])
+def test_a_microphone_of_an_array_that_is_silent_copied_or_clipped_is_named(change, words):
+    problem = problem_of(change(six_channels()), channels=[1, 2, 3, 4], is_array=True)
+    assert re.search(words, problem), problem
+
+
+def test_a_copied_channel_is_no_problem_where_there_is_no_array():
+    assert problem_of(np.repeat(six_channels()[:, :1], 2, axis=1)) == ""
+
+
+def test_two_microphones_close_to_each_other_are_no_copies():
+    random = np.random.default_rng(5)
+    hum = np.sin(2.0 * np.pi * 50.0 * (np.arange(3 * RATE)[:, None] / RATE + [0.0, 0.02 / 343.0]))
+    assert problem_of(0.1 * hum + random.normal(0.0, 1e-4, hum.shape), is_array=True) == ""
+
+
 def test_bad_bytes_leave_the_stream_as_it_was():
     stream = SoundStream(SoundFormat())
     chunk = encode_s16(tone(0.02))

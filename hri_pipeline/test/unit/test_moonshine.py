@@ -124,10 +124,10 @@ def feed(engine, sound):
 
 
 def test_short_sound_gets_silence_and_nothing_gives_nothing(engine):
-    assert engine.partial() == "" and engine.finish() == ("", 0.0)
+    assert engine.partial() == "" and engine.finish(10 ** 9) == ("", 0.0)
     feed(engine, speech(0.4))
     assert engine.partial() == ""
-    assert engine.finish().text == "w7"
+    assert engine.finish(10 ** 9).text == "w7"
 
 
 def test_text_so_far_comes_when_it_is_worth_it_and_is_used_at_the_end(engine):
@@ -139,35 +139,54 @@ def test_text_so_far_comes_when_it_is_worth_it_and_is_used_at_the_end(engine):
     feed(engine, speech(0.6))
     assert engine.partial() == "w25"
     feed(engine, speech(0.5, 1.0))
-    assert engine.finish().text == "w25" and len(engine._model.heard) == 2
+    assert engine.finish(10 ** 9).text == "w25" and len(engine._model.heard) == 2
 
 
-def test_a_pause_is_the_moment_for_a_text(engine):
+def test_the_text_of_a_pause_is_that_of_the_end_unless_somebody_went_on(engine):
     feed(engine, speech(2.0))
-    assert engine.partial() == "w20"
     engine._cost = 100.0
-    feed(engine, speech(0.5))
+    assert engine.partial() == ""
+    engine.pause()
     assert engine.partial() == "w20"
-    feed(engine, speech(0.3, 1.0))
-    assert engine.partial() == "w28"
-    engine._cost = 100.0
-    feed(engine, speech(0.3, 1.0))
-    assert engine.partial() == "w28"
-    feed(engine, speech(0.5))
-    assert engine.finish().text == "w36"
+    feed(engine, speech(0.4))      # loud, but it was no speech
+    assert engine.finish(2 * RATE).text == "w20" and len(engine._model.heard) == 1
+    feed(engine, speech(2.0))
+    engine.pause()
+    feed(engine, speech(0.4))
+    assert engine.finish(int(2.2 * RATE)).text == "w24" and len(engine._model.heard) == 3
+
+
+def test_the_end_of_speech_counts_from_the_begin_of_the_utterance(engine):
+    long = np.concatenate([speech(CUT_FROM_S - 1.0), speech(0.4, 1.0), speech(3.0)])
+    for said_more in (False, True):
+        del engine._model.heard[:]
+        feed(engine, long)
+        engine.pause()
+        feed(engine, speech(0.4))
+        engine.finish(len(long) + said_more * RATE // 4)
+        assert len(engine._model.heard) == 2 + said_more
 
 
 def test_long_speech_is_cut_at_a_pause_and_joined(engine):
     feed(engine, np.concatenate([speech(CUT_FROM_S - 1.0), speech(0.4, 1.0), speech(3.0)]))
-    text, confidence = engine.finish()
+    text, confidence = engine.finish(10 ** 9)
     first, second = (int(word[1:]) for word in text.split())
     assert first == pytest.approx(10 * (CUT_FROM_S - 0.8), abs=2) and first + second == pytest.approx(84, abs=1)
     assert 0.0 < confidence < 1.0
 
 
+def test_a_cut_in_the_pause_that_was_transcribed_costs_nothing(engine):
+    feed(engine, speech(CUT_FROM_S - 0.3))
+    feed(engine, speech(0.2, 1.0))
+    engine.pause()
+    feed(engine, speech(0.4, 1.0))
+    assert engine.partial() == engine.finish(int((CUT_FROM_S - 0.3) * RATE)).text == "w59"
+    assert len(engine._model.heard) == 1
+
+
 def test_speech_without_a_pause_is_cut_before_it_is_too_long(engine):
     feed(engine, speech(3 * CUT_AT_S))
-    engine.finish()
+    engine.finish(10 ** 9)
     assert max(engine._model.heard) <= CUT_AT_S * RATE and len(engine._model.heard) >= 3
     assert sum(engine._model.heard) == pytest.approx(3 * CUT_AT_S * RATE, abs=RATE)
 
@@ -176,7 +195,7 @@ def test_the_next_utterance_begins_anew(engine):
     feed(engine, speech(2.0))
     engine.start()
     feed(engine, speech(1.0))
-    assert engine.finish().text == "w10" and engine.finish().text == ""
+    assert engine.finish(10 ** 9).text == "w10" and engine.finish(10 ** 9).text == ""
     engine.close()
     engine.close()
 
@@ -184,7 +203,7 @@ def test_the_next_utterance_begins_anew(engine):
 def test_a_piece_of_little_confidence_is_left_out(engine):
     engine._model.transcribe = lambda samples: Transcript("you", -3.0, 3, True)
     feed(engine, speech(2.0))
-    assert engine.partial() == "" and engine.finish() == ("", 0.0)
+    assert engine.partial() == "" and engine.finish(10 ** 9) == ("", 0.0)
 
 
 def test_less_sure_tokens_make_less_confidence():

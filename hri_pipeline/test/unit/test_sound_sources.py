@@ -92,6 +92,14 @@ def test_one_channel_goes_to_all(tmp_path):
     assert sound.shape == (160, 4) and np.array_equal(sound[:, 0], sound[:, 3]) and sound.any()
 
 
+@pytest.mark.parametrize("count", [100, 160, 1600, 7000])
+def test_the_end_is_the_end_wherever_it_falls_in_a_chunk(tmp_path, count):
+    source = open_sound_source(settings(write(tmp_path / "a.wav", 0.503), loop=False, pause=0.0), refuse)
+    chunks = [source.read(count) for _ in range(-(-8048 // count))]
+    assert all(chunk is not None for chunk in chunks)
+    assert [source.read(count) for _ in range(3)] == [None] * 3 and source.passes == 1
+
+
 def test_it_loops(tmp_path):
     source = open_sound_source(settings(write(tmp_path / "a.wav", 0.1), pause=0.1), refuse)
     sound = np.concatenate([source.read(160) for _ in range(40)])[:, 0]

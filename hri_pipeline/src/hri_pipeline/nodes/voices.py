@@ -17,8 +17,10 @@ from typing import Callable, Deque, Dict, List, Optional, Sequence, Set, Tuple
 import numpy as np
 import rospy
 
+from hri_pipeline.core.asr.engines import LanguageError
 from hri_pipeline.core.asr.recognition import SpeechRecognition
 from hri_pipeline.core.audio.array import parse_positions
+from hri_pipeline.core.audio.own_voice import BargeInFilter, RobotSpeech, hear_humans
 from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
 from hri_pipeline.core.audio.separation import SoundSeparator
@@ -33,7 +35,7 @@ from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.privacy import PrivacyTopic
 from hri_pipeline.ros.publishers import TrackedList
-from hri_pipeline.ros.sound_input import SoundInput
+from hri_pipeline.ros.sound_input import RobotVoiceInput, SoundInput
 from hri_pipeline.ros.tf import TfPublisher
 from hri_pipeline.ros.voice_topics import NAMESPACE, VoiceTopics
 
@@ -211,11 +213,14 @@ class VoiceProcessor:
         self._model = ActivityModel(model_path(settings.vad_model, "silero_vad.onnx"), notify=rospy.logwarn)
         self._ids = IdGenerator()
         self._pipeline = VoicePipeline(settings, self._model, None, self._ids)
-        self._array: Optional[SoundSeparator] = None
+        self._robot = RobotSpeech(settings)
+        self._robot_input = RobotVoiceInput(self._robot)
+        self._barge_in: Optional[BargeInFilter] = None
         self._channels = 0
         self._speech: Optional[SpeechRecognition] = None
+        self._no_speech = ""
         if settings.speech and SpeechRecognition.enabled(settings):
-            self._speech = SpeechRecognition(settings)
+            self._start_speech()
         self._topics = VoiceTopics(settings, self._speech is not None)
         self._tracked_list = TrackedList(NAMESPACE + "/tracked")
         self._transforms = TfPublisher()
@@ -234,7 +239,8 @@ class VoiceProcessor:
         channels = block.samples.shape[1]
         if channels != self._channels:
             self._restart(channels)
-        observations = self._pipeline.update(block)
+        self._robot_input.update(rospy.get_time())
+        observations = hear_humans(self._pipeline, self._robot, self._barge_in, block)
         self._end = block.stamp + len(block.samples) / RATE
         # Most blocks complete no frame, or there are no voices.
         if observations or self._pipeline.tracked != self._present:
@@ -256,8 +262,9 @@ class VoiceProcessor:
         """Apply the values of the live parameters."""
         self._settings = settings
         self._pipeline.reconfigure(settings)
-        if self._array is not None:
-            self._array.reconfigure(settings)
+        self._robot.reconfigure(settings)
+        if self._barge_in is not None:
+            self._barge_in.reconfigure(settings)
         self._topics.reconfigure(settings)
         if self._speech is not None:
             self._speech.least_confidence = settings.speech_min_confidence
@@ -277,7 +284,8 @@ class VoiceProcessor:
         self._end = 0.0
 
     def poll(self) -> None:
-        """Publish the new results of speech recognition."""
+        """Publish the new results of speech recognition, and take note of what the robot says of its own voice."""
+        self._robot_input.update(rospy.get_time())
         if self._speech is None:
             return
         for result in self._speech.poll():
@@ -302,11 +310,13 @@ class VoiceProcessor:
         values: Dict[str, object] = {"tracked": len(tracked), "channels": self._channels,
                                      "direction": bool(self._array_fits())}
         values.update(self._counts)
-        found = {"voices": (OK, "{} voices".format(len(tracked)), values)}
+        found = {"voices": (OK, "{} voices".format(len(tracked)), values), "own voice": self._robot_input.status()}
         if len(self._positions) and self._channels and not self._array_fits():
             found["voices"] = (WARN, self._misfit(), values)
         if self._speech is not None:
             found["speech"] = self._speech.status()
+        elif self._no_speech:
+            found["speech"] = (ERROR, self._no_speech, {})
         return found
 
     def close(self) -> None:
@@ -314,6 +324,7 @@ class VoiceProcessor:
         if self._closed:
             return
         self._closed = True
+        self._robot_input.close()
         self._tracked_list.close()
         self._topics.close_ids()
         self._transforms.close()
@@ -321,22 +332,32 @@ class VoiceProcessor:
         if self._speech is not None:
             self._speech.close()
 
+    def _start_speech(self) -> None:
+        """Start the recogniser. Without a model for the language there are voices, and no speech."""
+        try:
+            self._speech = SpeechRecognition(self._settings)
+        except LanguageError as error:
+            self._no_speech = str(error)
+            rospy.logerr("%s", error)
+
     def _restart(self, channels: int) -> None:
         """Start a new pipeline for this number of channels."""
         if self._channels:
             self.reset()
         self._channels = channels
-        self._array = SoundSeparator(self._positions, self._settings) if self._array_fits() else None
-        if len(self._positions) and self._array is None:
+        self._barge_in = None
+        if self._array_fits():
+            self._barge_in = BargeInFilter(SoundSeparator(self._positions, self._settings), self._robot, self._settings)
+        elif len(self._positions):
             rospy.logwarn("%s", self._misfit())
-        self._pipeline = VoicePipeline(self._settings, self._model, self._array, self._ids)
+        self._pipeline = VoicePipeline(self._settings, self._model, self._barge_in, self._ids)
 
     def _array_fits(self) -> bool:
         return len(self._positions) >= 2 and len(self._positions) == self._channels
 
     def _misfit(self) -> str:
         return "~microphone_positions has {} microphones and the sound {} channels: no directions; give one position " \
-               "per channel".format(len(self._positions), self._channels)
+               "per channel, or select channels by ~microphone_channels".format(len(self._positions), self._channels)
 
     def _publish(self, observations: Sequence[VoiceObservation], stamp: Optional[float] = None) -> None:
         ids = self._pipeline.tracked
@@ -366,7 +387,7 @@ class VoiceProcessor:
         if observation.onset:
             self._speech.start(observation.id, observation.stamp)
         if observation.turn and len(observation.samples):
-            self._speech.feed(observation.id, observation.samples, observation.stamp)
+            self._speech.feed(observation.id, observation.samples, observation.stamp, observation.speaking)
             self._unfinished.add(observation.id)
         if observation.end:
             self._speech.end(observation.id)

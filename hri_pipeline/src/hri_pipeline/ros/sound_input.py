@@ -1,4 +1,5 @@
-"""The input of sound: subscribers of audio topics, whose messages become blocks of 16 kHz."""
+"""The input of sound: subscribers of audio topics, whose messages become blocks of 16 kHz; and what the robot says of
+its own voice."""
 
 from __future__ import annotations
 
@@ -10,8 +11,10 @@ from typing import Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 import audio_common_msgs.msg
 import rospy
 from audio_common_msgs.msg import AudioData, AudioInfo
+from std_msgs.msg import Bool
 
-from hri_pipeline.core.audio.parameters import SoundInputSettings
+from hri_pipeline.core.audio.own_voice import RobotSpeech
+from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.stream import SoundBlock, SoundError, SoundFormat, SoundStream
 from hri_pipeline.core.error_log import Outage
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
@@ -33,6 +36,7 @@ _NEW_PROBLEM_S = 1.0
 _BAD_S = 2.0
 _GAP_SHOWN_S = 5.0
 _MOST_INFOS = 8
+_MOST_WORDS = 500
 Problem = Tuple[int, str]
 
 
@@ -51,12 +55,12 @@ class SoundInput:
 
     Parameters
     ----------
-    settings : SoundInputSettings
+    settings : VoicesSettings
     on_restart : callable, optional
         Called without arguments when a new stream begins: time has gone back, or the format has changed.
     """
 
-    def __init__(self, settings: SoundInputSettings, on_restart: Optional[Callable[[], None]] = None) -> None:
+    def __init__(self, settings: VoicesSettings, on_restart: Optional[Callable[[], None]] = None) -> None:
         self._settings = settings
         self.on_restart = on_restart
         self._condition = threading.Condition()
@@ -86,7 +90,7 @@ class SoundInput:
             self._subscribers.append(rospy.Subscriber("audio_stamped", AudioDataStamped, self._on_stamped,
                                                       buff_size=BUFFER_BYTES, tcp_nodelay=True))
 
-    def reconfigure(self, settings: SoundInputSettings) -> None:
+    def reconfigure(self, settings: VoicesSettings) -> None:
         """Take up the values of the live parameters."""
         self._settings = settings
 
@@ -242,7 +246,9 @@ class SoundInput:
         self._stream = None
         if form is not None:
             rospy.loginfo("%s: %s", self.topic, form.text)
-            self._stream = SoundStream(form, options.gap_tolerance, options.input_latency, options.resampling)
+            self._stream = SoundStream(form, options.gap_tolerance, options.input_latency, options.resampling,
+                                       options.microphone_channels,
+                                       is_array=options.direction and len(options.microphone_positions) > 1)
 
     def _problem(self) -> Problem:
         """Return level and text of the worst problem of the input."""
@@ -292,3 +298,81 @@ class SoundInput:
         if time.monotonic() - at > (_LOG_PERIOD_S if text == last else _NEW_PROBLEM_S):
             rospy.logerr("%s", text)
             self._logged = (text, time.monotonic())
+
+
+class RobotVoiceInput:
+    """Subscribes to `~robot_speaking`, `~robot_audio` and `~robot_audio_info`, and tells RobotSpeech what they say.
+
+    Callbacks only store; update() does the work in the thread of the caller.
+
+    Parameters
+    ----------
+    robot : RobotSpeech
+    """
+
+    def __init__(self, robot: RobotSpeech) -> None:
+        self._robot = robot
+        self._lock = threading.Lock()
+        self._words: Deque[Tuple[bool, float]] = deque(maxlen=_MOST_WORDS)
+        self._chunks: Deque[_Chunk] = deque(maxlen=_MOST_WORDS)
+        self._form = SoundFormat()
+        self._stream: Optional[SoundStream] = None
+        self._bad: Tuple[str, float] = ("", float("-inf"))
+        self._speaking = rospy.Subscriber("~robot_speaking", Bool, self._on_speaking, queue_size=_MOST_WORDS)
+        self._subscribers = [
+            self._speaking, rospy.Subscriber("~robot_audio", AudioData, self._on_audio, queue_size=_MOST_WORDS),
+            rospy.Subscriber("~robot_audio_info", AudioInfo, self._on_info, queue_size=1)]
+
+    def update(self, now: float) -> None:
+        """Tell what has come since the last call. now: s, ROS time."""
+        with self._lock:
+            words, chunks = list(self._words), list(self._chunks)
+            self._words.clear()
+            self._chunks.clear()
+        for speaking, stamp in words:
+            self._robot.tell(speaking, stamp)
+        for chunk in chunks:
+            self._play(chunk)
+        self._robot.update(now, self._speaking.get_num_connections() > 0)
+
+    def status(self) -> Tuple[int, str, Dict[str, object]]:
+        """Return level, message and values for diagnostics."""
+        now = rospy.get_time()
+        values: Dict[str, object] = {"robot_speaks": self._robot.speaks(now, now)}
+        if self._robot.problem:
+            return WARN, "{} is no longer believed: {}".format(self._speaking.resolved_name,
+                                                               self._robot.problem), values
+        if time.monotonic() - self._bad[1] < _BAD_S:
+            return WARN, self._bad[0], values
+        return OK, "the robot speaks" if values["robot_speaks"] else "the robot is silent", values
+
+    def close(self) -> None:
+        """Unsubscribe. Idempotent."""
+        while self._subscribers:
+            release(self._subscribers.pop())
+
+    def _play(self, chunk: _Chunk) -> None:
+        try:
+            if self._stream is None or self._stream.form != self._form:
+                self._stream = SoundStream(self._form)
+            for block in self._stream.add(chunk.data, chunk.arrival):
+                self._robot.play(block.samples.mean(axis=1), block.stamp)
+        except SoundError as error:
+            self._bad = ("{}: {}".format(rospy.resolve_name("~robot_audio"), error), time.monotonic())
+            rospy.logerr_throttle(_LOG_PERIOD_S, "%s; such sound is skipped", self._bad[0])
+
+    def _on_speaking(self, message: Bool) -> None:
+        with self._lock:
+            self._words.append((message.data, rospy.get_time()))
+
+    def _on_audio(self, message: AudioData) -> None:
+        with self._lock:
+            self._chunks.append(_Chunk(bytes(message.data), rospy.get_time()))
+
+    def _on_info(self, message: AudioInfo) -> None:
+        try:
+            self._form = SoundFormat(message.channels, message.sample_rate, message.sample_format,
+                                     message.coding_format)
+        except SoundError as error:
+            self._bad = ("{}: {}".format(rospy.resolve_name("~robot_audio_info"), error), time.monotonic())
+            rospy.logerr("%s", self._bad[0])

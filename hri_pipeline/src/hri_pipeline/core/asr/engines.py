@@ -1,7 +1,7 @@
 """The recognisers of speech: how one is chosen, the grammar it is given, and pocketsphinx.
 
-Moonshine (moonshine.py) is the default for free speech, pocketsphinx for a grammar; vosk and sherpa-onnx (adapters.py)
-are for users who bring a model. An engine is imported when it is made, in a process of its own (worker.py).
+Moonshine (moonshine.py) is the default for free speech, pocketsphinx for a grammar. Both know English here, and other
+languages with a model that the user brings. An engine is imported when it is made, in a process of its own (worker.py).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Protocol, Se
 import numpy as np
 
 from hri_pipeline.core.asr.parameters import SpeechSettings
-from hri_pipeline.core.onnx import ModelError, model_path
+from hri_pipeline.core.onnx import ModelError, model_path, models_directory
 from hri_pipeline.core.parameters import ParameterError
 
 RATE = 16000
@@ -60,8 +60,11 @@ class SpeechEngine(Protocol):
     def partial(self) -> str:
         """Return the text so far, lower case where the model has no case."""
 
-    def finish(self) -> Recognised:
-        """End the utterance and return its text."""
+    def pause(self) -> None:
+        """Note that the speaker pauses: the utterance may be over, and its text may be asked for soon."""
+
+    def finish(self, spoken: int) -> Recognised:
+        """End the utterance and return its text; nothing was said behind its first `spoken` samples."""
 
     def close(self) -> None:
         """Give memory and files back. Idempotent."""
@@ -143,7 +146,10 @@ class PocketsphinxEngine:
         hypothesis = self._decoder.hyp()
         return "" if hypothesis is None else _words_of(hypothesis.hypstr)
 
-    def finish(self) -> Recognised:
+    def pause(self) -> None:
+        """Do nothing: the decoder keeps up with the sound."""
+
+    def finish(self, spoken: int) -> Recognised:
         """End the utterance; its text is empty where nothing, or no sentence of the grammar, was heard."""
         self._decoder.end_utt()
         self._open = False
@@ -218,7 +224,6 @@ class EngineKind(NamedTuple):
     package: str
     module: str
     make: Callable[[EngineChoice], SpeechEngine]
-    needs_model: bool
 
 
 def _make_moonshine(choice: EngineChoice) -> SpeechEngine:
@@ -226,32 +231,24 @@ def _make_moonshine(choice: EngineChoice) -> SpeechEngine:
     return MoonshineEngine(choice)
 
 
-def _make_vosk(choice: EngineChoice) -> SpeechEngine:
-    from hri_pipeline.core.asr.adapters import VoskEngine
-    return VoskEngine(choice)
-
-
-def _make_sherpa(choice: EngineChoice) -> SpeechEngine:
-    from hri_pipeline.core.asr.adapters import SherpaEngine
-    return SherpaEngine(choice)
-
-
 ENGINES: Dict[str, EngineKind] = {
-    "moonshine": EngineKind("onnxruntime", "onnxruntime", _make_moonshine, False),
-    "pocketsphinx": EngineKind("pocketsphinx", "pocketsphinx", PocketsphinxEngine, False),
-    "vosk": EngineKind("vosk", "vosk", _make_vosk, True),
-    "sherpa_onnx": EngineKind("sherpa-onnx", "sherpa_onnx", _make_sherpa, True),
+    "moonshine": EngineKind("onnxruntime", "onnxruntime", _make_moonshine),
+    "pocketsphinx": EngineKind("pocketsphinx", "pocketsphinx", PocketsphinxEngine),
 }
 """Known engines by the value of speech_engine."""
 AUTO = "auto"
 """Value of speech_engine with which engine_choice() chooses."""
 
 
+class LanguageError(ParameterError):
+    """There is no model for the language."""
+
+
 def check_choice(choice: EngineChoice) -> None:
     """Check what can be checked without loading anything.
 
-    Raises ParameterError for an unknown engine, an engine whose package or model is not there, or a grammar or language
-    that it cannot take.
+    Raises ParameterError for an unknown engine, an engine whose package or model is not there, or a grammar that it
+    cannot take; LanguageError when there is no model for the language.
     """
     if choice.engine not in ENGINES:
         raise ParameterError("parameter speech_engine is {!r}; legal: {}, or empty for none".format(
@@ -260,9 +257,6 @@ def check_choice(choice: EngineChoice) -> None:
     if importlib.util.find_spec(kind.module) is None:
         raise ParameterError("parameter speech_engine is {!r}, whose package is not there: `pip install {}`, or choose"
                              " another engine".format(choice.engine, kind.package))
-    if kind.needs_model and not choice.model:
-        raise ParameterError("parameter speech_model is empty, and {} has no model of its own: set it to the directory "
-                         "of a model, or speech_engine to pocketsphinx".format(choice.engine))
     if choice.model and not Path(choice.model).expanduser().is_dir():
         raise ParameterError(
             "parameter speech_model is {!r}, which is no directory: set it to that of a model for {}".format(
@@ -270,17 +264,29 @@ def check_choice(choice: EngineChoice) -> None:
             )
         )
     _check_grammar(choice)
-    if not (choice.model or kind.needs_model or is_english(choice.language)):
-        raise ParameterError("parameter speech_language is {!r}, but the model of {} that comes with this package knows"
-                             " English only: set speech_model to the directory of a model for that language".format(
-                                 choice.language, choice.engine))
+    if not (choice.model or is_english(choice.language)):
+        raise LanguageError(
+            "nobody is understood: parameter language is {!r}, and there is no model for it. Put Moonshine's {} into "
+            "{}, or acoustic model, dictionary and language model of pocketsphinx into {}, or set speech_model".format(
+                choice.language, ", ".join(_AUTHORS_NAMES), language_directory("moonshine", choice.language),
+                language_directory("pocketsphinx", choice.language)))
     if choice.engine == "moonshine":
         _check_moonshine(choice.model)
 
 
-def is_english(language: str) -> bool:
+def primary_language(tag: str) -> str:
+    """Return the language of an IETF tag in lower case, without script and region: "pt" for "pt-BR"."""
+    return tag.replace("_", "-").split("-")[0].lower()
+
+
+def is_english(tag: str) -> bool:
     """Tell whether an IETF tag is one of English."""
-    return language.replace("_", "-").split("-")[0].lower() == "en"
+    return primary_language(tag) == "en"
+
+
+def language_directory(engine: str, tag: str) -> Path:
+    """Return where the models directory keeps a user's model of an engine for a language: `moonshine_es`."""
+    return models_directory() / "{}_{}".format(engine, primary_language(tag))
 
 
 def _check_moonshine(directory: str) -> None:
@@ -293,14 +299,12 @@ def _check_moonshine(directory: str) -> None:
 def _check_grammar(choice: EngineChoice) -> None:
     if not choice.grammar:
         return
-    begins = {"pocketsphinx": "#JSGF", "vosk": "["}.get(choice.engine)
-    if begins is None:
+    if choice.engine != "pocketsphinx":
         raise ParameterError("parameter speech_grammar is set, but {} knows dictation only: leave it empty, or set "
                              "speech_engine to auto".format(choice.engine))
-    if not choice.grammar.lstrip("\ufeff \t\r\n").startswith(begins):
-        raise ParameterError("parameter speech_grammar gives {} a text that begins with {!r}; it needs {}".format(
-            choice.engine, choice.grammar[:20],
-            "a JSGF grammar, which begins with #JSGF" if begins == "#JSGF" else "a JSON list of phrases"))
+    if not choice.grammar.lstrip("\ufeff \t\r\n").startswith("#JSGF"):
+        raise ParameterError("parameter speech_grammar gives a text that begins with {!r}; it needs a JSGF grammar, "
+                             "which begins with #JSGF".format(choice.grammar[:20]))
 
 
 def make_engine(choice: EngineChoice) -> SpeechEngine:
@@ -331,11 +335,11 @@ _GRAMMAR_SUFFIX = ".gram"
 def read_grammar(value: str, directory: Optional[Path] = None) -> str:
     """Return the text of a grammar: `value` itself, the file that it names, or value.gram of `directory`.
 
-    A text begins with `#` or `[`. directory: where the grammars of the package lie, None: not known.
+    A text begins with `#`. directory: where the grammars of the package lie, None: not known.
     Raises ParameterError that names what was looked for.
     """
     text = value.strip().lstrip("\ufeff")
-    if not text or text.startswith(("#", "[")):
+    if not text or text.startswith("#"):
         return text
     path = Path(text).expanduser()
     if directory is not None and path.name == text and not path.is_file():
@@ -354,13 +358,26 @@ def read_grammar(value: str, directory: Optional[Path] = None) -> str:
 
 
 def engine_choice(settings: SpeechSettings) -> EngineChoice:
-    """Return the choice that the parameters speech_* make. Raises ParameterError for a grammar that is not there."""
-    model = settings.speech_model and str(Path(settings.speech_model).expanduser().absolute())
+    """Return the choice that the parameters speech_* and language make.
+
+    Without speech_model, that of English is the one that comes with the engine, and that of another language lies in
+    its `language_directory`. Raises ParameterError for a grammar that is not there.
+    """
+    language = settings.language or settings.speech_language
+    given = settings.speech_model and str(Path(settings.speech_model).expanduser().absolute())
     grammar = read_grammar(settings.speech_grammar, grammar_directory())
     engine = settings.speech_engine
     if engine == AUTO:
-        engine = "moonshine" if not grammar and _has_moonshine(model) else "pocketsphinx"
-    return EngineChoice(engine, model, grammar, settings.speech_language, settings.speech_text == "written")
+        model = given or _language_model("moonshine", language)
+        free = not grammar and (model or is_english(language))
+        engine = "moonshine" if free and _has_moonshine(model) else "pocketsphinx"
+    return EngineChoice(engine, given or _language_model(engine, language), grammar, language,
+                        settings.speech_text == "written")
+
+
+def _language_model(engine: str, language: str) -> str:
+    directory = language_directory(engine, language)
+    return "" if is_english(language) or not directory.is_dir() else str(directory)
 
 
 def _has_moonshine(directory: str) -> bool:

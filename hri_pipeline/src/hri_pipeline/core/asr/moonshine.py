@@ -205,11 +205,11 @@ class _Piece(NamedTuple):
 class MoonshineEngine:
     """Utterances by MoonshineModel, in English with the model of this package.
 
-    What was said so far is found by transcribing the open sound once more, which costs more the longer it is: partial()
-    does so when somebody pauses, else only as often as keeps it at PARTIAL_SHARE of the time; a machine that is busy
-    gets fewer texts. Speech of more than `CUT_FROM_S` is cut at the next pause, and at the quietest place when there is
-    none for long; the text of the pieces before the cut is final. A piece of less than SHORT_S, where Moonshine errs,
-    gets silence behind it.
+    What was said so far is found by transcribing the open sound once more, which costs more the longer it is: pause()
+    does so, and finish() has its text where nothing was said since; partial() only as often as keeps it at
+    PARTIAL_SHARE of the time, so a machine that is busy gets fewer texts. Speech of more than `CUT_FROM_S` is cut at
+    the next pause, and at the quietest place when there is none for long; the text of the pieces before the cut is
+    final. A piece of less than SHORT_S, where Moonshine errs, gets silence behind it.
 
     The confidence estimates the share of right words: a logistic function of the mean logarithm of the tokens'
     probabilities (see CALIBRATION).
@@ -235,6 +235,7 @@ class MoonshineEngine:
         self._done: List[Transcript] = []
         self._last = _Piece(_NOTHING, 0)
         self._cost = 0.0
+        self._cut = 0
 
     def feed(self, samples: np.ndarray) -> None:
         """Take (n,) int16 samples at 16 kHz."""
@@ -244,26 +245,31 @@ class MoonshineEngine:
             sound = self._sound()
             cut = _place_of_cut(sound)
             if cut:
-                self._done.append(self._transcribe(sound[:cut]))
+                self._done.append(self._text_before(cut, sound))
                 self._parts, self._length, self._last = [sound[cut:]], len(sound) - cut, _Piece(_NOTHING, 0)
+                self._cut += cut
 
     def partial(self) -> str:
         """Return the text so far."""
         fresh = self._length - self._last.samples
         if self._length >= _PARTIAL_FROM_S * RATE and fresh:
-            sound = self._sound()
-            if fresh >= self._cost * self._length / PARTIAL_SHARE or self._is_pause(sound):
-                self._last = _Piece(self._transcribe(sound), len(sound))
+            if fresh >= self._cost * self._length / PARTIAL_SHARE:
+                self.pause()
         return self._text([self._last.transcript])
 
-    def finish(self) -> Recognised:
+    def pause(self) -> None:
+        """Transcribe the open sound."""
+        sound = self._sound()
+        if len(sound) > self._last.samples:
+            self._last = _Piece(self._transcribe(sound), len(sound))
+
+    def finish(self, spoken: int) -> Recognised:
         """End the utterance; its text is empty where no word was heard."""
         sound = self._sound()
         covered = self._last.samples
-        if covered and not _is_loud(sound[covered:], sound):
-            last = self._last.transcript
-        else:
-            last = self._transcribe(sound)
+        if spoken > self._cut + covered and (not covered or _is_loud(sound[covered:], sound)):
+            self.pause()
+        last = self._last.transcript
         text = self._text([last])
         confidence = _confidence(self._done + [last]) if text else 0.0
         self.start()
@@ -279,11 +285,12 @@ class MoonshineEngine:
             self._parts = [np.concatenate(self._parts)] if self._parts else [np.zeros(0, np.int16)]
         return self._parts[0]
 
-    def _is_pause(self, sound: np.ndarray) -> bool:
-        """Return whether the speaker pauses, behind words that were not transcribed yet."""
-        quiet = int(_PAUSE_S * RATE)
-        return (len(sound) > quiet and not _is_loud(sound[-quiet:], sound)
-                and _is_loud(sound[self._last.samples:-quiet], sound))
+    def _text_before(self, cut: int, sound: np.ndarray) -> Transcript:
+        """Return the text of sound[:cut]: that of the last pause, where nothing is said between both."""
+        first, last = sorted((cut, self._last.samples))
+        if self._last.samples and not _is_loud(sound[first:last], sound):
+            return self._last.transcript
+        return self._transcribe(sound[:cut])
 
     def _transcribe(self, sound: np.ndarray) -> Transcript:
         if len(sound) < _LEAST_S * RATE:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from hri_pipeline.core.parameters import Settings, parameter
 
-ENGINES = ("", "auto", "moonshine", "pocketsphinx", "vosk", "sherpa_onnx")
+ENGINES = ("", "auto", "moonshine", "pocketsphinx")
 
 
 @dataclass(frozen=True)
@@ -16,25 +16,26 @@ class SpeechSettings(Settings):
     speech: bool = parameter(
         True, "Recognise what voices say and publish it (`speech`). Recognition runs in a process of its own; sound "
         "is kept in memory while it is worked on, never on disk.")
+    language: str = parameter(
+        "", "Language that is spoken, an IETF tag such as `es` or `de-DE`; it picks the model and goes into the "
+        "messages. Empty: speech_language. The models that come with this package know English only; those of others "
+        "lie in the models directory as `moonshine_es` or `pocketsphinx_de`, with the files of speech_model. Without "
+        "one nobody is understood, and diagnostics say so.")
     speech_engine: str = parameter(
         "auto", "Recogniser. `auto`: `moonshine` for free speech, which `fetch_models` brings; `pocketsphinx` with a "
-        "grammar, or where Moonshine's model is not there. `vosk` and `sherpa_onnx` are for users who bring a model "
-        "(`speech_model`) and install the package. Empty: no recognition.", choices=ENGINES)
+        "grammar, or where Moonshine's model is not there. Empty: no recognition.", choices=ENGINES)
     speech_model: str = parameter(
-        "", "Directory of the recogniser's model. Empty: the English one that comes with `moonshine` and "
-        "`pocketsphinx`. moonshine: encoder_model.onnx, decoder_model_merged.onnx, tokenizer.json; pocketsphinx: an "
-        "acoustic model (mdef, means, ...), one *.dict and, for dictation, one *.lm or *.lm.bin; vosk: an unpacked "
-        "model; sherpa_onnx: tokens.txt with encoder*.onnx, decoder*.onnx, joiner*.onnx of a streaming transducer.")
+        "", "Directory of the recogniser's model. Empty: that of the language. moonshine: encoder_model.onnx, "
+        "decoder_model_merged.onnx, tokenizer.json; pocketsphinx: an acoustic model (mdef, means, ...), one *.dict "
+        "and, for dictation, one *.lm or *.lm.bin.")
     speech_grammar: str = parameter(
         "", "Sentences that are possible: a JSGF grammar as text (begins with `#JSGF`), the path of a file with one, "
-        "or the name of a grammar of this package (`commands`, `digits`). With vosk a JSON list of phrases. Empty: "
-        "free speech. moonshine and sherpa_onnx know free speech only.")
+        "or the name of a grammar of this package (`commands`, `digits`). Empty: free speech. moonshine knows free "
+        "speech only.")
     speech_text: str = parameter(
         "plain", "`plain`: words in lower case without punctuation. `written`: as the recogniser writes it; moonshine "
         "knows capitals and punctuation.", choices=("plain", "written"))
-    speech_language: str = parameter(
-        "en-US", "Language of the model, an IETF tag; goes into the messages. The models that come with this package "
-        "know English only.")
+    speech_language: str = parameter("en-US", "Language where `language` is empty, an IETF tag.")
     speech_max_speakers: int = parameter(
         2, "Voices that are recognised at the same time. Each has a process of its own (moonshine 230 MB, "
         "pocketsphinx 65 MB with a grammar and 130 MB without); the second starts when it is first needed. Further "

@@ -109,9 +109,13 @@ class SpeechProcess:
         """Send 16-bit samples."""
         self.send(SpeechMessage(worker.AUDIO, utterance, body=samples))
 
-    def end(self, utterance: int) -> None:
-        """Ask for the text of the whole utterance."""
-        self.send(SpeechMessage(worker.END, utterance))
+    def pause(self, utterance: int) -> None:
+        """Tell that the speaker pauses."""
+        self.send(SpeechMessage(worker.PAUSE, utterance))
+
+    def end(self, utterance: int, spoken: int) -> None:
+        """Ask for the text of the whole utterance, behind whose first `spoken` samples nothing was said."""
+        self.send(SpeechMessage(worker.END, utterance, spoken))
 
     def send(self, message: SpeechMessage) -> None:
         """Let a message wait for the pipe; write() sends it."""
@@ -196,6 +200,8 @@ class QueuedUtterance:
         """What was published last."""
         self.accepted = 0
         """Samples taken so far, those dropped not counted."""
+        self.spoken = 0
+        """Samples up to the last word."""
         self.sent = self.done = 0
         """Samples sent to the present process, and samples that it has worked on."""
         self.heard = 0
@@ -223,8 +229,12 @@ class QueuedUtterance:
         self.accepted += count
         return 0
 
+    def add_pause(self) -> None:
+        """Note that the speaker pauses behind the sound so far."""
+        self._sound.append(b"")
+
     def take(self) -> Optional[bytes]:
-        """Return the next sound to send, None when there is none."""
+        """Return the next sound to send, empty for a pause, None when there is none."""
         if self._next >= len(self._sound):
             return None
         data = self._sound[self._next]
@@ -376,7 +386,7 @@ class SpeechPool:
         if utterance.sent == utterance.done:
             process.idle_since = now
         if utterance.unwanted:
-            process.end(utterance.number)
+            process.end(utterance.number, 0)
             utterance.asked = True
             return
         ended = utterance.ended
@@ -384,9 +394,12 @@ class SpeechPool:
             data = utterance.take()
             if data is None:
                 break
-            process.add_sound(utterance.number, data)
+            if data:
+                process.add_sound(utterance.number, data)
+            else:
+                process.pause(utterance.number)
         if ended and utterance.sent == utterance.accepted:
-            process.end(utterance.number)
+            process.end(utterance.number, utterance.spoken)
             utterance.asked = True
 
     def _start(self, now: float) -> None:

@@ -19,6 +19,8 @@ from hri_pipeline.core.audio.stream import encode_s16
 from hri_pipeline.core.onnx import FETCH_HINT
 
 OK, WARN, ERROR = 0, 1, 2
+PAUSE_S = 0.16
+"""So long (s) without speech may be the end of the turn: its text is made ready meanwhile."""
 LONGEST_S = 30.0
 """A turn that goes on for longer is cut: recognisers keep a whole utterance in memory."""
 _FALLBACK = ("speech is recognised by pocketsphinx, which errs in half of the words of free speech: "
@@ -104,8 +106,8 @@ class SpeechRecognition:
             self._begin(voice_id, stamp)
             self._wake()
 
-    def feed(self, voice_id: str, samples: np.ndarray, stamp: float) -> None:
-        """Add (n,) samples from -1 to 1 at 16 kHz of a voice; stamp: time (s) of the first.
+    def feed(self, voice_id: str, samples: np.ndarray, stamp: float, speaking: bool = True) -> None:
+        """Add (n,) samples from -1 to 1 at 16 kHz of a voice; stamp: time (s) of the first; speaking: no pause.
 
         A voice that was not started is ignored. Sound beyond speech_queue is dropped and counted.
         Raises ValueError for samples of another shape.
@@ -127,6 +129,7 @@ class SpeechRecognition:
                 if dropped:
                     self._dropped += dropped
                     self._dropped_at = time.monotonic()
+            self._note_pause(utterance, speaking, len(data) // 2)
             self._wake()
 
     def end(self, voice_id: str) -> None:
@@ -190,6 +193,16 @@ class SpeechRecognition:
         if not self._closing and self._pool.add(utterance):
             self._open[voice_id] = utterance
         return utterance
+
+    @staticmethod
+    def _note_pause(utterance: QueuedUtterance, speaking: bool, fresh: int) -> None:
+        """Tell the recogniser once that the speaker pauses; `fresh`: samples that were just added."""
+        if speaking:
+            utterance.spoken = utterance.accepted
+            return
+        silence = utterance.accepted - utterance.spoken
+        if silence - fresh < PAUSE_S * RATE <= silence:
+            utterance.add_pause()
 
     def _finish(self, voice_id: str) -> None:
         utterance = self._open.pop(voice_id, None)

@@ -29,12 +29,12 @@ _MARK = b"HR"
 _HEADER = struct.Struct("<2sBxIIffI")   # mark, kind, utterance, samples, confidence, busy, length of the body
 LONGEST_BODY = 1 << 20
 
-CONFIGURE, START, AUDIO, END = 1, 2, 3, 4
-"""Kinds of messages from the node: engine (JSON), begin of an utterance, 16-bit samples of it, its end."""
+CONFIGURE, START, AUDIO, END, PAUSE = 1, 2, 3, 4, 5
+"""Kinds of messages from the node: engine (JSON), begin of an utterance, 16-bit samples of it, its end, a pause."""
 READY, FAILED, PROGRESS, PARTIAL, FINAL = 65, 66, 67, 68, 69
 """Kinds of messages from the process: the engine is loaded, or why not; sound was worked on, text so far, whole
 text."""
-_KINDS = {CONFIGURE, START, AUDIO, END, READY, FAILED, PROGRESS, PARTIAL, FINAL}
+_KINDS = {CONFIGURE, START, AUDIO, END, PAUSE, READY, FAILED, PROGRESS, PARTIAL, FINAL}
 
 _PR_SET_PDEATHSIG = 1
 _CHUNK = 1 << 16
@@ -52,7 +52,7 @@ class SpeechMessage(NamedTuple):
     Attributes
     ----------
     utterance : its number.
-    samples : how many samples of it were worked on.
+    samples : how many samples of it were worked on; of END: behind how many nothing was said.
     confidence : of its text, 0 to 1.
     busy : processor time (s) since the last message of PROGRESS, PARTIAL or FINAL.
     body : samples, text in UTF-8, or JSON.
@@ -119,8 +119,8 @@ class SpeechWorker:
         self._text = ""
         self._busy = time.process_time()
 
-    def answer(self, message: SpeechMessage) -> None:
-        """Do what a message asks.
+    def answer(self, message: SpeechMessage, more: bool = False) -> None:
+        """Do what a message asks. more: others wait already, so that a text so far would come late and delay them.
 
         Raises ParameterError for an engine that does not load, PipeError for a malformed message.
         """
@@ -136,9 +136,12 @@ class SpeechWorker:
         elif message.utterance != self._utterance:
             return
         elif message.kind == AUDIO:
-            self._feed(self._engine, message.body)
+            self._feed(self._engine, message.body, more)
+        elif message.kind == PAUSE:
+            self._engine.pause()
+            self._report_progress(self._engine)
         elif message.kind == END:
-            self._report(FINAL, *self._engine.finish())
+            self._report(FINAL, *self._engine.finish(message.samples))
             self._utterance = None
 
     def close(self) -> None:
@@ -159,18 +162,24 @@ class SpeechWorker:
         self._engine = make_engine(choice)
         self._send(SpeechMessage(READY).packed())
 
-    def _feed(self, engine: SpeechEngine, data: bytes) -> None:
+    def _feed(self, engine: SpeechEngine, data: bytes, more: bool) -> None:
         samples = np.frombuffer(data[:len(data) // 2 * 2], dtype="<i2")
         engine.feed(samples)
         self._samples += len(samples)
-        if self._partial_samples and self._samples >= self._next_partial:
-            self._next_partial = self._samples + self._partial_samples
-            text = engine.partial()
-            if text != self._text:
-                self._text = text
-                self._report(PARTIAL, text, 0.0)
-                return
-        self._report(PROGRESS, "", 0.0)
+        if self._partial_samples and self._samples >= self._next_partial and not more:
+            self._report_progress(engine)
+        else:
+            self._report(PROGRESS, "", 0.0)
+
+    def _report_progress(self, engine: SpeechEngine) -> None:
+        """Send the text so far if it is new and wanted, else only how far the work has come."""
+        self._next_partial = self._samples + self._partial_samples
+        text = engine.partial() if self._partial_samples else self._text
+        if text == self._text:
+            self._report(PROGRESS, "", 0.0)
+            return
+        self._text = text
+        self._report(PARTIAL, text, 0.0)
 
     def _report(self, kind: int, text: str, confidence: float) -> None:
         now = time.process_time()
@@ -214,8 +223,9 @@ def main() -> int:
             data = os.read(source, _CHUNK)
             if not data:
                 return 0
-            for message in reader.feed(data):
-                worker.answer(message)
+            messages = reader.feed(data)
+            for number, message in enumerate(messages, start=1):
+                worker.answer(message, more=number < len(messages))
     except ParameterError as error:
         send(SpeechMessage(FAILED, body=str(error).encode("utf-8")[:LONGEST_BODY]).packed())
         return REFUSED

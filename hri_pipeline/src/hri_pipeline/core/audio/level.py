@@ -1,10 +1,11 @@
-"""Level of a sound in dBFS, and what is wrong with it: clipping, an offset, dead channels."""
+"""Level of a sound in dBFS, and what is wrong with it: clipping, an offset, channels that are dead, silent or
+copies."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Deque, Dict, List, Tuple
+from typing import Deque, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -18,6 +19,12 @@ _LIMIT = 0.999
 _CLIPPED_SHARE = 1e-3
 _OFFSET = 0.05
 _CONSTANT_S = 2.0
+# Microphones of one array differ by some dB; one that is covered or broken lies below the median by more than this.
+_SILENT_DB = 25.0
+# Two channels are one and the same where this share of their power differs. Microphones 2 cm apart differ by more above
+# 10 Hz, rounding to 16 bits by less above -80 dBFS.
+_SAME_SHARE = 1e-5
+_LEAST_POWER = 1e-8
 # The quietest pieces are pauses of speech, as in minimum statistics (R. Martin, IEEE Trans. SAP 9(5), 2001).
 _FLOOR_PERCENTILE = 10.0
 
@@ -39,13 +46,16 @@ class _Piece:
 
     def __init__(self, samples: np.ndarray) -> None:
         self.count = len(samples)
-        self.squares = np.einsum("nc,nc->c", samples, samples).astype(np.float64)
+        self.products = (samples.T @ samples).astype(np.float64)
+        self.squares = self.products.diagonal()
         self.sums = samples.sum(axis=0, dtype=np.float64)
         self.lowest = samples.min(axis=0)
         self.highest = samples.max(axis=0)
         self.power = float(self.squares.mean()) / self.count
         self.peak = max(-float(self.lowest.min()), float(self.highest.max()))
-        self.clipped = int((np.abs(samples) >= _LIMIT).any(axis=1).sum()) if self.peak >= _LIMIT else 0
+        at_limit = np.abs(samples) >= _LIMIT if self.peak >= _LIMIT else np.zeros((0, len(self.sums)), bool)
+        self.clipped_of = at_limit.sum(axis=0)
+        self.clipped = int(at_limit.any(axis=1).sum())
 
 
 class SoundLevel:
@@ -58,6 +68,12 @@ class SoundLevel:
     rate : int
         Hz.
     channels : int
+    numbers : sequence of int, optional
+        Numbers of the channels in the stream, for texts; by default they count from 0.
+    total : int, optional
+        Number of channels in the stream, with `numbers`.
+    is_array : bool
+        Channels are microphones of an array, which must differ: copies are a problem.
 
     Raises
     ------
@@ -65,11 +81,15 @@ class SoundLevel:
         When one of them is less than 1.
     """
 
-    def __init__(self, rate: int, channels: int) -> None:
+    def __init__(self, rate: int, channels: int, numbers: Optional[Sequence[int]] = None, total: int = 0,
+                 is_array: bool = False) -> None:
         if rate < 1 or channels < 1:
             raise ValueError("a sound has a rate and a channel, not {} Hz and {}".format(rate, channels))
         self._size = max(1, int(rate * _PIECE_S))
         self._channels = channels
+        self._numbers = list(range(channels) if numbers is None else numbers)
+        self._total = total or channels
+        self._is_array = is_array
         self._pieces: Deque[_Piece] = deque(maxlen=int(WINDOW_S / _PIECE_S))
         self._waiting: List[np.ndarray] = []
         self._held = 0
@@ -117,11 +137,17 @@ class SoundLevel:
                    "wrong device chosen?".format(_CONSTANT_S)
         share = self._clipped_share(pieces)
         if share > _CLIPPED_SHARE:
-            return "the sound is clipped: {:.1f} % of its samples are at the limit; turn the microphone's gain " \
-                   "down".format(100.0 * share)
+            return "the sound is clipped: {:.1f} % of its samples are at the limit{}; turn the microphone's gain " \
+                   "down".format(100.0 * share, self._clipped_channels(pieces))
         if constant:
-            return "channel {} of {} is dead: it gives one and the same value; check its microphone".format(
-                ", ".join(str(number) for number in constant), self._channels)
+            return "{} dead: one and the same value; check the microphone".format(self._named(constant))
+        silent, copies = self._silent(pieces), self._copies(pieces)
+        if silent:
+            return "{} silent: more than {:.0f} dB below the others; check the microphone, or " \
+                   "~microphone_channels".format(self._named(silent), _SILENT_DB)
+        if copies and self._is_array:
+            return "{} copies of each other: no directions from them; correct ~microphone_channels".format(
+                self._named(copies))
         count = sum(piece.count for piece in pieces)
         offset = np.abs(np.sum([piece.sums for piece in pieces], axis=0)) if pieces else np.zeros(1)
         if count and float(offset.max()) / count > _OFFSET:
@@ -132,14 +158,58 @@ class SoundLevel:
             )
         return ""
 
+    def _named(self, channels: Sequence[int]) -> str:
+        """Return "channel 1 of 4 is" or "channels 1, 2 of 4 are" for indices of channels."""
+        return "channel{} {} of {} {}".format(
+            "s" if len(channels) > 1 else "", ", ".join(str(self._numbers[index]) for index in channels), self._total,
+            "are" if len(channels) > 1 else "is")
+
+    def _clipped_channels(self, pieces: List[_Piece]) -> str:
+        """Return where sound is clipped, empty when it is in all channels."""
+        counts = np.sum([piece.clipped_of for piece in pieces], axis=0)
+        clipped = [int(index) for index in np.flatnonzero(counts > 0.1 * counts.max())]
+        if len(clipped) == self._channels:
+            return ""
+        return " (channel {} of {})".format(", ".join(str(self._numbers[index]) for index in clipped), self._total)
+
     def _constant(self, pieces: List[_Piece]) -> Tuple[int, ...]:
-        """Return the channels, counted from 0, whose samples have not changed for _CONSTANT_S."""
+        """Return the indices of the channels whose samples have not changed for _CONSTANT_S."""
         last = pieces[-int(_CONSTANT_S / _PIECE_S):]
         if len(last) < int(_CONSTANT_S / _PIECE_S):
             return ()
         low = np.min([piece.lowest for piece in last], axis=0)
         high = np.max([piece.highest for piece in last], axis=0)
         return tuple(int(channel) for channel in np.flatnonzero(high - low <= 0.0))
+
+    def _covariance(self, pieces: List[_Piece]) -> Optional[np.ndarray]:
+        """Return the covariance (C, C) of the channels, None before _CONSTANT_S or for one channel."""
+        if self._channels < 2 or len(pieces) < int(_CONSTANT_S / _PIECE_S):
+            return None
+        count = sum(piece.count for piece in pieces)
+        mean = np.sum([piece.sums for piece in pieces], axis=0) / count
+        return np.sum([piece.products for piece in pieces], axis=0) / count - np.outer(mean, mean)
+
+    def _silent(self, pieces: List[_Piece]) -> Tuple[int, ...]:
+        """Return the indices of the channels that are much softer than most."""
+        covariance = self._covariance(pieces)
+        if covariance is None:
+            return ()
+        power = covariance.diagonal()
+        usual = float(power.max() if self._channels == 2 else np.median(power))
+        if usual < _LEAST_POWER:
+            return ()
+        return tuple(int(index) for index in np.flatnonzero(power < usual * 10.0 ** (-0.1 * _SILENT_DB)))
+
+    def _copies(self, pieces: List[_Piece]) -> Tuple[int, ...]:
+        """Return the indices of the channels that are copies of another but for a factor."""
+        covariance = self._covariance(pieces)
+        if covariance is None:
+            return ()
+        power = np.maximum(covariance.diagonal(), 1e-30)
+        alike = covariance ** 2 > (1.0 - _SAME_SHARE) * np.outer(power, power)
+        heard = power > _LEAST_POWER
+        alike &= np.outer(heard, heard) & ~np.eye(self._channels, dtype=bool)
+        return tuple(int(index) for index in np.flatnonzero(alike.any(axis=0)))
 
     @staticmethod
     def _clipped_share(pieces: List[_Piece]) -> float:

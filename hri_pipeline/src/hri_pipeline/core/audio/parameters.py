@@ -119,6 +119,10 @@ class ArraySettings(Settings):
         [], "Positions of the microphones, one text \"x y z\" per channel, in the microphone frame: [\"0.04 0.04 0\", "
         "\"-0.04 0.04 0\", \"-0.04 -0.04 0\", \"0.04 -0.04 0\"]. Errors of some millimetres cost some degrees. Empty: "
         "there is no array, the channels are mixed to one.", unit="m")
+    microphone_channels: Sequence[int] = parameter(
+        [-1], "Channels of the sound that are used, counted from 0: the channel of each of microphone_positions, in "
+        "their order. A ReSpeaker v2 sends six, of which 1 to 4 are microphones: [1, 2, 3, 4]. [-1]: all.", minimum=-1,
+        maximum=31)
     line_front: bool = parameter(
         True, "Microphones on one line (as any two) tell only the angle against the line. True: voices are taken to "
         "be in front of it. False: their direction is not told; they are separated all the same.")
@@ -139,6 +143,24 @@ class ArraySettings(Settings):
 
 
 @dataclass(frozen=True)
+class OwnVoiceSettings(Settings):
+    """Of the robot's own voice (core/audio/own_voice.py)."""
+
+    robot_speaking_timeout: float = parameter(
+        30.0, "A `robot_speaking` that stays true is believed for so long after the last message. Robots that say more "
+        "at a time repeat it.", unit="s", minimum=1.0, maximum=600.0, live=True)
+    robot_tail: float = parameter(
+        0.4, "The robot is still heard for so long after it said that it has ended, or after its sound: buffers of its "
+        "sound card, and echoes of the room.", unit="s", minimum=0.0, maximum=5.0, live=True)
+    barge_in_angle: float = parameter(
+        0.5, "With an array, somebody who speaks while the robot does is heard from this far beside the directions of "
+        "the robot's voice, which are learnt.", unit="rad", minimum=0.1, maximum=3.2, live=True)
+    barge_in_margin: float = parameter(
+        0.0, "How much louder than the robot that must be, at the microphones. Lower hears more people, and words of "
+        "the robot with them.", unit="dB", minimum=-20.0, maximum=40.0, live=True)
+
+
+@dataclass(frozen=True)
 class AudioFeatureSettings(Settings):
     """Of the descriptors (core/audio/features.py)."""
 
@@ -153,8 +175,8 @@ class AudioFeatureSettings(Settings):
 
 
 @dataclass(frozen=True)
-class VoicesSettings(SoundInputSettings, VoiceActivitySettings, DirectionSettings, ArraySettings, AudioFeatureSettings,
-                     SpeechSettings):
+class VoicesSettings(SoundInputSettings, VoiceActivitySettings, DirectionSettings, ArraySettings, OwnVoiceSettings,
+                     AudioFeatureSettings, SpeechSettings):
     """Node voices: finds out who speaks, from where, and what is said, in the sound of a microphone or an array of
     them."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Deque, Dict, List, Optional, Tuple
+from typing import Deque, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 import soxr
@@ -348,7 +348,7 @@ class SoundBlock:
 
 
 class SoundStream:
-    """Decodes, measures, resamples and stamps a stream of one format.
+    """Decodes, selects channels, measures, resamples and stamps a stream of one format.
 
     Parameters
     ----------
@@ -360,6 +360,11 @@ class SoundStream:
     quality : str
         Of the resampler (soxr). HQ keeps sound up to 7.3 kHz and delays it by 37 ms at 48 kHz, LQ 5.8 kHz and 20 ms.
         The stamps account for the delay. A stream of 16 kHz is not resampled.
+    channels : sequence of int
+        Numbers of the channels to use, from 0, in the order of the samples that come out; -1: all. All are used where
+        the stream lacks one of them, and problem() says so.
+    is_array : bool
+        The channels are microphones of an array: problem() names those that are copies.
 
     Attributes
     ----------
@@ -369,12 +374,15 @@ class SoundStream:
         s, their total duration.
     """
 
-    def __init__(self, form: SoundFormat, tolerance: float = 0.08, latency: float = 0.0, quality: str = "HQ") -> None:
+    def __init__(self, form: SoundFormat, tolerance: float = 0.08, latency: float = 0.0, quality: str = "HQ",
+                 channels: Sequence[int] = (-1,), is_array: bool = False) -> None:
         self.form = form
         self._latency = latency
         self._quality = quality
         self._clock = SampleClock(tolerance)
-        self._level = SoundLevel(form.sample_rate, form.channels)
+        self._missing = [number for number in channels if number >= form.channels]
+        self._used = list(range(form.channels)) if self._missing or min(channels, default=-1) < 0 else list(channels)
+        self._level = SoundLevel(form.sample_rate, len(self._used), self._used, form.channels, is_array)
         self._taken = 0
         self._skipped = 0.0
         self._overrun = 0.0
@@ -402,6 +410,8 @@ class SoundStream:
         samples = decode(data, self.form)
         if not len(samples):
             return []
+        if len(self._used) != self.form.channels or self._used != sorted(self._used):
+            samples = samples[:, self._used]
         self._level.add(samples)
         start = self._stream_time()
         self._taken += len(samples)
@@ -434,6 +444,10 @@ class SoundStream:
             hint = "set ~sample_rate (or the AudioInfo) to {}".format(usual) if is_near else \
                 "is ~sample_rate (or the AudioInfo), ~channels or ~sample_format right, or is sound lost on its way?"
             return "{:.0f} samples a second come instead of {}: {}".format(came, self.form.sample_rate, hint)
+        if self._missing:
+            return "~microphone_channels names channel {}, and the sound has {} channel{} (from 0 on): all are used; " \
+                   "is it the right device, and its firmware?".format(
+                       self._missing[0], self.form.channels, "" if self.form.channels == 1 else "s")
         return self._level.problem()
 
     def values(self) -> Dict[str, object]:
@@ -452,7 +466,7 @@ class SoundStream:
     def _new_resampler(self) -> Optional[soxr.ResampleStream]:
         if self.form.sample_rate == RATE:
             return None
-        return soxr.ResampleStream(self.form.sample_rate, RATE, self.form.channels, dtype="float32",
+        return soxr.ResampleStream(self.form.sample_rate, RATE, len(self._used), dtype="float32",
                                    quality=self._quality)
 
     def _resample(self, samples: np.ndarray, last: bool = False) -> np.ndarray:
@@ -464,7 +478,7 @@ class SoundStream:
         """Return the sound before a gap that the resampler still holds, and restart the resampler."""
         if self._resampler is None:
             return []
-        tail = self._resample(np.zeros((0, self.form.channels), np.float32), last=True)
+        tail = self._resample(np.zeros((0, len(self._used)), np.float32), last=True)
         blocks = self._blocks(tail, offset, 0.0)
         self._resampler = self._new_resampler()
         return blocks

@@ -96,10 +96,11 @@ class FileSource(SoundSource):
         """Open the next file that can be read; False at the end."""
         while self._paths:
             if self._next >= len(self._paths):
+                if not self._settings.loop:
+                    self.passes = 1
+                    return False
                 self._next = 0
                 self.passes += 1
-                if not self._settings.loop:
-                    return False
             path = self._paths[self._next]
             try:
                 self._file = _OpenFile(path, self.rate, self.channels, self._settings)
