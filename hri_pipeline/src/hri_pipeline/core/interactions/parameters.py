@@ -60,7 +60,7 @@ _GAZE = (
     Parameter("trunk_sd", 0.35,
               "Standard deviation of the trunk's direction (body_ID), to the sides.", unit="rad", minimum=0.02,
               maximum=2.0, live=True),
-    Parameter("head_gain", 0.8,
+    Parameter("head_gain", 0.7,
               "Part of the turn from the trunk to the target that the head does; the eyes do the rest. Used where "
               "both directions are known.", minimum=0.3, maximum=1.0, live=True),
     Parameter("eyes_in_head_sd", 0.21,
@@ -86,12 +86,13 @@ _GAZE = (
               "Mean time between two changes of the target of a gaze. Longer: fewer wrong changes, later right ones.",
               unit="s",
               minimum=0.1, maximum=60.0, live=True),
-    Parameter("evidence_time", 0.08,
-              "Time after which the error of a direction is another one: images that follow each other sooner say less "
-              "than as many independent ones. Longer: for detectors whose errors last.", unit="s", minimum=0.0,
+    Parameter("evidence_time", 0.3,
+              "Time after which the error of a direction is another one, unless the direction is seen to tremble: "
+              "images that follow each other sooner say less than as many independent ones. Longer: for detectors "
+              "whose errors last.", unit="s", minimum=0.0,
               maximum=5.0, live=True),
-    Parameter("gaze_on", 0.45, "Probability from which a gaze begins.", minimum=0.05, maximum=0.99, live=True),
-    Parameter("gaze_off", 0.33, "Probability below which a gaze ends; below gaze_on, so that it does not flicker.",
+    Parameter("gaze_on", 0.5, "Probability from which a gaze begins.", minimum=0.05, maximum=0.99, live=True),
+    Parameter("gaze_off", 0.4, "Probability below which a gaze ends; below gaze_on, so that it does not flicker.",
               minimum=0.01,
               maximum=0.99, live=True),
     Parameter("gaze_hold", 0.3,
