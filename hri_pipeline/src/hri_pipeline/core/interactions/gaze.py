@@ -141,6 +141,9 @@ _LEAST_VISIBLE = 0.02
 _HEAD_BESIDE_EYES = 0.64
 """How much the head's direction counts beside that of the eyes: its error stays the same as long as somebody looks at
 one target."""
+_FADE_S = 0.7
+"""Time constant (s) with which what an error that lasts has said is forgotten: looks last 1 to 3 s (Argyle and Cook,
+Gaze and mutual gaze, 1976)."""
 _UNSEEN_TRUNK_SD = 0.7
 """Standard deviation (rad) of a trunk that is not seen from the direction to the robot: of whom a camera sees a face
 and no body, the body is mostly towards it."""
@@ -257,7 +260,7 @@ def evidence(lines: SightLines, settings: SimpleNamespace) -> Tuple[np.ndarray, 
         facing = _facing(lines.trunks, lines.units, squares[:, 3:] + settings.trunk_target_sd ** 2 + extents[0])
         ratios = np.where(by_trunk[:, None], facing, ratios)
     # A trunk that points elsewhere than the eyes does so as long as the person looks there.
-    times = np.where(by_eyes | by_head, settings.evidence_time, np.where(by_trunk, settings.dwell_time, np.inf))
+    times = np.where(by_eyes | by_head, settings.evidence_time, np.where(by_trunk, _FADE_S, np.inf))
     return np.where(lines.possible, ratios, _NEVER), times
 
 
@@ -377,9 +380,6 @@ class ErrorRenewal:
         self._ids = list(ids)
 
 
-_FADE_S = 0.7
-"""Time constant (s) with which what an error that lasts has said is forgotten: looks last 1 to 3 s (Argyle and Cook,
-Gaze and mutual gaze, 1976)."""
 _MOST_DT = 1.0
 """Longest step (s) between two updates; after a longer gap nothing more is known than after this."""
 _NOBODY = -1

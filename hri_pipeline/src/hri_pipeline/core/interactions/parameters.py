@@ -91,8 +91,8 @@ _GAZE = (
               "images that follow each other sooner say less than as many independent ones. Longer: for detectors "
               "whose errors last.", unit="s", minimum=0.0,
               maximum=5.0, live=True),
-    Parameter("gaze_on", 0.5, "Probability from which a gaze begins.", minimum=0.05, maximum=0.99, live=True),
-    Parameter("gaze_off", 0.4, "Probability below which a gaze ends; below gaze_on, so that it does not flicker.",
+    Parameter("gaze_on", 0.6, "Probability from which a gaze begins.", minimum=0.05, maximum=0.99, live=True),
+    Parameter("gaze_off", 0.5, "Probability below which a gaze ends; below gaze_on, so that it does not flicker.",
               minimum=0.01,
               maximum=0.99, live=True),
     Parameter("gaze_hold", 0.3,
