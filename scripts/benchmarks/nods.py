@@ -6,10 +6,10 @@ and then while they do one of the former. What they do is drawn for each head an
 - pose noise: standard deviations of 0.4 (yaw) and 0.3 degrees (pitch), correlation 0.4 from image to image: somewhat
   more than of 12 faces of 60 to 310 px on photographs that were moved and made noisy (0.2 to 0.4, 0.1 to 0.26; 0.4);
 - sway of people who sit or stand: 1 degree, below 0.5 Hz;
-- looks: other directions 5 to 60 degrees to the side and up to 20 up or down, each 0.4 to 3 s, in 0.2 to 0.5 s (Fuller, J.
+- looks: other directions up to 45 degrees to the side, 20 down and 12 up, each 0.4 to 3 s, in 0.2 to 0.5 s (Fuller, J.
   Vestibular Res. 2, 1992), often to and fro between two;
-- speech: movements of 0.7 to 3 degrees (standard deviation) in both axes between 0.3 and 4 Hz (Hadar, Steiner, Clifford Rose, Human Movement
-  Science 2, 1983), and 1 degree more of pitch from the jaw;
+- speech: movements of 0.7 to 3 degrees (standard deviation) in both axes between 0.3 and 4 Hz (Hadar, Steiner, Clifford
+  Rose, Human Movement Science 2, 1983), and 1 degree more of pitch from the jaw;
 - steps: pitch of 2 to 5 degrees from peak to peak at 1.6 to 2.2 Hz, half of it in yaw at half the frequency
   (Hirasaki et al., Exp. Brain Res. 127, 1999), towards or away from the camera at 0.5 to 1.4 m/s;
 - gestures: 2 to 5 cycles of 1.2 to 3 Hz, from peak to peak 6 to 25 (nods) or 8 to 35 degrees (shakes), which grow
