@@ -7,10 +7,10 @@ heads fails one of these: a look at something else leads away and stays there, s
 unequally, and steps let it pitch by less than a nod does.
 
 Figures of the movements: U. Hadar, T. J. Steiner, F. Clifford Rose, "Head movement during listening turns in
-conversation", J. Nonverbal Behavior 9, 1985 (nods and shakes: symmetrical and cyclic, mostly 1 to 4 Hz), and "Kinematics
-of head movements accompanying speech during conversation", Human Movement Science 2, 1983; E. Hirasaki et al., "Effects
-of walking velocity on vertical head and body movements during locomotion", Exp. Brain Res. 127, 1999 (pitch of some 4
-degrees from peak to peak at the frequency of the steps).
+conversation", J. Nonverbal Behavior 9, 1985 (nods and shakes: symmetrical and cyclic, mostly 1 to 4 Hz), and
+"Kinematics of head movements accompanying speech during conversation", Human Movement Science 2, 1983; E. Hirasaki et
+al., "Effects of walking velocity on vertical head and body movements during locomotion", Exp. Brain Res. 127, 1999
+(pitch of some 4 degrees from peak to peak at the frequency of the steps).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ LEAST_SWINGS, SMALL_SWING, LEAST_SMALL_SWINGS = 3, math.radians(8.0), 4
 SHORTEST_S, LONGEST_S = 0.07, 0.65
 """Time (s) of one swing: half a period of 7 and of 0.8 Hz."""
 UNLIKE, UNEVEN = 0.45, 0.4
-"""Least ratio of the lengths, and of the times, of two swings that follow each other; largest way from the first turning point to the
-last, beyond one swing, in mean swings."""
+"""Least ratio of the lengths, and of the times, of two swings that follow each other; largest way from the first
+turning point to the last, beyond one swing, in mean swings."""
 IMAGE_S = 0.12
 """Time (s) by which that of a swing may be wrong: the turning points lie in one image or the next."""
 OTHER_AXIS = 0.4

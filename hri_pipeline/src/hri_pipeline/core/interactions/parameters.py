@@ -92,8 +92,9 @@ class GazeSettings(Settings):
         1.3, "Mean time between two changes of the target of a gaze. Longer: fewer wrong changes, later right ones.",
         unit="s", minimum=0.1, maximum=60.0, live=True)
     evidence_time: float = parameter(
-        0.3, "Time after which the error of a direction is another one, unless the direction is seen to tremble: images "
-        "that follow each other sooner say less than as many independent ones. Longer: for detectors whose errors last.", unit="s", minimum=0.0,
+        0.3, "Time after which the error of a direction is another one, unless the direction is seen to tremble: "
+        "images that follow each other sooner say less than as many independent ones. Longer: for detectors whose "
+        "errors last.", unit="s", minimum=0.0,
         maximum=5.0, live=True)
     gaze_on: float = parameter(0.6, "Probability from which a gaze begins.", minimum=0.05, maximum=0.99, live=True)
     gaze_off: float = parameter(
