@@ -31,10 +31,10 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.sparse.csgraph import connected_components
 from scipy.special import log_ndtr
 
-from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.interactions.parameters import GroupSettings
 from hri_pipeline.core.interactions.people import ROBOT, GazeTarget, PeopleSnapshot
+from hri_pipeline.core.tracks import assign
 
 _JUMP_BACK_S = 0.5
 _STAMP_S = 1e-3         # stamps that are nearer to each other are taken for the same
