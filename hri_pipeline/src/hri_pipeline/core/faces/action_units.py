@@ -136,7 +136,8 @@ ACTION_UNITS: Tuple[ActionUnit, ...] = (
     ActionUnit(28, "lip suck", (("upper_thickness", -1.0), ("lower_thickness", -1.0)), 0.13, 0.22, (25,), 0.5,
                "red of the lips drawn into the mouth"),
 )
-"""Units that are such sums. 43 and 45, 51 to 58, 61 to 64, 70 to 73, 84 and 85 have rules of their own in `action_units`."""
+"""Units that are such sums. 43 and 45, 51 to 58, 61 to 64, 70 to 73, 84 and 85 have rules of their own in
+`action_units`."""
 
 
 SLOTS = 99
