@@ -33,6 +33,7 @@ from scipy.spatial.transform import Rotation
 from hri_pipeline.core.frames import RawTransform
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.interactions.gaze import ROBOT, GazeTargets
+from hri_pipeline.core.interactions.groups import GroupTracker, group_numbers, individuals_of
 from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
 from hri_pipeline.core.interactions.people import PeopleSnapshot, PeopleTf, gather
 
@@ -301,9 +302,13 @@ def figures(counts: Sequence[int] = (4, 8, 12), seconds: float = 30.0, seeds: Se
     hidden = np.zeros(3)
     for count in counts:
         for seed in seeds:
-            targets = GazeTargets(INTERACTION_PARAMETERS.resolve({}))
+            settings = INTERACTION_PARAMETERS.resolve({})
+            targets, groups = GazeTargets(settings), GroupTracker(settings, seed=0)
             face_at: Dict[str, float] = {}
             for image in images(count, seed, seconds):
+                # As the node does it: who stands together, then who looks at whom.
+                together = groups.update(individuals_of(image.people, settings.group_head_sd), image.stamp)
+                image.people.groups = group_numbers(image.people.ids, together)
                 found = {gaze.sender: gaze.receiver for gaze in targets.update(image.people, _CAMERA, image.stamp)}
                 face_at.update((sender, image.stamp) for sender in image.faces)
                 for sender in set(found) | set(image.gazes):

@@ -32,7 +32,7 @@ LINE = "demo/x.jpg\t0\t0.25\t0.5\t{}\n"
 
 def test_the_labels_agree_with_those_of_the_eyes() -> None:
     gazes = labelled_gazes()
-    assert len(gazes) == 30
+    assert len(gazes) == 48
     eyes = {(eye.file, eye.frame): [] for eye in labelled_eyes()}
     for eye in labelled_eyes():
         eyes[eye.file, eye.frame].append(eye)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Dict, Iterable, List, Sequence
 
 import numpy as np
@@ -18,9 +19,12 @@ from hri_pipeline.core.interactions.groups import (
     Individual,
     find_formations,
     fuse_directions,
+    group_numbers,
+    individuals_of,
     o_spaces,
 )
 from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS, InteractionSettings
+from hri_pipeline.core.interactions.people import GazeTarget, Observer, PeopleSnapshot
 
 SETTINGS = INTERACTION_PARAMETERS.resolve({})
 
@@ -150,6 +154,8 @@ def test_one_setting_reaches_the_figures_on_all_scenes() -> None:
     assert found["Synth"] >= 0.90
     assert found["CoffeeBreak_noisy"] >= 0.78
     assert found["simulated"] >= 0.95
+    assert found["radii"] >= 0.89
+    assert found["walkers"] >= 0.88
 
 
 def test_time_makes_groups_better_and_ids_steady() -> None:
@@ -259,6 +265,17 @@ def test_people_who_walk_side_by_side_are_a_group() -> None:
     assert set(found) == {("a", "b")}
 
 
+def test_three_who_walk_abreast_are_a_group_and_who_overtakes_them_is_not() -> None:
+    film = Film()
+    found = {}
+    for index in range(60):
+        x = 0.12 * index
+        people = [Individual(name, np.array([x, 0.8 * row]), 0.0) for row, name in enumerate("abc")]
+        people += [Individual("d", np.array([1.5 * x - 2.0, 2.5]), 0.0)]
+        found = film.run(people, STEP)
+    assert set(found) == {("a", "b", "c")}
+
+
 def test_where_a_group_splits_the_larger_part_has_the_id() -> None:
     film = Film()
     whole = film.run(standing("abcde", radius=0.8), 5.0)
@@ -302,6 +319,31 @@ def test_the_robot_may_be_a_member() -> None:
     film = Film()
     people = standing(["a", "b"]) + standing(["c", "d", ROBOT], x=8.0)
     assert set(film.run(people, 5.0)) == {("a", "b"), (ROBOT, "c", "d")}
+
+
+def test_the_robot_is_in_a_group_only_where_somebody_of_it_looks_at_it() -> None:
+    film = Film()
+
+    def people(watcher: str) -> List[Individual]:
+        return [replace(person, looks_at_robot=None if person.id == ROBOT else person.id == watcher)
+                for person in standing(["a", "b"], x=8.0) + standing(["c", "d", ROBOT])]
+
+    first = film.run(people("a"), 5.0)
+    assert set(first) == {("a", "b"), ("c", "d")}
+    assert film.run(people("d"), 3.0) == {("a", "b"): first["a", "b"], (ROBOT, "c", "d"): first["c", "d"]}
+    assert set(film.run(people(""), 3.0)) == {(ROBOT, "c", "d"), ("a", "b")}, "a look elsewhere ends nothing"
+    assert set(film.run(people(""), 6.0)) == {("c", "d"), ("a", "b")}
+
+
+def test_people_are_taken_as_they_are_seen_and_numbered_by_their_group() -> None:
+    people = PeopleSnapshot.of([Observer("a", np.array([1.0, 2.0, 1.6]), body_direction=np.array([0.0, 1.0, 0.0])),
+                                Observer("b", np.array([0.0, 0.0, 1.6]))])
+    first, second = individuals_of(people, 0.6, [GazeTarget("b", ROBOT, 0.9), GazeTarget("a", "b", 0.9)])
+    assert first.direction == pytest.approx(math.pi / 2.0) and second.direction is None
+    assert (first.looks_at_robot, second.looks_at_robot) == (False, True)
+    assert individuals_of(people, 0.6)[0].looks_at_robot is None
+    groups = [Group("x", ("b", "c"), 1.0, np.zeros(2))]
+    assert group_numbers(["a", "b", "c"], groups).tolist() == [-1, 0, 0]
 
 
 def test_a_group_of_one_is_none_and_a_group_of_the_robot_alone_neither() -> None:

@@ -203,7 +203,7 @@ def test_people_look_rather_at_who_speaks_and_at_who_looks_at_them():
     between = towards(room.places["ann"], 0.5 * (room.places["bob"] + room.places["cho"]))
 
     def told(speaker, looks):
-        targets = GazeTargets(INTERACTION_PARAMETERS.resolve({}))
+        targets = GazeTargets(INTERACTION_PARAMETERS.resolve({"gaze_on": 0.5, "gaze_off": 0.4}))
         people = [room.person("ann", gaze_direction=between, eyes_closed=0.0),
                   *(room.person(name, "ann" if name == looks else None) for name in ("bob", "cho"))]
         for index in range(30):
@@ -214,6 +214,38 @@ def test_people_look_rather_at_who_speaks_and_at_who_looks_at_them():
 
     assert [told(name, None) for name in ("bob", "cho")] == ["bob", "cho"]
     assert [told(None, name) for name in ("bob", "cho")] == ["bob", "cho"]
+
+
+def test_errors_that_last_do_not_add_up_to_certainty_and_those_that_tremble_do():
+    room = Room()
+    room.places.update(bob=np.array([3.5, -1.3, 1.6]), cho=np.array([3.5, -0.7, 1.6]))
+    nearer = towards(room.places["ann"], 0.4 * room.places["bob"] + 0.6 * room.places["cho"])
+
+    def confidence(sd, seconds=10.0):
+        targets, random = GazeTargets(INTERACTION_PARAMETERS.resolve({})), np.random.RandomState(1)
+        for index in range(int(seconds * RATE)):
+            gaze = nearer + np.append(random.normal(0.0, sd, 2), 0.0)
+            people = [room.person("ann", gaze_direction=gaze / np.linalg.norm(gaze), eyes_closed=0.0),
+                      room.person("bob"), room.person("cho")]
+            found = {gaze.sender: gaze for gaze in targets.update(people, None, 1.0 + index / RATE)}
+        return found["ann"].confidence if "ann" in found else 0.0
+
+    assert confidence(0.0) < 0.75, "somebody else is nearly as likely, however long it lasts"
+    assert confidence(0.14) > 0.9
+
+
+def test_people_look_rather_at_those_of_their_group():
+    room = Room()
+    room.places.update(bob=np.array([3.5, -1.3, 1.6]), cho=np.array([3.5, -0.7, 1.6]))
+    between = towards(room.places["ann"], 0.5 * (room.places["bob"] + room.places["cho"]))
+    people = [room.person("ann", gaze_direction=between, eyes_closed=0.0), room.person("bob"), room.person("cho")]
+    for groups, wanted in (([0, 0, -1], {"ann": "bob"}), ([1, 0, 1], {"ann": "cho"}), ([-1, 0, 0], {})):
+        targets = GazeTargets(INTERACTION_PARAMETERS.resolve({}))
+        for index in range(30):
+            snapshot = PeopleSnapshot.of(people)
+            snapshot.groups = np.array(groups)
+            found = targets.update(snapshot, None, 1.0 + index / RATE)
+        assert {gaze.sender: gaze.receiver for gaze in found} == wanted
 
 
 def test_a_head_that_is_turned_half_the_way_looks_at_the_only_one_there():

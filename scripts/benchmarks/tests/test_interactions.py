@@ -9,7 +9,7 @@ from benchmarks import interactions
 
 ASKED = {"gaze_3", "gaze_6", "gaze_without_closed_eyes_rule", "groups_f1", "cpu_percent_10", "cpu_percent_30",
          "photographs", "gaze_real", "eyes", "gaze_independent", "gaze_no_face",
-         "engagement", "crowd"}
+         "engagement", "nod", "shake", "crowd"}
 MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3], "versions": {}}
 
 
@@ -34,16 +34,18 @@ def test_what_was_not_measured_is_null_with_its_reason() -> None:
 
 def test_the_table_tells_what_falls_short() -> None:
     good = {"precision": 0.95, "recall": 0.91, "closed_gazes": 0}
+    groups = {"CoffeeBreak": 0.87, "Synth": 0.95, "CoffeeBreak_noisy": 0.81, "radii": 0.94, "walkers": 0.88}
     found = lines({
         "gaze_3": good, "gaze_6": dict(good, recall=0.89), "cpu_percent_10": 2.9, "cpu_percent_30": 10.1,
-        "groups_f1": {"CoffeeBreak": 0.86, "Synth": 0.95, "CoffeeBreak_noisy": 0.81},
+        "groups_f1": groups, "nod": {"precision": 0.9, "recall": 0.9}, "shake": {"precision": 0.9, "recall": 0.89},
         "engagement": {"illegal": 1, "levels": ["engaged"]}, "crowd": {"rss_mb": 0.5, "new_ids": 0}})
     assert {key: " NO " in found[key] for key in (
-        "gaze_3", "gaze_6", "cpu_percent_10", "cpu_percent_30", "groups_f1", "engagement", "crowd")} == {
+        "gaze_3", "gaze_6", "cpu_percent_10", "cpu_percent_30", "groups_f1", "engagement", "crowd", "nod",
+        "shake")} == {
         "gaze_3": False, "gaze_6": True, "cpu_percent_10": False, "cpu_percent_30": True, "groups_f1": False,
-        "engagement": True, "crowd": False}
+        "engagement": True, "crowd": False, "nod": False, "shake": True}
     assert " NO " in lines({"gaze_3": dict(good, closed_gazes=1)})["gaze_3"]
-    assert " NO " in lines({"groups_f1": {"CoffeeBreak": 0.86, "Synth": 0.89, "CoffeeBreak_noisy": 0.81}})["groups_f1"]
+    assert " NO " in lines({"groups_f1": dict(groups, walkers=0.87)})["groups_f1"]
 
 
 def test_independent_figures_are_asked_for_by_number_of_people() -> None:

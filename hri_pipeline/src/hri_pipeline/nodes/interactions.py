@@ -17,7 +17,14 @@ from hri_msgs.msg import EngagementLevel, Gaze, GazesStamped
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.interactions.engagement import EngagementEstimator, Level
 from hri_pipeline.core.interactions.gaze import GazeTargets
-from hri_pipeline.core.interactions.groups import Group, GroupTracker, Individual, fuse_directions
+from hri_pipeline.core.interactions.groups import (
+    Group,
+    GroupTracker,
+    Individual,
+    bearing,
+    group_numbers,
+    individuals_of,
+)
 from hri_pipeline.core.interactions.parameters import InteractionSettings
 from hri_pipeline.core.interactions.people import ROBOT, GazeTarget, PeopleSnapshot
 from hri_pipeline.core.parameters import ParameterError
@@ -75,6 +82,7 @@ class InteractionsNode:
         self._frame_name = ""
         self._grouped_at = -math.inf
         self._latest_groups: List[Group] = []
+        self._latest_gazes: List[GazeTarget] = []
         self._published_groups: Optional[Sequence[Group]] = None
         self._times = StageTimes()
         self._markers = InteractionMarkers()
@@ -146,10 +154,11 @@ class InteractionsNode:
         people, robot = found.people, self._frame.robot
         place = robot.position if robot is not None else None
         seconds = found.stamp.to_sec()
-        with self._times("gaze"):
-            gazes = self._gazes.update(people, place, seconds)
         with self._times("groups"):
             groups = self._group(people, robot, seconds)
+        with self._times("gaze"):
+            people.groups = group_numbers(people.ids, groups)
+            gazes = self._latest_gazes = self._gazes.update(people, place, seconds)
         heading = robot.heading if robot is not None else None
         levels = self._engagement.update(people, gazes, place, seconds, heading, found.unplaced)
         with self._times("publish"):
@@ -190,20 +199,11 @@ class InteractionsNode:
         """Return the groups; the tracker uses its input once in group_period only."""
         if not 0.0 <= seconds - self._grouped_at < self._settings.group_period - _SLACK_S:
             self._grouped_at = seconds
-            self._latest_groups = self._groups.update(self._individuals(people, robot), seconds)
+            individuals = individuals_of(people, self._settings.group_head_sd, self._latest_gazes)
+            if robot is not None and self._settings.groups_with_robot:
+                individuals.append(Individual(ROBOT, robot.position[:2], bearing(robot.heading), 0.05, 0.1))
+            self._latest_groups = self._groups.update(individuals, seconds)
         return self._latest_groups
-
-    def _individuals(self, people: PeopleSnapshot, robot: Optional[RobotPose]) -> List[Individual]:
-        found = []
-        for identity, place, trunk, face, (place_sd, face_sd, _, trunk_sd) in zip(
-                people.ids, people.heads[:, :2], people.trunks.tolist(), people.faces.tolist(),
-                people.deviations.tolist()):
-            direction, sd = fuse_directions(_bearing(trunk), trunk_sd, _bearing(face), face_sd,
-                                            self._settings.group_head_sd)
-            found.append(Individual(identity, place, direction, place_sd, sd))
-        if robot is not None and self._settings.groups_with_robot:
-            found.append(Individual(ROBOT, robot.position[:2], _bearing(robot.heading), 0.05, 0.1))
-        return found
 
     def _watch_clock(self) -> None:
         """Begin anew when time has gone back: the clock (a bag that loops), or the stamps alone."""
@@ -221,7 +221,7 @@ class InteractionsNode:
     def _forget(self) -> None:
         self._gazes.reset()
         self._groups.reset()
-        self._grouped_at, self._latest_groups = -math.inf, []
+        self._grouped_at, self._latest_groups, self._latest_gazes = -math.inf, [], []
         self._engagement.reset()
 
 
@@ -235,12 +235,6 @@ def moved_markers(markers: MarkerArray, pose: Pose) -> MarkerArray:
         place.x, place.y, place.z = after.translation.tolist()
         turn.x, turn.y, turn.z, turn.w = after.quaternion
     return markers
-
-
-def _bearing(direction: Sequence[float]) -> Optional[float]:
-    """Bearing (rad) of a direction (3,) in the horizontal plane; None where it has none, or is not known (NaN)."""
-    x, y = direction[0], direction[1]
-    return math.atan2(y, x) if math.hypot(x, y) >= 0.2 else None
 
 
 NAMESPACE = "/humans/interactions"

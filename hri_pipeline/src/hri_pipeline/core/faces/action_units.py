@@ -24,6 +24,7 @@ from typing import Dict, Optional, Sequence, Tuple
 
 import numpy as np
 
+from hri_pipeline.core.faces.head_gestures import HeadGestures
 from hri_pipeline.core.faces.mesh import MESH_POINTS, CanonicalFace
 from hri_pipeline.core.geometry import Pose
 
@@ -135,13 +136,15 @@ ACTION_UNITS: Tuple[ActionUnit, ...] = (
     ActionUnit(28, "lip suck", (("upper_thickness", -1.0), ("lower_thickness", -1.0)), 0.13, 0.22, (25,), 0.5,
                "red of the lips drawn into the mouth"),
 )
-"""Units that are such sums. 43 and 45, 51 to 58, 61 to 64 and 70 to 73 have rules of their own in `action_units`."""
+"""Units that are such sums. 43 and 45, 51 to 58, 61 to 64, 70 to 73, 84 and 85 have rules of their own in
+`action_units`."""
 
 
 SLOTS = 99
 BLINK, EYES_CLOSED = 45, 43
 LONGEST_BLINK = 0.5
 """Time (s) from which closed eyes are no blink (45) only but closed eyes (43) too."""
+HEAD_SHAKE, HEAD_NOD = 84, 85
 EYE_CODES = (61, 62, 63, 64)
 HIDDEN_CODES = (70, 71, 72, 73)
 
@@ -219,6 +222,7 @@ class ActionUnitEstimator:
         self._closed_since: Optional[float] = None
         self._loud_since: Optional[float] = None
         self._mean_distance: Optional[float] = None
+        self._gestures = HeadGestures()
 
     def update(self, mesh: np.ndarray, pose: Optional[Pose], stamp: float, presence: float = 1.0,
                image_size: Optional[Tuple[int, int]] = None, eyes_closed: Optional[float] = None) -> ActionUnits:
@@ -229,8 +233,8 @@ class ActionUnitEstimator:
         mesh
             (478, 3) px. A mesh that is not finite is a face that cannot be seen.
         pose
-            Face frame in the optical frame. None: the rotation of the mesh is used for the head's codes, and 57 and 58
-            are not known.
+            Face frame in the optical frame. None: the rotation of the mesh is used for the head's codes, and 57, 58,
+            84 and 85 are not known.
         stamp
             Time of the image, s.
         presence
@@ -261,7 +265,7 @@ class ActionUnitEstimator:
         self._eyelids(face, intensity, confidence, overall, stamp, eyes_closed)
         self._muscles(offset, seen, intensity, confidence, overall)
         self._irises(offset, seen, face, intensity, confidence, overall)
-        self._head(pose, face, elapsed, intensity, confidence, min(float(presence), 1.0))
+        self._head(pose, face, stamp, elapsed, intensity, confidence, min(float(presence), 1.0))
         _hidden(seen, intensity, confidence, overall > 0.0)
         if overall > 0.5 and self._is_quiet(face, intensity, stamp):
             self._neutral.add(face.values.ravel(), stamp)
@@ -270,6 +274,7 @@ class ActionUnitEstimator:
     def reset(self) -> None:
         """Forget the person's neutral and the past."""
         self._neutral.reset()
+        self._gestures.reset()
         self._last = -np.inf
         self._closed_since = self._loud_since = self._mean_distance = None
 
@@ -330,9 +335,10 @@ class ActionUnitEstimator:
         opened = 1.0 - intensity[BLINK]
         confidence[list(EYE_CODES)] = overall * size * opened * visible if visible >= _HIDDEN else 0.0
 
-    def _head(self, pose: Optional[Pose], face: MeasuredFace, elapsed: float, intensity: np.ndarray,
+    def _head(self, pose: Optional[Pose], face: MeasuredFace, stamp: float, elapsed: float, intensity: np.ndarray,
               confidence: np.ndarray, presence: float) -> None:
-        """51 to 56 from the turn against the line of sight, 57 and 58 from the distance against its running mean."""
+        """51 to 56 from the turn against the line of sight, 57 and 58 from the distance against its running mean, 84
+        and 85 from the turn over time."""
         rotation, place = face.rotation @ self._measures.frame_rotation, np.array([0.0, 0.0, 1.0])
         if pose is not None and np.isfinite(pose.rotation).all() and np.linalg.norm(pose.translation) > 1e-6:
             rotation, place = pose.rotation, pose.translation
@@ -347,6 +353,9 @@ class ActionUnitEstimator:
         if pose is None:
             return
         distance = float(np.linalg.norm(place))
+        gesture = self._gestures.update(float(angles[0]), float(angles[1]), distance, stamp)
+        intensity[HEAD_SHAKE], intensity[HEAD_NOD] = gesture.shake, gesture.nod
+        confidence[[HEAD_SHAKE, HEAD_NOD]] = presence * size
         if self._mean_distance is None:
             self._mean_distance = distance
         nearer = self._mean_distance - distance

@@ -41,6 +41,7 @@ class GazeTargets:
     def __init__(self, settings: GazeSettings) -> None:
         self._settings = settings
         self._filter = GazeTargetFilter(settings)
+        self._renewal = ErrorRenewal()
         self._stamp: Optional[float] = None
         self._closed_at: Dict[str, float] = {}
         self._open_at: Dict[str, float] = {}
@@ -56,6 +57,7 @@ class GazeTargets:
     def reset(self) -> None:
         """Forget everything, as after a time jump."""
         self._filter.reset()
+        self._renewal.reset()
         self._closed_at.clear()
         self._open_at.clear()
         self._weighed = []
@@ -87,8 +89,8 @@ class GazeTargets:
         ratios, times = evidence(lines, self._settings)
         ids = people.ids
         closed = self._closed(people, stamp)
-        weights = self._weights(lines, ids, stamp) * self._filter.attention(ids, people.speaking)
-        looked_at = self._filter.update(ids, weights, ratios, times, closed, dt,
+        weights = self._weights(lines, ids, stamp) * self._filter.attention(ids, people.speaking, people.groups)
+        looked_at = self._filter.update(ids, weights, ratios, self._renewal.update(people, times, dt), closed, dt,
                                         closed & self._blinking(people, closed, stamp))
         names = ids + [ROBOT]
         return [GazeTarget(ids[sender], names[target], self._filter.probability(sender, target))
@@ -143,6 +145,9 @@ _LEAST_VISIBLE = 0.02
 _HEAD_BESIDE_EYES = 0.64
 """How much the head's direction counts beside that of the eyes: its error stays the same as long as somebody looks at
 one target."""
+_FADE_S = 0.7
+"""Time constant (s) with which what an error that lasts has said is forgotten: looks last 1 to 3 s (Argyle and Cook,
+Gaze and mutual gaze, 1976)."""
 _UNSEEN_TRUNK_SD = 0.7
 """Standard deviation (rad) of a trunk that is not seen from the direction to the robot: of whom a camera sees a face
 and no body, the body is mostly towards it."""
@@ -160,6 +165,9 @@ class GazePriors:
     SPEAKING = 3.0
     """Somebody who is heard. Among four, people looked seven times as much at the one to whom they listened as at
     others (Vertegaal, Slagter, van der Veer, Nijholt, CHI 2001); less here, as a voice may be another one's."""
+    APART = 1.0 / 7.0
+    """Somebody who is not of the observer's own group, for those who stand in one: as much as those to whom nobody
+    listens, in the same study."""
     MUTUAL = 1.5
     """Somebody who looks at the observer. In the same study who speaks looks three times as much at whom he speaks to
     as at others, and is looked at seven times as much: looks are returned, also where no voice is heard. Only a part of
@@ -256,7 +264,7 @@ def evidence(lines: SightLines, settings: GazeSettings) -> Tuple[np.ndarray, np.
         facing = _facing(lines.trunks, lines.units, squares[:, 3:] + settings.trunk_target_sd ** 2 + extents[0])
         ratios = np.where(by_trunk[:, None], facing, ratios)
     # A trunk that points elsewhere than the eyes does so as long as the person looks there.
-    times = np.where(by_eyes | by_head, settings.evidence_time, np.where(by_trunk, settings.dwell_time, np.inf))
+    times = np.where(by_eyes | by_head, settings.evidence_time, np.where(by_trunk, _FADE_S, np.inf))
     return np.where(lines.possible, ratios, _NEVER), times
 
 
@@ -329,9 +337,56 @@ def _head_for(units: np.ndarray, trunks: np.ndarray, settings: GazeSettings
     return turned, sides + (_HEAD_GAIN_SD * turns) ** 2, up
 
 
+_CALM, _RENEWAL_S = 0.7, 3.0
+"""Squared steps of a direction count up to this part of their variance, so that looks which go elsewhere do not pass
+for trembling; time constant (s) of their mean."""
+
+
+class ErrorRenewal:
+    """Which share of the error of everybody's direction is a new one in each image, 0 to 1.
+
+    Networks err by the face, the pose and the light, and so in one image as in the next. How long an error lasts shows
+    in how much a direction trembles: of an error that goes on by the factor r from image to image (a first-order
+    autoregressive one), half of the mean squared step is the share 1 - r of its variance. Images whose errors are alike
+    say no more than one of them.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everybody."""
+        self._ids: List[str] = []
+        self._directions, self._steps = np.zeros((0, 3)), np.zeros(0)
+
+    def update(self, people: PeopleSnapshot, times: np.ndarray, dt: float) -> np.ndarray:
+        """Return the shares (N,), 0 of who tells nothing; times (N,): see evidence; dt: s since the last image."""
+        self._follow(people.ids)
+        unseen = np.isnan(people.gazes[:, 0])
+        directions = np.where(unseen[:, None], people.faces, people.gazes)
+        sds = np.where(unseen, people.deviations[:, 1], people.deviations[:, 2])
+        squares = ((directions - self._directions) ** 2).sum(axis=1) / (4.0 * sds * sds)     # two axes, two images
+        gain = 1.0 - math.exp(-dt / _RENEWAL_S)
+        self._steps += np.where(np.isnan(squares), 0.0, gain * (np.minimum(squares, _CALM) - self._steps))
+        self._directions = np.where(np.isnan(directions), self._directions, directions)
+        # What the limit takes away from the mean of exponentially distributed squares, about.
+        trembling = self._steps / np.maximum(1.0 - (self._steps / _CALM) ** 2, 0.05)
+        return np.where(np.isfinite(times), np.minimum(np.maximum(trembling, dt / np.maximum(times, 1e-6)), 1.0), 0.0)
+
+    def _follow(self, ids: List[str]) -> None:
+        if ids == self._ids:
+            return
+        rows = {identity: row for row, identity in enumerate(self._ids)}
+        before = np.array([rows.get(identity, len(rows)) for identity in ids], dtype=np.int64)
+        self._directions = np.append(self._directions, [UNKNOWN], axis=0)[before]
+        self._steps = np.append(self._steps, 0.0)[before]
+        self._ids = list(ids)
+
+
 _MOST_DT = 1.0
 """Longest step (s) between two updates; after a longer gap nothing more is known than after this."""
 _NOBODY = -1
+_LEAST = 1e-300
 
 
 class GazeTargetFilter:
@@ -339,6 +394,8 @@ class GazeTargetFilter:
 
     Targets change at a rate of 1 / dwell_time, to any other one by its prior (L. R. Rabiner, Proc. IEEE 77 (1989) 257,
     for the recursion; the rates are those of a process in continuous time, so that the frame rate does not matter).
+    Errors that last would add up to certainty: as far as they do, older evidence fades (J. Q. Smith, J. R. Statist.
+    Soc. B 41 (1979) 375: a power of the belief).
     """
 
     def __init__(self, settings: GazeSettings) -> None:
@@ -357,36 +414,39 @@ class GazeTargetFilter:
         self._unseen = np.zeros(0)
         self._weights = self._latest_prior = np.zeros((0, 2))
 
-    def update(self, ids: Sequence[str], weights: np.ndarray, ratios: np.ndarray, times: np.ndarray,
+    def update(self, ids: Sequence[str], weights: np.ndarray, ratios: np.ndarray, shares: np.ndarray,
                closed: np.ndarray, dt: float, blinking: Optional[np.ndarray] = None) -> np.ndarray:
         """Take the evidence of `dt` s; return what each person looks at (N,): index of a target, -1 for nobody.
 
-        weights (N, T), ratios (N, T) and times (N,): see evidence; T = N + 1 with the robot last. closed (N,): the eyes
-        are closed, whatever else is known. blinking (N,): of those, who closed them a moment ago: what they look at
-        stays.
+        weights (N, T), ratios (N, T): see evidence; T = N + 1 with the robot last. shares (N,): see ErrorRenewal.
+        closed (N,): the eyes are closed, whatever else is known. blinking (N,): of those, who closed them a moment ago:
+        what they look at stays.
         """
         prior = self._prior(weights)
         self._follow(list(ids), prior)
         dt = min(max(dt, 0.0), _MOST_DT)
         stay = math.exp(-dt / self._settings.dwell_time)
         belief = stay * self._probabilities + (1.0 - stay) * prior
-        seen = np.isfinite(times) & ~closed
-        # Images in quick succession share what they say.
-        share = np.where(seen, np.minimum(dt / np.maximum(times, 1e-6), 1.0), 0.0)
-        scores = np.zeros(belief.shape)
-        np.multiply(ratios, share[:, None], out=scores[:, :-1])
-        belief *= np.exp(scores - scores.max(axis=1, keepdims=True))
+        seen = (shares > 0.0) & ~closed
+        kept = np.exp(-dt / _FADE_S * (1.0 - shares) * seen)[:, None]
+        scores = kept * np.log(np.maximum(belief, _LEAST)) + (1.0 - kept) * np.log(np.maximum(prior, _LEAST))
+        scores[:, :-1] += ratios * (shares * seen)[:, None]
+        belief = np.exp(scores - scores.max(axis=1, keepdims=True))
         self._probabilities = belief / np.maximum(belief.sum(axis=1, keepdims=True), 1e-300)
         held = np.zeros(len(closed), dtype=bool) if blinking is None else blinking
         self._unseen = np.where(seen, 0.0, np.where(held, self._unseen, self._unseen + dt))
         self._decide((closed & ~held) | (self._unseen > self._settings.gaze_hold))
         return self._current.copy()
 
-    def attention(self, ids: Sequence[str], speaking: Optional[np.ndarray]) -> np.ndarray:
-        """Return the factors (N, T) of GazePriors on the weights of the targets; speaking: (N,), None unknown."""
+    def attention(self, ids: Sequence[str], speaking: Optional[np.ndarray],
+                  groups: Optional[np.ndarray] = None) -> np.ndarray:
+        """Return the factors (N, T) of GazePriors on the weights of the targets; speaking: (N,), groups: (N,), see
+        PeopleSnapshot."""
         factors = np.ones((len(ids), len(ids) + 1))
         if speaking is not None:
             factors[:, :-1][:, speaking] *= GazePriors.SPEAKING
+        if groups is not None:
+            factors[:, :-1][(groups[:, None] != groups) & (groups >= 0)[:, None]] *= GazePriors.APART
         if list(ids) == self._ids:
             # How likely each one looks at the observer.
             factors[:, :-1] *= 1.0 + (GazePriors.MUTUAL - 1.0) * self._probabilities[:, :len(ids)].T

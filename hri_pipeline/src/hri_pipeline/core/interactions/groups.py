@@ -28,21 +28,32 @@ from typing import Any, Deque, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.sparse.csgraph import connected_components
 from scipy.special import log_ndtr
 
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.interactions.parameters import GroupSettings
+from hri_pipeline.core.interactions.people import ROBOT, GazeTarget, PeopleSnapshot
 from hri_pipeline.core.tracks import assign
-
-ROBOT = ""
-"""Id of the robot as a member of a group."""
 
 _JUMP_BACK_S = 0.5
 _STAMP_S = 1e-3         # stamps that are nearer to each other are taken for the same
 _OPPOSITE = math.pi / 2.0
 _MAJORITY = 0.5
 _PATH_S = 1.05           # over which a velocity is measured: three measurements at least
+_WALK_S = 2.1            # over which the velocities of those who walk are measured, which are compared more closely
+_WALKING_SPEED = 0.5
+_BESIDE, _SAME_PACE = 1.15, 0.25
+"""Who walks faster (m/s) than the first is with those who are so near (m) and whose velocity differs by so little
+(m/s), and with those who are with these. Groups walk abreast or in a V, some 0.8 m apart (M. Moussaid et al., PLoS ONE
+5(4), 2010); walkers within 2.1 m whose speeds differ by less than 0.15 m/s were taken for together by C. McPhail and R.
+T. Wohlstein (Sociol. Methods Res. 10, 1982), whose films had less noise."""
+_WALKING_CONFIDENCE = 0.8
 _APART_WEIGHT = 2.0     # a time at which people walk apart counts so much more
+_ATTENTION, _LESS_ATTENTION = 0.15, 0.05
+"""Share of the last seconds in which one member at least looks at the robot that joins a group, and that stays in
+it."""
+_LEVEL_PART = 0.2
 _STAY_BONUS = 0.1       # share of the time that speaks for those who are in one group already
 
 
@@ -51,7 +62,7 @@ class Individual:
     """Somebody who stands somewhere, seen from above, in the reference frame.
 
     position: (2,) m; direction: to which the trunk is turned, rad from the x axis towards y, None where it is not
-    known; position_sd: m; direction_sd: rad.
+    known; position_sd: m; direction_sd: rad; looks_at_robot: None where it is not known.
     """
 
     id: str
@@ -59,6 +70,33 @@ class Individual:
     direction: Optional[float] = None
     position_sd: float = 0.1
     direction_sd: float = 0.35
+    looks_at_robot: Optional[bool] = None
+
+
+def individuals_of(people: PeopleSnapshot, head_turn_sd: float, gazes: Optional[Sequence[GazeTarget]] = None
+                   ) -> List[Individual]:
+    """Return everybody as the tracker takes them. head_turn_sd: see fuse_directions; gazes: who looks at whom, None:
+    not known."""
+    watchers = None if gazes is None else {gaze.sender for gaze in gazes if gaze.receiver == ROBOT}
+    found = []
+    for identity, place, trunk, face, (place_sd, face_sd, _, trunk_sd) in zip(
+            people.ids, people.heads[:, :2], people.trunks.tolist(), people.faces.tolist(), people.deviations.tolist()):
+        direction, sd = fuse_directions(bearing(trunk), trunk_sd, bearing(face), face_sd, head_turn_sd)
+        found.append(Individual(identity, place, direction, place_sd, sd,
+                                None if watchers is None else identity in watchers))
+    return found
+
+
+def bearing(direction: Sequence[float]) -> Optional[float]:
+    """Bearing (rad) of a direction (3,) in the horizontal plane; None where it has none, or is not known (NaN)."""
+    x, y = direction[0], direction[1]
+    return math.atan2(y, x) if math.hypot(x, y) >= _LEVEL_PART else None
+
+
+def group_numbers(ids: Sequence[str], groups: Sequence[Group]) -> np.ndarray:
+    """Return (N,) the number of the group of each id, -1 for none."""
+    numbers = {member: number for number, group in enumerate(groups) for member in group.members}
+    return np.array([numbers.get(identity, -1) for identity in ids], dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -162,6 +200,7 @@ class GroupTracker:
         self._people: List[str] = []
         self._individuals: Dict[str, Individual] = {}
         self._paths: Dict[str, Deque[Tuple[float, float, float]]] = {}
+        self._attention: Dict[str, float] = {}
         self._seen = np.zeros(0)
         # Of each pair: share of the time in one formation, mean confidence in it, time that both were seen (s).
         self._shares, self._confidences, self._times = (np.zeros((0, 0)) for _ in range(3))
@@ -199,6 +238,7 @@ class GroupTracker:
         step = 0.0 if self._stamp is None else min(stamp - self._stamp, self._settings.group_hold_time)
         self._stamp = stamp
         self._follow(seen, stamp)
+        self._attend(seen, step)
         votes = self._votes()
         if seen:
             places = {person: row for row, person in enumerate(self._people)}
@@ -212,6 +252,7 @@ class GroupTracker:
         if not stays.all():
             for identity in (identity for identity, stay in zip(self._people, stays) if not stay):
                 del self._individuals[identity], self._paths[identity]
+                self._attention.pop(identity, None)
             self._people = [person for person, stay in zip(self._people, stays) if stay]
             self._seen = self._seen[stays]
             self._shares, self._confidences, self._times = (
@@ -226,10 +267,33 @@ class GroupTracker:
         for person in seen:
             path = self._paths.setdefault(person.id, deque())
             path.append((stamp, float(person.position[0]), float(person.position[1])))
-            while stamp - path[0][0] > _PATH_S:
+            while stamp - path[0][0] > _WALK_S:
                 path.popleft()
         present = {person.id for person in seen}
         self._seen[[person in present for person in self._people]] = stamp
+
+    def _attend(self, seen: Sequence[Individual], step: float) -> None:
+        """Update the share of the time in which each looks at the robot; 1 where it is not known."""
+        gain = 1.0 - math.exp(-step / max(self._settings.group_time, 1e-3))
+        for person in seen:
+            share = self._attention.get(person.id, 0.0)
+            known = person.looks_at_robot is not None
+            self._attention[person.id] = share + gain * (bool(person.looks_at_robot) - share) if known else 1.0
+
+    def _with_attention(self, groups: List[List[int]]) -> List[List[int]]:
+        """Return the groups without the robot where none of the members looks at it: it only stands there."""
+        if ROBOT not in self._people:
+            return groups
+        robot = self._people.index(ROBOT)
+        least = _LESS_ATTENTION if any(ROBOT in group.members for group in self._groups) else _ATTENTION
+        found = []
+        for group in groups:
+            if robot in group and all(self._attention.get(self._people[row], 0.0) < least
+                                      for row in group if row != robot):
+                group = [row for row in group if row != robot]
+            if len(group) > 1:
+                found.append(group)
+        return found
 
     def _learn(self, rows: Sequence[int], votes: Votes, step: float) -> None:
         """Update the shares of the pairs of people in `rows` with the formations of this time."""
@@ -240,6 +304,7 @@ class GroupTracker:
         pairs: Any = np.ix_(rows, rows)
         if rows == list(range(len(self._people))):
             pairs = (slice(None), slice(None))
+        self._walk(rows, together, confidence)
         apart = self._walking_apart(rows)
         together[apart], confidence[apart] = 0.0, 0.0
         before = self._times[pairs]
@@ -253,10 +318,31 @@ class GroupTracker:
         self._confidences[pairs] += weights * (confidence - self._confidences[pairs])
         self._times[pairs] = times
 
+    def _walk(self, rows: Sequence[int], together: np.ndarray, confidence: np.ndarray) -> None:
+        """Set for those of the people in `rows` who walk with whom they are together: they look ahead, not at each
+        other."""
+        velocities = self._velocities(rows, _WALK_S)
+        walking = np.minimum(np.abs(velocities), np.abs(self._velocities(rows, _PATH_S))) > _WALKING_SPEED
+        if walking.sum() < 2:
+            return
+        places = np.array([complex(*self._paths[self._people[row]][-1][1:]) for row in rows])
+        beside = ((np.abs(places[:, None] - places) < _BESIDE) & (np.abs(velocities[:, None] - velocities) < _SAME_PACE)
+                  & walking[:, None] & walking)
+        _, parts = connected_components(beside, directed=False)
+        both = walking[:, None] & walking
+        same = (parts[:, None] == parts)[both]
+        together[both], confidence[both] = same, _WALKING_CONFIDENCE * same
+
+    def _velocities(self, rows: Sequence[int], seconds: float) -> np.ndarray:
+        """Return the velocities (N,) of the people in `rows` over the last seconds, m/s, x + iy."""
+        paths = (self._paths[self._people[row]] for row in rows)
+        return np.array([complex(*_velocity([point for point in path if path[-1][0] - point[0] <= seconds]))
+                         for path in paths])
+
     def _walking_apart(self, rows: Sequence[int]) -> np.ndarray:
         """Return for each pair (N, N) of the people in `rows` whether one moves against the other faster than
         `group_speed`."""
-        speeds = np.array([complex(*_velocity(self._paths[self._people[row]])) for row in rows])
+        speeds = self._velocities(rows, _PATH_S)
         return np.abs(speeds[:, None] - speeds) > self._settings.group_speed
 
     def _votes(self) -> Votes:
@@ -277,7 +363,7 @@ class GroupTracker:
             grouped[[rows[person] for person in group.members if person in rows]] = number
         near = np.where(self._times >= self._settings.group_delay - 1e-9, self._shares, 0.0)
         near = near + _STAY_BONUS * ((grouped[:, None] == grouped) & (grouped >= 0))
-        return groups_of(_linked(np.minimum(near, 1.0)))
+        return self._with_attention(groups_of(_linked(np.minimum(near, 1.0))))
 
     def _name(self, groups: Sequence[Sequence[int]], votes: Votes, stamp: float) -> List[Group]:
         """Return the groups with the ids that they had, or new ones, and remember those that end."""

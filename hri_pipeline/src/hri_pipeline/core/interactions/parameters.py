@@ -67,7 +67,7 @@ class GazeSettings(Settings):
         0.35, "Standard deviation of the trunk's direction (body_ID), to the sides.", unit="rad", minimum=0.02,
         maximum=2.0, live=True)
     head_gain: float = parameter(
-        0.8, "Part of the turn from the trunk to the target that the head does; the eyes do the rest. Used where both "
+        0.7, "Part of the turn from the trunk to the target that the head does; the eyes do the rest. Used where both "
         "directions are known.", minimum=0.3, maximum=1.0, live=True)
     eyes_in_head_sd: float = parameter(
         0.21, "Standard deviation of the eyes' direction in the head of somebody whose trunk is not known. Larger: "
@@ -92,12 +92,13 @@ class GazeSettings(Settings):
         1.3, "Mean time between two changes of the target of a gaze. Longer: fewer wrong changes, later right ones.",
         unit="s", minimum=0.1, maximum=60.0, live=True)
     evidence_time: float = parameter(
-        0.08, "Time after which the error of a direction is another one: images that follow each other sooner say "
-        "less than as many independent ones. Longer: for detectors whose errors last.", unit="s", minimum=0.0,
+        0.3, "Time after which the error of a direction is another one, unless the direction is seen to tremble: "
+        "images that follow each other sooner say less than as many independent ones. Longer: for detectors whose "
+        "errors last.", unit="s", minimum=0.0,
         maximum=5.0, live=True)
-    gaze_on: float = parameter(0.45, "Probability from which a gaze begins.", minimum=0.05, maximum=0.99, live=True)
+    gaze_on: float = parameter(0.6, "Probability from which a gaze begins.", minimum=0.05, maximum=0.99, live=True)
     gaze_off: float = parameter(
-        0.33, "Probability below which a gaze ends; below gaze_on, so that it does not flicker.", minimum=0.01,
+        0.5, "Probability below which a gaze ends; below gaze_on, so that it does not flicker.", minimum=0.01,
         maximum=0.99, live=True)
     gaze_hold: float = parameter(
         0.3, "A gaze ends this long after the last observation of its direction.", unit="s", minimum=0.0, maximum=10.0,

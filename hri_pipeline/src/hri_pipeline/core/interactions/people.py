@@ -65,11 +65,12 @@ class PeopleSnapshot:
     heads: (N, 3) m; gazes, faces, trunks: (N, 3) unit vectors; deviations: (N, 4) of head's place (m), face, gaze and
     trunk (rad); closed: (N,) closedness of the eyes, 0 to 1; depths: (N, 3) direction in which the head's place is
     least certain times its standard deviation (m) there, zeros unknown; faceless: (N,) bool, whose face is not seen;
-    speaking: (N,) bool, who is heard, None when nobody listens.
+    speaking: (N,) bool, who is heard, None when nobody listens; groups: (N,) number of the group in which somebody
+    stands, -1 in none, None when groups are not known.
     """
 
-    __slots__ = ("closed", "depths", "deviations", "faceless", "faces", "gazes", "heads", "ids", "speaking",
-                 "trunks")
+    __slots__ = ("closed", "depths", "deviations", "faceless", "faces", "gazes", "groups", "heads", "ids",
+                 "speaking", "trunks")
 
     def __init__(self, ids: List[str], heads: np.ndarray, gazes: np.ndarray, faces: np.ndarray, trunks: np.ndarray,
                  deviations: np.ndarray, closed: np.ndarray) -> None:
@@ -78,6 +79,7 @@ class PeopleSnapshot:
         self.depths = np.zeros((len(ids), 3))
         self.faceless = (faces[:, 0] != faces[:, 0]) & (gazes[:, 0] != gazes[:, 0])
         self.speaking: Optional[np.ndarray] = None
+        self.groups: Optional[np.ndarray] = None
 
     def __len__(self) -> int:
         return len(self.ids)
