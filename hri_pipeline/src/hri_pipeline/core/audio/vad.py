@@ -33,6 +33,7 @@ _FLOOR_LEAST = -90.0        # dBFS
 _FALL_TIME = 0.09           # s
 _RISE_TIME = 0.6            # s
 _NO_SPEECH = 0.2            # probability
+_DOUBT = 0.5                # probability
 _LEARN = 0.096              # s
 _DRIFT = 0.3                # dB/s
 _NOISY_SNR = 8.0            # dB
@@ -198,7 +199,9 @@ class SpeechActivity:
         self.heard = self.speaking and self._goes_on(probability, energy, floor, duration)
         if self.speaking:
             self._below = 0.0 if self.heard else self._below + duration
-            if self._below > self._settings.speaking_hangover + _TOLERANCE:
+            # Sudden silence that the network doubts as well needs no hangover.
+            is_clear = not self.heard and probability < _DOUBT and energy < self._peak - self._settings.level_drop
+            if is_clear or self._below > self._settings.speaking_hangover + _TOLERANCE:
                 self.stop()
         return self.speaking
 
