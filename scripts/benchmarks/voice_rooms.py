@@ -105,7 +105,7 @@ def _image(size: np.ndarray, rt60: float, way: np.ndarray, microphones: np.ndarr
            seed: int) -> np.ndarray:
     """Return what the microphones (C, 3) hear of a voice (n,), (n, C)."""
     import pyroomacoustics
-    np.random.seed(seed)
+    pyroomacoustics.random.seed(seed)
     absorption, order = pyroomacoustics.inverse_sabine(rt60, size)
     room = pyroomacoustics.ShoeBox(size, fs=RATE, materials=pyroomacoustics.Material(absorption),
                                    max_order=min(order, _MOST_REFLECTIONS if len(way) == 1 else 17), use_rand_ism=True)
@@ -219,7 +219,7 @@ def summary(found: Sequence[RoomFigures]) -> Dict[str, float]:
     own, right, stray = (sum(getattr(one, name) for one in found) for name in ("own", "right", "stray"))
     errors = np.concatenate([one.errors for one in found]) if any(one.errors for one in found) else np.zeros(1)
     return {"own_voice": round(own[0] / own[1], 3), "right_number": round(right[0] / max(right[2], 1), 3),
-            "right_number_of_turns": round(right[1] / max(right[2], 1), 3), "stray": round(stray[0] / stray[1], 3),
+            "right_number_of_turns": round(right[1] / max(right[2], 1), 3), "stray": round(stray[0] / max(stray[1], 1), 3),
             "ghosts_per_minute": round(60.0 * sum(one.ghosts for one in found) / sum(one.seconds for one in found), 2),
             "error_median_deg": round(float(np.median(errors)), 2)}
 
