@@ -9,7 +9,7 @@ on.
 
 from __future__ import annotations
 
-from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, List, NamedTuple, Optional, Sequence
 
 import numpy as np
 from scipy.signal import fftconvolve
@@ -219,7 +219,8 @@ def summary(found: Sequence[RoomFigures]) -> Dict[str, float]:
     own, right, stray = (sum(getattr(one, name) for one in found) for name in ("own", "right", "stray"))
     errors = np.concatenate([one.errors for one in found]) if any(one.errors for one in found) else np.zeros(1)
     return {"own_voice": round(own[0] / own[1], 3), "right_number": round(right[0] / max(right[2], 1), 3),
-            "right_number_of_turns": round(right[1] / max(right[2], 1), 3), "stray": round(stray[0] / max(stray[1], 1), 3),
+            "right_number_of_turns": round(right[1] / max(right[2], 1), 3),
+            "stray": round(stray[0] / max(stray[1], 1), 3),
             "ghosts_per_minute": round(60.0 * sum(one.ghosts for one in found) / sum(one.seconds for one in found), 2),
             "error_median_deg": round(float(np.median(errors)), 2)}
 
