@@ -210,8 +210,8 @@ def make_scene(seed: int, speakers: int, seconds: float = 7.0, tuning: bool = Fa
             voice = voice * ((np.arange(count) // (2 * RATE)) % speakers == index)
         voice = np.concatenate([np.zeros(int(LEAD * RATE)), voice])
         image = images_at(room.responses(place, positions + centre), voice)
-        images.append(image * (_LEVEL / _loudness(image.mean(axis=1))))
-        speaking[index] = _speaking(voice)
+        images.append(image * (_LEVEL / loudness(image.mean(axis=1))))
+        speaking[index] = speaking_samples(voice)
     directions = (places - centre) / np.linalg.norm(places - centre, axis=1, keepdims=True)
     return ArrayScene(positions, directions, tuple(images), with_noise(images, SNR_DB, random), speaking)
 
@@ -257,17 +257,18 @@ def _talk(bank: Sequence[np.ndarray], count: int, random: np.random.RandomState)
     while sum(len(part) for part in parts) < count:
         for index in random.permutation(len(bank)):
             sound = bank[index] - bank[index].mean()
-            parts += [sound * (_LEVEL / _loudness(sound)), np.zeros(int(0.2 * RATE))]
+            parts += [sound * (_LEVEL / loudness(sound)), np.zeros(int(0.2 * RATE))]
     return np.concatenate(parts)[:count]
 
 
-def _loudness(sound: np.ndarray) -> float:
+def loudness(sound: np.ndarray) -> float:
     """Root mean square of a sound (n,) where it is not silent."""
     power = np.convolve(sound ** 2, np.full(_WINDOW, 1.0 / _WINDOW), "same")
     return float(np.sqrt(np.mean(power[power > 1e-3 * power.max()])))
 
 
-def _speaking(voice: np.ndarray) -> np.ndarray:
+def speaking_samples(voice: np.ndarray) -> np.ndarray:
+    """Return where a clean voice (n,) speaks, (n,) bool: within 26 dB of its loudest, pauses below 0.2 s included."""
     power = np.convolve(voice ** 2, np.full(_WINDOW, 1.0 / _WINDOW), "same")
     loud = power > power.max() * 10.0 ** (-_RANGE_DB / 10.0)
     result = loud.copy()

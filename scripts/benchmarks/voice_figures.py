@@ -32,6 +32,7 @@ _PEAK = 0.5
 _QUIET = 0.3
 _SUSTAINED = 0.2
 _LATEST = 1.0
+_CALM = 0.4
 
 
 @dataclass(frozen=True)
@@ -145,6 +146,33 @@ def onset_delays_ms(scenes: Sequence[SoundScene], model: ActivityModel,
                 (first + hits[0] + 1) * FRAME_TIME - onset / RATE + seconds[first + hits[0]])
             delays.append(0.0 if first and speaking[first - 1] else 1e3 * delay)
     return np.array(delays)
+
+
+def offset_delays_ms(scenes: Sequence[SoundScene], model: ActivityModel) -> np.ndarray:
+    """Return the ms from each end of speech, behind which there is none for 0.4 s, until nobody is said to be
+    speaking."""
+    delays: List[float] = []
+    for scene in scenes:
+        speaking, seconds = _speaking(scene, model, activity_settings())
+        for end in np.flatnonzero(np.diff(scene.labels.astype(int)) == -1) + 1:
+            if scene.labels[end:end + int(_CALM * RATE)].any():
+                continue
+            first = end // FRAME
+            silent = np.flatnonzero(~speaking[first:first + int(_LATEST / FRAME_TIME)])
+            delays.append(1e3 * (_LATEST if not len(silent) else (
+                first + silent[0] + 1) * FRAME_TIME - end / RATE + seconds[first + silent[0]]))
+    return np.array(delays)
+
+
+def off_p95_ms(names: Sequence[str], rt60: float = 0.0, seeds: Sequence[int] = SEEDS) -> float:
+    """Return the 95th percentile of offset_delays_ms over clean recordings, or in a room 1.8 m away."""
+    scenes = [make_scene(read_speech(names), None, seed) for seed in seeds]
+    if rt60 > 0.0:
+        response = Room((6.0, 5.0, 3.0), rt60).responses((4.3, 1.4, 1.5), _CENTRE[None])
+        heard = [images_at(response, scene.samples.astype(np.float64))[:, 0] for scene in scenes]
+        scenes = [SoundScene((sound * (_PEAK / np.abs(sound).max())).astype(np.float32), scene.labels, scene.onsets)
+                  for scene, sound in zip(scenes, heard)]
+    return round(float(np.percentile(offset_delays_ms(scenes, activity_model()), 95)), 1)
 
 
 def vad(names: Optional[Sequence[str]] = None, seeds: Sequence[int] = SEEDS,

@@ -326,3 +326,44 @@ def test_silent_and_clear():
 @pytest.mark.parametrize("degrees", [0.0, 1e-3, 45.0, 90.0, 180.0])
 def test_angle(degrees):
     assert angle_between(towards(0.0), towards(degrees)) == pytest.approx(np.deg2rad(degrees), abs=1e-9)
+
+
+def babble(seconds, level=-30.0, low=0.5):
+    """Probabilities and levels of background talk: no pause, levels within 10 dB."""
+    count = int(seconds / FRAME)
+    return zip([low, 0.9] * (count // 2), level + 4.0 * np.sin(np.arange(count)))
+
+
+def test_background_talk_is_no_voice_for_ever_and_somebody_in_front_of_it_is_heard():
+    activity = SpeechActivity(settings())
+    spoken_of = [activity.update(*frame, FRAME) for frame in babble(20.0)]
+    assert spoken_of[int(2.0 / FRAME)]
+    assert activity.noise.is_babble and not any(spoken_of[int(13.0 / FRAME):])
+    assert activity.update(0.9, -15.0, FRAME)
+    assert not [activity.update(*frame, FRAME) for frame in babble(0.5)][-1]
+
+
+def test_a_long_speech_that_pauses_for_breath_or_changes_in_level_is_no_background():
+    for frames in ([(0.9, -30.0)] * 150 + [(0.05, -30.0)] * 2, [(0.9, -20.0)] * 10 + [(0.6, -40.0)] * 10):
+        noise = NoiseLevel()
+        for probability, energy in frames * 6:
+            noise.update(energy, probability, FRAME)
+            assert not noise.is_babble
+
+
+def test_background_talk_that_ends_is_forgotten():
+    activity = SpeechActivity(settings())
+    for frame in babble(20.0):
+        activity.update(*frame, FRAME)
+    for _ in range(int(1.0 / FRAME)):
+        activity.update(0.01, -60.0, FRAME)
+    assert not activity.noise.is_babble
+    assert activity.update(0.9, -35.0, FRAME)
+
+
+def test_silence_that_the_network_doubts_ends_speech_without_hangover():
+    activity = SpeechActivity(settings(speaking_hangover=0.064, level_drop=22.0))
+    for _ in range(10):
+        activity.update(0.95, -20.0, FRAME)
+    assert activity.update(0.95, -50.0, FRAME)
+    assert not activity.update(0.4, -50.0, FRAME)

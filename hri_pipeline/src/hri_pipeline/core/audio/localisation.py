@@ -198,15 +198,20 @@ VELOCITY_GAIN, VELOCITY_TIME = 0.01, 0.7
 OUTLIER_ANGLE = math.radians(12.0)
 """A peak at this distance has the weight 0.61: it may be a mixture of two speakers."""
 MAX_SPEED = math.radians(120.0)
-HEARD_STRENGTH = 0.05
-"""A peak of this strength shows that the source is active; weaker ones may be random, and only continue a source."""
+HEARD_STRENGTH = 0.03
+"""A peak of this strength shows that the source is active; weaker ones may be random, and only continue a source. In
+rooms with a reverberation time of 0.5 s half of the peaks of one of three speakers are below 0.08."""
 CHANCE_STRENGTH = 0.04
 BIRTH_SCORE, CROWDED_SCORE, CROWDED = 0.15, 0.3, math.radians(40.0)
 """Score from which a candidate is a source: the sum of its peaks' strengths above CHANCE_STRENGTH. The larger score
 holds within the angle CROWDED (rad) of another source: between two speakers there are sometimes false peaks."""
 CANDIDATE_TIME = 0.3
 """A candidate without a peak for this time (s) is dropped."""
-ACTIVE_TIME = 0.1
+ACTIVE_TIME, OVERLAP_TIME = 0.1, 0.8
+"""A source is active for so long (s) after its last peak: alone, and while somebody else is heard as well. Who talks at
+the same time covers a peak for 0.3 to 0.5 s; where one speaker takes over from another, only one of them has peaks."""
+TOGETHER_TIME = 0.3
+"""Two sources that were both heard within this time (s) are heard at the same time."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +227,7 @@ class TrackedSource:
     sd : float
         rad, standard deviation of the direction.
     active : bool
-        Whether it was heard within the last ACTIVE_TIME.
+        Whether it was heard within the last ACTIVE_TIME, or OVERLAP_TIME while several are heard.
     heard_at : float
         s, when it was last heard.
     """
@@ -323,9 +328,12 @@ class DirectionTracker:
             rest = self._assign([t for t in self._tracks if (t.key is not None) == confirmed], rest, stamp, step)
         self._tracks += [_Track(peak, stamp) for peak in rest if peak.strength > CHANCE_STRENGTH]
         self._confirm(stamp)
+        sources = [track for track in self._tracks if track.key is not None]
+        together = sum(stamp - track.heard < TOGETHER_TIME for track in sources) >= 2
+        lasting = OVERLAP_TIME if together else ACTIVE_TIME
         return [TrackedSource(track.key, track.direction, math.sqrt(track.variance + BIAS_SD ** 2),
-                       stamp - track.heard <= ACTIVE_TIME, track.heard)
-                for track in self._tracks if track.key is not None]
+                              stamp - track.heard <= lasting, track.heard)
+                for track in sources if track.key is not None]
 
     def _forgotten(self, track: _Track, stamp: float) -> bool:
         if track.key is None:

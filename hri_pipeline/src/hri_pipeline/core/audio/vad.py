@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Callable, Optional, Sequence, Union
+from typing import Callable, List, Optional, Sequence, Union
 
 import numpy as np
 
@@ -33,8 +33,14 @@ _FLOOR_LEAST = -90.0        # dBFS
 _FALL_TIME = 0.09           # s
 _RISE_TIME = 0.6            # s
 _NO_SPEECH = 0.2            # probability
+_DOUBT = 0.5                # probability
 _LEARN = 0.096              # s
 _DRIFT = 0.3                # dB/s
+_BREATH = 0.064             # s
+_UNBROKEN = 12.0            # s
+_BABBLE_PAUSE = 0.3         # s
+_BABBLE_RANGE = 11.0        # dB
+_ABOVE_BABBLE = 6.0         # dB
 _NOISY_SNR = 8.0            # dB
 _PEAK_DECAY = 6.0           # dB/s
 _TOLERANCE = 1e-6           # s
@@ -119,15 +125,25 @@ class NoiseLevel:
     most 0.3 dB/s, so that it recovers when noise grows during speech. A source may begin in the middle of a word: the
     level is unknown (`known` is False) until 0.1 s without speech has been heard.
 
+    People in the background are noise as well. One speaker breathes and changes in level; several at once do neither:
+    after 12 s of speech without a pause and within 11 dB the level is that of the loudest tenth of it, until there is
+    a pause of 0.3 s.
+
     Attributes
     ----------
     level : float
         dBFS, NaN before the first frame.
+    is_babble : bool
+        The noise is background talk.
     """
 
     def __init__(self) -> None:
         self.level = math.nan
+        self.is_babble = False
         self._quiet = 0.0
+        self._low = 0.0
+        self._unbroken = 0.0
+        self._energies: List[float] = []
 
     @property
     def known(self) -> bool:
@@ -137,6 +153,9 @@ class NoiseLevel:
     def update(self, energy: float, probability: float, duration: float) -> float:
         """Add a frame with this energy (dBFS), probability of speech and duration (s); return the level (dBFS)."""
         energy = max(energy, _FLOOR_LEAST)
+        self._follow_babble(energy, probability, duration)
+        if self.is_babble:
+            return self.level
         if probability < _NO_SPEECH and not self.known:
             self._quiet += duration
         if math.isnan(self.level):
@@ -148,6 +167,20 @@ class NoiseLevel:
         else:
             self.level += min(energy - self.level, _DRIFT * duration)
         return self.level
+
+    def _follow_babble(self, energy: float, probability: float, duration: float) -> None:
+        self._low = self._low + duration if probability < _NO_SPEECH else 0.0
+        self.is_babble = self.is_babble and self._low < _BABBLE_PAUSE - _TOLERANCE
+        if self._low >= _BREATH - _TOLERANCE:
+            self._unbroken, self._energies = 0.0, []
+            return
+        self._unbroken += duration
+        self._energies.append(energy)
+        if self._unbroken >= _UNBROKEN - _TOLERANCE:
+            low, high = np.percentile(self._energies, (10.0, 90.0))
+            if high - low < _BABBLE_RANGE:
+                self.level, self.is_babble = float(high), True
+            self._unbroken, self._energies = 0.0, []
 
 
 def check_thresholds(settings: VoiceActivitySettings) -> None:
@@ -201,7 +234,9 @@ class SpeechActivity:
         self.heard = self.speaking and self._goes_on(probability, energy, floor, duration)
         if self.speaking:
             self._below = 0.0 if self.heard else self._below + duration
-            if self._below > self._settings.speaking_hangover + _TOLERANCE:
+            # Sudden silence that the network doubts as well needs no hangover.
+            is_clear = not self.heard and probability < _DOUBT and energy < self._peak - self._settings.level_drop
+            if is_clear or self._below > self._settings.speaking_hangover + _TOLERANCE:
                 self.stop()
         return self.speaking
 
@@ -221,6 +256,8 @@ class SpeechActivity:
         return noisy + share * (clear - noisy)
 
     def _try_to_begin(self, probability: float, energy: float, duration: float, threshold: float) -> None:
+        if self.noise.is_babble and energy < self.noise.level + _ABOVE_BABBLE:
+            probability = 0.0
         self._above = self._above + duration if probability >= threshold else 0.0
         if self._above > 0.0 and self._above >= self._settings.onset_time - _TOLERANCE:
             self.speaking = True
@@ -230,7 +267,7 @@ class SpeechActivity:
     def _goes_on(self, probability: float, energy: float, floor: float, duration: float) -> bool:
         self._peak = max(self._peak - _PEAK_DECAY * duration, energy)
         least = self._peak - self._settings.level_drop
-        if self.noise.known:
+        if self.noise.known or self.noise.is_babble:
             least = max(least, floor + self._settings.noise_margin)
         return probability >= self._settings.keep_threshold and energy >= least
 
