@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from synthetic_people import Scene, face_of, standing_at
 
-from hri_fullbody.core.tracking.scheduler import PoseScheduler
+from hri_pipeline.core.scheduler import InferenceScheduler
 from hri_fullbody.core.tracking.tracker import BodyTracker
 
 IMAGE = np.zeros((720, 1280, 3), np.uint8)
@@ -100,7 +100,7 @@ def test_who_vanishes_inside_the_image_is_waited_for_longer():
 def test_who_is_not_looked_at_is_not_gone():
     """Ten people, three looks and two images a second: each is looked at every other second."""
     scene = Scene([(80 + 120 * index, 400) for index in range(10)])
-    tracker = make(scene, death_time=1.0, schedule=PoseScheduler(10.0, 3))
+    tracker = make(scene, death_time=1.0, schedule=InferenceScheduler(10.0, most=3, batches=False))
     boxes = [box_of(*place) for place in scene.people]
     for index in range(40):
         tracker.follow(IMAGE, 0.5 * index)
@@ -200,10 +200,10 @@ def test_reset_forgets_everybody():
 
 
 def test_limits_of_the_tracker():
-    tracker = BodyTracker(SimpleNamespace(), lambda: "aaaaa", 0.1, 1.0, schedule=PoseScheduler(10.0, 3))
+    tracker = BodyTracker(SimpleNamespace(), lambda: "aaaaa", 0.1, 1.0, schedule=InferenceScheduler(10.0, most=3, batches=False))
     tracker.limit(0.2, 2.0, 0.7)
     for wrong in ((-1.0, 1.0, 0.5), (0.1, 0.0, 0.5), (0.1, 1.0, 1.0)):
         with pytest.raises(ValueError):
             tracker.limit(*wrong)
     with pytest.raises(ValueError):
-        tracker.schedule.limit(-1.0, 0)
+        tracker.schedule.limit(-1.0)

@@ -43,13 +43,13 @@ BODY_STAGE_PARAMETERS = (
     Parameter("pose_model", "full", "Pose network: `lite` (about 30 % faster, less exact), `full`, `heavy` (three "
               "times the time), or the path of an ONNX file. Get lite and heavy with `rosrun hri_pipeline fetch_models "
               "--models pose_landmarks_lite` (or `pose_landmarks_heavy`)."),
-    Parameter("pose_rate", 10.0, "How often the pose network runs on each body; in the images between, the body "
+    Parameter("pose_rate", 10.0, "How often the pose network runs on each body at least (see `cpu_share`); in the images between, the body "
               "moves on by its own motion, with a lower confidence. Each run costs 11 to 15 ms on one core with the "
               "network `full`. Larger follows fast movements better. 0: every image.",
               unit="Hz", minimum=0.0, maximum=120.0, live=True),
-    Parameter("pose_budget", 3, "Most known bodies per image for the pose network; what is left (one at least, and "
-              "two in slow images) goes to new ones. With more people than that the fast, the new, and those who "
-              "have waited longest come first. 0: no limit.", minimum=0, maximum=64, live=True),
+    Parameter("pose_budget", 3, "Most known bodies per image for the pose network, where `cpu_share` allows no more; what "
+              "is left (one at least, and two in slow images) goes to new ones. With more people than that the fast, "
+              "the new, and those who have waited longest come first. 0: no limit.", minimum=0, maximum=64, live=True),
     Parameter("max_bodies", 10, "Most bodies tracked at the same time. Each costs 11 to 15 ms of one core `pose_rate`"
               " times a second.",
               minimum=1, maximum=64),
@@ -108,8 +108,14 @@ _BODY_PARAMETERS = (
 )
 
 # Of more images than there are joint states nothing would be seen, and each costs 3 ms even when nobody is looked at in
-# it.
-_BODY_RATE = 15.0
+# it. Three inferences and the person detector take 0.1 s.
+_BODY_DEFAULTS = {"max_rate": 15.0, "max_age": 0.25}
+
+
+def _with_defaults(parameters: Tuple[Parameter, ...]) -> Tuple[Parameter, ...]:
+    return tuple(replace(parameter, default=_BODY_DEFAULTS[parameter.name]) if parameter.name in _BODY_DEFAULTS
+                 else parameter for parameter in parameters)
+
 
 _NICE = Parameter("nice", 5, "Priority on a busy processor, as in nice(1); larger is lower. The node `bodies` has a "
                   "lower one, so that faces, and with them persons, come first. 0: like all others; 19: only when "
@@ -122,8 +128,7 @@ _VISION_INTERFACE = tuple(replace(parameter, doc=parameter.doc + " With `rep155`
 BODIES = ParameterTable(
     "bodies",
     "Node bodies: finds and follows bodies, their 18 key points, their place in front of the camera, and their joints.",
-    _BODY_PARAMETERS + tuple(replace(parameter, default=_BODY_RATE) if parameter.name == "max_rate" else parameter
-                             for parameter in _but_interface(CAMERA_PARAMETERS)) + _INTERFACE + (_NICE,),
+    _BODY_PARAMETERS + _with_defaults(_but_interface(CAMERA_PARAMETERS)) + _INTERFACE + (_NICE,),
 )
 
 VISION = ParameterTable(

@@ -19,7 +19,6 @@ from hri_fullbody.core.detection.windows import FaceBox, face_boxes
 from hri_fullbody.core.model.urdf import make_urdf
 from hri_fullbody.core.pipeline import BodyPipeline, ModelledBody
 from hri_fullbody.core.tracking.reidentification import Reidentification
-from hri_fullbody.core.tracking.scheduler import StampPacer
 from hri_fullbody.ros.face_input import FaceInput
 from hri_fullbody.ros.markers import SkeletonMarkers
 from hri_fullbody.ros.state_publishers import StatePublishers
@@ -30,6 +29,7 @@ from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.observations import BodyObservation, FaceObservation
 from hri_pipeline.core.onnx import ModelLog
+from hri_pipeline.core.timing import StampPacer
 from hri_pipeline.ros.conversions import match_to_msg, transform_to_msg
 from hri_pipeline.ros.diagnostics import OK, WARN
 from hri_pipeline.ros.inputs import Frame
@@ -78,6 +78,8 @@ class BodyProcessor:
     def process(self, frame: Frame, context: dict) -> None:
         """Find the bodies in a frame, publish them, and leave them in context["bodies"]."""
         up, height = self._up.lookup(frame.header.frame_id, frame.header.stamp)
+        if "age" in context:
+            self._pipeline.note_timing(context["age"], context["took"])
         bodies = self._pipeline.update(
             frame.bgr, frame.camera, frame.stamp, self._face_boxes(frame, context), depth=frame.depth,
             up=up, camera_height=height)

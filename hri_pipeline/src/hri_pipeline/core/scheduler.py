@@ -32,6 +32,8 @@ _SLOW_STEP = 0.2
 """Time between two images (s) from which the budget grows with it: who is not measured for seconds would be lost."""
 _LONGEST_STEP = 1.0
 """Time between two images (s) above which no more is earned."""
+_FIRST_STEP = 1.0 / 30.0
+"""Time (s) between two images while only one is known."""
 _PAUSE_S = 3.0
 """Without any image for so long (s), nobody waits for a turn, but for the camera."""
 _LONGEST_ROUND = 64
@@ -40,6 +42,8 @@ _OF_INTERVAL = 0.8
 """Part of the time between two images that work may take when the budget grows: none is to be left out."""
 _INTERVAL_LEAK = 1.01
 """Growth of the estimated interval per image: it is the least of the last ones, as some are left out."""
+_TIE_S = 1e-4
+"""Deadlines (s) that differ by less are equal: who waits for longer comes first."""
 _UP, _DOWN = 0.5, 0.05
 """Weight of a longer, and of a shorter time of an image, in the estimate: the slow images give the age."""
 
@@ -162,7 +166,8 @@ class InferenceScheduler:
         self._waits: Deque[float] = deque(maxlen=_LONGEST_ROUND)
         self._stamp: Optional[float] = None
         self._resumed = -math.inf
-        self._left = self._age = 0.0
+        self._left = 0.0
+        self._age: Optional[float] = None
         self._interval = math.inf
 
     @property
@@ -180,7 +185,10 @@ class InferenceScheduler:
         return max(list(self._waits)[-count:], default=0.0) if count else 0.0
 
     def note_timing(self, age: float, took: float) -> None:
-        """Note, before choose, the age (s) of the new image, and the time (s) that the last one took in all."""
+        """Note, before choose, the age (s) of the new image, and the time (s) that the last one took in all.
+
+        Who works on recorded images, and does not call it, gets the least budget, however old they are.
+        """
         rest = max(0.0, took - self._took)
         self._rest += (_UP if rest > self._rest else _DOWN) * (rest - self._rest)
         self._age, self._took = max(0.0, age), 0.0
@@ -227,7 +235,7 @@ class InferenceScheduler:
 
     def _extra(self, count: int) -> float:
         """Time (s) per image beyond the least budget."""
-        if self._idle is None or self._rate == 0.0 or not math.isfinite(self._interval):
+        if self._idle is None or self._age is None or self._rate == 0.0 or not math.isfinite(self._interval):
             return 0.0
         missing = count * self._cost - self._least(count)
         room = _OF_INTERVAL * self._interval - self._rest - self._least(count) * self._stretch
@@ -241,9 +249,9 @@ class InferenceScheduler:
 
     def _periods(self, requests: Sequence[Request], step: float, extra: float) -> Dict[str, float]:
         """Time (s) between two inferences of each."""
-        least = step if self._rate == 0.0 else max(1.0 / self._rate, step)
+        least = (step or _FIRST_STEP) if self._rate == 0.0 else max(1.0 / self._rate, step)
         if not requests or self._rate == 0.0 or not math.isfinite(self._interval):
-            return {request.id: max(least, 1e-6) / request.weight for request in requests}
+            return {request.id: least / request.weight for request in requests}
         needed = len(requests) * self._cost * self._rate * self._interval
         if needed > self._least(len(requests)) + extra + 1e-9:      # nobody gets the least rate: by weight alone
             return {request.id: least / request.weight for request in requests}
@@ -256,7 +264,7 @@ class InferenceScheduler:
     def _admit(self, requests: Sequence[Request], stamp: float, periods: Dict[str, float]) -> None:
         """Keep the deadlines of all; somebody new is a little earlier than all others."""
         known = [self._deadlines[request.id] for request in requests if request.id in self._deadlines]
-        first = min(known + [stamp]) - 1e-6
+        first = min(known + [stamp]) - _TIE_S
         self._deadlines = {request.id: self._deadlines.get(request.id, first) for request in requests}
         self._served = {request.id: self._served.get(request.id, stamp) for request in requests}
         if requests:
@@ -267,7 +275,8 @@ class InferenceScheduler:
 
     def _due(self, requests: Sequence[Request], stamp: float, periods: Dict[str, float]) -> List[str]:
         """Those whose turn it is, the earliest deadline first."""
-        order = sorted(requests, key=lambda request: (not request.first, self._deadlines[request.id]))
+        order = sorted(requests, key=lambda request: (
+            not request.first, round(self._deadlines[request.id] / _TIE_S), self._served[request.id]))
         if self._rate == 0.0:
             return [request.id for request in order]
         # Rounding must not cost anybody a turn: at 15 Hz from images at 15 Hz every image is due.
@@ -288,7 +297,7 @@ class InferenceScheduler:
             self._left = max(0.0, spendable - count * self._cost) if due > count else 0.0
         if self._most:
             count = min(count, max(1, self._most + int(extra / self._cost) - reserved))
-        if math.isfinite(self._max_age):
+        if self._age is not None:
             left = (self._max_age - self._age - self._rest) / self._stretch
             count = min(count, max(1, int(left / self._cost)))
         return count

@@ -32,7 +32,8 @@ class Processor(Protocol):
     """Works on each image. It may have `name` and `status()` -> (level, message, values) as well."""
 
     def process(self, frame: Frame, context: dict) -> None:
-        """Work on one image; `context` carries results to the next processors, and "times" (StageTimes)."""
+        """Work on one image; `context` carries results to the next processors, "times" (StageTimes), and in s the
+        "age" of the image, and what the last one "took"."""
 
     def reconfigure(self, settings: SimpleNamespace) -> None:
         """Apply new values of the live parameters."""
@@ -62,6 +63,7 @@ class VisionWorker:
         self._pacer = _pacer(max_rate)
         self._silence = silence
         self._nice, self._nice_at = nice, math.inf
+        self._took = 0.0
         self._lock = threading.RLock()
         self._closed = threading.Event()
         self._wake = threading.Event()
@@ -99,7 +101,10 @@ class VisionWorker:
 
     def process(self, frame: Frame) -> dict:
         """Give one image to all processors; return the context with their results."""
-        context: dict = {"times": self.times}
+        began = time.monotonic()
+        context: dict = {"times": self.times, "took": self._took}
+        if not rospy.Time.now().is_zero():
+            context["age"] = (rospy.Time.now() - frame.header.stamp).to_sec()
         with self._lock, self.times("frame"):
             for processor in self._processors:
                 name = _name(processor)
@@ -109,6 +114,7 @@ class VisionWorker:
                 except Exception as error:  # one image never ends the node
                     self._failed(name, error)
         self._ended.append(time.monotonic())
+        self._took = time.monotonic() - began
         now = rospy.Time.now()
         if not now.is_zero():
             self._ages.append((now - frame.header.stamp).to_sec())

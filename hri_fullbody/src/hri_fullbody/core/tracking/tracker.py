@@ -28,11 +28,11 @@ from hri_fullbody.core.tracking.association import (
     nearest_face,
 )
 from hri_fullbody.core.tracking.candidates import BodyCandidate, CandidateQueue
-from hri_fullbody.core.tracking.scheduler import PoseScheduler
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.faces.appearance import PictureCuts
+from hri_pipeline.core.scheduler import InferenceScheduler, Request
 from hri_pipeline.core.tracks import TrackLife
 
 Locate = Callable[[PoseEstimate], Optional[np.ndarray]]
@@ -41,6 +41,9 @@ _SECOND_OFFSET, _SECOND_SHARE = 0.12, 0.75
 _OCCLUDED_SHARE = 0.15
 _DESCRIBE_S = 0.4
 _LEAST_INSIDE = 0.25    # of the box of the landmarks that are seen: what lies outside the image is made up
+_FAST = 1.0             # body sizes per second from which a body counts as fast
+_NEWBORN_WEIGHT, _HIDDEN_WEIGHT = 3.0, 0.4
+_UNCERTAIN = 0.9        # score below which a body is uncertain
 _OVERDUE = 1.5      # times as long as others lately waited for their inference
 
 
@@ -57,7 +60,7 @@ class BodyTracker:
 
     def __init__(self, pose: PoseEstimator, new_id: Callable[[], str], birth_delay: float, death_time: float,
                  min_score: float = 0.5, max_bodies: int = 10, max_retries: int = 3,
-                 schedule: Optional[PoseScheduler] = None, guard: Optional[ItemGuard] = None) -> None:
+                 schedule: Optional[InferenceScheduler] = None, guard: Optional[ItemGuard] = None) -> None:
         """birth_delay, death_time: s. min_score: 0 to 1. max_retries: extra windows per image for captured bodies.
 
         schedule: which bodies get an inference; None: all in every image. guard: counts inferences that raised; each
@@ -70,7 +73,7 @@ class BodyTracker:
         self._pose = pose
         self._new_id = new_id
         self._max_bodies, self._max_retries = max_bodies, max_retries
-        self.schedule = schedule or PoseScheduler()
+        self.schedule = schedule or InferenceScheduler(batches=False)
         self._guard = guard or ItemGuard()
         self._candidates = CandidateQueue()
         self._cuts = PictureCuts()
@@ -114,10 +117,12 @@ class BodyTracker:
             for track in self.tracks:
                 track.cut_off(stamp)
         own = {track.id: self._own_face(track, faces, stamp) for track in self.tracks}
-        chosen = self.schedule.choose(self.tracks, stamp, min(for_new, len(self._candidates)))
+        chosen = self._choose(stamp, min(for_new, len(self._candidates)))
         self._retries = self._max_retries
-        results = self._guard.each("body", lambda track: self._infer_track(track, image, stamp, own[track.id], faces),
-                                   chosen)
+        with self.schedule.measure() as count:
+            results = self._guard.each(
+                "body", lambda track: self._infer_track(track, image, stamp, own[track.id], faces), chosen)
+            count(self.windows)
         detections = [detection for detection in results if detection is not None]
         near = [nearest_face(detection, faces) for detection in detections]
         self._associate(distinct(detections, [face.id if face else None for face in near]), chosen, stamp, faces)
@@ -127,6 +132,17 @@ class BodyTracker:
             if not track.visible:
                 track.judge_hidden(stamp, image.shape[1])
         self.tracks = [track for track in self.tracks if not track.dead(stamp)]
+
+    def _choose(self, stamp: float, reserved: int) -> List[BodyTrack]:
+        """The bodies whose turn it is, most urgent first; reserved: see InferenceScheduler.choose."""
+        waiting = {track.id: track for track in self.tracks if stamp > track.inferred_at}
+        largest = max([1.0] + [track.motion.size for track in self.tracks])
+        chosen = self.schedule.choose(
+            [Request(name, urgency(track, largest)) for name, track in waiting.items()], stamp, reserved)
+        wait = self.schedule.wait(len(self.tracks))
+        for track in self.tracks:
+            track.wait = wait
+        return [waiting[name] for name in chosen]
 
     @property
     def awaits_detector(self) -> bool:
@@ -358,6 +374,17 @@ class BodyTracker:
                 track.missed(stamp)
             else:
                 shown.append(track)
+
+
+def urgency(track: BodyTrack, largest: float) -> float:
+    """Weight of a body's inferences: 1 at rest, more for one that is new, moves, is near or uncertain; less for one that
+    is hidden. largest: size of the largest body in the image, px."""
+    if not track.life.confirmed:
+        return _NEWBORN_WEIGHT
+    if not track.visible:
+        return _HIDDEN_WEIGHT
+    return (1.0 + min(track.motion.speed() / _FAST, 1.0) + 0.5 * min(1.0, track.motion.size / largest)
+            + (0.5 if track.estimate.score < _UNCERTAIN else 0.0))
 
 
 def _fits(track: BodyTrack, detection: PoseDetection, stamp: float, face: Optional[FaceBox]) -> bool:
