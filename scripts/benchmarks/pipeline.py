@@ -26,10 +26,10 @@ SPEECH = Path("/usr/share/pocketsphinx/test/data/cards")
 _NOT_ASKED = "not asked for (--start)"
 FACE_NETWORK, BODY_NETWORK = "face_landmarks_attention", "pose_landmarks"
 """Beginnings of the names of the networks that look at one face or body."""
-NOT_STACK = ("benchmark_probe", "moving_people", "load")
+NOT_STACK = ("benchmark_probe", "image_source", "moving_people", "load")
 ERRORS = {"landmark": "landmark_error", "face_direction": "face_direction_error_deg", "skeleton": "skeleton_error"}
 """What the probe measures, and the keys of its median in JSON; `moving_` before them is that while people move."""
-NO_GPU = "no card: the networks ran on {}"
+NO_GPU = "not measured: the networks were asked to run on {}"
 LOAD = "while True: pass"
 LOADED_PEOPLE = 3
 LAUNCH = """<launch>
@@ -250,8 +250,8 @@ def as_json(rows: Sequence[dict], before: dict, described: dict, starts: Optiona
         result["stages_ms"][str(number)] = row["stages_ms"]
         if row["loaded"] is not None:
             result["loaded"] = {"{}_{}".format(key, number): value for key, value in row["loaded"].items()}
-    result["gpu"] = {"ms_per_image_10": None, "stall_s": None, "start_s": None}
-    result["reasons"]["gpu"] = NO_GPU.format(described.get("providers", "cpu"))
+    result["gpu"] = {"ms_per_image_10": None, "stall_s": None, "start_s": None,
+                     "reason": NO_GPU.format(described.get("providers", "cpu"))}
     return result
 
 

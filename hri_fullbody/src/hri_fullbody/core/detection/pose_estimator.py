@@ -153,12 +153,15 @@ def _hide(patch: np.ndarray, affine: np.ndarray, hidden: Sequence[np.ndarray], s
     outside = np.any((corners.max(axis=1) < 0) | (corners.min(axis=1) > max(patch.shape[:2])), axis=1)
     if outside.all():
         return
+    if shown is None:
+        for corner in corners[~outside]:
+            cv2.fillConvexPoly(patch, corner, _GREY)
+        return
     cover = np.zeros(patch.shape[:2], np.uint8)
     for corner in corners[~outside]:
         cv2.fillConvexPoly(cover, corner, (1.0,))
-    if shown is not None:
-        cv2.fillConvexPoly(cover, _corners(shown[None], inverse)[0], (0.0,))
-    patch[cover > 0] = _GREY
+    cv2.fillConvexPoly(cover, _corners(shown[None], inverse)[0], (0.0,))
+    cv2.copyTo(np.full_like(patch, _GREY), cover, patch)
 
 
 def _corners(boxes: np.ndarray, affine: np.ndarray) -> np.ndarray:

@@ -270,7 +270,8 @@ class FaceTracker:
                 track.memory = self._judge.begin(measurement.look, stamp)
             elif track.doubtful_since is None:
                 self._judge.remember(track.memory, measurement.look, stamp)
-            measurement.look.release()
+            else:
+                measurement.look.release()
         track.continue_with(measurement, stamp)
 
     def _keep_best(self, view: Optional[Tuple[int, int]]) -> None:
