@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from synthetic_people import Scene, face_of, standing_at
 
-from hri_pipeline.core.scheduler import InferenceScheduler
 from hri_fullbody.core.tracking.tracker import BodyTracker
+from hri_pipeline.core.scheduler import InferenceScheduler
 
 IMAGE = np.zeros((720, 1280, 3), np.uint8)
 STEP = 0.05
@@ -207,3 +207,32 @@ def test_limits_of_the_tracker():
             tracker.limit(*wrong)
     with pytest.raises(ValueError):
         tracker.schedule.limit(-1.0)
+
+
+class Batches(Scene):
+    """A network that is faster with several windows at once; it may fail at it."""
+
+    takes_batches, fails = True, False
+
+    def __init__(self, people):
+        super().__init__(people)
+        self.sizes = []
+
+    def estimate_all(self, image, windows):
+        self.sizes.append(len(windows))
+        if self.fails:
+            raise RuntimeError("out of memory")
+        return [self.estimate(image, one.window, one.hidden, one.shown) for one in windows]
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_all_that_are_due_go_into_one_batch_where_that_is_faster(fails):
+    people = [(200, 400), (600, 400), (1000, 400)]
+    alone, together = Scene(people), Batches(people)
+    together.fails = fails
+    trackers = [make(scene) for scene in (alone, together)]
+    for tracker in trackers:
+        run(tracker, 0.0, 12, boxes=[box_of(*place) for place in people])
+    places = [sorted((track.id, tuple(track.estimate.centre)) for track in tracker.tracks) for tracker in trackers]
+    assert places[0] == places[1] and len(places[0]) == 3
+    assert together.sizes[-1] == 3, "one run for all"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic_people import Walkers, face_of, standing_at
 
-from hri_pipeline.core.scheduler import InferenceScheduler
 from hri_fullbody.core.tracking.tracker import BodyTracker
+from hri_pipeline.core.scheduler import InferenceScheduler
 
 RED, BLUE, GREEN = (40, 40, 220), (220, 60, 40), (50, 200, 60)
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Callable, List, Optional, Sequence
+from typing import Callable, Dict, List, Optional, Sequence, Tuple, cast
 
 import numpy as np
 
 from hri_fullbody.core.detection.pose_estimator import (
+    BatchPoseEstimator,
     PoseDetection,
     PoseEstimate,
     PoseEstimator,
+    PoseWindow,
     covers,
     distinct,
     inside,
@@ -76,6 +78,7 @@ class BodyTracker:
         self.schedule = schedule or InferenceScheduler(batches=False)
         self._guard = guard or ItemGuard()
         self._candidates = CandidateQueue()
+        self._prepared: Dict[str, Tuple[Window, PoseEstimate]] = {}
         self._cuts = PictureCuts()
         self._locate: Locate = lambda estimate: None
         self.tracks: List[BodyTrack] = []
@@ -120,6 +123,7 @@ class BodyTracker:
         chosen = self._choose(stamp, min(for_new, len(self._candidates)))
         self._retries = self._max_retries
         with self.schedule.measure() as count:
+            self._guard.attempt("batch of windows", self._infer_together, chosen, image, stamp, own, faces)
             results = self._guard.each(
                 "body", lambda track: self._infer_track(track, image, stamp, own[track.id], faces), chosen)
             count(self.windows)
@@ -189,6 +193,18 @@ class BodyTracker:
 
     def _has_track(self, box: np.ndarray, stamp: float) -> bool:
         return any(track.visible and covers(track.expected(stamp), box) for track in self.tracks)
+
+    def _infer_together(self, chosen: Sequence[BodyTrack], image: np.ndarray, stamp: float,
+                        own: Dict[str, Optional[FaceBox]], faces: Sequence[FaceBox]) -> None:
+        """Run the network once for the first windows of all chosen bodies, where that is faster."""
+        self._prepared = {}
+        if not getattr(self._pose, "takes_batches", False) or len(chosen) < 2:
+            return
+        windows = {track.id: self._pose_window(track.window(own[track.id], stamp), track, own[track.id], faces, stamp)
+                   for track in chosen if own[track.id] is None or track.visible}
+        estimates = cast(BatchPoseEstimator, self._pose).estimate_all(image, list(windows.values()))
+        self._prepared = {name: (one.window, estimate)
+                          for (name, one), estimate in zip(windows.items(), estimates)}
 
     def _infer_track(self, track: BodyTrack, image: np.ndarray, stamp: float, face: Optional[FaceBox],
                   faces: Sequence[FaceBox]) -> Optional[PoseDetection]:
@@ -328,12 +344,21 @@ class BodyTracker:
 
     def _infer(self, image: np.ndarray, window: Window, track: Optional[BodyTrack], own: Optional[FaceBox],
               faces: Sequence[FaceBox], stamp: float) -> PoseEstimate:
-        """Estimate with the neighbours' heads hidden: all faces but the own one, or those known to be others'.
+        """Estimate with the neighbours' heads hidden; what was done in a batch is taken from it."""
+        self.windows += 1
+        prepared = self._prepared.pop(track.id, None) if track is not None else None
+        if prepared is not None and prepared[0] == window:
+            return prepared[1]
+        one = self._pose_window(window, track, own, faces, stamp)
+        return self._pose.estimate(image, one.window, one.hidden, one.shown)
+
+    def _pose_window(self, window: Window, track: Optional[BodyTrack], own: Optional[FaceBox],
+                     faces: Sequence[FaceBox], stamp: float) -> PoseWindow:
+        """Hide all faces but the own one, or those known to be others'.
 
         Only where there are no faces at all, or the body was lost, the heads of the other bodies are hidden: they are
         less sure, and with a human's own head hidden the network may make a second body of the trunk.
         """
-        self.windows += 1
         if own is not None:
             hidden = [head_box(face) for face in faces if face.id != own.id]
         else:
@@ -341,7 +366,7 @@ class BodyTracker:
             if not faces or (track is not None and not track.visible):
                 hidden += [other.expected(stamp).head_box() for other in self.tracks
                            if other is not track and other.visible]
-        return self._pose.estimate(image, window, hidden, None if own is None else own.box)
+        return PoseWindow(window, hidden, None if own is None else own.box)
 
     def _owner(self, face: FaceBox) -> Optional[BodyTrack]:
         return next((track for track in self.tracks if track.face_id == face.id), None)

@@ -81,6 +81,8 @@ _VERIFIED_PER_IMAGE = 3
 """Most tracks that are verified in one image."""
 _DETECTION_AGE = 0.4
 """Fraction of `face_support_time` without a detection after which the detector is asked for where the face is."""
+_OVERLAP = 0.1
+"""Boxes overlap by so much of the smaller one's sides, or more."""
 _PREDICTION_TIME = 0.3
 """Time constant (s) with which the presence of a face that was not measured falls."""
 ANEW_PERIOD = 0.25
@@ -492,9 +494,12 @@ class FaceTrackingPipeline:
         """Ids of faces that overlap others."""
         if len(tracks) < 2:
             return []
-        boxes = [track.predicted_box(stamp).tolist() for track in tracks]
-        return [track.id for index, track in enumerate(tracks)
-                if any(_overlap(boxes[index], box) for other, box in enumerate(boxes) if other != index)]
+        boxes = np.stack([track.predicted_box(stamp) for track in tracks])
+        low, high = boxes[:, :2], boxes[:, 2:]
+        side = np.minimum((high - low)[:, None], (high - low)[None])
+        both = np.minimum(high[:, None], high[None]) - np.maximum(low[:, None], low[None]) > _OVERLAP * side
+        both[np.arange(len(tracks)), np.arange(len(tracks))] = False
+        return [track.id for track, overlaps in zip(tracks, both.all(axis=2).any(axis=1).tolist()) if overlaps]
 
     def _tracked_face(self, track: FaceTrack, stamp: float) -> TrackedFace:
         measured = track.measured_at >= stamp
@@ -650,12 +655,6 @@ def _limits(settings: SimpleNamespace) -> Dict[str, Any]:
     return {"birth_delay": settings.face_birth_delay, "death_time": settings.face_death_time,
             "max_faces": settings.max_faces,
             "min_detections": settings.face_min_detections, "support_time": settings.face_support_time}
-
-
-def _overlap(a: Sequence[float], b: Sequence[float]) -> bool:
-    """Whether two boxes overlap by a tenth of the smaller one's sides."""
-    width, height = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
-    return width > 0.1 * min(a[2] - a[0], b[2] - b[0]) and height > 0.1 * min(a[3] - a[1], b[3] - b[1])
 
 
 def _is_rejected(track: FaceTrack) -> bool:
