@@ -157,7 +157,8 @@ def make_reference(scene: np.ndarray, people: int) -> Dict[str, np.ndarray]:
     every = {"face_mesh_rate": 0.0, "face_budget": 1000.0, "recognition": False, "expression": False,
              "age_gender": False, "action_units": False}
 
-    tracker, bodies = FacePipeline(FACES.resolve(every)), BodyPipeline(BODIES.resolve({"pose_rate": 0.0, "pose_budget": 0}))
+    tracker = FacePipeline(FACES.resolve(every))
+    bodies = BodyPipeline(BODIES.resolve({"pose_rate": 0.0, "pose_budget": 0}))
     still = MovingPeople(scene)
     for stamp in np.arange(-_SETTLE_S, 0.05, 0.1).round(1):     # panned till it is at rest
         image = still.at(stamp, False)

@@ -200,7 +200,8 @@ def test_reset_forgets_everybody():
 
 
 def test_limits_of_the_tracker():
-    tracker = BodyTracker(SimpleNamespace(), lambda: "aaaaa", 0.1, 1.0, schedule=InferenceScheduler(10.0, most=3, batches=False))
+    tracker = BodyTracker(SimpleNamespace(), lambda: "aaaaa", 0.1, 1.0,
+                          schedule=InferenceScheduler(10.0, most=3, batches=False))
     tracker.limit(0.2, 2.0, 0.7)
     for wrong in ((-1.0, 1.0, 0.5), (0.1, 0.0, 0.5), (0.1, 1.0, 1.0)):
         with pytest.raises(ValueError):

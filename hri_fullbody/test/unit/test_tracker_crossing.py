@@ -59,7 +59,8 @@ def crossing(speed):
     return lambda time: [(300.0 + speed * time, 400.0), (900.0 - speed * time, 400.0)]
 
 
-@pytest.mark.parametrize("schedule", [None, InferenceScheduler(10.0, most=6, batches=False)], ids=["every image", "10 Hz"])
+@pytest.mark.parametrize("schedule", [None, InferenceScheduler(10.0, most=6, batches=False)],
+                         ids=["every image", "10 Hz"])
 @pytest.mark.parametrize("rate", [20.0, 5.0])
 @pytest.mark.parametrize("colours", [(RED, BLUE), (RED, RED)], ids=["unlike", "alike"])
 @pytest.mark.parametrize("speed", [150.0, 300.0])

@@ -6,7 +6,6 @@ import importlib
 import threading
 from collections import OrderedDict
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Dict, Iterable, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from visualization_msgs.msg import MarkerArray
 
 from hri_fullbody.core.detection.windows import FaceBox, face_boxes
 from hri_fullbody.core.model.urdf import make_urdf
+from hri_fullbody.core.parameters import BodiesSettings
 from hri_fullbody.core.pipeline import BodyPipeline, ModelledBody
 from hri_fullbody.core.tracking.reidentification import Reidentification
 from hri_fullbody.ros.face_input import FaceInput
@@ -53,7 +53,7 @@ class BodyProcessor:
 
     name = "bodies"
 
-    def __init__(self, settings: SimpleNamespace, listen_for_faces: bool = True) -> None:
+    def __init__(self, settings: BodiesSettings, listen_for_faces: bool = True) -> None:
         self._guard = ItemGuard(rospy.logerr)
         self._networks = ModelLog(rospy.logwarn)
         self._pipeline = BodyPipeline(settings, notify=self._networks, guard=self._guard)
@@ -97,7 +97,7 @@ class BodyProcessor:
         if self._markers.get_num_connections() and not self._no_frame:
             self._draw(bodies, frame, up)
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: BodiesSettings) -> None:
         """Take up the values of the live parameters; the bodies stay."""
         self._pipeline.reconfigure(settings)
         self._pacer.set_rate(settings.joint_state_rate)

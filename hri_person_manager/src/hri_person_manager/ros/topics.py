@@ -7,7 +7,6 @@ import queue
 import threading
 import time
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Dict, Optional, Set, Tuple
 
 import genpy
@@ -16,6 +15,7 @@ from std_msgs.msg import Bool, Float32, Header, String
 
 from hri_msgs.msg import AgeAndGender
 from hri_person_manager.core.location import Place, PlaceSource
+from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_person_manager.core.proxemics import Proxemics, Space, horizontal_distance
 from hri_person_manager.core.register import DemographicsEstimate, PersonRegister
@@ -228,7 +228,7 @@ def _differs(old: object, new: object) -> bool:
 class PersonSpaces:
     """Publishes who is how near, in the plane, to `robot_frame` or to the sensor that saw the person last."""
 
-    def __init__(self, settings: SimpleNamespace, tf_input: TfInput) -> None:
+    def __init__(self, settings: PersonManagerSettings, tf_input: TfInput) -> None:
         """Take the values of the manager's parameters.
 
         ParameterError-free: ValueError for borders in the wrong order.
@@ -241,7 +241,7 @@ class PersonSpaces:
         self._poses: Dict[Tuple[str, str], Optional[Pose]] = {}
         self._lists = {space: TrackedList("{}/{}".format(NAMESPACE, space.value)) for space in Space}
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: PersonManagerSettings) -> None:
         """Take up the borders. ValueError when they are in the wrong order; then nothing has changed."""
         self._proxemics.set_borders(settings.personal_distance, settings.social_distance)
 

@@ -4,7 +4,6 @@ frames."""
 from __future__ import annotations
 
 import time
-from types import SimpleNamespace
 from typing import Dict, Iterable, List, Optional, Sequence, Set, Tuple
 
 import rospy
@@ -17,6 +16,7 @@ from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.faces.analysis import STAGES, FaceDemand
 from hri_pipeline.core.faces.crops import MAX_SIZE, aligned_crop, box_crop
 from hri_pipeline.core.faces.gaze import gaze_frame
+from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.onnx import ModelLog
@@ -79,7 +79,7 @@ class FaceProcessor:
 
     name = "faces"
 
-    def __init__(self, settings: SimpleNamespace, transforms: Optional[TfPublisher] = None) -> None:
+    def __init__(self, settings: FacePipelineSettings, transforms: Optional[TfPublisher] = None) -> None:
         is_kept = settings.recognition and settings.gallery
         (rospy.logwarn if is_kept else rospy.loginfo)("%s", privacy_line(settings))
         self._networks = ModelLog(rospy.logwarn)
@@ -114,7 +114,7 @@ class FaceProcessor:
         self._publish_frames(faces, frame)
         self._publish_matches()
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: FacePipelineSettings) -> None:
         """Apply the values of the live parameters; the faces stay."""
         self._pipeline.reconfigure(settings)
 
@@ -188,7 +188,7 @@ def face_transforms(face: FaceObservation, frame: Frame, interface: str) -> List
     return transforms
 
 
-def privacy_line(settings: SimpleNamespace) -> str:
+def privacy_line(settings: FacePipelineSettings) -> str:
     """One line of text for the log: what is inferred about people and where templates are kept."""
     on = [name for name in STAGES if getattr(settings, name)]
     off = [name for name in STAGES if name not in on]
@@ -203,7 +203,7 @@ def privacy_line(settings: SimpleNamespace) -> str:
 class FaceTopics:
     """Publishes observations of faces; the topic of an analysis that is switched off does not exist."""
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: FacePipelineSettings) -> None:
         """settings: the values of core.faces.parameters.FACES."""
         self._interface = settings.interface
         specs = {"roi": TopicSpec(roi_type(settings.interface)), "landmarks": TopicSpec(FacialLandmarks),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from types import SimpleNamespace
 from typing import Dict, List
 
 import numpy as np
@@ -13,6 +12,7 @@ from std_msgs.msg import Bool
 from hri_msgs.msg import FacialActionUnits, IdsMatch
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.matching.sample_conversation_parameters import SampleConversationSettings
 from hri_pipeline.core.simulation.conversation import (
     RATE_HZ,
     UNSEEN,
@@ -38,7 +38,7 @@ SPREAD, DIRECTION_SD = np.deg2rad(120.0), np.deg2rad(10.0)
 class SampleConversationNode:
     """Publishes one conversation after the other; `~speaker` says of each turn whose voice it truly is."""
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: SampleConversationSettings) -> None:
         self._settings = settings
         self._stop = threading.Event()
         self._random = np.random.default_rng(settings.seed)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Optional
 
 import rospkg
@@ -14,7 +13,7 @@ from rosgraph_msgs.msg import Clock
 from tf2_msgs.msg import TFMessage
 
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.simulation.parameters import PERSONS
+from hri_pipeline.core.simulation.parameters import PERSONS, SceneSettings
 from hri_pipeline.core.simulation.scene_file import Scene, SceneError, load_scene
 from hri_pipeline.core.simulation.sensors import SceneMatches, Senses, camera_pose
 from hri_pipeline.core.simulation.world import SceneTruth, World
@@ -58,7 +57,7 @@ class SceneSimulatorNode:
     Without, it follows rospy's time, and leaves cycles out when it is late.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: SceneSettings) -> None:
         if settings.speed != 1.0 and not settings.publish_clock:
             raise ParameterError("~speed is {:g}, legal without ~publish_clock: 1".format(settings.speed))
         self._settings = settings

@@ -402,8 +402,8 @@ class BodyTracker:
 
 
 def urgency(track: BodyTrack, largest: float) -> float:
-    """Weight of a body's inferences: 1 at rest, more for one that is new, moves, is near or uncertain; less for one that
-    is hidden. largest: size of the largest body in the image, px."""
+    """Weight of a body's inferences: 1 at rest, more for one that is new, moves, is near or uncertain; less for a
+    hidden one. largest: size of the largest body in the image, px."""
     if not track.life.confirmed:
         return _NEWBORN_WEIGHT
     if not track.visible:

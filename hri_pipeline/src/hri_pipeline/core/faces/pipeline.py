@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any, Callable, Collection, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
@@ -47,6 +46,7 @@ from hri_pipeline.core.faces.mesh import (
     turned_roi,
     verification_score,
 )
+from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.faces.scheduler import DetectionScheduler
 from hri_pipeline.core.faces.tracker import (
     LEAST_VERIFICATION,
@@ -111,7 +111,7 @@ class FacePipeline:
         When a model file is missing or wrong.
     """
 
-    def __init__(self, settings: SimpleNamespace, ids: Optional[IdGenerator] = None,
+    def __init__(self, settings: FacePipelineSettings, ids: Optional[IdGenerator] = None,
                  notify: Optional[Callable[[str], None]] = None) -> None:
         self.times = StageTimes()
         canonical = load_canonical_face(model_path(settings.canonical_face, "canonical_face.npz"))
@@ -202,7 +202,7 @@ class FacePipeline:
         """Set the stature (m) of a face's person, known from its body: it helps to estimate the size of the head."""
         self._geometry.set_stature(face_id, stature)
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: FacePipelineSettings) -> None:
         """Apply the values of the live parameters; the faces stay."""
         self._tracking.reconfigure(settings)
         self._analysis.reconfigure(settings)
@@ -271,7 +271,7 @@ class FaceTrackingPipeline:
         When a model file is missing or wrong.
     """
 
-    def __init__(self, settings: SimpleNamespace, times: StageTimes, ids: Optional[IdGenerator] = None,
+    def __init__(self, settings: FacePipelineSettings, times: StageTimes, ids: Optional[IdGenerator] = None,
                  notify: Optional[Callable[[str], None]] = None,
                  clock: Callable[[], float] = time.thread_time, judge: Optional[AppearanceJudge] = None) -> None:
         detector = _load(settings.face_detector_model, "face_detection_full_range.onnx", FaceDetector.OUTPUTS,
@@ -281,7 +281,8 @@ class FaceTrackingPipeline:
         self._detector = FaceDetector(detector)
         self._detection_scheduler = DetectionScheduler(settings.face_detection_period, settings.face_detection_tiles)
         self._mesh = FaceMesh(mesh)
-        self._mesh_scheduler = InferenceScheduler(**_mesh_limits(settings), idle=IdleShare(settings.cpu_share))
+        self._mesh_scheduler = InferenceScheduler(idle=IdleShare(settings.cpu_share))
+        self._limit_mesh(settings)
         self._tracker = FaceTracker(ids=ids, judge=judge, **_limits(settings))
         self._cuts = PictureCuts()
         self._anew_at = -np.inf
@@ -292,15 +293,18 @@ class FaceTrackingPipeline:
         self.detected = False
         self._set_thresholds(settings)
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: FacePipelineSettings) -> None:
         """Apply the values of the live parameters."""
         self._detection_scheduler.set_period(settings.face_detection_period)
-        self._mesh_scheduler.limit(**_mesh_limits(settings))
-        self._mesh_scheduler.set_share(settings.cpu_share)
+        self._limit_mesh(settings)
         self._tracker.limit(**_limits(settings))
         self._set_thresholds(settings)
 
-    def _set_thresholds(self, settings: SimpleNamespace) -> None:
+    def _limit_mesh(self, settings: FacePipelineSettings) -> None:
+        self._mesh_scheduler.limit(settings.face_mesh_rate, 1e-3 * settings.face_budget, max_age=settings.max_age)
+        self._mesh_scheduler.set_share(settings.cpu_share)
+
+    def _set_thresholds(self, settings: FacePipelineSettings) -> None:
         self._min_score, self._min_presence = settings.min_detection_score, settings.min_face_presence
         self._detection_age = _DETECTION_AGE * settings.face_support_time
         self._detector.set_min_score(RECALL_RATIO * self._min_score)
@@ -645,12 +649,7 @@ class _Face:
             self.pose = self.smoother(pose, stamp)
 
 
-def _mesh_limits(settings: SimpleNamespace) -> Dict[str, float]:
-    """Arguments of InferenceScheduler.limit() for the mesh network."""
-    return {"rate": settings.face_mesh_rate, "budget": 1e-3 * settings.face_budget, "max_age": settings.max_age}
-
-
-def _limits(settings: SimpleNamespace) -> Dict[str, Any]:
+def _limits(settings: FacePipelineSettings) -> Dict[str, Any]:
     """Arguments of FaceTracker.limit()."""
     return {"birth_delay": settings.face_birth_delay, "death_time": settings.face_death_time,
             "max_faces": settings.max_faces,

@@ -71,7 +71,7 @@ _SCORE_MEMORY = 0.9
 _FAST = 0.5
 """Face sizes per second from which a face counts as fast."""
 _SPEECH, _SPEECH_TIME = 0.02, 0.5
-"""Mean change of the opening of the mouth (face sizes) of somebody who speaks, and the time constant (s) of the mean."""
+"""Mean change of the opening of the mouth (face sizes) of somebody who speaks; its time constant (s)."""
 _LIPS = [13, 14]
 """Vertices in the middle of the lips' inner rims."""
 _COLOUR_GRID = (4, 5)
