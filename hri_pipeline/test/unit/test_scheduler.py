@@ -308,3 +308,14 @@ def test_recorded_images_get_the_same_inferences_on_every_machine():
         looks += len(choose(schedule, FACES[:count], machine.now))
         machine.now, machine.idle = machine.now + 1.0 / 30.0, machine.idle + 16.0 / 30.0
     assert looks == pytest.approx(300, rel=0.05)
+
+
+def test_nobody_is_lost_in_images_that_are_old_and_slow():
+    """Ten faces, three images a second, each too old already: nobody waits for much longer than half a second."""
+    schedule, last = InferenceScheduler(10.0, 0.2, cost=0.005, max_age=0.05), {}
+    for index in range(60):
+        schedule.note_timing(0.3, 0.3)
+        for name in choose(schedule, FACES, index / 3.0):
+            assert index / 3.0 - last.get(name, index / 3.0) < 0.7
+            last[name] = index / 3.0
+    assert set(last) == set(FACES)

@@ -30,6 +30,8 @@ _MOST_LATE = 2.0
 """Most periods that all may be late: after a busy time there is no long catching up."""
 _SLOW_STEP = 0.2
 """Time between two images (s) from which the budget grows with it: who is not measured for seconds would be lost."""
+_LONGEST_WAIT = 0.5
+"""Time (s) after which everybody gets an inference although the image is old: who is not seen for longer is lost."""
 _LONGEST_STEP = 1.0
 """Time between two images (s) above which no more is earned."""
 _FIRST_STEP = 1.0 / 30.0
@@ -141,7 +143,8 @@ class InferenceScheduler:
         most
             Inferences per image, 0 for no limit.
         max_age
-            Age (s) of an image that the work on it may not exceed; one inference is made all the same.
+            Age (s) of an image that the work on it may not exceed; one inference, and two a second for each, are
+            made all the same.
 
         Raises
         ------
@@ -209,7 +212,8 @@ class InferenceScheduler:
         periods = self._periods(requests, step, extra)
         self._admit(requests, stamp, periods)
         due = self._due(requests, stamp, periods)
-        chosen = due[:self._affordable(len(due), step, extra, reserved)]
+        least = int(math.ceil(len(requests) * step / _LONGEST_WAIT - 1e-6))
+        chosen = due[:self._affordable(len(due), step, extra, reserved, least)]
         for name in chosen:
             self._deadlines[name] += periods[name]
             self._waits.append(stamp - max(self._served[name], self._resumed))
@@ -288,8 +292,11 @@ class InferenceScheduler:
         earned = sum(1.0 - early[request.id] / periods[request.id] for request in requests)
         return [request.id for request in order][:max(0, int(earned + 1e-6))]
 
-    def _affordable(self, due: int, step: float, extra: float, reserved: int) -> int:
-        """Number of inferences for the image `step` s after the last; the time that is left goes to the next image."""
+    def _affordable(self, due: int, step: float, extra: float, reserved: int, least: int) -> int:
+        """Number of inferences for the image `step` s after the last; the time that is left goes to the next image.
+
+        least: how many the age of the image does not prevent.
+        """
         count = due
         if math.isfinite(self._budget):
             spendable = self._budget * max(1.0, step / _SLOW_STEP) + extra + self._left
@@ -299,5 +306,5 @@ class InferenceScheduler:
             count = min(count, max(1, self._most + int(extra / self._cost) - reserved))
         if self._age is not None:
             left = (self._max_age - self._age - self._rest) / self._stretch
-            count = min(count, max(1, int(left / self._cost)))
+            count = min(count, max(1, least, int(left / self._cost)))
         return count

@@ -45,7 +45,8 @@ class FaceTrackingSettings(Settings):
     face_budget: float = parameter(
         10.0, "Processor time per image for the mesh network, where `cpu_share` allows no more. With more faces than "
         "it allows, they take turns. On a faster machine the same budget means more runs. The networks behind it "
-        "(expression, age and gender, recognition) take three quarters of it at most, over time, and 0.3 s at once for who has just come.",
+        "(expression, age and gender, recognition) take three quarters of it at most, over time, and 0.3 s at once for "
+        "who has just come.",
         unit="ms", minimum=1.0, maximum=1000.0, live=True)
     face_birth_delay: float = parameter(
         0.1, "Time for which a face must be seen before it gets its topics. Larger keeps out more flickering false "
@@ -122,8 +123,8 @@ class CameraSettings(Settings):
         "When others need the processor, it is given back within a second. 0: never more often.", minimum=0.0,
         maximum=1.0, live=True)
     max_age: float = parameter(
-        0.1, "Age of an image, when the work on it ends, that is not exceeded by looking at more people; one is "
-        "looked at all the same.", unit="s", minimum=0.01, maximum=10.0, live=True)
+        0.1, "Age of an image, when the work on it ends, that is not exceeded by looking at more people; each is "
+        "looked at twice a second all the same.", unit="s", minimum=0.01, maximum=10.0, live=True)
     interface: str = parameter(
         "paper", "Type of `roi`: `paper` is sensor_msgs/RegionOfInterest in pixels, `rep155` is "
         "hri_msgs/NormalizedRegionOfInterest2D. With `rep155` gaze_ID goes on while the eyes are closed, with the "
