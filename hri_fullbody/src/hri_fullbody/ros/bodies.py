@@ -19,11 +19,9 @@ from hri_fullbody.core.model.urdf import make_urdf
 from hri_fullbody.core.parameters import BodiesSettings
 from hri_fullbody.core.pipeline import BodyPipeline, ModelledBody
 from hri_fullbody.core.tracking.reidentification import Reidentification
-from hri_fullbody.ros.face_input import FaceInput
-from hri_fullbody.ros.markers import SkeletonMarkers
+from hri_fullbody.ros.inputs import FaceInput, UpFrame
 from hri_fullbody.ros.state_publishers import StatePublishers
-from hri_fullbody.ros.topics import NAMESPACE, BodyTopics
-from hri_fullbody.ros.up_frame import UpFrame
+from hri_fullbody.ros.topics import NAMESPACE, BodyTopics, SkeletonMarkers
 from hri_msgs.msg import IdsMatch
 from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.ids import is_valid_id

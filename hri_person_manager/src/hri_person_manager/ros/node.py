@@ -24,8 +24,7 @@ from hri_person_manager.core.persons import ANONYMOUS_PREFIX, Snapshot
 from hri_person_manager.core.register import PersonRegister, SqliteRecordStore
 from hri_person_manager.ros.inputs import ReferenceFrame, StampedFeaturePose, TfInput
 from hri_person_manager.ros.services import PersonServices
-from hri_person_manager.ros.topics import PersonSpaces, PersonTopics
-from hri_person_manager.ros.visualization import GraphTopic, PersonMarkers
+from hri_person_manager.ros.topics import GraphTopic, PersonMarkers, PersonSpaces, PersonTopics
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.private_file import StoreError

@@ -20,8 +20,7 @@ from std_msgs.msg import Float32, String
 from hri_msgs.msg import Expression, GazesStamped
 from hri_pipeline.core.feature_history import FeatureHistory
 from hri_pipeline.core.images import ImageError
-from hri_pipeline.core.overlay import PersonMark, draw_overlay
-from hri_pipeline.core.overlay_parameters import OverlaySettings
+from hri_pipeline.core.overlay import OverlaySettings, PersonMark, draw_overlay
 from hri_pipeline.core.timing import Pacer
 from hri_pipeline.ros.conversions import (
     LandmarkArray,

@@ -211,7 +211,7 @@ class PoseDetection:
     """What the pose network found in one window.
 
     points: (33, 3) m, the landmarks placed in the optical frame, None when they cannot be. appearance: see
-    `tracking.appearance.describe`. source: id of the body whose window it was, None for a new one.
+    `tracking.reidentification.describe`. source: id of the body whose window it was, None for a new one.
     """
 
     estimate: PoseEstimate

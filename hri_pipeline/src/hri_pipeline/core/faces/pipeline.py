@@ -16,8 +16,7 @@ import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.analysis import FaceAnalysis, FaceDemand
-from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook, PictureCuts
-from hri_pipeline.core.faces.blendshapes import Blendshapes
+from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook
 from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector
 from hri_pipeline.core.faces.flow import FaceFlow
 from hri_pipeline.core.faces.gaze import EyeGeometry, GazeEstimator, GazeSmoother
@@ -31,6 +30,7 @@ from hri_pipeline.core.faces.head_pose import (
 )
 from hri_pipeline.core.faces.mesh import (
     INPUT_SIZE,
+    Blendshapes,
     CanonicalFace,
     FaceMesh,
     FaceMeshResult,
@@ -60,6 +60,7 @@ from hri_pipeline.core.faces.tracker import (
 )
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.images import PictureCuts
 from hri_pipeline.core.observations import FaceObservation, GazeEstimate
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel, model_path
 from hri_pipeline.core.recognition.face_identity import PersonMatch

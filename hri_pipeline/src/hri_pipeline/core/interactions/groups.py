@@ -30,9 +30,9 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.special import log_ndtr
 
-from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.interactions.parameters import GroupSettings
+from hri_pipeline.core.tracks import assign
 
 ROBOT = ""
 """Id of the robot as a member of a group."""
