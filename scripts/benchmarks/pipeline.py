@@ -33,10 +33,10 @@ NO_GPU = "not measured: the networks were asked to run on {}"
 LOAD = "while True: pass"
 LOADED_PEOPLE = 3
 LAUNCH = """<launch>
-  <arg name="sound"/>
+  <arg name="sound" default=""/>
+  <arg name="speech_grammar" default=""/>
   <arg name="providers"/>
   <arg name="one_process"/>
-  <arg name="speech_grammar"/>
   <node name="base_in_map" pkg="tf2_ros" type="static_transform_publisher" args="0 0 0 0 0 0 1 map base_link"/>
   <node name="camera_in_map" pkg="tf2_ros" type="static_transform_publisher"
         args="0 0 1.5 -0.5 0.5 -0.5 0.5 map camera_color_optical_frame"/>
@@ -112,9 +112,9 @@ def run(options: argparse.Namespace) -> int:
     before, rows = machine(), []
     speech = not options.silent and SPEECH.is_dir()
     arguments = ["providers:=[{}]".format(options.providers),
-                 "one_process:={}".format("true" if options.one_process else "false"),
-                 "sound:={}".format(SPEECH if speech else ""),
-                 "speech_grammar:={}".format(SPEECH / "cards.gram" if speech else "")]
+                 "one_process:={}".format("true" if options.one_process else "false")]
+    if speech:
+        arguments += ["sound:={}".format(SPEECH), "speech_grammar:={}".format(SPEECH / "cards.gram")]
     logs = Path(tempfile.mkdtemp(prefix="ros4hri-benchmark-"))
     try:
         for people in options.people:
