@@ -75,7 +75,8 @@ def difference(a: Optional[np.ndarray], b: Optional[np.ndarray]) -> Optional[flo
     if not shown:
         return None
     # What one does not show is 0 in the product. Rounding may take a sum a little beyond 1.
-    return math.sqrt(max(0.0, 1.0 - float(np.sqrt(a * b).sum()) / shown))
+    alike = np.minimum(np.sqrt(a * b).sum(axis=1), 1.0)
+    return math.sqrt(max(0.0, 1.0 - float(alike.sum()) / shown))
 
 
 def differences(one: np.ndarray, others: np.ndarray) -> np.ndarray:
