@@ -217,3 +217,16 @@ def test_a_jump_of_the_measurement_is_no_velocity():
 def test_negative_coasting_is_refused():
     with pytest.raises(ValueError):
         Location(0.5, -1.0)
+
+
+def test_nobody_knows_how_exact_a_place_is_for_long():
+    location = Location(0.5)
+    place = Place("map", Pose(np.eye(3), np.array([2.0, 0.0, 1.6])), 0.0, covariance=np.diag([0.04, 0.01, 0.01]))
+    location.offer(PlaceSource.FACE, place, 0.0)
+    assert location.expected(0.4) is place, "as long as its source is not silent"
+    later = [location.expected(elapsed).covariance[0, 0] for elapsed in (1.0, 3.0, 9.0)]
+    assert 0.04 < later[0] < later[1] < later[2]
+    assert location.place is place
+    optical = Place("camera_optical_frame", place.pose, 0.0, covariance=np.diag([1.0, 2.0, 3.0]))
+    assert np.diag(optical.horizontal_covariance).tolist() == [1.0, 3.0]
+    assert Place("map", place.pose, 0.0).horizontal_covariance is None

@@ -348,3 +348,19 @@ def test_a_writer_in_the_other_process_keeps_its_templates(tmp_path):
     assert len(recogniser.load_templates("net", 8)) == 1
     recogniser.close()
     store.close()
+
+
+def test_records_of_a_read_only_store_are_known_and_stay_as_they_are():
+    shelf = Shelf()
+    made = PersonRegister(shelf, [PersonRecord("ada", "Ada", enrolled=True, last_seen=1.0)])
+    made.seen(["ada", "bob"], 50.0)
+    made.observe("ada", "face", 30.0, 0.9, FEMALE, 0.9, 50.0)
+    made.flush()
+    assert set(shelf.records) == {"bob"} and made.get("ada").name == "Ada"
+    for change in (lambda: made.set_name("ada", "Eve"), lambda: made.set_enrolled("ada", False, 60.0),
+                   lambda: made.forget("ada")):
+        with pytest.raises(RegisterError, match="read-only store"):
+            change()
+    own = PersonRegister(Shelf([PersonRecord("ada", "Own")]), [PersonRecord("ada", "Other")])
+    assert own.get("ada").name == "Own", "the own store goes first"
+    own.set_name("ada", "New")

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_person_manager.core.triangulation import fuse, ray_covariance, squared_distances
+from hri_person_manager.core.triangulation import (
+    aged,
+    ellipse,
+    fuse,
+    ray_covariance,
+    squared_distances,
+    voice_covariance,
+)
 
 LEFT, RIGHT = np.array([0.0, 0.0, 1.5]), np.array([4.0, 0.0, 1.5])
 
@@ -31,3 +38,29 @@ def test_the_distance_counts_in_deviations():
     across = squared_distances(np.array([[0.0, 3.0, 1.5], [0.6, 3.0, 1.5]]), covariances)
     assert np.sqrt(along[0, 1]) == pytest.approx(0.6 / (0.36 * np.sqrt(2.0)))
     assert np.sqrt(across[0, 1]) == pytest.approx(0.6 / (0.06 * np.sqrt(2.0))) and along[0, 0] == 0.0
+
+
+def test_a_voice_tells_a_direction_and_hardly_a_distance():
+    place = np.array([1.0, 0.0, 1.5])       # as voices are placed, 1 m away
+    covariance = voice_covariance(place, LEFT)
+    along, side = np.sqrt(covariance[0, 0]), np.sqrt(covariance[1, 1])
+    assert 1.3 < along < 1.5 and 0.3 < side < 0.33 and covariance[0, 1] == 0.0
+    assert voice_covariance(LEFT, LEFT)[0, 0] > 0.0, "a place at the microphones is no mistake"
+
+
+def test_a_place_that_is_not_renewed_grows():
+    start = np.diag([0.04, 0.01, 0.01])
+    spreads = [np.sqrt(aged(start, elapsed)[1, 1]) for elapsed in (-1.0, 0.0, 0.5, 2.0, 10.0)]
+    assert spreads[:2] == [0.1, 0.1] and spreads == sorted(spreads)
+    # 0.5 m/s at first; after some seconds as a random walk.
+    assert spreads[2] == pytest.approx(np.hypot(0.1, 0.25), abs=0.03) and 1.5 < spreads[4] < 2.5
+
+
+def test_an_ellipse_is_as_large_and_turned_as_its_covariance():
+    turn = np.deg2rad(30.0)
+    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    major, minor, found = ellipse(axes @ np.diag([0.09, 0.01]) @ axes.T)
+    assert (major, minor) == pytest.approx((0.3 * np.sqrt(5.991), 0.1 * np.sqrt(5.991)))
+    assert np.sin(found - turn) == pytest.approx(0.0, abs=1e-9)
+    drawn = np.random.default_rng(1).normal(size=(20000, 2))
+    assert np.mean((drawn ** 2).sum(axis=1) <= 5.991) == pytest.approx(0.95, abs=0.005)

@@ -1,11 +1,13 @@
 """The store of people: private, whole, forgetting without a trace, shared by two processes; and the thread that
 writes."""
 
+import base64
 import fcntl
 import os
 import signal
 import sqlite3
 import stat
+import struct
 import subprocess
 import sys
 import threading
@@ -221,11 +223,18 @@ def test_a_newer_schema_is_refused_and_left_alone(path, monkeypatch):
     assert not list(path.parent.glob("*.damaged-*"))
 
 
-def test_a_store_of_the_first_schema_is_read_and_brought_to_the_newest(path, monkeypatch):
-    with monkeypatch.context() as patched:
-        patched.setattr(store_module, "MIGRATIONS", store_module.MIGRATIONS[:1])
-        filled(path).close()
+def test_a_store_of_the_first_schema_is_read_and_brought_to_the_newest(path):
+    path.parent.mkdir(mode=0o700)
+    with sqlite3.connect(str(path)) as first:
+        for statement in store_module.MIGRATIONS[0]:
+            first.execute(statement)
+        for name in ("anna", "person0", "person1", "person2"):
+            first.execute("INSERT INTO persons VALUES (?, ?, '', 0, '', 1, 2, '{}')", (name, name.upper()))
+        first.execute("PRAGMA user_version = 1")
+        first.execute("PRAGMA application_id = {}".format(store_module.APPLICATION_ID))
+    first.close()
     store = PersonStore(path)
+    assert [record.name for record in store.load_records()][0] == "ANNA"
     ids = [record.id for record in store.load_records()]
     assert len(ids) == 4 and store.load_apart() == set()
     store.put_apart([frozenset(ids[:2]), frozenset((ids[0], "nobody"))])
@@ -270,7 +279,8 @@ def test_templates_can_be_encrypted(path, tmp_path):
     assert np.array_equal(store.load_templates("net", SIZE)[1].templates[0], face(1))
     store.close()
     plain = PersonStore(path)
-    assert "anna" in [record.id for record in plain.load_records()], "the records need no key"
+    with pytest.raises(StoreError, match="store_key"):
+        plain.load_records()
     with pytest.raises(StoreError, match="give the key"):
         plain.load_templates("net", SIZE)
     with pytest.raises(StoreError, match="give the key"):
@@ -457,3 +467,34 @@ def test_neither_the_end_nor_who_waits_waits_for_ever(disk):
     assert "another process" in writer.close(0.05)
     disk.gate.set()
     assert writer.close() == ""
+
+
+def test_with_a_key_nothing_tells_who_or_when(path, tmp_path):
+    key = TemplateCipher(make_key_file(tmp_path / "key"))
+    store = PersonStore(path)       # an earlier version, or a process without the key, wrote this in plain
+    anna = StoredPerson("anna", "Anna Example", "pt-BR", True, "", 1234567.0, 2345678.0, {"age": 41.5})
+    store.put_record(anna)
+    store.close()
+    assert b"Anna Example" in everything(path.parent)
+    store = PersonStore(path, key)
+    assert store.load_records() == [anna] and b"Anna Example" not in everything(path.parent)
+    store.put_record(StoredPerson("bert", "Bert Example", "en", False, "anna", 3456789.0, 4567890.0))
+    store.put_templates(KnownPerson("carl", face(3)[None]), "net", 5678901.0)
+    told = {one.id: one for one in store.load_records()}
+    assert (told["bert"].name, told["bert"].alias, told["carl"].first_seen) == ("Bert Example", "anna", 5678901.0)
+    store.close()
+    left = everything(path.parent)
+    words = [b"Example", b"pt-BR", b"41.5"] + [struct.pack(">d", when) for when in (1234567.0, 2345678.0, 5678901.0)]
+    assert not [word for word in words if word in left]
+    with sqlite3.connect(str(path)) as database:
+        # Fernet writes the time of encryption in plain: bytes 1 to 8 of a token.
+        tokens = [row[0] for row in database.execute("SELECT sealed FROM persons UNION SELECT template FROM templates")]
+    assert {base64.urlsafe_b64decode(token)[1:9] for token in tokens} == {bytes(8)}
+    with pytest.raises(StoreError, match="store_key"):
+        PersonStore(path).load_records()
+    with pytest.raises(StoreError, match="give the key"):
+        PersonStore(path, TemplateCipher(make_key_file(tmp_path / "other"))).load_records()
+    store = PersonStore(path, key)
+    assert store.expire(4567900.0, 1000000.0, 0) == ["anna"] and len(store.load_records()) == 2
+    assert store.expire(4567900.0, 0.0, 1) == ["bert"]
+    store.close()

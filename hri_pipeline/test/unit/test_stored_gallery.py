@@ -9,9 +9,9 @@ from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
 from benchmarks.store import forget_undone, no_room, write_locked
 from hri_pipeline.core.private_file import StoreError
-from hri_pipeline.core.recognition.gallery import MemoryGallery, StoredGallery, open_gallery
+from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery, StoredGallery, open_gallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
-from hri_pipeline.core.recognition.store import PersonStore, StoredPerson
+from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson
 
 CALIBRATION = TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)
 
@@ -282,3 +282,27 @@ def test_the_ending_tells_the_kind_of_file(tmp_path, name, kind):
             opened.add_person("anna", face(1)[None])
         opened.close()
         opened.close()
+
+
+def test_people_of_a_read_only_store_are_known_and_never_changed(tmp_path):
+    shared, own = tmp_path / "shared" / "people.sqlite", tmp_path / "own" / "people.sqlite"
+    store = PersonStore(shared)
+    store.put_record(StoredPerson("ada", "Ada", enrolled=True))
+    store.put_templates(KnownPerson("ada", face(1)[None], True), "net", 1.0)
+    store.close()
+    before = {file.name: file.read_bytes() for file in shared.parent.iterdir()}
+    gallery = open_gallery(str(own), "net", SIZE, CALIBRATION, read_only=[str(shared)])
+    assert gallery.match(face(1)[None])[0].candidates[0].person_id == "ada"
+    gallery.add_person("bert", face(2)[None])
+    assert not gallery.add_template("ada", face(1, 0.3))
+    for change in (lambda: gallery.remove("ada"), lambda: gallery.enrol("ada", False),
+                   lambda: gallery.merge("ada", "bert"), lambda: gallery.merge("bert", "ada")):
+        with pytest.raises(GalleryError, match="read-only store"):
+            change()
+    gallery.close()
+    assert {file.name: file.read_bytes() for file in shared.parent.iterdir()} == before
+    mine = PersonStore(own)
+    assert [record.id for record in mine.load_records()] == ["bert"]
+    mine.close()
+    with pytest.raises(StoreError, match="read-only store"):
+        open_gallery("", "net", SIZE, CALIBRATION, read_only=[str(tmp_path / "absent.sqlite")])

@@ -22,21 +22,23 @@ LEFT_OUT: Dict[str, Dict[str, str]] = {
     "bag.launch": {},
     "two_machines.launch": {},
     "demo.launch": {
+        "sensor": _TOPICS, "sensor_namespace": _TOPICS,
         "image": _TOPICS, "camera_info": _TOPICS, "audio": _TOPICS, "audio_info": _TOPICS, "microphone_frame": _TOPICS,
         "voices": "the argument sound decides", "reference_frame": "the place of the camera is given in map"},
     "scene.launch": {
         **{name: _CAMERA for name in (
+            "sensor", "sensor_namespace",
             "image", "camera_info", "depth", "image_transport", "fallback_fov", "faces", "bodies", "overlay",
             "one_process", "up_frame",
             "providers", "quality", "vision_rate", "max_people", "privacy", "recognition", "recognition_model",
-            "store_key", "faces_config", "bodies_config",
+            "faces_config", "bodies_config",
             "vision_config", "overlay_config")},
         **{name: _SOUND for name in (
             "audio", "audio_info", "microphone_frame", "microphone_positions", "speech", "speech_grammar",
             "voices_config")},
         "matcher_config": "the simulator tells the matches", "voice_matcher_config": "the simulator tells the matches"},
     "two_cameras.launch": {
-        "image": _OF_EACH, "camera_info": _OF_EACH, "depth": _OF_EACH,
+        "sensor": _OF_EACH, "sensor_namespace": _OF_EACH, "image": _OF_EACH, "camera_info": _OF_EACH, "depth": _OF_EACH,
         "faces": "without faces nobody is the same for both cameras",
         "persons": "without persons nobody is the same for both cameras", "overlay": "it draws for one camera",
         "overlay_config": "it draws for one camera", "one_process": "one_camera.launch has two processes",
@@ -46,6 +48,7 @@ LEFT_OUT: Dict[str, Dict[str, str]] = {
 
 OTHER_DEFAULTS = {
     ("bag.launch", "up_frame"): "a camera_tilt that is given says where up is",
+    ("demo.launch", "depth"): "no sensor is chosen",
     ("scene.launch", "robot_frame"): "the robot of the simulator looks where its camera looks",
     ("two_cameras.launch", "reference_frame"): "the places of the cameras are given in it",
     ("two_cameras.launch", "up_frame"): "the places of the cameras in the reference frame are known, so the floor is",

@@ -27,6 +27,7 @@ from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.observations import BodyObservation, FaceObservation
 from hri_pipeline.core.onnx import ModelLog
+from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.timing import StampPacer
 from hri_pipeline.ros.conversions import match_to_msg, transform_to_msg
 from hri_pipeline.ros.diagnostics import OK, WARN
@@ -50,6 +51,8 @@ class BodyProcessor:
     """
 
     name = "bodies"
+    data_use = DataUse(("key points", "skeletons", "statures", "clothes, for some seconds", "attitudes", "postures",
+                        "gestures"))
 
     def __init__(self, settings: BodiesSettings, listen_for_faces: bool = True) -> None:
         self._guard = ItemGuard(rospy.logerr)

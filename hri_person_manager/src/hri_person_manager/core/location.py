@@ -23,6 +23,7 @@ from typing import Callable, Container, Deque, Dict, Hashable, Iterable, List, M
 import numpy as np
 
 from hri_person_manager.core.features import MatchNode
+from hri_person_manager.core.triangulation import aged
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
 
@@ -133,6 +134,12 @@ class Place:
         x, y, z = self.pose.translation.tolist()
         return (x, z) if is_optical(self.frame) else (x, y)
 
+    @property
+    def horizontal_covariance(self) -> Optional[np.ndarray]:
+        """The covariance (2, 2) m^2 of the two horizontal coordinates."""
+        kept = [0, 2] if is_optical(self.frame) else [0, 1]
+        return None if self.covariance is None else self.covariance[np.ix_(kept, kept)]
+
 
 @dataclass(frozen=True)
 class Decay:
@@ -203,6 +210,11 @@ class CoastingMotion:
         time = min(elapsed, self._coast_time)
         way = self._velocity * (time - 0.5 * time * time / self._coast_time)
         return replace(place, pose=Pose(place.pose.rotation, place.pose.translation + way))
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """(3,) m/s, at the last measured place."""
+        return self._velocity
 
     def clear(self) -> None:
         """Forget the velocity."""
@@ -326,8 +338,17 @@ class Location:
         return 1.0 if now <= until else decay.confidence(now - max(until, self._fresh_until))
 
     def expected(self, now: float) -> Optional[Place]:
-        """Return where the person is now when nobody has seen it since its last place; None without one."""
-        return None if self.place is None else self._motion.coast(self.place, now - self.updated)
+        """Return where the person is now when nobody has seen it since its last place; None without one.
+
+        The longer the sources are silent, the larger is the covariance.
+        """
+        if self.place is None:
+            return None
+        away = now - self.updated
+        place = self._motion.coast(self.place, away)
+        if place.covariance is None or not self.is_silent(now):
+            return place
+        return replace(place, covariance=aged(place.covariance, away))
 
     def retain(self, features: Container[Hashable], now: float) -> None:
         """Let go of all sources but those of these features; at `now` (s) the others have left."""

@@ -23,6 +23,7 @@ from hri_person_manager.core.persons import (
     PublishedPersons,
     Snapshot,
 )
+from hri_person_manager.core.triangulation import voice_covariance
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.parameters import ParameterError
@@ -329,10 +330,12 @@ class PersonManager:
         return bool(expired)
 
     def _with_covariance(self, source: PlaceSource, place: Place, sensor: str) -> Place:
-        """The place with how exact it is, where that is known: of what a camera sees, if one knows where that is."""
+        """The place with how exact it is, where one knows where the sensor is."""
         origin = np.zeros(3) if place.origin is None and place.frame == sensor else place.origin
-        if source == PlaceSource.VOICE or origin is None or place.covariance is not None:
+        if origin is None or place.covariance is not None:
             return place
+        if source == PlaceSource.VOICE:
+            return replace(place, origin=origin, covariance=voice_covariance(place.pose.translation, origin))
         covariance = self._cameras.covariance(place.pose.translation, origin, self._errors.get(
             sensor, self._settings.distance_error))
         return replace(place, origin=origin, covariance=covariance)

@@ -72,6 +72,9 @@ class PersonManagerSettings(Settings):
     cross_camera_handover: float = parameter(
         4.0, "Time in which somebody who left one view may appear in another, where the last velocity leads, as the "
         "same person. 0: never.", unit="s", minimum=0.0, maximum=60.0, live=True)
+    people_msgs: bool = parameter(
+        False, "Publish /people (people_msgs/People) for navigation: positions, velocities, and as tags group, "
+        "engagement, posture.")
     source_timeout: float = parameter(
         0.5, "Silence of the face frame after which the body places the person, and of all frames after which the "
         "last place is sent again. Where face and body were seen together, the body goes on after 0.25 s, or three "
@@ -80,6 +83,11 @@ class PersonManagerSettings(Settings):
     store: str = parameter(
         "", "File (SQLite) in which permanent persons are kept across runs: ids, names, languages, demographics, "
         "times; the recognisers keep their templates in the same file. Empty: in memory only.")
+    store_key: str = parameter(
+        "", "File with the key that names, languages, demographics and times in `store` are encrypted with: that of "
+        "the recognisers (their `gallery_key`); make one with `people make-key FILE`. Empty: not encrypted.")
+    store_read_only: Sequence[str] = parameter(
+        [], "More stores, whose people are known by name, too, but never changed: plain ones, or with the same key.")
     store_max_age: float = parameter(
         0.0, "Persons not seen for longer are removed from the store without a trace. 0: never.", unit="days",
         minimum=0.0, maximum=36500.0)

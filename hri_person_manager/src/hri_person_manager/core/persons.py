@@ -428,5 +428,6 @@ class PublishedPersons:
         if not shown.members:
             return PersonState(person.id, "", "", "", person.anonymous, 0.0, shown.target)
         face, body, voice = (shown.features.get(kind, "") for kind in FEATURES)
-        return PersonState(person.id, face, body, voice, person.anonymous,
-                           person.location.confidence(now, self.decay), "", person.location.place)
+        location = person.location
+        return PersonState(person.id, face, body, voice, person.anonymous, location.confidence(now, self.decay), "",
+                           location.expected(now) if location.is_silent(now) else location.place)

@@ -24,6 +24,7 @@ _MAX_FACES = 20
 LONGEST_NAME = 64
 SEEN_STEP_S = 10.0       # last_seen is written to the store in steps of so many seconds
 DAY_S = 86400.0
+_BORROWED = "{} is in a read-only store; change it there"
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,8 @@ class PersonRegister:
     wait for them; they are called by one thread at a time.
     """
 
-    def __init__(self, store: Optional[RecordStore] = None) -> None:
+    def __init__(self, store: Optional[RecordStore] = None, borrowed: Sequence[PersonRecord] = ()) -> None:
+        """borrowed: records of read-only stores; they are known, and neither written nor changed."""
         self._store = store
         self._lock = threading.Lock()      # of the next two
         self._change = RecordChange()
@@ -173,6 +175,8 @@ class PersonRegister:
         for record in store.load_records() if store is not None else ():
             self._records[record.id] = record
             self._demographics[record.id] = DemographicsFusion(record.demographics)
+        self._borrowed = {record.id for record in borrowed} - set(self._records)
+        self._records.update((record.id, record) for record in borrowed if record.id in self._borrowed)
 
     def __contains__(self, person_id: str) -> bool:
         """Tell whether somebody is known."""
@@ -303,6 +307,8 @@ class PersonRegister:
 
         An id that is forgotten here but still in the store counts as known, so that the request can be repeated.
         """
+        if person_id in self._borrowed:
+            raise RegisterError(_BORROWED.format(person_id))
         gone = [key for key, record in self._records.items() if key == person_id or record.alias == person_id]
         with self._lock:
             is_known = bool(gone) or self._change.everybody or person_id in self._change.removed
@@ -320,6 +326,7 @@ class PersonRegister:
             self._change = RecordChange(everybody=True)
         self._records.clear()
         self._demographics.clear()
+        self._borrowed.clear()
         return count
 
     def export(self, person_id: str = "") -> List[dict]:
@@ -340,7 +347,12 @@ class PersonRegister:
         self._demographics.pop(person_id, None)
 
     def _write(self, record: PersonRecord) -> None:
-        if self._records.get(record.id) == record:
+        before = self._records.get(record.id)
+        if before == record:
+            return
+        if record.id in self._borrowed and before is not None:
+            if replace(record, last_seen=before.last_seen, demographics=before.demographics) != before:
+                raise RegisterError(_BORROWED.format(record.id))
             return
         self._records[record.id] = record
         with self._lock:
@@ -371,7 +383,7 @@ class SqliteRecordStore:
         """Return all records."""
         rows = self._store.load_records()
         self._stored = {row.id for row in rows}
-        return [PersonRecord(**dict(vars(row), demographics=_estimate(row.demographics))) for row in rows]
+        return [record_of(row) for row in rows]
 
     def write(self, change: RecordChange) -> List[str]:
         """See RecordStore. Templates go with who goes, and stay with who stays."""
@@ -400,6 +412,11 @@ class SqliteRecordStore:
     def close(self) -> None:
         """Give the file back. May be called again."""
         self._store.close()
+
+
+def record_of(row: StoredPerson) -> PersonRecord:
+    """Return the record that a row of a store is."""
+    return PersonRecord(**dict(vars(row), demographics=_estimate(row.demographics)))
 
 
 def _row(record: PersonRecord) -> StoredPerson:

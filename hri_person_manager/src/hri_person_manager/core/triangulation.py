@@ -3,7 +3,8 @@
 A camera knows the direction of a person well and the distance badly: without depth or floor, 12 % of the distance along
 the ray and 2 % across were measured on four synchronised cameras. So a place is a Gaussian that is long along its ray;
 two are compared by their Mahalanobis distance, and fused by their inverse covariances (the best linear estimate; R.
-Kalman, Journal of Basic Engineering 82, 1960). Where rays cross, that is the triangulation of the person.
+Kalman, Journal of Basic Engineering 82, 1960). Where rays cross, that is the triangulation of the person. A voice tells
+a direction only; a place of which nothing new is heard becomes less certain with time.
 """
 
 from __future__ import annotations
@@ -23,6 +24,10 @@ FASTEST_MPS = 3.0          # a person who runs
 SETTLING_S = 0.2           # the first places of a stretch are averaged
 FRESH_S = 0.5              # who was seen so long ago is seen now
 UNKNOWN_M = 1.0            # deviation of the height of a head of which only the hips are known
+VOICE_RAD = 0.14           # error of the direction of a voice (standard deviation)
+VOICE_M, VOICE_SPREAD_M = 2.0, 1.0     # mean distance of who talks, and its standard deviation: 0.5 to 4 m
+AWAY_MPS, AWAY_S = 0.5, 1.0     # speed of who is out of sight, per axis, and for how long it goes one way
+CHI_SQUARE_95 = 5.991      # of two degrees of freedom: the square of the Mahalanobis distance that 95 % keep
 
 
 class Estimate(NamedTuple):
@@ -50,6 +55,41 @@ def ray_covariance(position: np.ndarray, origin: np.ndarray, along: float = ALON
     square = float(ray @ ray)
     side = across * across * square + exactness * exactness
     return side * np.eye(3) + (along * along - across * across) * np.outer(ray, ray)
+
+
+def voice_covariance(position: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    """Return the covariance (3, 3) m^2 of a place in the direction of a voice, of which the distance is not known.
+
+    The second moments of a speaker VOICE_M +- VOICE_SPREAD_M away about the place that is told.
+
+    Parameters
+    ----------
+    position, origin : numpy.ndarray, shape (3,)
+        The place that is told, and the microphones, m, in one frame.
+    """
+    ray = position - origin
+    length = float(np.linalg.norm(ray))
+    unit = ray / max(length, 1e-6)
+    side = VOICE_RAD ** 2 * (VOICE_M ** 2 + VOICE_SPREAD_M ** 2)
+    along = VOICE_SPREAD_M ** 2 + (VOICE_M - length) ** 2
+    return side * np.eye(3) + (along - side) * np.outer(unit, unit)
+
+
+def aged(covariance: np.ndarray, elapsed: float) -> np.ndarray:
+    """Return the covariance (3, 3) m^2 of a place that was told `elapsed` s ago: its human may have walked away.
+
+    A velocity that is forgotten after AWAY_S (L. Ornstein and G. Uhlenbeck, Physical Review 36, 1930).
+    """
+    times = max(elapsed, 0.0) / AWAY_S
+    spread = 2.0 * (AWAY_MPS * AWAY_S) ** 2 * (times - 1.0 + math.exp(-times))
+    return covariance + spread * np.eye(3)
+
+
+def ellipse(covariance: np.ndarray, gate: float = CHI_SQUARE_95) -> Tuple[float, float, float]:
+    """Return half axes (m, the longer one first) of the ellipse of a covariance (2, 2) m^2, and its turn (rad)."""
+    values, vectors = np.linalg.eigh(covariance)
+    minor, major = np.sqrt(gate * np.maximum(values, 0.0)).tolist()
+    return major, minor, math.atan2(float(vectors[1, 1]), float(vectors[0, 1]))
 
 
 def fuse(positions: np.ndarray, covariances: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import threading
 import time
+from pathlib import Path
 from types import FrameType
 from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple
 
@@ -45,14 +46,19 @@ from hri_person_manager.srv import (
     Split,
 )
 from hri_pipeline.core.frames import RawTransform, read
-from hri_pipeline.core.private_file import StoreError, make_key_file
+from hri_pipeline.core.onnx import ModelError
+from hri_pipeline.core.privacy import notice
+from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
+from hri_pipeline.core.recognition.store import PersonStore
 from hri_pipeline.ros.master import MasterWatch
 from hri_pipeline.ros.node import wait_for_master
+from hri_pipeline.ros.privacy import collect
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import SKELETONS, Frames, TfSubscriber
 
 SERVICE_PATIENCE_S = 5.0
+PRIVACY_S = 2.0      # in which all nodes have sent what they have latched
 _COMMANDS: Dict[str, Tuple[str, type, Tuple[str, ...], str]] = {
     "name": ("set_name", SetName, ("id", "name"), "give a known person a name; '' takes it away"),
     "language": ("set_native_language", SetNativeLanguage, ("id", "language"), "set the native language, such as "
@@ -83,6 +89,8 @@ def run_people(arguments: Optional[Sequence[str]] = None) -> int:
         return 2
     if options.command == "make-key":
         return _make_key(options.file)
+    if options.command == "enrol" and (options.photographs or options.given_name):
+        return _enrol_photographs(options)
     if not wait_for_master("people", 0.0):
         return 1
     rospy.init_node("people", anonymous=True, disable_signals=True)
@@ -104,11 +112,20 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--node", default="/hri_person_manager", help="name of the person manager")
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("list", help="list everybody who is known")
+    commands.add_parser("privacy", help="what is computed and kept of people, by the nodes themselves")
     for command, (_, _, fields, text) in _COMMANDS.items():
         added = commands.add_parser(command, help=text, description=text)
         for field in fields:
             optional = command == "export" or (command.startswith("enrol") and field == "name")
             added.add_argument(field, nargs="?" if optional else None, default="")
+        if command == "enrol":
+            added.add_argument("--photographs", action="store_true",
+                               help="ID is a directory of photographs of somebody who has agreed; no node runs")
+            added.add_argument("--store", default="", help="with photographs: the store of people")
+            added.add_argument("--key", default="", help="with photographs: the key of the store, if it has one")
+            added.add_argument("--name", dest="given_name", default="", help="name of the person on the photographs; "
+                                                                             "implies --photographs")
+            added.add_argument("--model", default="", help="with photographs: recognition network, as in faces.yaml")
     commands.add_parser("forget-all", help="remove everybody").add_argument("--yes", action="store_true", help="really")
     commands.add_parser("make-key",
                         help="write a new key, with which a recogniser encrypts its templates").add_argument(
@@ -126,10 +143,39 @@ def _make_key(path: str) -> int:
     return 0
 
 
+def _enrol_photographs(options: argparse.Namespace) -> int:
+    """Put somebody on photographs into the store, as having agreed; the node that reads it starts later."""
+    # The networks take seconds to load, which no other command has to wait for.
+    from hri_pipeline.core.recognition.enrolment import EnrolmentError, enrol, photographs, templates_of
+    name = options.given_name or options.name
+    if not options.id or not options.store or not name:
+        print("people: people enrol --name NAME DIRECTORY --store FILE.sqlite [--key FILE]", file=sys.stderr)
+        return 2
+    try:
+        store = PersonStore(options.store, TemplateCipher(options.key) if options.key else None,
+                            lambda text: print(text, file=sys.stderr))
+        try:
+            found = templates_of(photographs(Path(options.id).expanduser()), options.model)
+            person_id = enrol(store, name, found, time.time())
+        finally:
+            store.close()
+    except (EnrolmentError, StoreError, ModelError) as error:
+        print("people: {}".format(error), file=sys.stderr)
+        return 1
+    for line in found.left_out:
+        print("people: left out {}".format(line), file=sys.stderr)
+    print("{} is {}, has agreed, and is known by {} templates".format(person_id, name, len(found.templates)))
+    return 0
+
+
 def _carry_out(options: argparse.Namespace) -> int:
     if options.command == "list":
         print(known_table(_service(options.node, "list_known", ListKnown)()))
         return 0
+    if options.command == "privacy":
+        uses = collect(PRIVACY_S)
+        print(notice(uses) if uses else "people: no node has said on /humans/privacy what it does", flush=True)
+        return 0 if uses else 1
     if options.command == "reset":
         _service(options.node, "reset", Empty)()
         return 0

@@ -8,7 +8,7 @@ import threading
 import time
 import xmlrpc.client
 from pathlib import Path
-from typing import Callable, Dict, List, Mapping, Optional, Tuple
+from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import genpy
 import rospy
@@ -21,18 +21,21 @@ from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import ANONYMOUS_PREFIX, Snapshot
-from hri_person_manager.core.register import PersonRegister, SqliteRecordStore
+from hri_person_manager.core.register import PersonRecord, PersonRegister, SqliteRecordStore, record_of
 from hri_person_manager.ros.inputs import ReferenceFrame, StampedFeaturePose, TfInput
+from hri_person_manager.ros.navigation import PeopleTopic
 from hri_person_manager.ros.services import PersonServices
 from hri_person_manager.ros.topics import GraphTopic, PersonMarkers, PersonSpaces, PersonTopics
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.privacy import DataUse
+from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.process import share_arenas
 from hri_pipeline.core.recognition.gallery import SHARED_ENDINGS
-from hri_pipeline.core.recognition.store import PersonStore, StoreWriter
+from hri_pipeline.core.recognition.store import PersonStore, StoreWriter, read_store
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.privacy import PrivacyTopic
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import TfPublisher
@@ -63,12 +66,35 @@ def open_store(settings: PersonManagerSettings) -> Optional[SqliteRecordStore]:
         raise ParameterError("~store: {} does not end in {}, by which recognisers know the file that they share; name "
                              "it so".format(settings.store, ", ".join(SHARED_ENDINGS)))
     try:
-        store = PersonStore(settings.store, notify=rospy.logerr)
+        store = PersonStore(settings.store, _cipher(settings), rospy.logerr)
+        store.load_records()    # a wrong key, or none, is told at the start
     except StoreError as error:
         raise ParameterError("~store: {}".format(error)) from error
     rospy.logwarn("persons are kept across runs in %s: ids, names, languages, apparent age and gender, times, "
-                  "templates of faces. Forget them with `rosrun hri_person_manager people forget ID`", store.path)
+                  "templates of faces%s. Forget them with `rosrun hri_person_manager people forget ID`", store.path,
+                  ", encrypted" if settings.store_key else "")
     return SqliteRecordStore(store, settings.store_max_age, settings.store_max_persons)
+
+
+def _cipher(settings: PersonManagerSettings) -> Optional[TemplateCipher]:
+    return TemplateCipher(settings.store_key) if settings.store_key else None
+
+
+def data_use(settings: PersonManagerSettings, records: Sequence[PersonRecord]) -> DataUse:
+    """Return what is computed of persons and kept of them; records: everybody who is known."""
+    stored = ("ids", "consent", "names", "languages", "apparent age and gender", "times") if settings.store else ()
+    return DataUse(("who belongs together", "positions", "names and languages that were given",
+                    "apparent age and gender over time"), settings.store, stored,
+                   settings.store_max_age if settings.store else 0.0, bool(settings.store and settings.store_key),
+                   tuple(record.id for record in records if record.enrolled))
+
+
+def borrowed_records(settings: PersonManagerSettings) -> List[PersonRecord]:
+    """Read the stores of the parameter `store_read_only`. Raises ParameterError when one cannot be used."""
+    try:
+        return [record_of(row) for path in settings.store_read_only for row in read_store(path, _cipher(settings))[0]]
+    except StoreError as error:
+        raise ParameterError("~store_read_only: {}".format(error)) from error
 
 
 class RestartState:
@@ -201,12 +227,15 @@ class PersonManagerNode:
         self._sensed = genpy.Time()     # stamp of the newest image or sound of which a list or a transform has come
         self._feeds: Dict[str, IdSubscribers] = {}
         self._store = open_store(settings)
-        self._register = PersonRegister(self._store)
+        self._register = PersonRegister(self._store, borrowed_records(settings))
         self._remember_earlier_runs()
         self._writer = StoreWriter(self._write_store, WRITE_S)
         self._topics = PersonTopics(self._register)
         self._markers = PersonMarkers()
         self._graph = GraphTopic()
+        self._settings = settings
+        self._privacy = PrivacyTopic()
+        self._people = PeopleTopic() if settings.people_msgs else None
         self._tf = TfPublisher()
         self._tf_input = TfInput(settings.reference_frame, settings.source_timeout, self._on_poses)
         self._reference = ReferenceFrame(settings.reference_frame, self._tf_input)
@@ -288,8 +317,10 @@ class PersonManagerNode:
         self._tf_input.close()
         with self._lock:
             for owner in (self._topics, self._spaces, self._graph, self._markers, self._tf, self._report,
-                          self._restart_state):
+                          self._restart_state, self._privacy):
                 owner.close()
+        if self._people is not None:
+            self._people.close()
         problem = self._writer.close()
         if problem:
             rospy.logerr("~store: %s", problem)
@@ -336,7 +367,10 @@ class PersonManagerNode:
                     self._spaces.note_sensor(person_id, stamped.feature_pose.sensor, stamped.feature_pose.source)
                     moved[person_id] = transform_to_msg(place.pose, stamped.stamp, place.frame,
                                                         "person_" + person_id)
+                    self._topics.publish_position(person_id, place, stamped.stamp)
             self._tf.send(list(moved.values()))
+            if moved and self._people is not None and self._people.is_wanted:
+                self._people.update(self._manager.snapshot(now), self._sensed)
             if any(self._topics.confidence(person_id) < 1.0 for person_id in moved):
                 self._publish_state()
 
@@ -360,10 +394,15 @@ class PersonManagerNode:
         self._forget_gone()
         self._manager.tick(now)
         if now > 0.0:
+            silent = self._manager.silent(now)
             self._tf.send([transform_to_msg(place.pose, stamp, place.frame, "person_" + person_id)
-                           for person_id, place in self._manager.silent(now)])
+                           for person_id, place in silent])
+            for person_id, place in silent:
+                self._topics.publish_position(person_id, place, stamp)
         self._publish_state()
         snapshot = self._manager.snapshot(now)
+        if self._people is not None and self._people.is_wanted:
+            self._people.update(snapshot, stamp)
         self._markers.publish(snapshot)
         self._spaces.update(snapshot, self._sensed)
         self._graph.update(lambda: graph_text(snapshot, self._manager.matches, self._manager.merges, self._threshold))
@@ -376,6 +415,7 @@ class PersonManagerNode:
                 rospy.logerr_throttle(_LOG_PERIOD_S, "~store: %s" % self._writer.problem)
             self._report.update(snapshot, self._jumps, self._writer.problem, self._topics.waiting())
             self._register.keep_demographics(state.id for state in snapshot.persons)
+            self._privacy.set(data_use(self._settings, self._register.records))
 
     def _present(self) -> Dict[str, List[MatchNode]]:
         """Who is made of which features, for the case that this node dies."""

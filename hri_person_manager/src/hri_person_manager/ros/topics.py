@@ -3,6 +3,7 @@ markers for rviz."""
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
@@ -11,8 +12,9 @@ from typing import Callable, Dict, List, Optional, Set, Tuple
 
 import genpy
 import rospy
-from geometry_msgs.msg import Point, Quaternion
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Quaternion
 from geometry_msgs.msg import Pose as PoseMsg
+from scipy.spatial.transform import Rotation
 from std_msgs.msg import Bool, ColorRGBA, Float32, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -21,7 +23,9 @@ from hri_person_manager.core.location import Place, PlaceSource, Proxemics, Spac
 from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_person_manager.core.register import DemographicsEstimate, PersonRegister
+from hri_person_manager.core.triangulation import ellipse
 from hri_person_manager.ros.inputs import TfInput
+from hri_person_manager.ros.navigation import position_to_msg
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import to_time
@@ -41,6 +45,7 @@ _TOPICS = {
     "location_confidence": TopicSpec(Float32, True, 10),
     "anonymous": TopicSpec(Bool, True, 10),
     "alias": TopicSpec(String, True, 10),
+    "position": TopicSpec(PoseWithCovarianceStamped),
 }
 # Most people have none of these, few have all; each topic costs a file descriptor and a call of the master.
 _KNOWN_TOPICS = {
@@ -111,6 +116,14 @@ class PersonTopics:
         """Return the location confidence last said of a person, 0 if there is none."""
         person = self._persons.get(person_id)
         return float(person.published.get("location_confidence", person.state.confidence)) if person else 0.0
+
+    def publish_position(self, person_id: str, place: Place, stamp: genpy.Time) -> None:
+        """Publish where a person is, with the covariance, while somebody subscribes."""
+        person = self._persons.get(person_id)
+        if person is not None and person.leases.has_subscribers(person_id, "position"):
+            message = position_to_msg(place, stamp)
+            if message is not None:
+                person.leases.publish(person_id, "position", message)
 
     def waiting(self) -> Tuple[int, str]:
         """Return how many persons are not listed because their topics could not be opened, and why."""
@@ -305,6 +318,7 @@ RADIUS = 0.06           # m
 TEXT_HEIGHT = 0.12      # m
 TEXT_ABOVE = 0.55       # m, above the two lines that the body's own label has there
 LIFETIME_S = 0.5
+THICKNESS = 0.01        # m, of an ellipse
 GRAPH_PERIOD_S = 0.2
 
 
@@ -315,7 +329,7 @@ class PersonMarkers:
         self._publisher = rospy.Publisher("visualization/persons", MarkerArray, queue_size=1)
 
     def publish(self, snapshot: Snapshot) -> None:
-        """Show the persons that have a place; they fade with the confidence of their location."""
+        """Show the persons that have a place, with its 95 % ellipse; they fade with their confidence."""
         if not self._publisher.get_num_connections():
             return
         markers: List[Marker] = []
@@ -338,11 +352,28 @@ class PersonMarkers:
                 marker.header.frame_id = state.place.frame
                 marker.scale.x = marker.scale.y = marker.scale.z = size
                 markers.append(marker)
+            markers += _ellipse(number, state.place)
         self._publisher.publish(MarkerArray(markers))
 
     def close(self) -> None:
         """Take the topic back. Idempotent."""
         release(self._publisher)
+
+
+def _ellipse(number: int, place: Place) -> List[Marker]:
+    """The horizontal 95 % ellipse of a place, as a flat disc at its height; none where it is not known."""
+    covariance = place.horizontal_covariance
+    if covariance is None:
+        return []
+    major, minor, turn = ellipse(covariance)
+    # The disc lies in x and y, in x and z of an optical frame; it is turned within its plane.
+    rotation = Rotation.from_euler("XZ", [0.5 * math.pi if is_optical(place.frame) else 0.0, turn]).as_quat()
+    marker = Marker(ns="uncertainty", id=number, type=Marker.CYLINDER, color=ColorRGBA(0.1, 0.7, 1.0, 0.15),
+                    pose=PoseMsg(Point(*place.pose.translation.tolist()), Quaternion(*rotation.tolist())),
+                    lifetime=rospy.Duration(LIFETIME_S))
+    marker.header.frame_id = place.frame
+    marker.scale.x, marker.scale.y, marker.scale.z = 2.0 * major, 2.0 * minor, THICKNESS
+    return [marker]
 
 
 def _label(person_id: str) -> str:

@@ -147,8 +147,9 @@ class TemplateCipher:
         self._invalid = InvalidToken
 
     def encrypt(self, content: bytes) -> bytes:
-        """Return the bytes to write."""
-        return self._fernet.encrypt(content)
+        """Return the bytes to write. The time, which Fernet writes in plain, is 0: it would tell when somebody was
+        seen."""
+        return self._fernet.encrypt_at_time(content, 0)
 
     def decrypt(self, stored: bytes) -> bytes:
         """Return what `encrypt` was given; raises ValueError for another key or changed bytes."""

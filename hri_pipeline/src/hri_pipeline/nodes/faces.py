@@ -23,6 +23,7 @@ from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.onnx import ModelLog
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.recognition.face_identity import PersonMatch, SamePersons
 from hri_pipeline.core.recognition.gallery import GalleryError, UnknownPersonError
@@ -86,6 +87,7 @@ class FaceProcessor:
     def __init__(self, settings: FacePipelineSettings, transforms: Optional[TfPublisher] = None) -> None:
         is_kept = settings.recognition and settings.gallery
         (rospy.logwarn if is_kept else rospy.loginfo)("%s", privacy_line(settings))
+        self.data_use = data_use(settings)
         self._networks = ModelLog(rospy.logwarn)
         try:
             self._pipeline = FacePipeline(settings, notify=self._networks)
@@ -190,6 +192,15 @@ def face_transforms(face: FaceObservation, frame: Frame, interface: str) -> List
     if direction is not None:
         transforms.append(transform_to_msg(gaze_frame(face.pose, direction), stamp, name, "gaze_" + face.id))
     return transforms
+
+
+def data_use(settings: FacePipelineSettings) -> DataUse:
+    """Return what is computed of faces and kept of people."""
+    computes = ("boxes", "landmarks", "positions", "gazes", *(name for name in STAGES if getattr(settings, name)))
+    if not (settings.recognition and settings.gallery):
+        return DataUse(computes)
+    return DataUse(computes, settings.gallery, ("ids", "consent", "times", "templates of faces"),
+                   encrypted=bool(settings.gallery_key))
 
 
 def privacy_line(settings: FacePipelineSettings) -> str:

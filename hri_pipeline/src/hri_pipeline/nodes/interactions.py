@@ -21,6 +21,7 @@ from hri_pipeline.core.interactions.groups import Group, GroupTracker, Individua
 from hri_pipeline.core.interactions.parameters import InteractionSettings
 from hri_pipeline.core.interactions.people import ROBOT, GazeTarget, PeopleSnapshot
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.process import share_arenas
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.conversions import (
@@ -35,6 +36,7 @@ from hri_pipeline.ros.conversions import (
 from hri_pipeline.ros.diagnostics import OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.interaction_markers import InteractionMarkers
 from hri_pipeline.ros.people_input import LEVEL, InteractionFrame, PeopleInput, RobotPose
+from hri_pipeline.ros.privacy import PrivacyTopic
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.tf import RobotTf
@@ -78,6 +80,8 @@ class InteractionsNode:
         self._markers = InteractionMarkers()
         self._marker_topic = rospy.Publisher("visualization/interactions", MarkerArray, queue_size=1)
         self._topics = InteractionTopics(settings.interface, settings.engagement)
+        self._privacy = PrivacyTopic(DataUse(("who looks at whom", "groups",
+                                              *(("engagement",) if settings.engagement else ()))))
         robot = RobotTf(settings.reference_frame)
         self._frame = InteractionFrame(settings, robot)
         self._people = PeopleInput(settings, robot)
@@ -113,6 +117,7 @@ class InteractionsNode:
         self._people.close()
         self._topics.close()
         self._report.close()
+        self._privacy.close()
         release(self._marker_topic)
 
     def _end(self) -> None:

@@ -27,9 +27,11 @@ from hri_pipeline.core.audio.vad import ActivityModel, check_thresholds
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.onnx import model_path
+from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.privacy import PrivacyTopic
 from hri_pipeline.ros.publishers import TrackedList
 from hri_pipeline.ros.sound_input import SoundInput
 from hri_pipeline.ros.tf import TfPublisher
@@ -39,6 +41,7 @@ _WAIT_S = 0.1
 _REPORT_S = 1.0
 _LOG_PERIOD_S = 10.0
 _WINDOW = 300
+_KINDS = ("features", "speech", "direction")
 # Processing that takes a larger share of the duration of the sound falls behind.
 _TOO_SLOW = 0.9
 # The topics of a voice that is no longer tracked wait so long for its last sentence.
@@ -202,6 +205,7 @@ class VoiceProcessor:
     def __init__(self, settings: VoicesSettings) -> None:
         self._settings = settings
         rospy.loginfo("%s", privacy_line(settings))
+        self._privacy = PrivacyTopic(data_use(settings))
         has_array = settings.direction and settings.microphone_positions
         self._positions = parse_positions(settings.microphone_positions) if has_array else np.zeros((0, 3))
         self._model = ActivityModel(model_path(settings.vad_model, "silero_vad.onnx"), notify=rospy.logwarn)
@@ -313,6 +317,7 @@ class VoiceProcessor:
         self._tracked_list.close()
         self._topics.close_ids()
         self._transforms.close()
+        self._privacy.close()
         if self._speech is not None:
             self._speech.close()
 
@@ -387,9 +392,14 @@ class VoiceProcessor:
         self._transforms.send(transforms)
 
 
+def data_use(settings: VoicesSettings) -> DataUse:
+    """Return what is computed of voices; nothing is kept."""
+    return DataUse(("who speaks", *(name for name in _KINDS if getattr(settings, name))))
+
+
 def privacy_line(settings: VoicesSettings) -> str:
     """Return one line of log that says what is computed from voices."""
-    kinds = [name for name in ("features", "speech", "direction") if getattr(settings, name)]
-    off = [name for name in ("features", "speech", "direction") if name not in kinds]
+    kinds = data_use(settings).computes[1:]
+    off = [name for name in _KINDS if name not in kinds]
     return "made of voices: who speaks{}; switched off: {}; sound is never stored".format(
         "".join(", " + name for name in kinds), ", ".join(off) or "nothing")

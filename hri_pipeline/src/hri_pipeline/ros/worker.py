@@ -13,11 +13,13 @@ import rospy
 
 from hri_pipeline.core.error_log import NewErrors
 from hri_pipeline.core.faces.parameters import CameraSettings
+from hri_pipeline.core.privacy import joined
 from hri_pipeline.core.process import set_niceness
 from hri_pipeline.core.setup_check import NO_IMAGE_YET
 from hri_pipeline.core.timing import Pacer, StageTimes
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.inputs import Frame, ImageInput
+from hri_pipeline.ros.privacy import PrivacyTopic
 
 _WAIT_S = 0.5
 _REPORT_S = 1.0
@@ -29,7 +31,8 @@ _NICE_AFTER_S = 5.0
 
 
 class Processor(Protocol):
-    """Works on each image. It may have `name` and `status()` -> (level, message, values) as well."""
+    """Works on each image. It may have `name`, `data_use` (DataUse) and `status()` -> (level, message, values) as
+    well."""
 
     def process(self, frame: Frame, context: dict) -> None:
         """Work on one image; `context` carries results to the next processors, "times" (StageTimes), and in s the
@@ -76,6 +79,8 @@ class VisionWorker:
         self._reported = float("-inf")
         self.times = StageTimes()
         image_input.on_time_jump = self.reset
+        uses = [processor.data_use for processor in self._processors if hasattr(processor, "data_use")]
+        self._privacy = PrivacyTopic(joined(uses)) if uses else None
 
     def spin(self) -> None:
         """Work until ROS shuts down or close() is called."""
@@ -144,7 +149,9 @@ class VisionWorker:
             return
         self._closed.set()
         self._wake.set()
-        for owner in [self._input] + self._processors[::-1] + [self._diagnostics]:
+        for owner in [self._input, *self._processors[::-1], self._diagnostics, self._privacy]:
+            if owner is None:
+                continue
             try:
                 owner.close()
             except Exception:

@@ -67,7 +67,7 @@ class Record:
 
     listed: tracked ids by kind (faces, bodies, voices); counted: the same of the truth, where it counts (recordings of
     pictures). said: texts by voice: the last one (String), or all that are finished (LiveSpeech). true_words: the
-    sentences of the truth.
+    sentences of the truth. speaking: whether each voice speaks. texts: (time, voice, text) of all texts.
     """
 
     begin: float
@@ -82,6 +82,8 @@ class Record:
     counted: Dict[str, List[Tuple[float, frozenset]]] = field(default_factory=dict)
     said: Dict[str, List[Tuple[float, str]]] = field(default_factory=dict)
     true_words: List[str] = field(default_factory=list)
+    speaking: Dict[str, List[Tuple[float, bool]]] = field(default_factory=dict)
+    texts: List[Tuple[float, str, str]] = field(default_factory=list)
     messages: Counter = field(default_factory=Counter)
     foreign_frames: int = 0
     damaged: int = 0
@@ -137,12 +139,8 @@ class _Reading:
             take = topics.get(connection.topic)
             if take is None and connection.topic.endswith("/location_confidence"):
                 take = self._confidence
-            elif (
-                take is None
-                and connection.topic.startswith(HUMANS + "voices/")
-                and connection.topic.endswith("/speech")
-            ):
-                take = self._speech
+            elif take is None and connection.topic.startswith(HUMANS + "voices/"):
+                take = {"speech": self._speech, "is_speaking": self._speaking}.get(connection.topic.split("/")[-1])
             if take is None or (connection.topic in counts and connection.msgtype != _IDS_LIST):
                 continue
             try:
@@ -223,10 +221,17 @@ class _Reading:
         message = self._message(connection, data)
         voice = connection.topic[len(HUMANS + "voices/"):].split("/")[0]
         # Paper: each text replaces the one before it. REP-155: only what is finished.
+        text = message.data if not hasattr(message, "final") else message.final
+        if text:
+            self._record.texts.append((when, voice, text))
         if not hasattr(message, "final"):
             self._record.said[voice] = [(when, message.data)]
         elif message.final:
             self._record.said.setdefault(voice, []).append((when, message.final))
+
+    def _speaking(self, connection: Any, when: float, data: bytes) -> None:
+        voice = connection.topic[len(HUMANS + "voices/"):].split("/")[0]
+        self._record.speaking.setdefault(voice, []).append((when, bool(self._message(connection, data).data)))
 
     def _true(self, name: str):
         def take(connection: Any, when: float, data: bytes) -> None:

@@ -97,8 +97,11 @@ class FaceAnalysisSettings(Settings):
         "`store`) and other recognisers. NAME.npz, a gallery of earlier versions: its people are moved to "
         "NAME.sqlite. Empty: in memory only.")
     gallery_key: str = parameter(
-        "", "File with the key that the templates in `gallery` are encrypted with; make one with `rosrun "
+        "", "File with the key that templates, names and times in `gallery` are encrypted with; make one with `rosrun "
         "hri_person_manager people make-key FILE`. Empty: not encrypted.")
+    gallery_read_only: Sequence[str] = parameter(
+        [], "More stores, whose people are recognised, too, but never changed: plain ones, or with the key of "
+        "`gallery_key`.")
 
 
 @dataclass(frozen=True)

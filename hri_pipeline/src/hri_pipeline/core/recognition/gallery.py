@@ -23,7 +23,7 @@ from hri_pipeline.core.recognition.likelihood import (
     TemplateCalibration,
     join_alike,
 )
-from hri_pipeline.core.recognition.store import KnownPerson, PersonStore
+from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, read_store
 
 SHARED_ENDINGS = (".sqlite", ".sqlite3", ".db")
 """How the file of a store of people ends, which recognisers and the person manager share."""
@@ -69,6 +69,7 @@ class MemoryGallery:
         self._count = np.zeros(16, np.int32)
         self._enrolled = np.zeros(16, bool)
         self._apart: Set[FrozenSet[str]] = set()
+        self._borrowed: Dict[str, str] = {}
 
     def __len__(self) -> int:
         return len(self._ids)
@@ -94,8 +95,24 @@ class MemoryGallery:
                 self._place(row, template)
             self._changed()
 
+    def borrow(self, people: Sequence[KnownPerson], source: str) -> None:
+        """Know these people, too, of whom nothing is learnt, kept or changed here: those of the read-only store
+        `source`. Who is here already stays as they are."""
+        with self._lock:
+            for person in people:
+                if person.id not in self:
+                    self.add_person(person.id, person.templates, person.enrolled)
+                    self._borrowed[person.id] = source
+
+    def _check_own(self, person_id: str) -> None:
+        if person_id in self._borrowed:
+            raise GalleryError("{} is in the read-only store {}; change it there".format(
+                person_id, self._borrowed[person_id]))
+
     def add_template(self, person_id: str, template: np.ndarray) -> bool:
         """Keep a template (D,) of a known person if it differs from the others, and not too much; return whether."""
+        if person_id in self._borrowed:
+            return False
         template = self._checked(np.asarray(template)[None])[0]
         with self._lock:
             row = self._row_of(person_id)
@@ -108,6 +125,7 @@ class MemoryGallery:
 
     def enrol(self, person_id: str, enrolled: bool = True) -> None:
         """Note that a person has agreed to be recognised, or no longer does."""
+        self._check_own(person_id)
         with self._lock:
             self._enrolled[self._row_of(person_id)] = enrolled
             self._changed()
@@ -189,6 +207,7 @@ class MemoryGallery:
 
     def remove(self, person_id: str) -> bool:
         """Forget a person; return whether the person was known."""
+        self._check_own(person_id)
         with self._lock:
             found = person_id in self._row
             if found:
@@ -200,7 +219,7 @@ class MemoryGallery:
     def clear(self) -> None:
         """Forget everybody."""
         with self._lock:
-            self._row, self._ids, self._apart = {}, [], set()
+            self._row, self._ids, self._apart, self._borrowed = {}, [], set(), {}
             self._templates[:] = 0.0
             self._count[:] = 0
             self._enrolled[:] = False
@@ -213,6 +232,8 @@ class MemoryGallery:
         """
         if source == target:
             raise GalleryError("person {} cannot be merged into itself".format(source))
+        self._check_own(source)
+        self._check_own(target)
         with self._lock:
             row, goal = self._row_of(source), self._row_of(target)
             for template in self._templates[row, :self._count[row]].copy():
@@ -362,6 +383,7 @@ class StoredGallery(MemoryGallery):
 
     def remove(self, person_id: str) -> bool:
         """Forget a person, and with the next flush() in the store too: the record, the name and all."""
+        self._check_own(person_id)
         with self._lock:
             found = super().remove(person_id) or person_id in self._forgotten
             self._forgotten.add(person_id)
@@ -448,7 +470,8 @@ class StoredGallery(MemoryGallery):
         """Write what has changed here; returns who is in the store then, and the revision that this is."""
         with self._lock:
             revision = self.revision
-            present = {person_id: self.export(person_id) for person_id in self.ids()}
+            present = {person_id: self.export(person_id) for person_id in self.ids()
+                       if person_id not in self._borrowed}
             apart = set(self._apart)
         for person_id, person in present.items():
             if not _same(person, self._stored.get(person_id)):
@@ -489,8 +512,8 @@ def store_path(path: Union[str, Path]) -> Path:
 
 
 def open_gallery(path: str, model: str, dimension: int, calibration: TemplateCalibration,
-                 cipher: Optional[TemplateCipher] = None,
-                 notify: Optional[Callable[[str], None]] = None) -> MemoryGallery:
+                 cipher: Optional[TemplateCipher] = None, notify: Optional[Callable[[str], None]] = None,
+                 read_only: Sequence[str] = ()) -> MemoryGallery:
     """Return the gallery for the parameter `gallery`: a StoredGallery in store_path(path), or in memory for an empty
     path.
 
@@ -500,12 +523,22 @@ def open_gallery(path: str, model: str, dimension: int, calibration: TemplateCal
     model, dimension, calibration : see MemoryGallery.
     cipher : of the templates in the file; None where they are not.
     notify : called with one line about people who were moved, a store that is not at `path`, and a damaged file.
+    read_only : more stores, whose people are known, too, and never changed; plain, or with the same key.
 
     Raises
     ------
     StoreError
-        The file cannot be used; the text names the file and what to do.
+        A file cannot be used; the text names the file and what to do.
     """
+    others = [(source, read_store(source, cipher, model, dimension)[1]) for source in read_only]
+    gallery = _own_gallery(path, model, dimension, calibration, cipher, notify)
+    for source, people in others:
+        gallery.borrow(people, source)
+    return gallery
+
+
+def _own_gallery(path: str, model: str, dimension: int, calibration: TemplateCalibration,
+                 cipher: Optional[TemplateCipher], notify: Optional[Callable[[str], None]]) -> MemoryGallery:
     if not path:
         return MemoryGallery(model, dimension, calibration)
     file, named = store_path(path), Path(path).expanduser().absolute()

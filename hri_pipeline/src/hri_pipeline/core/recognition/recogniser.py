@@ -388,7 +388,7 @@ class FaceRecognition:
         embedder = self._embedder
         cipher = TemplateCipher(settings.gallery_key) if settings.gallery_key else None
         self._gallery = open_gallery(settings.gallery, embedder.kind, embedder.dimension, embedder.calibration,
-                                     cipher, notify)
+                                     cipher, notify, settings.gallery_read_only)
         self.recogniser = Recogniser(self._gallery, settings.recognition_policy, settings.recognition_learn_delay)
         self._due: List[str] = []
         self._asked = -np.inf

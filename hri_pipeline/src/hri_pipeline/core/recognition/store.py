@@ -19,7 +19,22 @@ import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Callable, Dict, FrozenSet, Iterable, Iterator, List, Mapping, Optional, Set, Tuple, Union
+from typing import (
+    Any,
+    Callable,
+    ContextManager,
+    Dict,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+    Union,
+)
 
 import numpy as np
 
@@ -37,6 +52,8 @@ MIGRATIONS: Tuple[Tuple[str, ...], ...] = (
      "CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID"),
     ("CREATE TABLE apart (first TEXT NOT NULL REFERENCES persons (id) ON DELETE CASCADE,"
      " second TEXT NOT NULL REFERENCES persons (id) ON DELETE CASCADE, PRIMARY KEY (first, second)) WITHOUT ROWID",),
+    # With a key: name, language, demographics and times, encrypted; then the columns of these are empty.
+    ("ALTER TABLE persons ADD COLUMN sealed BLOB",),
 )
 """The statements that lead from each version of the schema to the next."""
 PERIOD_S, RETRY_S = 1.0, 1.0
@@ -212,7 +229,7 @@ class PersonDatabase:
         if self._connection is not None:
             self._connection.close()
             self._connection = None
-        with self._alone() as is_alone:
+        with self.alone() as is_alone:
             for file in [Path(str(self.path) + ending) for ending in ("", *_JOURNALS)]:
                 if is_alone and file.exists():
                     file.unlink()
@@ -224,7 +241,7 @@ class PersonDatabase:
         if size % _page_size(self.path):
             return "it is cut off"
         if size == 0 and not is_journal:
-            with self._alone() as is_alone:
+            with self.alone() as is_alone:
                 if is_alone:
                     return "it is empty"
         try:
@@ -246,7 +263,7 @@ class PersonDatabase:
         return "" if found == "ok" else str(found).replace("\n", " ")[:200]
 
     def _put_aside(self, reason: str) -> None:
-        with self._alone() as is_alone:
+        with self.alone() as is_alone:
             if not is_alone:
                 raise StoreError("{} is damaged ({}), and another process holds it; end that one".format(
                     self.path, reason))
@@ -255,7 +272,7 @@ class PersonDatabase:
             self.path, reason, target))
 
     @contextmanager
-    def _alone(self) -> Iterator[bool]:
+    def alone(self) -> Iterator[bool]:
         """Tell whether no other process holds the store; none can open it before the end of the block if that is so."""
         assert self._held is not None
         try:
@@ -315,20 +332,30 @@ def _page_size(path: Path) -> int:
     return 65536 if size == 1 else max(512, size)
 
 
+_COLUMNS = "id, name, native_language, enrolled, alias, first_seen, last_seen, demographics, sealed"
+_INSERT = "INSERT OR IGNORE INTO persons ({}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)".format(_COLUMNS)
+
+
 class PersonStore:
     """Records and templates. Safe from several threads, and from several processes that use this class.
 
     Parameters
     ----------
     path, notify, clock : see PersonDatabase, also for the errors.
-    cipher : of the templates; None where they are not.
+    cipher : of templates, names, languages, demographics and times; None where they are not encrypted. What an earlier
+        version has left in plain is encrypted at once.
     """
 
     def __init__(self, path: Union[str, Path], cipher: Optional[TemplateCipher] = None,
                  notify: Optional[Callable[[str], None]] = None, clock: Callable[[], float] = time.time) -> None:
         self._cipher = cipher
         self._is_checked = False
-        self._database = PersonDatabase(path, notify, clock)
+        self._database: Any = PersonDatabase(path, notify, clock)
+        try:
+            self._seal_plain()
+        except BaseException:
+            self._database.close()
+            raise
 
     @property
     def path(self) -> Path:
@@ -339,14 +366,16 @@ class PersonStore:
         """Give the file back. May be called again."""
         self._database.close()
 
+    def alone(self) -> ContextManager[bool]:
+        """Tell whether no other process uses the store; none can begin to before the end of the block if that is
+        so."""
+        return self._database.alone()
+
     def load_records(self) -> List[StoredPerson]:
         """Return everybody, in the order of ids."""
         with self._database.reading() as database:
-            rows = database.execute("SELECT id, name, native_language, enrolled, alias, first_seen, last_seen,"
-                                    " demographics FROM persons ORDER BY id").fetchall()
-        return [StoredPerson(person_id, name, language, bool(enrolled), alias, first_seen, last_seen,
-                             json.loads(demographics))
-                for person_id, name, language, enrolled, alias, first_seen, last_seen, demographics in rows]
+            rows = database.execute("SELECT {} FROM persons ORDER BY id".format(_COLUMNS)).fetchall()
+        return [self._opened(row) for row in rows]
 
     @contextmanager
     def change(self) -> Iterator[None]:
@@ -364,13 +393,12 @@ class PersonStore:
         """
         if not is_valid_id(person.id) or (person.alias and not is_valid_id(person.alias)):
             raise ValueError("{!r} or its alias {!r} is no identifier".format(person.id, person.alias))
-        values = (person.name, person.native_language, int(person.enrolled), person.alias, float(person.first_seen),
-                  float(person.last_seen), json.dumps(dict(person.demographics)), person.id)
         with self._database.writing() as database:
             if is_new:
-                database.execute("INSERT OR IGNORE INTO persons VALUES (?, '', '', 0, '', 0, 0, '{}')", (person.id,))
+                database.execute(_INSERT, self._row_of(StoredPerson(person.id)))
             rows = database.execute("UPDATE persons SET name = ?, native_language = ?, enrolled = ?, alias = ?,"
-                                    " first_seen = ?, last_seen = ?, demographics = ? WHERE id = ?", values)
+                                    " first_seen = ?, last_seen = ?, demographics = ?, sealed = ? WHERE id = ?",
+                                    (*self._row_of(person)[1:], person.id))
             return rows.rowcount > 0
 
     def remove_record(self, person_id: str) -> None:
@@ -397,8 +425,9 @@ class PersonStore:
         who were not seen for the longest time, without a trace; returns their ids.
         """
         with self._database.writing() as database:
-            rows = database.execute("SELECT id, last_seen FROM persons ORDER BY last_seen DESC, id").fetchall()
-            gone = [name for number, (name, seen) in enumerate(rows)
+            rows = database.execute("SELECT {} FROM persons ORDER BY id".format(_COLUMNS)).fetchall()
+            seen_last = sorted(((one.id, one.last_seen) for one in map(self._opened, rows)), key=lambda one: -one[1])
+            gone = [name for number, (name, seen) in enumerate(seen_last)
                     if 0 < max_persons <= number or 0.0 < max_age < now - seen]
             database.executemany("DELETE FROM persons WHERE id = ?", [(name,) for name in gone])
             self._database.has_traces |= bool(gone)
@@ -410,12 +439,17 @@ class PersonStore:
         self._check_cipher()
         with self._database.reading() as database:
             rows = database.execute(
-                "SELECT person, enrolled, template FROM templates JOIN persons ON person = id WHERE model = ?"
-                " ORDER BY first_seen, person, number", (model,)).fetchall()
-        found: Dict[str, Tuple[bool, List[np.ndarray]]] = {}
-        for name, enrolled, blob in rows:
-            found.setdefault(name, (bool(enrolled), []))[1].append(self._unpacked(name, blob, dimension))
-        return [KnownPerson(name, np.stack(templates), enrolled) for name, (enrolled, templates) in found.items()]
+                "SELECT {}, template FROM templates JOIN persons ON person = id WHERE model = ?"
+                " ORDER BY person, number".format(_COLUMNS), (model,)).fetchall()
+        found: Dict[str, List[np.ndarray]] = {}
+        people: Dict[str, StoredPerson] = {}
+        for *row, blob in rows:
+            name = row[0]
+            if name not in people:
+                people[name] = self._opened(row)
+            found.setdefault(name, []).append(self._unpacked(name, blob, dimension))
+        return [KnownPerson(one.id, np.stack(found[one.id]), one.enrolled)
+                for one in sorted(people.values(), key=lambda one: (one.first_seen, one.id))]
 
     def put_templates(self, person: KnownPerson, model: str, now: float, is_new: bool = True) -> bool:
         """Write the templates of a person, instead of those before; `now` (s): first seen, for somebody new.
@@ -428,8 +462,8 @@ class PersonStore:
             blobs = [self._cipher.encrypt(blob) for blob in blobs]
         with self._database.writing() as database:
             if is_new:
-                database.execute("INSERT OR IGNORE INTO persons VALUES (?, '', '', ?, '', ?, ?, '{}')",
-                                 (person.id, int(person.enrolled), now, now))
+                database.execute(_INSERT, self._row_of(StoredPerson(
+                    person.id, enrolled=person.enrolled, first_seen=now, last_seen=now)))
             rows = database.execute("UPDATE persons SET enrolled = ? WHERE id = ?", (int(person.enrolled), person.id))
             if rows.rowcount > 0:
                 database.execute("DELETE FROM templates WHERE person = ? AND model = ?", (person.id, model))
@@ -464,6 +498,44 @@ class PersonStore:
         """Return the damaged files that were set aside."""
         return self._database.damaged_files()
 
+    def _row_of(self, person: StoredPerson) -> Tuple[object, ...]:
+        """The values of _COLUMNS: with a key, what tells who somebody is stands in the last one only."""
+        told = (person.name, person.native_language, float(person.first_seen), float(person.last_seen),
+                dict(person.demographics))
+        if self._cipher is None:
+            name, language, first, last, demographics = told
+            return (person.id, name, language, int(person.enrolled), person.alias, first, last,
+                    json.dumps(demographics), None)
+        return (person.id, "", "", int(person.enrolled), person.alias, 0.0, 0.0, "{}",
+                self._cipher.encrypt(json.dumps(told).encode("utf-8")))
+
+    def _opened(self, row: Sequence[Any]) -> StoredPerson:
+        """The person of a row of _COLUMNS. StoreError without the key."""
+        person_id, name, language, enrolled, alias, first, last, demographics, sealed = row
+        told = (name, language, first, last, json.loads(demographics))
+        if sealed is not None:
+            if self._cipher is None:
+                raise StoreError("what {} knows of people is encrypted; give the key (store_key) it was made with, or "
+                                 "name another file".format(self.path))
+            try:
+                told = json.loads(self._cipher.decrypt(sealed).decode("utf-8"))
+            except ValueError as error:
+                raise StoreError("{}: what is known of {} cannot be opened ({}); give the key it was written with"
+                                 .format(self.path, person_id, error)) from error
+        name, language, first, last, demographics = told
+        return StoredPerson(person_id, name, language, bool(enrolled), alias, first, last, demographics)
+
+    def _seal_plain(self) -> None:
+        """Encrypt what an earlier version, or a process without the key, has written in plain."""
+        if self._cipher is None:
+            return
+        with self._database.writing() as database:
+            rows = database.execute("SELECT {} FROM persons WHERE sealed IS NULL".format(_COLUMNS)).fetchall()
+            for person in map(self._opened, rows):
+                self.put_record(person, is_new=False)
+            self._database.has_traces |= bool(rows)
+        self.erase_traces()
+
     def _unpacked(self, name: str, blob: bytes, dimension: int) -> np.ndarray:
         try:
             content = blob if self._cipher is None else self._cipher.decrypt(blob)
@@ -488,6 +560,55 @@ class PersonStore:
             raise StoreError("the templates in {} are {}, and shall be {}; give the key (or none) it was made with, or "
                              "name another file".format(self.path, found, name))
         self._is_checked = True
+
+
+class _ReadOnlyDatabase:
+    """A file that is only read: nothing is made beside it, and a medium without write access will do."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        is_used = Path(str(path) + "-wal").exists() and Path(str(path) + "-wal").stat().st_size > 0
+        how = "mode=ro" if is_used else "immutable=1"
+        try:
+            self._connection = sqlite3.connect("{}?{}".format(path.as_uri(), how), uri=True, timeout=_BUSY_S,
+                                               check_same_thread=False)
+            owner, version = (int(self._connection.execute("PRAGMA " + name).fetchone()[0])
+                              for name in ("application_id", "user_version"))
+        except sqlite3.Error as error:
+            raise StoreError("the read-only store {} cannot be read ({})".format(path, error)) from error
+        if owner != APPLICATION_ID or version != len(MIGRATIONS):
+            self.close()
+            raise StoreError("the read-only store {} is {}".format(path, "no store of people" if owner != APPLICATION_ID
+                             else "of another version; let this program use it once as its own"))
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._connection.close()
+
+    @contextmanager
+    def reading(self) -> Iterator[sqlite3.Connection]:
+        """Give the connection. Errors of SQLite become StoreErrors."""
+        try:
+            yield self._connection
+        except sqlite3.Error as error:
+            raise StoreError("the read-only store {} cannot be read ({})".format(self.path, error)) from error
+
+
+def read_store(path: Union[str, Path], cipher: Optional[TemplateCipher] = None, model: str = "", dimension: int = 0,
+               ) -> Tuple[List[StoredPerson], List[KnownPerson]]:
+    """Return what a store of others tells: all records, and the templates (K, dimension) of a network.
+
+    model: empty for no templates. Raises StoreError; nothing is written, not even a lock.
+    """
+    store = PersonStore.__new__(PersonStore)
+    store._database, store._is_checked = _ReadOnlyDatabase(Path(path).expanduser().absolute()), True
+    try:
+        with store._database.reading() as database:
+            found = database.execute("SELECT value FROM facts WHERE name = 'templates'").fetchone()
+        store._cipher = None if found is not None and found[0] == "plain" else cipher
+        return store.load_records(), store.load_templates(model, dimension) if model else []
+    finally:
+        store._database.close()
 
 
 class StoreWriter:

@@ -1,0 +1,48 @@
+"""What `scripts/benchmark robot` prints, and the covariances on a few people."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks import covariance, robot
+from hri_person_manager.core.location import Place
+from hri_pipeline.core.geometry import Pose
+
+ASKED = {"covariance_95", "people_msgs_hz", "presets_failed", "respeaker6_doa_error_deg", "calibration_error_m",
+         "calibration_error_deg", "bridge_fields_failed", "web_first_picture_s", "nod", "shake", "pointing_error_deg"}
+MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3], "versions": {}}
+
+
+def test_every_figure_is_measured_by_one_part() -> None:
+    measured = [key for keys in robot.PARTS.values() for key in keys]
+    assert sorted(measured) == sorted(ASKED) == sorted(key for key, _, _ in robot.KEYS)
+    assert set(robot.SOURCES) == set(robot.PARTS)
+    assert not [part for part in ("covariance", "people", "presets", "bridge") if robot.why_absent(part)]
+
+
+def test_what_was_not_measured_is_null_with_its_reason() -> None:
+    report = json.loads(json.dumps(robot.make_report({"people_msgs_hz": 15.0}, {"nod": "not there"}, MACHINE)))
+    assert report["people_msgs_hz"] == 15.0 and report["nod"] is None and report["reasons"]["nod"] == "not there"
+
+
+def test_a_truth_within_the_ellipse_counts() -> None:
+    place = Place("map", Pose(np.eye(3), np.array([2.0, 0.0, 1.6])), 0.0, covariance=np.diag([0.04, 0.01, 9.0]))
+    assert covariance.inside(place, np.array([2.48, 0.0, 0.0]))     # 2.45 standard deviations
+    assert not covariance.inside(place, np.array([2.5, 0.0, 1.6]))
+    assert not covariance.inside(place, np.array([2.0, 0.25, 1.6]))
+    assert not covariance.inside(Place("map", place.pose, 0.0), np.array([2.0, 0.0, 1.6]))
+
+
+@pytest.mark.slow
+def test_the_truth_is_mostly_within() -> None:
+    assert 0.88 <= covariance.share(covariance.camera_hits(range(4))) <= 1.0
+    assert 0.88 <= covariance.share(covariance.with_depth(
+        lambda: covariance.camera_hits(range(4), covariance.DEPTH_ERROR))) <= 1.0
+
+
+def test_the_direction_of_a_voice_places_its_speaker() -> None:
+    hits = [hit for error in covariance.VOICE_ERRORS for hit in covariance.voice_hits(range(200), error)]
+    assert 0.90 <= covariance.share(hits) <= 0.99

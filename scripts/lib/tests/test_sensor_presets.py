@@ -1,0 +1,44 @@
+"""The presets of the launch files are what the drivers document."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Dict
+from xml.etree import ElementTree
+
+import pytest
+
+from benchmarks.sensor_presets import DRIVERS
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def preset(path: Path, argument: str, sensor: str) -> str:
+    """The default of an argument with a sensor chosen, as roslaunch finds it."""
+    names: Dict[str, str] = {"sensor": sensor}
+    tags = ElementTree.parse(str(path)).getroot().findall("arg")
+    defaults = {tag.get("name"): tag.get("default", "") for tag in tags}
+    for name in ("sensor_namespace", argument):
+        names[name] = str(eval(defaults[name][len("$(eval "):-1], {"__builtins__": {}}, dict(names)))
+    return names[argument]
+
+
+@pytest.mark.parametrize("launch_file", ["ros4hri", "bag", "two_machines"])
+@pytest.mark.parametrize("sensor", sorted(DRIVERS))
+def test_topics_are_those_of_the_driver(launch_file: str, sensor: str) -> None:
+    path, driver = ROOT / "launch" / (launch_file + ".launch"), DRIVERS[sensor]
+    assert preset(path, "image", sensor) == driver.colour[0]
+    assert preset(path, "camera_info", sensor) == driver.camera_info
+    assert preset(path, "depth", sensor) == driver.depth[0]
+
+
+def test_without_a_sensor_the_topics_are_as_ever() -> None:
+    path = ROOT / "launch" / "ros4hri.launch"
+    assert [preset(path, name, "") for name in ("image", "camera_info", "depth")] == [
+        "/camera/image_raw", "/camera/camera_info", ""]
+
+
+def test_the_page_names_every_sensor() -> None:
+    page = (ROOT / "docs" / "sensors.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)) == {"sensor", *DRIVERS}
