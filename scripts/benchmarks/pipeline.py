@@ -17,6 +17,8 @@ from benchmarks.report import machine, models_directory
 from benchmarks.start import Start, first_run, second_run
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from benchmarks.stack_run import StackRun
 
 PATIENCE_S = 60.0
@@ -24,7 +26,38 @@ SPEECH = Path("/usr/share/pocketsphinx/test/data/cards")
 _NOT_ASKED = "not asked for (--start)"
 FACE_NETWORK, BODY_NETWORK = "face_landmarks_attention", "pose_landmarks"
 """Beginnings of the names of the networks that look at one face or body."""
-NOT_STACK = ("benchmark_probe", "image_source")
+NOT_STACK = ("benchmark_probe", "image_source", "moving_people", "load")
+ERRORS = {"landmark": "landmark_error", "face_direction": "face_direction_error_deg", "skeleton": "skeleton_error"}
+"""What the probe measures, and the keys of its median in JSON; `moving_` before them is that while people move."""
+NO_GPU = "not measured: the networks were asked to run on {}"
+LOAD = "while True: pass"
+LOADED_PEOPLE = 3
+LAUNCH = """<launch>
+  <arg name="sound" default=""/>
+  <arg name="speech_grammar" default=""/>
+  <arg name="providers"/>
+  <arg name="one_process"/>
+  <node name="base_in_map" pkg="tf2_ros" type="static_transform_publisher" args="0 0 0 0 0 0 1 map base_link"/>
+  <node name="camera_in_map" pkg="tf2_ros" type="static_transform_publisher"
+        args="0 0 1.5 -0.5 0.5 -0.5 0.5 map camera_color_optical_frame"/>
+  <node name="microphone_in_map" pkg="tf2_ros" type="static_transform_publisher"
+        args="0 0 1.5 0 0 0 1 map microphone" if="$(eval sound != '')"/>
+  <include file="$(find hri_pipeline)/launch/sound_source.launch" if="$(eval sound != '')">
+    <arg name="source" value="$(arg sound)"/>
+    <arg name="audio" value="/audio"/>
+    <arg name="audio_info" value="/audio_info"/>
+    <arg name="loop" value="true"/>
+  </include>
+  <include file="$(find ros4hri)/launch/ros4hri.launch" pass_all_args="true">
+    <arg name="image" value="/camera/image_raw"/>
+    <arg name="camera_info" value="/camera/camera_info"/>
+    <arg name="voices" value="$(eval sound != '')"/>
+    <arg name="microphone_frame" value="microphone"/>
+    <arg name="overlay" value="false"/>
+  </include>
+</launch>
+"""
+"""The stack without a source of images: that of `moving_people` takes its place."""
 
 
 def register(commands: argparse._SubParsersAction) -> None:
@@ -33,6 +66,8 @@ def register(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--people", type=_numbers, default="1,3,10", help="numbers of people, of 1, 3 and 10 (default: "
                                                                           "1,3,10)")
     parser.add_argument("--seconds", type=_above_0, default=20.0, help="time of measuring per number (default: 20)")
+    parser.add_argument("--moving-seconds", type=_above_0, default=10.0, help="time for which the error of what is "
+                        "published is measured, and as long again while heads turn and arms swing (default: 10)")
     parser.add_argument("--rate", type=_above_0, default=30.0, help="images per second of the source (default: 30)")
     parser.add_argument("--one-process", action="store_true", help="faces and bodies in one process")
     parser.add_argument("--providers", default="cpu", help="execution providers in order of preference")
@@ -67,27 +102,30 @@ def _above_0(text: str) -> float:
 def run(options: argparse.Namespace) -> int:
     """Measure every scene and print the figures; 1 when something could not be measured."""
     import cv2
+    import numpy as np
 
+    from benchmarks.moving_people import make_reference
     from benchmarks.scenes import HEIGHT, WIDTH, make_scene
     from benchmarks.stack_run import StackRun, StackRunError
 
     models = models_directory()
     before, rows = machine(), []
-    arguments = ["rate:={}".format(options.rate), "overlay:=false", "providers:=[{}]".format(options.providers),
-                 "one_process:={}".format("true" if options.one_process else "false")]
     speech = not options.silent and SPEECH.is_dir()
+    arguments = ["providers:=[{}]".format(options.providers),
+                 "one_process:={}".format("true" if options.one_process else "false")]
     if speech:
         arguments += ["sound:={}".format(SPEECH), "speech_grammar:={}".format(SPEECH / "cards.gram")]
     logs = Path(tempfile.mkdtemp(prefix="ros4hri-benchmark-"))
     try:
         for people in options.people:
-            scene = logs / "{}_people.png".format(people)
-            cv2.imwrite(str(scene), make_scene(people, models / "demo"))
-            print("{} people: starting the stack, then measuring for {:g} s ...".format(people, options.seconds),
-                  file=sys.stderr, flush=True)
+            picture = make_scene(people, models / "demo")
+            cv2.imwrite(str(logs / "{}.png".format(people)), picture)
+            np.savez(str(logs / "{}.npz".format(people)), **make_reference(picture, people))
+            print("{} people: starting the stack, then measuring for {:g} s ...".format(
+                people, options.seconds + 2.0 * options.moving_seconds), file=sys.stderr, flush=True)
             with StackRun(logs) as stack:
-                rows.append(figures(people, measure(stack, scene, arguments, people, options.seconds)))
-    except (StackRunError, OSError) as error:
+                rows.append(figures(people, measure(stack, people, arguments, options)))
+    except (StackRunError, OSError, ValueError) as error:
         print("scripts/benchmark: {}".format(error), file=sys.stderr)
         return 1
     shutil.rmtree(str(logs), ignore_errors=True)
@@ -105,19 +143,24 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def measure(stack: StackRun, scene: Path, arguments: Sequence[str], people: int, seconds: float) -> dict:
-    """Start the demonstration on a scene and watch it for some seconds.
+def measure(stack: StackRun, people: int, arguments: Sequence[str], options: argparse.Namespace) -> dict:
+    """Start the stack and the people of a scene, whose picture and reference lie in the stack's folder, and watch.
 
-    arguments: of demo.launch. Returns what the probe saw, the use of the processor (% of one core) and the memory (MB)
-    by name of process. Raises StackRunError when the stack or the probe ends too soon.
+    arguments: of ros4hri.launch. Returns what the probe saw, the use of the processor (% of one core) and the memory
+    (MB) by name of process. Raises StackRunError when the stack or the probe ends too soon.
     """
     from benchmarks.stack_run import StackRunError
     stack.start_master()
-    launch = stack.start("roslaunch", ["roslaunch", "ros4hri", "demo.launch", "rviz:=false", "source:={}".format(scene),
-                                       *arguments])
+    launch_file = stack.folder / "pipeline.launch"
+    launch_file.write_text(LAUNCH, encoding="utf-8")
+    launch = stack.start("roslaunch", ["roslaunch", str(launch_file), *arguments])
+    scene, reference = (str(stack.folder / "{}.{}".format(people, kind)) for kind in ("png", "npz"))
+    stack.start("moving_people", [sys.executable, "-m", "benchmarks.moving_people", scene, reference, str(options.rate),
+                                  "__name:=moving_people"])
     result = stack.folder / "probe.json"
-    probe = stack.start("probe", [sys.executable, "-m", "benchmarks.pipeline_probe", str(people), str(seconds),
-                                  str(PATIENCE_S),
+    loaded_s = options.moving_seconds if people == LOADED_PEOPLE else 0.0
+    probe = stack.start("probe", [sys.executable, "-m", "benchmarks.pipeline_probe", str(people), str(options.seconds),
+                                  str(PATIENCE_S), str(options.moving_seconds), str(loaded_s), scene, reference,
                                   str(result), "__name:=benchmark_probe"], subprocess.PIPE)
     assert probe.stdout is not None
 
@@ -129,7 +172,12 @@ def measure(stack: StackRun, scene: Path, arguments: Sequence[str], people: int,
     (before, _), began = stack.usage_by_name(), time.monotonic()
     expect(b"end\n")
     (after, memory), passed = stack.usage_by_name(), time.monotonic() - began
-    probe.wait(timeout=30.0)
+    if loaded_s:
+        expect(b"load\n")
+        load = stack.start("load", [sys.executable, "-c", LOAD, "__name:=load"])
+        expect(b"loaded\n")
+        load.kill()
+    probe.wait(timeout=60.0 + 4.0 * options.moving_seconds)
     seen = dict(json.loads(result.read_text(encoding="utf-8")))
     seen["cpu_percent"] = {name: round(100.0 * (used - before.get(name, 0.0)) / passed, 1)
                            for name, used in sorted(after.items(), key=lambda item: -item[1])}
@@ -151,8 +199,7 @@ def figures(people: int, seen: dict) -> dict:
                                  if name.startswith(network)) / people, 2)
               for network in (FACE_NETWORK, BODY_NETWORK)}
     rates = {kind: round(sum(found[:people]) / people, 2) for kind, found in seen["rates"].items()}
-    ages = 1e3 * np.array(seen["ages"] or [np.nan])
-    middle, high = (None if np.isnan(value) else round(float(value), 1) for value in np.percentile(ages, [50, 95]))
+    middle, high = _middle_and_high(1e3 * np.array(seen["ages"] or [np.nan]), 1)
     cpu: Dict[str, float] = seen["cpu_percent"]
     return {
         "people": people, "fps": rates["person"], "faces_fps": rates["face"], "bodies_fps": rates["body"],
@@ -162,7 +209,23 @@ def figures(people: int, seen: dict) -> dict:
         "cpu_percent": round(sum(value for name, value in cpu.items() if name not in NOT_STACK), 1),
         "cpu_percent_by_process": cpu, "rss_mb_by_process": seen.get("rss_mb", {}),
         "rss_mb": round(sum(value for name, value in seen.get("rss_mb", {}).items() if name not in NOT_STACK), 1),
-        "stages_ms": seen["stages_ms"], "seconds": round(seen["seconds"], 2)}
+        "stages_ms": seen["stages_ms"], "seconds": round(seen["seconds"], 2),
+        "errors": {prefix + key + ending: value for prefix, found in seen.get("errors", {}).items()
+                   for name, key in ERRORS.items()
+                   for ending, value in zip(("", "_p95"), _middle_and_high(np.array(found[name] or [np.nan]), 4))},
+        "loaded": loaded(seen["loaded"]) if "loaded" in seen else None}
+
+
+def loaded(seen: dict) -> dict:
+    """Return age (ms) and people found while something else used a whole core; seen: as of the probe."""
+    import numpy as np
+    return {"age_p95_ms": _middle_and_high(1e3 * np.array(seen["ages"] or [np.nan]), 1)[1], "found": seen["found"]}
+
+
+def _middle_and_high(values: np.ndarray, digits: int) -> List[Optional[float]]:
+    """Median and 95th percentile, None where there are no numbers."""
+    import numpy as np
+    return [None if np.isnan(value) else round(float(value), digits) for value in np.percentile(values, [50, 95])]
 
 
 def as_json(rows: Sequence[dict], before: dict, described: dict, starts: Optional[Mapping[str, Start]] = None) -> dict:
@@ -182,7 +245,13 @@ def as_json(rows: Sequence[dict], before: dict, described: dict, starts: Optiona
             result["{}_{}".format(key, number)] = row[key]
         for key in ("cpu_percent_by_process", "rss_mb_by_process"):
             result["{}_{}".format(key, number)] = row[key]
+        result.update({"{}_{}{}".format(key[:-4], number, "_p95") if key.endswith("_p95") else
+                       "{}_{}".format(key, number): value for key, value in row["errors"].items()})
         result["stages_ms"][str(number)] = row["stages_ms"]
+        if row["loaded"] is not None:
+            result["loaded"] = {"{}_{}".format(key, number): value for key, value in row["loaded"].items()}
+    result["gpu"] = {"ms_per_image_10": None, "stall_s": None, "start_s": None,
+                     "reason": NO_GPU.format(described.get("providers", "cpu"))}
     return result
 
 
@@ -212,6 +281,13 @@ def as_table(rows: Sequence[dict], before: dict, described: dict) -> str:
                      "{cpu_percent:6.0f} %".format(**dict(
                          row, found="{persons}/{faces}/{bodies}".format(**row["found"]),
                          p50=_ms(row["age_p50_ms"]), p95=_ms(row["age_p95_ms"]))))
+    for row in rows:
+        lines += ["", "{} people: error of what is published           median     p95".format(row["people"])]
+        lines += ["  {:42s} {:>9} {:>7}".format(key, *("-" if value is None else value for value in (
+            row["errors"][key], row["errors"][key + "_p95"]))) for key in row["errors"] if not key.endswith("_p95")]
+        if row["loaded"] is not None:
+            lines.append("  beside a load of one core: {found} found, age p95 {age}".format(
+                found=row["loaded"]["found"], age=_ms(row["loaded"]["age_p95_ms"])))
     for row in rows:
         lines += ["", "{} people: processor, % of one core; memory, MB".format(row["people"])]
         lines += ["  {:28s} {:6.1f} {:7.0f}".format(name, value, row["rss_mb_by_process"].get(name, 0.0))

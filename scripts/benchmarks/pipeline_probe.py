@@ -1,8 +1,9 @@
 """A ROS node that watches the stack for some seconds and writes what it saw as one JSON object.
 
-Usage: pipeline_probe.py PEOPLE SECONDS PATIENCE FILE
+Usage: pipeline_probe.py PEOPLE SECONDS PATIENCE MOVING LOADED SCENE REFERENCE FILE
 Waits until PEOPLE persons are tracked (at most PATIENCE s), says "begin" on standard output, watches for
-SECONDS, says "end", and writes FILE.
+SECONDS, says "end"; measures the errors of what is published for MOVING s, and as long while people move; then, if
+LOADED > 0, says "load", watches for LOADED s, says "loaded". Writes FILE.
 """
 
 from __future__ import annotations
@@ -14,11 +15,18 @@ import time
 from collections import defaultdict
 from typing import Dict, List, Set, Tuple
 
+import cv2
+import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import Bool
 from tf2_msgs.msg import TFMessage
 
+from benchmarks.moving_people import HFOV
+from benchmarks.pipeline_errors import Errors, Recorder, Truth, errors
 from hri_msgs.msg import IdsList
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.ros.conversions import pose_from_transform
 
 KINDS = ("person", "face", "body")
 SETTLE_S = 3.0
@@ -33,6 +41,10 @@ class Probe:
         self.stamps: Dict[str, Dict[str, Set[float]]] = {kind: defaultdict(set) for kind in KINDS}
         self.ages: List[Tuple[float, float]] = []
         self.tracked: Dict[str, int] = {}
+        self.ids: Dict[str, List[str]] = {}
+        self.keeps_faces = False
+        self.faces: Dict[str, Dict[float, Pose]] = defaultdict(dict)
+        """Poses of the frames of faces by their names and stamps (s), while `keeps_faces`."""
         self.most: Dict[str, int] = {}
         self.stages: Dict[str, Dict[str, Dict[str, float]]] = {}
         self.inferences: Dict[str, List[Tuple[float, int]]] = defaultdict(list)
@@ -48,11 +60,14 @@ class Probe:
         """Note stamp and age of each frame of a person, face or body."""
         now = time.time()
         with self.lock:
-            if not self.watching:
+            if not (self.watching or self.keeps_faces):
                 return
             for transform in message.transforms:
                 kind = transform.child_frame_id.split("_")[0]
-                if kind in self.stamps:
+                if kind == "face" and self.keeps_faces:
+                    self.faces[transform.child_frame_id][transform.header.stamp.to_sec()] = pose_from_transform(
+                        transform)
+                if kind in self.stamps and self.watching:
                     stamp = transform.header.stamp.to_sec()
                     seen = self.stamps[kind][transform.child_frame_id]
                     if stamp not in seen:
@@ -63,7 +78,7 @@ class Probe:
     def on_tracked(self, message: IdsList, kind: str) -> None:
         """Note how many there are."""
         with self.lock:
-            self.tracked[kind] = len(message.ids)
+            self.tracked[kind], self.ids[kind] = len(message.ids), list(message.ids)
             if self.watching:
                 self.most[kind] = max(self.most.get(kind, 0), len(message.ids))
 
@@ -95,6 +110,32 @@ class Probe:
                 "stages_ms": self.stages,
                 "inferences_hz": {network: rate(counts) for network, counts in self.inferences.items()}}
 
+    def measure_errors(self, truth: Truth, seconds: float, size: Tuple[int, int], moving: bool) -> Errors:
+        """Errors of all that is published within some seconds."""
+        recorder = Recorder()
+        self.faces.clear()
+        self.keeps_faces, end = True, time.monotonic() + seconds
+        while time.monotonic() < end and not rospy.is_shutdown():
+            with self.lock:
+                ids = dict(self.ids)
+            recorder.follow(ids)
+            time.sleep(0.2)
+        self.keeps_faces = False
+        data = recorder.take()
+        recorder.close()
+        with self.lock:
+            return errors(truth, data, self.faces, moving, size)
+
+    def ages_for(self, seconds: float) -> dict:
+        """Ages of persons, and how many there are of each kind, within some seconds."""
+        with self.lock:
+            self.ages, self.watching = [], True
+            for frames in self.stamps.values():
+                frames.clear()
+        time.sleep(seconds)
+        self.watching = False
+        return {"ages": self.result(seconds)["ages"], "found": dict(self.tracked)}
+
 
 def rate(counts: List[Tuple[float, int]]) -> float:
     """Return how fast (1/s) a count has risen from the first to the last of (stamp s, count); 0 for less than two."""
@@ -104,7 +145,11 @@ def rate(counts: List[Tuple[float, int]]) -> float:
 
 def main(arguments: List[str]) -> int:
     """Watch and write."""
-    people, seconds, patience, path = int(arguments[0]), float(arguments[1]), float(arguments[2]), arguments[3]
+    people, path = int(arguments[0]), arguments[7]
+    seconds, patience, moving_s, loaded_s = (float(argument) for argument in arguments[1:5])
+    scene = cv2.imread(arguments[5])
+    height, width = scene.shape[:2]
+    truth = Truth(scene, np.load(arguments[6]), 0.5 * width / np.tan(HFOV / 2.0))
     rospy.init_node("benchmark_probe", disable_rostime=True)
     probe, deadline = Probe(), time.monotonic() + patience
     while probe.tracked.get("persons", 0) < people and time.monotonic() < deadline and not rospy.is_shutdown():
@@ -116,8 +161,20 @@ def main(arguments: List[str]) -> int:
     time.sleep(seconds)
     probe.watching, seconds = False, time.monotonic() - began
     print("end", flush=True)
+    result = probe.result(seconds)
+    moves = rospy.Publisher("/benchmark_moves", Bool, queue_size=1, latch=True)
+    result["errors"] = {"": probe.measure_errors(truth, moving_s, (width, height), False)}
+    moves.publish(True)
+    time.sleep(1.0)
+    result["errors"]["moving_"] = probe.measure_errors(truth, moving_s, (width, height), True)
+    moves.publish(False)
+    if loaded_s > 0.0:
+        time.sleep(1.0)
+        print("load", flush=True)
+        result["loaded"] = probe.ages_for(loaded_s)
+        print("loaded", flush=True)
     with open(path, "w", encoding="utf-8") as file:
-        json.dump(probe.result(seconds), file)
+        json.dump(result, file)
     return 0
 
 

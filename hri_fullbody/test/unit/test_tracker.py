@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from synthetic_people import Scene, face_of, standing_at
 
-from hri_fullbody.core.tracking.scheduler import PoseScheduler
 from hri_fullbody.core.tracking.tracker import BodyTracker
+from hri_pipeline.core.scheduler import InferenceScheduler
 
 IMAGE = np.zeros((720, 1280, 3), np.uint8)
 STEP = 0.05
@@ -100,7 +100,7 @@ def test_who_vanishes_inside_the_image_is_waited_for_longer():
 def test_who_is_not_looked_at_is_not_gone():
     """Ten people, three looks and two images a second: each is looked at every other second."""
     scene = Scene([(80 + 120 * index, 400) for index in range(10)])
-    tracker = make(scene, death_time=1.0, schedule=PoseScheduler(10.0, 3))
+    tracker = make(scene, death_time=1.0, schedule=InferenceScheduler(10.0, most=3, batches=False))
     boxes = [box_of(*place) for place in scene.people]
     for index in range(40):
         tracker.follow(IMAGE, 0.5 * index)
@@ -200,10 +200,40 @@ def test_reset_forgets_everybody():
 
 
 def test_limits_of_the_tracker():
-    tracker = BodyTracker(SimpleNamespace(), lambda: "aaaaa", 0.1, 1.0, schedule=PoseScheduler(10.0, 3))
+    tracker = BodyTracker(SimpleNamespace(), lambda: "aaaaa", 0.1, 1.0,
+                          schedule=InferenceScheduler(10.0, most=3, batches=False))
     tracker.limit(0.2, 2.0, 0.7)
     for wrong in ((-1.0, 1.0, 0.5), (0.1, 0.0, 0.5), (0.1, 1.0, 1.0)):
         with pytest.raises(ValueError):
             tracker.limit(*wrong)
     with pytest.raises(ValueError):
-        tracker.schedule.limit(-1.0, 0)
+        tracker.schedule.limit(-1.0)
+
+
+class Batches(Scene):
+    """A network that is faster with several windows at once; it may fail at it."""
+
+    takes_batches, fails = True, False
+
+    def __init__(self, people):
+        super().__init__(people)
+        self.sizes = []
+
+    def estimate_all(self, image, windows):
+        self.sizes.append(len(windows))
+        if self.fails:
+            raise RuntimeError("out of memory")
+        return [self.estimate(image, one.window, one.hidden, one.shown) for one in windows]
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_all_that_are_due_go_into_one_batch_where_that_is_faster(fails):
+    people = [(200, 400), (600, 400), (1000, 400)]
+    alone, together = Scene(people), Batches(people)
+    together.fails = fails
+    trackers = [make(scene) for scene in (alone, together)]
+    for tracker in trackers:
+        run(tracker, 0.0, 12, boxes=[box_of(*place) for place in people])
+    places = [sorted((track.id, tuple(track.estimate.centre)) for track in tracker.tracks) for tracker in trackers]
+    assert places[0] == places[1] and len(places[0]) == 3
+    assert together.sizes[-1] == 3, "one run for all"

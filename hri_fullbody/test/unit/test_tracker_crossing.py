@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic_people import Walkers, face_of, standing_at
 
-from hri_fullbody.core.tracking.scheduler import PoseScheduler
 from hri_fullbody.core.tracking.tracker import BodyTracker
+from hri_pipeline.core.scheduler import InferenceScheduler
 
 RED, BLUE, GREEN = (40, 40, 220), (220, 60, 40), (50, 200, 60)
 
@@ -59,7 +59,8 @@ def crossing(speed):
     return lambda time: [(300.0 + speed * time, 400.0), (900.0 - speed * time, 400.0)]
 
 
-@pytest.mark.parametrize("schedule", [None, PoseScheduler(10.0, 6)], ids=["every image", "10 Hz"])
+@pytest.mark.parametrize("schedule", [None, InferenceScheduler(10.0, most=6, batches=False)],
+                         ids=["every image", "10 Hz"])
 @pytest.mark.parametrize("rate", [20.0, 5.0])
 @pytest.mark.parametrize("colours", [(RED, BLUE), (RED, RED)], ids=["unlike", "alike"])
 @pytest.mark.parametrize("speed", [150.0, 300.0])
@@ -145,7 +146,7 @@ def test_a_window_captured_by_a_neighbour_refreshes_the_neighbour():
 
 
 def test_a_body_that_nobody_looks_at_is_published_for_the_death_time():
-    film = Film(Walkers([(300.0, 400.0)], (RED,)), death_time=0.4, schedule=PoseScheduler(5.0))
+    film = Film(Walkers([(300.0, 400.0)], (RED,)), death_time=0.4, schedule=InferenceScheduler(5.0, batches=False))
     film.run(2.0)
     track = film.tracker.tracks[0]
     assert film.tracker.published(track.stamp + 0.39) == [track]
@@ -153,7 +154,7 @@ def test_a_body_that_nobody_looks_at_is_published_for_the_death_time():
 
 
 def test_a_body_that_waits_for_its_look_is_published_until_that_is_overdue():
-    film = Film(Walkers([(300.0, 400.0)], (RED,)), death_time=0.4, schedule=PoseScheduler(1.0))
+    film = Film(Walkers([(300.0, 400.0)], (RED,)), death_time=0.4, schedule=InferenceScheduler(1.0, batches=False))
     film.run(3.0)
     track = film.tracker.tracks[0]
     assert film.tracker.published(track.stamp + 1.3) == [track]
@@ -163,7 +164,7 @@ def test_a_body_that_waits_for_its_look_is_published_until_that_is_overdue():
 
 def test_a_body_between_two_looks_moves_on_with_less_confidence():
     scene = Walkers([(300.0, 400.0)], (RED,))
-    film = Film(scene, rate=20.0, schedule=PoseScheduler(5.0))
+    film = Film(scene, rate=20.0, schedule=InferenceScheduler(5.0, batches=False))
     film.run(2.0, lambda time: [(300.0 + 200.0 * time, 400.0)])
     track = film.tracker.tracks[0]
     later = track.expected(track.stamp + 0.15)

@@ -1,4 +1,4 @@
-"""Scheduling of the mesh network, of the detector, and of the networks of the analysis."""
+"""Scheduling of the detector, and of the networks of the analysis."""
 
 from collections import Counter
 
@@ -6,97 +6,11 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.faces.detector import tile_regions, wide_region
-from hri_pipeline.core.faces.scheduler import STILL_FACTOR, DetectionScheduler, MeshScheduler, TimeBudget, next_turn
+from hri_pipeline.core.faces.scheduler import STILL_FACTOR, DetectionScheduler, TimeBudget, next_turn
 
-FACES = ["f%d" % number for number in range(10)]
 WHOLE = (0, 0, 640, 480)
 PARTS = tile_regions(640, 480, 2) + [wide_region(640, 480)]
 GREY = np.full((480, 640, 3), 90, np.uint8)
-
-
-def inferences(budget, faces, rate, seconds, urgent=()):
-    counts = Counter()
-    most = 0
-    for index in range(int(rate * seconds)):
-        chosen = budget.choose(faces, 50.0 + index / rate, urgent)
-        counts.update(chosen)
-        most = max(most, len(chosen)) if index else most
-    return counts, most
-
-
-@pytest.mark.parametrize("images", [10.0, 20.0, 30.0, 60.0])
-def test_each_face_gets_its_rate_whatever_the_rate_of_the_images(images):
-    counts, _ = inferences(MeshScheduler(12.0, 1.0), FACES[:3], images, 10.0)
-    for face in FACES[:3]:
-        assert counts[face] == pytest.approx(min(12.0, images) * 10.0, rel=0.05)
-
-
-def test_a_rate_of_zero_is_every_image():
-    counts, _ = inferences(MeshScheduler(0.0, 1.0), FACES, 30.0, 2.0)
-    assert set(counts.values()) == {60}
-
-
-def test_at_the_rate_of_the_images_no_turn_is_lost_to_rounding():
-    counts, _ = inferences(MeshScheduler(15.0, 1.0), FACES[:1], 15.0, 20.0)
-    assert counts["f0"] >= 299
-
-
-def test_a_tight_budget_is_shared_fairly_and_never_exceeded():
-    budget = MeshScheduler(12.0, 0.020, cost=0.005)
-    counts, most = inferences(budget, FACES, 20.0, 20.0)
-    assert most == budget.limit == 4
-    assert sum(counts.values()) == pytest.approx(4 * 400, rel=0.02)
-    assert max(counts.values()) - min(counts.values()) <= 2
-    assert set(counts) == set(FACES)
-
-
-def test_looks_are_bunched_into_batches_even_of_faces_born_at_different_times():
-    budget = MeshScheduler(10.0, 1.0)
-    batches = []
-    for index in range(200):
-        batches.append(len(budget.choose(FACES[:1 + min(2, index // 7)], 0.05 * index)))
-    assert sum(batches[100:]) == pytest.approx(3 * 50, abs=3), "three faces ten times a second for 5 s"
-    assert batches[100:].count(0) >= 40, "in every second image"
-
-
-def test_at_least_one_face_is_looked_at_however_dear_it_is():
-    budget = MeshScheduler(12.0, 0.001)
-    budget.spent(10.0, 1)
-    assert budget.limit == 1
-    counts, _ = inferences(budget, FACES[:4], 20.0, 20.0)
-    assert max(counts.values()) - min(counts.values()) <= 1
-
-
-def test_the_cost_of_a_look_is_learnt():
-    budget = MeshScheduler(12.0, 0.020, cost=0.005)
-    for _ in range(60):
-        budget.spent(0.008, 4)
-    assert budget.cost == pytest.approx(0.002, rel=0.02)
-    assert budget.limit == 9
-    budget.spent(float("nan"), 3)
-    budget.spent(1.0, 0)
-    assert budget.cost == pytest.approx(0.002, rel=0.02)
-
-
-def test_urgent_faces_come_first_and_new_ones_at_once():
-    counts, _ = inferences(MeshScheduler(12.0, 0.010, cost=0.005), FACES[:6], 20.0, 10.0, urgent=["f5"])
-    assert counts["f5"] > 1.5 * counts["f0"] > 0
-    budget = MeshScheduler(12.0, 0.005, cost=0.005)
-    inferences(budget, FACES[:3], 20.0, 2.0)
-    assert budget.choose(FACES[:3] + ["new"], 52.0) == ["new"]
-
-
-def test_faces_that_have_gone_are_forgotten():
-    budget = MeshScheduler(12.0, 1.0)
-    for index in range(5000):
-        budget.choose(["face%d" % index], 0.05 * index)
-    assert len(budget._credit) == 1
-
-
-@pytest.mark.parametrize("arguments", [(-1.0, 0.02), (10.0, 0.0), (float("nan"), 0.02), (10.0, 0.02, 0.0)])
-def test_nonsense_is_refused(arguments):
-    with pytest.raises(ValueError, match="rate"):
-        MeshScheduler(*arguments)
 
 
 def test_work_of_ten_shares_leaves_nine_images_out():
@@ -157,29 +71,6 @@ def test_savings_that_are_none_are_refused():
     for wrong in (-0.1, float("nan")):
         with pytest.raises(ValueError):
             TimeBudget(0.005, wrong)
-
-
-def test_what_is_left_of_the_budget_goes_to_the_next_image():
-    """2.4 looks per image are two and three in turn: no face pays for the rounding."""
-    budget = MeshScheduler(0.0, 0.012, 0.005)
-    per_image = [len(budget.choose(FACES, 50.0 + index / 12.0)) for index in range(100)]
-    assert set(per_image) == {2, 3} and sum(per_image) == pytest.approx(240, abs=2)
-    counts, _ = inferences(MeshScheduler(0.0, 0.012, 0.005), FACES, 12.0, 20.0)
-    assert max(counts.values()) - min(counts.values()) <= 1
-
-
-def test_what_was_not_needed_is_not_saved_up():
-    budget = MeshScheduler(0.0, 0.02, 0.005)
-    for index in range(50):
-        budget.choose(FACES[:2], 50.0 + index / 12.0)
-    assert len(budget.choose(FACES, 50.0 + 50 / 12.0)) == 4
-
-
-def test_images_that_come_slowly_have_time_for_everybody():
-    budget = MeshScheduler(10.0, 0.01, 0.005)
-    for index in range(20):
-        chosen = budget.choose(FACES, 50.0 + 1.0 * index)
-        assert index == 0 or len(chosen) == len(FACES)
 
 
 def test_a_slow_image_pays_for_more():

@@ -14,7 +14,7 @@ from hri_pipeline.core.audio.pipeline import VoicePipeline
 from hri_pipeline.core.audio.separation import SoundSeparator
 from hri_pipeline.core.audio.stream import SoundBlock
 from hri_pipeline.core.audio.vad import check_thresholds
-from hri_pipeline.core.faces.scheduler import DetectionScheduler, MeshScheduler
+from hri_pipeline.core.faces.scheduler import DetectionScheduler
 from hri_pipeline.core.faces.tracker import FaceMeasurement, FaceTracker
 from hri_pipeline.core.interactions.engagement import EngagementEstimator, check_levels
 from hri_pipeline.core.interactions.gaze import GazeTargets
@@ -24,6 +24,7 @@ from hri_pipeline.core.matching.face_body import FaceBodyMatcher
 from hri_pipeline.core.matching.parameters import MATCHER_PARAMETERS, VOICE_MATCHER_PARAMETERS
 from hri_pipeline.core.matching.voice import VoiceMatcher
 from hri_pipeline.core.parameters import Parameter, ParameterError, ParameterTable, Settings, parameter
+from hri_pipeline.core.scheduler import InferenceScheduler, Request
 from hri_pipeline.core.tracks import TrackLife
 
 SQUARE = 0.04 * np.array([(1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (1.0, -1.0, 0.0)])
@@ -195,12 +196,13 @@ def test_limits_hold_for_the_faces_that_are_tracked():
 
 
 def test_other_share_of_looks():
-    budget = MeshScheduler(0.0, 0.010, 0.005)
-    assert len(budget.choose(list("abcd"), 0.0)) == 2
-    budget.share(0.0, 0.020)
-    assert len(budget.choose(list("abcd"), 0.1)) == 4
+    budget = InferenceScheduler(0.0, 0.010, cost=0.005)
+    everybody = [Request(name) for name in "abcd"]
+    assert len(budget.choose(everybody, 0.0)) == 2
+    budget.limit(0.0, 0.020)
+    assert len(budget.choose(everybody, 0.1)) == 4
     with pytest.raises(ValueError):
-        budget.share(-1.0, 0.010)
+        budget.limit(-1.0, 0.010)
 
 
 def test_other_period_of_the_detector():

@@ -86,3 +86,42 @@ def test_inferences_are_told_per_person_and_second() -> None:
     row = pipeline.figures(3, dict(SEEN, inferences_hz=hz))
     assert (row["face_inferences"], row["body_inferences"]) == (10.0, 4.0)
     assert pipeline.as_json([row], MACHINE, {})["face_inferences_3"] == 10.0
+
+
+def test_errors_of_what_is_published_have_their_keys() -> None:
+    errors = {prefix: {"landmark": [0.01] * 19 + [0.5], "skeleton": [], "face_direction": [1.0, 3.0]}
+              for prefix in ("", "moving_")}
+    seen = dict(SEEN, errors=errors, loaded={"ages": [0.1, 0.2], "found": {"persons": 3}})
+    result = pipeline.as_json([pipeline.figures(3, seen)], MACHINE, {})
+    assert result["landmark_error_3"] == result["moving_landmark_error_3"] == 0.01
+    assert 0.01 < result["landmark_error_3_p95"] < 0.1
+    assert result["face_direction_error_deg_3"] == 2.0 and result["skeleton_error_3"] is None
+    assert result["loaded"]["age_p95_ms_3"] == 195.0 and result["gpu"]["ms_per_image_10"] is None
+    assert "landmark_error" in pipeline.as_table([pipeline.figures(3, seen)], MACHINE, {})
+
+
+def test_where_people_are_is_known_in_every_image() -> None:
+    """A mark on the forehead, one on the hand and one on the wall are found where they are said to be."""
+    import numpy as np
+
+    from benchmarks.moving_people import CYCLE_S, MovingPeople
+    face = np.stack([np.linspace(400.0, 500.0, 70), np.linspace(150.0, 270.0, 70)], axis=1)
+    body = np.full((18, 3), 1.0)
+    body[3:5, :2] = [[700.0, 300.0], [700.0, 420.0]]
+    marks = np.array([[450.0, 200.0], [700.0, 420.0], [1100.0, 600.0]])
+    scene = np.zeros((720, 1280, 3), np.uint8)
+    still = MovingPeople(scene)
+    rows, columns = np.mgrid[:still._still.shape[0], :still._still.shape[1]]
+    people = MovingPeople(scene, [face], [body])
+    moved = np.zeros(3)
+    for number, mark in enumerate(marks):
+        place = mark + people._origin
+        blob = 255.0 * np.exp(-((columns - place[0]) ** 2 + (rows - place[1]) ** 2) / 18.0)
+        people._still, people._pictures = np.repeat(blob[..., None], 3, axis=2).astype(np.uint8), {}
+        for stamp in (CYCLE_S * 0.26, CYCLE_S * 0.76, 3.1):
+            image = people.at(stamp, True)[..., 0].astype(float)
+            seen = np.array([(image * axis).sum() for axis in np.mgrid[:720, :1280][::-1]]) / image.sum()
+            said = people.places(mark[None], stamp, True)[0]
+            assert np.linalg.norm(seen - said) < 1.0, "mark {} at {} s".format(number, stamp)
+            moved[number] = max(moved[number], np.linalg.norm(said - people.places(mark[None], stamp, False)[0]))
+    assert moved[0] > 5.0 and moved[1] > 30.0 and moved[2] == 0.0

@@ -19,13 +19,14 @@ class BodyTrackingSettings(Settings):
         "path of an ONNX file. Get lite and heavy with `rosrun hri_pipeline fetch_models --models "
         "pose_landmarks_lite` (or `pose_landmarks_heavy`).")
     pose_rate: float = parameter(
-        10.0, "How often the pose network runs on each body; in the images between, the body moves on by its own "
-        "motion, with a lower confidence. Each run costs 11 to 15 ms on one core with the network `full`. Larger "
-        "follows fast movements better. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True)
+        10.0, "How often the pose network runs on each body at least (see `cpu_share`); in the images between, the "
+        "body moves on by its own motion, with a lower confidence. Each run costs 11 to 15 ms on one core with the "
+        "network `full`. Larger follows fast movements better. 0: every image.", unit="Hz", minimum=0.0,
+        maximum=120.0, live=True)
     pose_budget: int = parameter(
-        3, "Most known bodies per image for the pose network; what is left (one at least, and two in slow images) "
-        "goes to new ones. With more people than that the fast, the new, and those who have waited longest come "
-        "first. 0: no limit.", minimum=0, maximum=64, live=True)
+        3, "Most known bodies per image for the pose network, where `cpu_share` allows no more; what is left (one at "
+        "least, and two in slow images) goes to new ones. With more people than that the fast, the new, and those who "
+        "have waited longest come first. 0: no limit.", minimum=0, maximum=64, live=True)
     max_bodies: int = parameter(
         10, "Most bodies tracked at the same time. Each costs 11 to 15 ms of one core `pose_rate` times a second.",
         minimum=1, maximum=64)
@@ -120,6 +121,8 @@ class BodiesSettings(BodyTrackingSettings, DepthCameraSettings, BodyModelSetting
     # Of more images than there are joint states nothing would be seen, and each costs 3 ms even when nobody is
     # looked at in it.
     max_rate: float = parameter_like(CameraSettings, "max_rate", default=15.0)
+    # On a slow machine three inferences and the person detector take so long.
+    max_age: float = parameter_like(CameraSettings, "max_age", default=0.5)
     interface: str = parameter(
         "paper", "paper: `roi` is RegionOfInterest in pixels, 18 joints. rep155: `roi` is "
         "NormalizedRegionOfInterest2D, 20 joints (three in each hip).", choices=("paper", "rep155"))
@@ -134,6 +137,7 @@ class VisionSettings(FacePipelineSettings, BodiesSettings):
     """Node vision: the nodes faces and bodies in one process; an image is received and decoded once."""
 
     max_rate: float = parameter_like(CameraSettings, "max_rate")
+    max_age: float = parameter_like(BodiesSettings, "max_age")
     interface: str = parameter_like(
         BodiesSettings, "interface", " With `rep155` gaze_ID goes on while the eyes are closed, with the direction of "
         "the head.")

@@ -30,7 +30,6 @@ from hri_fullbody.core.model.dimensions import DimensionSettings, PersonDimensio
 from hri_fullbody.core.model.human import Dimensions, Layout, layout_for
 from hri_fullbody.core.parameters import BodiesSettings
 from hri_fullbody.core.tracking.reidentification import BodyReidentifier, Reidentification, TrackAppearance
-from hri_fullbody.core.tracking.scheduler import PoseScheduler
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_fullbody.core.tracking.tracker import BodyTracker
 from hri_pipeline.core.camera import CameraModel
@@ -40,6 +39,7 @@ from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, model_path, models_directory
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler
 from hri_pipeline.core.timing import StageTimes
 
 DETECTOR_MODEL = "person_centernet.onnx"
@@ -54,6 +54,7 @@ _SLOW_NEW = 2
 _HIDDEN_SHARE, _HIDDEN_NEW = 0.3, 2     # of the detector's period, and windows for new ones, while somebody is hidden
 # Boxes of the person detector from this part of the score that starts a body confirm that somebody is there.
 _FAINT = 0.5
+_FIRST_COST_S = 0.015   # guess of the time of one inference of the pose network
 _HEAD_SAMPLES = 200
 _LEAST_POINTS = 4
 _WORST_RESIDUAL_M = 0.5
@@ -104,7 +105,9 @@ class BodyPipeline:
         self._guard = guard or ItemGuard()
         self._tracker = BodyTracker(
             self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time, settings.min_body_score,
-            settings.max_bodies, schedule=PoseScheduler(settings.pose_rate, settings.pose_budget), guard=self._guard)
+            settings.max_bodies, guard=self._guard, schedule=InferenceScheduler(
+                settings.pose_rate, most=settings.pose_budget, cost=_FIRST_COST_S, batches=False,
+                idle=IdleShare(settings.cpu_share), max_age=settings.max_age))
         self._settings = settings
         self._localizers: Dict[str, BodyLocalizer] = {}
         self._reidentifier = BodyReidentifier(settings.body_memory)
@@ -281,7 +284,8 @@ class BodyPipeline:
     def status(self) -> Dict[str, object]:
         """Return values for diagnostics: numbers of bodies, statures, times."""
         values: Dict[str, object] = {
-            "tracked": len(self.tracked_ids),
+            "tracked": len(self.tracked_ids), "pose_ms": 1e3 * self._tracker.schedule.cost,
+            "spare_percent": 100.0 * self._tracker.schedule.spare,
             "placed_by_depth": sum(localizer.by_depth for localizer in list(self._localizers.values())),
             "modelled": len(self._last_models),
             "statures_m": ", ".join(
@@ -292,12 +296,17 @@ class BodyPipeline:
         values.update(self.times.values())
         return values
 
+    def note_timing(self, age: float, took: float) -> None:
+        """Note, before update, the age (s) of the image, and the time (s) that the last one took in all."""
+        self._tracker.schedule.note_timing(age, took)
+
     def reconfigure(self, settings: BodiesSettings) -> None:
         """Take up the values of the live parameters; the bodies stay."""
         self._settings = settings
         self._detector.threshold = _FAINT * settings.min_person_score
         self._tracker.limit(settings.body_birth_delay, settings.body_death_time, settings.min_body_score)
-        self._tracker.schedule.limit(settings.pose_rate, settings.pose_budget)
+        self._tracker.schedule.limit(settings.pose_rate, most=settings.pose_budget, max_age=settings.max_age)
+        self._tracker.schedule.set_share(settings.cpu_share)
         self._modeller.reconfigure(settings)
 
     def reset(self) -> None:

@@ -19,7 +19,6 @@ from hri_fullbody.core.model.urdf import make_urdf
 from hri_fullbody.core.parameters import BodiesSettings
 from hri_fullbody.core.pipeline import BodyPipeline, ModelledBody
 from hri_fullbody.core.tracking.reidentification import Reidentification
-from hri_fullbody.core.tracking.scheduler import StampPacer
 from hri_fullbody.ros.inputs import FaceInput, UpFrame
 from hri_fullbody.ros.state_publishers import StatePublishers
 from hri_fullbody.ros.topics import NAMESPACE, BodyTopics, SkeletonMarkers
@@ -29,6 +28,7 @@ from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.observations import BodyObservation, FaceObservation
 from hri_pipeline.core.onnx import ModelLog
 from hri_pipeline.core.privacy import DataUse
+from hri_pipeline.core.timing import StampPacer
 from hri_pipeline.ros.conversions import match_to_msg, transform_to_msg
 from hri_pipeline.ros.diagnostics import OK, WARN
 from hri_pipeline.ros.inputs import Frame
@@ -79,6 +79,8 @@ class BodyProcessor:
     def process(self, frame: Frame, context: dict) -> None:
         """Find the bodies in a frame, publish them, and leave them in context["bodies"]."""
         up, height = self._up.lookup(frame.header.frame_id, frame.header.stamp)
+        if "age" in context:
+            self._pipeline.note_timing(context["age"], context["took"])
         bodies = self._pipeline.update(
             frame.bgr, frame.camera, frame.stamp, self._face_boxes(frame, context), depth=frame.depth,
             up=up, camera_height=height)

@@ -1,5 +1,5 @@
-"""What a process asks of the system: its memory, the threads of its libraries, its niceness, and its child
-processes."""
+"""What a process asks of the system: its memory, the threads of its libraries, idle cores, its niceness, and its
+child processes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import gc
 import os
 import shutil
 import threading
-from typing import List, Sequence
+from typing import List, Sequence, Tuple
 
 import cv2
 import threadpoolctl
@@ -114,6 +114,25 @@ def one_thread_each() -> None:
 def threads_of_libraries() -> List[int]:
     """Return the number of threads of each linear algebra library that is loaded."""
     return [library["num_threads"] for library in threadpoolctl.threadpool_info() if library["user_api"] == "blas"]
+
+
+def idle_time() -> Tuple[float, int]:
+    """Return how long (s) the cores that this process may use have been idle since the start of the system, and their
+    number.
+
+    From /proc/stat, see proc(5): the 4th and 5th number of each core are clock ticks without work. Raises OSError where
+    there is no such file.
+    """
+    cores = {"cpu%d" % core for core in os.sched_getaffinity(0)}
+    ticks = 0
+    with open("/proc/stat", encoding="ascii") as file:
+        for line in file:
+            if not line.startswith("cpu"):
+                break
+            name, *numbers = line.split()
+            if name in cores:
+                ticks += int(numbers[3]) + int(numbers[4])
+    return ticks / os.sysconf("SC_CLK_TCK"), len(cores)
 
 
 def set_niceness(nice: int) -> bool:

@@ -109,6 +109,8 @@ class FaceProcessor:
     def process(self, frame: Frame, context: dict) -> None:
         """Find the faces in an image, publish them, and store them in context["faces"]."""
         demand = self._topics.demand(self._pipeline.tracked_ids)
+        if "age" in context:
+            self._pipeline.note_timing(context["age"], context["took"])
         faces = self._pipeline.update(frame.bgr, frame.camera, frame.stamp, getattr(frame, "depth", None), demand)
         context["faces"] = faces
         ids = self._pipeline.tracked_ids

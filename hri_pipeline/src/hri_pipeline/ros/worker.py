@@ -35,7 +35,8 @@ class Processor(Protocol):
     well."""
 
     def process(self, frame: Frame, context: dict) -> None:
-        """Work on one image; `context` carries results to the next processors, and "times" (StageTimes)."""
+        """Work on one image; `context` carries results to the next processors, "times" (StageTimes), and in s the
+        "age" of the image, and what the last one "took"."""
 
     def reconfigure(self, settings: CameraSettings) -> None:
         """Apply new values of the live parameters."""
@@ -65,6 +66,7 @@ class VisionWorker:
         self._pacer = _pacer(max_rate)
         self._silence = silence
         self._nice, self._nice_at = nice, math.inf
+        self._took = 0.0
         self._lock = threading.RLock()
         self._closed = threading.Event()
         self._wake = threading.Event()
@@ -104,7 +106,10 @@ class VisionWorker:
 
     def process(self, frame: Frame) -> dict:
         """Give one image to all processors; return the context with their results."""
-        context: dict = {"times": self.times}
+        began = time.monotonic()
+        context: dict = {"times": self.times, "took": self._took}
+        if not rospy.Time.now().is_zero():
+            context["age"] = (rospy.Time.now() - frame.header.stamp).to_sec()
         with self._lock, self.times("frame"):
             for processor in self._processors:
                 name = _name(processor)
@@ -114,6 +119,7 @@ class VisionWorker:
                 except Exception as error:  # one image never ends the node
                     self._failed(name, error)
         self._ended.append(time.monotonic())
+        self._took = time.monotonic() - began
         now = rospy.Time.now()
         if not now.is_zero():
             self._ages.append((now - frame.header.stamp).to_sec())

@@ -123,14 +123,16 @@ def _shows_another(track: BodyTrack, detection: PoseDetection, tracks: Sequence[
     Of a hidden body: one that is there and not clearly of other clothes, or one beside it whose clothes fit better.
     Of a visible one: one that is there, and whose clothes fit clearly better.
     """
-    own = difference(track.appearance, detection.appearance)
+    centre_x, centre_y = detection.estimate.centre
     for other in tracks:
         if other is track or not other.visible:
             continue
         there = other.expected(stamp)
-        offset = math.hypot(*(detection.estimate.centre - there.centre)) / other.motion.size
+        x, y = there.centre
+        offset = math.hypot(centre_x - x, centre_y - y) / other.motion.size
         if offset > _BESIDE:
             continue
+        own = difference(track.appearance, detection.appearance)
         its = difference(other.appearance, detection.appearance)
         better = own - its if own is not None and its is not None else 0.0
         if track.visible:

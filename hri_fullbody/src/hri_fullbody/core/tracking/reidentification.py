@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict, deque
 from dataclasses import dataclass
-from typing import Deque, Dict, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Deque, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -58,12 +58,10 @@ def describe(image: np.ndarray, estimate: PoseEstimate) -> Optional[np.ndarray]:
     points, confidence = estimate.landmarks[:, :2], estimate.confidence
     if confidence[[BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER]].min() < _LEAST_CONFIDENCE:
         return None  # hips below the image are told well enough for where the trunk is
-    rows = [_histogram(image, samples) for samples in (
+    rows = _histograms(image, [
         _trunk_samples(points, *_CHEST), _trunk_samples(points, *_BELLY), _limb_samples(points, confidence, _SLEEVES),
-        _limb_samples(points, confidence, _THIGHS), _limb_samples(points, confidence, _SHINS))]
-    if rows[0] is None:
-        return None
-    return np.stack([np.zeros(BINS) if row is None else row for row in rows])
+        _limb_samples(points, confidence, _THIGHS), _limb_samples(points, confidence, _SHINS)])
+    return rows if rows[0].any() else None
 
 
 def difference(a: Optional[np.ndarray], b: Optional[np.ndarray]) -> Optional[float]:
@@ -73,11 +71,12 @@ def difference(a: Optional[np.ndarray], b: Optional[np.ndarray]) -> Optional[flo
     """
     if a is None or b is None:
         return None
-    shown = (a.sum(axis=1) > 0.0) & (b.sum(axis=1) > 0.0)
-    if not shown.any():
+    shown = np.count_nonzero(a.any(axis=1) & b.any(axis=1))
+    if not shown:
         return None
-    alike = np.clip(np.sqrt(a[shown] * b[shown]).sum(axis=1), 0.0, 1.0)
-    return float(np.sqrt(1.0 - float(alike.mean())))
+    # What one does not show is 0 in the product. Rounding may take a sum a little beyond 1.
+    alike = np.minimum(np.sqrt(a * b).sum(axis=1), 1.0)
+    return math.sqrt(max(0.0, 1.0 - float(alike.sum()) / shown))
 
 
 def differences(one: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -112,34 +111,46 @@ def _limb_samples(points: np.ndarray, confidence: np.ndarray,
     return np.concatenate(found) if found else None
 
 
-def _histogram(image: np.ndarray, samples: Optional[np.ndarray]) -> Optional[np.ndarray]:
-    """Histogram (21,) of the samples (N, 2) px inside the image; None when they are too few."""
-    if samples is None:
-        return None
+def _histograms(image: np.ndarray, parts: Sequence[Optional[np.ndarray]]) -> np.ndarray:
+    """Histograms (P, 21) of parts, samples (N, 2) px each; 0 where too few of them are inside the image."""
+    rows = np.zeros((len(parts), BINS))
+    samples = np.concatenate([np.zeros((0, 2))] + [part for part in parts if part is not None])
+    owners = np.repeat(np.arange(len(parts)), [0 if part is None else len(part) for part in parts])
     height, width = image.shape[:2]
-    cells = np.floor(samples).astype(np.int64)
-    inside = (cells[:, 0] >= 0) & (cells[:, 0] < width) & (cells[:, 1] >= 0) & (cells[:, 1] < height)
-    if inside.sum() < _LEAST_SAMPLES:
-        return None
-    pixels = image[cells[inside, 1], cells[inside, 0]]
-    lightness, first, second = cv2.cvtColor(pixels[None], cv2.COLOR_BGR2LAB)[0].T.astype(np.float64)
-    return histogram_of_colours(lightness, first - 128.0, second - 128.0)
+    x, y = np.floor(samples).astype(np.int64).T
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    inside &= (np.bincount(owners[inside], minlength=len(parts)) >= _LEAST_SAMPLES)[owners]
+    if inside.any():
+        pixels = image[y[inside], x[inside]]
+        lightness, first, second = cv2.cvtColor(pixels[None], cv2.COLOR_BGR2LAB)[0].T.astype(np.float64)
+        shown, number = np.unique(owners[inside], return_inverse=True)
+        rows[shown] = _rows(number, len(shown), lightness, first - 128.0, second - 128.0)
+    return rows
 
 
 def histogram_of_colours(lightness: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Histogram (21,), sum 1, of pixels (N,): their lightness (0 to 255), and where they lie on both axes of colour."""
+    return _rows(np.zeros(len(lightness), np.int64), 1, lightness, first, second)[0]
+
+
+def _rows(owners: np.ndarray, count: int, lightness: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Histograms (count, 21) of pixels (N,), each of which belongs to the row `owners` (N,)."""
+    light = _counts(owners, count, lightness, _LIGHTNESS)
     # A little more or less light is forgiven.
-    light = np.convolve(np.pad(_counts(lightness, _LIGHTNESS), 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
-    return np.concatenate([light / light.sum(), _counts(first, _COLOUR), _counts(second, _COLOUR)]) / 3.0
+    edged = np.concatenate([light[:, :1], light, light[:, -1:]], axis=1)
+    light = 0.25 * edged[:, :-2] + 0.5 * light + 0.25 * edged[:, 2:]
+    return np.concatenate([light / light.sum(axis=1, keepdims=True), _counts(owners, count, first, _COLOUR),
+                           _counts(owners, count, second, _COLOUR)], axis=1) / 3.0
 
 
-def _counts(values: np.ndarray, middles: np.ndarray) -> np.ndarray:
-    """Histogram, sum 1, in which a value counts for the bins on both sides of it, the nearer one more."""
-    values = np.clip(values, middles[0], middles[-1])
-    left = np.clip(np.searchsorted(middles, values) - 1, 0, len(middles) - 2)
-    share = (values - middles[left]) / (middles[left + 1] - middles[left])
-    counts: np.ndarray = (np.bincount(left, 1.0 - share, len(middles)) + np.bincount(left + 1, share, len(middles)))
-    return counts / len(values)
+def _counts(owners: np.ndarray, count: int, values: np.ndarray, middles: np.ndarray) -> np.ndarray:
+    """Histograms (count, B), sum 1 each, in which a value counts for the bins on both sides of it, the nearer more."""
+    place = np.interp(values, middles, np.arange(len(middles)))
+    left = np.minimum(place.astype(np.int64), len(middles) - 2)
+    share, cell = place - left, owners * len(middles) + left
+    size = count * len(middles)
+    counts = (np.bincount(cell, 1.0 - share, size) + np.bincount(cell + 1, share, size)).reshape(count, len(middles))
+    return np.asarray(counts / counts.sum(axis=1, keepdims=True))
 
 
 LEAST_LIKELIHOOD = 0.9

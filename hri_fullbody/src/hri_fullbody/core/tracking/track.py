@@ -162,8 +162,7 @@ class BodyTrack:
     hidden: it was missed, and has not left. cut: the picture has changed since it was seen. returning: it was seen once
     after a gap.
     box_confirmed: None until the person detector was asked for the body, then whether it has ever seen a person there.
-    turn: for the scheduler, rising with every inference. wait: time (s) between two turns lately. appearance: see
-    `appearance.describe`, learnt while unoccluded.
+    wait: time (s) between two turns lately. appearance: see `appearance.describe`, learnt while unoccluded.
     """
 
     def __init__(self, body_id: str, detection: PoseDetection, stamp: float, life: TrackLife,
@@ -180,7 +179,6 @@ class BodyTrack:
         self.returning = False
         self.inferred_at = stamp
         self.misses = 0
-        self.turn = 0
         self.wait = 0.0
         self.box_confirmed_at = self.born_at = stamp
         self.box_confirmed = box_confirmed

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Callable, List, Optional, Sequence
+from typing import Callable, Dict, List, Optional, Sequence, Tuple, cast
 
 import numpy as np
 
 from hri_fullbody.core.detection.pose_estimator import (
+    BatchPoseEstimator,
     PoseDetection,
     PoseEstimate,
     PoseEstimator,
+    PoseWindow,
     covers,
     distinct,
     inside,
@@ -28,10 +30,10 @@ from hri_fullbody.core.tracking.association import (
 )
 from hri_fullbody.core.tracking.candidates import BodyCandidate, CandidateQueue
 from hri_fullbody.core.tracking.reidentification import describe
-from hri_fullbody.core.tracking.scheduler import PoseScheduler
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.images import PictureCuts
+from hri_pipeline.core.scheduler import InferenceScheduler, Request
 from hri_pipeline.core.tracks import TrackLife, assign
 
 Locate = Callable[[PoseEstimate], Optional[np.ndarray]]
@@ -40,6 +42,9 @@ _SECOND_OFFSET, _SECOND_SHARE = 0.12, 0.75
 _OCCLUDED_SHARE = 0.15
 _DESCRIBE_S = 0.4
 _LEAST_INSIDE = 0.25    # of the box of the landmarks that are seen: what lies outside the image is made up
+_FAST = 1.0             # body sizes per second from which a body counts as fast
+_NEWBORN_WEIGHT, _HIDDEN_WEIGHT = 3.0, 0.4
+_UNCERTAIN = 0.9        # score below which a body is uncertain
 _OVERDUE = 1.5      # times as long as others lately waited for their inference
 
 
@@ -56,7 +61,7 @@ class BodyTracker:
 
     def __init__(self, pose: PoseEstimator, new_id: Callable[[], str], birth_delay: float, death_time: float,
                  min_score: float = 0.5, max_bodies: int = 10, max_retries: int = 3,
-                 schedule: Optional[PoseScheduler] = None, guard: Optional[ItemGuard] = None) -> None:
+                 schedule: Optional[InferenceScheduler] = None, guard: Optional[ItemGuard] = None) -> None:
         """birth_delay, death_time: s. min_score: 0 to 1. max_retries: extra windows per image for captured bodies.
 
         schedule: which bodies get an inference; None: all in every image. guard: counts inferences that raised; each
@@ -69,9 +74,10 @@ class BodyTracker:
         self._pose = pose
         self._new_id = new_id
         self._max_bodies, self._max_retries = max_bodies, max_retries
-        self.schedule = schedule or PoseScheduler()
+        self.schedule = schedule or InferenceScheduler(batches=False)
         self._guard = guard or ItemGuard()
         self._candidates = CandidateQueue()
+        self._prepared: Dict[str, Tuple[Window, PoseEstimate]] = {}
         self._cuts = PictureCuts()
         self._locate: Locate = lambda estimate: None
         self.tracks: List[BodyTrack] = []
@@ -113,10 +119,13 @@ class BodyTracker:
             for track in self.tracks:
                 track.cut_off(stamp)
         own = {track.id: self._own_face(track, faces, stamp) for track in self.tracks}
-        chosen = self.schedule.choose(self.tracks, stamp, min(for_new, len(self._candidates)))
+        chosen = self._choose(stamp, min(for_new, len(self._candidates)))
         self._retries = self._max_retries
-        results = self._guard.each("body", lambda track: self._infer_track(track, image, stamp, own[track.id], faces),
-                                   chosen)
+        with self.schedule.measure() as count:
+            self._guard.attempt("batch of windows", self._infer_together, chosen, image, stamp, own, faces)
+            results = self._guard.each(
+                "body", lambda track: self._infer_track(track, image, stamp, own[track.id], faces), chosen)
+            count(self.windows)
         detections = [detection for detection in results if detection is not None]
         near = [nearest_face(detection, faces) for detection in detections]
         self._associate(distinct(detections, [face.id if face else None for face in near]), chosen, stamp, faces)
@@ -126,6 +135,17 @@ class BodyTracker:
             if not track.visible:
                 track.judge_hidden(stamp, image.shape[1])
         self.tracks = [track for track in self.tracks if not track.dead(stamp)]
+
+    def _choose(self, stamp: float, reserved: int) -> List[BodyTrack]:
+        """The bodies whose turn it is, most urgent first; reserved: see InferenceScheduler.choose."""
+        waiting = {track.id: track for track in self.tracks if stamp > track.inferred_at}
+        largest = max([1.0] + [track.motion.size for track in self.tracks])
+        chosen = self.schedule.choose(
+            [Request(name, urgency(track, largest)) for name, track in waiting.items()], stamp, reserved)
+        wait = self.schedule.wait(len(self.tracks))
+        for track in self.tracks:
+            track.wait = wait
+        return [waiting[name] for name in chosen]
 
     @property
     def awaits_detector(self) -> bool:
@@ -172,6 +192,18 @@ class BodyTracker:
 
     def _has_track(self, box: np.ndarray, stamp: float) -> bool:
         return any(track.visible and covers(track.expected(stamp), box) for track in self.tracks)
+
+    def _infer_together(self, chosen: Sequence[BodyTrack], image: np.ndarray, stamp: float,
+                        own: Dict[str, Optional[FaceBox]], faces: Sequence[FaceBox]) -> None:
+        """Run the network once for the first windows of all chosen bodies, where that is faster."""
+        self._prepared = {}
+        if not getattr(self._pose, "takes_batches", False) or len(chosen) < 2:
+            return
+        windows = {track.id: self._pose_window(track.window(own[track.id], stamp), track, own[track.id], faces, stamp)
+                   for track in chosen if own[track.id] is None or track.visible}
+        estimates = cast(BatchPoseEstimator, self._pose).estimate_all(image, list(windows.values()))
+        self._prepared = {name: (one.window, estimate)
+                          for (name, one), estimate in zip(windows.items(), estimates)}
 
     def _infer_track(self, track: BodyTrack, image: np.ndarray, stamp: float, face: Optional[FaceBox],
                   faces: Sequence[FaceBox]) -> Optional[PoseDetection]:
@@ -311,12 +343,21 @@ class BodyTracker:
 
     def _infer(self, image: np.ndarray, window: Window, track: Optional[BodyTrack], own: Optional[FaceBox],
               faces: Sequence[FaceBox], stamp: float) -> PoseEstimate:
-        """Estimate with the neighbours' heads hidden: all faces but the own one, or those known to be others'.
+        """Estimate with the neighbours' heads hidden; what was done in a batch is taken from it."""
+        self.windows += 1
+        prepared = self._prepared.pop(track.id, None) if track is not None else None
+        if prepared is not None and prepared[0] == window:
+            return prepared[1]
+        one = self._pose_window(window, track, own, faces, stamp)
+        return self._pose.estimate(image, one.window, one.hidden, one.shown)
+
+    def _pose_window(self, window: Window, track: Optional[BodyTrack], own: Optional[FaceBox],
+                     faces: Sequence[FaceBox], stamp: float) -> PoseWindow:
+        """Hide all faces but the own one, or those known to be others'.
 
         Only where there are no faces at all, or the body was lost, the heads of the other bodies are hidden: they are
         less sure, and with a human's own head hidden the network may make a second body of the trunk.
         """
-        self.windows += 1
         if own is not None:
             hidden = [head_box(face) for face in faces if face.id != own.id]
         else:
@@ -324,7 +365,7 @@ class BodyTracker:
             if not faces or (track is not None and not track.visible):
                 hidden += [other.expected(stamp).head_box() for other in self.tracks
                            if other is not track and other.visible]
-        return self._pose.estimate(image, window, hidden, None if own is None else own.box)
+        return PoseWindow(window, hidden, None if own is None else own.box)
 
     def _owner(self, face: FaceBox) -> Optional[BodyTrack]:
         return next((track for track in self.tracks if track.face_id == face.id), None)
@@ -357,6 +398,17 @@ class BodyTracker:
                 track.missed(stamp)
             else:
                 shown.append(track)
+
+
+def urgency(track: BodyTrack, largest: float) -> float:
+    """Weight of a body's inferences: 1 at rest, more for one that is new, moves, is near or uncertain; less for a
+    hidden one. largest: size of the largest body in the image, px."""
+    if not track.life.confirmed:
+        return _NEWBORN_WEIGHT
+    if not track.visible:
+        return _HIDDEN_WEIGHT
+    return (1.0 + min(track.motion.speed() / _FAST, 1.0) + 0.5 * min(1.0, track.motion.size / largest)
+            + (0.5 if track.estimate.score < _UNCERTAIN else 0.0))
 
 
 def _fits(track: BodyTrack, detection: PoseDetection, stamp: float, face: Optional[FaceBox]) -> bool:

@@ -39,13 +39,14 @@ class FaceTrackingSettings(Settings):
         "part in which something has changed, or where a face waits for its confirmation. 1: no tiles.", minimum=1,
         maximum=4)
     face_mesh_rate: float = parameter(
-        10.0, "How often the mesh network runs on each face; in the images between, the face goes where its picture "
-        "goes (optical flow), with a confidence that says so. Higher follows quick heads better, and costs more. 0: "
-        "every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True)
+        10.0, "How often the mesh network runs on each face at least (see `cpu_share`); in the images between, the "
+        "face goes where its picture goes (optical flow), with a confidence that says so. Higher follows quick heads "
+        "better, and costs more. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True)
     face_budget: float = parameter(
-        10.0, "Processor time per image for the mesh network. With more faces than it allows, they take turns. On a "
-        "faster machine the same budget means more runs. The networks behind it (expression, age and gender, "
-        "recognition) take three quarters of it at most, over time, and 0.3 s at once for who has just come.",
+        10.0, "Processor time per image for the mesh network, where `cpu_share` allows no more. With more faces than "
+        "it allows, they take turns. On a faster machine the same budget means more runs. The networks behind it "
+        "(expression, age and gender, recognition) take three quarters of it at most, over time, and 0.3 s at once for "
+        "who has just come.",
         unit="ms", minimum=1.0, maximum=1000.0, live=True)
     face_birth_delay: float = parameter(
         0.1, "Time for which a face must be seen before it gets its topics. Larger keeps out more flickering false "
@@ -119,6 +120,14 @@ class CameraSettings(Settings):
     max_rate: float = parameter(
         30.0, "Most images processed per second; the others are skipped, which leaves more of the processor to "
         "others. 0: as fast as they come.", unit="Hz", minimum=0.0, maximum=1000.0, live=True)
+    cpu_share: float = parameter(
+        0.75, "Share of the time of all cores, used by whatever process, up to which people are looked at more often "
+        "than the rates and budgets say: up to every image, who moves, speaks, is near or uncertain before others. "
+        "When others need the processor, it is given back within a second. 0: never more often.", minimum=0.0,
+        maximum=1.0, live=True)
+    max_age: float = parameter(
+        0.1, "Age of an image, when the work on it ends, that is not exceeded by looking at more people; each is "
+        "looked at twice a second all the same.", unit="s", minimum=0.01, maximum=10.0, live=True)
     interface: str = parameter(
         "paper", "Type of `roi`: `paper` is sensor_msgs/RegionOfInterest in pixels, `rep155` is "
         "hri_msgs/NormalizedRegionOfInterest2D. With `rep155` gaze_ID goes on while the eyes are closed, with the "

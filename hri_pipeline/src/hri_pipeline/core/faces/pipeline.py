@@ -47,7 +47,7 @@ from hri_pipeline.core.faces.mesh import (
     verification_score,
 )
 from hri_pipeline.core.faces.parameters import FacePipelineSettings
-from hri_pipeline.core.faces.scheduler import DetectionScheduler, MeshScheduler
+from hri_pipeline.core.faces.scheduler import DetectionScheduler
 from hri_pipeline.core.faces.tracker import (
     LEAST_VERIFICATION,
     VERIFIED,
@@ -65,6 +65,7 @@ from hri_pipeline.core.observations import FaceObservation, GazeEstimate
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel, model_path
 from hri_pipeline.core.recognition.face_identity import PersonMatch
 from hri_pipeline.core.recognition.recogniser import FaceRecognition
+from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler, Request
 from hri_pipeline.core.timing import StageTimes
 
 NOTHING = FaceDemand()
@@ -81,6 +82,8 @@ _VERIFIED_PER_IMAGE = 3
 """Most tracks that are verified in one image."""
 _DETECTION_AGE = 0.4
 """Fraction of `face_support_time` without a detection after which the detector is asked for where the face is."""
+_OVERLAP = 0.1
+"""Boxes overlap by so much of the smaller one's sides, or more."""
 _PREDICTION_TIME = 0.3
 """Time constant (s) with which the presence of a face that was not measured falls."""
 ANEW_PERIOD = 0.25
@@ -192,6 +195,10 @@ class FacePipeline:
         self._published += len(faces)
         self._predicted += sum(not face.measured for face in faces)
 
+    def note_timing(self, age: float, took: float) -> None:
+        """Note, before update, the age (s) of the image, and the time (s) that the last one took in all."""
+        self._tracking.scheduler.note_timing(age, took)
+
     def set_stature(self, face_id: str, stature: float) -> None:
         """Set the stature (m) of a face's person, known from its body: it helps to estimate the size of the head."""
         self._geometry.set_stature(face_id, stature)
@@ -210,7 +217,8 @@ class FacePipeline:
 
     def status(self) -> Dict[str, object]:
         """Return values for diagnostics, since the last call."""
-        values: Dict[str, object] = {"tracked": len(self.tracked_ids), "mesh_ms": 1e3 * self._tracking.inference_cost,
+        values: Dict[str, object] = {"tracked": len(self.tracked_ids), "mesh_ms": 1e3 * self._tracking.scheduler.cost,
+                                     "spare_percent": 100.0 * self._tracking.scheduler.spare,
                                      "predicted_percent": 100.0 * self._predicted / max(1, self._published)}
         self._published = self._predicted = 0
         values.update(self._analysis.status())
@@ -274,7 +282,8 @@ class FaceTrackingPipeline:
         self._detector = FaceDetector(detector)
         self._detection_scheduler = DetectionScheduler(settings.face_detection_period, settings.face_detection_tiles)
         self._mesh = FaceMesh(mesh)
-        self._mesh_scheduler = MeshScheduler(*_rate_and_budget(settings))
+        self._mesh_scheduler = InferenceScheduler(idle=IdleShare(settings.cpu_share))
+        self._limit_mesh(settings)
         self._tracker = FaceTracker(ids=ids, judge=judge, **_limits(settings))
         self._cuts = PictureCuts()
         self._anew_at = -np.inf
@@ -288,9 +297,13 @@ class FaceTrackingPipeline:
     def reconfigure(self, settings: FacePipelineSettings) -> None:
         """Apply the values of the live parameters."""
         self._detection_scheduler.set_period(settings.face_detection_period)
-        self._mesh_scheduler.share(*_rate_and_budget(settings))
+        self._limit_mesh(settings)
         self._tracker.limit(**_limits(settings))
         self._set_thresholds(settings)
+
+    def _limit_mesh(self, settings: FacePipelineSettings) -> None:
+        self._mesh_scheduler.limit(settings.face_mesh_rate, 1e-3 * settings.face_budget, max_age=settings.max_age)
+        self._mesh_scheduler.set_share(settings.cpu_share)
 
     def _set_thresholds(self, settings: FacePipelineSettings) -> None:
         self._min_score, self._min_presence = settings.min_detection_score, settings.min_face_presence
@@ -308,9 +321,9 @@ class FaceTrackingPipeline:
         return {track.id for track in self._tracker.tracks}
 
     @property
-    def inference_cost(self) -> float:
-        """Estimated processor time of the mesh network per face, s."""
-        return self._mesh_scheduler.cost
+    def scheduler(self) -> InferenceScheduler:
+        """Who gets the mesh network."""
+        return self._mesh_scheduler
 
     def update(self, bgr: np.ndarray, stamp: float) -> List[TrackedFace]:
         """Return the faces seen in the (H, W, 3) uint8 image of `stamp` (s), oldest first, unconfirmed ones too."""
@@ -318,8 +331,7 @@ class FaceTrackingPipeline:
             cut = self._cuts.update(bgr)
         self._predict(bgr, stamp)
         expected = self._tracker.expected(stamp)
-        urgent = self._overlapping(expected, stamp)
-        chosen = set(self._mesh_scheduler.choose([track.id for track in expected], stamp, urgent))
+        chosen = set(self._mesh_scheduler.choose(self._requests(expected, stamp), stamp))
         if cut:
             chosen = {track.id for track in expected}
             self._search_anew(stamp)
@@ -346,6 +358,14 @@ class FaceTrackingPipeline:
             self._detection_scheduler.reset()
             self._anew_at = stamp
 
+    def _requests(self, tracks: Sequence[FaceTrack], stamp: float) -> List[Request]:
+        """Who could get the mesh network: faces that overlap others first, for the data association; those that move,
+        speak, are near or uncertain more often."""
+        first = set(self._overlapping(tracks, stamp))
+        largest = max([1.0] + [track.size for track in tracks])
+        return [Request(track.id, track.urgency(largest) + (0.0 if self._tracker.is_confirmed(track) else 1.0),
+                        track.id in first) for track in tracks]
+
     def _predict(self, bgr: np.ndarray, stamp: float) -> None:
         """Move the tracks by optical flow."""
         tracks = [track for track in self._tracker.tracks if track.visible]
@@ -361,10 +381,10 @@ class FaceTrackingPipeline:
         if not tracks:
             return []
         with self._times("face_mesh"):
-            began = self._clock()
-            rois = [roi_from_mesh(track.measurement.mesh, track.shift(stamp)) for track in tracks]
-            results = self._mesh.run(bgr, rois)
-            self._mesh_scheduler.spent(self._clock() - began, len(rois))
+            with self._mesh_scheduler.measure(self._clock) as count:
+                rois = [roi_from_mesh(track.measurement.mesh, track.shift(stamp)) for track in tracks]
+                results = self._mesh.run(bgr, rois)
+                count(len(rois))
         height, width = bgr.shape[:2]
         return [self._measurement(bgr, result, False, score=track.score) for track, result in zip(tracks, results)
                 if is_face(result, width, height, self._least_presence(track))]
@@ -476,12 +496,15 @@ class FaceTrackingPipeline:
 
     @staticmethod
     def _overlapping(tracks: Sequence[FaceTrack], stamp: float) -> List[str]:
-        """Ids of faces that overlap others: they are measured first, for the data association."""
+        """Ids of faces that overlap others."""
         if len(tracks) < 2:
             return []
-        boxes = [track.predicted_box(stamp).tolist() for track in tracks]
-        return [track.id for index, track in enumerate(tracks)
-                if any(_overlap(boxes[index], box) for other, box in enumerate(boxes) if other != index)]
+        boxes = np.stack([track.predicted_box(stamp) for track in tracks])
+        low, high = boxes[:, :2], boxes[:, 2:]
+        side = np.minimum((high - low)[:, None], (high - low)[None])
+        both = np.minimum(high[:, None], high[None]) - np.maximum(low[:, None], low[None]) > _OVERLAP * side
+        both[np.arange(len(tracks)), np.arange(len(tracks))] = False
+        return [track.id for track, overlaps in zip(tracks, both.all(axis=2).any(axis=1).tolist()) if overlaps]
 
     def _tracked_face(self, track: FaceTrack, stamp: float) -> TrackedFace:
         measured = track.measured_at >= stamp
@@ -627,22 +650,11 @@ class _Face:
             self.pose = self.smoother(pose, stamp)
 
 
-def _rate_and_budget(settings: FacePipelineSettings) -> Tuple[float, float]:
-    """Rate (Hz) and time budget (s) of the mesh network, for MeshScheduler."""
-    return settings.face_mesh_rate, 1e-3 * settings.face_budget
-
-
 def _limits(settings: FacePipelineSettings) -> Dict[str, Any]:
     """Arguments of FaceTracker.limit()."""
     return {"birth_delay": settings.face_birth_delay, "death_time": settings.face_death_time,
             "max_faces": settings.max_faces,
             "min_detections": settings.face_min_detections, "support_time": settings.face_support_time}
-
-
-def _overlap(a: Sequence[float], b: Sequence[float]) -> bool:
-    """Whether two boxes overlap by a tenth of the smaller one's sides."""
-    width, height = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
-    return width > 0.1 * min(a[2] - a[0], b[2] - b[0]) and height > 0.1 * min(a[3] - a[1], b[3] - b[1])
 
 
 def _is_rejected(track: FaceTrack) -> bool:

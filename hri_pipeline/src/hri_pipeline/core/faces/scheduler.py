@@ -1,8 +1,7 @@
-"""What runs on which image: the mesh network, the detector, the measure of picture quality, and the networks of the
-analysis.
+"""What runs on which image, besides the mesh network (`core.scheduler`): the detector, the measure of picture quality,
+and the networks of the analysis.
 
-Mesh network (`MeshScheduler`): every face earns credit with time and pays for an inference; under a tight time budget
-the faces take turns. Detector (`DetectionScheduler`): the whole image is searched periodically; tiles of it, which show
+Detector (`DetectionScheduler`): the whole image is searched periodically; tiles of it, which show
 small faces, and the image with a border, which shows a face that fills it, are searched one at a time, where a face
 waits for its confirmation or where the image has changed; tiles that do not change are searched rarely. Networks of the
 analysis (`TimeBudget`, `next_turn`, `most_overdue`): a token bucket of processor time, and the most overdue network and
@@ -12,7 +11,7 @@ face first.
 from __future__ import annotations
 
 import math
-from typing import Callable, Collection, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Collection, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -20,18 +19,8 @@ from hri_pipeline.core.faces.crops import aligned_crop, crop_quality
 from hri_pipeline.core.faces.detector import Region, tile_regions, wide_region
 from hri_pipeline.core.observations import FaceObservation
 
-_COST_MEMORY = 0.9
-"""Weight of the old estimate of the cost of one inference when a new one is measured."""
-_NEARLY_DUE = 0.45
-"""Credit from which a face is measured early, in one batch with one that is due."""
-_MOST_CREDIT = 2.0
-"""Most inferences that every face may have as credit: after a busy time there is no long catching up."""
-_SLOW_STEP = 0.2
-"""Time between two images (s) from which the budget grows with it: a face not measured for seconds would be dropped."""
 _USUAL_STEP = 1.0 / 12.0
 """Time between two images (s) from which a share grows with it: fewer images leave more time for each."""
-_LONGEST_STEP = 1.0
-"""Time between two images (s) above which no more credit is given."""
 QUIET_FACTOR = 2.0
 """Factor on the detection period while every face is confirmed and none is lost."""
 STILL_FACTOR = 10.0
@@ -79,103 +68,6 @@ class TimeBudget:
         """Subtract the time (s) that the work took."""
         if math.isfinite(seconds):
             self._owed += max(0.0, seconds)
-
-
-class MeshScheduler:
-    """Chooses the faces for the mesh network: each is measured `rate` times per second, as far as `budget` s per image
-    allow.
-
-    A face earns credit with time and pays one per inference; the highest credit comes first, so that under a tight
-    budget all take turns. The cost of an inference is measured (`spent`): the same budget means more of them on a
-    faster machine. At least one face is chosen for every image in which one is due.
-    """
-
-    def __init__(self, rate: float, budget: float, cost: float = 0.005) -> None:
-        """rate, budget: see share; cost: first guess of the time of one inference, s.
-
-        Raises ValueError for a negative rate, or a budget or cost that is not positive.
-        """
-        self._cost = cost
-        self.share(rate, budget)
-        self._credit: Dict[str, float] = {}
-        self._left = 0.0
-        self._stamp: Optional[float] = None
-
-    def share(self, rate: float, budget: float) -> None:
-        """rate: Hz for each face, 0 for every image; budget: s per image. Raises ValueError as the constructor does."""
-        if not (math.isfinite(rate) and rate >= 0.0 and budget > 0.0 and self._cost > 0.0):
-            raise ValueError(
-                "rate {} Hz, budget {} s, cost {} s of the face mesh: rate from 0, the others above 0".format(
-                    rate, budget, self._cost
-                )
-            )
-        self._rate = rate
-        self._budget = budget
-
-    @property
-    def cost(self) -> float:
-        """Estimated time of one inference, s."""
-        return self._cost
-
-    @property
-    def limit(self) -> int:
-        """How many inferences the budget allows per image."""
-        return max(1, int(self._budget / self._cost + 1e-9))
-
-    def choose(self, faces: Sequence[str], stamp: float, urgent: Iterable[str] = ()) -> List[str]:
-        """Return the ids of the faces to measure in the image of `stamp` (s), in the order of `faces`.
-
-        Parameters
-        ----------
-        faces
-            Ids of all faces that could be measured; a new one is due at once.
-        stamp
-            Time of the image, s.
-        urgent
-            Ids that come first, such as those of faces that pass each other.
-        """
-        step = 0.0 if self._stamp is None else min(max(stamp - self._stamp, 0.0), _LONGEST_STEP)
-        self._stamp = stamp
-        gain = 1.0 if self._rate == 0.0 else min(1.0, self._rate * step)
-        # Rounding must not cost a face its turn: at 15 Hz from images at 15 Hz every image is due.
-        self._earn(faces, gain)
-        due = [face for face in faces if self._credit[face] > 1.0 - 1e-3]
-        if due:
-            # In a batch an inference costs half as much: faces that are nearly due are added.
-            due = [face for face in faces if self._credit[face] > _NEARLY_DUE]
-        first = set(urgent)
-        due.sort(key=lambda face: (face not in first, -self._credit[face]))
-        chosen = set(due[:self._affordable(len(due), step)])
-        for face in chosen:
-            self._credit[face] -= 1.0
-        return [face for face in faces if face in chosen]
-
-    def _affordable(self, due: int, step: float) -> int:
-        """Number of inferences for the image `step` s after the last; the time that is left goes to the next image."""
-        time = self._budget * max(1.0, step / _SLOW_STEP) + self._left
-        count = max(1, int(time / self._cost + 1e-9))
-        self._left = max(0.0, time - count * self._cost) if due > count else 0.0
-        return count
-
-    def _earn(self, faces: Sequence[str], gain: float) -> None:
-        """Give credit to all; a new face has a little more than the one that waits longest."""
-        most = max([1.0] + [self._credit[face] + gain for face in faces if face in self._credit])
-        self._credit = {face: self._credit[face] + gain if face in self._credit else most + 1e-6 for face in faces}
-        # Under a tight budget all credits grow: what all have is dropped, the order stays.
-        surplus = min(self._credit.values(), default=1.0) - _MOST_CREDIT
-        if surplus > 0.0:
-            self._credit = {face: credit - surplus for face, credit in self._credit.items()}
-
-    def spent(self, seconds: float, count: int) -> None:
-        """Update the estimated cost by the time of `count` inferences."""
-        if count > 0 and math.isfinite(seconds) and seconds > 0.0:
-            self._cost = _COST_MEMORY * self._cost + (1.0 - _COST_MEMORY) * seconds / count
-
-    def reset(self) -> None:
-        """Forget all faces; the estimated cost is kept."""
-        self._credit = {}
-        self._left = 0.0
-        self._stamp = None
 
 
 class DetectionScheduler:

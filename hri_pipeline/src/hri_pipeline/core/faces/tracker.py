@@ -67,6 +67,12 @@ LEAST_VERIFICATION, VERIFIED, MOST_VERIFICATION = -2.0, 0.5, 2.0
 """Legal range of the sum of a track's verification scores, and the sum from which it is a face."""
 _SCORE_MEMORY = 0.9
 """Fraction of the score of a track that is kept from one detection to the next."""
+_FAST = 0.5
+"""Face sizes per second from which a face counts as fast."""
+_SPEECH, _SPEECH_TIME = 0.02, 0.5
+"""Mean change of the opening of the mouth (face sizes) of somebody who speaks; its time constant (s)."""
+_LIPS = [13, 14]
+"""Vertices in the middle of the lips' inner rims."""
 _COLOUR_GRID = (4, 5)
 _COLOUR_MEMORY = 0.9
 _SAME_COLOURS, _OTHER_COLOURS = 0.03, 0.12
@@ -263,7 +269,8 @@ class FaceTracker:
                 track.memory = self._judge.begin(measurement.look, stamp)
             elif track.doubtful_since is None:
                 self._judge.remember(track.memory, measurement.look, stamp)
-            measurement.look.release()
+            else:
+                measurement.look.release()
         track.continue_with(measurement, stamp)
 
     def _keep_best(self, view: Optional[Tuple[int, int]]) -> None:
@@ -442,6 +449,13 @@ class FaceMeasurement:
         """Centre (2,) px and size px of the box."""
         return _place(self.box)
 
+    @cached_property
+    def openness(self) -> float:
+        """How far the lips are apart, face sizes."""
+        if len(self.mesh) <= max(_LIPS):
+            return 0.0
+        return math.hypot(*(self.mesh[_LIPS[0], :2] - self.mesh[_LIPS[1], :2])) / self.place[1]
+
 
 class FaceTrack:
     """State of one tracked face: last measurement, predicted motion, appearance."""
@@ -464,11 +478,26 @@ class FaceTrack:
         self._moved = np.zeros(2)
         self._followed = False
         self._centre, self._size = measurement.place
+        self._openness, self._speech = measurement.openness, 0.0
 
     @property
     def measured_at(self) -> float:
         """Stamp (s) of the last measurement."""
         return self._stamp
+
+    @property
+    def size(self) -> float:
+        """Size of the face, px."""
+        return self._size
+
+    def urgency(self, largest: float) -> float:
+        """Weight of its inferences: 1 for a face at rest, more for one that moves, speaks, is near or uncertain.
+
+        largest: size of the largest face in the image, px.
+        """
+        speed = math.hypot(*self._velocity) / self._size
+        return (1.0 + min(1.0, speed / _FAST) + min(1.0, self._speech / _SPEECH) + 0.5 * min(1.0, self._size / largest)
+                + (0.5 if self.measurement.presence < SURE_FACE else 0.0))
 
     def shift(self, stamp: float) -> np.ndarray:
         """Motion (2,) px expected between the last measurement and `stamp`."""
@@ -535,6 +564,9 @@ class FaceTrack:
         centre, size = measurement.place
         if stamp > self._stamp and not (self._followed and self._moved_at >= stamp):
             self._update_velocity(centre - self._centre, stamp - self._stamp)
+        weight = 1.0 - math.exp(-max(0.0, stamp - self._stamp) / _SPEECH_TIME)
+        self._speech += weight * (abs(measurement.openness - self._openness) - self._speech)
+        self._openness = measurement.openness
         self._centre, self._size, self._stamp = centre, size, max(stamp, self._stamp)
         self._moved, self._moved_at, self._followed = np.zeros(2), self._stamp, False
         self._update_colours(measurement.colours)

@@ -1,0 +1,310 @@
+"""Who gets the network in an image: earliest deadline first, within a budget that grows into what the machine leaves
+idle.
+
+`IdleShare` measures the idle time of the cores and says how much more than the least budget may be spent.
+`InferenceScheduler` gives everybody a rate out of it, and keeps a deadline for each: C. L. Liu and J. W. Layland,
+"Scheduling Algorithms for Multiprogramming in a Hard-Real-Time Environment", 1973. Under overload all deadlines pass;
+the one that is late for longest comes first, so that nobody waits for ever.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Callable, Deque, Dict, Iterator, List, Optional, Sequence, Tuple
+
+from hri_pipeline.core.process import idle_time
+
+_SAMPLE_S = 0.25
+"""Time (s) between two measurements of the idle time: 25 clock ticks of a core."""
+_GROWTH = 0.3
+"""Part of the idle time that a node takes more at each measurement: two nodes that grow share what there is."""
+_COST_MEMORY = 0.9
+"""Weight of the old estimate of the cost of one inference when a new one is measured."""
+_NEARLY_DUE = 0.55
+"""Part of its period by which an item comes early, in one batch with one that is due."""
+_MOST_LATE = 2.0
+"""Most periods that all may be late: after a busy time there is no long catching up."""
+_SLOW_STEP = 0.2
+"""Time between two images (s) from which the budget grows with it: who is not measured for seconds would be lost."""
+_LONGEST_WAIT = 0.5
+"""Time (s) after which everybody gets an inference although the image is old: who is not seen for longer is lost."""
+_LONGEST_STEP = 1.0
+"""Time between two images (s) above which no more is earned."""
+_FIRST_STEP = 1.0 / 30.0
+"""Time (s) between two images while only one is known."""
+_PAUSE_S = 3.0
+"""Without any image for so long (s), nobody waits for a turn, but for the camera."""
+_LONGEST_ROUND = 64
+"""Turns whose waits are kept: the most items there can be."""
+_OF_INTERVAL = 0.8
+"""Part of the time between two images that work may take when the budget grows: none is to be left out."""
+_INTERVAL_LEAK = 1.01
+"""Growth of the estimated interval per image: it is the least of the last ones, as some are left out."""
+_TIE_S = 1e-4
+"""Deadlines (s) that differ by less are equal: who waits for longer comes first."""
+_UP, _DOWN = 0.5, 0.05
+"""Weight of a longer, and of a shorter time of an image, in the estimate: the slow images give the age."""
+
+
+class IdleShare:
+    """How many cores' time a node may spend beyond its least budget, so that `share` of the machine is used in all.
+
+    Grows slowly while there is idle time, and gives up what is too much at the next measurement.
+    """
+
+    def __init__(self, share: float, idle: Callable[[], Tuple[float, int]] = idle_time,
+                 clock: Callable[[], float] = time.monotonic) -> None:
+        """share: 0 (nothing beyond the least budget) to 1, of the time of all cores, for all processes together.
+
+        idle: see process.idle_time; clock: s. Raises ValueError for another share.
+        """
+        self._idle, self._clock = idle, clock
+        self._last: Optional[Tuple[float, float]] = None
+        self.cores = 0.0
+        self.set_share(share)
+
+    def set_share(self, share: float) -> None:
+        """See the constructor."""
+        if not 0.0 <= share <= 1.0:
+            raise ValueError("a share of {} of the cores' time, legal range 0 to 1".format(share))
+        self._share = share
+
+    def update(self, usable: float) -> float:
+        """Return the time, in cores; usable: the most (cores) that could be used now."""
+        usable = min(max(usable, 0.0), 1.0)
+        if self._share == 0.0 or usable == 0.0:
+            self.cores, self._last = 0.0, None
+            return 0.0
+        now = self._clock()
+        if self._last is None or now < self._last[0]:
+            self._last = self._read(now)
+        elif now - self._last[0] >= _SAMPLE_S:
+            fresh = self._read(now)
+            if fresh is not None:
+                spare = (fresh[1] - self._last[1]) / (fresh[0] - self._last[0]) - (1.0 - self._share) * self._count
+                self.cores = max(0.0, self.cores + (_GROWTH if spare > 0.0 else 1.0) * spare)
+            self._last = fresh
+        self.cores = min(self.cores, usable)
+        return self.cores
+
+    def _read(self, now: float) -> Optional[Tuple[float, float]]:
+        """Time of the measurement and idle time, s; None, and nothing beyond the least budget, where it is unknown."""
+        try:
+            idle, self._count = self._idle()
+        except (OSError, ValueError):
+            self.cores = 0.0
+            return None
+        return now, idle
+
+
+@dataclass(frozen=True)
+class Request:
+    """Somebody who could get an inference. weight: how much more often than others of 1; first: before all others."""
+
+    id: str
+    weight: float = 1.0
+    first: bool = False
+
+
+class InferenceScheduler:
+    """Chooses who gets an inference of a network in each image.
+
+    Everybody gets `rate` inferences a second, as far as the budget allows; with idle time, more, up to every image.
+    At least one that is due is chosen for each image. The cost of an inference is measured (`spent`): the same budget
+    means more of them on a faster machine.
+    """
+
+    def __init__(self, rate: float = 0.0, budget: float = math.inf, most: int = 0, cost: float = 0.005,
+                 batches: bool = True, idle: Optional[IdleShare] = None, max_age: float = math.inf) -> None:
+        """rate, budget, most, max_age and errors: see limit.
+
+        cost: first guess of the time of one inference, s. batches: who is due soon comes along with who is due; else
+        the images get an even load. idle: what may be spent beyond the budget.
+        """
+        self._cost, self._batches, self._idle = cost, batches, idle
+        self.limit(rate, budget, most, max_age)
+        self.reset()
+        self._rest = self._took = 0.0
+        self._stretch = 1.0
+
+    def limit(self, rate: float, budget: float = math.inf, most: int = 0, max_age: float = math.inf) -> None:
+        """Set the limits.
+
+        Parameters
+        ----------
+        rate
+            Least rate (Hz) for each that the budget is for, 0 for every image.
+        budget
+            Time (s) per image.
+        most
+            Inferences per image, 0 for no limit.
+        max_age
+            Age (s) of an image that the work on it may not exceed; one inference, and two a second for each, are
+            made all the same.
+
+        Raises
+        ------
+        ValueError
+            For a negative or infinite rate, a negative number, or a budget, cost or age that is not above 0.
+        """
+        if not (math.isfinite(rate) and rate >= 0.0 and budget > 0.0 and most >= 0 and self._cost > 0.0
+                and max_age > 0.0):
+            raise ValueError("rate {} Hz, budget {} s, {} per image, cost {} s, age {} s: rate and number from 0, the "
+                             "others above 0".format(rate, budget, most, self._cost, max_age))
+        self._rate, self._budget, self._most, self._max_age = rate, budget, most, max_age
+
+    def set_share(self, share: float) -> None:
+        """Set the share of the cores' time (see IdleShare). Raises ValueError out of 0 to 1."""
+        if self._idle is not None:
+            self._idle.set_share(share)
+
+    def reset(self) -> None:
+        """Forget everybody; the estimated cost is kept."""
+        self._deadlines: Dict[str, float] = {}
+        self._served: Dict[str, float] = {}
+        self._waits: Deque[float] = deque(maxlen=_LONGEST_ROUND)
+        self._stamp: Optional[float] = None
+        self._resumed = -math.inf
+        self._left = 0.0
+        self._age: Optional[float] = None
+        self._interval = math.inf
+
+    @property
+    def cost(self) -> float:
+        """Estimated time of one inference, s."""
+        return self._cost
+
+    @property
+    def spare(self) -> float:
+        """What is spent beyond the least budget, in cores."""
+        return 0.0 if self._idle is None else self._idle.cores
+
+    def wait(self, count: int) -> float:
+        """Longest time (s) between two turns in the last `count` of them."""
+        return max(list(self._waits)[-count:], default=0.0) if count else 0.0
+
+    def note_timing(self, age: float, took: float) -> None:
+        """Note, before choose, the age (s) of the new image, and the time (s) that the last one took in all.
+
+        Who works on recorded images, and does not call it, gets the least budget, however old they are.
+        """
+        rest = max(0.0, took - self._took)
+        self._rest += (_UP if rest > self._rest else _DOWN) * (rest - self._rest)
+        self._age, self._took = max(0.0, age), 0.0
+
+    def choose(self, requests: Sequence[Request], stamp: float, reserved: int = 0) -> List[str]:
+        """Return the ids of those who get an inference in the image of `stamp` (s), most urgent first.
+
+        requests: all that could; somebody new is due at once. reserved: inferences of `most` that are left to others;
+        one at least is not.
+        """
+        step = 0.0 if self._stamp is None else min(max(stamp - self._stamp, 0.0), _LONGEST_STEP)
+        if self._stamp is not None and stamp - self._stamp > _PAUSE_S:
+            self._resumed = stamp
+        self._stamp = stamp
+        if step > 0.0:
+            self._interval = min(self._interval * _INTERVAL_LEAK, step)
+        extra = self._extra(len(requests))
+        periods = self._periods(requests, step, extra)
+        self._admit(requests, stamp, periods)
+        due = self._due(requests, stamp, periods)
+        least = int(math.ceil(len(requests) * step / _LONGEST_WAIT - 1e-6))
+        chosen = due[:self._affordable(len(due), step, extra, reserved, least)]
+        for name in chosen:
+            self._deadlines[name] += periods[name]
+            self._waits.append(stamp - max(self._served[name], self._resumed))
+            self._served[name] = stamp
+        return chosen
+
+    def spent(self, seconds: float, count: int) -> None:
+        """Update the estimated cost by the processor time of `count` inferences."""
+        if count > 0 and math.isfinite(seconds) and seconds > 0.0:
+            self._cost = _COST_MEMORY * self._cost + (1.0 - _COST_MEMORY) * seconds / count
+
+    @contextmanager
+    def measure(self, clock: Callable[[], float] = time.thread_time) -> Iterator[Callable[[int], None]]:
+        """Measure the inferences in the body of a `with` statement, which says how many there were."""
+        counts: List[int] = []
+        began, wall = clock(), time.perf_counter()
+        yield counts.append
+        used, wall = clock() - began, time.perf_counter() - wall
+        self.spent(used, sum(counts))
+        self._took += wall
+        if used > 1e-4:
+            self._stretch += 0.1 * (max(1.0, wall / used) - self._stretch)
+
+    def _extra(self, count: int) -> float:
+        """Time (s) per image beyond the least budget."""
+        if self._idle is None or self._age is None or self._rate == 0.0 or not math.isfinite(self._interval):
+            return 0.0
+        missing = count * self._cost - self._least(count)
+        room = _OF_INTERVAL * self._interval - self._rest - self._least(count) * self._stretch
+        usable = min(missing, room / self._stretch) / self._interval
+        return self._idle.update(usable) * self._interval
+
+    def _least(self, count: int) -> float:
+        """Time (s) per image that `count` items at the least rate take of the least budget."""
+        budget = min(self._budget, self._most * self._cost if self._most else math.inf)
+        return min(budget, count * self._cost * min(1.0, self._rate * self._interval))
+
+    def _periods(self, requests: Sequence[Request], step: float, extra: float) -> Dict[str, float]:
+        """Time (s) between two inferences of each."""
+        least = (step or _FIRST_STEP) if self._rate == 0.0 else max(1.0 / self._rate, step)
+        if not requests or self._rate == 0.0 or not math.isfinite(self._interval):
+            return {request.id: least / request.weight for request in requests}
+        needed = len(requests) * self._cost * self._rate * self._interval
+        if needed > self._least(len(requests)) + extra + 1e-9:      # nobody gets the least rate: by weight alone
+            return {request.id: least / request.weight for request in requests}
+        if extra <= 0.0:
+            return {request.id: least for request in requests}
+        fair = (self._least(len(requests)) + extra) / self._cost / sum(request.weight for request in requests)
+        return {request.id: min(least, self._interval / min(1.0, max(fair * request.weight, 1e-6)))
+                for request in requests}
+
+    def _admit(self, requests: Sequence[Request], stamp: float, periods: Dict[str, float]) -> None:
+        """Keep the deadlines of all; somebody new is a little earlier than all others."""
+        known = [self._deadlines[request.id] for request in requests if request.id in self._deadlines]
+        first = min(known + [stamp]) - _TIE_S
+        self._deadlines = {request.id: self._deadlines.get(request.id, first) for request in requests}
+        self._served = {request.id: self._served.get(request.id, stamp) for request in requests}
+        if requests:
+            # Under a tight budget all are late: what all are late is dropped, the order stays.
+            late = min(stamp - self._deadlines[request.id] - _MOST_LATE * periods[request.id] for request in requests)
+            if late > 0.0:
+                self._deadlines = {name: deadline + late for name, deadline in self._deadlines.items()}
+
+    def _due(self, requests: Sequence[Request], stamp: float, periods: Dict[str, float]) -> List[str]:
+        """Those whose turn it is, the earliest deadline first."""
+        order = sorted(requests, key=lambda request: (
+            not request.first, round(self._deadlines[request.id] / _TIE_S), self._served[request.id]))
+        if self._rate == 0.0:
+            return [request.id for request in order]
+        # Rounding must not cost anybody a turn: at 15 Hz from images at 15 Hz every image is due.
+        early = {request.id: self._deadlines[request.id] - stamp - 1e-3 * periods[request.id] for request in requests}
+        if self._batches:
+            if any(value <= 0.0 for value in early.values()):
+                return [request.id for request in order if early[request.id] <= _NEARLY_DUE * periods[request.id]]
+            return []
+        earned = sum(1.0 - early[request.id] / periods[request.id] for request in requests)
+        return [request.id for request in order][:max(0, int(earned + 1e-6))]
+
+    def _affordable(self, due: int, step: float, extra: float, reserved: int, least: int) -> int:
+        """Number of inferences for the image `step` s after the last; the time that is left goes to the next image.
+
+        least: how many the age of the image does not prevent.
+        """
+        count = due
+        if math.isfinite(self._budget):
+            spendable = self._budget * max(1.0, step / _SLOW_STEP) + extra + self._left
+            count = max(1, int(spendable / self._cost + 1e-9))
+            self._left = max(0.0, spendable - count * self._cost) if due > count else 0.0
+        if self._most:
+            count = min(count, max(1, self._most + int(extra / self._cost) - reserved))
+        if self._age is not None:
+            left = (self._max_age - self._age - self._rest) / self._stretch
+            count = min(count, max(1, least, int(left / self._cost)))
+        return count
