@@ -41,7 +41,9 @@ from hri_person_manager.core.triangulation import (
     SensorTrack,
     fuse,
     ray_covariance,
+    shares,
     squared_distances,
+    weighted,
 )
 
 LIKELIHOOD = 0.8
@@ -61,14 +63,12 @@ RETURN_S = 3.0             # s after which a sensor has lost somebody for good
 ALIKE_MPS = 0.8            # difference of two measured velocities of one human
 HOLD_S = 15.0              # s for which a view is held at most
 NAME_ALIKE = -6.0          # squared distance that a common name is worth
+SAME_MOMENT_S = 0.1        # two places of one image, or of two that follow each other
 NEW_S = 2.0                # so long a view counts as new
-EXTRAPOLATED_S = 0.5       # a lost human surely walks on for so long
-HANDOVER_GATE = 2.2        # Mahalanobis distance, place and velocity
-HANDOVER_M, HANDOVER_GROWTH_MPS = 0.15, 0.1    # deviation of where a lost human is by then, and its growth
-HANDOVER_HEIGHT_M = 0.05
-VELOCITY_SHARE = 0.5       # 1/s; uncertainty of a velocity per that of a place
-CHANGE_MPS = 0.25          # deviation of how a velocity changes out of sight
-LOOKING_S = 0.8            # a new view is looked at for so long before it is taken for a lost human
+HANDOVER_GATE = 3.0        # Mahalanobis distance, place and velocity
+CHANGE_MPS = 0.2           # deviation of how a velocity changes out of sight
+HANDOVER_HEIGHT_M = 0.03   # deviation of the height of a head that walks
+LOOKING_S = 1.5            # a new view is looked at for so long before it is taken for a lost human
 LEARNT_VARIANCE = 0.1 ** 2     # a scale is used from then on
 FIXED_VARIANCE = 0.08 ** 2     # of a scale that was learnt, as far as it changes with the moment
 MAX_SENSORS = 50
@@ -128,6 +128,8 @@ class View:
     @property
     def best(self) -> SensorTrack:
         """The track that places the human: of the best source that is fresh, else the newest."""
+        if len(self.tracks) == 1:
+            return next(iter(self.tracks.values()))
         newest = self.ended
         return min(self.tracks.values(), key=lambda track: (newest - track.ended > FRESH_S, track.source,
                                                             -track.ended))
@@ -135,7 +137,10 @@ class View:
     @property
     def ended(self) -> float:
         """Stamp of the newest place, s."""
-        return max((track.ended for track in self.tracks.values()), default=-math.inf)
+        newest = -math.inf
+        for track in self.tracks.values():
+            newest = max(newest, track.ended)
+        return newest
 
     @property
     def slots(self) -> Set[Tuple[str, Kind]]:
@@ -157,19 +162,28 @@ class View:
         if scale is None or track.origin is None or scale.variance > LEARNT_VARIANCE:
             return time, found
         ray = found.position - track.origin
-        length = float(np.linalg.norm(ray))
-        unit = ray / max(length, 1e-6)
-        less = float(unit @ found.covariance @ unit) - (scale.variance + FIXED_VARIANCE) * length ** 2
+        square = max(float(ray @ ray), 1e-6)
+        less = float(ray @ found.covariance @ ray) / square - (scale.variance + FIXED_VARIANCE) * square
         return time, Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
-                              found.covariance - max(0.0, less) * np.outer(unit, unit))
+                              found.covariance - max(0.0, less) / square * (ray[:, None] * ray))
+
+
+class LostSight(NamedTuple):
+    """The last sight of a human: its stamp (s), the sensors that had it, where it was by all of them where these are
+    several, and the tracks of the view that ended last."""
+
+    stamp: float
+    sensors: FrozenSet[str]
+    place: Optional[Estimate]
+    tracks: Tuple[SensorTrack, ...]
 
 
 class ViewGroup:
     """Views that are one human, and who that was so far.
 
     persons: ids of persons of the table that this human is or was. scales: by sensor and source of the
-    place. seen: stamp of the newest place by sensor, s. lost: where it was when the last view ended, with the stamp and
-    the sensors of that time.
+    place. seen: stamp of the newest place by sensor, s. lost: how it was when the last view ended. fused: where it was
+    by all views, and when (s).
     """
 
     def __init__(self, number: int, view: View) -> None:
@@ -178,7 +192,8 @@ class ViewGroup:
         self.names = _NOBODY
         self.scales: Dict[Tuple[str, int], _Scale] = {}
         self.seen: Dict[str, float] = {}
-        self.lost: Optional[Tuple[Estimate, float, FrozenSet[str]]] = None
+        self.lost: Optional[LostSight] = None
+        self.fused: Optional[Tuple[float, Estimate]] = None
 
     @property
     def slots(self) -> Set[Tuple[str, Kind]]:
@@ -268,10 +283,17 @@ class CrossCamera:
         if view is None or not view.tracks:
             return None
         human = self._human_of[view.number]
+        last = human.fused
+        if last is not None and abs(stamp - last[0]) <= SAME_MOMENT_S and view.best is not self._tracks.get(feature):
+            # Nothing new: a body of which the face is there, a frame of the hips of which the head is there.
+            return last[1]._replace(position=last[1].position + (stamp - last[0]) * last[1].velocity)
         views = [other for other in human.views if abs(stamp - other.ended) <= FRESH_S]
-        if len({other.sensor for other in views}) < 2 and not human.scales:
+        if not human.scales and len({other.sensor for other in views}) < 2:
+            human.fused = None
             return None
-        return _fuse_views(views or [view], stamp, human.scales)
+        fused = _fuse_views(views or [view], stamp, human.scales)
+        human.fused = (stamp, fused)
+        return fused
 
     def update(self, groups: Iterable[SensedGroup], is_split: Callable[[str, str], bool]) -> None:
         """Take who belongs together; decides who is one human, which views are held, and which are due to be told.
@@ -378,8 +400,9 @@ class CrossCamera:
         human = self._human_of.pop(view.number)
         human.views.remove(view)
         self._apart.pop(view.number, None)
-        explained = self._explained.get(human.number, set()) & self._humans.keys()
-        if not human.views and (human.lost is None or not human.persons or explained):
+        told = [number for number in self._explained.get(human.number, ()) if number in self._humans
+                and self._humans[number].persons]
+        if not human.views and (human.lost is None or not human.persons or told):
             self._drop(human)       # nobody was told of it, or it was somebody who is still there
 
     def _drop(self, human: ViewGroup) -> None:
@@ -467,9 +490,12 @@ class CrossCamera:
         """Remember the humans that one sensor sees at the same time."""
         for first, second in itertools.combinations(live, 2):
             one, other = self._human_of[first.number], self._human_of[second.number]
-            if first.sensor == second.sensor and one is not other and first.slots & second.slots and (
+            if first.sensor != second.sensor or one is other:
+                continue
+            pair = frozenset((one.number, other.number))
+            if pair not in self._two and first.slots & second.slots and (
                     min(first.ended, second.ended) - max(first.began, second.began) > OVERLAP_S):
-                self._two.add(frozenset((one.number, other.number)))
+                self._two.add(pair)
 
     def _other_names(self, first: FrozenSet[str], second: FrozenSet[str]) -> bool:
         return not first & second and any(
@@ -584,12 +610,26 @@ class CrossCamera:
                     square /= PARTING ** 2
                 square += _name_bonus(one, other)
                 costs[pair] = self._smooth(self._near, pair, square, stamp, GATE ** 2).square
+        costs.update(self._costs_of_lost(seen))
+        return costs
+
+    def _costs_of_lost(self, seen: List[ViewGroup]) -> Dict[Pair, float]:
+        """Squared distances of lost humans and new views. Of those lost by one sensor one after the other, who may be
+        one human whom it lost twice, the last one counts."""
+        costs: Dict[Pair, float] = {}
         self._returned.clear()
-        for lost, human in itertools.product([human for human in self._humans.values() if not human.views], seen):
-            found = self._jump(lost, human) if self._may_be_one(lost, human) else None
-            if found is not None:
-                pair = frozenset((lost.number, human.number))
-                costs[pair] = found[0] + _name_bonus(lost, human)
+        lost = [human for human in self._humans.values() if not human.views and human.lost is not None]
+        lost.sort(key=lambda human: -human.lost.stamp if human.lost is not None else 0.0)
+        for human in seen:
+            near: List[ViewGroup] = []
+            for before in lost:
+                found = self._jump(before, human) if self._may_be_one(before, human) else None
+                if found is None or any(self._may_be_one(before, other) for other in near):
+                    continue
+                pair = frozenset((before.number, human.number))
+                costs[pair] = found[0] + _name_bonus(before, human)
+                if found[0] <= HANDOVER_GATE ** 2:
+                    near.append(before)
                 if found[1]:
                     self._returned.add(pair)
         return costs
@@ -642,19 +682,18 @@ class CrossCamera:
                 unclear.add(pair)
 
     def _jump(self, lost: ViewGroup, human: ViewGroup) -> Optional[Tuple[float, bool]]:
-        """Squared distance of where a new human came up from where a lost one must be by then, and whether it is known
-        well enough that they are one; None if out of the question."""
+        """Squared distance of how a new human came up from how a lost one must, and whether it is known well enough
+        that they are one; None if out of the question."""
         if lost.lost is None:
             return None
-        estimate, ended, sensors = lost.lost
         view = min(human.views, key=lambda item: item.began)
-        track, away = view.best, view.began - ended
+        away = view.began - lost.lost.stamp
         if not -FRESH_S <= away <= max(self._handover, FRESH_S) or view.ended - view.began > NEW_S:
             return None
-        square = _way_squared(estimate, track.start, track.at(track.ended), max(away, 0.0))
+        square = _way_squared(lost.lost, view)
         known = (square <= HANDOVER_GATE ** 2 and view.ended - view.began >= LOOKING_S
                  and 0.0 < self._handover and -SETTLING_S <= away <= self._handover
-                 and view.sensor not in sensors and len(human.persons) <= 1)
+                 and view.sensor not in lost.lost.sensors and len(human.persons) <= 1)
         return square, known
 
     def _learn_scales(self, live: List[View]) -> None:
@@ -693,10 +732,12 @@ class CrossCamera:
             views = [view for view in human.views if self._newest - view.ended <= FRESH_S]
             if views:
                 human.seen.update((view.sensor, view.ended) for view in views)
-                stamp = max(view.ended for view in views)
-                human.lost = (_fuse_views(views, stamp, human.scales), stamp, frozenset(view.sensor for view in views))
+                last = max(views, key=lambda view: view.ended)
+                place = _fuse_views(views, last.ended, human.scales) if len(views) > 1 or human.scales else None
+                human.lost = LostSight(last.ended, frozenset(view.sensor for view in views), place,
+                                       tuple(last.tracks.values()))
             elif not human.views and (human.lost is None or not (
-                    self._newest - human.lost[1] <= max(self._handover, 1.0) + NEW_S)):
+                    self._newest - human.lost.stamp <= max(self._handover, 1.0) + NEW_S)):
                 self._drop(human)
 
 
@@ -713,14 +754,13 @@ def _fuse_views(views: List[View], stamp: float, scales: Mapping[Tuple[str, int]
     if len(heads) == 1:
         return heads[0].at(stamp, scales)
     moments = [view.near(stamp, scales) for view in heads]
-    covariances = np.array([item.covariance for _, item in moments])
-    velocity, _ = fuse(np.array([item.velocity for _, item in moments]), covariances)
+    # One view tells the velocity along its ray badly, all together well.
+    weights, covariance = shares(np.array([item.covariance for _, item in moments]))
+    velocity = weighted(weights, np.array([item.velocity for _, item in moments]))
     if float(velocity @ velocity) < STANDING_MPS ** 2:
         velocity = np.zeros(3)
-    # One view tells the velocity along its ray badly, all together well.
-    position, covariance = fuse(np.array([item.position + velocity * (stamp - time) for time, item in moments]),
-                                covariances)
-    return Estimate(position, velocity, covariance)
+    return Estimate(weighted(weights, np.array([item.position + velocity * (stamp - time) for time, item in moments])),
+                    velocity, covariance)
 
 
 def _name_bonus(one: ViewGroup, other: ViewGroup) -> float:
@@ -728,24 +768,20 @@ def _name_bonus(one: ViewGroup, other: ViewGroup) -> float:
     return NAME_ALIKE if one.names & other.names else 0.0
 
 
-def _way_squared(lost: Estimate, start: np.ndarray, new: Estimate, away: float) -> float:
-    """Squared distance of how somebody new came up, at `start` (3,) m, from how a lost human must, `away` s later.
-
-    It surely walks on for 0.5 s, and anything between standing still and walking on after that. The velocity counts,
-    too: as errors of places change within a second, it is as uncertain as a place, per second.
-    """
-    near, far = (lost.velocity * time for time in (min(away, EXTRAPOLATED_S), away))
-    offset, way = start - lost.position - near, far - near
-    length = float(way @ way)
-    if length > 1e-9:
-        offset = offset - way * min(1.0, max(0.0, float(offset @ way) / length))
-    doubt = VELOCITY_SHARE ** 2
-    spread = (HANDOVER_M + HANDOVER_GROWTH_MPS * away) ** 2
-    covariance = lost.covariance * (1.0 + doubt * min(away, 1.0) ** 2) + new.covariance + np.diag(
+def _way_squared(lost: LostSight, view: View) -> float:
+    """Squared distance of how somebody new came up from how a lost human must: place and velocity, by what is of one
+    kind, a body rather than a face, as these are not wrong by the same. He walks on as he did for the last seconds."""
+    before, after = max(((old, new) for old in lost.tracks for new in view.tracks.values()),
+                        key=lambda pair: (pair[0].source == pair[1].source, pair[1].source, pair[1].length))
+    old, new = before.walk(begins=False), after.walk(begins=True)
+    away = new.stamp - old.stamp
+    position, covariance = lost.place[::2] if lost.place is not None else (old.position, old.covariance)
+    offset, changed = new.position - position - away * old.velocity, (new.velocity - old.velocity)[:2]
+    spread = (CHANGE_MPS * away) ** 2
+    of_place = covariance + away ** 2 * old.velocity_covariance + new.covariance + np.diag(
         [spread, spread, HANDOVER_HEIGHT_M ** 2])
-    changed = (new.velocity - lost.velocity)[:2]
-    of_change = doubt * (lost.covariance + new.covariance)[:2, :2] + CHANGE_MPS ** 2 * np.eye(2)
-    return float(offset @ np.linalg.solve(covariance, offset) + changed @ np.linalg.solve(of_change, changed))
+    of_change = (old.velocity_covariance + new.velocity_covariance)[:2, :2] + CHANGE_MPS ** 2 * np.eye(2)
+    return float(offset @ np.linalg.solve(of_place, offset) + changed @ np.linalg.solve(of_change, changed))
 
 
 def _refined(one: Estimate, other: Estimate, views: List[View], others: List[View]) -> float:
