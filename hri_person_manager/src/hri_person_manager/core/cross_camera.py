@@ -37,8 +37,11 @@ from hri_person_manager.core.features import Kind, MatchNode
 from hri_person_manager.core.triangulation import (
     FRESH_S,
     SETTLING_S,
+    WALK_S,
+    WINDOW_S,
     Estimate,
     SensorTrack,
+    Walk,
     fuse,
     ray_covariance,
     shares,
@@ -58,6 +61,7 @@ SLOWER = 3.0               # beyond the gate, up to the loose one, so many times
 PARTING = 2.0              # a human is parted beyond so many times the gate, after so many times the time, of joining
 OVERLAP_S = 0.2            # two views of one sensor that were there at once for so long are two humans
 STANDING_MPS = 0.15        # who goes slower stands
+RESTING_M = 0.12           # nearer to the mean of the last seconds somebody stands rather than walks
 SOONER = 0.3               # of the time, for a human whom the same sensor has just lost, or who has the same name
 RETURN_S = 3.0             # s after which a sensor has lost somebody for good
 ALIKE_MPS = 0.8            # difference of two measured velocities of one human
@@ -65,8 +69,9 @@ HOLD_S = 15.0              # s for which a view is held at most
 NAME_ALIKE = -6.0          # squared distance that a common name is worth
 SAME_MOMENT_S = 0.1        # two places of one image, or of two that follow each other
 NEW_S = 2.0                # so long a view counts as new
-HANDOVER_GATE = 3.0        # Mahalanobis distance, place and velocity
+HANDOVER_GATE = 2.2        # Mahalanobis distance, place and velocity
 CHANGE_MPS = 0.2           # deviation of how a velocity changes out of sight
+CHANGED = 3.0              # squared distance that a change of pace before the loss is worth
 HANDOVER_HEIGHT_M = 0.03   # deviation of the height of a head that walks
 LOOKING_S = 1.5            # a new view is looked at for so long before it is taken for a lost human
 LEARNT_VARIANCE = 0.1 ** 2     # a scale is used from then on
@@ -749,18 +754,20 @@ def _is_doubted(views: List[View], others: List[View]) -> bool:
 
 def _fuse_views(views: List[View], stamp: float, scales: Mapping[Tuple[str, int], _Scale] = MappingProxyType({})
                 ) -> Estimate:
-    """Where a human is at `stamp` (s) by all of these views; those of heads only, where there are some."""
+    """Where a human is at `stamp` (s) by all of these views; those of heads only, where there are some. scales count
+    where one view is left: they were learnt where several crossed."""
     heads = [view for view in views if view.best.source < 2] or views
     if len(heads) == 1:
         return heads[0].at(stamp, scales)
-    moments = [view.near(stamp, scales) for view in heads]
+    moments = [view.near(stamp) for view in heads]
     # One view tells the velocity along its ray badly, all together well.
     weights, covariance = shares(np.array([item.covariance for _, item in moments]))
     velocity = weighted(weights, np.array([item.velocity for _, item in moments]))
     if float(velocity @ velocity) < STANDING_MPS ** 2:
         velocity = np.zeros(3)
-    return Estimate(weighted(weights, np.array([item.position + velocity * (stamp - time) for time, item in moments])),
-                    velocity, covariance)
+    place = weighted(weights, np.array([item.position + velocity * (stamp - time) for time, item in moments]))
+    away = weighted(weights, np.array([view.best.resting_place for view in heads])) - place
+    return Estimate(place + away / (1.0 + (float(away @ away) / RESTING_M ** 2) ** 2), velocity, covariance)
 
 
 def _name_bonus(one: ViewGroup, other: ViewGroup) -> float:
@@ -773,9 +780,14 @@ def _way_squared(lost: LostSight, view: View) -> float:
     kind, a body rather than a face, as these are not wrong by the same. He walks on as he did for the last seconds."""
     before, after = max(((old, new) for old in lost.tracks for new in view.tracks.values()),
                         key=lambda pair: (pair[0].source == pair[1].source, pair[1].source, pair[1].length))
-    old, new = before.walk(begins=False), after.walk(begins=True)
+    return min(_walk_squared(before.walk(begins=False, seconds=seconds), after.walk(begins=True), lost.place) + penalty
+               for seconds, penalty in ((WALK_S, 0.0), (WINDOW_S, CHANGED)))
+
+
+def _walk_squared(old: Walk, new: Walk, place: Optional[Estimate]) -> float:
+    """Squared distance of a walk from how another one goes on; place: where several sensors saw the end of that."""
     away = new.stamp - old.stamp
-    position, covariance = lost.place[::2] if lost.place is not None else (old.position, old.covariance)
+    position, covariance = place[::2] if place is not None else (old.position, old.covariance)
     offset, changed = new.position - position - away * old.velocity, (new.velocity - old.velocity)[:2]
     spread = (CHANGE_MPS * away) ** 2
     of_place = covariance + away ** 2 * old.velocity_covariance + new.covariance + np.diag(

@@ -17,6 +17,7 @@ ALONG = 0.12               # standard deviation along the ray, share of the dist
 ACROSS = 0.02              # and across
 WINDOW_S = 0.8             # of places that tell a velocity,
 MOMENT_S = 0.15            # and, before and after, of those that tell a position
+REST_S = 2.0               # of those that tell where somebody stands
 WALK_S = 2.5               # of places that tell how somebody walks
 WALK_DRIFT = 0.6           # change of the error of a place within the time of a walk, share of the error
 SHORTEST_S = 0.3           # of the places that tell a velocity
@@ -165,18 +166,25 @@ class SensorTrack:
         return (float(np.add.reduce(times[first:last])) / count,
                 Estimate(np.add.reduce(places[first:last]) / count, self.velocity, self.covariance))
 
+    @property
+    def resting_place(self) -> np.ndarray:
+        """Mean of the last places, (3,) m: more exact than that of a moment for who stands."""
+        _, places = self._since(REST_S)
+        mean: np.ndarray = np.add.reduce(places) / len(places)
+        return mean
+
     def at(self, stamp: float) -> Estimate:
         """Where the person is at a time (s) near or after the last place, walking on as it went."""
         time, place = self.near(stamp)
         return place._replace(position=place.position + place.velocity * (stamp - time))
 
-    def walk(self, begins: bool) -> Walk:
-        """How the person walks, by the last WALK_S of the places; begins: placed at the first of these, else at the
+    def walk(self, begins: bool, seconds: float = WALK_S) -> Walk:
+        """How the person walks, by the places of the last `seconds`, and where at the first of these (begins) or the
         last.
 
         The error of a place changes slowly, so that many places tell a velocity little better than two.
         """
-        times, places = self._since(WALK_S)
+        times, places = self._since(seconds)
         at_end = times <= times[0] + 2.0 * MOMENT_S if begins else times >= times[-1] - 2.0 * MOMENT_S
         offset, span = times - times.mean(), max(float(times[-1] - times[0]), SHORTEST_S)
         velocity = offset @ places / max(float(offset @ offset), 1e-6)
