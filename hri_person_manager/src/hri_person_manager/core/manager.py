@@ -10,7 +10,7 @@ from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional,
 
 import numpy as np
 
-from hri_person_manager.core.cross_camera import CrossCamera, SensedGroup
+from hri_person_manager.core.cross_camera import CrossCamera
 from hri_person_manager.core.features import Kind, MatchNode, TrackedFeatures
 from hri_person_manager.core.location import Decay, FeaturePlaces, Location, Place, PlaceSource
 from hri_person_manager.core.match_graph import Association, CandidateMatch
@@ -22,6 +22,7 @@ from hri_person_manager.core.persons import (
     PublishedPersons,
     Snapshot,
 )
+from hri_person_manager.core.view_groups import SensedGroup
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.parameters import ParameterError
