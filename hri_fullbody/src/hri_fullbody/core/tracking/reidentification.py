@@ -19,9 +19,6 @@ LEAST_LIKELIHOOD = 0.9
 """What is less likely is not told."""
 CLEARLY_ALIKE = 0.21
 """Distance of the clothes up to which somebody is told: a quarter farther than the mean of one human at two times."""
-LEAST_OF_PLACE = -1.0
-"""Logarithm of the odds by the place, below which nobody is told however alike the rest is; those by the stature must
-not be below 0."""
 WATCH_S = 1.0
 """Time (s) for which a body is seen before it is compared, or remembered: the clothes of one image say less."""
 MAX_LOST = 50
@@ -203,14 +200,12 @@ class BodyReidentifier:
 
 
 def _all_agrees(new: _Body, old: _Body) -> bool:
-    """Tell whether each kind of evidence by itself lets two bodies be one human: strong evidence of one kind, such as
-    clothes of which many wear the like, does not make up for another that speaks against it. A face that goes on
-    does."""
+    """Tell whether clothes and stature each let two bodies be one human, however likely all together makes it: somebody
+    dressed much like him may come where he has left. A face that goes on tells by itself."""
     if new.now.face is not None and new.now.face == old.now.face:
         return True
     clothes = difference(new.now.appearance, old.now.appearance)
-    return (clothes is not None and clothes <= CLEARLY_ALIKE and _stature_evidence(new.now, old.now) >= 0.0
-            and _place_evidence(new.born_at, old.now.place, new.first - old.last) >= LEAST_OF_PLACE)
+    return clothes is not None and clothes <= CLEARLY_ALIKE and _stature_evidence(new.now, old.now) >= 0.0
 
 
 def marginals(odds: np.ndarray) -> np.ndarray:
