@@ -93,7 +93,8 @@ class CamerasTest(unittest.TestCase):
         """Publish what two cameras see of somebody on an eight, until the process has written its result."""
         model, rng = CameraModel.from_fov(WIDTH, HEIGHT, HFOV), np.random.default_rng(3)
         ids = rospy.Publisher("/humans/bodies/tracked", IdsList, queue_size=1, latch=True)
-        infos = [rospy.Publisher("/{}/camera_info".format(name), CameraInfo, queue_size=1) for name in ("left", "right")]
+        infos = [rospy.Publisher("/{}/camera_info".format(name), CameraInfo, queue_size=1)
+                 for name in ("left", "right")]
         bodies = [rospy.Publisher("/humans/bodies/b{}/skeleton2d".format(name), Skeleton2D, queue_size=10)
                   for name in ("left", "right")]
         ids.publish(IdsList(ids=["bleft", "bright"]))

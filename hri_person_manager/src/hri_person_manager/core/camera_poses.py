@@ -164,11 +164,11 @@ def _first_two(cameras: Sequence[Rays], number: int) -> Dict[int, np.ndarray]:
     cv2.setRNGSeed(0)
     essential, inliers = cv2.findEssentialMat(one, other, np.eye(3), method=cv2.RANSAC, prob=0.9999,
                                               threshold=0.25 * OUTLIER)
-    if essential is None or essential.shape != (3, 3):
+    if essential is None or np.shape(essential) != (3, 3):
         raise CalibrationError("the rays of cameras 1 and {} fit no pose: walk farther about, not along one "
                                "line".format(number + 1))
     _, rotation, translation, _ = cv2.recoverPose(essential, one, other, np.eye(3), mask=inliers)
-    return {0: np.zeros(6), number: np.concatenate([cv2.Rodrigues(rotation)[0][:, 0], translation[:, 0]])}
+    return {0: np.zeros(6), number: np.concatenate([np.ravel(cv2.Rodrigues(rotation)[0]), np.ravel(translation)])}
 
 
 def _place_next(cameras: Sequence[Rays], placed: Dict[int, np.ndarray]) -> None:
@@ -187,7 +187,7 @@ def _place_next(cameras: Sequence[Rays], placed: Dict[int, np.ndarray]) -> None:
         reprojectionError=0.5 * OUTLIER, iterationsCount=500)
     if not found:
         raise CalibrationError("the rays of camera {} fit no pose".format(number + 1))
-    placed[number] = np.concatenate([rotation[:, 0], translation[:, 0]])
+    placed[number] = np.concatenate([np.ravel(rotation), np.ravel(translation)])
 
 
 class _Bundle:

@@ -194,14 +194,16 @@ class SensorTrack:
     @property
     def velocity(self) -> np.ndarray:
         """Slope of a straight line through the places of the last moments, (3,) m/s."""
-        if self._velocity is None:
-            times, places = self._since(WINDOW_S)
-            self._velocity = np.zeros(3)
-            if times[-1] - times[0] >= SHORTEST_S:
-                offset = times - np.add.reduce(times) / len(times)
-                velocity = offset @ places / float(offset @ offset)
-                self._velocity = velocity * min(1.0, FASTEST_MPS / max(math.sqrt(velocity @ velocity), 1e-9))
-        return self._velocity
+        if self._velocity is not None:
+            return self._velocity
+        times, places = self._since(WINDOW_S)
+        velocity = np.zeros(3)
+        if times[-1] - times[0] >= SHORTEST_S:
+            offset = times - np.add.reduce(times) / len(times)
+            velocity = offset @ places / float(offset @ offset)
+            velocity = velocity * min(1.0, FASTEST_MPS / max(math.sqrt(velocity @ velocity), 1e-9))
+        self._velocity = velocity
+        return velocity
 
     def _since(self, seconds: float) -> Tuple[np.ndarray, np.ndarray]:
         """Times (N,) s and places (N, 3) m of the last `seconds`."""
