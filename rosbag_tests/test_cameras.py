@@ -3,7 +3,6 @@
 
 import math
 import subprocess
-import sys
 import tempfile
 import unittest
 from pathlib import Path
@@ -21,14 +20,24 @@ from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import camera_info, skeleton_to_msg
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "hri_person_manager" / "test" / "unit"))
-from test_camera_poses import CAMERAS, SKELETON  # noqa: E402
-
+JOINTS = {"left_eye": (0.03, 0.05, 0.936), "right_eye": (-0.03, 0.05, 0.936), "neck": (0.0, 0.0, 0.818),
+          "left_hip": (0.08, 0.0, 0.53), "right_hip": (-0.08, 0.0, 0.53), "left_ankle": (0.08, 0.0, 0.039),
+          "right_ankle": (-0.08, 0.0, 0.039), "left_wrist": (0.2, 0.1, 0.485), "right_wrist": (-0.2, 0.1, 0.485)}
 STATURE, NOISE_M = 1.75, 0.01
 NAMES = ["nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
          "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "left_eye", "right_eye",
          "left_ear", "right_ear"]
 WIDTH, HEIGHT, HFOV = 1280, 960, 1.5
+
+
+def looking(position, target):
+    """Pose in the room of the optical frame of a camera that looks at a point."""
+    z = (np.array(target) - position) / np.linalg.norm(np.array(target) - position)
+    x = np.cross(z, (0.0, 0.0, 1.0)) / np.linalg.norm(np.cross(z, (0.0, 0.0, 1.0)))
+    return Pose(np.column_stack([x, np.cross(z, x), z]), np.array(position))
+
+
+CAMERAS = [looking((0.0, 0.0, 1.6), (2.5, 2.5, 0.9)), looking((5.0, 0.0, 2.0), (2.5, 2.5, 0.9))]
 
 
 def place_of(pose):
@@ -106,7 +115,7 @@ class CamerasTest(unittest.TestCase):
             middle = np.array([2.5 + math.cos(angle), 2.5 + 0.8 * math.sin(2.0 * angle), 0.0])
             for camera, name, info, body in zip(CAMERAS, ("left", "right"), infos, bodies):
                 points = np.zeros((18, 3))
-                for joint, place in SKELETON.items():
+                for joint, place in JOINTS.items():
                     point = middle + STATURE * np.array(place) + rng.normal(0.0, NOISE_M, 3)
                     points[NAMES.index(joint)] = (*model.project(camera.inverse().apply(point[None]))[0], 0.9)
                 header = Header(stamp=now, frame_id=name + "_optical_frame")
