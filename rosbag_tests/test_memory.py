@@ -19,7 +19,6 @@ import rosgraph
 import rospy
 import rostest
 from bag_stage import PATIENCE_S, wait_for
-from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, String
 from tf2_msgs.msg import TFMessage
 
@@ -27,33 +26,14 @@ from hri_msgs.msg import AgeAndGender, IdsList
 from hri_person_manager.srv import Enrol, Export, Forget, ListKnown, SetNativeLanguage
 from hri_pipeline.core.onnx import models_directory
 from hri_pipeline.core.private_file import make_key_file
-from hri_pipeline.ros.conversions import bgr_to_image, make_header
 from hri_pipeline.srv import Gallery, GalleryRequest
+from hri_pipeline.testing import Camera
 
 PHOTOGRAPH, PEOPLE = "sample1.jpg", 3
 SIZE = (960, 640)
 RATE_HZ = 8.0
 NAME = "Ada Forgetmenot"
 MANAGER, GALLERY = "/hri_person_manager", "/hri_faces/gallery"
-
-
-class Camera:
-    """Publishes one picture again and again, with the present time as stamp; nothing before the first."""
-
-    def __init__(self):
-        self._message = None
-        self._publisher = rospy.Publisher("/camera/image_raw", Image, queue_size=1)
-        self._timer = rospy.Timer(rospy.Duration(1.0 / RATE_HZ), self._publish)
-
-    def show(self, bgr):
-        self._message = bgr_to_image(bgr,
-                                     make_header(rospy.Time.now(), "test_camera_optical")) if bgr is not None else None
-
-    def _publish(self, _):
-        message = self._message
-        if message is not None:
-            message.header = make_header(rospy.Time.now(), "test_camera_optical")
-            self._publisher.publish(message)
 
 
 class Stack:
@@ -100,7 +80,7 @@ class MemoryTest(unittest.TestCase):
         assert picture is not None, "no {} in {}/demo".format(PHOTOGRAPH, models_directory())
         cls.photograph = cv2.resize(picture, SIZE, interpolation=cv2.INTER_AREA)
         cls.darkness = np.zeros_like(cls.photograph)
-        cls.camera = Camera()
+        cls.camera = Camera(image="/camera/image_raw", info="", rate=RATE_HZ)
 
     def setUp(self):
         self.camera.show(None)

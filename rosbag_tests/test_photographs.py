@@ -1,23 +1,21 @@
 #!/usr/bin/env python3
 """The people of the six demonstration photographs, as faces, bodies and persons of the running stack."""
 
-import threading
 import time
 import unittest
 
 import numpy as np
 import rospy
 import rostest
-from sensor_msgs.msg import CameraInfo, Image
-from std_msgs.msg import Header, String
+from std_msgs.msg import String
 
 from hri_msgs.msg import FacialLandmarks, Skeleton2D
-from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.onnx import models_directory
 from hri_pipeline.core.sources.image_sources import open_source
 from hri_pipeline.core.sources.parameters import SOURCE_PARAMETERS
-from hri_pipeline.ros.conversions import bgr_to_image, landmarks_from_msg, skeleton_from_msg
+from hri_pipeline.ros.conversions import landmarks_from_msg, skeleton_from_msg
 from hri_pipeline.ros.subscriptions import IdSubscribers
+from hri_pipeline.testing import Camera
 
 # People counted by eye: faces that are seen, and bodies of which enough is seen to be found at least.
 FACES = (3, 3, 3, 4, 5, 4)
@@ -28,42 +26,16 @@ SAME_IMAGE = 0.3        # s between the landmarks and the skeleton that are comp
 NOSE = 0
 
 
-class Camera:
-    """Publishes a panned photograph as image and camera_info until close(); `show` changes it."""
+def panned(number):
+    """Return what makes the images of sample<number>.jpg under a panning camera."""
+    path = models_directory() / "demo" / "sample{}.jpg".format(number)
+    source, began = open_source(SOURCE_PARAMETERS.resolve({"source": str(path)}), rospy.logwarn), time.monotonic()
 
-    def __init__(self):
-        self._source = None
-        self._began = 0.0
-        self._image = rospy.Publisher("/camera/image_raw", Image, queue_size=1)
-        self._info = rospy.Publisher("/camera/camera_info", CameraInfo, queue_size=1)
-        self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+    def image():
+        source.advance(time.monotonic() - began)
+        return source.image()
 
-    def show(self, number):
-        """Show sample<number>.jpg, black images for None."""
-        source = None
-        if number is not None:
-            path = models_directory() / "demo" / "sample{}.jpg".format(number)
-            source = open_source(SOURCE_PARAMETERS.resolve({"source": str(path)}), rospy.logwarn)
-        self._began, self._source = time.monotonic(), source
-
-    def close(self):
-        """Stop."""
-        self._closed.set()
-        self._thread.join()
-
-    def _run(self):
-        while not self._closed.wait(1.0 / RATE):
-            source, image = self._source, np.zeros((720, 1280, 3), np.uint8)
-            if source is not None:
-                source.advance(time.monotonic() - self._began)
-                image = source.image()
-            header = Header(stamp=rospy.Time.now(), frame_id="camera_optical")
-            info = CameraInfo(header=header, width=1280, height=720, distortion_model="plumb_bob", D=[0.0] * 5)
-            info.K = CameraModel.from_fov(1280, 720, 1.0472).matrix.ravel().tolist()
-            self._info.publish(info)
-            self._image.publish(bgr_to_image(image, header))
+    return image
 
 
 class Newest:
@@ -93,7 +65,7 @@ class PhotographsTest(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        cls.camera = Camera()
+        cls.camera = Camera(None, "/camera/image_raw", "/camera/camera_info", RATE, "camera_optical", 1.0472)
         cls.faces = Newest("faces", {"landmarks": FacialLandmarks})
         cls.bodies = Newest("bodies", {"skeleton2d": Skeleton2D})
         cls.persons = Newest("persons", {"face_id": String, "body_id": String})
@@ -137,7 +109,7 @@ class PhotographsTest(unittest.TestCase):
 
     def check(self, number):
         faces, bodies = FACES[number - 1], BODIES[number - 1]
-        self.camera.show(number)
+        self.camera.show(panned(number))
         began = time.monotonic()
         held = None
         while time.monotonic() - began < PATIENCE:
@@ -149,7 +121,7 @@ class PhotographsTest(unittest.TestCase):
             time.sleep(0.05)
         else:
             self.fail("sample{}: not within {:g} s; last: {}".format(number, PATIENCE, words))
-        self.camera.show(None)
+        self.camera.show(np.zeros((720, 1280, 3), np.uint8))
         deadline = time.monotonic() + PATIENCE
         while self.faces.ids or self.bodies.ids or self.persons.ids:
             self.assertLess(time.monotonic(), deadline, "people stay tracked in black images")

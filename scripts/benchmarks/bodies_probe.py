@@ -17,7 +17,6 @@ from typing import Callable, Dict, List, Tuple
 import numpy as np
 import rosgraph
 import rospy
-from demo_camera import DemoCamera, photograph
 from skeleton_graph import Movers, TfTree, farthest, processes
 
 from benchmarks.stack_run import cpu_s, usage
@@ -26,7 +25,7 @@ from hri_msgs.msg import FacialLandmarks, Skeleton2D
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.ros.conversions import landmarks_from_msg, skeleton_from_msg
 from hri_pipeline.ros.subscriptions import IdSubscribers
-from hri_pipeline.testing import wait_for
+from hri_pipeline.testing import Camera, photograph, wait_for
 
 RATE_HZ = 15.0
 WAIT_S = 30.0
@@ -151,7 +150,7 @@ def heads() -> dict:
     """Distance of head_ID from face_ID over the people of the photographs, by the nose in the face's landmarks."""
     stack = subprocess.Popen(["roslaunch", "ros4hri", "ros4hri.launch", "overlay:=false", "persons:=false",
                               "image:=/image", "camera_info:=/camera_info", "respawn:=false"])
-    camera, tree = DemoCamera(photograph(1)), TfTree()
+    camera, tree = Camera(photograph(1)), TfTree()
     features: Dict[str, Dict[str, object]] = {"faces": {}, "bodies": {}}
     feeds = [IdSubscribers(kind, {name: message}, lambda identity, _, got, kept=features[kind]: kept.update(
         {identity: got}), lambda ids, kept=features[kind]: [kept.pop(gone) for gone in list(kept) if gone not in ids])
@@ -160,7 +159,7 @@ def heads() -> dict:
     for number in PHOTOGRAPHS:
         camera.show(photograph(number))
         people += _heads_of(features, tree, 14.0)
-        camera.show_black()
+        camera.show(np.zeros((540, 960, 3), np.uint8))
         wait_for(lambda: not features["faces"] and not features["bodies"], WAIT_S, "nobody in the dark")
     for owner in feeds + [camera, tree]:
         owner.close()

@@ -8,7 +8,6 @@ import numpy as np
 import rosgraph
 import rospy
 import rostest
-from demo_camera import FRAME, DemoCamera, photograph
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, TwistStamped
 from sensor_msgs.msg import Image, JointState, RegionOfInterest
@@ -18,7 +17,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from hri_fullbody.core.model.human import PAPER
 from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, IdsList, Skeleton2D
-from hri_pipeline.testing import Latest, pid_of, wait_for
+from hri_pipeline.testing import FRAME, Camera, Latest, photograph, pid_of, wait_for
 
 START_S, WAIT_S = 60.0, 30.0
 MARKERS = "visualization/skeletons"
@@ -29,7 +28,7 @@ class BodiesTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.picture = photograph(1)
-        cls.camera = DemoCamera(cls.picture)
+        cls.camera = Camera(cls.picture)
         cls.tracked = Latest("/humans/bodies/tracked", IdsList)
         cls.tree = TfTree()
 
@@ -189,7 +188,7 @@ class BodiesTest(unittest.TestCase):
 
     def test_black_images_empty_the_list_and_leave_nothing(self):
         gone = list(self.tracked.value.ids)
-        self.camera.show_black()
+        self.camera.show(np.zeros_like(self.picture))
         wait_for(lambda: self.tracked.value.ids == [], WAIT_S, "an empty list")
 
         for identity in gone:

@@ -3,13 +3,13 @@
 
 import unittest
 
+import numpy as np
 import rospy
 import rostest
-from demo_camera import DemoCamera, photograph
 from std_msgs.msg import String
 
 from hri_msgs.msg import IdsList, IdsMatch, Skeleton2D
-from hri_pipeline.testing import Latest, wait_for
+from hri_pipeline.testing import Camera, Latest, photograph, wait_for
 
 START_S, WAIT_S = 60.0, 30.0
 SEEN_S = 1.5
@@ -21,7 +21,7 @@ class BodyReturnsTest(unittest.TestCase):
 
     def setUp(self):
         self.picture = photograph(1)
-        self.camera = DemoCamera(self.picture)
+        self.camera = Camera(self.picture)
         self.addCleanup(self.camera.close)
         self.tracked = Latest("/humans/bodies/tracked", IdsList)
         self.addCleanup(self.tracked.close)
@@ -51,7 +51,7 @@ class BodyReturnsTest(unittest.TestCase):
         known.publish(IdsList(ids=list(persons)))
         wait_for(lambda: all(publisher.get_num_connections() for publisher in publishers), WAIT_S,
                  "the node's interest")
-        self.camera.show_black()
+        self.camera.show(np.zeros_like(self.picture))
         wait_for(lambda: not self.tracked.value.ids, WAIT_S, "an empty list")
         self.camera.show(self.picture)
         after = self.see_three()

@@ -6,10 +6,9 @@ import unittest
 import numpy as np
 import rospy
 import rostest
-from demo_camera import DemoCamera, photograph
 
 from hri_msgs.msg import FacialLandmarks, IdsList, Skeleton2D
-from hri_pipeline.testing import Latest, wait_for
+from hri_pipeline.testing import Camera, Latest, photograph, wait_for
 
 START_S = 60.0
 
@@ -17,7 +16,7 @@ START_S = 60.0
 class TwoProcessesTest(unittest.TestCase):
 
     def setUp(self):
-        self.camera = DemoCamera(photograph(6))
+        self.camera = Camera(photograph(6))
         self.addCleanup(self.camera.close)
         self.lists = {kind: Latest("/humans/{}/tracked".format(kind), IdsList) for kind in ("faces", "bodies")}
         self.topics = {}

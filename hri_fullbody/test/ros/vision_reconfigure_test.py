@@ -3,13 +3,13 @@
 
 import unittest
 
+import numpy as np
 import rospy
 import rostest
-from demo_camera import DemoCamera, photograph
 from dynamic_reconfigure.client import Client
 
 from hri_msgs.msg import FacialLandmarks, IdsList
-from hri_pipeline.testing import Latest, wait_for
+from hri_pipeline.testing import Camera, Latest, photograph, wait_for
 
 START_S = WAIT_S = 60.0
 
@@ -19,7 +19,7 @@ class VisionReconfigureTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.photograph = photograph(3)
-        cls.camera = DemoCamera(cls.photograph)
+        cls.camera = Camera(cls.photograph)
         cls.faces = Latest("/humans/faces/tracked", IdsList)
         cls.bodies = Latest("/humans/bodies/tracked", IdsList)
         cls.client = Client("hri_vision", timeout=START_S)
@@ -58,7 +58,7 @@ class VisionReconfigureTest(unittest.TestCase):
 
     def test_2_fewer_faces_and_all_again(self):
         self.client.update_configuration({"max_faces": 1})
-        self.camera.show_black()
+        self.camera.show(np.zeros_like(self.photograph))
         wait_for(lambda: self.count(self.faces) == 0, WAIT_S, "no face in the dark")
         self.camera.show(self.photograph)
         wait_for(lambda: self.count(self.faces) == 1, WAIT_S, "one face")
@@ -68,7 +68,7 @@ class VisionReconfigureTest(unittest.TestCase):
     def test_3_bodies_are_let_go_after_their_death_time(self):
         wait_for(lambda: self.count(self.bodies) > 0, WAIT_S, "bodies")
         self.client.update_configuration({"body_death_time": 60.0, "face_death_time": 0.5})
-        self.camera.show_black()
+        self.camera.show(np.zeros_like(self.photograph))
         wait_for(lambda: self.count(self.faces) == 0, WAIT_S, "no face in the dark")
         self.assertGreater(self.count(self.bodies), 0)
         self.client.update_configuration({"body_death_time": 0.5})

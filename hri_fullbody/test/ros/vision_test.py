@@ -6,10 +6,9 @@ import unittest
 import numpy as np
 import rospy
 import rostest
-from demo_camera import DemoCamera, photograph
 
 from hri_msgs.msg import FacialLandmarks, IdsList, NormalizedRegionOfInterest2D, Skeleton2D
-from hri_pipeline.testing import Latest, wait_for
+from hri_pipeline.testing import Camera, Latest, photograph, wait_for
 
 START_S, WAIT_S = 60.0, 30.0
 
@@ -18,7 +17,7 @@ class VisionTest(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        cls.camera = DemoCamera(photograph(3))
+        cls.camera = Camera(photograph(3))
         cls.faces = Latest("/humans/faces/tracked", IdsList)
         cls.bodies = Latest("/humans/bodies/tracked", IdsList)
 

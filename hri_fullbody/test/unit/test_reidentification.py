@@ -10,6 +10,8 @@ from hri_fullbody.core.tracking.reidentification import (
     WATCH_S,
     BodyReidentifier,
     TrackAppearance,
+    difference,
+    differences,
     marginals,
 )
 
@@ -131,6 +133,16 @@ def test_nothing_is_remembered_without_memory_after_a_reset_or_beyond_the_bound(
     assert len(known._lost) <= 51
     with pytest.raises(ValueError, match="memory"):
         BodyReidentifier(-1.0)
+
+
+def test_differences_from_many_are_those_from_each():
+    many = np.stack([clothes(seed, 0.3) for seed in range(8)])
+    many[2, 1:] = many[3, :2] = many[4] = 0.0
+    one = many[0].copy()
+    one[0] = 0.0
+    wanted = [np.nan if apart is None else apart for apart in (difference(one, other) for other in many)]
+    assert np.isnan(wanted).sum() == 2
+    assert differences(one, many) == pytest.approx(np.array(wanted), abs=1e-9, nan_ok=True)
 
 
 def test_probabilities_of_an_assignment_exclude_that_somebody_is_two():

@@ -1,4 +1,4 @@
-"""For tests that run nodes: waits for conditions, in wall time, and looks at what a process holds."""
+"""For tests that run nodes: waits for conditions, in wall time, a camera, and what a process holds."""
 
 from __future__ import annotations
 
@@ -8,14 +8,23 @@ import subprocess
 import threading
 import time
 from contextlib import contextmanager
-from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Union
+from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Set, Union
 from xmlrpc.client import ServerProxy
 
+import cv2
+import numpy as np
 import rosgraph
 import rospy
 from geometry_msgs.msg import TransformStamped
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.onnx import models_directory
+from hri_pipeline.ros.conversions import bgr_to_image, make_header
+from hri_pipeline.ros.rospy_compat import release
 
 _LOOK_S = 0.01
+FRAME = "test_camera_optical"
 
 
 class Held(NamedTuple):
@@ -46,6 +55,87 @@ class Latest:
     def close(self) -> None:
         """Stop listening. Idempotent."""
         self._subscriber.unregister()
+
+
+def photograph(number: int, width: int = 960) -> np.ndarray:
+    """Return the demonstration picture sample<number>.jpg, (H, width, 3) uint8 BGR. AssertionError without it."""
+    path = models_directory() / "demo" / "sample{}.jpg".format(number)
+    picture = cv2.imread(str(path))
+    if picture is None:
+        raise AssertionError("{} is missing: run `rosrun hri_pipeline fetch_models`".format(path))
+    return cv2.resize(picture, (width, width * picture.shape[0] // picture.shape[1]), interpolation=cv2.INTER_AREA)
+
+
+Shown = Union[None, np.ndarray, Image, Callable[[], np.ndarray]]
+"""A picture (H, W, 3) uint8 BGR; a message, sent with another header; a function that returns a picture; nothing."""
+
+
+class Camera:
+    """Publishes the same picture again and again, with camera_info, until close().
+
+    Parameters
+    ----------
+    shown
+        What is published; None: nothing yet.
+    image, info : str
+        Topics; an empty `info`: none.
+    rate : float
+        Hz.
+    frame : str
+        frame_id of the headers.
+    fov : float
+        Horizontal field of view, rad; 0: not calibrated.
+    behind : float
+        Age of the stamps, s.
+    kind : type
+        Image or CompressedImage.
+    """
+
+    def __init__(self, shown: Shown = None, image: str = "image", info: str = "camera_info", rate: float = 6.0,
+                 frame: str = FRAME, fov: float = 1.05, behind: float = 0.0, kind: type = Image) -> None:
+        self.stamps: Set[rospy.Time] = set()
+        self._shown, self._size = shown, (0, 0)
+        self._rate, self._frame, self._fov, self._behind, self._kind = rate, frame, fov, behind, kind
+        self._image = rospy.Publisher(image, kind, queue_size=1)
+        self._info = rospy.Publisher(info, CameraInfo, queue_size=1) if info else None
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def show(self, shown: Shown) -> None:
+        """Publish something else from now on."""
+        self._shown = shown
+
+    def close(self) -> None:
+        """Stop. Idempotent."""
+        self._closed.set()
+        self._thread.join()
+        for publisher in (self._image, self._info):
+            if publisher is not None:
+                release(publisher)
+
+    def _run(self) -> None:
+        while not self._closed.wait(1.0 / self._rate):
+            shown = self._shown
+            if shown is not None:
+                self._publish(shown() if callable(shown) else shown)
+
+    def _publish(self, shown: Union[np.ndarray, Image]) -> None:
+        header = make_header(rospy.Time.now() - rospy.Duration(self._behind), self._frame)
+        if not isinstance(shown, np.ndarray):
+            message, message.header = shown, header
+        else:
+            self._size = shown.shape[1], shown.shape[0]
+            message = bgr_to_image(shown, header) if self._kind is Image else CompressedImage(
+                header=header, format="jpeg", data=cv2.imencode(".jpg", shown)[1].tobytes())
+        self.stamps.add(header.stamp)
+        if self._info is not None:
+            info = CameraInfo(header=header, width=self._size[0], height=self._size[1], distortion_model="plumb_bob",
+                              D=[0.0] * 5)
+            if self._fov > 0.0:
+                info.K = CameraModel.from_fov(*self._size, self._fov).matrix.ravel().tolist()
+            self._info.publish(info)
+        self._image.publish(message)
 
 
 def transform(parent: str, child: str, stamp: rospy.Time, x: float = 0.0, y: float = 0.0,

@@ -4,7 +4,6 @@
 import os
 import socket
 import subprocess
-import threading
 import unittest
 
 import numpy as np
@@ -12,47 +11,12 @@ import rosgraph
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
-from std_msgs.msg import Header
+from sensor_msgs.msg import CompressedImage
 
-from hri_pipeline.ros.conversions import bgr_to_image
 from hri_pipeline.ros.rospy_compat import release
-from hri_pipeline.testing import wait_for
+from hri_pipeline.testing import Camera, wait_for
 
 PICTURE = np.random.default_rng(0).integers(60, 200, (120, 160, 3)).astype(np.uint8)
-
-
-class Camera:
-    """Publishes pictures at 20 Hz on topics of its own until it is closed."""
-
-    def __init__(self, name, picture=PICTURE, focal=150.0, frame="optical_check", behind=0.0, kind=Image):
-        self.topics = ["image:=/{}/image".format(name), "camera_info:=/{}/camera_info".format(name)]
-        self.image = rospy.Publisher("/{}/image".format(name), kind, queue_size=1)
-        self.info = rospy.Publisher("/{}/camera_info".format(name), CameraInfo, queue_size=1)
-        self.make = lambda: self.publish(picture, focal, frame, behind, kind)
-        self.stop = threading.Event()
-        self.thread = threading.Thread(target=self.run, daemon=True)
-        self.thread.start()
-
-    def run(self):
-        while not self.stop.wait(0.05):
-            self.make()
-
-    def publish(self, picture, focal, frame, behind, kind):
-        header = Header(frame_id=frame, stamp=rospy.Time.from_sec(rospy.get_time() - behind))
-        if kind is CompressedImage:
-            self.image.publish(CompressedImage(header=header, format="jpeg"))
-        else:
-            message = bgr_to_image(picture, header)
-            self.image.publish(message)
-        self.info.publish(CameraInfo(header=header, width=160, height=120,
-                                     K=[focal, 0, 80, 0, focal, 60, 0, 0, float(focal > 0)]))
-
-    def close(self):
-        self.stop.set()
-        self.thread.join()
-        release(self.image)
-        release(self.info)
 
 
 class CheckTest(unittest.TestCase):
@@ -66,10 +30,10 @@ class CheckTest(unittest.TestCase):
         self.assertEqual(done.returncode, code, done.stdout)
         return done.stdout
 
-    def camera(self, name, **arguments):
-        camera = Camera(name, **arguments)
-        self.addCleanup(camera.close)
-        return camera.topics
+    def camera(self, name, picture=PICTURE, fov=0.98, frame="optical_check", **others):
+        image, info = "/{}/image".format(name), "/{}/camera_info".format(name)
+        self.addCleanup(Camera(picture, image, info, 20.0, frame, fov, **others).close)
+        return ["image:=" + image, "camera_info:=" + info]
 
     def faults(self, text):
         return [line for line in text.splitlines() if line.startswith("FAULT")]
@@ -92,7 +56,7 @@ class CheckTest(unittest.TestCase):
         self.names("is a sensor_msgs/CompressedImage", *self.camera("packed", kind=CompressedImage))
 
     def test_not_calibrated(self):
-        self.names("K on /blind/camera_info is all zero", *self.camera("blind", focal=0.0))
+        self.names("K on /blind/camera_info is all zero", *self.camera("blind", fov=0.0))
 
     def test_no_transform(self):
         self.names("no transform leads from the camera (nowhere)", *self.camera("lost", frame="nowhere"))

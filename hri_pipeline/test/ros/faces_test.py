@@ -2,6 +2,7 @@
 """The node faces from images to topics and frames, through a real master."""
 
 import json
+import math
 import threading
 import unittest
 
@@ -11,51 +12,18 @@ import rosnode
 import rospy
 import rostest
 import rostopic
-from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
+from sensor_msgs.msg import Image, RegionOfInterest
 from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import Expression, FacialActionUnits, FacialLandmarks, IdsList, IdsMatch, SoftBiometrics
 from hri_pipeline.core.onnx import models_directory
 from hri_pipeline.ros.conversions import bgr_to_image, make_header, pose_from_transform
 from hri_pipeline.srv import Gallery, GalleryRequest
-from hri_pipeline.testing import wait_for
+from hri_pipeline.testing import FRAME, Camera, wait_for
 
 PHOTOGRAPH, FACES = "sample1.jpg", 3
-FRAME = "test_camera_optical"
 SIZE = (960, 640)
 RATE_HZ = 10.0
-
-
-class Camera:
-    """Publishes one image again and again, with increasing stamps."""
-
-    def __init__(self):
-        self.message = None
-        self.stamps = set()
-        self._images = rospy.Publisher("image", Image, queue_size=1)
-        self._infos = rospy.Publisher("camera_info", CameraInfo, queue_size=1)
-        self._timer = rospy.Timer(rospy.Duration(1.0 / RATE_HZ), self._publish)
-
-    def show(self, bgr):
-        self.message = bgr_to_image(bgr, make_header(rospy.Time.now(), FRAME))
-
-    def close(self):
-        self._timer.shutdown()
-        self._images.unregister()
-        self._infos.unregister()
-
-    def _publish(self, _):
-        message = self.message
-        if message is None:
-            return
-        header = make_header(rospy.Time.now(), FRAME)
-        self.stamps.add(header.stamp)
-        width, height = SIZE
-        self._infos.publish(CameraInfo(
-            header=header, width=width, height=height, distortion_model="plumb_bob", D=[0.0] * 5,
-            K=[width, 0.0, width / 2.0, 0.0, width, height / 2.0, 0.0, 0.0, 1.0]))
-        message.header = header
-        self._images.publish(message)
 
 
 class FacesTest(unittest.TestCase):
@@ -73,7 +41,7 @@ class FacesTest(unittest.TestCase):
         for topic, kind, callback in (("/humans/faces/tracked", IdsList, self.lists.append),
                                       ("/tf", TFMessage, self.on_transforms)):
             self.addCleanup(rospy.Subscriber(topic, kind, callback, queue_size=100).unregister)
-        self.camera = Camera()
+        self.camera = Camera(rate=RATE_HZ, fov=2.0 * math.atan(0.5))
         self.addCleanup(self.camera.close)
 
     def on_transforms(self, message):
@@ -221,7 +189,7 @@ class FacesTest(unittest.TestCase):
         short.data = short.data[:1000]
         for message in (garbage, empty, short):
             shown = len(self.camera.stamps)
-            self.camera.message = message
+            self.camera.show(message)
             wait_for(lambda least=shown + 5: len(self.camera.stamps) >= least, 10, "the garbage is published")
         after = self.see_everybody()
         self.assertTrue(rosnode.rosnode_ping("/hri_faces", max_count=1, verbose=False))

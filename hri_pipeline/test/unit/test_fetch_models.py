@@ -199,12 +199,14 @@ def test_wrong_hash(tmp_path: Path) -> None:
     assert contents(target) == {}
 
 
+@pytest.mark.slow("pip tries the network")
 def test_no_network(tmp_path: Path) -> None:
     result = run("--directory", str(tmp_path), "--models", "silero_vad")
     check_failure(result, "pip could not get silero-vad 6.2.3", "no connection", "--packages")
     assert contents(tmp_path) == {}
 
 
+@pytest.mark.slow("npm tries the network")
 @pytest.mark.skipif(shutil.which("npm") is None, reason="npm is not installed")
 def test_no_network_for_npm(tmp_path: Path) -> None:
     result = run(

@@ -46,9 +46,10 @@ _OWNERS = ("settings", "_settings", "values", "wanted")
 
 @functools.lru_cache()
 def sources():
-    """(name of the module, its syntax tree) of everything."""
-    return [(path.stem, ast.parse(path.read_text(encoding="utf-8")))
-            for package in PACKAGES for path in (ROOT / package / "src").rglob("*.py")]
+    """(name of the module, its syntax tree) of everything that reads settings."""
+    texts = [(path.stem, path.read_text(encoding="utf-8"))
+             for package in PACKAGES for path in (ROOT / package / "src").rglob("*.py")]
+    return [(module, ast.parse(text)) for module, text in texts if any(owner + "." in text for owner in _OWNERS)]
 
 
 def read_while_running():

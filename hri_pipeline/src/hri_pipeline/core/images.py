@@ -198,16 +198,10 @@ def depth_from_raw(
 
     Parameters
     ----------
-    data : bytes or numpy.ndarray
-        Rows of `step` bytes.
-    width, height : int
-        px, 1 to MAX_SIDE.
-    step : int
-        Length of a row in bytes, padding included.
+    data, width, height, step, is_bigendian
+        As of bgr_from_raw.
     encoding : str
         One of DEPTH_ENCODINGS.
-    is_bigendian : bool
-        Order of the bytes of a number.
 
     Returns
     -------

@@ -24,7 +24,6 @@ BRANCHES = ("head", "left arm", "right arm", "left leg", "right leg")
 JOINTS_PER_BRANCH = 4
 SLOTS = 1 + len(BRANCHES) * JOINTS_PER_BRANCH
 WAIST_SLOT = 0
-_NO_AXIS = (0.0, 0.0, 0.0)
 
 
 def branch_slot(branch: int, level: int) -> int:

@@ -80,6 +80,14 @@ def difference(a: Optional[np.ndarray], b: Optional[np.ndarray]) -> Optional[flo
     return float(np.sqrt(1.0 - float(alike.mean())))
 
 
+def differences(one: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the difference (N,) of one appearance (5, B) from each of the others (N, 5, B), NaN where none."""
+    shown = (one.sum(axis=-1) > 0.0) & (others.sum(axis=-1) > 0.0)
+    alike = np.clip(np.sqrt(one * others).sum(axis=-1), 0.0, 1.0)
+    parts = shown.sum(axis=-1)
+    return np.sqrt(np.where(parts > 0, 1.0 - (alike * shown).sum(axis=-1) / np.maximum(parts, 1), np.nan))
+
+
 def blend(old: Optional[np.ndarray], new: Optional[np.ndarray], weight: float) -> Optional[np.ndarray]:
     """Move `old` towards `new` by `weight` (0 to 1), part by part; a part that only one of them shows is taken over."""
     if old is None or new is None:
@@ -301,10 +309,11 @@ class BodyReidentifier:
 
     def _alike(self, old: _Body) -> float:
         """Part of the people here, without the lost one, who wear such clothes."""
-        distances = [difference(old.now.appearance, other) for other in self._wardrobe]
-        alike = sum(apart is not None and apart <= _ALIKE_BELOW for apart in distances)
+        alike = 0
+        if old.now.appearance is not None and self._wardrobe:
+            alike = int((differences(old.now.appearance, np.stack(self._wardrobe)) <= _ALIKE_BELOW).sum())
         # One of them is the lost one himself.
-        others = max(0, len(distances) - 1)
+        others = max(0, len(self._wardrobe) - 1)
         return (_ALIKE_PRIOR * _ALIKE_WEIGHT + max(0, alike - 1)) / (_ALIKE_WEIGHT + others)
 
     def _face_evidence(self, new: _Body, old: _Body) -> float:

@@ -142,7 +142,6 @@ SLOTS = 99
 BLINK, EYES_CLOSED = 45, 43
 LONGEST_BLINK = 0.5
 """Time (s) from which closed eyes are no blink (45) only but closed eyes (43) too."""
-HEAD_CODES = (51, 52, 53, 54, 55, 56, 57, 58)
 EYE_CODES = (61, 62, 63, 64)
 HIDDEN_CODES = (70, 71, 72, 73)
 
