@@ -22,7 +22,7 @@ RATE = 10.0
 """Images of vtest.avi per second."""
 FIELD_OF_VIEW = 1.05
 """Horizontal, rad: what the stack takes a camera without calibration to have."""
-TUNING_WORLDS, REPORT_WORLDS = range(0, 200), range(10000, 10100)
+TUNING_WORLDS, REPORT_WORLDS = range(0, 200), range(20000, 20100)
 """Seeds of the simulated worlds: constants were chosen on the former, the figures are of the latter."""
 VISITS = 12
 """Bodies that come in one world."""

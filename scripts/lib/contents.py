@@ -72,7 +72,7 @@ def conflict_marks(root: Path, files: List[Path]) -> List[str]:
     return [str(name) for name in files if mark.search(_text(root / name))]
 
 
-RELAYED = {Path("scripts/report"), Path("scripts/score")}
+RELAYED = {Path("scripts") / name for name in ("calibrate_cameras", "cameras", "report", "score")}
 """Commands that are run with rosrun; as with nodes, an executable one would be found twice."""
 
 

@@ -309,9 +309,9 @@ def test_what_is_kept_is_bounded():
         start = room.now
         room.run(4.0, walking(1.5, 1.0, since=start))
         room.run(8.0, lambda time: None)
-    cross = room.manager._cameras
-    assert not cross._tracks and not cross._view_of and len(cross._humans) <= 2 and len(cross._near) <= 2
-    assert len(cross._two) <= 2 and len(room.manager.merges) <= 2
+    groups = room.manager._cameras._groups
+    assert not groups.tracks and not groups.view_of and len(groups.all) <= 2 and len(groups.near) <= 2
+    assert len(groups.two) <= 2 and len(room.manager.merges) <= 2
 
 
 def place_of(track, x, stamp, source=PlaceSource.FACE):

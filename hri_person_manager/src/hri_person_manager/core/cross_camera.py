@@ -1,47 +1,46 @@
 """The same person in the views of several cameras, by rays, time and names.
 
-A `View` is what one sensor sees of one human: a face, a body, or both. A `ViewGroup` is one or more views that are one
-human. Views of different sensors are joined when their places agree, as exactly as the rays tell (see `triangulation`),
-and when no other way to pair up what both sensors see is nearly as likely. As long as a new view can be explained by
-somebody who is known, but not yet by whom, it is *held*: no person is made of it. A human who has left all views, and
-a new view at the place where that human must be by now, are one, too (camera hand-off). Views that one sensor has had
-at the same time are two humans; so are two to whom the recogniser of one sensor gave different names, or of whom it
-says that one is not the other. (Recognisers that do not share a gallery give one human several names.)
+Views (see `view_groups`) of different sensors are joined when their places agree, as exactly as the rays tell (see
+`triangulation`), and when no other way to pair up what both sensors see is nearly as likely. As long as a new view can
+be explained by somebody who is known, but not yet by whom, it is *held*: no person is made of it. A human who has left
+all views, and a new view that goes on as he walked, are one, too (camera hand-off).
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections import OrderedDict
-from dataclasses import dataclass
-from types import MappingProxyType
-from typing import (
-    Callable,
-    Container,
-    Dict,
-    FrozenSet,
-    Iterable,
-    List,
-    Mapping,
-    NamedTuple,
-    Optional,
-    Set,
-    Tuple,
-)
+from typing import Callable, Container, Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from hri_person_manager.core.features import Kind, MatchNode
+from hri_person_manager.core.features import MatchNode
 from hri_person_manager.core.triangulation import (
     FRESH_S,
     SETTLING_S,
+    WALK_S,
+    WINDOW_S,
     Estimate,
-    SensorTrack,
+    Walk,
     fuse,
     ray_covariance,
     squared_distances,
+)
+from hri_person_manager.core.view_groups import (
+    FIXED_VARIANCE,
+    MAX_NAMES,
+    OVERLAP_S,
+    LostSight,
+    Nearness,
+    Pair,
+    Scale,
+    SensedGroup,
+    View,
+    ViewGroup,
+    ViewGroups,
+    fuse_views,
+    is_doubted,
 )
 
 LIKELIHOOD = 0.8
@@ -54,39 +53,18 @@ UNPAIRED = 20.0            # squared distance that stands for two views that are
 REFINED = (2.0, 100.0)     # squared distances that are reckoned again
 SLOWER = 3.0               # beyond the gate, up to the loose one, so many times as long
 PARTING = 2.0              # a human is parted beyond so many times the gate, after so many times the time, of joining
-OVERLAP_S = 0.2            # two views of one sensor that were there at once for so long are two humans
-STANDING_MPS = 0.15        # who goes slower stands
 SOONER = 0.3               # of the time, for a human whom the same sensor has just lost, or who has the same name
 RETURN_S = 3.0             # s after which a sensor has lost somebody for good
 ALIKE_MPS = 0.8            # difference of two measured velocities of one human
 HOLD_S = 15.0              # s for which a view is held at most
 NAME_ALIKE = -6.0          # squared distance that a common name is worth
+SAME_MOMENT_S = 0.1        # two places of one image, or of two that follow each other
 NEW_S = 2.0                # so long a view counts as new
-EXTRAPOLATED_S = 0.5       # a lost human surely walks on for so long
-HANDOVER_GATE = 2.2        # Mahalanobis distance, place and velocity
-HANDOVER_M, HANDOVER_GROWTH_MPS = 0.15, 0.1    # deviation of where a lost human is by then, and its growth
-HANDOVER_HEIGHT_M = 0.05
-VELOCITY_SHARE = 0.5       # 1/s; uncertainty of a velocity per that of a place
-CHANGE_MPS = 0.25          # deviation of how a velocity changes out of sight
-LOOKING_S = 0.8            # a new view is looked at for so long before it is taken for a lost human
-LEARNT_VARIANCE = 0.1 ** 2     # a scale is used from then on
-FIXED_VARIANCE = 0.08 ** 2     # of a scale that was learnt, as far as it changes with the moment
-MAX_SENSORS = 50
-MAX_NAMES = 1000
-_NOBODY: FrozenSet[str] = frozenset()
-Pair = FrozenSet[int]
-
-
-class SensedGroup(NamedTuple):
-    """What the manager knows of features that belong together.
-
-    person: whose they are, empty while that is nobody. names: who recognisers say that it is, doubted: and who not.
-    """
-
-    features: FrozenSet[MatchNode]
-    person: str
-    names: FrozenSet[str] = frozenset()
-    doubted: FrozenSet[str] = frozenset()
+HANDOVER_GATE = 2.1        # Mahalanobis distance, place and velocity
+CHANGE_MPS = 0.2           # deviation of how a velocity changes out of sight
+CHANGED = 3.0              # squared distance that a change of pace before the loss is worth
+HANDOVER_HEIGHT_M = 0.03   # deviation of the height of a head that walks
+LOOKING_S = 1.5            # a new view is looked at for so long before it is taken for a lost human
 
 
 class CrossCameraLink(NamedTuple):
@@ -97,132 +75,15 @@ class CrossCameraLink(NamedTuple):
     likelihood: float
 
 
-@dataclass
-class _Scale:
-    """How much farther away somebody is than one feature tells at one sensor, with its variance: learnt where rays
-    cross."""
-
-    value: float = 1.0
-    variance: float = math.inf
-
-    def learn(self, value: float, variance: float) -> None:
-        """Take a measurement; those of one second are no better than one."""
-        if not math.isfinite(self.variance):
-            self.value, self.variance = value, variance
-            return
-        gain = max(0.02, self.variance / (self.variance + 10.0 * variance))
-        self.value += gain * (value - self.value)
-        self.variance = max(0.03 ** 2, (1.0 - gain) * self.variance)
-
-
-class View:
-    """What one sensor sees of one human."""
-
-    def __init__(self, number: int, sensor: str) -> None:
-        self.number, self.sensor = number, sensor
-        self.tracks: Dict[MatchNode, SensorTrack] = {}
-        self.person = ""
-        self.names = self.doubted = _NOBODY
-        self.began = math.inf
-
-    @property
-    def best(self) -> SensorTrack:
-        """The track that places the human: of the best source that is fresh, else the newest."""
-        newest = self.ended
-        return min(self.tracks.values(), key=lambda track: (newest - track.ended > FRESH_S, track.source,
-                                                            -track.ended))
-
-    @property
-    def ended(self) -> float:
-        """Stamp of the newest place, s."""
-        return max((track.ended for track in self.tracks.values()), default=-math.inf)
-
-    @property
-    def slots(self) -> Set[Tuple[str, Kind]]:
-        """Sensor and kinds of the features: a human has one of each."""
-        return {(self.sensor, feature.kind) for feature in self.tracks}
-
-    def at(self, stamp: float, scales: Mapping[Tuple[str, int], _Scale] = MappingProxyType({})) -> Estimate:
-        """Where the human is at a time (s) near the newest place, by this view; scales: what was learnt of this human
-        by sensor and source."""
-        time, found = self.near(stamp, scales)
-        return found._replace(position=found.position + found.velocity * (stamp - time))
-
-    def near(self, stamp: float, scales: Mapping[Tuple[str, int], _Scale] = MappingProxyType({})
-             ) -> Tuple[float, Estimate]:
-        """The mean place of the moment around `stamp` (s), or of the last one before, and its time (s)."""
-        track = self.best
-        time, found = track.near(stamp)
-        scale = scales.get((self.sensor, track.source))
-        if scale is None or track.origin is None or scale.variance > LEARNT_VARIANCE:
-            return time, found
-        ray = found.position - track.origin
-        length = float(np.linalg.norm(ray))
-        unit = ray / max(length, 1e-6)
-        less = float(unit @ found.covariance @ unit) - (scale.variance + FIXED_VARIANCE) * length ** 2
-        return time, Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
-                              found.covariance - max(0.0, less) * np.outer(unit, unit))
-
-
-class ViewGroup:
-    """Views that are one human, and who that was so far.
-
-    persons: ids of persons of the table that this human is or was. scales: by sensor and source of the
-    place. seen: stamp of the newest place by sensor, s. lost: where it was when the last view ended, with the stamp and
-    the sensors of that time.
-    """
-
-    def __init__(self, number: int, view: View) -> None:
-        self.number, self.views = number, [view]
-        self.persons: "OrderedDict[str, None]" = OrderedDict()
-        self.names = _NOBODY
-        self.scales: Dict[Tuple[str, int], _Scale] = {}
-        self.seen: Dict[str, float] = {}
-        self.lost: Optional[Tuple[Estimate, float, FrozenSet[str]]] = None
-
-    @property
-    def slots(self) -> Set[Tuple[str, Kind]]:
-        """Sensor and kinds of all features."""
-        return {slot for view in self.views for slot in view.slots}
-
-    @property
-    def sensors(self) -> Set[str]:
-        """Sensors that see it."""
-        return {view.sensor for view in self.views}
-
-
-@dataclass
-class _Nearness:
-    """Smoothed squared distance of a pair, since when (s) it is near, likely or far, and when it was compared (s)."""
-
-    square: float
-    since: float
-    stamp: float
-    near: bool
-    likely_since: float = math.inf
-
-
 class CrossCamera:
     """Follows what each sensor sees and tells who is one human. Times are stamps of the measurements, s."""
 
     def __init__(self, distance: float, time: float, handover: float) -> None:
         """Take the limits, see limit()."""
         self.limit(distance, time, handover)
-        self._tracks: Dict[MatchNode, SensorTrack] = {}
-        self._view_of: Dict[MatchNode, View] = {}
-        self._human_of: Dict[int, ViewGroup] = {}
-        self._humans: Dict[int, ViewGroup] = {}
-        self._near: Dict[Pair, _Nearness] = {}
-        self._apart: Dict[int, _Nearness] = {}
-        self._two: Set[Pair] = set()
-        self._sensors: Set[str] = set()
-        self._named_by: "OrderedDict[str, Set[str]]" = OrderedDict()
+        self._groups = ViewGroups()
         self._told: Set[FrozenSet[str]] = set()
-        self._kept: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
-        self._parted: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
-        self._numbers = itertools.count()
         self._newest = -math.inf
-        self._explained: Dict[int, Set[int]] = {}
         self._returned: Set[Pair] = set()
         self.held: FrozenSet[MatchNode] = frozenset()
         self.due: List[FrozenSet[MatchNode]] = []
@@ -238,7 +99,7 @@ class CrossCamera:
     @property
     def is_idle(self) -> bool:
         """Tell whether fewer than two sensors have placed anybody so far, so that there is nothing to join."""
-        return len(self._sensors) < 2
+        return len(self._groups.sensors) < 2
 
     def covariance(self, position: np.ndarray, origin: Optional[np.ndarray], along: float) -> np.ndarray:
         """Covariance (3, 3) m^2 of a place; origin: of the sensor, None where it is not known."""
@@ -249,40 +110,43 @@ class CrossCamera:
     def add_place(self, feature: MatchNode, source: int, sensor: str, position: np.ndarray, covariance: np.ndarray,
                   origin: Optional[np.ndarray], stamp: float) -> None:
         """Take a place (3,) m of a tracked feature with its covariance (3, 3) m^2; a lower `source` is a better one."""
-        if sensor not in self._sensors:
-            if len(self._sensors) >= MAX_SENSORS:
-                return
-            self._sensors.add(sensor)
-        track = self._tracks.get(feature)
-        if track is None or track.sensor != sensor:
-            track = self._tracks[feature] = SensorTrack(sensor)
-            view = self._view_of.pop(feature, None)
-            if view is not None:
-                view.tracks.pop(feature, None)
+        track = self._groups.track(feature, sensor)
+        if track is None:
+            return
         track.add(source, position, covariance, origin, stamp)
         self._newest = max(self._newest, stamp)
 
     def fused(self, feature: MatchNode, stamp: float) -> Optional[Estimate]:
         """Where the human of a feature is at `stamp` (s) by all who see it; None where one sensor does, or none."""
-        view = self._view_of.get(feature)
+        view = self._groups.view_of.get(feature)
         if view is None or not view.tracks:
             return None
-        human = self._human_of[view.number]
+        human = self._groups.group_of[view.number]
+        last = human.fused
+        if last is not None and abs(stamp - last[0]) <= SAME_MOMENT_S and (
+                view.best is not self._groups.tracks.get(feature)):
+            # Nothing new: a body of which the face is there, a frame of the hips of which the head is there.
+            return last[1]._replace(position=last[1].position + (stamp - last[0]) * last[1].velocity)
         views = [other for other in human.views if abs(stamp - other.ended) <= FRESH_S]
-        if len({other.sensor for other in views}) < 2 and not human.scales:
+        if not human.scales and len({other.sensor for other in views}) < 2:
+            human.fused = None
             return None
-        return _fuse_views(views or [view], stamp, human.scales)
+        fused = fuse_views(views or [view], stamp, human.scales)
+        human.fused = (stamp, fused)
+        return fused
 
     def update(self, groups: Iterable[SensedGroup], is_split: Callable[[str, str], bool]) -> None:
         """Take who belongs together; decides who is one human, which views are held, and which are due to be told.
 
         is_split(id, id): tells whether a user has parted two persons.
         """
-        self._regroup(groups)
-        self._part_by_hand(is_split)
-        live = [view for view in self._views() if self._newest - view.ended <= FRESH_S]
-        self._note_names(live)
-        self._note_two(live)
+        self._groups.regroup(groups)
+        for pair in self._told:
+            if is_split(*pair):
+                self._groups.part(*sorted(pair))
+        live = [view for view in self._groups.views() if self._newest - view.ended <= FRESH_S]
+        self._groups.note_names(live)
+        self._groups.note_two(live)
         self._come_back_by_name()
         if live and not self.is_idle:
             self._separate(live)
@@ -297,8 +161,8 @@ class CrossCamera:
         owner(feature): the id of its person, empty for none. exists: all persons of the table.
         """
         wanted: Dict[FrozenSet[str], None] = {}
-        current = {owner(feature) for feature in self._view_of} - {""}
-        for human in self._humans.values():
+        current = {owner(feature) for feature in self._groups.view_of} - {""}
+        for human in self._groups.all.values():
             own = [owner(feature) for view in human.views for feature in sorted(view.tracks)]
             human.persons.update(dict.fromkeys(person for person in own if person))
             for person in [person for person in human.persons
@@ -314,208 +178,49 @@ class CrossCamera:
 
     def _still_kept(self, current: Container[str], exists: Container[str]) -> List[FrozenSet[str]]:
         """Links of humans that all sensors have lost: they hold while their persons are there, and not seen apart."""
-        for pair in list(self._kept):
+        for pair in list(self._groups.kept):
             first, second = pair
-            if first not in exists or second not in exists or pair in self._parted or (
+            if first not in exists or second not in exists or pair in self._groups.parted or (
                     first in current and second in current):
-                del self._kept[pair]
-        while len(self._kept) > MAX_NAMES:
-            self._kept.popitem(last=False)
-        return list(self._kept)
-
-    def _views(self) -> List[View]:
-        return [view for human in self._humans.values() for view in human.views]
-
-    # ----- who belongs together at one sensor
-
-    def _regroup(self, groups: Iterable[SensedGroup]) -> None:
-        """Make the views anew; a view goes on as long as one of its features does."""
-        taken: Set[int] = set()
-        seen: Set[MatchNode] = set()
-        for group in groups:
-            by_sensor: Dict[str, List[MatchNode]] = {}
-            for feature in sorted(group.features):
-                if feature in self._tracks:
-                    by_sensor.setdefault(self._tracks[feature].sensor, []).append(feature)
-            for sensor, features in by_sensor.items():
-                view = self._view_for(sensor, features, taken)
-                taken.add(view.number)
-                seen.update(features)
-                if view.names and group.names and not view.names & group.names:
-                    self._begin_anew(view)      # it is somebody else after all
-                view.person, view.names, view.doubted = group.person, group.names, group.doubted
-        for feature in [feature for feature in self._tracks if feature not in seen]:
-            del self._tracks[feature]
-            before = self._view_of.pop(feature, None)
-            if before is not None:
-                before.tracks.pop(feature, None)
-        for view in self._views():
-            if not view.tracks:
-                self._remove(view)
-
-    def _view_for(self, sensor: str, features: List[MatchNode], taken: Set[int]) -> View:
-        known = {view.number: view for view in (self._view_of.get(feature) for feature in features)
-                 if view is not None and view.number not in taken}
-        view = known[min(known)] if known else View(next(self._numbers), sensor)
-        if not known:
-            self._humans[view.number] = self._human_of[view.number] = ViewGroup(view.number, view)
-        for number in sorted(known)[1:]:
-            self._unite(self._human_of[view.number], self._human_of[number])
-        for feature in features:
-            before = self._view_of.get(feature)
-            if before is not None and before is not view:
-                before.tracks.pop(feature, None)
-            self._view_of[feature] = view
-            view.tracks[feature] = self._tracks[feature]
-        for feature in [feature for feature in view.tracks if feature not in features]:
-            del view.tracks[feature]
-            if self._view_of.get(feature) is view:
-                del self._view_of[feature]
-        view.began = min([view.began] + ([] if known else [track.began for track in view.tracks.values()]))
-        return view
-
-    def _remove(self, view: View) -> None:
-        human = self._human_of.pop(view.number)
-        human.views.remove(view)
-        self._apart.pop(view.number, None)
-        explained = self._explained.get(human.number, set()) & self._humans.keys()
-        if not human.views and (human.lost is None or not human.persons or explained):
-            self._drop(human)       # nobody was told of it, or it was somebody who is still there
-
-    def _drop(self, human: ViewGroup) -> None:
-        first, *others = human.persons or [""]
-        self._kept.update(dict.fromkeys(frozenset((first, other)) for other in others))
-        self._humans.pop(human.number, None)
-        self._two = {pair for pair in self._two if human.number not in pair}
-        self._near = {pair: near for pair, near in self._near.items() if human.number not in pair}
-
-    def _unite(self, human: ViewGroup, other: ViewGroup) -> None:
-        """Make one human of two, whatever is known of them."""
-        if human is other:
-            return
-        if other.persons and other.number < human.number:
-            human, other = other, human
-        for view in other.views:
-            self._human_of[view.number] = human
-        human.views += other.views
-        human.persons.update(other.persons)
-        human.scales = {**other.scales, **human.scales}
-        human.seen = {**other.seen, **human.seen}
-        human.names |= other.names
-        self._two |= {frozenset((human.number, *(pair - {other.number}))) for pair in self._two
-                      if other.number in pair and human.number not in pair}
-        if human.views:
-            human.lost = None
-        other.persons.clear()
-        self._drop(other)
-
-    def _take_out(self, view: View) -> None:
-        """Make a human of its own of a view."""
-        human = self._human_of[view.number]
-        if len(human.views) < 2:
-            return
-        human.views.remove(view)
-        new = ViewGroup(next(self._numbers), view)
-        self._humans[new.number] = self._human_of[view.number] = new
-        human.scales = {key: scale for key, scale in human.scales.items() if key[0] != view.sensor}
-        human.seen.pop(view.sensor, None)
-        new.names = view.names
-        human.names = frozenset().union(*(one.names for one in human.views))
-        if view.person:
-            human.persons.pop(view.person, None)
-        self._apart.pop(view.number, None)
-
-    def _begin_anew(self, view: View) -> None:
-        """Let a view be somebody of whom nothing is known."""
-        human = self._human_of[view.number]
-        if len(human.views) > 1:
-            self._take_out(view)
-            return
-        self._drop(human)
-        view.began = view.ended
-        new = ViewGroup(next(self._numbers), view)
-        self._humans[new.number] = self._human_of[view.number] = new
-
-    def _part_by_hand(self, is_split: Callable[[str, str], bool]) -> None:
-        """Part whom a user has parted."""
-        for first, second in [sorted(pair) for pair in self._told]:
-            if not is_split(first, second):
-                continue
-            self._parted[frozenset((first, second))] = None
-            for human in list(self._humans.values()):
-                if first in human.persons and second in human.persons:
-                    for view in [view for view in human.views if view.person == second]:
-                        self._take_out(view)
-                    human.persons.pop(second, None)
-        while len(self._parted) > MAX_NAMES:
-            self._parted.popitem(last=False)
-
-    # ----- who are two
-
-    def _note_names(self, live: Iterable[View]) -> None:
-        """Remember at which sensors each name is given."""
-        for view in live:
-            for name in view.names:
-                self._named_by.setdefault(name, set()).add(view.sensor)
-        while len(self._named_by) > MAX_NAMES:
-            self._named_by.popitem(last=False)
-        for human in self._humans.values():
-            if human.views:
-                human.names = frozenset().union(*(view.names for view in human.views))
-
-    def _note_two(self, live: List[View]) -> None:
-        """Remember the humans that one sensor sees at the same time."""
-        for first, second in itertools.combinations(live, 2):
-            one, other = self._human_of[first.number], self._human_of[second.number]
-            if first.sensor == second.sensor and one is not other and first.slots & second.slots and (
-                    min(first.ended, second.ended) - max(first.began, second.began) > OVERLAP_S):
-                self._two.add(frozenset((one.number, other.number)))
-
-    def _other_names(self, first: FrozenSet[str], second: FrozenSet[str]) -> bool:
-        return not first & second and any(
-            self._named_by.get(a, _NOBODY) & self._named_by.get(b, _NOBODY) for a in first for b in second)
-
-    def _may_be_one(self, one: ViewGroup, other: ViewGroup) -> bool:
-        """Tell whether nothing is known that makes two humans of them."""
-        if frozenset((one.number, other.number)) in self._two or one.slots & other.slots:
-            return False
-        if _is_doubted(one.views, other.views) or self._other_names(one.names, other.names):
-            return False
-        return not any(frozenset((a, b)) in self._parted for a in one.persons for b in other.persons)
+                del self._groups.kept[pair]
+        while len(self._groups.kept) > MAX_NAMES:
+            self._groups.kept.popitem(last=False)
+        return list(self._groups.kept)
 
     def _separate(self, live: List[View]) -> None:
         """Take views out of humans that they are apart from, or that are somebody else."""
-        for human in list(self._humans.values()):
+        for human in list(self._groups.all.values()):
             views = [view for view in human.views if view in live]
             for view in sorted(views, key=lambda item: -item.began):
                 others = [other for other in views if other is not view and other in human.views]
                 if not others:
                     continue
                 names = frozenset().union(*(other.names for other in others))
-                if self._other_names(view.names, names) or _is_doubted([view], others) or self._is_apart(view, others):
-                    self._take_out(view)
-                    self._two.add(frozenset((human.number, self._human_of[view.number].number)))
+                if (self._groups.have_other_names(view.names, names) or is_doubted([view], others)
+                        or self._is_apart(view, others)):
+                    self._groups.take_out(view)
+                    self._groups.two.add(frozenset((human.number, self._groups.group_of[view.number].number)))
 
     def _is_apart(self, view: View, others: List[View]) -> bool:
         if others[0].began > view.began and len(others) == 1:
             return False        # of two, the younger one is asked
         stamp = min([view.ended] + [other.ended for other in others])
-        found = [view.at(stamp), _fuse_views(others, stamp)]
+        found = [view.at(stamp), fuse_views(others, stamp)]
         square = float(squared_distances(np.array([item.position for item in found]), np.array([
             found[0].covariance + _lengthened(view, found[0])] + [
             found[1].covariance + sum(_lengthened(other, found[1]) for other in others) / len(others) ** 2]))[0, 1])
         alike = any(view.names & other.names for other in others)
         limit = (PARTING * GATE * (SLOWER if alike else 1.0)) ** 2
-        state = self._smooth(self._apart, view.number, square, stamp, limit)
+        state = self._smooth(self._groups.apart, view.number, square, stamp, limit)
         return not state.near and stamp - state.since >= PARTING * self._time
 
     # ----- who are one
 
-    def _smooth(self, known: Dict, key: object, square: float, stamp: float, limit: float) -> _Nearness:
+    def _smooth(self, known: Dict, key: object, square: float, stamp: float, limit: float) -> Nearness:
         """Follow the squared distance of a pair; it is near below `limit`."""
         state = known.get(key)
         if state is None or stamp < state.stamp or stamp - state.stamp > 2.0:
-            state = known[key] = _Nearness(square, stamp, stamp, square <= limit)
+            state = known[key] = Nearness(square, stamp, stamp, square <= limit)
         elif stamp > state.stamp:
             gain = 1.0 - math.exp(-2.0 * (stamp - state.stamp) / max(self._time, 1e-3))
             state.square += gain * (square - state.square)
@@ -528,29 +233,29 @@ class CrossCamera:
 
     def _join(self, live: List[View]) -> None:
         """Unite the humans of views that are clearly one."""
-        seen = [human for human in self._humans.values() if any(view in live for view in human.views)]
+        seen = [human for human in self._groups.all.values() if any(view in live for view in human.views)]
         costs = self._costs(seen, live)
-        self._explained.clear()
+        self._groups.explained.clear()
         for pair, _ in sorted(self._pair_up(seen, live, costs).items(), key=lambda item: item[1]):
-            if not pair <= self._humans.keys():
+            if not pair <= self._groups.all.keys():
                 continue
-            one, other = (self._humans[number] for number in sorted(pair))
-            if self._may_be_one(one, other) and self._is_ripe(pair, one, other, live):
-                self._unite(one, other)
+            one, other = (self._groups.all[number] for number in sorted(pair))
+            if self._groups.may_be_one(one, other) and self._is_ripe(pair, one, other, live):
+                self._groups.unite(one, other)
 
     def _come_back_by_name(self) -> None:
         """Let a lost human go on whose person somebody is again."""
-        lost = {person: human for human in self._humans.values() if not human.views for person in human.persons}
-        for view in self._views() if lost else ():
+        lost = {person: human for human in self._groups.all.values() if not human.views for person in human.persons}
+        for view in self._groups.views() if lost else ():
             before = lost.get(view.person)
-            human = self._human_of[view.number]
-            if before is not None and before.number in self._humans and self._may_be_one(before, human):
-                self._unite(before, human)
+            human = self._groups.group_of[view.number]
+            if before is not None and before.number in self._groups.all and self._groups.may_be_one(before, human):
+                self._groups.unite(before, human)
 
     def _is_ripe(self, pair: Pair, one: ViewGroup, other: ViewGroup, live: List[View]) -> bool:
         if not one.views or not other.views:
             return pair in self._returned
-        state = self._near.get(pair)
+        state = self._groups.near.get(pair)
         if state is None or self._velocity_apart(one, other, live) > ALIKE_MPS:
             return False
         returns = any(view.began - RETURN_S <= b.seen.get(view.sensor, -math.inf) < view.began + OVERLAP_S
@@ -570,26 +275,40 @@ class CrossCamera:
             return {}
         stamp = max(self._newest - 0.8 * FRESH_S, min(view.ended for view in live))
         views = [[view for view in human.views if view in live] for human in seen]
-        places = [_fuse_views(of, stamp, human.scales) for of, human in zip(views, seen)]
+        places = [fuse_views(of, stamp, human.scales) for of, human in zip(views, seen)]
         squares = squared_distances(np.array([place.position for place in places]),
                                     np.array([place.covariance for place in places]))
         costs: Dict[Pair, float] = {}
         for (row, one), (column, other) in itertools.combinations(enumerate(seen), 2):
             pair = frozenset((one.number, other.number))
-            if self._may_be_one(one, other):
+            if self._groups.may_be_one(one, other):
                 square = float(squares[row, column])
                 if REFINED[0] < square < REFINED[1]:
                     square = _refined(places[row], places[column], views[row], views[column])
                 if one.names & other.names:
                     square /= PARTING ** 2
                 square += _name_bonus(one, other)
-                costs[pair] = self._smooth(self._near, pair, square, stamp, GATE ** 2).square
+                costs[pair] = self._smooth(self._groups.near, pair, square, stamp, GATE ** 2).square
+        costs.update(self._costs_of_lost(seen))
+        return costs
+
+    def _costs_of_lost(self, seen: List[ViewGroup]) -> Dict[Pair, float]:
+        """Squared distances of lost humans and new views. Of those lost by one sensor one after the other, who may be
+        one human whom it lost twice, the last one counts."""
+        costs: Dict[Pair, float] = {}
         self._returned.clear()
-        for lost, human in itertools.product([human for human in self._humans.values() if not human.views], seen):
-            found = self._jump(lost, human) if self._may_be_one(lost, human) else None
-            if found is not None:
-                pair = frozenset((lost.number, human.number))
-                costs[pair] = found[0] + _name_bonus(lost, human)
+        lost = [human for human in self._groups.all.values() if not human.views and human.lost is not None]
+        lost.sort(key=lambda human: -human.lost.stamp if human.lost is not None else 0.0)
+        for human in seen:
+            near: List[ViewGroup] = []
+            for before in lost:
+                found = self._jump(before, human) if self._groups.may_be_one(before, human) else None
+                if found is None or any(self._groups.may_be_one(before, other) for other in near):
+                    continue
+                pair = frozenset((before.number, human.number))
+                costs[pair] = found[0] + _name_bonus(before, human)
+                if found[0] <= HANDOVER_GATE ** 2:
+                    near.append(before)
                 if found[1]:
                     self._returned.add(pair)
         return costs
@@ -599,7 +318,7 @@ class CrossCamera:
         costs."""
         clear: Dict[Pair, float] = {}
         unclear: Set[Pair] = set()
-        lost = [human for human in self._humans.values() if not human.views]
+        lost = [human for human in self._groups.all.values() if not human.views]
         sensors = sorted({view.sensor for view in live})
         for sensor, other in itertools.permutations([*sensors, ""], 2):
             rows = [human for human in seen if other in human.sensors and sensor not in human.sensors] + lost
@@ -616,7 +335,7 @@ class CrossCamera:
                 cost = costs.get(frozenset((one, rival.number)), math.inf)
                 if rival.number in pair or cost >= costs[pair] + CLEARER_BY:
                     continue
-                human = self._humans[other]
+                human = self._groups.all[other]
                 if not human.sensors & rival.sensors and (
                         costs.get(frozenset((other, rival.number)), math.inf) > LIKELY):
                     return True
@@ -632,8 +351,8 @@ class CrossCamera:
                        for row, column in zip(*np.nonzero(np.isfinite(table))) if (row, column) not in pairs)
         for row, column in pairs:
             pair = frozenset((rows[row].number, columns[column].number))
-            self._explained.setdefault(rows[row].number, set()).add(columns[column].number)
-            self._explained.setdefault(columns[column].number, set()).add(rows[row].number)
+            self._groups.explained.setdefault(rows[row].number, set()).add(columns[column].number)
+            self._groups.explained.setdefault(columns[column].number, set()).add(rows[row].number)
             without = table.copy()
             without[row, column] = math.inf
             if _least(without)[0] - best >= CLEARER_BY:
@@ -642,32 +361,31 @@ class CrossCamera:
                 unclear.add(pair)
 
     def _jump(self, lost: ViewGroup, human: ViewGroup) -> Optional[Tuple[float, bool]]:
-        """Squared distance of where a new human came up from where a lost one must be by then, and whether it is known
-        well enough that they are one; None if out of the question."""
+        """Squared distance of how a new human came up from how a lost one must, and whether it is known well enough
+        that they are one; None if out of the question."""
         if lost.lost is None:
             return None
-        estimate, ended, sensors = lost.lost
         view = min(human.views, key=lambda item: item.began)
-        track, away = view.best, view.began - ended
+        away = view.began - lost.lost.stamp
         if not -FRESH_S <= away <= max(self._handover, FRESH_S) or view.ended - view.began > NEW_S:
             return None
-        square = _way_squared(estimate, track.start, track.at(track.ended), max(away, 0.0))
+        square = _way_squared(lost.lost, view)
         known = (square <= HANDOVER_GATE ** 2 and view.ended - view.began >= LOOKING_S
                  and 0.0 < self._handover and -SETTLING_S <= away <= self._handover
-                 and view.sensor not in sensors and len(human.persons) <= 1)
+                 and view.sensor not in lost.lost.sensors and len(human.persons) <= 1)
         return square, known
 
     def _learn_scales(self, live: List[View]) -> None:
         """Learn by how much the distance of each view is wrong, where the rays of several cross."""
-        for human in self._humans.values():
+        for human in self._groups.all.values():
             views = [view for view in human.views if view in live]
             if len({view.sensor for view in views}) < 2:
                 continue
             stamp = min(view.ended for view in views)
-            place = _fuse_views(views, stamp)
+            place = fuse_views(views, stamp)
             for view in views:
                 if view.best.origin is not None:
-                    scale = human.scales.setdefault((view.sensor, view.best.source), _Scale())
+                    scale = human.scales.setdefault((view.sensor, view.best.source), Scale())
                     scale.learn(*_measured_scale(view, place, stamp))
 
     # ----- who is told
@@ -676,12 +394,12 @@ class CrossCamera:
         """Choose the views of which no person is made yet, and those whose person is known by now."""
         held: Set[MatchNode] = set()
         self.due = []
-        known = {human.number for human in self._humans.values() if human.persons or not human.views}
+        known = {human.number for human in self._groups.all.values() if human.persons or not human.views}
         for view in sorted(live, key=lambda item: (item.began, item.number)):
-            human = self._human_of[view.number]
+            human = self._groups.group_of[view.number]
             if not view.person and human.persons:
                 self.due.append(frozenset(view.tracks))
-            elif not view.person and self._explained.get(human.number, set()) & known and (
+            elif not view.person and self._groups.explained.get(human.number, set()) & known and (
                     view.ended - view.began <= HOLD_S):
                 held.update(view.tracks)
             known.add(human.number)
@@ -689,38 +407,17 @@ class CrossCamera:
 
     def _forget_lost(self) -> None:
         """Note where humans are, as long as somebody sees them, and forget who is away for too long."""
-        for human in list(self._humans.values()):
+        for human in list(self._groups.all.values()):
             views = [view for view in human.views if self._newest - view.ended <= FRESH_S]
             if views:
                 human.seen.update((view.sensor, view.ended) for view in views)
-                stamp = max(view.ended for view in views)
-                human.lost = (_fuse_views(views, stamp, human.scales), stamp, frozenset(view.sensor for view in views))
+                last = max(views, key=lambda view: view.ended)
+                place = fuse_views(views, last.ended, human.scales) if len(views) > 1 or human.scales else None
+                human.lost = LostSight(last.ended, frozenset(view.sensor for view in views), place,
+                                       tuple(last.tracks.values()))
             elif not human.views and (human.lost is None or not (
-                    self._newest - human.lost[1] <= max(self._handover, 1.0) + NEW_S)):
-                self._drop(human)
-
-
-def _is_doubted(views: List[View], others: List[View]) -> bool:
-    """Tell whether a recogniser says of one of these views that it is not who one of the others is."""
-    return any(a.doubted & (b.names | {b.person}) for one, two in ((views, others), (others, views))
-               for a in one for b in two)
-
-
-def _fuse_views(views: List[View], stamp: float, scales: Mapping[Tuple[str, int], _Scale] = MappingProxyType({})
-                ) -> Estimate:
-    """Where a human is at `stamp` (s) by all of these views; those of heads only, where there are some."""
-    heads = [view for view in views if view.best.source < 2] or views
-    if len(heads) == 1:
-        return heads[0].at(stamp, scales)
-    moments = [view.near(stamp, scales) for view in heads]
-    covariances = np.array([item.covariance for _, item in moments])
-    velocity, _ = fuse(np.array([item.velocity for _, item in moments]), covariances)
-    if float(velocity @ velocity) < STANDING_MPS ** 2:
-        velocity = np.zeros(3)
-    # One view tells the velocity along its ray badly, all together well.
-    position, covariance = fuse(np.array([item.position + velocity * (stamp - time) for time, item in moments]),
-                                covariances)
-    return Estimate(position, velocity, covariance)
+                    self._newest - human.lost.stamp <= max(self._handover, 1.0) + NEW_S)):
+                self._groups.drop(human)
 
 
 def _name_bonus(one: ViewGroup, other: ViewGroup) -> float:
@@ -728,24 +425,25 @@ def _name_bonus(one: ViewGroup, other: ViewGroup) -> float:
     return NAME_ALIKE if one.names & other.names else 0.0
 
 
-def _way_squared(lost: Estimate, start: np.ndarray, new: Estimate, away: float) -> float:
-    """Squared distance of how somebody new came up, at `start` (3,) m, from how a lost human must, `away` s later.
+def _way_squared(lost: LostSight, view: View) -> float:
+    """Squared distance of how somebody new came up from how a lost human must: place and velocity, by what is of one
+    kind, a body rather than a face, as these are not wrong by the same. He walks on as he did for the last seconds."""
+    before, after = max(((old, new) for old in lost.tracks for new in view.tracks.values()),
+                        key=lambda pair: (pair[0].source == pair[1].source, pair[1].source, pair[1].length))
+    return min(_walk_squared(before.walk(begins=False, seconds=seconds), after.walk(begins=True), lost.place) + penalty
+               for seconds, penalty in ((WALK_S, 0.0), (WINDOW_S, CHANGED)))
 
-    It surely walks on for 0.5 s, and anything between standing still and walking on after that. The velocity counts,
-    too: as errors of places change within a second, it is as uncertain as a place, per second.
-    """
-    near, far = (lost.velocity * time for time in (min(away, EXTRAPOLATED_S), away))
-    offset, way = start - lost.position - near, far - near
-    length = float(way @ way)
-    if length > 1e-9:
-        offset = offset - way * min(1.0, max(0.0, float(offset @ way) / length))
-    doubt = VELOCITY_SHARE ** 2
-    spread = (HANDOVER_M + HANDOVER_GROWTH_MPS * away) ** 2
-    covariance = lost.covariance * (1.0 + doubt * min(away, 1.0) ** 2) + new.covariance + np.diag(
+
+def _walk_squared(old: Walk, new: Walk, place: Optional[Estimate]) -> float:
+    """Squared distance of a walk from how another one goes on; place: where several sensors saw the end of that."""
+    away = new.stamp - old.stamp
+    position, covariance = place[::2] if place is not None else (old.position, old.covariance)
+    offset, changed = new.position - position - away * old.velocity, (new.velocity - old.velocity)[:2]
+    spread = (CHANGE_MPS * away) ** 2
+    of_place = covariance + away ** 2 * old.velocity_covariance + new.covariance + np.diag(
         [spread, spread, HANDOVER_HEIGHT_M ** 2])
-    changed = (new.velocity - lost.velocity)[:2]
-    of_change = doubt * (lost.covariance + new.covariance)[:2, :2] + CHANGE_MPS ** 2 * np.eye(2)
-    return float(offset @ np.linalg.solve(covariance, offset) + changed @ np.linalg.solve(of_change, changed))
+    of_change = (old.velocity_covariance + new.velocity_covariance)[:2, :2] + CHANGE_MPS ** 2 * np.eye(2)
+    return float(offset @ np.linalg.solve(of_place, offset) + changed @ np.linalg.solve(of_change, changed))
 
 
 def _refined(one: Estimate, other: Estimate, views: List[View], others: List[View]) -> float:

@@ -5,12 +5,11 @@ All times are seconds of one clock and are given by the caller. Not thread-safe:
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Set, Tuple
 
 import numpy as np
 
-from hri_person_manager.core.cross_camera import CrossCamera, SensedGroup
+from hri_person_manager.core.cross_camera import CrossCamera
 from hri_person_manager.core.features import Kind, MatchNode, TrackedFeatures
 from hri_person_manager.core.location import Decay, FeaturePlaces, Location, Place, PlaceSource
 from hri_person_manager.core.match_graph import Association, CandidateMatch
@@ -24,10 +23,12 @@ from hri_person_manager.core.persons import (
     Snapshot,
 )
 from hri_person_manager.core.triangulation import voice_covariance
+from hri_person_manager.core.view_groups import SensedGroup
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.parameters import ParameterError
 
+_ORIGIN = np.zeros(3)
 MAX_UNSEEN_PERSONS = 32       # permanent persons kept with their topics although nobody sees them
 _KIND_OF_SOURCE = {PlaceSource.FACE: Kind.FACE, PlaceSource.HEAD: Kind.BODY, PlaceSource.BODY: Kind.BODY,
                    PlaceSource.VOICE: Kind.VOICE}
@@ -331,14 +332,15 @@ class PersonManager:
 
     def _with_covariance(self, source: PlaceSource, place: Place, sensor: str) -> Place:
         """The place with how exact it is, where one knows where the sensor is."""
-        origin = np.zeros(3) if place.origin is None and place.frame == sensor else place.origin
+        origin = _ORIGIN if place.origin is None and place.frame == sensor else place.origin
         if origin is None or place.covariance is not None:
             return place
         if source == PlaceSource.VOICE:
-            return replace(place, origin=origin, covariance=voice_covariance(place.pose.translation, origin))
+            covariance = voice_covariance(place.pose.translation, origin)
+            return Place(place.frame, place.pose, place.stamp, place.exact_stamp, origin, covariance)
         covariance = self._cameras.covariance(place.pose.translation, origin, self._errors.get(
             sensor, self._settings.distance_error))
-        return replace(place, origin=origin, covariance=covariance)
+        return Place(place.frame, place.pose, place.stamp, place.exact_stamp, origin, covariance)
 
     def _compare_across_cameras(self, feature: MatchNode, source: PlaceSource, place: Place, sensor: str) -> Place:
         """Take the place of a feature that a camera sees; returns where its human is by all cameras that see it."""
@@ -350,7 +352,8 @@ class PersonManager:
         fused = self._cameras.fused(feature, place.stamp) if not self._cameras.is_idle else None
         if fused is None:
             return place
-        return replace(place, pose=Pose(place.pose.rotation, fused.position), covariance=fused.covariance)
+        return Place(place.frame, Pose(place.pose.rotation, fused.position), place.stamp, place.exact_stamp,
+                     place.origin, fused.covariance)
 
     def _join_across_cameras(self, now: float) -> bool:
         """Join and part persons by what several cameras see; returns whether any merge may have changed."""

@@ -10,8 +10,7 @@ a direction only; a place of which nothing new is heard becomes less certain wit
 from __future__ import annotations
 
 import math
-from collections import deque
-from typing import Deque, Dict, NamedTuple, Optional, Tuple
+from typing import Dict, NamedTuple, Optional, Tuple
 
 import numpy as np
 
@@ -19,15 +18,19 @@ ALONG = 0.12               # standard deviation along the ray, share of the dist
 ACROSS = 0.02              # and across
 WINDOW_S = 0.8             # of places that tell a velocity,
 MOMENT_S = 0.15            # and, before and after, of those that tell a position
+REST_S = 2.0               # of those that tell where somebody stands
+WALK_S = 2.5               # of places that tell how somebody walks
+WALK_DRIFT = 0.6           # change of the error of a place within the time of a walk, share of the error
 SHORTEST_S = 0.3           # of the places that tell a velocity
 FASTEST_MPS = 3.0          # a person who runs
-SETTLING_S = 0.2           # the first places of a stretch are averaged
+SETTLING_S = 0.2           # by which a new view may begin before the last one has ended
 FRESH_S = 0.5              # who was seen so long ago is seen now
-UNKNOWN_M = 1.0            # deviation of the height of a head of which only the hips are known
 VOICE_RAD = 0.14           # error of the direction of a voice (standard deviation)
 VOICE_M, VOICE_SPREAD_M = 2.0, 1.0     # mean distance of who talks, and its standard deviation: 0.5 to 4 m
 AWAY_MPS, AWAY_S = 0.5, 1.0     # speed of who is out of sight, per axis, and for how long it goes one way
 CHI_SQUARE_95 = 5.991      # of two degrees of freedom: the square of the Mahalanobis distance that 95 % keep
+_EYE = np.eye(3)
+_CAPACITY = 128            # places for which there is room at first
 
 
 class Estimate(NamedTuple):
@@ -36,6 +39,20 @@ class Estimate(NamedTuple):
     position: np.ndarray
     velocity: np.ndarray
     covariance: np.ndarray
+
+
+class Walk(NamedTuple):
+    """A straight line through the places of some seconds.
+
+    stamp: s, of `position` (3,) m, at one of its ends; covariance (3, 3) m^2 of that. velocity: (3,) m/s,
+    velocity_covariance: (3, 3) (m/s)^2.
+    """
+
+    stamp: float
+    position: np.ndarray
+    covariance: np.ndarray
+    velocity: np.ndarray
+    velocity_covariance: np.ndarray
 
 
 def ray_covariance(position: np.ndarray, origin: np.ndarray, along: float = ALONG, across: float = ACROSS,
@@ -54,7 +71,21 @@ def ray_covariance(position: np.ndarray, origin: np.ndarray, along: float = ALON
     ray = position - origin
     square = float(ray @ ray)
     side = across * across * square + exactness * exactness
-    return side * np.eye(3) + (along * along - across * across) * np.outer(ray, ray)
+    return side * _EYE + (along * along - across * across) * (ray[:, None] * ray)
+
+
+def shares(covariances: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the weights (N, 3, 3), which sum to one, of independent measurements of a point with covariances
+    (N, 3, 3), and the covariance (3, 3) of their mean."""
+    weights = np.linalg.inv(covariances)
+    covariance = np.linalg.inv(np.add.reduce(weights))
+    return covariance @ weights, covariance
+
+
+def weighted(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the mean (3,) of measurements (N, 3) by weights (N, 3, 3)."""
+    mean: np.ndarray = np.add.reduce(weights @ values[:, :, None])[:, 0]
+    return mean
 
 
 def voice_covariance(position: np.ndarray, origin: np.ndarray) -> np.ndarray:
@@ -95,9 +126,8 @@ def ellipse(covariance: np.ndarray, gate: float = CHI_SQUARE_95) -> Tuple[float,
 def fuse(positions: np.ndarray, covariances: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
     """Return mean (3,) and covariance (3, 3) of independent places (N, 3) of one point with their covariances
     (N, 3, 3)."""
-    weights = np.linalg.inv(covariances)
-    covariance = np.linalg.inv(weights.sum(axis=0))
-    return covariance @ np.einsum("nij,nj->i", weights, positions), covariance
+    weights, covariance = shares(covariances)
+    return weighted(weights, positions), covariance
 
 
 def squared_distances(positions: np.ndarray, covariances: np.ndarray) -> np.ndarray:
@@ -121,22 +151,16 @@ class SensorTrack:
         self.began = self.ended = -math.inf
         self.source = 0
         self._stamps: Dict[int, float] = {}
-        self.covariance = np.eye(3)
+        self.covariance = _EYE
         self.origin: Optional[np.ndarray] = None
-        self._points: Deque[Tuple[float, np.ndarray]] = deque()
-        self._line: Optional[Tuple[np.ndarray, np.ndarray, np.ndarray]] = None
-        self._first: Tuple[int, np.ndarray] = (0, np.zeros(3))
+        self._times, self._places = np.empty(_CAPACITY), np.empty((_CAPACITY, 3))
+        self._first = self._count = 0           # of the rows that are used
+        self._velocity: Optional[np.ndarray] = None
 
     @property
     def length(self) -> float:
         """Length of the present stretch, s."""
         return self.ended - self.began
-
-    @property
-    def start(self) -> np.ndarray:
-        """Mean of the first places of the present stretch, (3,) m."""
-        count, total = self._first
-        return total / max(count, 1)
 
     def add(self, source: int, position: np.ndarray, covariance: np.ndarray, origin: Optional[np.ndarray],
             stamp: float) -> None:
@@ -152,38 +176,76 @@ class SensorTrack:
         if fresh and source > self.source or stamp <= self.ended:
             return
         if not fresh:
-            self.began, self._first = stamp, (0, np.zeros(3))
+            self.began = stamp
         if not fresh or source != self.source:
-            self._points.clear()
+            self._first = self._count = 0
         self.source, self.ended, self.covariance, self.origin = source, stamp, covariance, origin
-        if stamp - self.began <= SETTLING_S:
-            self._first = (self._first[0] + 1, self._first[1] + position)
-        self._points.append((stamp, position))
-        while self._points[0][0] < stamp - WINDOW_S:
-            self._points.popleft()
-        self._line = None
+        self._append(stamp, position)
+        self._velocity = None
+
+    def _append(self, stamp: float, position: np.ndarray) -> None:
+        if self._count == len(self._times):
+            self._first = int(np.searchsorted(self._times, stamp - WALK_S))
+            used = slice(self._first, self._count)
+            spare = np.empty(max(_CAPACITY, 2 * (self._count - self._first)))
+            self._times = np.concatenate([self._times[used], spare])
+            self._places = np.concatenate([self._places[used], np.empty((len(spare), 3))])
+            self._first, self._count = 0, self._count - self._first
+        self._times[self._count], self._places[self._count] = stamp, position
+        self._count += 1
 
     def near(self, stamp: float) -> Tuple[float, Estimate]:
         """Return the mean place of the moment around `stamp` (s), or of the last one before, and its time (s)."""
-        times, places, velocity = self._history()
-        near = np.abs(times - times[np.abs(times - stamp).argmin()]) <= MOMENT_S
-        return float(times[near].mean()), Estimate(places[near].mean(axis=0), velocity, self.covariance)
+        times, places = self._since(WINDOW_S)
+        middle = times.searchsorted(stamp)
+        if middle == len(times) or middle > 0 and stamp - times[middle - 1] <= times[middle] - stamp:
+            middle -= 1
+        first, last = times.searchsorted((times[middle] - MOMENT_S, times[middle] + MOMENT_S + 1e-9))
+        count = last - first
+        return (float(np.add.reduce(times[first:last])) / count,
+                Estimate(np.add.reduce(places[first:last]) / count, self.velocity, self.covariance))
+
+    @property
+    def resting_place(self) -> np.ndarray:
+        """Mean of the last places, (3,) m: more exact than that of a moment for who stands."""
+        _, places = self._since(REST_S)
+        mean: np.ndarray = np.add.reduce(places) / len(places)
+        return mean
 
     def at(self, stamp: float) -> Estimate:
         """Where the person is at a time (s) near or after the last place, walking on as it went."""
         time, place = self.near(stamp)
         return place._replace(position=place.position + place.velocity * (stamp - time))
 
-    def _history(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Times (N,) s and places (N, 3) m of the last second, and the velocity (3,) m/s of a straight line through
-        them."""
-        if self._line is None:
-            times = np.array([time for time, _ in self._points])
-            places = np.array([place for _, place in self._points])
-            velocity = np.zeros(3)
-            if times[-1] - times[0] >= SHORTEST_S:
-                offset = times - times.mean()
-                velocity = offset @ places / float(offset @ offset)
-                velocity = velocity * min(1.0, FASTEST_MPS / max(float(np.linalg.norm(velocity)), 1e-9))
-            self._line = (times, places, velocity)
-        return self._line
+    def walk(self, begins: bool, seconds: float = WALK_S) -> Walk:
+        """How the person walks, by the places of the last `seconds`, and where at the first of these (begins) or the
+        last.
+
+        The error of a place changes slowly, so that many places tell a velocity little better than two.
+        """
+        times, places = self._since(seconds)
+        at_end = times <= times[0] + 2.0 * MOMENT_S if begins else times >= times[-1] - 2.0 * MOMENT_S
+        offset, span = times - times.mean(), max(float(times[-1] - times[0]), SHORTEST_S)
+        velocity = offset @ places / max(float(offset @ offset), 1e-6)
+        return Walk(float(times[at_end].mean()), places[at_end].mean(axis=0), self.covariance, velocity,
+                    (WALK_DRIFT / span) ** 2 * self.covariance)
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Slope of a straight line through the places of the last moments, (3,) m/s."""
+        if self._velocity is not None:
+            return self._velocity
+        times, places = self._since(WINDOW_S)
+        velocity = np.zeros(3)
+        if times[-1] - times[0] >= SHORTEST_S:
+            offset = times - np.add.reduce(times) / len(times)
+            velocity = offset @ places / float(offset @ offset)
+            velocity = velocity * min(1.0, FASTEST_MPS / max(math.sqrt(velocity @ velocity), 1e-9))
+        self._velocity = velocity
+        return velocity
+
+    def _since(self, seconds: float) -> Tuple[np.ndarray, np.ndarray]:
+        """Times (N,) s and places (N, 3) m of the last `seconds`."""
+        times = self._times[self._first:self._count]
+        first = self._first + int(times.searchsorted(self.ended - seconds))
+        return self._times[first:self._count], self._places[first:self._count]

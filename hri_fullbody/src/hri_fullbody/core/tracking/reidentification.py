@@ -155,6 +155,8 @@ def _counts(owners: np.ndarray, count: int, values: np.ndarray, middles: np.ndar
 
 LEAST_LIKELIHOOD = 0.9
 """What is less likely is not told."""
+CLEARLY_ALIKE = 0.21
+"""Distance of the clothes up to which somebody is told: a quarter farther than the mean of one human at two times."""
 WATCH_S = 1.0
 """Time (s) for which a body is seen before it is compared, or remembered: the clothes of one image say less."""
 MAX_LOST = 50
@@ -292,7 +294,8 @@ class BodyReidentifier:
             if self._begun is not None and self._living[key].first - self._begun > _THERE_S:
                 self._newcomers += new
             best = int(np.argmax(likely[row])) if lost else -1
-            if best >= 0 and likely[row, best] >= LEAST_LIKELIHOOD:
+            if best >= 0 and likely[row, best] >= LEAST_LIKELIHOOD and _all_agrees(
+                    self._living[key], self._lost[lost[best]]):
                 found.append(Reidentification(key, lost[best], float(likely[row, best])))
                 del self._lost[lost[best]]
             appearance = self._living[key].now.appearance
@@ -333,6 +336,15 @@ class BodyReidentifier:
             return _SAME_FACE
         others = [body for body in (*self._lost.values(), *self._living.values()) if body is not new]
         return -math.inf if any(body.now.face == face for body in others) else 0.0
+
+
+def _all_agrees(new: _Body, old: _Body) -> bool:
+    """Tell whether clothes and stature each let two bodies be one human, however likely all together makes it: somebody
+    dressed much like him may come where he has left. A face that goes on tells by itself."""
+    if new.now.face is not None and new.now.face == old.now.face:
+        return True
+    clothes = difference(new.now.appearance, old.now.appearance)
+    return clothes is not None and clothes <= CLEARLY_ALIKE and _stature_evidence(new.now, old.now) >= 0.0
 
 
 def marginals(odds: np.ndarray) -> np.ndarray:

@@ -1,0 +1,390 @@
+"""What each sensor sees of each human, and which of these views are one human: the book-keeping of `cross_camera`.
+
+A `View` is what one sensor sees of one human: a face, a body, or both. A `ViewGroup` is one or more views that are one
+human. Views that one sensor has had at the same time are two humans; so are two to whom the recogniser of one sensor
+gave different names, or of whom it says that one is not the other. (Recognisers that do not share a gallery give one
+human several names.)
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import OrderedDict
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Set, Tuple
+
+import numpy as np
+
+from hri_person_manager.core.features import Kind, MatchNode
+from hri_person_manager.core.triangulation import FRESH_S, Estimate, SensorTrack, shares, weighted
+
+OVERLAP_S = 0.2            # two views of one sensor that were there at once for so long are two humans
+STANDING_MPS = 0.15        # who goes slower stands
+RESTING_M = 0.12           # nearer to the mean of the last seconds somebody stands rather than walks
+LEARNT_VARIANCE = 0.1 ** 2     # a scale is used from then on
+FIXED_VARIANCE = 0.08 ** 2     # of a scale that was learnt, as far as it changes with the moment
+MAX_SENSORS = 50
+MAX_NAMES = 1000
+_NOBODY: FrozenSet[str] = frozenset()
+Pair = FrozenSet[int]
+
+
+class SensedGroup(NamedTuple):
+    """What the manager knows of features that belong together.
+
+    person: whose they are, empty while that is nobody. names: who recognisers say that it is, doubted: and who not.
+    """
+
+    features: FrozenSet[MatchNode]
+    person: str
+    names: FrozenSet[str] = frozenset()
+    doubted: FrozenSet[str] = frozenset()
+
+
+@dataclass
+class Scale:
+    """How much farther away somebody is than one feature tells at one sensor, with its variance: learnt where rays
+    cross."""
+
+    value: float = 1.0
+    variance: float = math.inf
+
+    def learn(self, value: float, variance: float) -> None:
+        """Take a measurement; those of one second are no better than one."""
+        if not math.isfinite(self.variance):
+            self.value, self.variance = value, variance
+            return
+        gain = max(0.02, self.variance / (self.variance + 10.0 * variance))
+        self.value += gain * (value - self.value)
+        self.variance = max(0.03 ** 2, (1.0 - gain) * self.variance)
+
+
+class View:
+    """What one sensor sees of one human."""
+
+    def __init__(self, number: int, sensor: str) -> None:
+        self.number, self.sensor = number, sensor
+        self.tracks: Dict[MatchNode, SensorTrack] = {}
+        self.person = ""
+        self.names = self.doubted = _NOBODY
+        self.began = math.inf
+
+    @property
+    def best(self) -> SensorTrack:
+        """The track that places the human: of the best source that is fresh, else the newest."""
+        if len(self.tracks) == 1:
+            return next(iter(self.tracks.values()))
+        newest = self.ended
+        return min(self.tracks.values(), key=lambda track: (newest - track.ended > FRESH_S, track.source,
+                                                            -track.ended))
+
+    @property
+    def ended(self) -> float:
+        """Stamp of the newest place, s."""
+        newest = -math.inf
+        for track in self.tracks.values():
+            newest = max(newest, track.ended)
+        return newest
+
+    @property
+    def slots(self) -> Set[Tuple[str, Kind]]:
+        """Sensor and kinds of the features: a human has one of each."""
+        return {(self.sensor, feature.kind) for feature in self.tracks}
+
+    def at(self, stamp: float, scales: Mapping[Tuple[str, int], Scale] = MappingProxyType({})) -> Estimate:
+        """Where the human is at a time (s) near the newest place, by this view; scales: what was learnt of this human
+        by sensor and source."""
+        time, found = self.near(stamp, scales)
+        return found._replace(position=found.position + found.velocity * (stamp - time))
+
+    def near(self, stamp: float, scales: Mapping[Tuple[str, int], Scale] = MappingProxyType({})
+             ) -> Tuple[float, Estimate]:
+        """The mean place of the moment around `stamp` (s), or of the last one before, and its time (s)."""
+        track = self.best
+        time, found = track.near(stamp)
+        scale = scales.get((self.sensor, track.source))
+        if scale is None or track.origin is None or scale.variance > LEARNT_VARIANCE:
+            return time, found
+        ray = found.position - track.origin
+        square = max(float(ray @ ray), 1e-6)
+        less = float(ray @ found.covariance @ ray) / square - (scale.variance + FIXED_VARIANCE) * square
+        return time, Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
+                              found.covariance - max(0.0, less) / square * (ray[:, None] * ray))
+
+
+class LostSight(NamedTuple):
+    """The last sight of a human: its stamp (s), the sensors that had it, where it was by all of them where these are
+    several, and the tracks of the view that ended last."""
+
+    stamp: float
+    sensors: FrozenSet[str]
+    place: Optional[Estimate]
+    tracks: Tuple[SensorTrack, ...]
+
+
+class ViewGroup:
+    """Views that are one human, and who that was so far.
+
+    persons: ids of persons of the table that this human is or was. scales: by sensor and source of the
+    place. seen: stamp of the newest place by sensor, s. lost: how it was when the last view ended. fused: where it was
+    by all views, and when (s).
+    """
+
+    def __init__(self, number: int, view: View) -> None:
+        self.number, self.views = number, [view]
+        self.persons: "OrderedDict[str, None]" = OrderedDict()
+        self.names = _NOBODY
+        self.scales: Dict[Tuple[str, int], Scale] = {}
+        self.seen: Dict[str, float] = {}
+        self.lost: Optional[LostSight] = None
+        self.fused: Optional[Tuple[float, Estimate]] = None
+
+    @property
+    def slots(self) -> Set[Tuple[str, Kind]]:
+        """Sensor and kinds of all features."""
+        return {slot for view in self.views for slot in view.slots}
+
+    @property
+    def sensors(self) -> Set[str]:
+        """Sensors that see it."""
+        return {view.sensor for view in self.views}
+
+
+@dataclass
+class Nearness:
+    """Smoothed squared distance of a pair, since when (s) it is near, likely or far, and when it was compared (s)."""
+
+    square: float
+    since: float
+    stamp: float
+    near: bool
+    likely_since: float = math.inf
+
+
+class ViewGroups:
+    """All views and groups of views, and what is known of who cannot be one human.
+
+    tracks: of each feature. view_of: by feature. group_of: by number of the view. all: by number of the group; one
+    without a view is somebody whom all have lost. near, apart: how near pairs of groups are, and views to the rest of
+    their group. two: pairs of groups that are two humans. parted: pairs of persons that a user has parted. kept: links
+    of groups that are gone. explained: groups that each group may be.
+    """
+
+    def __init__(self) -> None:
+        self.tracks: Dict[MatchNode, SensorTrack] = {}
+        self.view_of: Dict[MatchNode, View] = {}
+        self.group_of: Dict[int, ViewGroup] = {}
+        self.all: Dict[int, ViewGroup] = {}
+        self.near: Dict[Pair, Nearness] = {}
+        self.apart: Dict[int, Nearness] = {}
+        self.two: Set[Pair] = set()
+        self.sensors: Set[str] = set()
+        self.named_by: "OrderedDict[str, Set[str]]" = OrderedDict()
+        self.kept: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
+        self.parted: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
+        self.explained: Dict[int, Set[int]] = {}
+        self._numbers = itertools.count()
+
+    def track(self, feature: MatchNode, sensor: str) -> Optional[SensorTrack]:
+        """The track of a feature, a new one where another sensor sees it now; None when there are too many sensors."""
+        if sensor not in self.sensors:
+            if len(self.sensors) >= MAX_SENSORS:
+                return None
+            self.sensors.add(sensor)
+        track = self.tracks.get(feature)
+        if track is None or track.sensor != sensor:
+            track = self.tracks[feature] = SensorTrack(sensor)
+            view = self.view_of.pop(feature, None)
+            if view is not None:
+                view.tracks.pop(feature, None)
+        return track
+
+    def views(self) -> List[View]:
+        """All views."""
+        return [view for human in self.all.values() for view in human.views]
+
+    # ----- who belongs together at one sensor
+
+    def regroup(self, groups: Iterable[SensedGroup]) -> None:
+        """Make the views anew; a view goes on as long as one of its features does."""
+        taken: Set[int] = set()
+        seen: Set[MatchNode] = set()
+        for group in groups:
+            by_sensor: Dict[str, List[MatchNode]] = {}
+            for feature in sorted(group.features):
+                if feature in self.tracks:
+                    by_sensor.setdefault(self.tracks[feature].sensor, []).append(feature)
+            for sensor, features in by_sensor.items():
+                view = self._view_for(sensor, features, taken)
+                taken.add(view.number)
+                seen.update(features)
+                if view.names and group.names and not view.names & group.names:
+                    self._begin_anew(view)      # it is somebody else after all
+                view.person, view.names, view.doubted = group.person, group.names, group.doubted
+        for feature in [feature for feature in self.tracks if feature not in seen]:
+            del self.tracks[feature]
+            before = self.view_of.pop(feature, None)
+            if before is not None:
+                before.tracks.pop(feature, None)
+        for view in self.views():
+            if not view.tracks:
+                self._remove(view)
+
+    def _view_for(self, sensor: str, features: List[MatchNode], taken: Set[int]) -> View:
+        known = {view.number: view for view in (self.view_of.get(feature) for feature in features)
+                 if view is not None and view.number not in taken}
+        view = known[min(known)] if known else View(next(self._numbers), sensor)
+        if not known:
+            self.all[view.number] = self.group_of[view.number] = ViewGroup(view.number, view)
+        for number in sorted(known)[1:]:
+            self.unite(self.group_of[view.number], self.group_of[number])
+        for feature in features:
+            before = self.view_of.get(feature)
+            if before is not None and before is not view:
+                before.tracks.pop(feature, None)
+            self.view_of[feature] = view
+            view.tracks[feature] = self.tracks[feature]
+        for feature in [feature for feature in view.tracks if feature not in features]:
+            del view.tracks[feature]
+            if self.view_of.get(feature) is view:
+                del self.view_of[feature]
+        view.began = min([view.began] + ([] if known else [track.began for track in view.tracks.values()]))
+        return view
+
+    def _remove(self, view: View) -> None:
+        human = self.group_of.pop(view.number)
+        human.views.remove(view)
+        self.apart.pop(view.number, None)
+        told = [number for number in self.explained.get(human.number, ()) if number in self.all
+                and self.all[number].persons]
+        if not human.views and (human.lost is None or not human.persons or told):
+            self.drop(human)       # nobody was told of it, or it was somebody who is still there
+
+    def drop(self, human: ViewGroup) -> None:
+        """Forget a group; the links of its persons are kept."""
+        first, *others = human.persons or [""]
+        self.kept.update(dict.fromkeys(frozenset((first, other)) for other in others))
+        self.all.pop(human.number, None)
+        self.two = {pair for pair in self.two if human.number not in pair}
+        self.near = {pair: near for pair, near in self.near.items() if human.number not in pair}
+
+    def unite(self, human: ViewGroup, other: ViewGroup) -> None:
+        """Make one human of two, whatever is known of them."""
+        if human is other:
+            return
+        if other.persons and other.number < human.number:
+            human, other = other, human
+        for view in other.views:
+            self.group_of[view.number] = human
+        human.views += other.views
+        human.persons.update(other.persons)
+        human.scales = {**other.scales, **human.scales}
+        human.seen = {**other.seen, **human.seen}
+        human.names |= other.names
+        self.two |= {frozenset((human.number, *(pair - {other.number}))) for pair in self.two
+                      if other.number in pair and human.number not in pair}
+        if human.views:
+            human.lost = None
+        other.persons.clear()
+        self.drop(other)
+
+    def take_out(self, view: View) -> None:
+        """Make a human of its own of a view."""
+        human = self.group_of[view.number]
+        if len(human.views) < 2:
+            return
+        human.views.remove(view)
+        new = ViewGroup(next(self._numbers), view)
+        self.all[new.number] = self.group_of[view.number] = new
+        human.scales = {key: scale for key, scale in human.scales.items() if key[0] != view.sensor}
+        human.seen.pop(view.sensor, None)
+        new.names = view.names
+        human.names = frozenset().union(*(one.names for one in human.views))
+        if view.person:
+            human.persons.pop(view.person, None)
+        self.apart.pop(view.number, None)
+
+    def _begin_anew(self, view: View) -> None:
+        """Let a view be somebody of whom nothing is known."""
+        human = self.group_of[view.number]
+        if len(human.views) > 1:
+            self.take_out(view)
+            return
+        self.drop(human)
+        view.began = view.ended
+        new = ViewGroup(next(self._numbers), view)
+        self.all[new.number] = self.group_of[view.number] = new
+
+    def part(self, first: str, second: str) -> None:
+        """Part two persons for good, as a user has."""
+        self.parted[frozenset((first, second))] = None
+        for human in list(self.all.values()):
+            if first in human.persons and second in human.persons:
+                for view in [view for view in human.views if view.person == second]:
+                    self.take_out(view)
+                human.persons.pop(second, None)
+        while len(self.parted) > MAX_NAMES:
+            self.parted.popitem(last=False)
+
+    # ----- who are two
+
+    def note_names(self, live: Iterable[View]) -> None:
+        """Remember at which sensors each name is given."""
+        for view in live:
+            for name in view.names:
+                self.named_by.setdefault(name, set()).add(view.sensor)
+        while len(self.named_by) > MAX_NAMES:
+            self.named_by.popitem(last=False)
+        for human in self.all.values():
+            if human.views:
+                human.names = frozenset().union(*(view.names for view in human.views))
+
+    def note_two(self, live: List[View]) -> None:
+        """Remember the humans that one sensor sees at the same time."""
+        for first, second in itertools.combinations(live, 2):
+            one, other = self.group_of[first.number], self.group_of[second.number]
+            if first.sensor != second.sensor or one is other:
+                continue
+            pair = frozenset((one.number, other.number))
+            if pair not in self.two and first.slots & second.slots and (
+                    min(first.ended, second.ended) - max(first.began, second.began) > OVERLAP_S):
+                self.two.add(pair)
+
+    def have_other_names(self, first: FrozenSet[str], second: FrozenSet[str]) -> bool:
+        """Tell whether one sensor's recogniser gives two humans different names."""
+        return not first & second and any(
+            self.named_by.get(a, _NOBODY) & self.named_by.get(b, _NOBODY) for a in first for b in second)
+
+    def may_be_one(self, one: ViewGroup, other: ViewGroup) -> bool:
+        """Tell whether nothing is known that makes two humans of them."""
+        if frozenset((one.number, other.number)) in self.two or one.slots & other.slots:
+            return False
+        if is_doubted(one.views, other.views) or self.have_other_names(one.names, other.names):
+            return False
+        return not any(frozenset((a, b)) in self.parted for a in one.persons for b in other.persons)
+
+
+def is_doubted(views: List[View], others: List[View]) -> bool:
+    """Tell whether a recogniser says of one of these views that it is not who one of the others is."""
+    return any(a.doubted & (b.names | {b.person}) for one, two in ((views, others), (others, views))
+               for a in one for b in two)
+
+
+def fuse_views(views: List[View], stamp: float, scales: Mapping[Tuple[str, int], Scale] = MappingProxyType({})
+                ) -> Estimate:
+    """Where a human is at `stamp` (s) by all of these views; those of heads only, where there are some. scales count
+    where one view is left: they were learnt where several crossed."""
+    heads = [view for view in views if view.best.source < 2] or views
+    if len(heads) == 1:
+        return heads[0].at(stamp, scales)
+    moments = [view.near(stamp) for view in heads]
+    # One view tells the velocity along its ray badly, all together well.
+    weights, covariance = shares(np.array([item.covariance for _, item in moments]))
+    velocity = weighted(weights, np.array([item.velocity for _, item in moments]))
+    if float(velocity @ velocity) < STANDING_MPS ** 2:
+        velocity = np.zeros(3)
+    place = weighted(weights, np.array([item.position + velocity * (stamp - time) for time, item in moments]))
+    away = weighted(weights, np.array([view.best.resting_place for view in heads])) - place
+    return Estimate(place + away / (1.0 + (float(away @ away) / RESTING_M ** 2) ** 2), velocity, covariance)
