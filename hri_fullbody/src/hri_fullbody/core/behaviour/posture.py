@@ -22,7 +22,7 @@ _HIDDEN_SEAT_THIGH_LOW = 50.0
 _SEAT_TRUNK = 30.0
 _SEAT_SHANK = 60.0
 _ON_GROUND = 0.18
-_CROUCH_KNEE, _CROUCH_SHANK, _CROUCH_THIGH, _CROUCH_HEIGHT = 50.0, 78.0, 18.0, 0.30
+_CROUCH_KNEE, _CROUCH_SHANK, _CROUCH_THIGH, _CROUCH_HEIGHT = 42.0, 80.0, 14.0, 0.36
 _SAME_THIGHS = 35.0  # both legs bear the weight; on one knee or in a lunge they differ by more
 _OVER_FEET = 0.085
 _SHORT_LEG = 0.74
@@ -137,13 +137,16 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
             return PostureClass.STANDING
         seated = tilt < _SEAT_TRUNK and all(_HIDDEN_SEAT_THIGH_LOW < leg.thigh < 110.0 for leg in legs)
         return PostureClass.SITTING if seated else PostureClass.OTHER
-    if any(leg.thigh < _STRAIGHT_THIGH and leg.knee < _STRAIGHT_KNEE and leg.shank < _CROUCH_SHANK for leg in whole):
+    # A leg that seems straight while the hips are low is a wrong one: straight legs are long.
+    low = max(leg.height for leg in whole) < _CROUCH_HEIGHT
+    if not low and any(leg.thigh < _STRAIGHT_THIGH and leg.knee < _STRAIGHT_KNEE and leg.shank < _CROUCH_SHANK
+                       for leg in whole):
         return PostureClass.STANDING
     if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
         return PostureClass.OTHER
     thighs = [leg.thigh for leg in whole]
     if _over_feet(points, hips, stature, up):
-        deep = (max(leg.height for leg in whole) < _CROUCH_HEIGHT and _middle(leg.knee for leg in whole) > _CROUCH_KNEE
+        deep = (low and _middle(leg.knee for leg in whole) > _CROUCH_KNEE
                 and _middle(leg.shank for leg in whole) < _CROUCH_SHANK and _middle(thighs) > _CROUCH_THIGH
                 and max(thighs) - min(thighs) < _SAME_THIGHS)
         return PostureClass.CROUCHING if deep else PostureClass.OTHER
