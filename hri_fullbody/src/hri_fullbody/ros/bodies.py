@@ -93,7 +93,7 @@ class BodyProcessor:
             self._guard.each("body", self._describe, self._pipeline.modelled)
         self._publish_models(bodies, frame)
         if self._markers.get_num_connections() and not self._no_frame:
-            self._draw(bodies, frame, up)
+            self._draw(bodies, frame, self._pipeline.up)
 
     def reconfigure(self, settings: SimpleNamespace) -> None:
         """Take up the values of the live parameters; the bodies stay."""

@@ -204,7 +204,8 @@ def crossed_score(features: ArmFeatures, speed: float = 0.0) -> float:
     across = inward - _mean(features.ahead)
     folded = _lowest(
         soft(ahead, 0.19, 0.16),
-        soft(outward, 0.05, 0.02), soft(inward, 0.05, 0.07), soft(_between_forearms(features), 75.0, 95.0),
+        soft(outward, 0.05, 0.02), soft(inward, 0.05, 0.07),
+        _or(soft(_between_forearms(features), 75.0, 95.0), soft(across, -0.02, 0.005)),
         soft(near, 0.175, 0.14), soft(speed, _CLAPPING, _HELD))
     beyond = _lowest(
         soft(ahead, 0.22, 0.185),

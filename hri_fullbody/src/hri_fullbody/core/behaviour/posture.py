@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import Iterable, NamedTuple, Optional
+from typing import Dict, Iterable, NamedTuple, Optional
 
 import numpy as np
 
@@ -29,6 +29,12 @@ _SHORT_LEG = 0.74
 _LEG = 0.481  # thigh and shank
 _HOLD_S = 0.3
 _UNKNOWN_S = 1.0
+# Standard deviation of the vertical below which it is exact; else the directions that are tried, in standard
+# deviations, with their weights, the share of a posture among all that are told, and its least weight.
+_EXACT = math.radians(2.0)
+_BALANCE = math.radians(7.0)
+_PITCHES = ((-1.7, 0.09), (-0.8, 0.24), (0.0, 0.34), (0.8, 0.24), (1.7, 0.09))
+_AGREEING, _LEAST_VOTES = 0.9, 0.3
 
 
 class PostureClass(IntEnum):
@@ -64,9 +70,10 @@ class PostureEstimator:
         self._unknown = 0.0
 
     def update(self, points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray,
-               elapsed: float) -> PostureClass:
-        """Take the body `elapsed` s after the last call; see `posture_now`."""
-        seen = posture_now(points, axes, stature, up)
+               elapsed: float, up_sd: float = 0.0) -> PostureClass:
+        """Take the body `elapsed` s after the last call; see `posture_now`. up_sd: of the pitch of `up`, rad."""
+        seen = (posture_now(points, axes, stature, up) if up_sd <= _EXACT
+                else likely_posture(points, axes, stature, up, up_sd))
         if seen is None:
             self._unknown += elapsed
             if self._unknown > _UNKNOWN_S:
@@ -94,6 +101,32 @@ def without_guessed_legs(points: np.ndarray, keypoints: np.ndarray, width: float
     seen = np.array(points, dtype=np.float64)
     seen[legs[~inside]] = np.nan
     return seen
+
+
+def likely_posture(points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray,
+                   up_sd: float) -> Optional[PostureClass]:
+    """Return the posture that most of the directions which `up` may have tell, None when they do not agree.
+
+    up_sd: standard deviation of its pitch, rad. OTHER speaks against no posture as long as other directions have one.
+    """
+    votes: Dict[Optional[PostureClass], float] = {}
+    for share, weight in _PITCHES:
+        seen = posture_now(points, axes, stature, _pitched(up, share * up_sd))
+        votes[seen] = votes.get(seen, 0.0) + weight
+    named = {posture: weight for posture, weight in votes.items() if posture}
+    if up_sd > _BALANCE and PostureClass.CROUCHING in named:
+        return None     # whether the feet bear the trunk hangs on the vertical
+    if not named:
+        return PostureClass.OTHER if votes.get(PostureClass.OTHER, 0.0) > 0.5 else None
+    best = max(named, key=lambda posture: named[posture])
+    sure = named[best] >= _AGREEING * sum(named.values()) and named[best] >= _LEAST_VOTES
+    return best if sure else None
+
+
+def _pitched(up: np.ndarray, angle: float) -> np.ndarray:
+    """Turn a direction (3,) in the optical frame about the x axis, as a camera that looks down by `angle` rad more."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return np.array([up[0], cosine * up[1] - sine * up[2], sine * up[1] + cosine * up[2]])
 
 
 def posture_now(points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray) -> Optional[PostureClass]:
