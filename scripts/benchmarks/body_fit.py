@@ -34,6 +34,7 @@ from hri_fullbody.core import keypoints as kp
 from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS
 from hri_fullbody.core.detection.windows import FaceBox
 from hri_fullbody.core.filtering import KeypointFilter
+from hri_fullbody.core.keypoints import BLAZE_INNER_EYES, BLAZE_LEFT_ANKLE, BLAZE_RIGHT_ANKLE
 from hri_fullbody.core.kinematics.forward import TARGET_POINTS, compute_frames, forward
 from hri_fullbody.core.kinematics.ikpy_backend import LIMBS, LimbChains
 from hri_fullbody.core.kinematics.solver import JointSolver

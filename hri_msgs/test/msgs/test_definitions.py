@@ -22,6 +22,8 @@ OWN_FIELDS = {
     "hri_msgs/GazeSenderReceiver": ["sender", "receiver", "confidence"],
     "hri_msgs/GazesStamped": ["header", "gazes"],
     "hri_msgs/GroupsStamped": ["header", "groups", "confidences"],
+    "hri_msgs/Pointing": ["sender", "receiver", "origin", "direction", "has_place", "place", "confidence"],
+    "hri_msgs/PointingStamped": ["header", "pointings"],
 }
 
 
@@ -66,7 +68,7 @@ def message_directory(package: str) -> Path:
 
 def load(message_type: str) -> tuple:
     """Context and parsed definition of a message type, with those that it contains."""
-    packages = ("hri_msgs", "audio_common_msgs", "std_msgs")
+    packages = ("hri_msgs", "audio_common_msgs", "geometry_msgs", "std_msgs")
     search_path = {package: [str(message_directory(package))] for package in packages}
     context = genmsg.MsgContext.create_default()
     definition = genmsg.msg_loader.load_msg_by_type(context, message_type, search_path)

@@ -17,6 +17,7 @@ from typing import Callable, Deque, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 
 from hri_fullbody.core.behaviour.gesture import GestureClass
+from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
 from hri_fullbody.core.behaviour.posture import PostureClass, without_guessed_legs
 from hri_fullbody.core.behaviour.recognizer import BehaviourRecognizer, BodyBehaviour
 from hri_fullbody.core.detection.person_detector import CenterNetDetector, PersonDetector
@@ -116,7 +117,11 @@ class BodyPipeline:
         self._ground = GroundPlane()
         self.up = self._ground.up
         """(3,) unit vector against gravity in the optical frame, of the last image."""
+        self._floor: Optional[float] = None
         self._recognizers: Dict[str, BehaviourRecognizer] = {}
+        self._pointers: Dict[str, PointingEstimator] = {}
+        self.pointing: Dict[str, Pointing] = {}
+        """Who points in the last image, by body id."""
         self._last_models: Dict[str, _LastModel] = {}
         self._head_distances: Deque[float] = deque(maxlen=_HEAD_SAMPLES)
         self.reidentified: List[Reidentification] = []
@@ -155,6 +160,8 @@ class BodyPipeline:
             self._learn_ground(stamp, faces)
         bodies = self._localize(camera, stamp, faces, SceneContext(depth, up, camera_height))
         self._forget_all_but(self.tracked_ids)
+        learnt = self._ground.camera_height("") if up is None else None
+        self._floor = camera_height if learnt is None else learnt[0]
         self.up = self._ground.up if up is None else up
         self.fit(bodies, stamp, self.up, (width, height), self._ground.up_sd if up is None else 0.0)
         return bodies
@@ -173,6 +180,7 @@ class BodyPipeline:
                            0.0 if body.by_depth else MONOCULAR, self._size(body.id))
                  for body in seen.values()], stamp, up)
         with self.times("attitude"):
+            self.pointing = self._find_pointing(stamp, up)
             self._guard.each("body", lambda model: self._express(model, seen[model.id], stamp, up, size, up_sd),
                              self.modelled)
 
@@ -271,6 +279,18 @@ class BodyPipeline:
         if body.head is not None:
             self._head_distances.append(float(np.linalg.norm(model.head.translation - body.head.translation)))
 
+    def _find_pointing(self, stamp: float, up: np.ndarray) -> Dict[str, Pointing]:
+        """Who of the bodies of this image points, and at whom or where on the floor."""
+        points = {model.id: model.points for model in self.modelled}
+        told: Dict[str, Pointing] = {}
+        for model in self.modelled:
+            ray = self._pointers.setdefault(model.id, PointingEstimator()).update(
+                model.points, model.stature, stamp, up)
+            if ray is not None:
+                others = {name: place for name, place in points.items() if name != model.id}
+                told[model.id] = aim(ray, others, up, self._floor)
+        return told
+
     def model(self, body: BodyObservation) -> Optional[ModelledBody]:
         """Return the model of a body that is in the image, None while there is none.
 
@@ -341,6 +361,7 @@ class BodyPipeline:
         self._reidentifier.reset()
         self._localizers.clear()
         self._ground.reset()
+        self.pointing = {}
         self._modeller.reset()
         self._forget_all_but([])
         self._last_stamp = self._last_detection = -math.inf
@@ -348,7 +369,7 @@ class BodyPipeline:
 
     def _forget_all_but(self, ids: Sequence[str]) -> None:
         self._modeller.retain(ids)
-        for known in (self._recognizers, self._last_models):
+        for known in (self._recognizers, self._last_models, self._pointers):
             for gone in [body_id for body_id in known if body_id not in ids]:
                 del known[gone]
 

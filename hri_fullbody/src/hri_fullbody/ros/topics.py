@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Iterable, Optional, Sequence
+from typing import Iterable, Mapping, Optional, Sequence
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, TwistStamped
+from geometry_msgs.msg import Point, PointStamped, TwistStamped, Vector3
 from sensor_msgs.msg import Image, JointState
+from std_msgs.msg import Header
 
 from hri_fullbody.core.behaviour.recognizer import BodyBehaviour
 from hri_fullbody.core.pipeline import ModelledBody
-from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, Skeleton2D
+from hri_fullbody.core.behaviour.pointing import Pointing
+from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, PointingStamped, Skeleton2D
+from hri_msgs.msg import Pointing as PointingMessage
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.ros.conversions import bgr_to_image, roi_message, roi_type, skeleton_to_msg
 from hri_pipeline.ros.inputs import Frame
@@ -104,3 +107,13 @@ def crop(bgr: np.ndarray, box: np.ndarray) -> Optional[np.ndarray]:
     x0, y0 = np.clip(np.floor(box[:2]), 0, (width, height)).astype(int)
     x1, y1 = np.clip(np.ceil(box[2:]), 0, (width, height)).astype(int)
     return bgr[y0:y1, x0:x1] if x1 > x0 and y1 > y0 else None
+
+
+def pointing_message(found: Mapping[str, Pointing], header: Header) -> PointingStamped:
+    """Make the message of who points, by body id, in the frame of `header`."""
+    return PointingStamped(header=header, pointings=[
+        PointingMessage(
+            sender=body_id, receiver=one.receiver, origin=Point(*one.origin.tolist()),
+            direction=Vector3(*one.direction.tolist()), has_place=one.place is not None,
+            place=Point() if one.place is None else Point(*one.place.tolist()), confidence=one.confidence)
+        for body_id, one in found.items()])

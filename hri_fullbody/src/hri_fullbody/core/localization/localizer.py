@@ -223,6 +223,8 @@ def _cue(source: str, ratio: float, sd: Tuple[float, float], limits: Tuple[float
 # A body is about as large as this: makes pixels comparable with metres, for which the filters are tuned.
 _BODY_METRES = 1.76
 _KNOWN = 0.3
+# m/s, of a face that is still the body's own, and the time within which it may have jumped.
+_FASTEST, _SHORTEST_S = 4.0, 0.05
 _BOX_MARGIN = 0.04
 _HIPS = [BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP]
 
@@ -253,6 +255,7 @@ class BodyLocalizer:
         self._pixels_per_metre: Optional[float] = None
         self._pixels: Optional[np.ndarray] = None
         self._points: Optional[np.ndarray] = None
+        self._face: Optional[np.ndarray] = None
         self.by_depth = False
         """Whether a depth image gave the distance of the last detection."""
 
@@ -267,6 +270,7 @@ class BodyLocalizer:
         measured = track.stamp == stamp or self._pixels is None
         if measured:
             self._measure(track, camera, face, context)
+            self._face = None if face is None else face.translation
         assert self._pixels is not None
         estimate = track.expected(stamp)
         confidence = estimate.confidence[:BODY_LANDMARKS]
@@ -278,12 +282,22 @@ class BodyLocalizer:
         sure = confidence_18(confidence)
         known = confidence_18(track.estimate.confidence[:BODY_LANDMARKS]) >= _KNOWN
         if self._points is not None:
-            points = self._points if measured or velocity is None else self._points + velocity * age
+            points = self._points + self._shift(measured, velocity, age, face)
             in_space[known] = to_18_points(points)[known]
             pose = body_pose(points)
         box = visible_box(pixels, track.estimate.confidence[:BODY_LANDMARKS], camera.width, camera.height)
         return BodyObservation(track.id, box, estimate.score, np.column_stack([to_18_points(pixels), sure]), in_space,
                                pose, face, velocity, measured, self.by_depth)
+
+    def _shift(self, measured: bool, velocity: Optional[np.ndarray], age: float, face: Optional[Pose]) -> np.ndarray:
+        """Way (3,) m since the body was measured: that of its face, else by its velocity (m/s) in `age` s."""
+        if measured:
+            return np.zeros(3)
+        if face is not None and self._face is not None and np.all(np.isfinite(face.translation)):
+            way = face.translation - self._face
+            if float(np.linalg.norm(way)) < _FASTEST * max(age, _SHORTEST_S):
+                return way
+        return np.zeros(3) if velocity is None else velocity * age
 
     def _measure(self, track: BodyTrack, camera: CameraModel, face: Optional[Pose], context: SceneContext) -> None:
         estimate = track.estimate
