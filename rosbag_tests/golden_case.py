@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Mapping
 
 from hri_pipeline.score.bag import read_bag
+from hri_pipeline.score.command import score
 from hri_pipeline.score.golden import compare, comparison_table, load_golden
-from hri_pipeline.score.metrics import score
 
 GOLDEN = Path(__file__).resolve().parent / "golden.yaml"
 

@@ -427,7 +427,8 @@ def pointing_figures(people: int = 60, seed: int = 23, level: Level = 10) -> Dic
         random = np.random.default_rng([seed, number])
         motion = load_motion(ALL[number % len(ALL)], person, _RATE)
         motion = _upright_part(_to_and_fro(motion, 90), 90, random)
-        motion, truth = _pointing(before_camera(motion, int(random.integers(2 ** 31)), random.uniform(-1.0, 1.0)), random)
+        motion = before_camera(motion, int(random.integers(2 ** 31)), random.uniform(-1.0, 1.0))
+        motion, truth = _pointing(motion, random)
         found = [(frame, ray) for frame, ray in enumerate(_rays(motion, level, number)) if ray is not None]
         held = [_apart_degrees(ray, truth[frame]) for frame, ray in found if 45 <= frame < 80]
         told += len(held) >= 10

@@ -95,7 +95,7 @@ def _run(folder: Path, hours: float, speed: float) -> Dict[str, object]:
         text = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         raise CrowdError("no bag was recorded: {}".format(text[-1] if text else "roslaunch said nothing"))
     from hri_pipeline.score.bag import read_bag
-    from hri_pipeline.score.metrics import ANONYMOUS, score
+    from hri_pipeline.score.command import ANONYMOUS, score
     record = read_bag(bag)
     figures = score(record)
     kept = ("duration_s", "persons_true", "persons_found", "persons_ids", "mota", "motp_m", "id_switches",

@@ -18,10 +18,16 @@ from scipy.spatial.transform import Rotation
 from benchmarks.labels import LabelledFace, confusion, images, labelled_eyes, nearest_face, read_labels
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.analysis import FaceDemand
-from hri_pipeline.core.faces.blendshapes import Blendshapes
 from hri_pipeline.core.faces.gaze import EyeGeometry, GazeEstimator
 from hri_pipeline.core.faces.head_pose import HeadPoseEstimator, yaw_pitch_roll
-from hri_pipeline.core.faces.mesh import VERTICES, CanonicalFace, FaceMesh, load_canonical_face, roi_from_mesh
+from hri_pipeline.core.faces.mesh import (
+    VERTICES,
+    Blendshapes,
+    CanonicalFace,
+    FaceMesh,
+    load_canonical_face,
+    roi_from_mesh,
+)
 from hri_pipeline.core.faces.parameters import FACES
 from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.geometry import Pose

@@ -10,7 +10,6 @@ import cmath
 import math
 import random
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -18,7 +17,7 @@ import numpy as np
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.interactions.engagement import LEGAL, EngagementEstimator, Level
 from hri_pipeline.core.interactions.gaze import ROBOT, GazeTarget, GazeTargets, Observer
-from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS, InteractionSettings
 from hri_pipeline.core.simulation.parameters import sense_defaults
 from hri_pipeline.core.simulation.scene import AWAY, LOOK_AT, Behaviour, Order, PersonScript, Robot, Scene
 from hri_pipeline.core.simulation.scene_file import parse_scene
@@ -189,7 +188,7 @@ class PairCounts:
 
 
 def gaze(people: int, seconds: float = 60.0, closed_eyes_rule: bool = True, held: float = 0.0,
-         seeds: Sequence[int] = SEEDS, settings: Optional[SimpleNamespace] = None,
+         seeds: Sequence[int] = SEEDS, settings: Optional[InteractionSettings] = None,
          clear: float = SHOULDERS) -> Dict[str, float]:
     """Return the figures of so many people over `seconds` for each seed.
 

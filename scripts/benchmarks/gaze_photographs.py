@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import cv2
@@ -22,7 +21,7 @@ from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.frames import RawTransform
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.interactions.gaze import ROBOT, GazeTargets
-from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS, InteractionSettings
 from hri_pipeline.core.interactions.people import Observer, PeopleTf, Seen, gather
 from hri_pipeline.core.observations import FaceObservation
 
@@ -103,7 +102,7 @@ def told_of(table: Mapping[str, Mapping[str, int]]) -> Dict[str, float]:
             "told": sum(told.values()), "looks": there}
 
 
-def photographs(models: Path, overlay: Optional[Path] = None, settings: Optional[SimpleNamespace] = None
+def photographs(models: Path, overlay: Optional[Path] = None, settings: Optional[InteractionSettings] = None
                 ) -> Dict[str, Dict[str, Dict[str, int]]]:
     """Return confusion tables, rows truth, of all labelled faces; each picture is looked at as a film of 2 s.
 
@@ -139,7 +138,7 @@ def photographs(models: Path, overlay: Optional[Path] = None, settings: Optional
 
 
 def _answers(stage: FacePipeline, frames: PeopleTf, image: np.ndarray, gazes: Sequence[LabelledGaze],
-             settings: SimpleNamespace
+             settings: InteractionSettings
              ) -> Dict[str, List[GazeAnswer]]:
     """Return what is found of the labelled faces of a picture, without and with the action units."""
     camera = CameraModel.from_fov(image.shape[1], image.shape[0], PHOTOGRAPH_HFOV)
@@ -169,7 +168,7 @@ def _lids(face: FaceObservation, stamp: float) -> Seen:
     return Seen(stamp, max(float(units.intensity[unit]) for unit in (EYES_CLOSED, BLINK)))
 
 
-def observers(frames: PeopleTf, faces: Sequence[FaceObservation], stamp: float, settings: SimpleNamespace,
+def observers(frames: PeopleTf, faces: Sequence[FaceObservation], stamp: float, settings: InteractionSettings,
               lids: Mapping[str, Seen]) -> List[Observer]:
     """Return the people of these faces as the interactions node makes them of their frames; ids are those of the faces.
 
@@ -195,7 +194,7 @@ def _raw(parent: str, child: str, stamp: float, pose: Pose) -> RawTransform:
 
 def _answer(gaze: LabelledGaze, face: Optional[FaceObservation], people: Mapping[str, Observer],
             looks: Mapping[str, str],
-            faces: Sequence[FaceObservation], shape: Sequence[int], settings: SimpleNamespace) -> GazeAnswer:
+            faces: Sequence[FaceObservation], shape: Sequence[int], settings: InteractionSettings) -> GazeAnswer:
     if face is None or face.id not in people:
         return GazeAnswer(NOT_FOUND)
     person, receiver = people[face.id], looks.get(face.id)

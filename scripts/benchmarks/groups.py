@@ -7,7 +7,6 @@ import math
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Dict, FrozenSet, List, Optional, Sequence, Set, Tuple
 
 import numpy as np
@@ -15,7 +14,7 @@ import scipy.io
 
 from benchmarks.data_directory import ABSENT, data_directory
 from hri_pipeline.core.interactions.groups import GroupTracker, Individual, find_formations
-from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS, GroupSettings
 from hri_pipeline.score.metrics import group_scores
 
 PUBLISHED_F1: Dict[str, Dict[str, float]] = {"CoffeeBreak": {"GCFF": 0.88}, "Synth": {"GCFF": 0.97}}
@@ -28,7 +27,7 @@ NOISE_SEEDS = range(5)
 RATE_HZ = 15.0
 
 
-def found_groups(scenes: Sequence[GroupScene], settings: Optional[SimpleNamespace] = None,
+def found_groups(scenes: Sequence[GroupScene], settings: Optional[GroupSettings] = None,
                  direction_sd: float = DIRECTION_SD) -> List[List[FrozenSet[int]]]:
     """Return the groups found in each scene by itself. settings: of the interactions node, None: the defaults."""
     settings = settings or INTERACTION_PARAMETERS.resolve({})
@@ -41,7 +40,7 @@ def found_groups(scenes: Sequence[GroupScene], settings: Optional[SimpleNamespac
     return found
 
 
-def f1(scenes: Sequence[GroupScene], settings: Optional[SimpleNamespace] = None) -> Tuple[float, float]:
+def f1(scenes: Sequence[GroupScene], settings: Optional[GroupSettings] = None) -> Tuple[float, float]:
     """Return F1 of the groups found in the scenes at T = 2/3 and at T = 1 (the very same members)."""
     found, truth = found_groups(scenes, settings), [scene.groups for scene in scenes]
     return group_scores(found, truth).f1, group_scores(found, truth, 1.0).f1

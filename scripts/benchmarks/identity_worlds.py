@@ -12,8 +12,7 @@ from typing import Dict, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from hri_fullbody.core.tracking.appearance import PARTS, histogram_of_colours
-from hri_fullbody.core.tracking.reidentification import BodyReidentifier, TrackAppearance
+from hri_fullbody.core.tracking.reidentification import PARTS, BodyReidentifier, TrackAppearance, histogram_of_colours
 
 RATE = 5.0
 _PIXELS = 60

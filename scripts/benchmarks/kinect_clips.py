@@ -77,7 +77,7 @@ def figures(subjects: Sequence[int] = REPORTED) -> Dict[str, object]:
 
     waving_false: of STILL_CLIPS people who hold up a hand without moving it, with depth noise, how many wave.
     posture: before cameras 0.5 to 2.5 m high that look 0 to 35 degrees down, whose tilt nobody tells; each person
-    stands for 1.5 s first. posture_up_known: before the recording's own camera. posture_never_stood: nobody ever stands.
+    stands for 1.5 s first. posture_up_known: before the recording's own camera. posture_never_stood: nobody has stood.
     """
     clips = load_clips(subjects)
     crossed = [_crossed_arms(clips, noise) for noise in NOISES]

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Dict, Iterable, List, Sequence, Tuple, Union
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.gaze import gaze_frame
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.simulation.parameters import sense_defaults
+from hri_pipeline.core.simulation.parameters import SceneSettings, sense_defaults
 from hri_pipeline.core.simulation.projection import box, keypoints, landmarks
 from hri_pipeline.core.simulation.scene_file import Scene
 from hri_pipeline.core.simulation.sensors import (
@@ -95,7 +94,7 @@ def write_truth(bag: BagWriter, truth: SceneTruth, base: float, visible: Iterabl
 class _Recording:
     """Writes what is sensed, cycle by cycle."""
 
-    def __init__(self, bag: BagWriter, settings: SimpleNamespace) -> None:
+    def __init__(self, bag: BagWriter, settings: SceneSettings) -> None:
         self._bag, self._settings = bag, settings
         self._camera = CameraModel.from_fov(settings.width, settings.height, math.radians(settings.sense_hfov))
         self._lists: Dict[str, Tuple[float, List[str]]] = {}
@@ -178,7 +177,7 @@ def _upright(yaw: float, position: Sequence[float]) -> Pose:
     return Pose(np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]), np.array([*position, 0.0]))
 
 
-def _robot(scene: Scene, settings: SimpleNamespace) -> List[Frame]:
+def _robot(scene: Scene, settings: SceneSettings) -> List[Frame]:
     """The fixed frames: reference, robot, camera, microphone."""
     robot = scene.robot
     base = _upright(robot.yaw, robot.position)

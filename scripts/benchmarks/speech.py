@@ -28,7 +28,7 @@ from hri_pipeline.core.asr.engines import (
     read_grammar,
 )
 from hri_pipeline.core.asr.moonshine import plain_words
-from hri_pipeline.core.asr.parameters import SPEECH_RECOGNITION_PARAMETERS
+from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.audio.pipeline import VoicePipeline
 from hri_pipeline.core.audio.stream import encode_s16
 from hri_pipeline.score.metrics import word_errors
@@ -282,8 +282,7 @@ def false_commands() -> str:
 
 def least_confidence() -> float:
     """Return the default of speech_min_confidence."""
-    return next(float(parameter.default) for parameter in SPEECH_RECOGNITION_PARAMETERS
-                if parameter.name == "speech_min_confidence")
+    return SpeechSettings().speech_min_confidence
 
 
 def _recognise(engine: SpeechEngine, samples: np.ndarray) -> Recognised:

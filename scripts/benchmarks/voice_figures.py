@@ -9,26 +9,23 @@ those between are not counted. Nothing is shifted: a late onset and a hangover b
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
+from dataclasses import dataclass, replace
+from typing import Any, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
 from benchmarks.room import Room, images_at, with_noise
 from benchmarks.speech_files import read_speech
 from hri_pipeline.core.audio.features import AudioFeatureExtractor
-from hri_pipeline.core.audio.parameters import VOICE_ACTIVITY_PARAMETERS, VOICES
+from hri_pipeline.core.audio.parameters import VOICES, VoiceActivitySettings
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
 from hri_pipeline.core.audio.stream import SoundBlock, SoundFormat, SoundStream, encode_s16
 from hri_pipeline.core.audio.vad import FRAME, FRAME_TIME, RATE, ActivityModel
 from hri_pipeline.core.onnx import model_path
-from hri_pipeline.core.parameters import ParameterTable
 
 SNRS: Tuple[Optional[float], ...] = (None, 10.0, 0.0)
 """Signal-to-noise ratios in dB; None is the clean recording (with noise 80 dB below full scale)."""
 SEEDS = (10, 11, 12)
-_TABLE = ParameterTable("activity", "Activity and turns.", VOICE_ACTIVITY_PARAMETERS)
 _WINDOW = 400
 _THRESHOLD = 0.05
 _PEAK = 0.5
@@ -50,9 +47,9 @@ class SoundScene:
     onsets: np.ndarray
 
 
-def activity_settings(**changes: object) -> SimpleNamespace:
+def activity_settings(**changes: Any) -> VoiceActivitySettings:
     """Return the defaults of the parameters of activity, with changes."""
-    return _TABLE.resolve(changes)
+    return replace(VoiceActivitySettings(), **changes)
 
 
 def activity_model() -> ActivityModel:
@@ -111,7 +108,8 @@ def run_stage(stage: VoicePipeline, samples: np.ndarray) -> Iterator[Tuple[float
         yield block.stamp + FRAME_TIME, time.perf_counter() - begin, found
 
 
-def _speaking(scene: SoundScene, model: ActivityModel, settings: SimpleNamespace) -> Tuple[np.ndarray, np.ndarray]:
+def _speaking(scene: SoundScene, model: ActivityModel, settings: VoiceActivitySettings
+              ) -> Tuple[np.ndarray, np.ndarray]:
     """(F,) bool, whether a voice is said to be speaking in each frame, and (F,) s, the processing of each."""
     steps = [(any(seen.speaking for seen in found), seconds)
              for _, seconds, found in run_stage(VoicePipeline(settings, model), scene.samples)]
@@ -119,7 +117,7 @@ def _speaking(scene: SoundScene, model: ActivityModel, settings: SimpleNamespace
 
 
 def frame_rates(scenes: Sequence[SoundScene], model: ActivityModel,
-                settings: Optional[SimpleNamespace] = None) -> Dict[str, float]:
+                settings: Optional[VoiceActivitySettings] = None) -> Dict[str, float]:
     """Return {"tpr": share of the frames of speech in which somebody is speaking, "fpr": the same of the pauses}."""
     counts = np.zeros(4)
     for scene in scenes:
@@ -131,7 +129,7 @@ def frame_rates(scenes: Sequence[SoundScene], model: ActivityModel,
 
 
 def onset_delays_ms(scenes: Sequence[SoundScene], model: ActivityModel,
-                    settings: Optional[SimpleNamespace] = None) -> np.ndarray:
+                    settings: Optional[VoiceActivitySettings] = None) -> np.ndarray:
     """Return the ms from each onset of the labels until somebody is said to be speaking, processing included.
 
     That is the algorithm's delay, the wait for the end of the 32 ms block, and the processing of this block. 0 where
@@ -150,7 +148,7 @@ def onset_delays_ms(scenes: Sequence[SoundScene], model: ActivityModel,
 
 
 def vad(names: Optional[Sequence[str]] = None, seeds: Sequence[int] = SEEDS,
-        settings: Optional[SimpleNamespace] = None) -> Dict[str, Dict[str, float]]:
+        settings: Optional[VoiceActivitySettings] = None) -> Dict[str, Dict[str, float]]:
     """Return {"clean", "10", "0": {"tpr", "fpr"}} over the recordings of these names, all by default."""
     recordings = read_speech(names) if names is not None else read_speech()
     model = activity_model()
@@ -159,7 +157,7 @@ def vad(names: Optional[Sequence[str]] = None, seeds: Sequence[int] = SEEDS,
 
 
 def onset_p95_ms(names: Optional[Sequence[str]] = None, seeds: Sequence[int] = SEEDS, snr: Optional[float] = None,
-                 settings: Optional[SimpleNamespace] = None) -> Dict[str, float]:
+                 settings: Optional[VoiceActivitySettings] = None) -> Dict[str, float]:
     """Return {"p50", "p95": ms, "onsets": number} over the recordings of these names, all by default, at one SNR."""
     recordings = read_speech(names) if names is not None else read_speech()
     delays = onset_delays_ms([make_scene(recordings, snr, seed) for seed in seeds], activity_model(), settings)
@@ -194,7 +192,7 @@ def four_microphones() -> np.ndarray:
     return (mixed * (0.5 / np.abs(mixed).max())).astype(np.float32)
 
 
-def run_all(samples: np.ndarray, settings: Optional[SimpleNamespace] = None) -> Dict[str, float]:
+def run_all(samples: np.ndarray, settings: Optional[VoiceActivitySettings] = None) -> Dict[str, float]:
     """Run samples (n, C) at 16 kHz through intake, voices and the features of every voice, as fast as it goes.
 
     With four channels direction and separation run as well. Returns {"seconds" of sound, "cpu_s", "longest_ms" of one

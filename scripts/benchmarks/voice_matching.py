@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Dict, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.matching.parameters import VOICE_MATCHER_PARAMETERS
+from hri_pipeline.core.matching.parameters import VOICE_MATCHER_PARAMETERS, VoiceMatcherSettings
 from hri_pipeline.core.matching.voice import FACE, VoiceMatcher, opening_of_units
 from hri_pipeline.core.simulation.conversation import UNSEEN, directions, hear, make_mouth, make_turns
 
@@ -18,7 +17,7 @@ DIRECTION_SD = np.deg2rad(10.0)
 _APART = np.deg2rad((25.0, 40.0))
 
 
-def run_conversation(random: np.random.Generator, people: int, with_direction: bool, settings: SimpleNamespace,
+def run_conversation(random: np.random.Generator, people: int, with_direction: bool, settings: VoiceMatcherSettings,
                      resume_time: float = 0.0) -> Dict[str, float]:
     """Seconds of speech that were given to the right face, to a wrong one and to none; of those unseen apart."""
     turns = make_turns(random, people, LENGTH_S, UNSEEN_SHARE)

@@ -17,8 +17,8 @@ from hri_fullbody.core.model.anthropometry import SegmentTable
 from hri_fullbody.core.model.human import Dimensions, layout_for
 from hri_fullbody.core.pipeline import BodyInput, BodyModeller
 from hri_fullbody.ros.bodies import body_transform, drawn
+from hri_fullbody.ros.inputs import up_and_height
 from hri_fullbody.ros.topics import crop, joint_state
-from hri_fullbody.ros.up_frame import up_and_height
 from hri_msgs.msg import BodyAttitude, BodyPosture
 from hri_msgs.msg import Gesture as GestureMessage
 from hri_pipeline.core.camera import CameraModel

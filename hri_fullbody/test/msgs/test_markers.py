@@ -6,7 +6,7 @@ import pytest
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
-from hri_fullbody.ros.markers import SkeletonMarkers, skeleton_markers
+from hri_fullbody.ros.topics import SkeletonMarkers, skeleton_markers
 from hri_pipeline.core.observations import BodyObservation
 
 HEADER = Header(stamp=genpy.Time(12, 345), frame_id="camera")

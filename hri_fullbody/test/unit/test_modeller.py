@@ -13,7 +13,7 @@ from hri_fullbody.core.kinematics.forward import forward
 from hri_fullbody.core.kinematics.solver import JointSolver
 from hri_fullbody.core.model.anthropometry import SegmentTable
 from hri_fullbody.core.model.human import PAPER, Dimensions
-from hri_fullbody.core.parameters import BODIES, MODELLER_PARAMETERS
+from hri_fullbody.core.parameters import BODIES
 from hri_fullbody.core.pipeline import BodyInput, BodyModeller, BodyPipeline
 from hri_pipeline.core.observations import BodyObservation
 
@@ -51,11 +51,10 @@ def test_illegal_settings_are_refused(arguments: dict) -> None:
 
 
 def test_the_parameters_build_a_modeller() -> None:
-    values = SimpleNamespace(**{parameter.name: parameter.default for parameter in MODELLER_PARAMETERS})
-    modeller = BodyModeller.from_parameters(values)
+    modeller = BodyModeller.from_parameters(BODIES.resolve({}))
     assert len(modeller.layout.joint_names) == 18
-    values.interface = "rep155"
-    assert len(BodyModeller.from_parameters(values).layout.joint_names) == 20
+    modeller = BodyModeller.from_parameters(BODIES.resolve({"interface": "rep155"}))
+    assert len(modeller.layout.joint_names) == 20
 
 
 @pytest.mark.parametrize("degrees", range(0, 360, 30))

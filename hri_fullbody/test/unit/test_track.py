@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from synthetic_people import standing_at
 
-from hri_fullbody.core.tracking.appearance import blend, describe, difference
+from hri_fullbody.core.tracking.reidentification import blend, describe, difference
 from hri_fullbody.core.tracking.track import BodyMotion, ConstantVelocity
 
 

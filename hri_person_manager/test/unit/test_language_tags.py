@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hri_person_manager.core.language_tags import LONGEST_TAG, normal_language_tag
+from hri_person_manager.core.register import LONGEST_TAG, normal_language_tag
 
 
 def some(pattern):

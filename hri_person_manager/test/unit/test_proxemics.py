@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_person_manager.core.location import Place
-from hri_person_manager.core.proxemics import Proxemics, Space, horizontal_distance
+from hri_person_manager.core.location import Place, Proxemics, Space, horizontal_distance
 from hri_pipeline.core.geometry import Pose
 
 

@@ -9,14 +9,13 @@ import sys
 import textwrap
 import threading
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from benchmarks.speech_files import ABSENT, SPEECH_DIRECTORY, available, read_speech
 from hri_pipeline.core.asr import recognition
-from hri_pipeline.core.asr.parameters import SPEECH_RECOGNITION_PARAMETERS
+from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.asr.recognition import ERROR, OK, WARN, SpeechRecognition
 from hri_pipeline.core.parameters import ParameterError
 
@@ -26,11 +25,10 @@ pytestmark = pytest.mark.skipif(not available(), reason=ABSENT)
 LIMIT_S = 60.0
 CARDS = str(SPEECH_DIRECTORY / "cards/cards.gram")
 TEN_OF_CLUBS, FOUR_QUEEN = "cards/001.wav", "cards/002.wav"
-DEFAULTS = {parameter.name: parameter.default for parameter in SPEECH_RECOGNITION_PARAMETERS}
 
 
 def settings(**changes):
-    return SimpleNamespace(**{**DEFAULTS, "speech_grammar": CARDS, "speech_nice": 0, **changes})
+    return SpeechSettings(**{"speech_grammar": CARDS, "speech_nice": 0, **changes})
 
 
 @pytest.fixture
@@ -230,7 +228,7 @@ def test_a_grammar_that_does_not_load_is_an_error_and_is_not_tried_again(recogni
 def test_settings_that_cannot_work_are_refused_at_once():
     with pytest.raises(ParameterError, match="speech_grammar"):
         SpeechRecognition(settings(speech_grammar="/no/such/file"))
-    assert not SpeechRecognition.enabled(SimpleNamespace(speech_engine=""))
+    assert not SpeechRecognition.enabled(SpeechSettings(speech_engine=""))
 
 
 def test_a_dropped_voice_says_nothing_more(recognise):
@@ -319,12 +317,9 @@ def test_processes_stand_back_behind_others(recognise):
 def test_the_process_dies_with_its_owner(stopped):
     owner = subprocess.Popen([sys.executable, "-c", textwrap.dedent("""
         import sys, time
-        from types import SimpleNamespace
-        from hri_pipeline.core.asr.parameters import SPEECH_RECOGNITION_PARAMETERS as P
+        from hri_pipeline.core.asr.parameters import SpeechSettings
         from hri_pipeline.core.asr.recognition import SpeechRecognition
-        values = {p.name: p.default for p in P}
-        values["speech_grammar"] = sys.argv[1]
-        speech = SpeechRecognition(SimpleNamespace(**values))
+        speech = SpeechRecognition(SpeechSettings(speech_grammar=sys.argv[1]))
         while not speech.status()[2]["speech_ready"]:
             time.sleep(0.01)
         print(speech._pool._processes[0].pid, flush=True)

@@ -1,7 +1,6 @@
 """The face stage on photographs of groups: counts, identities, poses. Needs the models and their pictures."""
 
 import shutil
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from hri_pipeline.core.camera import CameraError, CameraModel
 from hri_pipeline.core.faces.head_pose import yaw_pitch_roll
 from hri_pipeline.core.faces.mesh import load_canonical_face
-from hri_pipeline.core.faces.parameters import FACES
+from hri_pipeline.core.faces.parameters import FACES, FacesSettings
 from hri_pipeline.core.faces.pipeline import FacePipeline, FaceTrackingPipeline
 from hri_pipeline.core.onnx import ModelError, models_directory
 from hri_pipeline.core.parameters import ParameterError
@@ -382,6 +381,6 @@ def test_a_missing_a_wrong_and_a_damaged_file_are_told_by_name(tmp_path, name):
 
 
 def test_settings_are_checked_before_the_stage_is_built():
-    assert isinstance(FACES.resolve({}), SimpleNamespace)
+    assert isinstance(FACES.resolve({}), FacesSettings)
     with pytest.raises(ParameterError, match="face_death_time"):
         FACES.resolve({"face_death_time": 0.0})

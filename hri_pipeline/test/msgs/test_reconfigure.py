@@ -1,22 +1,29 @@
 """A parameter table as dynamic_reconfigure describes it, read with the package's own client side."""
 
-from types import SimpleNamespace
+from dataclasses import dataclass
 
 import pytest
 from dynamic_reconfigure.encoding import decode_config, decode_description, extract_params
 from dynamic_reconfigure.msg import BoolParameter, Config, DoubleParameter, IntParameter, StrParameter
 
 from hri_pipeline.core import parameter_docs
-from hri_pipeline.core.parameters import Parameter, ParameterTable
+from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
 from hri_pipeline.ros.reconfigure import config_of, describe, values_of
 
-TABLE = ParameterTable("node", "A node.", (
-    Parameter("rate", 15.0, "Most results\n  per second.", unit="Hz", minimum=1, maximum=60, live=True),
-    Parameter("people", 3, "How many.", minimum=1, maximum=9, live=True),
-    Parameter("shown", True, "Show them.", live=True),
-    Parameter("decay", "slow", "How it 'falls'.", choices=("slow", "fast"), live=True),
-    Parameter("label", "", "What to write.", live=True),
-    Parameter("file", "", "Read at the start.")))
+
+@dataclass(frozen=True)
+class NodeSettings(Settings):
+    """A node."""
+
+    rate: float = parameter(15.0, "Most results\n  per second.", unit="Hz", minimum=1, maximum=60, live=True)
+    people: int = parameter(3, "How many.", minimum=1, maximum=9, live=True)
+    shown: bool = parameter(True, "Show them.", live=True)
+    decay: str = parameter("slow", "How it 'falls'.", choices=("slow", "fast"), live=True)
+    label: str = parameter("", "What to write.", live=True)
+    file: str = parameter("", "Read at the start.")
+
+
+TABLE = ParameterTable("node", NodeSettings)
 TABLES = [table for _, table in parameter_docs.registered()]
 
 
@@ -65,8 +72,7 @@ def test_tables_of_the_nodes(table):
     for name, row in found.items():
         if row["type"] in ("int", "double"):
             assert row["min"] <= row["default"] <= row["max"] and abs(row["max"]) < 2 ** 31, name
-    settings = SimpleNamespace(**{parameter.name: parameter.default for parameter in table.parameters})
-    assert set(values_of(config_of(table.live, vars(settings)))) == set(found)
+    assert set(values_of(config_of(table.live, vars(table.settings())))) == set(found)
 
 
 def test_the_nodes_that_users_tune_have_live_parameters():

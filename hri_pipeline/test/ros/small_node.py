@@ -2,21 +2,28 @@
 """The smallest node there can be, for run_node_test.py: a list of ids, a parameter, a model."""
 
 import sys
+from dataclasses import dataclass
 
 import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
 from hri_pipeline.core.onnx import OnnxModel
-from hri_pipeline.core.parameters import Parameter, ParameterTable
+from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
 from hri_pipeline.ros.node import read_parameters, run_node
 from hri_pipeline.ros.publishers import TrackedList
 from hri_pipeline.ros.subscriptions import IdSubscribers
 
-TABLE = ParameterTable("small_node", "A node for tests.", [
-    Parameter("size", 5, "Any number.", "px", 1, 10),
-    Parameter("model", "", "Path of a model."),
-    Parameter("fail", "", "Where to raise an error.", choices=("", "build", "spin", "close")),
-])
+
+@dataclass(frozen=True)
+class SmallSettings(Settings):
+    """A node for tests."""
+
+    size: int = parameter(5, "Any number.", "px", 1, 10)
+    model: str = parameter("", "Path of a model.")
+    fail: str = parameter("", "Where to raise an error.", choices=("", "build", "spin", "close"))
+
+
+TABLE = ParameterTable("small_node", SmallSettings)
 
 
 class SmallNode:

@@ -6,7 +6,7 @@ import importlib.util
 import json
 import os
 import sys
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -28,13 +28,12 @@ from hri_pipeline.core.asr.engines import (
     read_grammar,
 )
 from hri_pipeline.core.asr.parameters import ENGINES as ENGINE_NAMES
-from hri_pipeline.core.asr.parameters import SPEECH_RECOGNITION_PARAMETERS
+from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.asr.pool import QueuedUtterance
 from hri_pipeline.core.asr.worker import MessageReader, PipeError, SpeechMessage, SpeechWorker
 from hri_pipeline.core.parameters import ParameterError
 
 JSGF = "#JSGF V1.0; grammar g; public <g> = yes | no;"
-DEFAULTS = {parameter.name: parameter.default for parameter in SPEECH_RECOGNITION_PARAMETERS}
 
 
 @pytest.fixture
@@ -113,14 +112,14 @@ def test_a_grammar_that_is_not_there_is_named(tmp_path):
 
 
 def test_the_settings_make_a_choice():
-    settings = SimpleNamespace(**dict(DEFAULTS, speech_model="models/x", speech_grammar=JSGF, speech_language="en-GB",
-                                      speech_text="written"))
+    settings = SpeechSettings(speech_model="models/x", speech_grammar=JSGF, speech_language="en-GB",
+                              speech_text="written")
     assert engine_choice(settings) == EngineChoice("pocketsphinx", os.path.abspath("models/x"), JSGF, "en-GB", True)
 
 
 def test_free_speech_goes_to_moonshine_where_its_model_is_there(monkeypatch, tmp_path):
     def chosen(**changes):
-        return engine_choice(SimpleNamespace(**dict(DEFAULTS, **changes))).engine
+        return engine_choice(SpeechSettings(**changes)).engine
 
     monkeypatch.setenv("ROS4HRI_MODELS", str(tmp_path))
     assert chosen() == "pocketsphinx"

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.audio.level import level_dbfs
-from hri_pipeline.core.audio.parameters import VOICE_ACTIVITY_PARAMETERS
+from hri_pipeline.core.audio.parameters import VoiceActivitySettings
 from hri_pipeline.core.audio.pipeline import VoicePipeline
 from hri_pipeline.core.audio.stream import SoundBlock
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.parameters import ParameterTable
 
-TABLE = ParameterTable("activity", "Activity.", VOICE_ACTIVITY_PARAMETERS)
+TABLE = ParameterTable("activity", VoiceActivitySettings)
 RATE = 16000
 FRAME = 512
 START = 1000.0

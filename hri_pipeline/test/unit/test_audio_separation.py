@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.audio.array import MicrophoneArray
-from hri_pipeline.core.audio.parameters import ARRAY_PARAMETERS
+from hri_pipeline.core.audio.parameters import ArraySettings
 from hri_pipeline.core.audio.separation import SoundSeparator, SourceBeamformers, inverse, solve
 from hri_pipeline.core.audio.spectra import BINS, HOP, RATE
 from hri_pipeline.core.parameters import ParameterError, ParameterTable
@@ -17,7 +17,7 @@ from plane_waves import SQUARE, angle, babble, noise, plane_wave, towards  # noq
 
 
 def settings(**changes):
-    return ParameterTable("array", "Test.", ARRAY_PARAMETERS).resolve(changes)
+    return ParameterTable("array", ArraySettings).resolve(changes)
 
 
 def one_voice(azimuth=30.0, seconds=1.5, seed=0, lead=0.5, positions=SQUARE):

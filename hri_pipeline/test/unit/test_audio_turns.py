@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.audio.level import SILENT_DBFS
-from hri_pipeline.core.audio.parameters import VOICE_ACTIVITY_PARAMETERS
+from hri_pipeline.core.audio.parameters import VoiceActivitySettings
 from hri_pipeline.core.audio.turns import TurnDetector, VoiceTracks, angle_between
 from hri_pipeline.core.audio.vad import NoiseLevel, SpeechActivity
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.parameters import ParameterTable
 
-TABLE = ParameterTable("activity", "Activity.", VOICE_ACTIVITY_PARAMETERS)
+TABLE = ParameterTable("activity", VoiceActivitySettings)
 FRAME = 0.032
 PLAIN = {"birth_threshold": 0.6, "clear_birth_threshold": 0.6, "keep_threshold": 0.3, "noise_margin": 0.0,
          "level_drop": 90.0,

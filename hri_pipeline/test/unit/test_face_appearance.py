@@ -5,10 +5,11 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook, PictureCuts, Verdict, asymmetry, correlation
+from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook, Verdict, asymmetry, correlation
 from hri_pipeline.core.faces.mesh import MESH_POINTS
 from hri_pipeline.core.faces.tracker import FaceMeasurement, FaceTracker
 from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.images import PictureCuts
 
 STEP = 0.1
 SIZE = 100.0

@@ -22,8 +22,8 @@ import pytest
 
 import hri_pipeline.models
 from benchmarks.labels import labelled_eyes
-from hri_pipeline.models.canonical_face import parse_metadata, unpack_asset
 from hri_pipeline.models.catalogue import PACKAGES, PRODUCT_OF, PRODUCTS, ConversionError, FetchError, Product, select
+from hri_pipeline.models.convert import parse_metadata, unpack_asset
 from hri_pipeline.models.fetch import MANIFEST
 from hri_pipeline.models.onnx_graph import import_onnx
 from hri_pipeline.models.packages import Downloader

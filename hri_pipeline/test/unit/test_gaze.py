@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hri_pipeline.core.camera import CameraModel
-from hri_pipeline.core.faces.blendshapes import EYE_BLINK, LOOK_DOWN, LOOK_IN, LOOK_OUT
 from hri_pipeline.core.faces.gaze import (
     EYE_BACK,
     EYE_OUT,
@@ -22,7 +21,7 @@ from hri_pipeline.core.faces.gaze import (
     closedness,
     gaze_frame,
 )
-from hri_pipeline.core.faces.mesh import CanonicalFace
+from hri_pipeline.core.faces.mesh import EYE_BLINK, LOOK_DOWN, LOOK_IN, LOOK_OUT, CanonicalFace
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import GazeEstimate
 

@@ -6,7 +6,7 @@ import pytest
 from scene_bag import SceneBag, upright
 
 from hri_pipeline.score.bag import read_bag
-from hri_pipeline.score.command import main
+from hri_pipeline.score.command import main, score
 from hri_pipeline.score.golden import (
     AS_GOOD,
     BETTER,
@@ -19,7 +19,6 @@ from hri_pipeline.score.golden import (
     comparison_table,
     load_golden,
 )
-from hri_pipeline.score.metrics import score
 
 BASE = 1000.0
 

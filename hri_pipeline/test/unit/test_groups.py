@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Dict, Iterable, List, Sequence
 
 import numpy as np
@@ -21,13 +20,13 @@ from hri_pipeline.core.interactions.groups import (
     fuse_directions,
     o_spaces,
 )
-from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
+from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS, InteractionSettings
 
 SETTINGS = INTERACTION_PARAMETERS.resolve({})
 
 
 def formations(people: Sequence[Sequence[float]], sd: float = 0.2,
-               settings: SimpleNamespace = SETTINGS) -> List[List[int]]:
+               settings: InteractionSettings = SETTINGS) -> List[List[int]]:
     table = np.array(people, dtype=float).reshape(-1, 3)
     return [formation.members for formation in find_formations(
         table[:, :2], table[:, 2], np.full(len(table), sd), settings)]

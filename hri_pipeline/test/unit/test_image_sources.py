@@ -1,4 +1,3 @@
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -14,12 +13,12 @@ from hri_pipeline.core.sources.image_sources import (
     open_source,
     pictures_in,
 )
-from hri_pipeline.core.sources.parameters import SOURCE_PARAMETERS
+from hri_pipeline.core.sources.parameters import SOURCE_PARAMETERS, ImageSourceSettings
 
 RED, GREEN, BLUE, BLACK = (0, 0, 255), (0, 255, 0), (255, 0, 0), (0, 0, 0)
 
 
-def settings(source, **others) -> SimpleNamespace:
+def settings(source, **others) -> ImageSourceSettings:
     small = {"width": 64, "height": 48, "source": str(source), "dark_between_pictures": 0.0}
     small.update(others)
     return SOURCE_PARAMETERS.resolve(small)

@@ -1,6 +1,8 @@
 """Parameters that may change while a node runs: their marks, and that what holds them takes them up."""
 
 import ast
+import functools
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -8,33 +10,55 @@ import pytest
 
 from hri_pipeline.core import parameter_docs
 from hri_pipeline.core.audio.parameters import VOICES
+from hri_pipeline.core.audio.pipeline import VoicePipeline
+from hri_pipeline.core.audio.separation import SoundSeparator
+from hri_pipeline.core.audio.stream import SoundBlock
 from hri_pipeline.core.audio.vad import check_thresholds
 from hri_pipeline.core.faces.scheduler import DetectionScheduler, MeshScheduler
 from hri_pipeline.core.faces.tracker import FaceMeasurement, FaceTracker
-from hri_pipeline.core.interactions.engagement import check_levels
+from hri_pipeline.core.interactions.engagement import EngagementEstimator, check_levels
+from hri_pipeline.core.interactions.gaze import GazeTargets
+from hri_pipeline.core.interactions.groups import GroupTracker
 from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
-from hri_pipeline.core.parameters import Parameter, ParameterError, ParameterTable, apply_settings
+from hri_pipeline.core.matching.face_body import FaceBodyMatcher
+from hri_pipeline.core.matching.parameters import MATCHER_PARAMETERS, VOICE_MATCHER_PARAMETERS
+from hri_pipeline.core.matching.voice import VoiceMatcher
+from hri_pipeline.core.parameters import Parameter, ParameterError, ParameterTable, Settings, parameter
 from hri_pipeline.core.tracks import TrackLife
 
+SQUARE = 0.04 * np.array([(1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), (1.0, -1.0, 0.0)])
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGES = ("hri_pipeline", "hri_fullbody", "hri_person_manager")
-TABLE = ParameterTable("node", "A node.", (
-    Parameter("rate", 15.0, "Rate.", unit="Hz", minimum=1, maximum=60, live=True),
-    Parameter("shown", True, "Show.", live=True),
-    Parameter("file", "", "File.")))
+
+@dataclass(frozen=True)
+class NodeSettings(Settings):
+    """A node."""
+
+    rate: float = parameter(15.0, "Rate.", unit="Hz", minimum=1, maximum=60, live=True)
+    shown: bool = parameter(True, "Show.", live=True)
+    file: str = parameter("", "File.")
+
+
+TABLE = ParameterTable("node", NodeSettings)
 _WHILE_BUILT = ("__init__", "from_parameters")
 _OWNERS = ("settings", "_settings", "values", "wanted")
+
+
+@functools.lru_cache()
+def sources():
+    """(name of the module, its syntax tree) of everything."""
+    return [(path.stem, ast.parse(path.read_text(encoding="utf-8")))
+            for package in PACKAGES for path in (ROOT / package / "src").rglob("*.py")]
 
 
 def read_while_running():
     """Names of settings that some function reads which is no constructor."""
     found = set()
-    for package in PACKAGES:
-        for path in (ROOT / package / "src").rglob("*.py"):
-            for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(function, ast.FunctionDef) and function.name not in _WHILE_BUILT:
-                    found |= {node.attr for node in ast.walk(function) if isinstance(node, ast.Attribute)
-                              and getattr(node.value, "id", getattr(node.value, "attr", "")) in _OWNERS}
+    for _, tree in sources():
+        for function in ast.walk(tree):
+            if isinstance(function, ast.FunctionDef) and function.name not in _WHILE_BUILT:
+                found |= {node.attr for node in ast.walk(function) if isinstance(node, ast.Attribute)
+                          and getattr(node.value, "id", getattr(node.value, "attr", "")) in _OWNERS}
     return found
 
 
@@ -44,6 +68,67 @@ def test_no_parameter_is_called_live_that_is_only_read_while_the_node_is_built()
     assert len(live) > 50
     assert sorted(live - used) == []
     assert "face_mesh_model" not in used and "vad_model" not in used
+
+
+def classes_that_keep_settings():
+    """(class, names read of the settings it keeps, methods that take up other ones) of all sources."""
+    for module, tree in sources():
+        for kind in [node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]:
+            takers = {method.name for method in kind.body if isinstance(method, ast.FunctionDef)
+                      for node in ast.walk(method) if isinstance(node, ast.Attribute)
+                      and isinstance(node.ctx, ast.Store) and node.attr == "_settings"}
+            used = {node.attr for method in kind.body if getattr(method, "name", "") != "__init__"
+                    for node in ast.walk(method) if isinstance(node, ast.Attribute)
+                    and getattr(node.value, "attr", "") == "_settings"}
+            if takers:
+                yield "{}.{}".format(module, kind.name), used, takers - {"__init__"}
+
+
+def test_who_keeps_settings_with_live_values_takes_up_other_ones():
+    """Settings are frozen: new values are a new object, which every keeper must be given."""
+    live = {parameter.name for _, table in parameter_docs.registered() for parameter in table.live}
+    keepers = list(classes_that_keep_settings())
+    assert len(keepers) > 15
+    fixed = {"simulator.SceneSimulatorNode": {"rate"}, "sources.ImageSourceNode": {"rate"},
+             "sources.SoundSourceNode": {"rate"}}       # live in another node only
+    assert [name for name, used, takers in keepers if (used & live) - fixed.get(name, set()) and not takers] == []
+
+
+def keepers_of(owner, settings, path=""):
+    """Where an object, or what it owns, keeps these very settings."""
+    for name, value in vars(owner).items():
+        parts = value.values() if isinstance(value, dict) else value if isinstance(value, (list, tuple)) else [value]
+        for part in parts:
+            if part is settings:
+                yield "{}.{}".format(path, name)
+            elif type(part).__module__.startswith("hri_") and hasattr(part, "__dict__"):
+                yield from keepers_of(part, settings, "{}.{}".format(path, name))
+
+
+class Silence:
+    def probabilities(self, frames, states):
+        return np.zeros(len(states))
+
+
+def voice_pipeline(settings):
+    pipeline = VoicePipeline(settings, Silence())
+    pipeline.update(SoundBlock(np.zeros((1024, 1), np.float32), 0.0))
+    return pipeline
+
+
+@pytest.mark.parametrize("table, make, where", [
+    (VOICES, voice_pipeline, "._sources.turns.activity._settings"),
+    (VOICES, lambda settings: SoundSeparator(SQUARE, settings), "._settings"),
+    (MATCHER_PARAMETERS, FaceBodyMatcher, "._settings"), (VOICE_MATCHER_PARAMETERS, VoiceMatcher, "._settings"),
+    (INTERACTION_PARAMETERS, GazeTargets, "._filter._settings"), (INTERACTION_PARAMETERS, GroupTracker, "._settings"),
+    (INTERACTION_PARAMETERS, EngagementEstimator, "._settings")])
+def test_new_settings_reach_everything_that_keeps_the_old_ones(table, make, where):
+    old, new = table.resolve({}), table.resolve({})
+    owner = make(old)
+    kept = sorted(keepers_of(owner, old))
+    assert where in kept
+    owner.reconfigure(new)
+    assert sorted(keepers_of(owner, new)) == kept and list(keepers_of(owner, old)) == []
 
 
 @pytest.mark.parametrize("arguments", [
@@ -58,8 +143,6 @@ def test_changed_leaves_the_given_settings_alone():
     changed = TABLE.changed(settings, {"rate": 2})
     assert (changed.rate, changed.shown, changed.file) == (2.0, True, "x")
     assert settings.rate == 15.0
-    apply_settings(settings, changed)
-    assert settings.rate == 2.0
 
 
 @pytest.mark.parametrize("changes, words", [

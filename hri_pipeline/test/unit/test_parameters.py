@@ -1,22 +1,56 @@
 """Parameter tables: types, ranges, messages, YAML and Markdown, and the files that must agree with them."""
 
+from __future__ import annotations
+
+import dataclasses
 import math
 import re
+from dataclasses import dataclass
+from typing import Sequence
 
 import pytest
 
 from hri_pipeline.core import parameter_docs
-from hri_pipeline.core.parameters import Parameter, ParameterError, ParameterTable, format_value
+from hri_pipeline.core.parameters import (
+    Parameter,
+    ParameterError,
+    ParameterTable,
+    Settings,
+    format_value,
+    parameter,
+    parameter_like,
+    parameters_of,
+)
 
-TABLE = ParameterTable("faces", "Finds faces.", [
-    Parameter("birth_delay", 0.2, "Time before a face is published.", "s", 0, 10),
-    Parameter("tiles", 2, "Tiles a side.", minimum=1, maximum=4),
-    Parameter("publish_tf", True, "Send the frames."),
-    Parameter("model", "", "Path of the model; empty for the default."),
-    Parameter("mode", "video", "How images come | go.", choices=("video", "still")),
-    Parameter("providers", ["cpu"], "Execution providers.", choices=("cpu", "cuda")),
-    Parameter("weights", [0.5, 1e-5], "Weights.", maximum=1),
-])
+
+@dataclass(frozen=True)
+class NodeSettings(Settings):
+    """Finds
+    faces.
+
+    More on that.
+    """
+
+    birth_delay: float = parameter(0.2, "Time before a face is published.", "s", 0, 10)
+    tiles: int = parameter(2, "Tiles a side.", minimum=1, maximum=4)
+    publish_tf: bool = parameter(True, "Send the frames.")
+    model: str = parameter("", "Path of the model; empty for the default.")
+    mode: str = parameter("video", "How images come | go.", choices=("video", "still"))
+    providers: Sequence[str] = parameter(["cpu"], "Execution providers.", choices=("cpu", "cuda"))
+    weights: Sequence[float] = parameter([0.5, 1e-5], "Weights.", maximum=1)
+
+
+TABLE = ParameterTable("faces", NodeSettings)
+
+
+def settings_of(*bases, **fields):
+    """A class of settings; fields: name=(annotation, field)."""
+    return dataclasses.make_dataclass("Made", [(name, *field) for name, field in fields.items()],
+                                      bases=bases or (Settings,), frozen=True)
+
+
+def table(node="faces", includes=(), **fields):
+    return ParameterTable(node, settings_of(**fields), includes)
 
 
 def test_defaults():
@@ -33,7 +67,7 @@ def test_given_values_in_the_type_of_the_default():
 
 def test_a_list_is_not_shared_with_the_table():
     TABLE.resolve({}).providers.append("cuda")
-    assert TABLE.resolve({}).providers == ["cpu"]
+    assert TABLE.resolve({}).providers == NodeSettings().providers == ["cpu"]
 
 
 @pytest.mark.parametrize("name, value, legal", [
@@ -84,9 +118,42 @@ def test_illegal_entries(arguments):
         Parameter(**arguments)
 
 
-def test_twice_the_same_name():
-    with pytest.raises(ValueError, match="twice: a"):
-        ParameterTable("n", "s", [Parameter("a", 1, "x"), Parameter("a", 2, "x")])
+def test_the_settings_are_frozen_and_made_with_their_defaults():
+    assert TABLE.resolve({}) == NodeSettings()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        NodeSettings().tiles = 3
+
+
+def test_the_same_name_in_two_bases():
+    one, other = (settings_of(a=("int", parameter(number, "x"))) for number in (1, 2))
+    with pytest.raises(ValueError, match="parameter a of Made is there twice"):
+        parameters_of(settings_of(one, other))
+    again = settings_of(one, other, a=("int", parameter_like(one, "a", " More.", default=3)))
+    assert parameters_of(again) == (Parameter("a", 3, "x More."),)
+    assert parameters_of(settings_of(settings_of(one), settings_of(one))) == (Parameter("a", 1, "x"),)
+
+
+def test_the_order_is_that_of_the_bases_and_a_later_place_counts():
+    def group(*bases, names="", **fields):
+        return settings_of(*bases, **{name: ("int", parameter(1, "x")) for name in names}, **fields)
+
+    def names(settings):
+        return "".join(one.name for one in parameters_of(settings))
+
+    first, second, third = group(names="ab"), group(names="c"), group(names="d")
+    assert names(group(first, second, names="e", a=("int", parameter_like(first, "a", default=2)))) == "bcea"
+    assert names(group(group(second, first), group(third, first))) == "cdab"
+
+
+@pytest.mark.parametrize("kind, field, words", [
+    ("int", parameter(1.0, "x"), "Made.a is annotated as int, and its default is of type float"),
+    (int, parameter(True, "x"), "annotated as int, and its default is of type bool"),
+    ("str", parameter([], "x"), "annotated as str, and its default is of type Sequence.str."),
+    ("int", dataclasses.field(default=1), "Made.a is not a field made by parameter"),
+])
+def test_a_field_that_is_no_parameter_of_its_type(kind, field, words):
+    with pytest.raises(ValueError, match=words):
+        parameters_of(settings_of(a=(kind, field)))
 
 
 def test_yaml_is_read_back_as_the_defaults():
@@ -98,20 +165,18 @@ def test_yaml_is_read_back_as_the_defaults():
 
 def test_yaml_tells_text_unit_range_and_default():
     text = TABLE.to_yaml()
-    assert text.startswith("# Finds faces.\n")
+    assert text.startswith("# Finds faces.\n# Written by")
     assert "# Time before a face is published.\n# float; 0 to 10; unit s; default 0.2\nbirth_delay: 0.2\n" in text
 
 
 def test_a_parameter_of_the_whole_stack_counts_where_the_own_one_is_not_set():
     """So the file with the defaults must not set it."""
     yaml = pytest.importorskip("yaml")
-    table = ParameterTable("faces", "Finds faces.", [Parameter("frame", "map", "Frame.", shared="/humans/frame"),
-                                                     Parameter("rate", 1.0, "Rate.")])
-    assert yaml.safe_load(table.to_yaml()) == {"rate": 1.0}
-    assert (
-        '# string; default "map"; where it is not set here, /humans/frame counts\n# frame: "map"\n' in table.to_yaml()
-    )
-    assert "Frame. Unset: `/humans/frame`.\n" in table.to_markdown()
+    made = table(frame=("str", parameter("map", "Frame.", shared="/humans/frame")),
+                 rate=("float", parameter(1.0, "Rate.")))
+    assert yaml.safe_load(made.to_yaml()) == {"rate": 1.0}
+    assert '# string; default "map"; where it is not set here, /humans/frame counts\n# frame: "map"\n' in made.to_yaml()
+    assert "Frame. Unset: `/humans/frame`.\n" in made.to_markdown()
 
 
 @pytest.mark.parametrize("value, text", [
@@ -139,15 +204,17 @@ def test_markdown():
     ("`fast` does little; `slow` does much. More of it.", "`fast` does little. `slow` does much."),
 ])
 def test_the_page_has_the_first_statement_and_what_special_values_mean(doc, line):
-    table = ParameterTable("faces", "Finds faces.", [Parameter("how", "fast", doc, choices=("fast", "slow"))])
-    assert table.to_markdown().endswith("): {}\n".format(line))
+    made = table(how=("str", parameter("fast", doc, choices=("fast", "slow"))))
+    assert made.to_markdown().endswith("): {}\n".format(line))
 
 
 def test_the_page_leaves_out_what_stands_on_the_pages_of_the_included_nodes():
-    same, other = Parameter("same", 1, "Same."), Parameter("other", 1, "Other.")
-    includes = [ParameterTable("a", "A.", [same, other]),
-                ParameterTable("b", "B.", [same, Parameter("other", 2, "Other.")])]
-    both = ParameterTable("both", "Both.", [same, other, Parameter("own", 1, "Own.")], includes=includes)
+    def numbered(text, default=1):
+        return "int", parameter(default, text)
+
+    includes = [table("a", same=numbered("Same."), other=numbered("Other.")),
+                table("b", same=numbered("Same."), other=numbered("Other.", 2))]
+    both = table("both", includes, same=numbered("Same."), other=numbered("Other."), own=numbered("Own."))
     assert re.findall(r"`~(\w+)`", both.to_markdown()) == ["other", "own"]
     assert "same: 1" in both.to_yaml()
 

@@ -11,8 +11,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.simulation.scene_file import parse_scene
 from hri_pipeline.core.simulation.world import World
 from hri_pipeline.score.bag import RecordError, read_bag
-from hri_pipeline.score.command import main
-from hri_pipeline.score.metrics import score
+from hri_pipeline.score.command import main, score
 
 BASE, RATE, SECONDS = 1000.0, 10.0, 12.0
 SCENE = parse_scene({"duration": 12.0, "habits": {"look_away": 0.1, "dwell": 2.0}, "people": [

@@ -5,8 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from hri_pipeline.core.assignment import assign
-from hri_pipeline.core.tracks import TrackLife
+from hri_pipeline.core.tracks import TrackLife, assign
 
 
 def test_assignment_is_the_best_one():

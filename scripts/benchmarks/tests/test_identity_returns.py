@@ -12,7 +12,7 @@ from benchmarks.identity_returns import (
     world_returns,
 )
 from benchmarks.identity_worlds import World, human, seen_clothes
-from hri_fullbody.core.tracking.appearance import difference
+from hri_fullbody.core.tracking.reidentification import difference
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ import os
 from collections import deque
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Callable, Deque, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -32,6 +31,7 @@ from hri_fullbody.core.localization.pnp import place
 from hri_fullbody.core.model.anthropometry import MONOCULAR, SegmentTable
 from hri_fullbody.core.model.dimensions import DimensionSettings, PersonDimensions
 from hri_fullbody.core.model.human import Dimensions, Layout, layout_for
+from hri_fullbody.core.parameters import BodiesSettings
 from hri_fullbody.core.tracking.reidentification import BodyReidentifier, Reidentification, TrackAppearance
 from hri_fullbody.core.tracking.scheduler import PoseScheduler
 from hri_fullbody.core.tracking.track import BodyTrack
@@ -77,7 +77,7 @@ class BodyPipeline:
     After `update`, `model` and `behaviour` tell what is known of a body beyond its observation.
     """
 
-    def __init__(self, settings: SimpleNamespace, notify: Optional[Callable[[str], None]] = None,
+    def __init__(self, settings: BodiesSettings, notify: Optional[Callable[[str], None]] = None,
                  pose: Optional[PoseEstimator] = None, detector: Optional[PersonDetector] = None,
                  guard: Optional[ItemGuard] = None) -> None:
         """Load the networks.
@@ -98,11 +98,10 @@ class BodyPipeline:
         ValueError
             Illegal settings.
         """
-        options = dict(providers=settings.providers, notify=notify)
-        self._pose = pose or BlazePose(pose_model_path(settings.pose_model), **options)
+        self._pose = pose or BlazePose(pose_model_path(settings.pose_model), settings.providers, notify=notify)
         self._detector = detector or CenterNetDetector(
             model_path(settings.person_detector_model, DETECTOR_MODEL), threshold=_FAINT * settings.min_person_score,
-            long_side=settings.person_detection_size, **options)
+            long_side=settings.person_detection_size, providers=settings.providers, notify=notify)
         self._guard = guard or ItemGuard()
         self._tracker = BodyTracker(
             self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time, settings.min_body_score,
@@ -347,7 +346,7 @@ class BodyPipeline:
         values.update(self.times.values())
         return values
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: BodiesSettings) -> None:
         """Take up the values of the live parameters; the bodies stay."""
         self._settings = settings
         self._detector.threshold = _FAINT * settings.min_person_score
@@ -399,7 +398,8 @@ class ModelledBody:
 
     pose: body frame in the optical frame. joints: (J,) rad in the order of the layout. head: head frame in the
     optical frame. points: (18, 3) filtered key points, NaN where unknown; fitted: (18, 3) those of the model, m.
-    stature, stature_sd: the newest estimate, m; stature_known: False while it is the average. dimensions: those of the model; revision: 0 while they are not
+    stature, stature_sd: the newest estimate, m; stature_known: False while it is the average.
+    dimensions: those of the model; revision: 0 while they are not
     settled, then 1, 2, ...: the URDF is to be made anew when it grows. residual: mean distance of points and
     fitted, m.
     """
@@ -442,14 +442,14 @@ class BodyModeller:
         """Bodies of the last update that have no model, and why."""
 
     @classmethod
-    def from_parameters(cls, values: SimpleNamespace) -> "BodyModeller":
-        """Build it from the values of MODELLER_PARAMETERS. Raises ValueError."""
+    def from_parameters(cls, values: BodiesSettings) -> "BodyModeller":
+        """Return the one with these settings. Raises ValueError."""
         return cls(values.interface, values.ik_solver, SegmentTable.load(values.segments or None),
                    values.stature_tolerance, values.limb_lengths, values.min_keypoint_confidence,
                    values.model_delay, values.stature_window,
                    FilterSettings(process_noise_scale=values.keypoint_agility, gate=values.keypoint_gate))
 
-    def reconfigure(self, values: SimpleNamespace) -> None:
+    def reconfigure(self, values: BodiesSettings) -> None:
         """Take up the values of the live parameters; the bodies stay."""
         self._min_confidence = values.min_keypoint_confidence
         self._filter.settings = FilterSettings(process_noise_scale=values.keypoint_agility, gate=values.keypoint_gate)

@@ -6,7 +6,6 @@ import importlib
 import threading
 from collections import OrderedDict
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Dict, Iterable, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -17,14 +16,13 @@ from visualization_msgs.msg import MarkerArray
 
 from hri_fullbody.core.detection.windows import FaceBox, face_boxes
 from hri_fullbody.core.model.urdf import make_urdf
+from hri_fullbody.core.parameters import BodiesSettings
 from hri_fullbody.core.pipeline import BodyPipeline, ModelledBody
 from hri_fullbody.core.tracking.reidentification import Reidentification
 from hri_fullbody.core.tracking.scheduler import StampPacer
-from hri_fullbody.ros.face_input import FaceInput
-from hri_fullbody.ros.markers import SkeletonMarkers
+from hri_fullbody.ros.inputs import FaceInput, UpFrame
 from hri_fullbody.ros.state_publishers import StatePublishers
-from hri_fullbody.ros.topics import NAMESPACE, BodyTopics, pointing_message
-from hri_fullbody.ros.up_frame import UpFrame
+from hri_fullbody.ros.topics import NAMESPACE, BodyTopics, SkeletonMarkers, pointing_message
 from hri_msgs.msg import IdsMatch, PointingStamped
 from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.ids import is_valid_id
@@ -53,7 +51,7 @@ class BodyProcessor:
 
     name = "bodies"
 
-    def __init__(self, settings: SimpleNamespace, listen_for_faces: bool = True) -> None:
+    def __init__(self, settings: BodiesSettings, listen_for_faces: bool = True) -> None:
         self._guard = ItemGuard(rospy.logerr)
         self._networks = ModelLog(rospy.logwarn)
         self._pipeline = BodyPipeline(settings, notify=self._networks, guard=self._guard)
@@ -98,7 +96,7 @@ class BodyProcessor:
         if self._markers.get_num_connections() and not self._no_frame:
             self._draw(bodies, frame, self._pipeline.up)
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: BodiesSettings) -> None:
         """Take up the values of the live parameters; the bodies stay."""
         self._pipeline.reconfigure(settings)
         self._pacer.set_rate(settings.joint_state_rate)

@@ -1,20 +1,25 @@
-"""The topics under /humans/bodies/ID."""
+"""The topics under /humans/bodies/ID, and skeletons as markers for rviz: limbs, joints, a head, a line of text."""
 
 from __future__ import annotations
 
-from typing import Iterable, Mapping, Optional, Sequence
+from typing import Iterable, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
+import rospy
 from geometry_msgs.msg import Point, PointStamped, TwistStamped, Vector3
 from sensor_msgs.msg import Image, JointState
-from std_msgs.msg import Header
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
 
-from hri_fullbody.core.behaviour.recognizer import BodyBehaviour
-from hri_fullbody.core.pipeline import ModelledBody
+from hri_fullbody.core import keypoints as kp
 from hri_fullbody.core.behaviour.pointing import Pointing
+from hri_fullbody.core.behaviour.recognizer import BodyBehaviour
+from hri_fullbody.core.keypoints import EDGES
+from hri_fullbody.core.pipeline import ModelledBody
 from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, PointingStamped, Skeleton2D
 from hri_msgs.msg import Pointing as PointingMessage
 from hri_pipeline.core.observations import BodyObservation
+from hri_pipeline.core.overlay import colour_of
 from hri_pipeline.ros.conversions import bgr_to_image, roi_message, roi_type, skeleton_to_msg
 from hri_pipeline.ros.inputs import Frame
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec
@@ -117,3 +122,174 @@ def pointing_message(found: Mapping[str, Pointing], header: Header) -> PointingS
             direction=Vector3(*one.direction.tolist()), has_place=one.place is not None,
             place=Point() if one.place is None else Point(*one.place.tolist()), confidence=one.confidence)
         for body_id, one in found.items()])
+
+
+_LIFETIME_S = 1.0
+_LIMB_WIDTH_M = 0.035
+_FACE_WIDTH_M = 0.012
+_JOINT_SIZE_M = 0.06
+_FACE_POINT_SIZE_M = 0.025
+_HEAD_SIZE_M = (0.19, 0.19, 0.25)
+_TEXT_HEIGHT_M = 0.10
+_ARROW_M, _RAY_M = (0.02, 0.06, 0.1), 3.0       # diameter of shaft and head, length of the head; of a ray into nothing
+_TEXT_ABOVE_HEAD_M = 0.25
+_NUMBER = {"limbs": 0, "joints": 1, "face": 2, "face points": 3, "head": 4, "text": 5, "pointing": 6}
+_FACE = (kp.NOSE, kp.LEFT_EYE, kp.RIGHT_EYE, kp.LEFT_EAR, kp.RIGHT_EAR)
+_LEFT = (kp.LEFT_SHOULDER, kp.LEFT_ELBOW, kp.LEFT_WRIST, kp.LEFT_HIP, kp.LEFT_KNEE, kp.LEFT_ANKLE)
+_RIGHT = (kp.RIGHT_SHOULDER, kp.RIGHT_ELBOW, kp.RIGHT_WRIST, kp.RIGHT_HIP, kp.RIGHT_KNEE, kp.RIGHT_ANKLE)
+# Conventional lights: port (left) is red, starboard (right) is green.
+_SIDE_COLOURS = {"left": np.array([0.93, 0.20, 0.17]), "right": np.array([0.15, 0.75, 0.30])}
+_UP = np.array([0.0, -1.0, 0.0])
+_LIMBS = tuple(edge for edge in EDGES if edge[0] not in _FACE and edge[1] not in _FACE)
+_FACE_LINES = tuple(edge for edge in EDGES if edge not in _LIMBS and kp.NECK not in edge)
+
+
+def skeleton_markers(bodies: Sequence[BodyObservation], header: Header,
+                     labels: Optional[Mapping[str, str]] = None,
+                     up: Sequence[float] = (0.0, -1.0, 0.0)) -> MarkerArray:
+    """Lines, joints, head and text of all bodies in the frame of `header`; what is not known in space is left out.
+
+    Limbs of the left are red, those of the right green; joints, head and trunk have a colour that hangs on the id
+    alone. labels: body id -> text under the id above the head, such as stature and attitude. up: (3,) against gravity
+    in the frame of `header`, to which heads and texts keep. Every marker disappears by itself a second after the last
+    image; SkeletonMarkers takes those of bodies that left away at once.
+    """
+    direction = np.asarray(up, dtype=np.float64)
+    length = float(np.linalg.norm(direction))
+    direction = direction / length if np.isfinite(length) and length > 1e-9 else _UP
+    markers: List[Marker] = []
+    for body in bodies:
+        markers += _body_markers(body, header, (labels or {}).get(body.id, ""), direction)
+    return MarkerArray(markers=markers)
+
+
+class SkeletonMarkers:
+    """Makes the markers of one image after the other, and deletes those that the last one had and this one has not."""
+
+    def __init__(self) -> None:
+        self._shown: List[Tuple[str, int]] = []
+
+    def update(self, bodies: Sequence[BodyObservation], header: Header, labels: Optional[Mapping[str, str]] = None,
+               up: Sequence[float] = (0.0, -1.0, 0.0),
+               pointing: Optional[Mapping[str, Pointing]] = None) -> MarkerArray:
+        """Return the markers of the bodies, see skeleton_markers, and an arrow for each that points, after the DELETE
+        of all that is no longer there."""
+        array = skeleton_markers(bodies, header, labels, up)
+        array.markers += [_arrow(header, body_id, one) for body_id, one in (pointing or {}).items()]
+        present = [(marker.ns, marker.id) for marker in array.markers]
+        gone = [Marker(header=header, ns=name, id=number, action=Marker.DELETE)
+                for name, number in self._shown if (name, number) not in set(present)]
+        self._shown = present
+        array.markers = gone + array.markers
+        return array
+
+    def clear(self, header: Header) -> MarkerArray:
+        """Return the DELETE of every marker that is shown."""
+        return self.update([], header)
+
+
+def _body_markers(body: BodyObservation, header: Header, label: str, up: np.ndarray) -> List[Marker]:
+    places = np.asarray(body.keypoints_3d, dtype=np.float64)
+    known = np.isfinite(places).all(axis=1)
+    if not known.any():
+        return []
+    blue, green, red = colour_of(body.id)
+    colour = np.array([red, green, blue]) / 255.0
+    middle = _head_middle(places, known)
+    lines = [(places[a], places[b], _limb_colour(colour, a, b)) for a, b in _LIMBS if known[a] and known[b]]
+    if middle is not None and known[kp.NECK]:
+        lines.append((places[kp.NECK], middle, colour))
+    face_lines = [(places[a], places[b], _white(colour)) for a, b in _FACE_LINES if known[a] and known[b]]
+    joints = [(places[index], colour) for index in np.flatnonzero(known) if index not in _FACE]
+    face = [(places[index], _white(colour)) for index in _FACE if known[index]]
+    markers = [
+        _many(header, body.id, "limbs", Marker.LINE_LIST, (_LIMB_WIDTH_M, 0.0, 0.0), _ends(lines)),
+        _many(header, body.id, "joints", Marker.SPHERE_LIST, (_JOINT_SIZE_M,) * 3, joints),
+        _many(header, body.id, "face", Marker.LINE_LIST, (_FACE_WIDTH_M, 0.0, 0.0), _ends(face_lines)),
+        _many(header, body.id, "face points", Marker.SPHERE_LIST, (_FACE_POINT_SIZE_M,) * 3, face)]
+    if middle is not None:
+        markers.append(_head(header, body.id, middle, up, colour))
+    markers.append(_text(header, body.id, label, places[known], middle, up))
+    return [marker for marker in markers if marker is not None]
+
+
+def _head_middle(places: np.ndarray, known: np.ndarray) -> Optional[np.ndarray]:
+    """Middle of the head (3,) m: between the ears, else a little behind the nose as seen by the sensor."""
+    if known[kp.LEFT_EAR] and known[kp.RIGHT_EAR]:
+        return 0.5 * (places[kp.LEFT_EAR] + places[kp.RIGHT_EAR])
+    seen = [index for index in _FACE if known[index]]
+    return places[seen].mean(axis=0) if seen else None
+
+
+def _ends(lines: Sequence[Tuple[np.ndarray, np.ndarray, np.ndarray]]) -> List[Tuple[np.ndarray, np.ndarray]]:
+    return [(place, colour) for start, end, colour in lines for place in (start, end)]
+
+
+def _limb_colour(colour: np.ndarray, first: int, second: int) -> np.ndarray:
+    """Colour of a line between two points: of the side of both, else the body's own."""
+    for side, points in (("left", _LEFT), ("right", _RIGHT)):
+        if second in points and (first in points or first == kp.NECK):
+            return _SIDE_COLOURS[side]
+    return colour
+
+
+def _white(colour: np.ndarray) -> np.ndarray:
+    return 0.3 * colour + 0.7
+
+
+def _arrow(header: Header, name: str, pointing: Pointing) -> Marker:
+    """From the eyes to the place that is pointed at, else 3 m long."""
+    marker = _marker(header, name, "pointing", Marker.ARROW, _ARROW_M)
+    end = pointing.origin + _RAY_M * pointing.direction if pointing.place is None else pointing.place
+    marker.points = [Point(*pointing.origin.tolist()), Point(*end.tolist())]
+    marker.color = _rgba(np.array([1.0, 0.75, 0.1]), 0.8)
+    return marker
+
+
+def _many(header: Header, name: str, part: str, kind: int, size: Sequence[float],
+          places: Sequence[Tuple[np.ndarray, np.ndarray]]) -> Optional[Marker]:
+    """A marker of many points with a colour each; None without points."""
+    if not places:
+        return None
+    marker = _marker(header, name, part, kind, size)
+    marker.points = [Point(*place.tolist()) for place, _ in places]
+    marker.colors = [_rgba(colour) for _, colour in places]
+    marker.color = _rgba(places[0][1])
+    return marker
+
+
+def _head(header: Header, name: str, middle: np.ndarray, up: np.ndarray, colour: np.ndarray) -> Marker:
+    marker = _marker(header, name, "head", Marker.SPHERE, _HEAD_SIZE_M)
+    marker.pose.position = Point(*middle.tolist())
+    # The shortest turn that brings z to `up`.
+    x, y, z, w = -up[1], up[0], 0.0, 1.0 + up[2]
+    norm = float(np.sqrt(x * x + y * y + w * w))
+    x, y, w = (x / norm, y / norm, w / norm) if norm > 1e-6 else (1.0, 0.0, 0.0)
+    orientation = marker.pose.orientation
+    orientation.x, orientation.y, orientation.z, orientation.w = float(x), float(y), z, float(w)
+    marker.color = _rgba(colour, 0.45)
+    return marker
+
+
+def _text(header: Header, name: str, label: str, places: np.ndarray, middle: Optional[np.ndarray],
+          up: np.ndarray) -> Marker:
+    """The id and, in a second line, the label, above the head or above the highest point."""
+    marker = _marker(header, name, "text", Marker.TEXT_VIEW_FACING, (0.0, 0.0, _TEXT_HEIGHT_M))
+    base = middle if middle is not None else places[int(np.argmax(places @ up))]
+    marker.pose.position = Point(*(base + (_TEXT_ABOVE_HEAD_M + _TEXT_HEIGHT_M * bool(label) / 2.0) * up).tolist())
+    marker.text = "{}\n{}".format(name, label) if label else name
+    marker.color = _rgba(np.ones(3))
+    return marker
+
+
+def _marker(header: Header, name: str, part: str, kind: int, size: Sequence[float]) -> Marker:
+    marker = Marker(header=header, ns=name, id=_NUMBER[part], type=kind, action=Marker.ADD,
+                    lifetime=rospy.Duration.from_sec(_LIFETIME_S))
+    marker.scale.x, marker.scale.y, marker.scale.z = size
+    marker.pose.orientation.w = 1.0
+    return marker
+
+
+def _rgba(colour: np.ndarray, alpha: float = 1.0) -> ColorRGBA:
+    red, green, blue = colour.tolist()
+    return ColorRGBA(r=red, g=green, b=blue, a=alpha)

@@ -6,7 +6,6 @@ All times are seconds of one clock and are given by the caller. Not thread-safe:
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Set, Tuple
 
 import numpy as np
@@ -16,6 +15,7 @@ from hri_person_manager.core.features import Kind, MatchNode, TrackedFeatures
 from hri_person_manager.core.location import Decay, FeaturePlaces, Location, Place, PlaceSource
 from hri_person_manager.core.match_graph import Association, CandidateMatch
 from hri_person_manager.core.merges import Merges
+from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import (
     ANONYMOUS_PREFIX,
     KnownIds,
@@ -37,7 +37,7 @@ _AS_SURE_AS_BEFORE = 0.9
 class PersonManager:
     """Fuses faces, bodies and voices into persons and knows where they are."""
 
-    def __init__(self, settings: SimpleNamespace, new_id: Optional[Callable[[], str]] = None) -> None:
+    def __init__(self, settings: PersonManagerSettings, new_id: Optional[Callable[[], str]] = None) -> None:
         """Take the settings of `parameters.PERSON_MANAGER_PARAMETERS`; `new_id` makes ids of 5 characters."""
         self._settings = settings
         self._threshold = settings.match_threshold
@@ -59,7 +59,7 @@ class PersonManager:
         self._association = Association(self._threshold, self._is_present, self._make_permanent)
         self._cameras = CrossCamera(*_camera_limits(self._settings))
 
-    def reconfigure(self, settings: SimpleNamespace, now: float) -> None:
+    def reconfigure(self, settings: PersonManagerSettings, now: float) -> None:
         """Take up the values of the live parameters at `now` (s): persons and matches stay, who belongs together is
         solved anew."""
         self._settings = settings
@@ -456,7 +456,7 @@ class PersonManager:
             self._published.invalidate()
 
 
-def _camera_limits(settings: SimpleNamespace) -> Tuple[float, float, float]:
+def _camera_limits(settings: PersonManagerSettings) -> Tuple[float, float, float]:
     return settings.cross_camera_distance, settings.cross_camera_time, settings.cross_camera_handover
 
 

@@ -2,95 +2,97 @@
 
 from __future__ import annotations
 
-from hri_person_manager.core.location import DECAY_KINDS
-from hri_pipeline.core.parameters import LIST_TIMEOUT, Parameter, ParameterTable
+from dataclasses import dataclass
+from typing import Sequence
 
-PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", "Fuses faces, bodies and voices into persons and locates "
-                                                             "them.", (
-    Parameter("match_threshold", 0.5,
-              "Likelihood from which on a candidate match counts. Higher: fewer wrong unions, more persons "
-              "in two halves.",
-              minimum=0.01, maximum=1.0, live=True, shared="/humans/match_threshold"),
-    Parameter("reference_frame", "map",
-              "Parent of the frames person_ID. Where no transform leads to it, the frame of the sensor takes "
-              "its place, with one warning.", shared="/humans/reference_frame"),
-    Parameter("anonymous_persons", True,
-              "Unidentified features become persons. False: a person exists only once a recogniser has named it."),
-    Parameter("features_from_matches", True,
-              "A feature that a match names exists before its list says so. False: it has to be listed first."),
-    Parameter("new_person_delay", 0.5,
-              "Time that a feature waits for a match before it becomes an anonymous person. Longer: fewer "
-              "short-lived persons, later frames.", unit="s", minimum=0.0, maximum=60.0, live=True),
-    Parameter("voice_person_delay", 2.0,
-              "Time that a voice waits for a match before it becomes an unseen person: mouth and voice have to be "
-              "compared for about a second. Shorter: unseen speakers are persons earlier, and speakers in view get a "
-              "person for a moment that then is an alias. Counts where it is longer than new_person_delay.",
-              unit="s", minimum=0.0, maximum=60.0, live=True),
-    Parameter("decay", "exponential",
-              "How the location confidence falls once no feature has told a place for 1 s (or three image periods). "
-              "exponential: half after each half_life. linear: 0 after two. step: 0.5 at once, 0 after two.",
-              choices=DECAY_KINDS, live=True),
-    Parameter("half_life", 5.0,
-              "Time in which the confidence of a place that is no longer current halves. Longer: frames stay longer "
-              "at the last place.", unit="s", minimum=0.01, maximum=3600.0, live=True),
-    Parameter("confidence_floor", 0.05,
-              "Exponential decay: below this the confidence is 0, the frame stops, and an anonymous person "
-              "is forgotten.", minimum=0.001, maximum=0.9, live=True),
-    Parameter("coast_time", 0.0,
-              "Time for which the frame of a lost person goes on with the last velocity, slowing down. 0: it stays "
-              "at the last place.", unit="s", minimum=0.0, maximum=10.0),
-    Parameter("robot_frame", "",
-              "Frame from which the horizontal distances for the lists in_*_space are measured, such as base_link. "
-              "Empty: the sensor that sees them."),
-    Parameter("personal_distance", 1.2,
-              "Outer border of the personal space.", unit="m", minimum=0.1, maximum=10.0, live=True),
-    Parameter("social_distance", 3.6,
-              "Outer border of the social space; what is farther away is public.", unit="m", minimum=0.2,
-              maximum=50.0, live=True),
-    Parameter("cross_camera", True,
-              "Join persons whom several cameras see at one place, and keep the id of somebody who walks from one "
-              "view to another. Nothing happens with one camera, or without transforms to the reference frame."),
-    Parameter("cross_camera_distance", 0.5,
-              "How exact the cameras' poses are, times ten: rays that pass each other by a tenth of it (and by 2 % of "
-              "the distance) are one person. Larger: for an inexact calibration; people who stand close together may "
-              "be taken for one.",
-              unit="m",
-              minimum=0.05, maximum=3.0, live=True),
-    Parameter("cross_camera_time", 1.0,
-              "Time for which the rays of two cameras agree before the persons are joined, three times as long where "
-              "they agree less well; after twice as long apart they are parted.",
-              unit="s", minimum=0.1, maximum=30.0, live=True),
-    Parameter("distance_error", 0.12,
-              "Error of the distance of a face or a body along the ray of its camera (standard deviation), as a share "
-              "of the distance: 0.12 without depth, about 0.03 with a depth image.",
-              minimum=0.005, maximum=1.0, live=True),
-    Parameter("distance_errors", [],
-              "The same for single cameras, as FRAME=SHARE with the optical frame, such as "
-              "camera_depth_optical_frame=0.03; distance_error holds for the others."),
-    Parameter("cross_camera_handover", 4.0,
-              "Time in which somebody who left one view may appear in another, where the last velocity leads, as the "
-              "same person. 0: never.", unit="s", minimum=0.0, maximum=60.0,
-              live=True),
-    Parameter("source_timeout", 0.5,
-              "Silence of the face frame after which the body places the person, and of all frames after which the "
-              "last place is sent again. Where face and body were seen together, the body goes on after 0.25 s, or "
-              "three images of the face. A body whose stamps lag goes on when the face has told nothing for 1 s "
-              "(three image periods) at the latest.", unit="s",
-              minimum=0.02, maximum=10.0),
-    Parameter("store", "",
-              "File (SQLite) in which permanent persons are kept across runs: ids, names, languages, demographics, "
-              "times; the recognisers keep their templates in the same file. Empty: in memory only."),
-    Parameter("store_max_age", 0.0,
-              "Persons not seen for longer are removed from the store without a trace. 0: never.", unit="days",
-              minimum=0.0, maximum=36500.0),
-    Parameter("store_max_persons", 1000,
-              "Most persons in the store; those unseen for longest are removed. 0: no limit.", minimum=0,
-              maximum=1000000),
-    Parameter("max_matches_per_second", 2000.0,
-              "Candidate matches accepted per second; more are dropped and counted in the diagnostics.",
-              unit="1/s", minimum=1.0, maximum=100000.0, live=True),
-    LIST_TIMEOUT,
-    Parameter("interface", "paper",
-              "No effect on this node; every node takes it, so that one launch argument sets all.",
-              choices=("paper", "rep155")),
-))
+from hri_person_manager.core.location import DECAY_KINDS
+from hri_pipeline.core.parameters import ParameterTable, Settings, list_timeout_parameter, parameter
+
+
+@dataclass(frozen=True)
+class PersonManagerSettings(Settings):
+    """Fuses faces, bodies and voices into persons and locates them."""
+
+    match_threshold: float = parameter(
+        0.5, "Likelihood from which on a candidate match counts. Higher: fewer wrong unions, more persons in two "
+        "halves.", minimum=0.01, maximum=1.0, live=True, shared="/humans/match_threshold")
+    reference_frame: str = parameter(
+        "map", "Parent of the frames person_ID. Where no transform leads to it, the frame of the sensor takes its "
+        "place, with one warning.", shared="/humans/reference_frame")
+    anonymous_persons: bool = parameter(
+        True, "Unidentified features become persons. False: a person exists only once a recogniser has named it.")
+    features_from_matches: bool = parameter(
+        True, "A feature that a match names exists before its list says so. False: it has to be listed first.")
+    new_person_delay: float = parameter(
+        0.5, "Time that a feature waits for a match before it becomes an anonymous person. Longer: fewer short-lived "
+        "persons, later frames.", unit="s", minimum=0.0, maximum=60.0, live=True)
+    voice_person_delay: float = parameter(
+        2.0, "Time that a voice waits for a match before it becomes an unseen person: mouth and voice have to be "
+        "compared for about a second. Shorter: unseen speakers are persons earlier, and speakers in view get a person "
+        "for a moment that then is an alias. Counts where it is longer than new_person_delay.", unit="s", minimum=0.0,
+        maximum=60.0, live=True)
+    decay: str = parameter(
+        "exponential", "How the location confidence falls once no feature has told a place for 1 s (or three image "
+        "periods). exponential: half after each half_life. linear: 0 after two. step: 0.5 at once, 0 after two.",
+        choices=DECAY_KINDS, live=True)
+    half_life: float = parameter(
+        5.0, "Time in which the confidence of a place that is no longer current halves. Longer: frames stay longer at "
+        "the last place.", unit="s", minimum=0.01, maximum=3600.0, live=True)
+    confidence_floor: float = parameter(
+        0.05, "Exponential decay: below this the confidence is 0, the frame stops, and an anonymous person is "
+        "forgotten.", minimum=0.001, maximum=0.9, live=True)
+    coast_time: float = parameter(
+        0.0, "Time for which the frame of a lost person goes on with the last velocity, slowing down. 0: it stays at "
+        "the last place.", unit="s", minimum=0.0, maximum=10.0)
+    robot_frame: str = parameter(
+        "", "Frame from which the horizontal distances for the lists in_*_space are measured, such as base_link. "
+        "Empty: the sensor that sees them.")
+    personal_distance: float = parameter(
+        1.2, "Outer border of the personal space.", unit="m", minimum=0.1, maximum=10.0, live=True)
+    social_distance: float = parameter(
+        3.6, "Outer border of the social space; what is farther away is public.", unit="m", minimum=0.2, maximum=50.0,
+        live=True)
+    cross_camera: bool = parameter(
+        True, "Join persons whom several cameras see at one place, and keep the id of somebody who walks from one "
+        "view to another. Nothing happens with one camera, or without transforms to the reference frame.")
+    cross_camera_distance: float = parameter(
+        0.5, "How exact the cameras' poses are, times ten: rays that pass each other by a tenth of it (and by 2 % of "
+        "the distance) are one person. Larger: for an inexact calibration; people who stand close together may be "
+        "taken for one.", unit="m", minimum=0.05, maximum=3.0, live=True)
+    cross_camera_time: float = parameter(
+        1.0, "Time for which the rays of two cameras agree before the persons are joined, three times as long where "
+        "they agree less well; after twice as long apart they are parted.", unit="s", minimum=0.1, maximum=30.0,
+        live=True)
+    distance_error: float = parameter(
+        0.12, "Error of the distance of a face or a body along the ray of its camera (standard deviation), as a share "
+        "of the distance: 0.12 without depth, about 0.03 with a depth image.", minimum=0.005, maximum=1.0, live=True)
+    distance_errors: Sequence[str] = parameter(
+        [], "The same for single cameras, as FRAME=SHARE with the optical frame, such as "
+        "camera_depth_optical_frame=0.03; distance_error holds for the others.")
+    cross_camera_handover: float = parameter(
+        4.0, "Time in which somebody who left one view may appear in another, where the last velocity leads, as the "
+        "same person. 0: never.", unit="s", minimum=0.0, maximum=60.0, live=True)
+    source_timeout: float = parameter(
+        0.5, "Silence of the face frame after which the body places the person, and of all frames after which the "
+        "last place is sent again. Where face and body were seen together, the body goes on after 0.25 s, or three "
+        "images of the face. A body whose stamps lag goes on when the face has told nothing for 1 s (three image "
+        "periods) at the latest.", unit="s", minimum=0.02, maximum=10.0)
+    store: str = parameter(
+        "", "File (SQLite) in which permanent persons are kept across runs: ids, names, languages, demographics, "
+        "times; the recognisers keep their templates in the same file. Empty: in memory only.")
+    store_max_age: float = parameter(
+        0.0, "Persons not seen for longer are removed from the store without a trace. 0: never.", unit="days",
+        minimum=0.0, maximum=36500.0)
+    store_max_persons: int = parameter(
+        1000, "Most persons in the store; those unseen for longest are removed. 0: no limit.", minimum=0,
+        maximum=1000000)
+    max_matches_per_second: float = parameter(
+        2000.0, "Candidate matches accepted per second; more are dropped and counted in the diagnostics.", unit="1/s",
+        minimum=1.0, maximum=100000.0, live=True)
+    list_timeout: float = list_timeout_parameter()
+    interface: str = parameter(
+        "paper", "No effect on this node; every node takes it, so that one launch argument sets all.", choices=("paper",
+        "rep155"))
+
+
+PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", PersonManagerSettings)

@@ -7,12 +7,12 @@ that the recognisers use as well. Age and gender of a person are fused over all 
 from __future__ import annotations
 
 import math
+import re
 import threading
 from collections import OrderedDict
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Protocol, Sequence, Set, Tuple
 
-from hri_person_manager.core.language_tags import normal_language_tag
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.recognition.store import PermanentPerson, PersonStore, StoredPerson
@@ -413,3 +413,38 @@ def _estimate(mapping: Mapping[str, Any]) -> Optional[DemographicsEstimate]:
         return DemographicsEstimate(**mapping) if mapping else None
     except TypeError:
         return None
+
+
+LONGEST_TAG = 64
+_LANGUAGE = re.compile(r"(?P<language>[a-z]{2,3})(-(?P<extended>[a-z]{3}))?(-(?P<script>[a-z]{4}))?"
+                       r"(-(?P<region>[a-z]{2}|[0-9]{3}))?(?P<variants>(-([a-z0-9]{5,8}|[0-9][a-z0-9]{3}))*)"
+                       r"(?P<extensions>(-[0-9a-wy-z](-[a-z0-9]{2,8})+)*)(?P<private>-x(-[a-z0-9]{1,8})+)?", re.ASCII)
+_PRIVATE = re.compile(r"x(-[a-z0-9]{1,8})+", re.ASCII)
+
+
+def normal_language_tag(text: str) -> str:
+    """Return a language tag in the form of BCP 47; ValueError for what is none."""
+    tag = text.replace("_", "-").lower()
+    found = _LANGUAGE.fullmatch(tag)
+    if len(text) > LONGEST_TAG or not text.isascii() or (found is None and not _PRIVATE.fullmatch(tag)):
+        raise ValueError("{!r} is no IETF language tag, such as fr, pt-BR or zh-Hant-TW".format(text[:40]))
+    if found is None:
+        return tag
+    variants = found["variants"].split("-")[1:]
+    extensions = _extensions(found["extensions"])
+    if len(set(variants)) < len(variants) or len({parts[0] for parts in extensions}) < len(extensions):
+        raise ValueError("{!r} is no IETF language tag: a part comes twice".format(text[:40]))
+    parts = [found["extended"] or found["language"], (found["script"] or "").title(), (found["region"] or "").upper(),
+             *variants, *("-".join(parts) for parts in sorted(extensions))]
+    return "-".join(part for part in parts if part) + (found["private"] or "")
+
+
+def _extensions(text: str) -> List[List[str]]:
+    """The extensions of a tag, each a letter or digit and its subtags."""
+    found: List[List[str]] = []
+    for part in text.split("-")[1:]:
+        if len(part) == 1:
+            found.append([part])
+        else:
+            found[-1].append(part)
+    return found

@@ -8,7 +8,6 @@ import threading
 import time
 import xmlrpc.client
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Callable, Dict, List, Mapping, Optional, Tuple
 
 import genpy
@@ -20,12 +19,12 @@ from hri_person_manager.core.display import graph_text
 from hri_person_manager.core.features import FEATURES, MAX_FEATURES, Kind, MatchNode
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import MatchGuard
+from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import ANONYMOUS_PREFIX, Snapshot
 from hri_person_manager.core.register import PersonRegister, SqliteRecordStore
 from hri_person_manager.ros.inputs import ReferenceFrame, StampedFeaturePose, TfInput
 from hri_person_manager.ros.services import PersonServices
-from hri_person_manager.ros.topics import PersonSpaces, PersonTopics
-from hri_person_manager.ros.visualization import GraphTopic, PersonMarkers
+from hri_person_manager.ros.topics import GraphTopic, PersonMarkers, PersonSpaces, PersonTopics
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.private_file import StoreError
@@ -52,7 +51,7 @@ _FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", K
           ("voices", Kind.VOICE, {}))
 
 
-def open_store(settings: SimpleNamespace) -> Optional[SqliteRecordStore]:
+def open_store(settings: PersonManagerSettings) -> Optional[SqliteRecordStore]:
     """Open the file of the parameter `store` and say so; None without one.
 
     Raises ParameterError naming the parameter and the fix when the file cannot be used.
@@ -188,7 +187,7 @@ class PersonManagerNode:
     The caller of spin() lets time pass ten times a second of wall time, whatever the simulated clock does.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: PersonManagerSettings) -> None:
         sys.setswitchinterval(SWITCH_S)
         self._lock = threading.RLock()
         self._stop = threading.Event()
@@ -266,7 +265,7 @@ class PersonManagerNode:
             with self._lock:
                 self._tick()
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: PersonManagerSettings) -> None:
         """Take up the values of the live parameters, from any thread.
 
         ValueError for borders of spaces in the wrong order.

@@ -1,5 +1,5 @@
-"""Topics of the persons: the lists, those of the spaces around the robot, and what is latched under
-/humans/persons/ID."""
+"""Topics of the persons: the lists, those of the spaces around the robot, what is latched under /humans/persons/ID, and
+markers for rviz."""
 
 from __future__ import annotations
 
@@ -7,23 +7,26 @@ import queue
 import threading
 import time
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Dict, Optional, Set, Tuple
+from typing import Callable, Dict, List, Optional, Set, Tuple
 
 import genpy
 import rospy
-from std_msgs.msg import Bool, Float32, Header, String
+from geometry_msgs.msg import Point, Quaternion
+from geometry_msgs.msg import Pose as PoseMsg
+from std_msgs.msg import Bool, ColorRGBA, Float32, Header, String
+from visualization_msgs.msg import Marker, MarkerArray
 
 from hri_msgs.msg import AgeAndGender
-from hri_person_manager.core.location import Place, PlaceSource
+from hri_person_manager.core.location import Place, PlaceSource, Proxemics, Space, horizontal_distance
+from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import PersonState, Snapshot
-from hri_person_manager.core.proxemics import Proxemics, Space, horizontal_distance
 from hri_person_manager.core.register import DemographicsEstimate, PersonRegister
 from hri_person_manager.ros.inputs import TfInput
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import to_time
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
+from hri_pipeline.ros.rospy_compat import release
 
 NAMESPACE = "/humans/persons"
 CONFIDENCE_STEP = 0.005     # a change of the confidence by less is not published
@@ -228,7 +231,7 @@ def _differs(old: object, new: object) -> bool:
 class PersonSpaces:
     """Publishes who is how near, in the plane, to `robot_frame` or to the sensor that saw the person last."""
 
-    def __init__(self, settings: SimpleNamespace, tf_input: TfInput) -> None:
+    def __init__(self, settings: PersonManagerSettings, tf_input: TfInput) -> None:
         """Take the values of the manager's parameters.
 
         ParameterError-free: ValueError for borders in the wrong order.
@@ -241,7 +244,7 @@ class PersonSpaces:
         self._poses: Dict[Tuple[str, str], Optional[Pose]] = {}
         self._lists = {space: TrackedList("{}/{}".format(NAMESPACE, space.value)) for space in Space}
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: PersonManagerSettings) -> None:
         """Take up the borders. ValueError when they are in the wrong order; then nothing has changed."""
         self._proxemics.set_borders(settings.personal_distance, settings.social_distance)
 
@@ -296,3 +299,75 @@ class PersonSpaces:
         if (target, frame) not in self._poses:
             self._poses[target, frame] = self._tf_input.between(target, frame, genpy.Time())
         return self._poses[target, frame]
+
+
+RADIUS = 0.06           # m
+TEXT_HEIGHT = 0.12      # m
+TEXT_ABOVE = 0.55       # m, above the two lines that the body's own label has there
+LIFETIME_S = 0.5
+GRAPH_PERIOD_S = 0.2
+
+
+class PersonMarkers:
+    """MarkerArray on `visualization/persons`, made only while somebody listens."""
+
+    def __init__(self) -> None:
+        self._publisher = rospy.Publisher("visualization/persons", MarkerArray, queue_size=1)
+
+    def publish(self, snapshot: Snapshot) -> None:
+        """Show the persons that have a place; they fade with the confidence of their location."""
+        if not self._publisher.get_num_connections():
+            return
+        markers: List[Marker] = []
+        for number, state in enumerate(snapshot.persons):
+            if state.place is None or state.confidence <= 0.0:
+                continue
+            position = Point(*(float(value) for value in state.place.pose.translation))
+            above = Point(position.x, position.y, position.z)
+            if is_optical(state.place.frame):
+                above.y -= TEXT_ABOVE        # y of an optical frame points down
+            else:
+                above.z += TEXT_ABOVE
+            colour = ColorRGBA(0.1, 0.7, 1.0, 0.3 + 0.7 * state.confidence)
+            for kind, where, size in ((Marker.SPHERE, position, 2.0 * RADIUS),
+                                      (Marker.TEXT_VIEW_FACING, above, TEXT_HEIGHT)):
+                marker = Marker(ns="persons", id=2 * number + (kind != Marker.SPHERE), type=kind, color=colour,
+                                pose=PoseMsg(where, Quaternion(0.0, 0.0, 0.0, 1.0)),
+                                text=_label(state.id) if kind == Marker.TEXT_VIEW_FACING else "",
+                                lifetime=rospy.Duration(LIFETIME_S))
+                marker.header.frame_id = state.place.frame
+                marker.scale.x = marker.scale.y = marker.scale.z = size
+                markers.append(marker)
+        self._publisher.publish(MarkerArray(markers))
+
+    def close(self) -> None:
+        """Take the topic back. Idempotent."""
+        release(self._publisher)
+
+
+def _label(person_id: str) -> str:
+    return person_id[len("anonymous_person_"):] if person_id.startswith("anonymous_person_") else person_id
+
+
+class GraphTopic:
+    """Publishes the text when it has changed, five times a second at most, and only while somebody listens."""
+
+    def __init__(self) -> None:
+        self._publisher = rospy.Publisher("/humans/graph", String, queue_size=1, latch=True)
+        self._last = ""
+        self._next = 0.0
+
+    def update(self, text: Callable[[], str]) -> None:
+        """Publish what `text` returns, if it is new."""
+        now = time.monotonic()
+        if now < self._next or not self._publisher.get_num_connections():
+            return
+        self._next = now + GRAPH_PERIOD_S
+        found = text()
+        if found != self._last:
+            self._last = found
+            self._publisher.publish(String(found))
+
+    def close(self) -> None:
+        """Take the topic back. Idempotent."""
+        release(self._publisher)

@@ -14,7 +14,6 @@ import numpy as np
 import rospy
 
 from hri_pipeline.client import topics
-from hri_pipeline.client.frames import HumanPoses
 from hri_pipeline.client.topics import (
     Attitude,
     Demographics,
@@ -23,6 +22,7 @@ from hri_pipeline.client.topics import (
     GazeOfPerson,
     Gesture,
     GroupOfPersons,
+    HumanPoses,
     LazyTopic,
     Posture,
     Region,

@@ -1,5 +1,5 @@
-"""Image messages to arrays, without cv_bridge: colour images to BGR, depth images to metres, and the depth at a
-point."""
+"""Image messages to arrays, without cv_bridge: colour images to BGR, depth images to metres, and the depth at a point;
+and cuts between the pictures of a film."""
 
 from __future__ import annotations
 
@@ -303,3 +303,45 @@ def _check_size(width: int, height: int) -> None:
         raise ImageError("image size is {}x{}: there is nothing in it".format(width, height))
     if width > MAX_SIDE or height > MAX_SIDE:
         raise ImageError("image size {}x{} is beyond the limit of {} px a side".format(width, height, MAX_SIDE))
+
+
+_SIDE = 48
+_MOST_MOTION = 0.25
+"""Part of the picture by which it may move from one image to the next."""
+_CUT = 0.5
+"""Correlation of two pictures, moved against each other at best, below which they show something else."""
+_EMPTY = 4.0
+"""Standard deviation (grey values) below which a picture shows nothing."""
+
+
+class PictureCuts:
+    """Tells when most of the picture changes from one image to the next, and not by a motion of the camera or by
+    light."""
+
+    def __init__(self) -> None:
+        self._last: Optional[np.ndarray] = None
+
+    def update(self, bgr: np.ndarray) -> bool:
+        """Return whether `bgr` (H, W, 3) uint8 shows something else than the image before."""
+        small = self._small(bgr)
+        last, self._last = self._last, small
+        if last is None:
+            return False
+        empty = float(small.std()) < _EMPTY, float(last.std()) < _EMPTY
+        if any(empty):
+            return not all(empty)
+        margin = int(_SIDE * _MOST_MOTION)
+        inner = small[margin:-margin, margin:-margin]
+        if float(inner.std()) < _EMPTY:
+            return float(np.corrcoef(small.ravel(), last.ravel())[0, 1]) < _CUT
+        return float(cv2.matchTemplate(last, inner, cv2.TM_CCOEFF_NORMED).max()) < _CUT
+
+    def reset(self) -> None:
+        """Forget the last image."""
+        self._last = None
+
+    @staticmethod
+    def _small(bgr: np.ndarray) -> np.ndarray:
+        step = max(1, min(bgr.shape[:2]) // (2 * _SIDE))
+        green = np.ascontiguousarray(bgr[::step, ::step, 1])
+        return cv2.resize(green, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA).astype(np.float32)

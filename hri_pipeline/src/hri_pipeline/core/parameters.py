@@ -1,17 +1,28 @@
-"""Parameters of a node as a table: name, type, unit, range, default and effect, in one place."""
+"""Parameters of a node: frozen dataclasses whose fields tell type, unit, range, default and effect, in one place.
+
+    @dataclass(frozen=True)
+    class FacesSettings(CameraSettings):
+        max_faces: int = parameter(10, "Most faces at the same time.", minimum=1, maximum=64, live=True)
+
+    FACES = ParameterTable("faces", FacesSettings)
+    settings = FACES.resolve({"max_faces": 3})
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
+import inspect
 import json
 import math
 import re
 import textwrap
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Dict, Mapping, Optional, Sequence, Tuple, Union
+from typing import Any, Dict, Generic, List, Mapping, Optional, Sequence, Tuple, Type, TypeVar, Union, cast
 
 Number = Union[int, float]
+_T = TypeVar("_T")
+_FIELD = "parameter"
 _SCALARS = {bool: "bool", int: "int", float: "float", str: "string"}
 
 
@@ -95,6 +106,12 @@ class Parameter:
         return "list of " + name if self.is_list else name
 
     @property
+    def annotation(self) -> str:
+        """Type of the field in the dataclass."""
+        name = self.item_type.__name__
+        return "Sequence[{}]".format(name) if self.is_list else name
+
+    @property
     def range_text(self) -> str:
         """Legal range in words, empty when there is none."""
         if self.choices:
@@ -143,56 +160,134 @@ class Parameter:
             self.name, value, type(value).__name__, legal, format_value(self.default)))
 
 
-class ParameterTable:
+@dataclass(frozen=True)
+class Settings:
+    """Values of the parameters of a node, or of a group of them that several nodes have: base of their dataclasses.
+
+    Each field is made by `parameter`. In files and pages the parameters of the bases come first, in the order in which
+    the bases are named, then those of the class; one that is defined again stands where it is defined last.
+    """
+
+
+S = TypeVar("S", bound=Settings)
+
+
+def parameter(default: _T, doc: str, unit: str = "", minimum: Optional[Number] = None,
+              maximum: Optional[Number] = None, choices: Tuple = (), live: bool = False, shared: str = "") -> _T:
+    """Return a field of a Settings dataclass. The arguments are the attributes of Parameter."""
+    made = dict(default=default, doc=doc, unit=unit, minimum=minimum, maximum=maximum, choices=choices, live=live,
+                shared=shared)
+    if isinstance(default, (list, tuple)):
+        items = list(default)
+        return cast(_T, dataclasses.field(default_factory=lambda: list(items), metadata={_FIELD: made}))
+    return cast(_T, dataclasses.field(default=default, metadata={_FIELD: made}))
+
+
+def parameter_like(settings: Type[Settings], name: str, more: str = "", **changes: Any) -> Any:
+    """Return the field `name` of another class with some attributes of Parameter changed.
+
+    more: text that is added to the other's.
+    """
+    made = {one.name: one for one in dataclasses.fields(settings)}[name].metadata[_FIELD]
+    return parameter(**{**made, "doc": made["doc"] + more, **changes})
+
+
+def list_timeout_parameter() -> float:
+    """Return the field `list_timeout`, which every node has that listens to a list of ids."""
+    return parameter(
+        0.0, "Silence after which a list of ids counts as empty. 0: never; a list then ends with its publisher, and "
+        "one that is said once holds. The nodes of this stack repeat theirs once a second.", unit="s", minimum=0.0,
+        maximum=3600.0)
+
+
+def parameters_of(settings: Type[Settings]) -> Tuple[Parameter, ...]:
+    """Return the parameters of a class of settings.
+
+    Raises
+    ------
+    ValueError
+        For a field that is not made by `parameter`, whose annotation is not the type of its default, or that two bases
+        define in different ways.
+    """
+    fields = {one.name: one for one in dataclasses.fields(settings)}
+    found: List[Parameter] = []
+    for name in _names(settings):
+        if name not in fields or _FIELD not in fields[name].metadata:
+            raise ValueError("{}.{} is not a field made by parameter()".format(settings.__name__, name))
+        made = Parameter(name, **fields[name].metadata[_FIELD])
+        annotation = getattr(fields[name].type, "__name__", fields[name].type)
+        if annotation != made.annotation:
+            raise ValueError("{}.{} is annotated as {}, and its default is of type {}".format(
+                settings.__name__, name, annotation, made.annotation))
+        found.append(made)
+    return tuple(found)
+
+
+def _names(settings: Type[Settings]) -> List[str]:
+    """Return the names of the parameters in their order."""
+    own = list(settings.__dict__.get("__annotations__", ()))
+    origin: Dict[str, object] = {}
+    for base in settings.__bases__:
+        if not issubclass(base, Settings):
+            continue
+        fields = {one.name: one for one in dataclasses.fields(base)}
+        for name in _names(base):
+            if name not in own and origin.pop(name, fields[name]) is not fields[name]:
+                raise ValueError("parameter {} of {} is there twice, in different ways".format(name, settings.__name__))
+            origin[name] = fields[name]
+    return [name for name in origin if name not in own] + own
+
+
+class ParameterTable(Generic[S]):
     """All parameters of a node.
 
     node: type of the node (`faces`), the name of its files config/<node>.yaml and docs/nodes/<node>.md.
+    settings: dataclass of their values; the first paragraph of its docstring says what the node does.
     includes: tables of other nodes; the page of this node leaves out what stands on theirs.
     """
 
-    def __init__(self, node: str, summary: str, parameters: Sequence[Parameter],
-                 includes: Sequence[ParameterTable] = ()) -> None:
-        names = [parameter.name for parameter in parameters]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError("parameters of {} are there twice: {}".format(node, ", ".join(twice)))
+    def __init__(self, node: str, settings: Type[S], includes: Sequence[ParameterTable] = ()) -> None:
         self.node = node
-        self.summary = summary
-        self.parameters: Tuple[Parameter, ...] = tuple(parameters)
+        self.settings = settings
+        self.summary = " ".join(inspect.cleandoc(settings.__doc__ or "").split("\n\n")[0].split())
+        self.parameters: Tuple[Parameter, ...] = parameters_of(settings)
         self.includes: Tuple[ParameterTable, ...] = tuple(includes)
 
-    def resolve(self, given: Mapping[str, object]) -> SimpleNamespace:
-        """Return all parameters as attributes: those of `given`, checked, and the defaults of the others.
+    def resolve(self, given: Mapping[str, object]) -> S:
+        """Return the values of all parameters: those of `given`, checked, and the defaults of the others.
 
         Raises ParameterError that names parameter, value and legal range, or the known names for an unknown one.
         """
-        known: Dict[str, Parameter] = {parameter.name: parameter for parameter in self.parameters}
-        for name in sorted(given):
-            if name not in known:
-                near = difflib.get_close_matches(name, known, n=1)
-                hint = " (did you mean {}?)".format(near[0]) if near else ""
-                raise ParameterError("{} has no parameter {}{}; known: {}".format(
-                    self.node, name, hint, ", ".join(sorted(known))))
-        return SimpleNamespace(**{
-            name: parameter.check(given.get(name, parameter.default)) for name, parameter in known.items()})
+        return self.settings(**self._checked(given))
 
     @property
     def live(self) -> Tuple[Parameter, ...]:
         """Parameters that may be changed while the node runs."""
         return tuple(parameter for parameter in self.parameters if parameter.live)
 
-    def changed(self, settings: SimpleNamespace, changes: Mapping[str, object]) -> SimpleNamespace:
-        """Return `settings` (of resolve) with some values changed, checked; the given ones stay as they are.
+    def changed(self, settings: S, changes: Mapping[str, object]) -> S:
+        """Return `settings` with some values changed, checked.
 
         Raises ParameterError for a name that is not there, one that cannot change while the node runs, and a value that
         is not legal.
         """
         live = {parameter.name for parameter in self.live}
-        fixed = sorted(name for name in changes if name not in live and name in vars(settings))
+        fixed = sorted(one.name for one in self.parameters if one.name in changes and not one.live)
         if fixed:
             raise ParameterError("{} of {} cannot change while the node runs; these can: {}".format(
                 ", ".join(fixed), self.node, ", ".join(sorted(live)) or "none"))
-        return self.resolve({**vars(settings), **changes})
+        return dataclasses.replace(settings, **self._checked(changes))
+
+    def _checked(self, given: Mapping[str, object]) -> Dict[str, Any]:
+        """Return the values in the types of their parameters. Raises ParameterError."""
+        known = {parameter.name: parameter for parameter in self.parameters}
+        for name in sorted(given):
+            if name not in known:
+                near = difflib.get_close_matches(name, known, n=1)
+                hint = " (did you mean {}?)".format(near[0]) if near else ""
+                raise ParameterError("{} has no parameter {}{}; known: {}".format(
+                    self.node, name, hint, ", ".join(sorted(known))))
+        return {name: known[name].check(value) for name, value in given.items()}
 
     def to_yaml(self) -> str:
         """Return an annotated YAML file that holds the defaults."""
@@ -270,14 +365,6 @@ def _meaning(parameter: Parameter) -> str:
     return ". ".join(kept) + "."
 
 
-def apply_settings(settings: SimpleNamespace, changed: SimpleNamespace) -> None:
-    """Copy the values of ParameterTable.changed into `settings`, which many objects of a node share.
-
-    The caller holds the lock that guards `settings`.
-    """
-    vars(settings).update(vars(changed))
-
-
 def format_value(value: object) -> str:
     """Write a value in YAML."""
     if isinstance(value, (list, tuple)):
@@ -289,10 +376,3 @@ def format_value(value: object) -> str:
         # YAML 1.1 reads 1e-05 as a string: it wants a point.
         return text.replace("e", ".0e") if "e" in text and "." not in text else text
     return json.dumps(value, ensure_ascii=False)
-
-
-LIST_TIMEOUT = Parameter(
-    "list_timeout", 0.0,
-    "Silence after which a list of ids counts as empty. 0: never; a list then ends with its publisher, and one that "
-                         "is said once holds. The nodes of this stack repeat theirs once a second.",
-    unit="s", minimum=0.0, maximum=3600.0)

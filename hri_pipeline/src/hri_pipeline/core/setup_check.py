@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
-from typing import Callable, Dict, List, Optional, Tuple
+from typing import Callable, Dict, List, Optional, Sequence, Tuple
 
 from hri_pipeline.core.images import ENCODINGS
-from hri_pipeline.core.parameters import Parameter, ParameterTable
+from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
 
 NO_IMAGE_YET = "no image yet"       # what a pipeline tells in /diagnostics, whatever the reason
 OK, HINT, FAULT = 0, 1, 2
@@ -80,28 +79,35 @@ class Facts:
     tracked: Dict[str, int] = field(default_factory=dict)
 
 
-CHECK_PARAMETERS = ParameterTable(
-    "check", "Looks at the running graph and says in words why nobody appears.", (
-        Parameter("nodes", ["hri_faces", "hri_bodies", "hri_face_body_matcher", "hri_person_manager"],
-                  "Names of the nodes that have to run, without a slash; hri_vision stands for hri_faces and "
-                  "hri_bodies. Leave out those whose branch is switched off."),
-        Parameter("watch_time", 6.0,
-                  "How long the graph is listened to before it is judged. Longer: slower, but finds what comes rarely.",
-                  unit="s", minimum=1.0, maximum=120.0),
-        Parameter("camera_frame", "",
-                  "Frame of the camera; empty: the frame_id of its images."),
-        Parameter("min_rate", 3.0, "Images per second below which people cannot be followed.", unit="Hz", minimum=0.1,
-                  maximum=60.0),
-        Parameter("max_age", 1.0, "Images whose stamp is further than this from now are reported: the clocks differ, "
-                  "or the network is too slow.", unit="s", minimum=0.05, maximum=60.0),
-        Parameter("master", "", "Address of the master that was there before the check; check.launch asks for it, so "
-                  "that roslaunch ends where there is none instead of starting one. Nothing is done with it here."),
-        Parameter("min_brightness", 25.0, "Mean of the pixels (0 to 255) below which a picture is too dark to find "
-                                          "people.",
-                  minimum=0.0, maximum=255.0),
-        Parameter("min_contrast", 6.0, "Standard deviation of the pixels (0 to 255) below which a picture shows "
-                  "nothing: a covered lens, or a test picture of one colour.", minimum=0.0, maximum=128.0),
-    ))
+@dataclass(frozen=True)
+class CheckSettings(Settings):
+    """Looks at the running graph and says in words why nobody appears."""
+
+    nodes: Sequence[str] = parameter(
+        ["hri_faces", "hri_bodies", "hri_face_body_matcher", "hri_person_manager"], "Names of the nodes that have to "
+        "run, without a slash; hri_vision stands for hri_faces and hri_bodies. Leave out those whose branch is "
+        "switched off.")
+    watch_time: float = parameter(
+        6.0, "How long the graph is listened to before it is judged. Longer: slower, but finds what comes rarely.",
+        unit="s", minimum=1.0, maximum=120.0)
+    camera_frame: str = parameter("", "Frame of the camera; empty: the frame_id of its images.")
+    min_rate: float = parameter(
+        3.0, "Images per second below which people cannot be followed.", unit="Hz", minimum=0.1, maximum=60.0)
+    max_age: float = parameter(
+        1.0, "Images whose stamp is further than this from now are reported: the clocks differ, or the network is too "
+        "slow.", unit="s", minimum=0.05, maximum=60.0)
+    master: str = parameter(
+        "", "Address of the master that was there before the check; check.launch asks for it, so that roslaunch ends "
+        "where there is none instead of starting one. Nothing is done with it here.")
+    min_brightness: float = parameter(
+        25.0, "Mean of the pixels (0 to 255) below which a picture is too dark to find people.", minimum=0.0,
+        maximum=255.0)
+    min_contrast: float = parameter(
+        6.0, "Standard deviation of the pixels (0 to 255) below which a picture shows nothing: a covered lens, or a "
+        "test picture of one colour.", minimum=0.0, maximum=128.0)
+
+
+CHECK_PARAMETERS = ParameterTable("check", CheckSettings)
 
 
 @dataclass(frozen=True)
@@ -119,10 +125,10 @@ class Finding:
     hence: Tuple[str, ...] = ()
 
 
-Rule = Callable[[Facts, SimpleNamespace], List[Finding]]
+Rule = Callable[[Facts, CheckSettings], List[Finding]]
 
 
-def check(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+def check(facts: Facts, settings: CheckSettings) -> List[Finding]:
     """Return what there is to say, the root causes first. settings: the values of CHECK_PARAMETERS."""
     findings = [finding for rule in _RULES for finding in rule(facts, settings)]
     told = {name: status for name, status in facts.statuses.items() if status[0] > 0}
@@ -175,20 +181,20 @@ def _nothing_runs(facts: Facts) -> bool:
     return len(facts.nodes) > 1 and not facts.publishing and all(state == "absent" for state in facts.nodes.values())
 
 
-def _nothing(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+def _nothing(facts: Facts, settings: CheckSettings) -> List[Finding]:
     if not _nothing_runs(facts):
         return []
     return [Finding(FAULT, "nothing of ros4hri runs on this master", "roslaunch ros4hri ros4hri.launch")]
 
 
-def _clock(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+def _clock(facts: Facts, settings: CheckSettings) -> List[Finding]:
     if facts.sim_time and not facts.clock_messages:
         return [Finding(FAULT, "/use_sim_time is true, but nobody publishes /clock: time stands still for all nodes",
                         "play the bag with --clock, or: rosparam set /use_sim_time false, and start the nodes again")]
     return []
 
 
-def _nodes(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+def _nodes(facts: Facts, settings: CheckSettings) -> List[Finding]:
     found: List[Finding] = []
     if _nothing_runs(facts):
         return found
@@ -205,7 +211,7 @@ def _nodes(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
     return found
 
 
-def _models(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+def _models(facts: Facts, settings: CheckSettings) -> List[Finding]:
     if not facts.models_missing:
         return []
     return [Finding(FAULT, "models are missing in {}: {}".format(facts.models_directory,
@@ -213,7 +219,7 @@ def _models(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
                     "rosrun hri_pipeline fetch_models")]
 
 
-def _image(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+def _image(facts: Facts, settings: CheckSettings) -> List[Finding]:
     stream = facts.image
     if stream is None or (_nothing_runs(facts) and not stream.publishers):
         return []
@@ -268,7 +274,7 @@ def _type_hint(kind: str, argument: str) -> str:
     return "give the right topic: {}:=/your/topic".format(argument)
 
 
-def _picture(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+def _picture(facts: Facts, settings: CheckSettings) -> List[Finding]:
     picture = facts.picture
     if picture is None or (facts.image is not None and _stream(facts.image, "image")):
         return []
@@ -285,7 +291,7 @@ def _picture(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
     return [Finding(OK, "{}: {}x{} {}".format(topic, picture.width, picture.height, picture.encoding))]
 
 
-def _calibration(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+def _calibration(facts: Facts, settings: CheckSettings) -> List[Finding]:
     if facts.info is None or not (facts.image and facts.image.messages):
         return []
     missing = _stream(facts.info, "camera_info")
@@ -316,7 +322,7 @@ def _calibration(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
     return [Finding(OK, "{}: focal length {:.0f} px".format(facts.info.topic, calibration.focal))]
 
 
-def _transforms(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+def _transforms(facts: Facts, settings: CheckSettings) -> List[Finding]:
     if not facts.camera_frame:
         return []
     if facts.tf_reaches:
@@ -327,7 +333,7 @@ def _transforms(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
                     "start the localisation, or start with reference_frame:= a frame that exists, e.g. base_link")]
 
 
-def _people(facts: Facts, settings: SimpleNamespace) -> List[Finding]:
+def _people(facts: Facts, settings: CheckSettings) -> List[Finding]:
     seen = {kind: count for kind, count in facts.tracked.items() if count > 0}
     if seen.get("persons"):
         return [Finding(OK, "{} person{} tracked now".format(seen["persons"], "" if seen["persons"] == 1 else "s"))]

@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from concurrent.futures import Future, wait
-from types import SimpleNamespace
 from typing import Dict, List, Optional, TextIO, Tuple
 
 import genpy
@@ -26,6 +25,7 @@ from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.setup_check import (
     CHECK_PARAMETERS,
     CalibrationFacts,
+    CheckSettings,
     Facts,
     Picture,
     Stream,
@@ -85,7 +85,7 @@ def main() -> int:
     return 0 if is_well(findings) else 1
 
 
-def _look(settings: SimpleNamespace) -> Facts:
+def _look(settings: CheckSettings) -> Facts:
     """Look in another thread, and end this process when the master goes: rospy would wait for it for ever."""
     looking: "Future[Facts]" = Future()
 
@@ -132,7 +132,7 @@ class GraphProbe:
     remapping, those that the nodes of the stack say in /diagnostics that they listen to.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: CheckSettings) -> None:
         self._settings = settings
         self._lock = threading.Lock()
         self._master = rosgraph.Master(rospy.get_name())

@@ -6,7 +6,6 @@ import math
 import threading
 import time
 import traceback
-from types import SimpleNamespace
 from typing import Dict, Iterable, List, Mapping, Optional, Sequence
 
 import genpy
@@ -16,11 +15,12 @@ from visualization_msgs.msg import MarkerArray
 
 from hri_msgs.msg import EngagementLevel, Gaze, GazesStamped
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.interactions.engagement import EngagementEstimator, Level, check_levels
+from hri_pipeline.core.interactions.engagement import EngagementEstimator, Level
 from hri_pipeline.core.interactions.gaze import GazeTargets
 from hri_pipeline.core.interactions.groups import Group, GroupTracker, Individual, fuse_directions
+from hri_pipeline.core.interactions.parameters import InteractionSettings
 from hri_pipeline.core.interactions.people import ROBOT, GazeTarget, PeopleSnapshot
-from hri_pipeline.core.parameters import ParameterError, apply_settings
+from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.process import share_arenas
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.conversions import (
@@ -54,7 +54,7 @@ class InteractionsNode:
     Callbacks only store; the caller of spin() does everything else.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: InteractionSettings) -> None:
         """settings: the values of INTERACTION_PARAMETERS.
 
         Raises ParameterError for values that contradict each other.
@@ -99,11 +99,13 @@ class InteractionsNode:
                 rospy.logerr_throttle(_LOG_PERIOD_S, "an image gave no interactions:\n%s", traceback.format_exc())
             self._report.update()
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: InteractionSettings) -> None:
         """Take up the values of the live parameters between two images. ValueError for levels in the wrong order."""
-        check_levels(settings)
         with self._lock:
-            apply_settings(self._settings, settings)
+            self._engagement.reconfigure(settings)
+            self._settings = settings
+            for owner in (self._gazes, self._groups, self._people):
+                owner.reconfigure(settings)
 
     def close(self) -> None:
         """Close all topics. Idempotent."""

@@ -8,8 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from abc import ABC, abstractmethod
-from types import SimpleNamespace
-from typing import Callable, Dict, Iterable, List, Optional, Tuple
+from typing import Callable, Dict, Iterable, List, Optional, Tuple, Union
 
 import genpy
 import numpy as np
@@ -22,8 +21,8 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.matching.changes import MatchChanges
 from hri_pipeline.core.matching.face_body import FaceBodyMatcher, Pair
+from hri_pipeline.core.matching.parameters import FaceBodyMatcherSettings, VoiceMatcherSettings
 from hri_pipeline.core.matching.voice import FACE, VoiceMatcher, opening_of_landmarks, opening_of_units
-from hri_pipeline.core.parameters import apply_settings
 from hri_pipeline.core.process import share_arenas
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.conversions import (
@@ -60,7 +59,9 @@ class MatcherBase(ABC):
     What comes in is stored under `_lock`, and `_changed` wakes the loop until `_stop`.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    _matcher: Union[FaceBodyMatcher, VoiceMatcher]
+
+    def __init__(self, settings: Union[FaceBodyMatcherSettings, VoiceMatcherSettings]) -> None:
         self._settings = settings
         self._lock = threading.Lock()
         self._changed = threading.Event()
@@ -70,10 +71,11 @@ class MatcherBase(ABC):
         share_arenas()
         rospy.on_shutdown(self._end)
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: Union[FaceBodyMatcherSettings, VoiceMatcherSettings]) -> None:
         """Apply the values of the live parameters between two comparisons."""
         with self._lock:
-            apply_settings(self._settings, settings)
+            self._settings = settings
+            self._matcher.reconfigure(settings)
         self._changed.set()
 
     def close(self) -> None:
@@ -104,7 +106,7 @@ class FaceBodyMatcherNode(MatcherBase):
     Callbacks only store; the caller of spin() compares soon after something has come in.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: FaceBodyMatcherSettings) -> None:
         super().__init__(settings)
         self._matcher = FaceBodyMatcher(settings)
         self._changes: MatchChanges[Pair] = MatchChanges(FACE_BODY_STEP)
@@ -180,7 +182,7 @@ class VoiceMatcherNode(MatcherBase):
     listens only while there is a voice, and a little longer.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: VoiceMatcherSettings) -> None:
         super().__init__(settings)
         self._matcher = VoiceMatcher(settings)
         self._changes: MatchChanges[Tuple[str, str, str]] = MatchChanges(VOICE_STEP)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from types import SimpleNamespace
 from typing import Deque, Dict, List, Optional, Tuple, Union
 
 import numpy as np
@@ -21,8 +20,7 @@ from std_msgs.msg import Float32, String
 from hri_msgs.msg import Expression, GazesStamped
 from hri_pipeline.core.feature_history import FeatureHistory
 from hri_pipeline.core.images import ImageError
-from hri_pipeline.core.overlay import PersonMark, draw_overlay
-from hri_pipeline.core.parameters import apply_settings
+from hri_pipeline.core.overlay import OverlaySettings, PersonMark, draw_overlay
 from hri_pipeline.core.timing import Pacer
 from hri_pipeline.ros.conversions import (
     LandmarkArray,
@@ -46,7 +44,7 @@ _GAZE_S = 1.0
 class OverlayInputs:
     """All subscriptions of the overlay, with what has come in lately."""
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: OverlaySettings) -> None:
         self._lock = threading.Lock()
         self._images: Deque[Tuple[float, AnyImage]] = deque(maxlen=settings.history)
         self._frame = ""
@@ -54,7 +52,6 @@ class OverlayInputs:
         self._persons: Dict[str, Dict[str, object]] = {}
         self._expressions: Dict[str, str] = {}
         self._gazes: Tuple[float, Dict[str, str]] = (float("-inf"), {})
-        self._settings = settings
         faces = {"landmarks": LandmarkArray}
         self._feeds = [
             IdSubscribers("faces", dict(faces, expression=Expression) if settings.expressions else faces, self._on_face,
@@ -118,19 +115,19 @@ class OverlayInputs:
             for name in set(self._persons) - set(names):
                 del self._persons[name]
 
-    def take(self, drawn: float) -> "Optional[Tuple[AnyImage, dict, dict, List[PersonMark]]]":
+    def take(self, drawn: float, tolerance: float) -> "Optional[Tuple[AnyImage, dict, dict, List[PersonMark]]]":
         """Return the image to draw on with its faces, bodies (normalised points) and persons.
 
-        None when there is no image, or only the one with the stamp `drawn`.
+        None when there is no image, or only the one with the stamp `drawn`. tolerance: of stamps (s).
         """
         with self._lock:
-            stamp = self._history.choose([one for one, _ in self._images], self._settings.pair_tolerance)
+            stamp = self._history.choose([one for one, _ in self._images], tolerance)
             if stamp is None or stamp == drawn:
                 return None
             image = next(message for one, message in self._images if one == stamp)
             persons = [self._mark(name, known) for name, known in sorted(self._persons.items())]
-            return (image, self._history.at("faces", stamp, self._settings.pair_tolerance),
-                    self._history.at("bodies", stamp, self._settings.pair_tolerance), persons)
+            return (image, self._history.at("faces", stamp, tolerance),
+                    self._history.at("bodies", stamp, tolerance), persons)
 
     def _mark(self, name: str, known: Dict[str, object]) -> PersonMark:
         """What is written about a person."""
@@ -152,7 +149,7 @@ class OverlayInputs:
 class OverlayNode:
     """Publishes `visualization/overlay` with the stamp of the image that it is drawn on."""
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: OverlaySettings) -> None:
         self._settings = settings
         self._lock = threading.Lock()
         self._stop = threading.Event()
@@ -181,15 +178,15 @@ class OverlayNode:
             with self._lock:
                 self._draw(self._inputs)
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: OverlaySettings) -> None:
         """Take up the values of the live parameters between two pictures."""
         with self._lock:
-            apply_settings(self._settings, settings)
+            self._settings = settings
             self._pacer = Pacer(settings.max_rate)
         self._wake.set()
 
     def _draw(self, inputs: OverlayInputs) -> None:
-        taken = inputs.take(self._drawn)
+        taken = inputs.take(self._drawn, self._settings.pair_tolerance)
         if taken is None:
             if self._drawn < 0.0:
                 self._diagnostics.set("overlay", DiagnosticStatus.WARN, "no image on {} yet; is the camera on, and "

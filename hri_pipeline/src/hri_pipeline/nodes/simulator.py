@@ -1,26 +1,44 @@
-"""The scene_simulator node: a scene file in; faces, bodies, voices, persons and the truth out."""
+"""The nodes scene_simulator (a scene file in; faces, bodies, voices, persons and the truth out) and sample_conversation
+(faces with moving mouths, voices, and where they are)."""
 
 from __future__ import annotations
 
 import threading
 import time
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Optional
+from typing import Dict, List, Optional
 
+import numpy as np
 import rospkg
 import rospy
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Bool
 from tf2_msgs.msg import TFMessage
 
+from hri_msgs.msg import FacialActionUnits, IdsMatch
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.simulation.parameters import PERSONS
+from hri_pipeline.core.simulation.conversation import (
+    RATE_HZ,
+    UNSEEN,
+    Heard,
+    Mouths,
+    SampleConversationSettings,
+    Turn,
+    directions,
+    hear,
+    make_mouth,
+    make_turns,
+)
+from hri_pipeline.core.simulation.parameters import PERSONS, SceneSettings
 from hri_pipeline.core.simulation.scene_file import Scene, SceneError, load_scene
 from hri_pipeline.core.simulation.sensors import SceneMatches, Senses, camera_pose
 from hri_pipeline.core.simulation.world import SceneTruth, World
-from hri_pipeline.ros.conversions import transform_to_msg
+from hri_pipeline.ros.conversions import action_units_to_msg, make_header, match_to_msg, transform_to_msg
 from hri_pipeline.ros.diagnostics import OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.node import end_simulated_time
+from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.scene_topics import SceneFeatures, ScenePersons, SceneTruthTopics, upright
 from hri_pipeline.ros.tf import TfPublisher
@@ -58,7 +76,7 @@ class SceneSimulatorNode:
     Without, it follows rospy's time, and leaves cycles out when it is late.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: SceneSettings) -> None:
         if settings.speed != 1.0 and not settings.publish_clock:
             raise ParameterError("~speed is {:g}, legal without ~publish_clock: 1".format(settings.speed))
         self._settings = settings
@@ -238,3 +256,111 @@ class SceneSimulatorNode:
         if self._clock is not None and not rospy.get_param("/use_sim_time", False):
             rospy.logwarn("%s publishes /clock, but /use_sim_time is not set: other nodes go by the wall clock, and "
                           "will take the stamps for wrong. Set /use_sim_time before they start.", rospy.get_name())
+
+
+LENGTH_S = 60.0
+SENSOR = "sample_sensor"
+DISTANCE_M = 2.0
+SPREAD, DIRECTION_SD = np.deg2rad(120.0), np.deg2rad(10.0)
+
+
+class SampleConversationNode:
+    """Publishes one conversation after the other; `~speaker` says of each turn whose voice it truly is."""
+
+    def __init__(self, settings: SampleConversationSettings) -> None:
+        self._settings = settings
+        self._stop = threading.Event()
+        self._random = np.random.default_rng(settings.seed)
+        self._new_id = IdGenerator().new
+        self._faces = IdPublishers("/humans/faces", {"facs": TopicSpec(FacialActionUnits)})
+        self._voices = IdPublishers("/humans/voices", {"is_speaking": TopicSpec(Bool, True)})
+        self._lists = {kind: TrackedList("/humans/{}/tracked".format(kind)) for kind in ("faces", "voices")}
+        self._speaker = rospy.Publisher("~speaker", IdsMatch, latch=True, queue_size=10)
+        self._tf = TfPublisher()
+        self._said = -1
+        self._ids = [self._new_id() for _ in range(settings.people)]
+        self._azimuths = SPREAD * (np.arange(settings.people) - 0.5 * (settings.people - 1)) / max(1, settings.people)
+        rospy.on_shutdown(self._stop.set)
+
+    def spin(self) -> None:
+        """Play until ROS shuts down."""
+        for face in self._ids:
+            self._faces.open(face)
+        self._lists["faces"].set(self._ids, rospy.Time.now())
+        while not self._stop.is_set():
+            self._play()
+
+    def close(self) -> None:
+        """Take everything back. Idempotent."""
+        self._stop.set()
+        for owner in (*self._lists.values(), self._tf):
+            owner.close()
+        self._faces.close_all()
+        self._voices.close_all()
+        release(self._speaker)
+
+    def _play(self) -> None:
+        """One conversation, image by image."""
+        random, settings = self._random, self._settings
+        turns = make_turns(random, settings.people, LENGTH_S, settings.unseen_share)
+        mouths = [make_mouth(random, person, turns, LENGTH_S) for person in range(settings.people)]
+        heard = hear(random, turns, settings.directions)
+        names = {voice: self._new_id() for _, _, voice, _ in heard.tracked}
+        times = np.arange(0.0, LENGTH_S, 1.0 / RATE_HZ)
+        azimuths = {voice: directions(random, times, self._azimuths[speaker] if speaker != UNSEEN
+                                      else random.uniform(-np.pi, np.pi), DIRECTION_SD)
+                    for _, _, voice, speaker in heard.tracked}
+        began, messages, shown = rospy.get_time(), list(heard.messages), [0] * len(mouths)
+        for number, now in enumerate(times):
+            while not self._stop.is_set() and rospy.get_time() < began + now:
+                self._stop.wait(max(0.001, began + now - rospy.get_time()))
+            if self._stop.is_set() or rospy.get_time() < began - 1.0:
+                return      # the clock went back
+            stamp = rospy.Time.now()
+            tracked = self._track(heard, names, now, stamp)
+            while messages and messages[0][0] <= now:
+                _, voice, speaking = messages.pop(0)
+                if voice in tracked:
+                    self._voices.publish(names[voice], "is_speaking", Bool(speaking))
+            self._show(mouths, shown, now, stamp)
+            frames = {"face_" + face: azimuth for face, azimuth in zip(self._ids, self._azimuths)}
+            if settings.directions:
+                frames.update(("voice_" + names[voice], azimuths[voice][number]) for voice in tracked)
+            self._tf.send([transform_to_msg(Pose(np.eye(3),
+                                                 DISTANCE_M * np.array([np.cos(azimuth), np.sin(azimuth), 0.0])),
+                                            stamp, SENSOR, frame) for frame, azimuth in frames.items()])
+            self._tell(turns, heard, names, now)
+
+    def _track(self, heard: Heard, names: Dict[str, str], now: float, stamp: rospy.Time) -> List[str]:
+        """Open and close voices; returns those that are tracked now."""
+        tracked = [voice for start, end, voice, _ in heard.tracked if start <= now <= end]
+        wanted = [names[voice] for voice in tracked]
+        for name in wanted:
+            if name not in self._voices.ids:
+                self._voices.open(name)
+        self._lists["voices"].set(wanted, stamp)
+        for name in self._voices.ids:
+            if name not in wanted:
+                self._voices.close(name)
+        return tracked
+
+    def _show(self, mouths: List[Mouths], shown: List[int], now: float, stamp: rospy.Time) -> None:
+        """Publish the action units of each face, where there are some at that time."""
+        for person, (face, mouth) in enumerate(zip(self._ids, mouths)):
+            last = int(np.searchsorted(mouth.stamps, now, side="right"))
+            if last > shown[person]:
+                shown[person] = last
+                values, certain = np.zeros(99), np.zeros(99)
+                values[[25, 26]] = mouth.lips_part[last - 1], mouth.jaw_drop[last - 1]
+                certain[[25, 26]] = mouth.confidence[last - 1]
+                self._faces.publish(face, "facs", action_units_to_msg(values, certain, make_header(stamp, SENSOR)))
+
+    def _tell(self, turns: List[Turn], heard: Heard, names: Dict[str, str], now: float) -> None:
+        """Say at the beginning of a turn whose voice it is; nobody's in view: the likelihood is 0."""
+        number = next((number for number, turn in enumerate(turns) if turn.start <= now <= turn.end), -1)
+        if number not in (-1, self._said):
+            speaker = turns[number].speaker
+            seen = speaker != UNSEEN
+            self._speaker.publish(match_to_msg(names[heard.voice_of_turn[number]], IdsMatch.VOICE,
+                                               self._ids[speaker] if seen else "", IdsMatch.FACE, float(seen)))
+        self._said = number

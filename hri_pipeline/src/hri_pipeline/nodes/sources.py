@@ -10,8 +10,7 @@ import math
 import threading
 import time
 from abc import ABC, abstractmethod
-from types import SimpleNamespace
-from typing import Generic, Optional, Sequence, Type, TypeVar
+from typing import Generic, Optional, Sequence, Type, TypeVar, Union
 
 import cv2
 import numpy as np
@@ -25,7 +24,7 @@ from hri_pipeline.core.audio.stream import encode_s16
 from hri_pipeline.core.error_log import Outage
 from hri_pipeline.core.sources import image_sources, sound_sources
 from hri_pipeline.core.sources.image_sources import ImageSource, SourceError, open_source
-from hri_pipeline.core.sources.parameters import EXIT
+from hri_pipeline.core.sources.parameters import EXIT, ImageSourceSettings, SoundSourceSettings
 from hri_pipeline.core.sources.sound_sources import SoundSource, SoundSourceError, open_sound_source
 from hri_pipeline.core.timing import Pacer
 from hri_pipeline.ros.conversions import bgr_to_image, camera_info
@@ -54,7 +53,8 @@ class SourceNode(ABC, Generic[Source]):
     FAULT: Type[Exception] = Exception
     DOES = "playing"
 
-    def __init__(self, settings: SimpleNamespace, live: bool, publishers: Sequence[rospy.Publisher]) -> None:
+    def __init__(self, settings: Union[ImageSourceSettings, SoundSourceSettings], live: bool,
+                 publishers: Sequence[rospy.Publisher]) -> None:
         """live: the source is a device. Takes over the publishers. Raises FAULT for a file that cannot be read."""
         self._settings, self._live = settings, live
         self._stop = threading.Event()
@@ -165,7 +165,7 @@ class ImageSourceNode(SourceNode[ImageSource]):
     FAULT = SourceError
     DOES = "showing"
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: ImageSourceSettings) -> None:
         self._image = rospy.Publisher("image", Image, queue_size=1)
         self._compressed = rospy.Publisher("image/compressed", CompressedImage, queue_size=1)
         # Small, and whoever pairs it with its image must not miss one while a processor is busy.
@@ -243,7 +243,7 @@ class SoundSourceNode(SourceNode[SoundSource]):
 
     FAULT = SoundSourceError
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: SoundSourceSettings) -> None:
         self._audio = rospy.Publisher("audio", AudioData, queue_size=_QUEUE)
         self._info = rospy.Publisher("audio_info", AudioInfo, queue_size=1, latch=True)
         self._sent = 0

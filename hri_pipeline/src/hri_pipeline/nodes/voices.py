@@ -12,7 +12,6 @@ import threading
 import time
 import traceback
 from collections import deque
-from types import SimpleNamespace
 from typing import Callable, Deque, Dict, List, Optional, Sequence, Set, Tuple
 
 import numpy as np
@@ -20,6 +19,7 @@ import rospy
 
 from hri_pipeline.core.asr.recognition import SpeechRecognition
 from hri_pipeline.core.audio.array import parse_positions
+from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
 from hri_pipeline.core.audio.separation import SoundSeparator
 from hri_pipeline.core.audio.stream import RATE, STALL_S, SoundBlock
@@ -27,7 +27,6 @@ from hri_pipeline.core.audio.vad import ActivityModel, check_thresholds
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.onnx import model_path
-from hri_pipeline.core.parameters import apply_settings
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
@@ -57,8 +56,7 @@ class VoicesNode:
 
     Parameters
     ----------
-    settings : SimpleNamespace
-        Values of VOICES (core/audio/parameters.py).
+    settings : VoicesSettings
 
     Raises
     ------
@@ -66,7 +64,7 @@ class VoicesNode:
         See VoiceProcessor.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: VoicesSettings) -> None:
         self._settings = settings
         self._lock = threading.RLock()
         self._closed = threading.Event()
@@ -99,15 +97,16 @@ class VoicesNode:
                 self._reported = time.monotonic()
                 self._guard(self._report)
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: VoicesSettings) -> None:
         """Apply the values of the live parameters between two blocks.
 
         Raises ValueError for thresholds in the wrong order.
         """
         check_thresholds(settings)
         with self._lock:
-            apply_settings(self._settings, settings)
+            self._settings = settings
             self._processor.reconfigure(settings)
+            self._input.reconfigure(settings)
 
     def close(self) -> None:
         """Stop spin() and release everything. Idempotent."""
@@ -190,8 +189,7 @@ class VoiceProcessor:
 
     Parameters
     ----------
-    settings : SimpleNamespace
-        Values of VOICES (core/audio/parameters.py).
+    settings : VoicesSettings
 
     Raises
     ------
@@ -201,7 +199,7 @@ class VoiceProcessor:
         For impossible positions of microphones, or a wrong grammar.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: VoicesSettings) -> None:
         self._settings = settings
         rospy.loginfo("%s", privacy_line(settings))
         has_array = settings.direction and settings.microphone_positions
@@ -209,6 +207,7 @@ class VoiceProcessor:
         self._model = ActivityModel(model_path(settings.vad_model, "silero_vad.onnx"), notify=rospy.logwarn)
         self._ids = IdGenerator()
         self._pipeline = VoicePipeline(settings, self._model, None, self._ids)
+        self._array: Optional[SoundSeparator] = None
         self._channels = 0
         self._speech: Optional[SpeechRecognition] = None
         if settings.speech and SpeechRecognition.enabled(settings):
@@ -249,9 +248,13 @@ class VoiceProcessor:
         self._update_topics(())
         self._tracked_list.set([], rospy.Time.from_sec(max(0.0, self._end)))
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
-        """Apply the live parameters that are not read where they are used."""
-        self._topics.restart_features()
+    def reconfigure(self, settings: VoicesSettings) -> None:
+        """Apply the values of the live parameters."""
+        self._settings = settings
+        self._pipeline.reconfigure(settings)
+        if self._array is not None:
+            self._array.reconfigure(settings)
+        self._topics.reconfigure(settings)
         if self._speech is not None:
             self._speech.least_confidence = settings.speech_min_confidence
 
@@ -318,10 +321,10 @@ class VoiceProcessor:
         if self._channels:
             self.reset()
         self._channels = channels
-        array = SoundSeparator(self._positions, self._settings) if self._array_fits() else None
-        if len(self._positions) and array is None:
+        self._array = SoundSeparator(self._positions, self._settings) if self._array_fits() else None
+        if len(self._positions) and self._array is None:
             rospy.logwarn("%s", self._misfit())
-        self._pipeline = VoicePipeline(self._settings, self._model, array, self._ids)
+        self._pipeline = VoicePipeline(self._settings, self._model, self._array, self._ids)
 
     def _array_fits(self) -> bool:
         return len(self._positions) >= 2 and len(self._positions) == self._channels
@@ -384,7 +387,7 @@ class VoiceProcessor:
         self._transforms.send(transforms)
 
 
-def privacy_line(settings: SimpleNamespace) -> str:
+def privacy_line(settings: VoicesSettings) -> str:
     """Return one line of log that says what is computed from voices."""
     kinds = [name for name in ("features", "speech", "direction") if getattr(settings, name)]
     off = [name for name in ("features", "speech", "direction") if name not in kinds]

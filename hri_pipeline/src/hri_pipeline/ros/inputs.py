@@ -7,7 +7,6 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Callable, Deque, Dict, List, Optional, Tuple, Union
 
 import numpy as np
@@ -17,6 +16,7 @@ from std_msgs.msg import Header
 
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 from hri_pipeline.core.error_log import Outage
+from hri_pipeline.core.faces.parameters import DepthCameraSettings
 from hri_pipeline.core.images import ImageError, depth_from_raw
 from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
@@ -303,8 +303,8 @@ class ImageInput:
             rospy.logwarn("%s", text)
 
 
-def image_input_of(settings: SimpleNamespace) -> ImageInput:
-    """Return the image input of a node with CAMERA_PARAMETERS and DEPTH_PARAMETERS."""
+def image_input_of(settings: DepthCameraSettings) -> ImageInput:
+    """Return the image input of a node."""
     depth = DepthInput(settings.depth_slop) if settings.use_depth else None
     return ImageInput(settings.image_transport, settings.fallback_fov, "~fallback_fov", depth=depth)
 

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 import traceback
-from types import FrameType, SimpleNamespace
+from types import FrameType
 from typing import Callable, Dict, NoReturn, Optional, Protocol
 
 import rosgraph
@@ -18,7 +18,7 @@ from rospy.exceptions import ROSInitException
 
 from hri_pipeline.core.error_log import ShortWords
 from hri_pipeline.core.onnx import ModelError
-from hri_pipeline.core.parameters import ParameterError, ParameterTable
+from hri_pipeline.core.parameters import ParameterError, ParameterTable, S
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.process import GarbageCollector, keep_large_blocks, one_thread_each
 from hri_pipeline.ros.master import MasterAway, MasterWatch, ask_master
@@ -75,8 +75,8 @@ def run_node(name: str, build: Callable[[], RunnableNode]) -> NoReturn:
     sys.exit(code)
 
 
-def read_parameters(table: ParameterTable) -> SimpleNamespace:
-    """Return the parameters of `table` out of the private namespace, as attributes.
+def read_parameters(table: ParameterTable[S]) -> S:
+    """Return the parameters of `table` out of the private namespace.
 
     Where one is not set there, its parameter of the whole stack counts (Parameter.shared), and then its default.
     Raises ParameterError that names the parameter, its value and what is legal.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-from types import SimpleNamespace
 from typing import Counter, Dict, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 import genpy
@@ -17,6 +16,7 @@ from hri_msgs.msg import FacialActionUnits
 from hri_pipeline.core.frames import is_of_human, is_optical, read, read_stamp
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
+from hri_pipeline.core.interactions.parameters import InteractionSettings
 from hri_pipeline.core.interactions.people import PeopleSnapshot, PeopleTf, Places, Seen, gather
 from hri_pipeline.ros.conversions import has_gaze_of_closed_eyes
 from hri_pipeline.ros.subscriptions import IdSubscribers
@@ -45,7 +45,7 @@ class PeopleInput:
     Callbacks only store; take() makes one snapshot of them.
     """
 
-    def __init__(self, settings: SimpleNamespace, robot: RobotTf) -> None:
+    def __init__(self, settings: InteractionSettings, robot: RobotTf) -> None:
         """robot: takes the frames that are no human's."""
         self._settings, self._robot = settings, robot
         self._lock = threading.Lock()
@@ -66,6 +66,10 @@ class PeopleInput:
             self._feeds["faces"] = IdSubscribers("faces", {"facs": FacialActionUnits}, self._on_facs, self._on_faces,
                                                max_ids=MAX_PEOPLE, list_timeout=settings.list_timeout)
         self._subscriber = TfSubscriber(self._on_frames)
+
+    def reconfigure(self, settings: InteractionSettings) -> None:
+        """Take up the values of the live parameters."""
+        self._settings = settings
 
     @property
     def stamp(self) -> genpy.Time:
@@ -242,7 +246,7 @@ class InteractionFrame:
     Warns once when nothing leads to the reference frame, and once when the frame of the robot is not known.
     """
 
-    def __init__(self, settings: SimpleNamespace, frames: RobotTf) -> None:
+    def __init__(self, settings: InteractionSettings, frames: RobotTf) -> None:
         self._reference, self._robot_frame = settings.reference_frame, settings.robot_frame
         self._frames = frames
         self._stamp = genpy.Time()

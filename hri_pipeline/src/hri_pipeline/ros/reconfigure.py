@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import threading
-from types import SimpleNamespace
-from typing import Callable, Dict, Iterable, Mapping, NoReturn, Protocol
+from typing import Callable, Dict, Generic, Iterable, Mapping, NoReturn, Protocol, TypeVar
 
 import rospy
 from dynamic_reconfigure.msg import (
@@ -20,25 +19,26 @@ from dynamic_reconfigure.msg import (
 )
 from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
 
-from hri_pipeline.core.parameters import Parameter, ParameterError, ParameterTable, format_value
+from hri_pipeline.core.parameters import Parameter, ParameterError, ParameterTable, S, Settings, format_value
 from hri_pipeline.ros.node import RunnableNode, read_parameters, run_node
 from hri_pipeline.ros.rospy_compat import release
 
+_New = TypeVar("_New", bound=Settings, contravariant=True)
 _TYPES = {bool: "bool", int: "int", float: "double", str: "str"}
 _ALL = "Default"
 
 
-class LiveNode(RunnableNode, Protocol):
+class LiveNode(RunnableNode, Protocol[_New]):
     """A node some of whose parameters may be changed while it runs."""
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: _New) -> None:
         """Apply the values of all parameters, between two images or cycles, from any thread.
 
         Raises ValueError when they contradict each other; then nothing has changed.
         """
 
 
-def run_live_node(name: str, table: ParameterTable, build: Callable[[SimpleNamespace], LiveNode]) -> NoReturn:
+def run_live_node(name: str, table: ParameterTable[S], build: Callable[[S], LiveNode[S]]) -> NoReturn:
     """Run the node that build(settings) makes, as run_node does, and let its live parameters be changed."""
     def make() -> _Live:
         settings = read_parameters(table)
@@ -50,7 +50,7 @@ def run_live_node(name: str, table: ParameterTable, build: Callable[[SimpleNames
 class _Live:
     """A node with its reconfiguration."""
 
-    def __init__(self, node: LiveNode, table: ParameterTable, settings: SimpleNamespace) -> None:
+    def __init__(self, node: LiveNode[S], table: ParameterTable[S], settings: S) -> None:
         self._node = node
         try:
             self._reconfiguration = Reconfiguration(table, settings, node.reconfigure)
@@ -66,7 +66,7 @@ class _Live:
         self._node.close()
 
 
-class Reconfiguration:
+class Reconfiguration(Generic[S]):
     """Serves `~set_parameters`, and latches `~parameter_descriptions` and `~parameter_updates`.
 
     table: of the node; only its live parameters can be changed. settings: their values now. apply: called with all
@@ -78,10 +78,9 @@ class Reconfiguration:
     with it.
     """
 
-    def __init__(self, table: ParameterTable, settings: SimpleNamespace,
-                 apply: Callable[[SimpleNamespace], None]) -> None:
+    def __init__(self, table: ParameterTable[S], settings: S, apply: Callable[[S], None]) -> None:
         self._table = table
-        self._settings = SimpleNamespace(**vars(settings))
+        self._settings = settings
         self._apply = apply
         self._lock = threading.Lock()
         self._closed = False
@@ -115,7 +114,7 @@ class Reconfiguration:
             self._updates.publish(config)
             return ReconfigureResponse(config)
 
-    def _change(self, wanted: SimpleNamespace) -> None:
+    def _change(self, wanted: S) -> None:
         before = vars(self._settings)
         changed = {name: value for name, value in vars(wanted).items() if value != before[name]}
         if not changed:

@@ -4,7 +4,6 @@ truth."""
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Dict, Iterable, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -29,6 +28,7 @@ from hri_msgs.msg import (
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.gaze import gaze_frame
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.simulation.parameters import SceneSettings
 from hri_pipeline.core.simulation.projection import box, keypoints, landmarks
 from hri_pipeline.core.simulation.sensors import (
     BODIES,
@@ -72,7 +72,7 @@ _SYLLABLES = 4.0    # per second; the jaw goes with them
 class SceneFeatures:
     """Publishes what the senses say. settings: the values of SCENE_PARAMETERS."""
 
-    def __init__(self, settings: SimpleNamespace, transforms: TfPublisher) -> None:
+    def __init__(self, settings: SceneSettings, transforms: TfPublisher) -> None:
         """transforms: shared; its owner closes it."""
         self._settings, self._transforms = settings, transforms
         self._camera = CameraModel.from_fov(settings.width, settings.height, math.radians(settings.sense_hfov))
@@ -275,7 +275,7 @@ class ScenePersons:
     Ids are the names of the scene.
     """
 
-    def __init__(self, settings: SimpleNamespace, transforms: TfPublisher) -> None:
+    def __init__(self, settings: SceneSettings, transforms: TfPublisher) -> None:
         """transforms: shared; its owner closes it."""
         self._settings, self._transforms = settings, transforms
         self._leases = IdPublishers(_PERSONS, {

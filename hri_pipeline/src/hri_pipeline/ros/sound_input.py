@@ -5,13 +5,13 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict, deque
-from types import SimpleNamespace
 from typing import Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 
 import audio_common_msgs.msg
 import rospy
 from audio_common_msgs.msg import AudioData, AudioInfo
 
+from hri_pipeline.core.audio.parameters import SoundInputSettings
 from hri_pipeline.core.audio.stream import SoundBlock, SoundError, SoundFormat, SoundStream
 from hri_pipeline.core.error_log import Outage
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
@@ -51,13 +51,12 @@ class SoundInput:
 
     Parameters
     ----------
-    settings : SimpleNamespace
-        Values of INPUT_PARAMETERS (core/audio/parameters.py).
+    settings : SoundInputSettings
     on_restart : callable, optional
         Called without arguments when a new stream begins: time has gone back, or the format has changed.
     """
 
-    def __init__(self, settings: SimpleNamespace, on_restart: Optional[Callable[[], None]] = None) -> None:
+    def __init__(self, settings: SoundInputSettings, on_restart: Optional[Callable[[], None]] = None) -> None:
         self._settings = settings
         self.on_restart = on_restart
         self._condition = threading.Condition()
@@ -86,6 +85,10 @@ class SoundInput:
         if AudioDataStamped is not None:
             self._subscribers.append(rospy.Subscriber("audio_stamped", AudioDataStamped, self._on_stamped,
                                                       buff_size=BUFFER_BYTES, tcp_nodelay=True))
+
+    def reconfigure(self, settings: SoundInputSettings) -> None:
+        """Take up the values of the live parameters."""
+        self._settings = settings
 
     def next(self, timeout: float) -> List[SoundBlock]:
         """Return the next blocks of sound. Waits at most `timeout` s; empty when there is no sound."""

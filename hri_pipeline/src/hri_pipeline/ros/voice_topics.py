@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from types import SimpleNamespace
 from typing import Deque, Dict, Iterable, List
 
 import numpy as np
@@ -13,6 +12,7 @@ from std_msgs.msg import Bool
 from hri_msgs.msg import AudioFeatures
 from hri_pipeline.core.asr.recognition import SpeechResult
 from hri_pipeline.core.audio.features import AudioFeatureExtractor
+from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.pipeline import VoiceObservation
 from hri_pipeline.core.audio.stream import RATE, encode_s16
 from hri_pipeline.ros.conversions import audio_features_to_msg, make_header, speech_message, speech_type
@@ -49,13 +49,12 @@ class VoiceTopics:
 
     Parameters
     ----------
-    settings : SimpleNamespace
-        Values of VOICES (core/audio/parameters.py).
+    settings : VoicesSettings
     speech : bool
         Whether there is a topic `speech`.
     """
 
-    def __init__(self, settings: SimpleNamespace, speech: bool) -> None:
+    def __init__(self, settings: VoicesSettings, speech: bool) -> None:
         self._settings = settings
         specs = {AUDIO: TopicSpec(AudioData, queue_size=100), IS_SPEAKING: TopicSpec(Bool, latch=True)}
         if settings.features:
@@ -97,8 +96,9 @@ class VoiceTopics:
         for identity in self._publishers.ids:
             self._close(identity)
 
-    def restart_features(self) -> None:
-        """Restart the features of all voices with the current rate."""
+    def reconfigure(self, settings: VoicesSettings) -> None:
+        """Take up the values of the live parameters; the features of all voices start again, with the new rate."""
+        self._settings = settings
         self._extractors.clear()
 
     def _close(self, identity: str) -> None:

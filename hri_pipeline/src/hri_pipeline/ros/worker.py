@@ -7,12 +7,12 @@ import threading
 import time
 import traceback
 from collections import deque
-from types import SimpleNamespace
 from typing import Deque, Dict, List, Optional, Protocol, Sequence
 
 import rospy
 
 from hri_pipeline.core.error_log import NewErrors
+from hri_pipeline.core.faces.parameters import CameraSettings
 from hri_pipeline.core.process import set_niceness
 from hri_pipeline.core.setup_check import NO_IMAGE_YET
 from hri_pipeline.core.timing import Pacer, StageTimes
@@ -34,7 +34,7 @@ class Processor(Protocol):
     def process(self, frame: Frame, context: dict) -> None:
         """Work on one image; `context` carries results to the next processors, and "times" (StageTimes)."""
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: CameraSettings) -> None:
         """Apply new values of the live parameters."""
 
     def reset(self) -> None:
@@ -124,7 +124,7 @@ class VisionWorker:
                 except Exception as error:
                     self._failed(_name(processor), error)
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: CameraSettings) -> None:
         """Apply new values of the live parameters between two images; from any thread."""
         with self._lock:
             self._pacer = _pacer(settings.max_rate)

@@ -106,7 +106,7 @@ class _Smoothed:
 
 
 class _WristSpeed:
-    """How fast the wrists move before the trunk: the length of their low-passed velocity, in which noise averages out."""
+    """How fast the wrists move before the trunk: their low-passed velocity, in which noise averages out."""
 
     def __init__(self) -> None:
         self._last: Optional[List[float]] = None

@@ -14,8 +14,18 @@ from typing import Optional, Sequence, Tuple
 
 import numpy as np
 
-from hri_fullbody.core.kinematics.forward import ENDS, MIDDLES, ORIGINS
-from hri_fullbody.core.kinematics.rotations import columns, cross, dot, perpendicular, smooth_step, unit, wrap
+from hri_fullbody.core.kinematics.forward import (
+    ENDS,
+    MIDDLES,
+    ORIGINS,
+    columns,
+    cross,
+    dot,
+    perpendicular,
+    smooth_step,
+    unit,
+    wrap,
+)
 from hri_fullbody.core.kinematics.trunk import Observation, TrunkPose, trunk_pose
 from hri_fullbody.core.kinematics.warm_start import WarmStart
 from hri_fullbody.core.model.human import HEAD, LEFT_LEG, REP155, SLOTS, WAIST_SLOT, BodyDimensions, Layout, branch_slot

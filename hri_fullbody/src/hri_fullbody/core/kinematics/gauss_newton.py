@@ -13,8 +13,16 @@ from typing import Optional, Tuple
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from hri_fullbody.core.kinematics.forward import HEAD_TARGETS, MIDDLES, TARGETS, Frames, compute_frames
-from hri_fullbody.core.kinematics.rotations import about_vector, cross_matrix, smooth_step
+from hri_fullbody.core.kinematics.forward import (
+    HEAD_TARGETS,
+    MIDDLES,
+    TARGETS,
+    Frames,
+    about_vector,
+    compute_frames,
+    cross_matrix,
+    smooth_step,
+)
 from hri_fullbody.core.model.human import (
     HEAD,
     JOINTS_PER_BRANCH,

@@ -20,10 +20,10 @@ from hri_fullbody.core.kinematics.forward import (
     TARGET_POINTS,
     TARGETS,
     Frames,
+    about_axes,
     compute_frames,
 )
 from hri_fullbody.core.kinematics.gauss_newton import WeightedTargets, refine
-from hri_fullbody.core.kinematics.rotations import about_axes
 from hri_fullbody.core.kinematics.trunk import Observation
 from hri_fullbody.core.kinematics.warm_start import WarmStart
 from hri_fullbody.core.model.human import HEAD, PAPER, WAIST_SLOT, BodyDimensions, Dimensions, Layout, stack_dimensions

@@ -7,7 +7,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from hri_fullbody.core.kinematics.rotations import about_axes, columns, cross, dot, perpendicular, smooth_step, unit
+from hri_fullbody.core.kinematics.forward import about_axes, columns, cross, dot, perpendicular, smooth_step, unit
 from hri_fullbody.core.kinematics.warm_start import WarmStart
 from hri_fullbody.core.model.human import LEFT_ARM, RIGHT_LEG, WAIST_SLOT, BodyDimensions, Layout
 

@@ -38,7 +38,8 @@ _MOST_PEOPLE = 30
 
 @dataclass
 class _Person:
-    """What was seen of one person: up directions by their kind with their stamps, and the ankles in the optical frame at average size."""
+    """What was seen of one person: up directions by kind, with stamps, and the ankles (m, optical frame, average
+    size)."""
 
     stamp: float
     axes: Dict[str, Tuple[np.ndarray, float]] = field(default_factory=dict)
@@ -74,6 +75,8 @@ class GroundPlane:
         weight = 1.0 if not person.axes else 1.0 - math.exp(-max(stamp - person.stamp, 0.0) / _LEARN_S)
         person.stamp = stamp
         line, foot = _standing(points, confidence)
+        if line is not None and -line[1] <= _UPRIGHT:
+            line = foot = None      # stretched out on the ground
         seen = {"standing": line, "trunk": _trunk(points) if line is None else None,
                 "face": None if face is None else face.rotation[:, 2]}
         for kind, axis in seen.items():
@@ -154,7 +157,7 @@ class GroundPlane:
 
 
 def up_of(pitch: float, roll: float) -> np.ndarray:
-    """Up (3,) in the optical frame of a camera that looks down by `pitch` and is turned about its axis by `roll`, rad."""
+    """Up (3,) in the optical frame of a camera that looks down by `pitch` and is turned by `roll`, rad."""
     return np.array([math.sin(roll), -math.cos(roll) * math.cos(pitch), -math.cos(roll) * math.sin(pitch)])
 
 

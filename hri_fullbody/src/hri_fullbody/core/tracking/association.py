@@ -14,10 +14,10 @@ import numpy as np
 from hri_fullbody.core.detection.pose_estimator import PoseDetection, inside, same_body
 from hri_fullbody.core.detection.windows import FaceBox
 from hri_fullbody.core.localization.localizer import face_cue
-from hri_fullbody.core.tracking.appearance import difference
+from hri_fullbody.core.tracking.reidentification import difference
 from hri_fullbody.core.tracking.track import BodyTrack
-from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.geometry import Pose, iou_matrix
+from hri_pipeline.core.tracks import assign
 
 # A nose further than this from the middle of its face (in face sizes, 0.5 is the rim) belongs to somebody else.
 NOSE_IN_FACE = 0.5

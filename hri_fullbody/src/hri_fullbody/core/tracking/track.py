@@ -10,7 +10,7 @@ import numpy as np
 
 from hri_fullbody.core.detection.pose_estimator import PoseDetection, PoseEstimate
 from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, FaceBox, Window, window_from_face
-from hri_fullbody.core.tracking.appearance import blend
+from hri_fullbody.core.tracking.reidentification import blend
 from hri_pipeline.core.tracks import TrackLife
 
 # Standard deviations of the model, measured in body sizes (px) where the image is meant.

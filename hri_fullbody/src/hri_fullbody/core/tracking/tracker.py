@@ -17,7 +17,6 @@ from hri_fullbody.core.detection.pose_estimator import (
     same_body,
 )
 from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, FaceBox, Window, head_box, window_from_face
-from hri_fullbody.core.tracking.appearance import describe
 from hri_fullbody.core.tracking.association import (
     MAX_COST,
     NOSE_IN_FACE,
@@ -28,12 +27,12 @@ from hri_fullbody.core.tracking.association import (
     nearest_face,
 )
 from hri_fullbody.core.tracking.candidates import BodyCandidate, CandidateQueue
+from hri_fullbody.core.tracking.reidentification import describe
 from hri_fullbody.core.tracking.scheduler import PoseScheduler
 from hri_fullbody.core.tracking.track import BodyTrack
-from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.error_log import ItemGuard
-from hri_pipeline.core.faces.appearance import PictureCuts
-from hri_pipeline.core.tracks import TrackLife
+from hri_pipeline.core.images import PictureCuts
+from hri_pipeline.core.tracks import TrackLife, assign
 
 Locate = Callable[[PoseEstimate], Optional[np.ndarray]]
 
@@ -239,7 +238,8 @@ class BodyTracker:
             detection = self._make_detection(image, result.found, None, stamp)
             if candidate.retried and not self._fills_box(candidate, result.found, stamp):
                 result = candidate.fail()
-            elif detection is None or self._start_track(detection, stamp, face, result.anchor, faces) or face is not None:
+            elif (detection is None or self._start_track(detection, stamp, face, result.anchor, faces)
+                  or face is not None):
                 return
             else:
                 result = candidate.fail()

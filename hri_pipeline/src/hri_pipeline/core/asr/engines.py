@@ -14,6 +14,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Protocol, Se
 
 import numpy as np
 
+from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.onnx import ModelError, model_path
 from hri_pipeline.core.parameters import ParameterError
 
@@ -352,7 +353,7 @@ def read_grammar(value: str, directory: Optional[Path] = None) -> str:
         raise ParameterError("parameter speech_grammar: {} cannot be read: {}".format(path, error)) from error
 
 
-def engine_choice(settings: Any) -> EngineChoice:
+def engine_choice(settings: SpeechSettings) -> EngineChoice:
     """Return the choice that the parameters speech_* make. Raises ParameterError for a grammar that is not there."""
     model = settings.speech_model and str(Path(settings.speech_model).expanduser().absolute())
     grammar = read_grammar(settings.speech_grammar, grammar_directory())

@@ -13,10 +13,11 @@ import sys
 import threading
 from collections import deque
 from pathlib import Path
-from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
+from typing import Callable, Deque, Dict, List, Optional, Tuple
 
 from hri_pipeline.core.asr import worker
 from hri_pipeline.core.asr.engines import RATE, EngineChoice
+from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.asr.worker import MessageReader, PipeError, SpeechMessage
 from hri_pipeline.core.process import RestartPolicy
 
@@ -262,13 +263,13 @@ class SpeechPool:
     Parameters
     ----------
     choice : the engine of all processes.
-    settings : resolved parameters of the node voices (speech_*).
+    settings : SpeechSettings
     lock : held by the caller of add() and forget().
     publish : called with utterance, samples, text and confidence (None: text so far) of each result, without the lock.
     hang_time : time (s) without a message after which a process that has work is killed.
     """
 
-    def __init__(self, choice: EngineChoice, settings: Any, lock: threading.Lock, publish: Publish,
+    def __init__(self, choice: EngineChoice, settings: SpeechSettings, lock: threading.Lock, publish: Publish,
                  hang_time: float) -> None:
         self.engine = choice.engine
         self.failed = ""

@@ -8,11 +8,12 @@ import threading
 import time
 import traceback
 from dataclasses import dataclass
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
 from hri_pipeline.core.asr.engines import AUTO, RATE, check_choice, engine_choice
+from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.asr.pool import HANG_S, QueuedUtterance, SpeechPool
 from hri_pipeline.core.audio.stream import encode_s16
 from hri_pipeline.core.onnx import FETCH_HINT
@@ -60,7 +61,7 @@ class SpeechRecognition:
 
     Parameters
     ----------
-    settings : resolved parameters of the node voices (speech_*).
+    settings : SpeechSettings
     hang_time : time (s) without a message after which a process that has work is killed.
 
     Raises
@@ -69,7 +70,7 @@ class SpeechRecognition:
         The settings cannot work.
     """
 
-    def __init__(self, settings: Any, hang_time: float = HANG_S) -> None:
+    def __init__(self, settings: SpeechSettings, hang_time: float = HANG_S) -> None:
         choice = engine_choice(settings)
         check_choice(choice)
         self._language = choice.language
@@ -92,7 +93,7 @@ class SpeechRecognition:
         self._thread.start()
 
     @staticmethod
-    def enabled(settings: Any) -> bool:
+    def enabled(settings: SpeechSettings) -> bool:
         """Tell whether the settings ask for recognition at all."""
         return bool(settings.speech_engine)
 

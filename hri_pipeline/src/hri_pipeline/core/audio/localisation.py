@@ -22,9 +22,9 @@ from typing import List, Optional, Sequence
 
 import numpy as np
 
-from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.audio.array import SPEED_OF_SOUND, MicrophoneArray
 from hri_pipeline.core.audio.spectra import FREQUENCIES, HOP, RATE
+from hri_pipeline.core.tracks import assign
 
 LOWEST, HIGHEST = 200.0, 6000.0
 """Band (Hz) that is used: below it the phases on a robot's head hardly differ, above it there is little speech."""

@@ -1,143 +1,169 @@
-"""Parameters of the node `voices`: `VOICES`, and its groups."""
+"""Parameters of the node `voices`."""
 
 from __future__ import annotations
 
-from hri_pipeline.core.asr.parameters import AUDIO_FEATURE_PARAMETERS, SPEECH_RECOGNITION_PARAMETERS
+from dataclasses import dataclass
+from typing import Sequence
+
+from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.audio.stream import SAMPLE_FORMATS
-from hri_pipeline.core.parameters import Parameter, ParameterTable
+from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
 
-INPUT_PARAMETERS = (
-    Parameter("use_audio_info", True, "Use the format in `audio_info` where somebody publishes it: its channels, "
-              "rate and format go before the three parameters below."),
-    Parameter("channels", 1, "Interleaved channels of the sound while there is no AudioInfo.", minimum=1, maximum=32),
-    Parameter("sample_rate", 16000, "Sample rate of the sound while there is no AudioInfo. It is resampled to 16 kHz"
-              " once; lower rates lose the voice's overtones.", unit="Hz", minimum=4000, maximum=384000),
-    Parameter("sample_format", "S16LE", "Layout of one sample while there is no AudioInfo, as GStreamer names it.",
-              choices=SAMPLE_FORMATS),
-    Parameter("input_latency", 0.0, "Least time between a sound and the message with it: buffers of the sound card and"
-              " its driver. It is taken from every stamp; a wrong value shifts voices against faces.",
-              unit="s", minimum=0.0, maximum=2.0),
-    Parameter("resampling", "HQ", "Quality of the resampler. HQ keeps sound up to 7.3 kHz and holds it back for 37 ms "
-              "at 48 kHz; LQ up to 5.8 kHz and 20 ms. A microphone of 16 kHz is not resampled.",
-              choices=("HQ", "MQ", "LQ")),
-    Parameter("gap_tolerance", 0.08, "Sound that stays missing for more than this is called a gap: stamps go on behind"
-              " it. Smaller notices shorter gaps and takes slow deliveries for gaps.",
-              unit="s", minimum=0.02, maximum=1.0),
-    Parameter("silence_time", 2.0, "Time without any message after which all voices are let go.", unit="s", minimum=0.2,
-              maximum=60.0, live=True),
-    Parameter("frame_id", "microphone_link", "TF frame of the microphone or the array: x forward, y left, z up. The"
-              " parent of the frames of voices; goes into headers."),
-)
-"""Of the input of sound (core/audio/stream.py, ros/sound_input.py)."""
 
-ARRAY_PARAMETERS = (
-    Parameter("microphone_positions", [], "Positions of the microphones, one text \"x y z\" per channel, in the "
-              "microphone frame: [\"0.04 0.04 0\", \"-0.04 0.04 0\", \"-0.04 -0.04 0\", \"0.04 -0.04 0\"]. Errors of "
-              "some millimetres cost some degrees. Empty: there is no array, the channels are mixed to one.", unit="m"),
-    Parameter("line_front", True, "Microphones on one line (as any two) tell only the angle against the line. True: "
-              "voices are taken to be in front of it. False: their direction is not told; they are separated all the "
-              "same."),
-    Parameter("max_sources", 4, "Directions that are listened to at a time, at most. Each costs as much as the first "
-              "search for directions.", minimum=1, maximum=8),
-    Parameter("source_birth_time", 0.1, "Time over which a new direction must sound before it is listened to. Its "
-              "voice is not cut: what was said meanwhile is kept. Longer: fewer echoes and slammed doors.", unit="s",
-              minimum=0.0, maximum=1.0),
-    Parameter("source_look_back", 0.3, "What is kept of the sound before a direction is listened to.", unit="s",
-              minimum=0.0,
-              maximum=1.0),
-    Parameter("source_hold_time", 1.0, "Time for which a direction that has fallen silent is still listened to. It "
-              "must be longer than the pause that ends a turn (hangover_time).", unit="s", minimum=0.1, maximum=10.0,
-              live=True),
-    Parameter("source_memory", 10.0, "Time for which a silent direction is remembered. A voice from there is the same "
-              "as before, later it is a new one.", unit="s", minimum=0.5, maximum=600.0),
-)
-"""Of the microphone array (core/audio/array.py), localisation and separation."""
+@dataclass(frozen=True)
+class SoundInputSettings(Settings):
+    """Of the input of sound (core/audio/stream.py, ros/sound_input.py)."""
 
-VOICE_ACTIVITY_PARAMETERS = (
-    Parameter("vad_model", "", "ONNX file of the voice activity network. Empty: silero_vad.onnx in the models "
-              "directory."),
-    Parameter("birth_threshold", 0.4, "Probability of speech from which somebody begins to speak, in noise. Higher: "
-              "fewer false voices, later and fewer soft ones.", minimum=0.05, maximum=0.99, live=True),
-    Parameter("clear_birth_threshold", 0.3, "The same where the sound stands out of the noise by `clear_snr`: there the"
-              " network errs little, and consonants at the begin of a word get 0.3 to 0.4. Between, it is interpolated."
-              " Not above birth_threshold.", minimum=0.05, maximum=0.99, live=True),
-    Parameter("clear_snr", 20.0, "Level above the noise floor from which clear_birth_threshold counts.", unit="dB",
-              minimum=8.5, maximum=60.0, live=True),
-    Parameter("keep_threshold", 0.2, "Probability from which somebody who speaks goes on speaking. Lower bridges softer"
-              " speech and keeps `is_speaking` longer behind it. Not above clear_birth_threshold.",
-              minimum=0.01, maximum=0.99, live=True),
-    Parameter("noise_margin", 0.2, "Sound that exceeds the noise floor by less than this is a pause, whatever the "
-              "network says: it goes on for some 0.1 s behind a word.", unit="dB", minimum=0.0,
-              maximum=20.0, live=True),
-    Parameter("level_drop", 22.0, "Sound this much below the loudest of the last words is a pause, too "
-              "(reverberation, breath). Larger keeps more of soft endings.", unit="dB", minimum=6.0, maximum=90.0,
-              live=True),
-    Parameter("onset_time", 0.032, "Time above the threshold after which somebody speaks; rounded up to frames of 32 "
-              "ms. Longer: fewer false voices, `is_speaking` so much later.",
-              unit="s",
-              minimum=0.0, maximum=1.0, live=True),
-    Parameter("speaking_hangover", 0.032, "`is_speaking` lasts this long behind the last sound of speech. Longer "
-              "bridges more of the pauses between words, and says more often that somebody speaks who does not.",
-              unit="s",
-              minimum=0.0, maximum=5.0, live=True),
-    Parameter("hangover_time", 0.6, "A pause longer than this ends a turn: the sentence goes to the recogniser's final"
-              " result. Longer keeps slow speakers in one piece, and answers later.", unit="s", minimum=0.05,
-              maximum=10.0, live=True),
-    Parameter("min_speech", 0.1, "A turn with less speech than this was a noise: its voice is let go at once.",
-              unit="s",
-              minimum=0.0, maximum=2.0, live=True),
-    Parameter("look_back", 0.2, "Sound from before the onset that `audio` and recognition get with it: the onset is"
-              " noticed when the first consonant is over.", unit="s", minimum=0.0, maximum=1.0),
-    Parameter("voice_timeout", 3.0, "Time after its last word for which a voice stays tracked.", unit="s", minimum=0.1,
-              maximum=600.0, live=True),
-    Parameter("resume_time", 0.0, "Without an array, speech within this time after the last word of a tracked voice "
-              "continues that voice. Up to hangover_time, every turn is a new voice: one microphone cannot tell who "
-              "answers, and a voice that goes on for somebody else is matched with the wrong face. Longer suits a "
-              "robot with one user. With an array the direction decides, for as long as the voice is tracked.",
-              unit="s", minimum=0.0, maximum=600.0, live=True),
-    Parameter("direction_grace", 0.05, "With an array, how long speech still counts for the voice of a direction "
-              "after the last sound from there. Speech behind that is somebody else's, which the separation lets "
-              "through. Longer loses less where several speak at once, and hears more of others.", unit="s",
-              minimum=0.0, maximum=5.0),
-    Parameter("resume_angle", 0.35, "With an array, a source this close to a silent tracked voice is this voice "
-              "again.", unit="rad", minimum=0.0, maximum=3.2, live=True),
-)
-"""Of voice activity detection, turns and voices (core/audio/vad.py, core/audio/turns.py)."""
+    use_audio_info: bool = parameter(
+        True, "Use the format in `audio_info` where somebody publishes it: its channels, rate and format go before "
+        "the three parameters below.")
+    channels: int = parameter(
+        1, "Interleaved channels of the sound while there is no AudioInfo.", minimum=1, maximum=32)
+    sample_rate: int = parameter(
+        16000, "Sample rate of the sound while there is no AudioInfo. It is resampled to 16 kHz once; lower rates "
+        "lose the voice's overtones.", unit="Hz", minimum=4000, maximum=384000)
+    sample_format: str = parameter(
+        "S16LE", "Layout of one sample while there is no AudioInfo, as GStreamer names it.", choices=SAMPLE_FORMATS)
+    input_latency: float = parameter(
+        0.0, "Least time between a sound and the message with it: buffers of the sound card and its driver. It is "
+        "taken from every stamp; a wrong value shifts voices against faces.", unit="s", minimum=0.0, maximum=2.0)
+    resampling: str = parameter(
+        "HQ", "Quality of the resampler. HQ keeps sound up to 7.3 kHz and holds it back for 37 ms at 48 kHz; LQ up to "
+        "5.8 kHz and 20 ms. A microphone of 16 kHz is not resampled.", choices=("HQ", "MQ", "LQ"))
+    gap_tolerance: float = parameter(
+        0.08, "Sound that stays missing for more than this is called a gap: stamps go on behind it. Smaller notices "
+        "shorter gaps and takes slow deliveries for gaps.", unit="s", minimum=0.02, maximum=1.0)
+    silence_time: float = parameter(
+        2.0, "Time without any message after which all voices are let go.", unit="s", minimum=0.2, maximum=60.0,
+        live=True)
+    frame_id: str = parameter(
+        "microphone_link", "TF frame of the microphone or the array: x forward, y left, z up. The parent of the "
+        "frames of voices; goes into headers.")
 
-DIRECTION_PARAMETERS = (
-    Parameter("direction", True, "Find the directions of voices and separate them, with two or more microphones at "
-              "known positions. Off: all channels are mixed to one."),
-    Parameter("direction_distance", 1.0, "Distance from the microphone at which the frame voice_ID is put: an array"
-              " knows the direction only.", unit="m", minimum=0.1, maximum=20.0, live=True),
-) + ARRAY_PARAMETERS
-"""Of localisation and separation, and of the frames of voices."""
 
-FEATURE_PARAMETERS = (
-    Parameter("features", True, "Publish the 16 descriptors of each voice (`features`), while somebody listens. They"
-              " are personal data, and what emotion recognition is made of."),
-) + AUDIO_FEATURE_PARAMETERS
-"""Of the descriptors (core/audio/features.py)."""
+@dataclass(frozen=True)
+class VoiceActivitySettings(Settings):
+    """Of voice activity detection, turns and voices (core/audio/vad.py, core/audio/turns.py)."""
 
-SPEECH_PARAMETERS = (
-    Parameter("speech", True, "Recognise what voices say and publish it (`speech`). Recognition runs in a process of"
-              " its own; sound is kept in memory while it is worked on, never on disk."),
-) + SPEECH_RECOGNITION_PARAMETERS
-"""Of speech recognition."""
+    vad_model: str = parameter(
+        "", "ONNX file of the voice activity network. Empty: silero_vad.onnx in the models directory.")
+    birth_threshold: float = parameter(
+        0.4, "Probability of speech from which somebody begins to speak, in noise. Higher: fewer false voices, later "
+        "and fewer soft ones.", minimum=0.05, maximum=0.99, live=True)
+    clear_birth_threshold: float = parameter(
+        0.3, "The same where the sound stands out of the noise by `clear_snr`: there the network errs little, and "
+        "consonants at the begin of a word get 0.3 to 0.4. Between, it is interpolated. Not above birth_threshold.",
+        minimum=0.05, maximum=0.99, live=True)
+    clear_snr: float = parameter(
+        20.0, "Level above the noise floor from which clear_birth_threshold counts.", unit="dB", minimum=8.5,
+        maximum=60.0, live=True)
+    keep_threshold: float = parameter(
+        0.2, "Probability from which somebody who speaks goes on speaking. Lower bridges softer speech and keeps "
+        "`is_speaking` longer behind it. Not above clear_birth_threshold.", minimum=0.01, maximum=0.99, live=True)
+    noise_margin: float = parameter(
+        0.2, "Sound that exceeds the noise floor by less than this is a pause, whatever the network says: it goes on "
+        "for some 0.1 s behind a word.", unit="dB", minimum=0.0, maximum=20.0, live=True)
+    level_drop: float = parameter(
+        22.0, "Sound this much below the loudest of the last words is a pause, too (reverberation, breath). Larger "
+        "keeps more of soft endings.", unit="dB", minimum=6.0, maximum=90.0, live=True)
+    onset_time: float = parameter(
+        0.032, "Time above the threshold after which somebody speaks; rounded up to frames of 32 ms. Longer: fewer "
+        "false voices, `is_speaking` so much later.", unit="s", minimum=0.0, maximum=1.0, live=True)
+    speaking_hangover: float = parameter(
+        0.032, "`is_speaking` lasts this long behind the last sound of speech. Longer bridges more of the pauses "
+        "between words, and says more often that somebody speaks who does not.", unit="s", minimum=0.0, maximum=5.0,
+        live=True)
+    hangover_time: float = parameter(
+        0.6, "A pause longer than this ends a turn: the sentence goes to the recogniser's final result. Longer keeps "
+        "slow speakers in one piece, and answers later.", unit="s", minimum=0.05, maximum=10.0, live=True)
+    min_speech: float = parameter(
+        0.1, "A turn with less speech than this was a noise: its voice is let go at once.", unit="s", minimum=0.0,
+        maximum=2.0, live=True)
+    look_back: float = parameter(
+        0.2, "Sound from before the onset that `audio` and recognition get with it: the onset is noticed when the "
+        "first consonant is over.", unit="s", minimum=0.0, maximum=1.0)
+    voice_timeout: float = parameter(
+        3.0, "Time after its last word for which a voice stays tracked.", unit="s", minimum=0.1, maximum=600.0,
+        live=True)
+    resume_time: float = parameter(
+        0.0, "Without an array, speech within this time after the last word of a tracked voice continues that voice. "
+        "Up to hangover_time, every turn is a new voice: one microphone cannot tell who answers, and a voice that "
+        "goes on for somebody else is matched with the wrong face. Longer suits a robot with one user. With an array "
+        "the direction decides, for as long as the voice is tracked.", unit="s", minimum=0.0, maximum=600.0, live=True)
+    direction_grace: float = parameter(
+        0.05, "With an array, how long speech still counts for the voice of a direction after the last sound from "
+        "there. Speech behind that is somebody else's, which the separation lets through. Longer loses less where "
+        "several speak at once, and hears more of others.", unit="s", minimum=0.0, maximum=5.0)
+    resume_angle: float = parameter(
+        0.35, "With an array, a source this close to a silent tracked voice is this voice again.", unit="rad",
+        minimum=0.0, maximum=3.2, live=True)
 
-OUTPUT_PARAMETERS = (
-    Parameter("audio_backlog", 1.0, "The first who subscribes to the `audio` of a voice is given so much of its turn "
-              "from before, since the voice must speak before its topic can be known. In memory only.", unit="s",
-              minimum=0.0,
-              maximum=10.0),
-    Parameter("interface", "paper", "Type of `speech`: `paper` is std_msgs/String, the text so far and then the"
-              " whole sentence; `rep155` is hri_msgs/LiveSpeech, which tells the two apart.",
-              choices=("paper", "rep155")),
-)
 
-VOICES = ParameterTable(
-    "voices",
-    "Node voices: finds out who speaks, from where, and what is said, in the sound of a microphone or an array of "
-    "them.",
-    INPUT_PARAMETERS + VOICE_ACTIVITY_PARAMETERS + DIRECTION_PARAMETERS + FEATURE_PARAMETERS + SPEECH_PARAMETERS
-    + OUTPUT_PARAMETERS,
-)
+@dataclass(frozen=True)
+class DirectionSettings(Settings):
+    """Of the frames of voices."""
+
+    direction: bool = parameter(
+        True, "Find the directions of voices and separate them, with two or more microphones at known positions. Off: "
+        "all channels are mixed to one.")
+    direction_distance: float = parameter(
+        1.0, "Distance from the microphone at which the frame voice_ID is put: an array knows the direction only.",
+        unit="m", minimum=0.1, maximum=20.0, live=True)
+
+
+@dataclass(frozen=True)
+class ArraySettings(Settings):
+    """Of the microphone array (core/audio/array.py), localisation and separation."""
+
+    microphone_positions: Sequence[str] = parameter(
+        [], "Positions of the microphones, one text \"x y z\" per channel, in the microphone frame: [\"0.04 0.04 0\", "
+        "\"-0.04 0.04 0\", \"-0.04 -0.04 0\", \"0.04 -0.04 0\"]. Errors of some millimetres cost some degrees. Empty: "
+        "there is no array, the channels are mixed to one.", unit="m")
+    line_front: bool = parameter(
+        True, "Microphones on one line (as any two) tell only the angle against the line. True: voices are taken to "
+        "be in front of it. False: their direction is not told; they are separated all the same.")
+    max_sources: int = parameter(
+        4, "Directions that are listened to at a time, at most. Each costs as much as the first search for directions.",
+        minimum=1, maximum=8)
+    source_birth_time: float = parameter(
+        0.1, "Time over which a new direction must sound before it is listened to. Its voice is not cut: what was "
+        "said meanwhile is kept. Longer: fewer echoes and slammed doors.", unit="s", minimum=0.0, maximum=1.0)
+    source_look_back: float = parameter(
+        0.3, "What is kept of the sound before a direction is listened to.", unit="s", minimum=0.0, maximum=1.0)
+    source_hold_time: float = parameter(
+        1.0, "Time for which a direction that has fallen silent is still listened to. It must be longer than the "
+        "pause that ends a turn (hangover_time).", unit="s", minimum=0.1, maximum=10.0, live=True)
+    source_memory: float = parameter(
+        10.0, "Time for which a silent direction is remembered. A voice from there is the same as before, later it is "
+        "a new one.", unit="s", minimum=0.5, maximum=600.0)
+
+
+@dataclass(frozen=True)
+class AudioFeatureSettings(Settings):
+    """Of the descriptors (core/audio/features.py)."""
+
+    features: bool = parameter(
+        True, "Publish the 16 descriptors of each voice (`features`), while somebody listens. They are personal data, "
+        "and what emotion recognition is made of.")
+    features_rate: float = parameter(
+        25.0, "Frames of `features` per second and voice, to a whole number of the 10 ms steps of the definition; "
+        "nothing is computed while nobody listens. 25 is every fourth frame, enough to follow pitch and loudness; 100 "
+        "is every frame, what emotion recognition needs. Processor time grows in proportion, here and in every "
+        "subscriber.", unit="Hz", minimum=1.0, maximum=100.0, live=True)
+
+
+@dataclass(frozen=True)
+class VoicesSettings(SoundInputSettings, VoiceActivitySettings, DirectionSettings, ArraySettings, AudioFeatureSettings,
+                     SpeechSettings):
+    """Node voices: finds out who speaks, from where, and what is said, in the sound of a microphone or an array of
+    them."""
+
+    audio_backlog: float = parameter(
+        1.0, "The first who subscribes to the `audio` of a voice is given so much of its turn from before, since the "
+        "voice must speak before its topic can be known. In memory only.", unit="s", minimum=0.0, maximum=10.0)
+    interface: str = parameter(
+        "paper", "Type of `speech`: `paper` is std_msgs/String, the text so far and then the whole sentence; `rep155` "
+        "is hri_msgs/LiveSpeech, which tells the two apart.", choices=("paper", "rep155"))
+
+
+VOICES = ParameterTable("voices", VoicesSettings)

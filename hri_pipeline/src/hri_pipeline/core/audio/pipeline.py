@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Dict, Iterable, List, Optional, Tuple
 
 import numpy as np
 
 from hri_pipeline.core.audio.level import SILENT_DBFS
+from hri_pipeline.core.audio.parameters import VoiceActivitySettings
 from hri_pipeline.core.audio.stream import RATE, SoundBlock
 from hri_pipeline.core.audio.turns import TurnStep, VoiceSource, VoiceTrack, VoiceTracks, angle_between
 from hri_pipeline.core.audio.vad import FRAME_TIME, ActivityModel
@@ -80,8 +80,7 @@ class VoicePipeline:
 
     Parameters
     ----------
-    settings : SimpleNamespace
-        Values of VOICE_ACTIVITY_PARAMETERS.
+    settings : VoiceActivitySettings
     model : ActivityModel
         May be shared between pipelines.
     array : SoundSeparator, optional
@@ -95,7 +94,7 @@ class VoicePipeline:
         When thresholds in the settings contradict each other.
     """
 
-    def __init__(self, settings: SimpleNamespace, model: ActivityModel, array: Optional[SoundSeparator] = None,
+    def __init__(self, settings: VoiceActivitySettings, model: ActivityModel, array: Optional[SoundSeparator] = None,
                  ids: Optional[IdGenerator] = None) -> None:
         self._settings = settings
         self._model = model
@@ -105,6 +104,13 @@ class VoicePipeline:
         self._end = math.nan
         self._heard = math.nan
         VoiceSource(_MONO, settings)    # checks the settings
+
+    def reconfigure(self, settings: VoiceActivitySettings) -> None:
+        """Take up the values of the live parameters."""
+        self._settings = settings
+        self._tracks.reconfigure(settings)
+        for source in self._sources.values():
+            source.turns.reconfigure(settings)
 
     @property
     def tracked(self) -> Tuple[str, ...]:

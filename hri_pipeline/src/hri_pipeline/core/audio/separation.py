@@ -19,14 +19,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Deque, Dict, List, NamedTuple, Optional
 
 import numpy as np
 
 from hri_pipeline.core.audio.array import MicrophoneArray
 from hri_pipeline.core.audio.localisation import DirectionFinder, DirectionTracker, TrackedSource
-from hri_pipeline.core.audio.parameters import ARRAY_PARAMETERS
+from hri_pipeline.core.audio.parameters import ArraySettings
 from hri_pipeline.core.audio.spectra import (
     BINS,
     FRAME,
@@ -38,7 +37,6 @@ from hri_pipeline.core.audio.spectra import (
     OverlapAdd,
     mean_power,
 )
-from hri_pipeline.core.parameters import ParameterTable
 
 TRACK_EVERY = 2
 """Frames between two updates of the directions (32 ms)."""
@@ -112,8 +110,7 @@ class SoundSeparator:
     ----------
     positions : np.ndarray
         (C, 3) m, in the microphone frame.
-    settings : SimpleNamespace, optional
-        Values of ARRAY_PARAMETERS, None for the defaults.
+    settings : ArraySettings, optional
 
     Raises
     ------
@@ -124,8 +121,7 @@ class SoundSeparator:
     latency = FRAME / RATE
     """Largest time (s) by which the output is behind the input."""
 
-    def __init__(self, positions: np.ndarray, settings: Optional[SimpleNamespace] = None) -> None:
-        settings = settings or ParameterTable("array", "Defaults.", ARRAY_PARAMETERS).resolve({})
+    def __init__(self, positions: np.ndarray, settings: ArraySettings = ArraySettings()) -> None:  # noqa: B008 (frozen)
         self.array = MicrophoneArray(positions)
         self._settings = settings
         self._splitter = FrameSplitter(self.array.channels)
@@ -136,6 +132,10 @@ class SoundSeparator:
         self._recent: Deque[_Frame] = deque(maxlen=int(math.ceil(settings.source_look_back * RATE / HOP)))
         self._outputs: Dict[int, _Output] = {}
         self.reset()
+
+    def reconfigure(self, settings: ArraySettings) -> None:
+        """Take up the values of the live parameters."""
+        self._settings = settings
 
     def reset(self) -> None:
         """Forget the sound so far, after a gap or when time jumps. Keys are not used again."""

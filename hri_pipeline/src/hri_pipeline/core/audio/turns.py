@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Deque, Dict, List, Optional, Tuple
 
 import numpy as np
 
 from hri_pipeline.core.audio.level import SILENT_DBFS, level_dbfs
+from hri_pipeline.core.audio.parameters import VoiceActivitySettings
 from hri_pipeline.core.audio.stream import RATE
 from hri_pipeline.core.audio.vad import FRAME, FRAME_TIME, ActivityState, SpeechActivity
 from hri_pipeline.core.ids import IdGenerator
@@ -55,8 +55,7 @@ class TurnDetector:
 
     Parameters
     ----------
-    settings : SimpleNamespace
-        Values of VOICE_ACTIVITY_PARAMETERS.
+    settings : VoiceActivitySettings
 
     Attributes
     ----------
@@ -68,9 +67,14 @@ class TurnDetector:
         When the thresholds are not in ascending order.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: VoiceActivitySettings) -> None:
         self._settings = settings
         self.reset()
+
+    def reconfigure(self, settings: VoiceActivitySettings) -> None:
+        """Take up the values of the live parameters."""
+        self._settings = settings
+        self.activity.reconfigure(settings)
 
     def reset(self) -> None:
         """Forget the running turn, without an end, and the noise level."""
@@ -171,16 +175,20 @@ class VoiceTracks:
 
     Parameters
     ----------
-    settings : SimpleNamespace
+    settings : VoiceActivitySettings
         With the parameters of these names.
     ids : IdGenerator
         Source of new ids.
     """
 
-    def __init__(self, settings: SimpleNamespace, ids: IdGenerator) -> None:
+    def __init__(self, settings: VoiceActivitySettings, ids: IdGenerator) -> None:
         self._settings = settings
         self._ids = ids
         self._voices: Dict[str, VoiceTrack] = {}
+
+    def reconfigure(self, settings: VoiceActivitySettings) -> None:
+        """Take up the values of the live parameters."""
+        self._settings = settings
 
     @property
     def tracked(self) -> Tuple[str, ...]:
@@ -254,8 +262,7 @@ class VoiceSource:
     ----------
     key : int
         Of the source.
-    settings : SimpleNamespace
-        Values of VOICE_ACTIVITY_PARAMETERS.
+    settings : VoiceActivitySettings
 
     Attributes
     ----------
@@ -275,7 +282,7 @@ class VoiceSource:
         s, end of the last sound that came from its direction.
     """
 
-    def __init__(self, key: int, settings: SimpleNamespace) -> None:
+    def __init__(self, key: int, settings: VoiceActivitySettings) -> None:
         self.key = key
         self.state = ActivityState()
         self.turns = TurnDetector(settings)

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Callable, Optional, Sequence, Union
 
 import numpy as np
 
 from hri_pipeline.core.audio.level import SILENT_DBFS
+from hri_pipeline.core.audio.parameters import VoiceActivitySettings
 from hri_pipeline.core.audio.stream import RATE
 from hri_pipeline.core.onnx import OnnxModel
 
@@ -150,7 +150,7 @@ class NoiseLevel:
         return self.level
 
 
-def check_thresholds(settings: SimpleNamespace) -> None:
+def check_thresholds(settings: VoiceActivitySettings) -> None:
     """Raise ValueError when the thresholds in `settings` are not in ascending order."""
     if not settings.keep_threshold <= settings.clear_birth_threshold <= settings.birth_threshold:
         raise ValueError("keep_threshold {:g}, clear_birth_threshold {:g} and birth_threshold {:g} must be in this"
@@ -163,8 +163,7 @@ class SpeechActivity:
 
     Parameters
     ----------
-    settings : SimpleNamespace
-        Values of VOICE_ACTIVITY_PARAMETERS.
+    settings : VoiceActivitySettings
 
     Attributes
     ----------
@@ -179,7 +178,7 @@ class SpeechActivity:
         When the thresholds are not in ascending order.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: VoiceActivitySettings) -> None:
         check_thresholds(settings)
         self._settings = settings
         self.noise = NoiseLevel()
@@ -188,6 +187,10 @@ class SpeechActivity:
         self._above = 0.0
         self._below = 0.0
         self._peak = SILENT_DBFS
+
+    def reconfigure(self, settings: VoiceActivitySettings) -> None:
+        """Take up the values of the live parameters."""
+        self._settings = settings
 
     def update(self, probability: float, energy: float, duration: float) -> bool:
         """Add a frame with this probability, energy (dBFS) and duration (s); return whether somebody speaks."""

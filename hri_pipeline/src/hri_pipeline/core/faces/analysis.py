@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from types import SimpleNamespace
 from typing import (
     AbstractSet,
     Any,
@@ -41,6 +40,7 @@ from hri_pipeline.core.faces.expression import (
     view_quality,
 )
 from hri_pipeline.core.faces.mesh import CanonicalFace
+from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.faces.scheduler import CropQualities, TimeBudget, most_overdue, next_turn
 from hri_pipeline.core.observations import FaceObservation, SoftBiometrics
 from hri_pipeline.core.onnx import model_path
@@ -106,7 +106,7 @@ class FaceAnalysis:
         When the network of an analysis that is switched on is missing or wrong.
     """
 
-    def __init__(self, settings: SimpleNamespace, canonical: CanonicalFace, times: StageTimes,
+    def __init__(self, settings: FacePipelineSettings, canonical: CanonicalFace, times: StageTimes,
                  notify: Optional[Callable[[str], None]] = None, clock: Callable[[], float] = time.thread_time) -> None:
         self.enabled = [name for name in STAGES if getattr(settings, name)]
         needs_units = settings.action_units or settings.expression
@@ -124,7 +124,7 @@ class FaceAnalysis:
         self._last, self._stamp = "", -np.inf
         self.matches: List[PersonMatch] = []
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: FacePipelineSettings) -> None:
         """Apply the values of the live parameters."""
         self._time_budget.change(1e-3 * _SHARE * settings.face_budget)
         if self.recognition is not None:
@@ -275,7 +275,7 @@ class FaceAnalysis:
 class ExpressionProcessor:
     """Runs the expression network periodically and fuses it with the action units of every image."""
 
-    def __init__(self, settings: SimpleNamespace, notify: Optional[Notify] = None) -> None:
+    def __init__(self, settings: FacePipelineSettings, notify: Optional[Notify] = None) -> None:
         """settings: expression_model and providers. Raises ModelError."""
         path = model_path(settings.expression_model, "face_expression.onnx")
         self._model = ExpressionModel(path, settings.providers, notify)
@@ -330,7 +330,7 @@ class ExpressionProcessor:
 class AgeGenderProcessor:
     """Runs the age and gender network on good crops, with a growing period."""
 
-    def __init__(self, settings: SimpleNamespace, notify: Optional[Notify] = None) -> None:
+    def __init__(self, settings: FacePipelineSettings, notify: Optional[Notify] = None) -> None:
         """settings: age_gender_model and providers. Raises ModelError."""
         path = model_path(settings.age_gender_model, "age_gender.onnx")
         self._model = load_age_gender(path, "auto", settings.providers, notify)

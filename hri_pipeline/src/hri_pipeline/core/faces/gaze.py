@@ -23,8 +23,7 @@ import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.action_units import RunningNeutral
-from hri_pipeline.core.faces.blendshapes import EYE_BLINK, LOOK_DOWN, LOOK_IN, LOOK_OUT, LOOK_UP
-from hri_pipeline.core.faces.mesh import CanonicalFace
+from hri_pipeline.core.faces.mesh import EYE_BLINK, LOOK_DOWN, LOOK_IN, LOOK_OUT, LOOK_UP, CanonicalFace
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import GazeEstimate
 from hri_pipeline.core.one_euro import OneEuro

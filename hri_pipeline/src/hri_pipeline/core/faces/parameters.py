@@ -2,113 +2,147 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Sequence
+
 from hri_pipeline.core.onnx import PROVIDERS
-from hri_pipeline.core.parameters import Parameter, ParameterTable
+from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
 
-FACE_TRACKING_PARAMETERS = (
-    Parameter("face_detector_model", "", "ONNX file of the face detector. Empty: face_detection_full_range.onnx in "
-              "the models directory."),
-    Parameter("face_mesh_model", "", "ONNX file of the face mesh with attention. Empty:"
-              " face_landmarks_attention.onnx in the models directory."),
-    Parameter("face_blendshapes_model", "", "ONNX file of the movements of the face (eyelids, eyes, brows, mouth)."
-              " Empty: face_blendshapes.onnx in the models directory."),
-    Parameter("canonical_face", "", "The mean face used for head poses. Empty: canonical_face.npz in the models"
-              " directory."),
-    Parameter("max_faces", 10, "Most faces tracked at the same time: of more, the large and central ones. A run on "
-              "one costs 2 to 5 ms on one core.", minimum=1, maximum=64, live=True),
-    Parameter("min_detection_score", 0.6, "Score from which a detection may start a track. Lower finds fainter"
-              " faces and more things that are none.", minimum=0.05, maximum=0.99, live=True),
-    Parameter("min_face_presence", 0.5, "Probability of the mesh network below which a face counts as lost. Higher "
-              "lets go of hidden faces sooner.", minimum=0.05, maximum=0.99, live=True),
-    Parameter("face_detection_period", 0.3, "Time between two runs of the detector on the whole image; twice this "
-              "while every face is known. Smaller finds new faces sooner and costs more. 0: every image.",
-              unit="s", minimum=0.0, maximum=10.0, live=True),
-    Parameter("face_detection_tiles", 3, "Small faces are searched in tiles x tiles parts of the image, one part "
-              "between two runs on the whole: a part in which something has changed, or where a face waits for its "
-              "confirmation. 1: no tiles.", minimum=1, maximum=4),
-    Parameter("face_mesh_rate", 10.0, "How often the mesh network runs on each face; in the images between, the face "
-              "goes where its picture goes (optical flow), with a confidence that says so. Higher follows quick "
-              "heads better, and costs more. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True),
-    Parameter("face_budget", 10.0, "Processor time per image for the mesh network. With more faces than it allows, "
-              "they take turns. On a faster machine the same budget means more runs. The networks behind it "
-              "(expression, age and gender, recognition) take three quarters of it at most, over time, and 0.3 s at "
-              "once for who has just come.",
-              unit="ms", minimum=1.0, maximum=1000.0, live=True),
-    Parameter("face_birth_delay", 0.1, "Time for which a face must be seen before it gets its topics. Larger keeps out"
-              " more flickering false faces.", unit="s", minimum=0.0, maximum=10.0, live=True),
-    Parameter("face_death_time", 1.0, "Time after which a lost face is dropped with its id. Larger bridges longer "
-              "occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True),
-    Parameter("face_min_detections", 2, "Runs of the detector that must have seen a face before it gets its topics. "
-              "1 finds faces one detection period sooner, and takes a badge or a pattern for a face more often.",
-              minimum=1, maximum=20, live=True),
-    Parameter("face_support_time", 4.0, "Time after which a face that the detector no longer confirms is dropped: it "
-              "is a pattern that looked like a face for a moment.",
-              unit="s", minimum=0.5, maximum=600.0, live=True),
-)
-"""What finding and following faces needs."""
 
-ANALYSIS_PARAMETERS = (
-    Parameter("action_units", True, "Publish the action units of each face (`facs`). Facial movements are"
-              " personal data."),
-    Parameter("expression", True, "Publish the expression of each face (`expression`). In the European Union, inferring"
-              " emotions at work and in education is forbidden (AI Act, Art. 5(1)(f))."),
-    Parameter("age_gender", True, "Publish apparent age and gender of each face (`softbiometrics`)."),
-    Parameter("recognition", True, "Recognise persons by their faces and say so on /humans/candidate_matches. Templates"
-              " of faces are kept in memory; on disk only with `gallery`."),
-    Parameter("expression_model", "", "ONNX file of the expression network. Empty: face_expression.onnx in the models"
-              " directory."),
-    Parameter("age_gender_model", "", "ONNX file of the age and gender network. Empty: age_gender.onnx in the models"
-              " directory. One with the inputs and outputs of age-gender-recognition-retail-0013 is known by them."),
-    Parameter("recognition_model", "", "Recognition network: `face_recognition`, `mobilefacenet`, `faceres`, or an ONNX"
-              " file of one of them; empty: face_recognition. `mobilefacenet` tells alike people better; its licence"
-              " stands in docs/models.md, and `fetch_models --models mobilefacenet` gets it. Each has templates of its"
-              " own in `gallery`: who was learnt with one is not known to another, and is kept."),
-    Parameter("recognition_policy", "learn", "`learn`: an unknown face that is seen well becomes a new person; "
-              "`enrolled`: only people who were enrolled by service are recognised.", choices=("learn", "enrolled")),
-    Parameter("recognition_learn_delay", 1.5, "Time until an unknown face becomes a new person. Larger makes fewer "
-              "persons of passers-by.", unit="s", minimum=0.0, maximum=600.0, live=True),
-    Parameter("gallery", "", "SQLite file that keeps who is known beyond the run: ids, templates and times, readable "
-              "by its owner alone, in a directory of its own, whose name ends in .sqlite. It can be shared with the "
-              "person manager (its `store`) and other recognisers. NAME.npz, a gallery of earlier versions: its people "
-              "are moved to NAME.sqlite. Empty: in memory only."),
-    Parameter("gallery_key", "", "File with the key that the templates in `gallery` are encrypted with; make one with"
-              " `rosrun hri_person_manager people make-key FILE`. Empty: not encrypted."),
-)
-"""What the stages behind it need; each can be switched off on its own (config/privacy_strict.yaml: all)."""
+@dataclass(frozen=True)
+class FaceTrackingSettings(Settings):
+    """What finding and following faces needs."""
 
-FACE_PIPELINE_PARAMETERS = FACE_TRACKING_PARAMETERS + ANALYSIS_PARAMETERS
-"""What FacePipeline needs."""
+    face_detector_model: str = parameter(
+        "", "ONNX file of the face detector. Empty: face_detection_full_range.onnx in the models directory.")
+    face_mesh_model: str = parameter(
+        "", "ONNX file of the face mesh with attention. Empty: face_landmarks_attention.onnx in the models directory.")
+    face_blendshapes_model: str = parameter(
+        "", "ONNX file of the movements of the face (eyelids, eyes, brows, mouth). Empty: face_blendshapes.onnx in "
+        "the models directory.")
+    canonical_face: str = parameter(
+        "", "The mean face used for head poses. Empty: canonical_face.npz in the models directory.")
+    max_faces: int = parameter(
+        10, "Most faces tracked at the same time: of more, the large and central ones. A run on one costs 2 to 5 ms "
+        "on one core.", minimum=1, maximum=64, live=True)
+    min_detection_score: float = parameter(
+        0.6, "Score from which a detection may start a track. Lower finds fainter faces and more things that are none.",
+        minimum=0.05, maximum=0.99, live=True)
+    min_face_presence: float = parameter(
+        0.5, "Probability of the mesh network below which a face counts as lost. Higher lets go of hidden faces "
+        "sooner.", minimum=0.05, maximum=0.99, live=True)
+    face_detection_period: float = parameter(
+        0.3, "Time between two runs of the detector on the whole image; twice this while every face is known. Smaller "
+        "finds new faces sooner and costs more. 0: every image.", unit="s", minimum=0.0, maximum=10.0, live=True)
+    face_detection_tiles: int = parameter(
+        3, "Small faces are searched in tiles x tiles parts of the image, one part between two runs on the whole: a "
+        "part in which something has changed, or where a face waits for its confirmation. 1: no tiles.", minimum=1,
+        maximum=4)
+    face_mesh_rate: float = parameter(
+        10.0, "How often the mesh network runs on each face; in the images between, the face goes where its picture "
+        "goes (optical flow), with a confidence that says so. Higher follows quick heads better, and costs more. 0: "
+        "every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True)
+    face_budget: float = parameter(
+        10.0, "Processor time per image for the mesh network. With more faces than it allows, they take turns. On a "
+        "faster machine the same budget means more runs. The networks behind it (expression, age and gender, "
+        "recognition) take three quarters of it at most, over time, and 0.3 s at once for who has just come.",
+        unit="ms", minimum=1.0, maximum=1000.0, live=True)
+    face_birth_delay: float = parameter(
+        0.1, "Time for which a face must be seen before it gets its topics. Larger keeps out more flickering false "
+        "faces.", unit="s", minimum=0.0, maximum=10.0, live=True)
+    face_death_time: float = parameter(
+        1.0, "Time after which a lost face is dropped with its id. Larger bridges longer occlusions.", unit="s",
+        minimum=0.05, maximum=60.0, live=True)
+    face_min_detections: int = parameter(
+        2, "Runs of the detector that must have seen a face before it gets its topics. 1 finds faces one detection "
+        "period sooner, and takes a badge or a pattern for a face more often.", minimum=1, maximum=20, live=True)
+    face_support_time: float = parameter(
+        4.0, "Time after which a face that the detector no longer confirms is dropped: it is a pattern that looked "
+        "like a face for a moment.", unit="s", minimum=0.5, maximum=600.0, live=True)
 
-CAMERA_PARAMETERS = (
-    Parameter("providers", ["cpu"], "Execution providers for the networks, in order of preference; one that is not"
-              " available is told once and skipped.", choices=tuple(PROVIDERS)),
-    Parameter("image_transport", "raw", "Transport of the input: `raw` subscribes to `image`, `compressed` to"
-              " `image/compressed`.", choices=("raw", "compressed")),
-    Parameter("fallback_fov", 1.0472, "Horizontal field of view of a camera without calibration (camera_info "
-              "missing, or K all zero). Distances scale with it.",
-              unit="rad", minimum=0.1, maximum=3.0),
-    Parameter("max_rate", 30.0, "Most images processed per second; the others are skipped, which leaves more of the"
-              " processor to others. 0: as fast as they come.",
-              unit="Hz", minimum=0.0, maximum=1000.0, live=True),
-    Parameter("interface", "paper", "Type of `roi`: `paper` is sensor_msgs/RegionOfInterest in pixels, `rep155` is"
-              " hri_msgs/NormalizedRegionOfInterest2D. With `rep155` gaze_ID goes on while the eyes are closed, with "
-              "the direction of the head.", choices=("paper", "rep155")),
-)
-"""What every node that works on the camera's images needs."""
 
-DEPTH_PARAMETERS = (
-    Parameter("use_depth", False, "Place people by `depth`, a depth image registered to the colour image. Without "
-              "depth for an image, a face stands where its size and its irises put it, a body where face, floor and "
-              "size do."),
-    Parameter("depth_slop", 0.03, "Largest difference of the stamps of an image and its depth image. Larger takes more"
-              " pairs of cameras that are not synchronised, and puts moving people where they were.",
-              unit="s", minimum=0.0, maximum=1.0),
-)
-"""What those need that can see the distance."""
+@dataclass(frozen=True)
+class FaceAnalysisSettings(Settings):
+    """What is found out about each face; each can be switched off on its own (config/privacy_strict.yaml: all)."""
 
-FACES = ParameterTable(
-    "faces",
-    "Node faces: finds and follows faces, their 70 landmarks, pose, gaze, action units, expression, apparent age and"
-    " gender, and whose they are.",
-    FACE_PIPELINE_PARAMETERS + CAMERA_PARAMETERS + DEPTH_PARAMETERS,
-)
+    action_units: bool = parameter(
+        True, "Publish the action units of each face (`facs`). Facial movements are personal data.")
+    expression: bool = parameter(
+        True, "Publish the expression of each face (`expression`). In the European Union, inferring emotions at work "
+        "and in education is forbidden (AI Act, Art. 5(1)(f)).")
+    age_gender: bool = parameter(True, "Publish apparent age and gender of each face (`softbiometrics`).")
+    recognition: bool = parameter(
+        True, "Recognise persons by their faces and say so on /humans/candidate_matches. Templates of faces are kept "
+        "in memory; on disk only with `gallery`.")
+    expression_model: str = parameter(
+        "", "ONNX file of the expression network. Empty: face_expression.onnx in the models directory.")
+    age_gender_model: str = parameter(
+        "", "ONNX file of the age and gender network. Empty: age_gender.onnx in the models directory. One with the "
+        "inputs and outputs of age-gender-recognition-retail-0013 is known by them.")
+    recognition_model: str = parameter(
+        "", "Recognition network: `face_recognition`, `mobilefacenet`, `faceres`, or an ONNX file of one of them; "
+        "empty: face_recognition. `mobilefacenet` tells alike people better; its licence stands in docs/models.md, "
+        "and `fetch_models --models mobilefacenet` gets it. Each has templates of its own in `gallery`: who was "
+        "learnt with one is not known to another, and is kept.")
+    recognition_policy: str = parameter(
+        "learn", "`learn`: an unknown face that is seen well becomes a new person; `enrolled`: only people who were "
+        "enrolled by service are recognised.", choices=("learn", "enrolled"))
+    recognition_learn_delay: float = parameter(
+        1.5, "Time until an unknown face becomes a new person. Larger makes fewer persons of passers-by.", unit="s",
+        minimum=0.0, maximum=600.0, live=True)
+    gallery: str = parameter(
+        "", "SQLite file that keeps who is known beyond the run: ids, templates and times, readable by its owner "
+        "alone, in a directory of its own, whose name ends in .sqlite. It can be shared with the person manager (its "
+        "`store`) and other recognisers. NAME.npz, a gallery of earlier versions: its people are moved to "
+        "NAME.sqlite. Empty: in memory only.")
+    gallery_key: str = parameter(
+        "", "File with the key that the templates in `gallery` are encrypted with; make one with `rosrun "
+        "hri_person_manager people make-key FILE`. Empty: not encrypted.")
+
+
+@dataclass(frozen=True)
+class CameraSettings(Settings):
+    """What every node that works on the camera's images needs."""
+
+    providers: Sequence[str] = parameter(
+        ["cpu"], "Execution providers for the networks, in order of preference; one that is not available is told "
+        "once and skipped.", choices=tuple(PROVIDERS))
+    image_transport: str = parameter(
+        "raw", "Transport of the input: `raw` subscribes to `image`, `compressed` to `image/compressed`.",
+        choices=("raw", "compressed"))
+    fallback_fov: float = parameter(
+        1.0472, "Horizontal field of view of a camera without calibration (camera_info missing, or K all zero). "
+        "Distances scale with it.", unit="rad", minimum=0.1, maximum=3.0)
+    max_rate: float = parameter(
+        30.0, "Most images processed per second; the others are skipped, which leaves more of the processor to "
+        "others. 0: as fast as they come.", unit="Hz", minimum=0.0, maximum=1000.0, live=True)
+    interface: str = parameter(
+        "paper", "Type of `roi`: `paper` is sensor_msgs/RegionOfInterest in pixels, `rep155` is "
+        "hri_msgs/NormalizedRegionOfInterest2D. With `rep155` gaze_ID goes on while the eyes are closed, with the "
+        "direction of the head.", choices=("paper", "rep155"))
+
+
+@dataclass(frozen=True)
+class DepthCameraSettings(CameraSettings):
+    """What those of them need that can use a depth image, too."""
+
+    use_depth: bool = parameter(
+        False, "Place people by `depth`, a depth image registered to the colour image. Without depth for an image, a "
+        "face stands where its size and its irises put it, a body where face, floor and size do.")
+    depth_slop: float = parameter(
+        0.03, "Largest difference of the stamps of an image and its depth image. Larger takes more pairs of cameras "
+        "that are not synchronised, and puts moving people where they were.", unit="s", minimum=0.0, maximum=1.0)
+
+
+@dataclass(frozen=True)
+class FacePipelineSettings(FaceTrackingSettings, FaceAnalysisSettings, CameraSettings):
+    """What FacePipeline needs."""
+
+
+@dataclass(frozen=True)
+class FacesSettings(FacePipelineSettings, DepthCameraSettings):
+    """Node faces: finds and follows faces, their 70 landmarks, pose, gaze, action units, expression, apparent age and
+    gender, and whose they are."""
+
+
+FACES = ParameterTable("faces", FacesSettings)

@@ -10,15 +10,13 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any, Callable, Collection, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.analysis import FaceAnalysis, FaceDemand
-from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook, PictureCuts
-from hri_pipeline.core.faces.blendshapes import Blendshapes
+from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook
 from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector
 from hri_pipeline.core.faces.flow import FaceFlow
 from hri_pipeline.core.faces.gaze import EyeGeometry, GazeEstimator, GazeSmoother
@@ -32,6 +30,7 @@ from hri_pipeline.core.faces.head_pose import (
 )
 from hri_pipeline.core.faces.mesh import (
     INPUT_SIZE,
+    Blendshapes,
     CanonicalFace,
     FaceMesh,
     FaceMeshResult,
@@ -47,6 +46,7 @@ from hri_pipeline.core.faces.mesh import (
     turned_roi,
     verification_score,
 )
+from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.faces.scheduler import DetectionScheduler, MeshScheduler
 from hri_pipeline.core.faces.tracker import (
     LEAST_VERIFICATION,
@@ -60,6 +60,7 @@ from hri_pipeline.core.faces.tracker import (
 )
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.images import PictureCuts
 from hri_pipeline.core.observations import FaceObservation, GazeEstimate
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel, model_path
 from hri_pipeline.core.recognition.face_identity import PersonMatch
@@ -108,7 +109,7 @@ class FacePipeline:
         When a model file is missing or wrong.
     """
 
-    def __init__(self, settings: SimpleNamespace, ids: Optional[IdGenerator] = None,
+    def __init__(self, settings: FacePipelineSettings, ids: Optional[IdGenerator] = None,
                  notify: Optional[Callable[[str], None]] = None) -> None:
         self.times = StageTimes()
         canonical = load_canonical_face(model_path(settings.canonical_face, "canonical_face.npz"))
@@ -195,7 +196,7 @@ class FacePipeline:
         """Set the stature (m) of a face's person, known from its body: it helps to estimate the size of the head."""
         self._geometry.set_stature(face_id, stature)
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: FacePipelineSettings) -> None:
         """Apply the values of the live parameters; the faces stay."""
         self._tracking.reconfigure(settings)
         self._analysis.reconfigure(settings)
@@ -263,7 +264,7 @@ class FaceTrackingPipeline:
         When a model file is missing or wrong.
     """
 
-    def __init__(self, settings: SimpleNamespace, times: StageTimes, ids: Optional[IdGenerator] = None,
+    def __init__(self, settings: FacePipelineSettings, times: StageTimes, ids: Optional[IdGenerator] = None,
                  notify: Optional[Callable[[str], None]] = None,
                  clock: Callable[[], float] = time.thread_time, judge: Optional[AppearanceJudge] = None) -> None:
         detector = _load(settings.face_detector_model, "face_detection_full_range.onnx", FaceDetector.OUTPUTS,
@@ -284,14 +285,14 @@ class FaceTrackingPipeline:
         self.detected = False
         self._set_thresholds(settings)
 
-    def reconfigure(self, settings: SimpleNamespace) -> None:
+    def reconfigure(self, settings: FacePipelineSettings) -> None:
         """Apply the values of the live parameters."""
         self._detection_scheduler.set_period(settings.face_detection_period)
         self._mesh_scheduler.share(*_rate_and_budget(settings))
         self._tracker.limit(**_limits(settings))
         self._set_thresholds(settings)
 
-    def _set_thresholds(self, settings: SimpleNamespace) -> None:
+    def _set_thresholds(self, settings: FacePipelineSettings) -> None:
         self._min_score, self._min_presence = settings.min_detection_score, settings.min_face_presence
         self._detection_age = _DETECTION_AGE * settings.face_support_time
         self._detector.set_min_score(RECALL_RATIO * self._min_score)
@@ -626,12 +627,12 @@ class _Face:
             self.pose = self.smoother(pose, stamp)
 
 
-def _rate_and_budget(settings: SimpleNamespace) -> Tuple[float, float]:
+def _rate_and_budget(settings: FacePipelineSettings) -> Tuple[float, float]:
     """Rate (Hz) and time budget (s) of the mesh network, for MeshScheduler."""
     return settings.face_mesh_rate, 1e-3 * settings.face_budget
 
 
-def _limits(settings: SimpleNamespace) -> Dict[str, Any]:
+def _limits(settings: FacePipelineSettings) -> Dict[str, Any]:
     """Arguments of FaceTracker.limit()."""
     return {"birth_delay": settings.face_birth_delay, "death_time": settings.face_death_time,
             "max_faces": settings.max_faces,

@@ -19,11 +19,10 @@ from typing import Collection, List, Optional, Sequence, Set, Tuple
 import cv2
 import numpy as np
 
-from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.faces.appearance import LOOKED_AWAY, AppearanceJudge, FaceLook, FaceMemory, Verdict
 from hri_pipeline.core.faces.mesh import bounding_box
 from hri_pipeline.core.ids import IdGenerator
-from hri_pipeline.core.tracks import TrackLife
+from hri_pipeline.core.tracks import TrackLife, assign
 
 COAST_TIME = 0.4
 """Time (s) for which a face that is not seen any more is still measured at its predicted place."""

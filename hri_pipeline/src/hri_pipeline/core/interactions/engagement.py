@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from types import SimpleNamespace
 from typing import Dict, FrozenSet, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
+from hri_pipeline.core.interactions.parameters import EngagementSettings
 from hri_pipeline.core.interactions.people import ROBOT, GazeTarget, Observer, PeopleSnapshot
 
 
@@ -41,11 +41,8 @@ class _Person:
         self.stamp = stamp
 
 
-def check_levels(settings: SimpleNamespace) -> None:
-    """Raise ValueError when the levels of engagement are in the wrong order.
-
-    settings: the values of INTERACTION_PARAMETERS.
-    """
+def check_levels(settings: EngagementSettings) -> None:
+    """Raise ValueError when the levels of engagement are in the wrong order."""
     if not (settings.disengaged_level < settings.engaging_level < settings.engaged_level
             and settings.disengaged_level < settings.disengaging_level < settings.engaged_level):
         raise ValueError(
@@ -58,11 +55,16 @@ class EngagementEstimator:
     """Smooths mutual gaze into an attention of 0 to 1 and moves each person from level to level, one step per
     update."""
 
-    def __init__(self, settings: SimpleNamespace) -> None:
-        """settings: the values of INTERACTION_PARAMETERS; ValueError for levels in the wrong order."""
+    def __init__(self, settings: EngagementSettings) -> None:
+        """Raises ValueError for levels in the wrong order."""
         check_levels(settings)
         self._settings = settings
         self._persons: Dict[str, _Person] = {}
+
+    def reconfigure(self, settings: EngagementSettings) -> None:
+        """Take up the values of the live parameters. Raises ValueError for levels in the wrong order."""
+        check_levels(settings)
+        self._settings = settings
 
     def reset(self) -> None:
         """Forget everybody, as after a time jump."""

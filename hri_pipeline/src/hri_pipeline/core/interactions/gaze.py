@@ -8,11 +8,11 @@ number of numpy calls is what costs, so everything is computed for all people at
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Dict, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
+from hri_pipeline.core.interactions.parameters import GazeSettings
 from hri_pipeline.core.interactions.people import ROBOT, UNKNOWN, GazeTarget, Observer, PeopleSnapshot
 
 __all__ = ["ROBOT", "GazeTarget", "GazeTargets", "Observer"]
@@ -38,8 +38,7 @@ class GazeTargets:
     size; a hidden Markov model per person decides over time. Eyes that are closed look at nobody, at once.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
-        """settings: the values of INTERACTION_PARAMETERS."""
+    def __init__(self, settings: GazeSettings) -> None:
         self._settings = settings
         self._filter = GazeTargetFilter(settings)
         self._stamp: Optional[float] = None
@@ -48,6 +47,11 @@ class GazeTargets:
         self._weighed: List[str] = []
         self._weighed_at = 0.0
         self._latest_weights = np.zeros((0, 1))
+
+    def reconfigure(self, settings: GazeSettings) -> None:
+        """Take up the values of the live parameters."""
+        self._settings = settings
+        self._filter.reconfigure(settings)
 
     def reset(self) -> None:
         """Forget everything, as after a time jump."""
@@ -220,7 +224,7 @@ class SightLines:
         return near * np.maximum(1.0 - np.exp(-0.5 * close), _LEAST_VISIBLE)
 
 
-def evidence(lines: SightLines, settings: SimpleNamespace) -> Tuple[np.ndarray, np.ndarray]:
+def evidence(lines: SightLines, settings: GazeSettings) -> Tuple[np.ndarray, np.ndarray]:
     """Compare the directions of everybody with the lines to all targets.
 
     Eyes and head count together. Somebody without a face tells nothing, or, where the settings say so, by the head of
@@ -256,7 +260,7 @@ def evidence(lines: SightLines, settings: SimpleNamespace) -> Tuple[np.ndarray, 
     return np.where(lines.possible, ratios, _NEVER), times
 
 
-def _densities(lines: SightLines, squares: np.ndarray, extents: Sequence[np.ndarray], settings: SimpleNamespace
+def _densities(lines: SightLines, squares: np.ndarray, extents: Sequence[np.ndarray], settings: GazeSettings
                ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Log densities (1/sr) of the eyes (N, T) and of the heads (N, T) for each target, and of the heads for the eyes
     (N,).
@@ -294,7 +298,7 @@ def _facing(trunks: np.ndarray, units: np.ndarray, variances: np.ndarray) -> np.
     return -0.5 * turns ** 2 / variances - 0.5 * np.log(_TWO_PI * variances) + np.log(_TWO_PI)
 
 
-def _head_for(units: np.ndarray, trunks: np.ndarray, settings: SimpleNamespace
+def _head_for(units: np.ndarray, trunks: np.ndarray, settings: GazeSettings
               ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where the head points (N, T, 3) when somebody looks at each target, and its variances (N, T) rad^2 to the sides
     and up or down.
@@ -337,9 +341,13 @@ class GazeTargetFilter:
     for the recursion; the rates are those of a process in continuous time, so that the frame rate does not matter).
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
+    def __init__(self, settings: GazeSettings) -> None:
         self._settings = settings
         self.reset()
+
+    def reconfigure(self, settings: GazeSettings) -> None:
+        """Take up the values of the live parameters."""
+        self._settings = settings
 
     def reset(self) -> None:
         """Forget everything."""

@@ -24,15 +24,15 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
-from types import SimpleNamespace
 from typing import Any, Deque, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.special import log_ndtr
 
-from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.interactions.parameters import GroupSettings
+from hri_pipeline.core.tracks import assign
 
 ROBOT = ""
 """Id of the robot as a member of a group."""
@@ -145,13 +145,16 @@ class GroupTracker:
     A group goes on under its id when two of its members at least are in one group again; where it splits, the part with
     the largest share of common members (Jaccard) has the id, and of groups that merge the one with the largest share,
     the older of equals, gives it. A group that ended less than `group_hold_time` ago comes back under its id.
-    settings: the parameters `group_*` of the interactions node.
     """
 
-    def __init__(self, settings: SimpleNamespace, seed: Optional[int] = None) -> None:
+    def __init__(self, settings: GroupSettings, seed: Optional[int] = None) -> None:
         self._settings = settings
         self._ids = IdGenerator(seed)
         self.reset()
+
+    def reconfigure(self, settings: GroupSettings) -> None:
+        """Take up the values of the live parameters."""
+        self._settings = settings
 
     def reset(self) -> None:
         """Forget everybody; ids are not used again."""
@@ -355,7 +358,7 @@ class Votes(NamedTuple):
         return Votes(self.table[:, list(rows)], self.middle, self.size)
 
 
-def votes_of(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: SimpleNamespace,
+def votes_of(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: GroupSettings,
              position_sds: Optional[np.ndarray] = None) -> Votes:
     """Return the votes of everybody, for formations_of and middles_of.
 
@@ -367,7 +370,7 @@ def votes_of(positions: np.ndarray, directions: np.ndarray, direction_sds: np.nd
         Directions (rad) of the trunks from the x axis towards y, NaN where not known.
     direction_sds: (N,) array
         Their standard deviations (rad).
-    settings: SimpleNamespace
+    settings: GroupSettings
         `group_stride`, `group_size_sd`, `group_depth` and `group_width` (m) of the interactions node.
     position_sds: (N,) array or None
         Standard deviations (m) of the places; None: exact.
@@ -383,7 +386,7 @@ def votes_of(positions: np.ndarray, directions: np.ndarray, direction_sds: np.nd
                  1.0 / max(settings.group_size_sd, _LEAST_SD) ** 2)
 
 
-def find_formations(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: SimpleNamespace,
+def find_formations(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: GroupSettings,
                     position_sds: Optional[np.ndarray] = None) -> List[FFormation]:
     """Return the groups of two and more people.
 
@@ -392,7 +395,7 @@ def find_formations(positions: np.ndarray, directions: np.ndarray, direction_sds
     return formations_of(votes_of(positions, directions, direction_sds, settings, position_sds), settings)
 
 
-def formations_of(votes: Votes, settings: SimpleNamespace) -> List[FFormation]:
+def formations_of(votes: Votes, settings: GroupSettings) -> List[FFormation]:
     """Return the groups of two and more people. settings: `group_room` (m^2) of the interactions node."""
     table = votes.table
     if table.shape[1] < 2:
@@ -417,7 +420,7 @@ def groups_of(labels: np.ndarray) -> List[List[int]]:
     return [group for group in rows.values() if len(group) > 1]
 
 
-def o_spaces(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: SimpleNamespace,
+def o_spaces(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: GroupSettings,
              groups: Sequence[Sequence[int]], position_sds: Optional[np.ndarray] = None) -> np.ndarray:
     """Return the middles (G, 2) m of the o-spaces of given groups (rows, one at least each).
 
@@ -452,7 +455,7 @@ def _checked(positions: np.ndarray, directions: np.ndarray, direction_sds: np.nd
 
 
 def _votes(positions: np.ndarray, directions: np.ndarray, angles: np.ndarray, places: np.ndarray,
-           settings: SimpleNamespace) -> np.ndarray:
+           settings: GroupSettings) -> np.ndarray:
     """Return (12, N): the vote of each person for the middle and the size of the group.
 
     The vote lies `group_stride` and the size of the group ahead, with the deviations `group_depth` along and

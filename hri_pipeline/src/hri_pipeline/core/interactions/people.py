@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections import Counter, OrderedDict
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 from typing import Counter as CounterOf
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from hri_pipeline.core.frames import HumanTf, RawTransform, Timed, Vector, axis, turned
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.interactions.parameters import InteractionSettings
 
 ROBOT = ""
 """The robot among the ids of persons, as in the messages."""
@@ -271,7 +271,7 @@ class _Frames(NamedTuple):
     gaze: int = -1
 
 
-def gather(frames: PeopleTf, places: Places, newest: float, settings: SimpleNamespace,
+def gather(frames: PeopleTf, places: Places, newest: float, settings: InteractionSettings,
            closures: Mapping[str, Seen]) -> PeopleSnapshot:
     """Return everybody who is tracked and has a place, in the order of the tracked list.
 
@@ -283,8 +283,7 @@ def gather(frames: PeopleTf, places: Places, newest: float, settings: SimpleName
         Gives the poses of sensors in the frame in which people are compared.
     newest: float
         Stamp (s) of the newest frame.
-    settings: SimpleNamespace
-        The values of INTERACTION_PARAMETERS.
+    settings: InteractionSettings
     closures: mapping of str to Seen
         Closedness of the eyes by the action units, by id of the face.
     """
@@ -304,8 +303,8 @@ def gather(frames: PeopleTf, places: Places, newest: float, settings: SimpleName
     return snapshot
 
 
-def _collect(identity: str, frames: PeopleTf, oldest: float, settings: SimpleNamespace, closures: Mapping[str, Seen],
-             rows: _Rows) -> Tuple[_Frames, float, float, float]:
+def _collect(identity: str, frames: PeopleTf, oldest: float, settings: InteractionSettings,
+             closures: Mapping[str, Seen], rows: _Rows) -> Tuple[_Frames, float, float, float]:
     """Add the rows of one person; return them, the closedness of the eyes (NaN unknown), the distance of the face (m)
     and its turn away from the sensor (rad)."""
     features, mine = frames.people[identity], {}
@@ -338,7 +337,7 @@ def _collect(identity: str, frames: PeopleTf, oldest: float, settings: SimpleNam
 
 
 def _closed(frames: PeopleTf, face: Timed, gaze: Optional[Timed], closure: Optional[Seen],
-            settings: SimpleNamespace) -> float:
+            settings: InteractionSettings) -> float:
     """Closedness of the eyes, NaN unknown: by the action units, else a face without a recent gaze has closed eyes.
 
     Unless its sensor has never given the gaze of any face: such a sensor does not measure gazes.
@@ -381,7 +380,7 @@ def _placed(rows: _Rows, poses: Mapping[str, Pose]) -> np.ndarray:
     return placed
 
 
-def _snapshot(people: Sequence[_Person], placed: np.ndarray, settings: SimpleNamespace) -> PeopleSnapshot:
+def _snapshot(people: Sequence[_Person], placed: np.ndarray, settings: InteractionSettings) -> PeopleSnapshot:
     ids, sources, place, head, gaze, trunk, closed, ranges, turns = zip(*people)
     chosen = placed[np.array((place, head, gaze, trunk))]
     heads, faces, gazes, trunks = chosen[0, :, 0], chosen[1, :, 1], chosen[2, :, 1], chosen[3, :, 1]
@@ -403,7 +402,7 @@ def _turn_sd(turn: float) -> float:
     return min(_TURN_SLOPE * max(turn - _GOOD_TURN, 0.0), _TURN_MOST)
 
 
-def _gaze_sd(distance: float, settings: SimpleNamespace) -> float:
+def _gaze_sd(distance: float, settings: InteractionSettings) -> float:
     """Standard deviation (rad) of the eyes' direction; from half of gaze_range on the head's takes over."""
     part = min(max(2.0 * distance / settings.gaze_range - 1.0, 0.0), 1.0)
     return math.hypot(settings.gaze_sd, part * settings.eyes_in_head_sd)

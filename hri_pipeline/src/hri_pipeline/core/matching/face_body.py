@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.assignment import assign
 from hri_pipeline.core.feature_history import FeatureHistory
 from hri_pipeline.core.frames import HumanTf, Timed, Vector, turned
+from hri_pipeline.core.matching.parameters import FaceBodyMatcherSettings
+from hri_pipeline.core.tracks import assign
 
 _HISTORY_S = 4.0        # bodies of an image have come 1 to 2 s after its faces, on two cores with ten people and rviz
 _JUMP_BACK_S = 0.5
@@ -62,8 +62,7 @@ class FaceBodyMatcher:
     a small bonus in the assignment, so that two nearly equal bodies do not take turns.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
-        """Take the settings of `MATCHER_PARAMETERS`."""
+    def __init__(self, settings: FaceBodyMatcherSettings) -> None:
         self._settings = settings
         self._tracked: Dict[str, Set[str]] = {"faces": set(), "bodies": set()}
         self._frames: Dict[Tuple[str, str], str] = {}
@@ -74,6 +73,10 @@ class FaceBodyMatcher:
         self._newest: Dict[Tuple[str, str], float] = {}     # by kind and frame: each camera and node has its own delay
         self._compared: Dict[str, _Compared] = {}
         self._tf = HumanTf()
+
+    def reconfigure(self, settings: FaceBodyMatcherSettings) -> None:
+        """Take up the values of the live parameters."""
+        self._settings = settings
 
     def set_tracked(self, kind: str, ids: Iterable[str]) -> None:
         """Take the ids of "faces" or "bodies" that are tracked; what is known of the others is dropped."""

@@ -11,10 +11,11 @@ rests while the voice speaks, and gains little from a mouth that moves all the t
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
+
+from hri_pipeline.core.matching.parameters import VoiceMatcherSettings
 
 FACE, PERSON = "face", "person"
 HOLD_LIKELIHOOD = 0.5
@@ -61,8 +62,7 @@ class VoiceMatcher:
     ratios. Once a voice has ended its match stays as it is.
     """
 
-    def __init__(self, settings: SimpleNamespace) -> None:
-        """Take the settings of `VOICE_MATCHER_PARAMETERS`."""
+    def __init__(self, settings: VoiceMatcherSettings) -> None:
         self._settings = settings
         self._faces: Set[str] = set()
         self._persons: Dict[str, Tuple[str, str]] = {}
@@ -71,6 +71,10 @@ class VoiceMatcher:
         self._mouths: Dict[str, MouthTrack] = {}
         self._past: List[SpeakingTimes] = []
         self._now = -math.inf
+
+    def reconfigure(self, settings: VoiceMatcherSettings) -> None:
+        """Take up the values of the live parameters."""
+        self._settings = settings
 
     @property
     def is_busy(self) -> bool:

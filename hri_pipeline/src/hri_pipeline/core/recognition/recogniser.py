@@ -11,11 +11,11 @@ faces in one image are never the same person, and stay two people for ever.
 from __future__ import annotations
 
 import threading
-from types import SimpleNamespace
 from typing import Callable, Collection, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
+from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.private_file import TemplateCipher
@@ -383,7 +383,7 @@ class FaceRecognition:
         The gallery's file cannot be used.
     """
 
-    def __init__(self, settings: SimpleNamespace, notify: Optional[Notify] = None) -> None:
+    def __init__(self, settings: FacePipelineSettings, notify: Optional[Notify] = None) -> None:
         self._embedder = load_face_embedder(settings.recognition_model, settings.providers, notify)
         embedder = self._embedder
         cipher = TemplateCipher(settings.gallery_key) if settings.gallery_key else None

@@ -1,4 +1,5 @@
-"""Simulated conversations: who speaks when, what the mouths do, and what the sensors make of it.
+"""Simulated conversations: who speaks when, what the mouths do, and what the sensors make of it; parameters of the node
+sample_conversation.
 
 Speech: phrases of 0.8 to 2 s with pauses of 0.1 to 0.4 s; syllables 4 to 5 a second (Greenberg 2003, J. Phonetics 31),
 lips 0.1 to 0.2 s before the sound; how far a person opens the mouth differs threefold. Others smile, chew and laugh.
@@ -11,6 +12,24 @@ from dataclasses import dataclass
 from typing import List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
+
+from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
+
+
+@dataclass(frozen=True)
+class SampleConversationSettings(Settings):
+    """Plays a simulated conversation: faces with moving mouths, voices, and where they are."""
+
+    people: int = parameter(3, "Number of people in view.", minimum=1, maximum=10)
+    directions: bool = parameter(
+        True, "The voices have directions, with an error of 10 degrees, as of an array. Off: one microphone.")
+    unseen_share: float = parameter(
+        0.2, "Part of the turns that comes from somebody out of view.", minimum=0.0, maximum=1.0)
+    seed: int = parameter(0, "Another number: another conversation.", minimum=0, maximum=1000000)
+
+
+SAMPLE_CONVERSATION_PARAMETERS = ParameterTable("sample_conversation", SampleConversationSettings)
+
 
 RATE_HZ = 15.0
 UNSEEN = -1

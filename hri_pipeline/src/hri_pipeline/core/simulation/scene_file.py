@@ -13,10 +13,10 @@ from typing import List, Mapping, Optional, Sequence, Tuple, Union
 import yaml
 
 from hri_pipeline.core.ids import ID_PATTERN, is_valid_id
-from hri_pipeline.core.simulation.crowd import CROWD_KEYS, make_crowd
 from hri_pipeline.core.simulation.scene import (
     AWAY,
     CLOSE_EYES,
+    CROWD_KEYS,
     FACE,
     L_SHAPE,
     LOOK_AT,
@@ -32,6 +32,7 @@ from hri_pipeline.core.simulation.scene import (
     Point,
     Robot,
     Scene,
+    make_crowd,
     slots,
 )
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import random
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.simulation.agents import Alternation, Noise
+from hri_pipeline.core.simulation.parameters import SceneSettings
 from hri_pipeline.core.simulation.projection import HIP_HEIGHT
 from hri_pipeline.core.simulation.world import PersonTruth, SceneTruth
 
@@ -30,7 +30,7 @@ _TOP = 1.06     # top of the head in heights of the eyes
 class CameraSight:
     """The view at one moment. height: of the camera, m."""
 
-    def __init__(self, truth: SceneTruth, settings: SimpleNamespace, height: float) -> None:
+    def __init__(self, truth: SceneTruth, settings: SceneSettings, height: float) -> None:
         x, y, yaw = truth.robot
         self.camera = camera_pose(x, y, yaw, height)
         self._people, self._settings = truth.people, settings
@@ -110,7 +110,7 @@ class _Track:
 class Tracks:
     """The tracks of one kind of feature. hold: time (s) for which one that is not found stays listed."""
 
-    def __init__(self, settings: SimpleNamespace, ids: IdGenerator, rng: random.Random, hold: float) -> None:
+    def __init__(self, settings: SceneSettings, ids: IdGenerator, rng: random.Random, hold: float) -> None:
         self._delay, self._hold = settings.sense_birth_delay, hold
         self._changes = settings.sense_id_changes / 60.0
         self._ids, self._rng = ids, rng
@@ -199,7 +199,7 @@ class Sensed:
 class _Faults:
     """The random errors of one person in one kind of feature."""
 
-    def __init__(self, settings: SimpleNamespace, seed: str) -> None:
+    def __init__(self, settings: SceneSettings, seed: str) -> None:
         rng = random.Random(seed)
         self.gap = Alternation(settings.sense_dropout, settings.sense_dropout_time, rng)
         self.place = Noise(3, settings.sense_noise_share, settings.sense_noise_time, rng)
@@ -213,7 +213,7 @@ class Senses:
     settings: the rows `sense_...` of SCENE_PARAMETERS, width and height (see sense_defaults). camera_height: m.
     """
 
-    def __init__(self, settings: SimpleNamespace, seed: int = 0, camera_height: float = 1.3) -> None:
+    def __init__(self, settings: SceneSettings, seed: int = 0, camera_height: float = 1.3) -> None:
         self._settings, self._seed, self._height = settings, seed, camera_height
         self._runs = 0
         self._ids = IdGenerator(seed)
@@ -413,7 +413,7 @@ Pair = Tuple[str, str, str, str]
 class SceneMatches:
     """Says which features belong together, as the matchers of a graph do. settings: of SCENE_PARAMETERS."""
 
-    def __init__(self, settings: SimpleNamespace, seed: int = 0) -> None:
+    def __init__(self, settings: SceneSettings, seed: int = 0) -> None:
         self._settings = settings
         self._rng = random.Random("{} matches".format(seed))
         self._said: Dict[Pair, float] = {}

@@ -10,13 +10,13 @@ import math
 import re
 from abc import ABC, abstractmethod
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Callable, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
 
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.sources.parameters import CROP, FIT_CHOICES, LETTERBOX, NATIVE, ImageSourceSettings
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 PICTURE_RATE = 30.0
@@ -148,7 +148,7 @@ class PictureSource(ImageSource):
     Raises SourceError when none can be read.
     """
 
-    def __init__(self, paths: Sequence[Path], settings: SimpleNamespace, notify: Notify) -> None:
+    def __init__(self, paths: Sequence[Path], settings: ImageSourceSettings, notify: Notify) -> None:
         self._paths, self._settings, self._notify = list(paths), settings, notify
         self._elapsed = 0.0
         self._shown = -1
@@ -220,7 +220,7 @@ def is_live(source: str) -> bool:
     return source.isdigit() or source.startswith("/dev/") or "://" in source
 
 
-def open_source(settings: SimpleNamespace, notify: Notify) -> ImageSource:
+def open_source(settings: ImageSourceSettings, notify: Notify) -> ImageSource:
     """Open what `settings.source` names; the settings are those of parameters.SOURCE_PARAMETERS.
 
     Raises SourceError, in one sentence that names the source and the mend.
@@ -246,11 +246,6 @@ def open_source(settings: SimpleNamespace, notify: Notify) -> ImageSource:
         return PictureSource([path], settings, notify)
     return VideoSource(path, settings.width, settings.height, settings.fit, settings.loop)
 
-
-LETTERBOX = "letterbox"
-CROP = "crop"
-NATIVE = "native"
-FIT_CHOICES: Tuple[str, ...] = (LETTERBOX, CROP, NATIVE)
 
 # Bars of a letterbox: dark and flat, so that no detector finds anything in them.
 BAR_GREY = 40

@@ -1,84 +1,94 @@
-"""The parameters of the image_source node."""
+"""Parameters of the nodes image_source and sound_source."""
 
 from __future__ import annotations
 
-from hri_pipeline.core.parameters import Parameter, ParameterTable
-from hri_pipeline.core.sources.image_sources import FIT_CHOICES
+from dataclasses import dataclass
 
+from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
+
+LETTERBOX, CROP, NATIVE = "letterbox", "crop", "native"
+FIT_CHOICES = (LETTERBOX, CROP, NATIVE)
 STAY = "stay"
 EXIT = "exit"
 
-SOURCE_PARAMETERS = ParameterTable(
-    "image_source",
-    "Publishes a video file, pictures, a camera or a stream as a ROS camera.",
-    [
-        Parameter("source", "", "Video file, picture, directory of pictures, camera (/dev/video0, or its number as a "
-                  "string) or stream (rtsp://, http://). Required."),
-        Parameter("width", 1280, "Width of the images.", unit="px", minimum=16, maximum=8192),
-        Parameter("height", 720, "Height of the images.", unit="px", minimum=16, maximum=8192),
-        Parameter("fit", "letterbox", "How a source of other proportions is shown. letterbox: all of it, with dark "
-                  "bars. crop: the image is filled, the rest cut off. native: in its own size; width and height are "
-                  "ignored.", choices=FIT_CHOICES),
-        Parameter("rate", 0.0, "Images per second. 0: the video's or camera's own rate, 30 for pictures. A video is "
-                  "played frame by frame at this rate, so that another rate plays it faster or slower.",
-                  unit="Hz", minimum=0.0, maximum=240.0),
-        Parameter("loop", True, "Start again at the end. Stamps go on; a picture or video is never shown as the past."),
-        Parameter("at_end", STAY, "At the end, when loop is false. stay: the node goes on with `finished` true. "
-                  "exit: it ends with exit code 0.", choices=(STAY, EXIT)),
-        Parameter("wait_for_subscriber", False, "Start only when somebody subscribes to the images; the first frames "
-                  "of a video are not lost then."),
-        Parameter("frame_id", "camera_color_optical_frame", "Frame of the images: optical, z forward, x right, y "
-                                                            "down."),
-        Parameter("hfov", 60.0, "Horizontal field of view of the published image, bars included; gives K in "
-                  "camera_info. A wrong value scales all distances.", unit="deg", minimum=5.0, maximum=170.0),
-        Parameter("jpeg_quality", 80, "Quality of image/compressed, which is made only while somebody listens.",
-                  minimum=1, maximum=100),
-        Parameter("seconds_per_picture", 8.0, "How long each picture is shown.", unit="s", minimum=0.1, maximum=3600.0),
-        Parameter("dark_between_pictures", 1.5, "How long the image is black before the next picture; part of its "
-                  "time. Longer than the trackers' death times, so that nobody becomes somebody else.",
-                  unit="s", minimum=0.0, maximum=60.0),
-        Parameter("pan", 0.03, "Swing of the slow pan to each side, as a fraction of the image. 0: still.",
-                  minimum=0.0, maximum=0.25),
-        Parameter("pan_period", 12.0, "Time of one swing there and back.", unit="s", minimum=0.5, maximum=600.0),
-        Parameter("zoom", 0.0, "Largest enlargement of the slow zoom over a picture, minus one. 0: none. A zoom costs "
-                  "about four times the time of a pan.", minimum=0.0, maximum=1.0),
-        Parameter("camera_fourcc", "MJPG", "Pixel format asked of a camera; most USB cameras reach 30 Hz at high "
-                  "resolution only with MJPG. Empty: the driver's choice."),
-        Parameter("retry_period", 2.0, "How often a camera or stream that is not there is tried again.",
-                  unit="s", minimum=0.1, maximum=60.0),
-    ],
-)
+
+@dataclass(frozen=True)
+class ImageSourceSettings(Settings):
+    """Publishes a video file, pictures, a camera or a stream as a ROS camera."""
+
+    source: str = parameter(
+        "", "Video file, picture, directory of pictures, camera (/dev/video0, or its number as a string) or stream "
+        "(rtsp://, http://). Required.")
+    width: int = parameter(1280, "Width of the images.", unit="px", minimum=16, maximum=8192)
+    height: int = parameter(720, "Height of the images.", unit="px", minimum=16, maximum=8192)
+    fit: str = parameter(
+        "letterbox", "How a source of other proportions is shown. letterbox: all of it, with dark bars. crop: the "
+        "image is filled, the rest cut off. native: in its own size; width and height are ignored.",
+        choices=FIT_CHOICES)
+    rate: float = parameter(
+        0.0, "Images per second. 0: the video's or camera's own rate, 30 for pictures. A video is played frame by "
+        "frame at this rate, so that another rate plays it faster or slower.", unit="Hz", minimum=0.0, maximum=240.0)
+    loop: bool = parameter(True, "Start again at the end. Stamps go on; a picture or video is never shown as the past.")
+    at_end: str = parameter(
+        STAY, "At the end, when loop is false. stay: the node goes on with `finished` true. exit: it ends with exit "
+        "code 0.", choices=(STAY, EXIT))
+    wait_for_subscriber: bool = parameter(
+        False, "Start only when somebody subscribes to the images; the first frames of a video are not lost then.")
+    frame_id: str = parameter("camera_color_optical_frame", "Frame of the images: optical, z forward, x right, y down.")
+    hfov: float = parameter(
+        60.0, "Horizontal field of view of the published image, bars included; gives K in camera_info. A wrong value "
+        "scales all distances.", unit="deg", minimum=5.0, maximum=170.0)
+    jpeg_quality: int = parameter(
+        80, "Quality of image/compressed, which is made only while somebody listens.", minimum=1, maximum=100)
+    seconds_per_picture: float = parameter(
+        8.0, "How long each picture is shown.", unit="s", minimum=0.1, maximum=3600.0)
+    dark_between_pictures: float = parameter(
+        1.5, "How long the image is black before the next picture; part of its time. Longer than the trackers' death "
+        "times, so that nobody becomes somebody else.", unit="s", minimum=0.0, maximum=60.0)
+    pan: float = parameter(
+        0.03, "Swing of the slow pan to each side, as a fraction of the image. 0: still.", minimum=0.0, maximum=0.25)
+    pan_period: float = parameter(12.0, "Time of one swing there and back.", unit="s", minimum=0.5, maximum=600.0)
+    zoom: float = parameter(
+        0.0, "Largest enlargement of the slow zoom over a picture, minus one. 0: none. A zoom costs about four times "
+        "the time of a pan.", minimum=0.0, maximum=1.0)
+    camera_fourcc: str = parameter(
+        "MJPG", "Pixel format asked of a camera; most USB cameras reach 30 Hz at high resolution only with MJPG. "
+        "Empty: the driver's choice.")
+    retry_period: float = parameter(
+        2.0, "How often a camera or stream that is not there is tried again.", unit="s", minimum=0.1, maximum=60.0)
 
 
-SOUND_SOURCE_PARAMETERS = ParameterTable(
-    "sound_source",
-    "Plays a sound file, a directory of them or an ALSA device as audio_common_msgs.",
-    [
-        Parameter("source", "", "Sound file (what libsndfile reads, or .raw with 16-bit samples), directory of them, "
-                  "or microphone (alsa, or alsa:DEVICE as `arecord -L` shows it). Required."),
-        Parameter("sample_rate", 0, "Rate of the sound that goes out. 0: that of the (first) file, 16000 of a "
-                  "microphone. A file of another rate is resampled.", unit="Hz", minimum=0, maximum=192000),
-        Parameter("channels", 0, "Channels of the sound that goes out. 0: those of the (first) file, 1 of a "
-                  "microphone. A file with one channel is put on all, several are mixed to one; other numbers do not "
-                  "fit together.",
-                  minimum=0, maximum=32),
-        Parameter("chunk", 0.02, "Length of the sound in one message. Shorter is heard sooner, and costs more.",
-                  unit="s",
-                  minimum=0.005, maximum=1.0),
-        Parameter("rate", 1.0, "How fast files are played: 2 sends twice as many messages per second, each as it is. "
-                  "Who listens in real time hears it too high and says that the rate is wrong.", minimum=0.1,
-                  maximum=100.0),
-        Parameter("loop", True, "Start again at the end of a file or directory."),
-        Parameter("pause", 1.0, "Silence after each file, so that the next is a new turn.", unit="s", minimum=0.0,
-                  maximum=600.0),
-        Parameter("at_end", STAY, "At the end, when loop is false. stay: the node goes on with `finished` true. "
-                  "exit: it ends with exit code 0.", choices=(STAY, EXIT)),
-        Parameter("wait_for_subscriber", False, "Start only when somebody listens, so that the beginning is not "
-                  "lost."),
-        Parameter("raw_rate", 16000, "Rate of files that end in .raw.", unit="Hz", minimum=4000, maximum=192000),
-        Parameter("raw_channels", 1, "Channels of files that end in .raw.", minimum=1, maximum=32),
-        Parameter("retry_period", 2.0, "How often a microphone that is not there is tried again.", unit="s",
-                  minimum=0.1,
-                  maximum=60.0),
-    ],
-)
+@dataclass(frozen=True)
+class SoundSourceSettings(Settings):
+    """Plays a sound file, a directory of them or an ALSA device as audio_common_msgs."""
+
+    source: str = parameter(
+        "", "Sound file (what libsndfile reads, or .raw with 16-bit samples), directory of them, or microphone (alsa, "
+        "or alsa:DEVICE as `arecord -L` shows it). Required.")
+    sample_rate: int = parameter(
+        0, "Rate of the sound that goes out. 0: that of the (first) file, 16000 of a microphone. A file of another "
+        "rate is resampled.", unit="Hz", minimum=0, maximum=192000)
+    channels: int = parameter(
+        0, "Channels of the sound that goes out. 0: those of the (first) file, 1 of a microphone. A file with one "
+        "channel is put on all, several are mixed to one; other numbers do not fit together.", minimum=0, maximum=32)
+    chunk: float = parameter(
+        0.02, "Length of the sound in one message. Shorter is heard sooner, and costs more.", unit="s", minimum=0.005,
+        maximum=1.0)
+    rate: float = parameter(
+        1.0, "How fast files are played: 2 sends twice as many messages per second, each as it is. Who listens in "
+        "real time hears it too high and says that the rate is wrong.", minimum=0.1, maximum=100.0)
+    loop: bool = parameter(True, "Start again at the end of a file or directory.")
+    pause: float = parameter(
+        1.0, "Silence after each file, so that the next is a new turn.", unit="s", minimum=0.0, maximum=600.0)
+    at_end: str = parameter(
+        STAY, "At the end, when loop is false. stay: the node goes on with `finished` true. exit: it ends with exit "
+        "code 0.", choices=(STAY, EXIT))
+    wait_for_subscriber: bool = parameter(False, "Start only when somebody listens, so that the beginning is not lost.")
+    raw_rate: int = parameter(16000, "Rate of files that end in .raw.", unit="Hz", minimum=4000, maximum=192000)
+    raw_channels: int = parameter(1, "Channels of files that end in .raw.", minimum=1, maximum=32)
+    retry_period: float = parameter(
+        2.0, "How often a microphone that is not there is tried again.", unit="s", minimum=0.1, maximum=60.0)
+
+
+SOURCE_PARAMETERS = ParameterTable("image_source", ImageSourceSettings)
+SOUND_SOURCE_PARAMETERS = ParameterTable("sound_source", SoundSourceSettings)

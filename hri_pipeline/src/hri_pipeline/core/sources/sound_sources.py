@@ -10,7 +10,6 @@ import subprocess
 import time
 from abc import ABC, abstractmethod
 from pathlib import Path
-from types import SimpleNamespace
 from typing import IO, Callable, List, Optional, Sequence
 
 import numpy as np
@@ -19,6 +18,7 @@ import soxr
 
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.process import ends_with_parent
+from hri_pipeline.core.sources.parameters import SoundSourceSettings
 
 SOUND_SUFFIXES = (".wav", ".flac", ".ogg", ".oga", ".opus", ".mp3", ".aif", ".aiff", ".au", ".w64", ".caf", ".raw")
 CHOICE_OF_SOURCES = ("a sound file, a directory of sound files, or a microphone (alsa, or alsa:DEVICE with a name that "
@@ -56,7 +56,7 @@ class FileSource(SoundSource):
     read is left out and told once through `notify`. Raises SoundSourceError when none can be read.
     """
 
-    def __init__(self, paths: Sequence[Path], settings: SimpleNamespace, notify: Notify) -> None:
+    def __init__(self, paths: Sequence[Path], settings: SoundSourceSettings, notify: Notify) -> None:
         self._paths, self._settings, self._notify = list(paths), settings, notify
         self._next = 0
         self._file: Optional[_OpenFile] = None
@@ -117,7 +117,7 @@ class FileSource(SoundSource):
 class _OpenFile:
     """One file, in the rate and with the channels that are wanted (0: its own), and the pause after it."""
 
-    def __init__(self, path: Path, rate: int, channels: int, settings: SimpleNamespace) -> None:
+    def __init__(self, path: Path, rate: int, channels: int, settings: SoundSourceSettings) -> None:
         raw = dict(samplerate=settings.raw_rate, channels=settings.raw_channels, format="RAW", subtype="PCM_16",
                    endian="LITTLE") if path.suffix.lower() == ".raw" else {}
         self._path = path
@@ -174,7 +174,7 @@ class DeviceSource(SoundSource):
 
     live = True
 
-    def __init__(self, name: str, settings: SimpleNamespace) -> None:
+    def __init__(self, name: str, settings: SoundSourceSettings) -> None:
         self.rate, self.channels = settings.sample_rate or DEVICE_RATE, settings.channels or 1
         self.description = "microphone {} ({} Hz, {} channel{})".format(
             name, self.rate, self.channels, "" if self.channels == 1 else "s")
@@ -215,7 +215,7 @@ def sounds_in(directory: Path) -> List[Path]:
     return paths
 
 
-def open_sound_source(settings: SimpleNamespace, notify: Notify) -> SoundSource:
+def open_sound_source(settings: SoundSourceSettings, notify: Notify) -> SoundSource:
     """Open what `settings.source` names; the settings are those of parameters.SOUND_SOURCE_PARAMETERS.
 
     Raises SoundSourceError, in one sentence that names the source and the mend.
