@@ -288,8 +288,8 @@ class BodyTracker:
         return True
 
     def _start_track(self, detection: PoseDetection, stamp: float, face: Optional[FaceBox], anchor: Optional[float],
-               faces: Sequence[FaceBox]) -> None:
-        """Start a track with a new detection, or give it to a body lost a moment ago.
+               faces: Sequence[FaceBox]) -> bool:
+        """Start a track with a new detection, or give it to a body lost a moment ago; False when it is neither.
 
         face None: it came from a person's box.
         """
@@ -315,6 +315,8 @@ class BodyTracker:
         elif len(self.tracks) < self._max_bodies and not doubles:
             life = TrackLife(stamp, self._birth_delay, self._death_time)
             self.tracks.append(BodyTrack(self._new_id(), detection, stamp, life, face, anchor, boxed or None))
+        else:
+            return False
         return True
 
     @staticmethod
