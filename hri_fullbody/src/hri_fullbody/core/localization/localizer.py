@@ -277,7 +277,7 @@ class BodyLocalizer:
         age = max(0.0, stamp - track.stamp)
         velocity = track.motion.velocity
         velocity = None if velocity is None else velocity * self._scale.value
-        pixels: np.ndarray = self._pixels if measured else self._pixels + track.moved(stamp)
+        pixels: np.ndarray = self._pixels if measured else self._pixels + track.moved_with_face(stamp)
         in_space, pose = np.full((18, 3), np.nan), None
         sure = confidence_18(confidence)
         known = confidence_18(track.estimate.confidence[:BODY_LANDMARKS]) >= _KNOWN

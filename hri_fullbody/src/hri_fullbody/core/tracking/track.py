@@ -240,13 +240,16 @@ class BodyTrack:
         self._anchored_until = stamp + _ANCHOR_HOLD
 
     def moved(self, stamp: float) -> np.ndarray:
-        """Way (2,) px in the image since the body was last seen: that of its face, else as its motion tells; 0 at
-        rest."""
-        if self._face_stamp == stamp and self._face_centre is not None and self._face_when_seen is not None:
-            return self._face_centre - self._face_when_seen
+        """Way (2,) px in the image since the body was last seen, as its motion tells; 0 at rest."""
         if self.motion.speed() < _STILL:
             return np.zeros(2)
         return self.motion.predicted_centre(stamp) - self.detection.estimate.centre
+
+    def moved_with_face(self, stamp: float) -> np.ndarray:
+        """The same by the body's own face, where that is seen at `stamp`: for what is shown, not for the search."""
+        if self._face_stamp == stamp and self._face_centre is not None and self._face_when_seen is not None:
+            return self._face_centre - self._face_when_seen
+        return self.moved(stamp)
 
     def expected(self, stamp: float) -> PoseEstimate:
         """The body at `stamp` where its motion takes it; the longer it was not seen the lower the confidence."""
