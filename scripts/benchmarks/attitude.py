@@ -24,11 +24,12 @@ from benchmarks.mocap import FACE, Level, RecordedMotion, add_noise, before_came
 from hri_fullbody.core import keypoints as kp
 from hri_fullbody.core.behaviour.arms import trunk_axes
 from hri_fullbody.core.behaviour.attitude import AttitudeClass
+from hri_fullbody.core.behaviour.pointing import PointingEstimator
 from hri_fullbody.core.behaviour.recognizer import BehaviourRecognizer
 from hri_fullbody.core.filtering import KeypointFilter
 from hri_fullbody.core.model.anthropometry import SegmentTable
 
-NOISES: Tuple[Level, ...] = (0, "rgbd")
+NOISES: Tuple[Level, ...] = (10, 30, "rgbd")
 _MERGE_S, _MARGIN_S = 0.3, 0.6
 _STATURE_ERROR = 0.02
 
@@ -411,3 +412,74 @@ def _sway(count: int, rate: float, random: np.random.Generator) -> np.ndarray:
     time = np.arange(count)[:, None] / rate
     frequency, phase = random.uniform(0.2, 1.2, 3), random.uniform(0.0, 2.0 * np.pi, 3)
     return random.uniform(0.003, 0.012, 3) * np.sin(2.0 * np.pi * frequency * time + phase)
+
+
+def pointing_figures(people: int = 60, seed: int = 23, level: Level = 10) -> Dict[str, object]:
+    """Return how well rays of pointing arms are told on recordings with noise of `level`, and how often wrongly.
+
+    error_deg: mean angle from the true direction, of the arms that are told; recall: part of the people who are; the
+    other people only do what the recording has: false_per_minute. One arm of a recorded person moves so that eye, hand
+    and a random place 1.5 to 6 m away are in line, within 60 degrees of straight ahead and from 35 degrees down to 15
+    up, is held for 1.5 s and sways by about 1 cm. The hand is bent by some 8 degrees.
+    """
+    crowd, errors, told = virtual_people(people, seed, SegmentTable.load()), [], 0
+    for number, person in enumerate(crowd):
+        random = np.random.default_rng([seed, number])
+        motion = load_motion(ALL[number % len(ALL)], person, _RATE)
+        motion = _upright_part(_to_and_fro(motion, 90), 90, random)
+        motion = before_camera(motion, int(random.integers(2 ** 31)), random.uniform(-1.0, 1.0))
+        motion, truth = _pointing(motion, random)
+        found = [(frame, ray) for frame, ray in enumerate(_rays(motion, level, number)) if ray is not None]
+        held = [_apart_degrees(ray, truth[frame]) for frame, ray in found if 45 <= frame < 80]
+        told += len(held) >= 10
+        errors += held
+    quiet = natural_clips(ALL, 2, seed)
+    false = sum(len(runs(np.array([ray is not None for ray in _rays(clip.motion, level, n)]), clip.motion.stamps))
+                for n, clip in enumerate(quiet))
+    return {"error_deg": round(float(np.mean(errors)), 2), "p90_deg": round(float(np.percentile(errors, 90)), 2),
+            "recall": round(told / people, 3), "false_per_minute": round(false / _minutes(quiet), 2)}
+
+
+def _apart_degrees(ray: np.ndarray, truth: np.ndarray) -> float:
+    return float(np.degrees(np.arccos(np.clip(ray @ truth, -1.0, 1.0))))
+
+
+def _rays(motion: RecordedMotion, level: Level, seed: int) -> List[Optional[np.ndarray]]:
+    """Direction of pointing in each frame, None for none, as the node tells it."""
+    smoother, estimator, found = KeypointFilter(), PointingEstimator(), []
+    for points, stamp in zip(add_noise(motion.points, level, seed), motion.stamps):
+        smooth = smoother.update(["one"], points[None], float(stamp)).smooth[0]
+        told = estimator.update(smooth, motion.stature, float(stamp), motion.up)
+        found.append(None if told is None else told.direction)
+    return found
+
+
+def _pointing(motion: RecordedMotion, random: np.random.Generator) -> Tuple[RecordedMotion, np.ndarray]:
+    """A motion with an arm that points, and the true direction (T, 3) from the eyes to the place."""
+    frames, points = _frames(motion), motion.points.copy()
+    side = ("left", "right")[random.integers(2)]
+    shoulder, sign = _SIDES[side]
+    turn, rise = np.radians(random.uniform(-20.0, 60.0)), np.radians(random.uniform(-35.0, 15.0))
+    ahead = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
+    eyes = points[:, [kp.LEFT_EYE, kp.RIGHT_EYE]].mean(axis=1)
+    place = eyes[60] + random.uniform(1.5, 6.0) * _place(frames.level, ahead, sign)[60]
+    truth = place - eyes
+    truth /= np.linalg.norm(truth, axis=1, keepdims=True)
+    # The finger tip is on the ray; the hand goes on from the forearm, bent by up to half of the way towards the ray.
+    arm = points[:, shoulder:shoulder + 3]
+    reach = 0.985 * float(np.median(np.linalg.norm(np.diff(arm, axis=1), axis=2).sum(axis=1)))
+    share, bend = random.uniform(0.0, 0.5), random.normal(size=3) * 0.08
+    hand, wrist = truth, arm[:, 2]
+    for _ in range(4):
+        base = eyes - _HAND * motion.stature * hand - arm[:, 0]
+        along = (base * truth).sum(axis=1)
+        far = -along + np.sqrt(np.maximum(along ** 2 - (base * base).sum(axis=1) + reach ** 2, 0.0))
+        wrist = arm[:, 0] + base + far[:, None] * truth
+        forearm = (wrist - arm[:, 0]) / np.linalg.norm(wrist - arm[:, 0], axis=1, keepdims=True)
+        hand = (1.0 - share) * forearm + share * truth + bend
+        hand /= np.linalg.norm(hand, axis=1, keepdims=True)
+    wrist = wrist + _sway(len(points), motion.rate, random)
+    weight = _smooth((motion.stamps - 0.4) / 0.5)
+    pose = ArmPose(wrist, _place(frames.level, (-0.2, 0.3, -1.0), sign))
+    points[:, shoulder + 1:shoulder + 3] = _blend(arm, pose, weight)
+    return replace(motion, points=points), truth

@@ -19,8 +19,8 @@ VIEWS = 3
 """Virtual people and cameras for each recording."""
 GROWTH = {"fds": 0, "threads": 0, "processes": 0, "params": 0, "rss_mb": 5}
 """Most that 500 bodies may leave behind and still count as flat; the memory of a process breathes by some MB."""
-RECALL = {"hands_raised": 0.97, "hands_on_face": 0.97, "arms_crossed": 0.88}
-PRECISION = 0.85
+RECALL = {"hands_raised": 0.9, "hands_on_face": 0.9, "arms_crossed": 0.9}
+PRECISION = 0.9
 
 
 def _most(limit: float) -> Callable[[object], bool]:
@@ -58,14 +58,16 @@ KEYS: Sequence[Tuple[str, str, Callable[[object], bool]]] = (
     ("rsp_cpu_percent_10", "<= 15", _most(15.0)), ("cpu_ms_per_body_frame", "<= 10", _most(10.0)),
     ("stature_bias_mm", "-25 .. 25", _most(25.0)), ("stature_sd_mm", "<= 30", _most(30.0)),
     ("stature_no_legs_sd_mm", "<= 40", _most(40.0)), ("head_face_median_m", "<= 0.05", _most(0.05)),
-    ("attitude", "recall .97/.97/.88, precision .85", _attitude_is_met), ("waving_false", "<= 4", _most(4)),
-    ("posture", "recall .85, precision .95", _posture_is_met), ("churn_500", "flat", _each_most(GROWTH)))
+    ("attitude", "recall .9, precision .9", _attitude_is_met), ("waving_false", "<= 4", _most(4)),
+    ("posture", "recall .85, precision .95", _posture_is_met),
+    ("stature", "r >= 0.5", lambda value: isinstance(value, dict) and value.get("r", 0.0) >= 0.5),
+    ("churn_500", "flat", _each_most(GROWTH)))
 
 PARTS: Dict[str, Sequence[str]] = {
     "fit": ("mpjpe_height_only_mm", "mpjpe_limbs_mm"), "heading": ("worst_heading_ratio",), "wave": ("wave_lag_ms",),
     "ik": ("ik_ms_1", "ik_ms_10", "ikpy_warm_ms"),
     "stature": ("stature_bias_mm", "stature_sd_mm", "stature_no_legs_sd_mm"), "attitude": ("attitude",),
-    "clips": ("waving_false", "posture"),
+    "clips": ("waving_false", "posture"), "company": ("stature",),
     "tf": ("tf_fk_error_m",), "first": ("rsp_first_tf_s",), "publishers": ("rsp_cpu_percent_10",),
     "cpu": ("cpu_ms_per_body_frame",), "heads": ("head_face_median_m",), "churn": ("churn_500",)}
 
@@ -100,7 +102,8 @@ def make_report(values: Dict[str, object], reasons: Dict[str, str], details: Dic
         "error": "mean of shoulders, elbows, wrists, hips, knees, ankles; gate, filter, stature, joints; images from "
                  "the first settled model on",
         "tuned_on": "filter, gate and weights of the points on subject 02, with 03 in view",
-        "clips": "UTD-MHAD, tuned on subjects 1 and 3, told of 5 and 7, 10 and 30 mm and depth noise",
+        "clips": "UTD-MHAD, tuned on subjects 1 and 3 (crouching with a look at 7), told of 5 and 7, 10 and 30 mm and"
+                 " depth noise; postures before nine simulated cameras of unknown tilt",
         "photographs": "the six of the demonstration"}, details)
 
 
@@ -125,8 +128,13 @@ def _measure(part: str, details: Dict[str, object]) -> Dict[str, object]:
         from benchmarks import kinect_clips
         found = kinect_clips.figures()
         details["arms_crossed_before_a_depth_camera"] = found["arms_crossed"]
+        details.update((name, found[name]) for name in ("posture_up_known", "posture_never_stood"))
         return {name: found[name] for name in PARTS["clips"]}
     from hri_fullbody.core.model.anthropometry import SegmentTable
+    if part == "company":
+        from benchmarks.body_fit import monocular_statures
+        details["stature"] = monocular_statures(SegmentTable.load())
+        return {"stature": {name: details["stature"][name] for name in ("r", "sd_mm")}}
     return {"fit": _fit, "heading": _heading, "wave": _wave, "ik": _joints, "stature": _stature}[part](
         SegmentTable.load(), details)
 
@@ -179,13 +187,13 @@ def _stature(table: object, details: Dict[str, object]) -> Dict[str, object]:
 
 
 def _attitude(figures: Dict[str, object], details: Dict[str, object]) -> Dict[str, object]:
-    """Recall and precision by class, the worse of no noise and RGB-D noise; everything goes to the details."""
+    """Recall and precision by class, the worst of 10 and 30 mm and depth noise; everything goes to the details."""
     details["attitude"] = figures
-    noises = [figures[name]["all"] for name in ("0", "rgbd")]  # type: ignore[index]
+    noises = [figures[name]["all"] for name in ("10", "30", "rgbd")]  # type: ignore[index]
     result: Dict[str, object] = {
         name: {what: min(noise[name][what] for noise in noises) for what in ("recall", "precision")}
         for name in noises[0]}
-    result["walking_events"] = sum(figures[name]["walking_events"] for name in ("0", "rgbd"))  # type: ignore[index]
+    result["walking_events"] = sum(figures[name]["walking_events"] for name in ("10", "30", "rgbd"))  # type: ignore[index]
     return result
 
 
@@ -275,6 +283,13 @@ def _probe(figure: str, patience: float) -> dict:
     from benchmarks.stack_run import ROOT, measure_alone
     return measure_alone(figure, "bodies_probe", figure, patience=patience,
                          paths=[ROOT / "hri_fullbody" / "test" / "ros"])
+
+
+def pointing_figures() -> Dict[str, object]:
+    """Return `pointing_error_deg` of recorded people who point, with 10 mm of noise, and what was measured with it."""
+    from benchmarks.attitude import pointing_figures as measured
+    found = measured()
+    return {"pointing_error_deg": found["error_deg"], "details": found}
 
 
 _OF_ROS: Dict[str, Callable[[], object]] = {

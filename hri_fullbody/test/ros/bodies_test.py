@@ -16,7 +16,7 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from hri_fullbody.core.model.human import PAPER
-from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, IdsList, Skeleton2D
+from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, IdsList, PointingStamped, Skeleton2D
 from hri_pipeline.testing import FRAME, Camera, Latest, photograph, pid_of, wait_for
 
 START_S, WAIT_S = 60.0, 30.0
@@ -70,6 +70,12 @@ class BodiesTest(unittest.TestCase):
         self.assertGreater(nice, 0)
         # Not in its first seconds.
         wait_for(lambda: os.getpriority(os.PRIO_PROCESS, pid) >= nice, WAIT_S, "bodies stands back")
+
+    def test_pointing_comes_with_each_image_also_when_nobody_points(self):
+        message = self.first("/humans/interactions/pointing", PointingStamped)
+        self.assertIn(message.header.stamp, self.camera.stamps)
+        self.assertEqual(message.header.frame_id, FRAME)
+        self.assertTrue(all(one.sender in self.tracked.value.ids for one in message.pointings))
 
     def test_tracked_is_latched(self):
         late = self.listen("/humans/bodies/tracked", IdsList)

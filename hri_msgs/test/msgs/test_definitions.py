@@ -23,6 +23,8 @@ OWN_FIELDS = {
     "hri_msgs/GazesStamped": ["header", "gazes"],
     "hri_msgs/GroupsStamped": ["header", "groups", "confidences"],
     "hri_msgs/PrivacyNotice": ["node", "computes", "store", "stored", "max_age", "encrypted", "agreed"],
+    "hri_msgs/Pointing": ["sender", "receiver", "origin", "direction", "has_place", "place", "confidence"],
+    "hri_msgs/PointingStamped": ["header", "pointings"],
 }
 
 

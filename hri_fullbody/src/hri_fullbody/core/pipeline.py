@@ -16,13 +16,16 @@ from typing import Callable, Deque, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 
 from hri_fullbody.core.behaviour.gesture import GestureClass
+from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
 from hri_fullbody.core.behaviour.posture import PostureClass, without_guessed_legs
 from hri_fullbody.core.behaviour.recognizer import BehaviourRecognizer, BodyBehaviour
 from hri_fullbody.core.detection.person_detector import CenterNetDetector, PersonDetector
 from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, BlazePose, PoseEstimate, PoseEstimator
 from hri_fullbody.core.detection.windows import FaceBox
 from hri_fullbody.core.filtering import FilteredPoints, FilterSettings, KeypointFilter
+from hri_fullbody.core.keypoints import confidence_18, to_18_points
 from hri_fullbody.core.kinematics.solver import JointSolver
+from hri_fullbody.core.localization.ground import GroundPlane
 from hri_fullbody.core.localization.localizer import BodyLocalizer, SceneContext
 from hri_fullbody.core.localization.pnp import place
 from hri_fullbody.core.model.anthropometry import MONOCULAR, SegmentTable
@@ -44,8 +47,6 @@ from hri_pipeline.core.timing import StageTimes
 
 DETECTOR_MODEL = "person_centernet.onnx"
 POSE_MODELS = ("lite", "full", "heavy")
-IMAGE_UP = np.array([0.0, -1.0, 0.0])
-"""Up in the optical frame of a camera that stands upright and looks ahead."""
 _SEEN = 0.5
 # Images that come more slowly (s) need not take the same time each, and who is there is found in few of them: two
 # windows of the budget are for those who wait.
@@ -115,7 +116,14 @@ class BodyPipeline:
             self._modeller = BodyModeller.from_parameters(settings)
         except (ValueError, OSError) as error:
             raise ParameterError("bodies cannot be modelled: {}".format(error)) from error
+        self._ground = GroundPlane()
+        self.up = self._ground.up
+        """(3,) unit vector against gravity in the optical frame, of the last image."""
+        self._floor: Optional[float] = None
         self._recognizers: Dict[str, BehaviourRecognizer] = {}
+        self._pointers: Dict[str, PointingEstimator] = {}
+        self.pointing: Dict[str, Pointing] = {}
+        """Who points in the last image, by body id."""
         self._last_models: Dict[str, _LastModel] = {}
         self._head_distances: Deque[float] = deque(maxlen=_HEAD_SAMPLES)
         self.reidentified: List[Reidentification] = []
@@ -138,8 +146,8 @@ class BodyPipeline:
         bgr : (H, W, 3) image, taken by `camera` at `stamp` (s). A stamp older than the last one starts afresh.
         faces : those of this image or a moment before; optional, but they keep neighbours apart and give the distance.
         depth : (h, w) m, registered to the image, NaN or 0 where unknown.
-        up : (3,) unit vector against gravity in the optical frame; None: the image's own upright.
-        camera_height : m above the floor; None: the floor is not used.
+        up : (3,) unit vector against gravity in the optical frame; None: learnt from the people, see GroundPlane.
+        camera_height : m above the floor; None: with `up` the floor is not used, without it it is learnt, too.
         """
         if stamp < self._last_stamp:
             self.reset()
@@ -147,28 +155,36 @@ class BodyPipeline:
         self._last_stamp = stamp
         height, width = bgr.shape[:2]
         camera = camera.resized(width, height)
-        upwards = IMAGE_UP if up is None else up
         self._follow_known(bgr, camera, stamp, faces, slow)
         self._search_new(bgr, stamp, faces, slow)
         self._reidentify(stamp)
+        if up is None:
+            self._learn_ground(stamp, faces)
         bodies = self._localize(camera, stamp, faces, SceneContext(depth, up, camera_height))
         self._forget_all_but(self.tracked_ids)
-        self.fit(bodies, stamp, upwards, (width, height))
+        learnt = self._ground.camera_height("") if up is None else None
+        self._floor = camera_height if learnt is None else learnt[0]
+        self.up = self._ground.up if up is None else up
+        self.fit(bodies, stamp, self.up, (width, height), self._ground.up_sd if up is None else 0.0)
         return bodies
 
-    def fit(self, bodies: Sequence[BodyObservation], stamp: float, up: np.ndarray, size: Tuple[int, int]) -> None:
+    def fit(self, bodies: Sequence[BodyObservation], stamp: float, up: np.ndarray, size: Tuple[int, int],
+            up_sd: float = 0.0) -> None:
         """Fit the kinematic models to the bodies that were detected at `stamp` (s), and recognise their behaviour.
 
-        up: (3,) unit vector against gravity, optical frame. size: width and height of the image, px.
+        up: (3,) unit vector against gravity, optical frame; up_sd: standard deviation of its pitch, rad. size: width
+        and height of the image, px.
         """
         seen = {body.id: body for body in bodies if body.measured}
         with self.times("models"):
             self.modelled = self._modeller.update(
                 [BodyInput(body.id, body.keypoints_3d, body.keypoints[:, 2], body.head,
-                           0.0 if body.by_depth else MONOCULAR)
+                           0.0 if body.by_depth else MONOCULAR, self._size(body.id))
                  for body in seen.values()], stamp, up)
         with self.times("attitude"):
-            self._guard.each("body", lambda model: self._express(model, seen[model.id], stamp, up, size), self.modelled)
+            self.pointing = self._find_pointing(stamp, up)
+            self._guard.each("body", lambda model: self._express(model, seen[model.id], stamp, up, size, up_sd),
+                             self.modelled)
 
     def _follow_known(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
                       slow: bool) -> None:
@@ -209,7 +225,7 @@ class BodyPipeline:
         """What re-identification needs to know of a body: its stature as of the image before."""
         last = self._last_models.get(track.id)
         return TrackAppearance(track.id, track.appearance, track.detection.root,
-                               None if last is None else last.model.stature,
+                               None if last is None or not last.model.stature_known else last.model.stature,
                                0.1 if last is None else last.model.stature_sd, track.face_id,
                                track.visible and not track.returning)
 
@@ -218,6 +234,28 @@ class BodyPipeline:
         with self.times("perspective"):
             return place(camera.normalise(estimate.landmarks[:BODY_LANDMARKS, :2]), estimate.world,
                          estimate.confidence[:BODY_LANDMARKS] > _SEEN)
+
+    def _learn_ground(self, stamp: float, faces: Sequence[FaceBox]) -> None:
+        """Learn the camera's tilt and height from the bodies that were detected in this image."""
+        poses: Dict[str, Optional[Pose]] = {face.id: face.pose for face in faces}
+        for track in self._tracker.published(stamp):
+            if track.stamp == stamp and track.detection.points is not None:
+                confidence = confidence_18(track.estimate.confidence[:BODY_LANDMARKS])
+                self._ground.add(track.id, to_18_points(track.detection.points), confidence, stamp,
+                                 poses.get(track.face_id or ""))
+        self._ground.solve(stamp)
+
+    def _context_of(self, body_id: str, context: SceneContext) -> SceneContext:
+        """The scene as it is known for one body: without a measured ground plane, the one that all others tell."""
+        if context.up is not None:
+            return context
+        height = self._ground.camera_height(body_id)
+        return context if height is None else replace(
+            context, up=self._ground.up, camera_height=height[0], height_sd=height[1])
+
+    def _size(self, body_id: str) -> Optional[Tuple[float, float]]:
+        localizer = self._localizers.get(body_id)
+        return None if localizer is None else localizer.size
 
     def _localize(self, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
                   context: SceneContext) -> List[BodyObservation]:
@@ -228,19 +266,32 @@ class BodyPipeline:
             poses: Dict[str, Optional[Pose]] = {face.id: face.pose for face in faces}
             return self._guard.each(
                 "body", lambda track: self._localizers.setdefault(track.id, BodyLocalizer()).observe(
-                    track, camera, stamp, poses.get(track.face_id or ""), context), self._tracker.published(stamp))
+                    track, camera, stamp, poses.get(track.face_id or ""), self._context_of(track.id, context)),
+                self._tracker.published(stamp))
 
     def _express(self, model: ModelledBody, body: BodyObservation, stamp: float, up: np.ndarray,
-                 size: Tuple[int, int]) -> None:
+                 size: Tuple[int, int], up_sd: float) -> None:
         """Keep the model of a detected body, and recognise its attitude, posture and gesture."""
         points = without_guessed_legs(model.points, body.keypoints, *size)
         recognizer = self._recognizers.setdefault(model.id, BehaviourRecognizer())
         behaviour = self._guard.each(
-            "behaviour of a body", lambda one: recognizer.update(points, one.stature, stamp, up), [model])
+            "behaviour of a body", lambda one: recognizer.update(points, one.stature, stamp, up, up_sd), [model])
         self._last_models[model.id] = _LastModel(
             stamp, model, None if body.pose is None else body.pose.translation, behaviour[0] if behaviour else None)
         if body.head is not None:
             self._head_distances.append(float(np.linalg.norm(model.head.translation - body.head.translation)))
+
+    def _find_pointing(self, stamp: float, up: np.ndarray) -> Dict[str, Pointing]:
+        """Who of the bodies of this image points, and at whom or where on the floor."""
+        points = {model.id: model.points for model in self.modelled}
+        told: Dict[str, Pointing] = {}
+        for model in self.modelled:
+            ray = self._pointers.setdefault(model.id, PointingEstimator()).update(
+                model.points, model.stature, stamp, up)
+            if ray is not None:
+                others = {name: place for name, place in points.items() if name != model.id}
+                told[model.id] = aim(ray, others, up, self._floor)
+        return told
 
     def model(self, body: BodyObservation) -> Optional[ModelledBody]:
         """Return the model of a body that is in the image, None while there is none.
@@ -265,7 +316,7 @@ class BodyPipeline:
         last = self._last_models.get(body_id)
         if last is None:
             return ""
-        words = ["{:.2f} m".format(last.model.stature)]
+        words = ["{:.2f} m".format(last.model.stature)] if last.model.stature_known else []
         if last.behaviour is not None:
             words += [value.name.lower().replace("_", " ") for value in (
                 PostureClass(last.behaviour.posture), GestureClass(last.behaviour.gesture)) if value]
@@ -290,7 +341,10 @@ class BodyPipeline:
             "modelled": len(self._last_models),
             "statures_m": ", ".join(
                 "{} {:.2f} +- {:.2f}".format(body_id, last.model.stature, last.model.stature_sd)
+                if last.model.stature_known else "{} unknown".format(body_id)
                 for body_id, last in list(self._last_models.items()))}
+        values["camera_tilt_deg"] = "{:.0f} +- {:.0f}".format(
+            math.degrees(math.atan2(-self._ground.up[2], -self._ground.up[1])), math.degrees(self._ground.up_sd))
         if self._head_distances:
             values["head_to_face_m_median"] = float(np.median(list(self._head_distances)))
         values.update(self.times.values())
@@ -314,6 +368,8 @@ class BodyPipeline:
         self._tracker.reset()
         self._reidentifier.reset()
         self._localizers.clear()
+        self._ground.reset()
+        self.pointing = {}
         self._modeller.reset()
         self._forget_all_but([])
         self._last_stamp = self._last_detection = -math.inf
@@ -321,7 +377,7 @@ class BodyPipeline:
 
     def _forget_all_but(self, ids: Sequence[str]) -> None:
         self._modeller.retain(ids)
-        for known in (self._recognizers, self._last_models):
+        for known in (self._recognizers, self._last_models, self._pointers):
             for gone in [body_id for body_id in known if body_id not in ids]:
                 del known[gone]
 
@@ -333,7 +389,8 @@ class BodyInput:
     points: (18, 3) m in the optical frame, NaN where unknown. confidence: (18,) 0 to 1. head: the face frame in
     the optical frame when this human's face is tracked. systematic: relative error of the lengths between the points
     that does not go away with time: 0 for points measured in space, stature.MONOCULAR for those that are guessed from
-    a colour image; points of less than 0.65 confidence then say nothing about the stature.
+    a colour image; points of less than 0.65 confidence then say nothing about the stature. size: see
+    StatureEstimator.estimate.
     """
 
     id: str
@@ -341,6 +398,7 @@ class BodyInput:
     confidence: Optional[np.ndarray] = None
     head: Optional[Pose] = None
     systematic: float = 0.0
+    size: Optional[Tuple[float, float]] = None
 
 
 @dataclass(frozen=True)
@@ -349,7 +407,8 @@ class ModelledBody:
 
     pose: body frame in the optical frame. joints: (J,) rad in the order of the layout. head: head frame in the
     optical frame. points: (18, 3) filtered key points, NaN where unknown; fitted: (18, 3) those of the model, m.
-    stature, stature_sd: the newest estimate, m. dimensions: those of the model; revision: 0 while they are not
+    stature, stature_sd: the newest estimate, m; stature_known: False while it is the average.
+    dimensions: those of the model; revision: 0 while they are not
     settled, then 1, 2, ...: the URDF is to be made anew when it grows. residual: mean distance of points and
     fitted, m.
     """
@@ -365,6 +424,7 @@ class ModelledBody:
     dimensions: Dimensions
     revision: int
     residual: float
+    stature_known: bool = False
 
 
 class BodyModeller:
@@ -444,7 +504,7 @@ class BodyModeller:
                 self._people[body.id] = PersonDimensions(self._table, self._settings)
             if body.systematic > 0.0 and body.confidence is not None:
                 gated = np.where((np.asarray(body.confidence) >= _SURELY_SEEN)[:, None], gated, np.nan)
-            self._people[body.id].update(gated, stamp, body.systematic)
+            self._people[body.id].update(gated, stamp, body.systematic, body.size)
         return self._solve([body for body, _ in known], filtered, step, up)
 
     def _start_anew(self) -> None:
@@ -507,7 +567,7 @@ class BodyModeller:
                 body.id, Pose(solution.rotation[n], solution.position[n]), solution.q[n],
                 Pose(solution.head_rotation[n], solution.head_position[n]), points[n], solution.keypoints[n],
                 person.estimate.stature, person.estimate.stature_sd, person.dimensions, person.revision,
-                float(residual[n])))
+                float(residual[n]), person.estimate.known))
         return models
 
     def _fail(self, name: str, reason: str) -> None:

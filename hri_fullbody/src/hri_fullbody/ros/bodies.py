@@ -21,8 +21,8 @@ from hri_fullbody.core.pipeline import BodyPipeline, ModelledBody
 from hri_fullbody.core.tracking.reidentification import Reidentification
 from hri_fullbody.ros.inputs import FaceInput, UpFrame
 from hri_fullbody.ros.state_publishers import StatePublishers
-from hri_fullbody.ros.topics import NAMESPACE, BodyTopics, SkeletonMarkers
-from hri_msgs.msg import IdsMatch
+from hri_fullbody.ros.topics import NAMESPACE, BodyTopics, SkeletonMarkers, pointing_message
+from hri_msgs.msg import IdsMatch, PointingStamped
 from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.observations import BodyObservation, FaceObservation
@@ -66,6 +66,7 @@ class BodyProcessor:
         self._tracked = TrackedList(NAMESPACE + "/tracked")
         self._transforms = TfPublisher()
         self._markers = rospy.Publisher("visualization/skeletons", MarkerArray, queue_size=1)
+        self._pointing = rospy.Publisher("/humans/interactions/pointing", PointingStamped, queue_size=1)
         self._drawing = SkeletonMarkers()
         self._up = UpFrame(settings.up_frame)
         self._matches = ReidentificationMatches(settings.list_timeout) if settings.body_memory > 0.0 else None
@@ -95,8 +96,10 @@ class BodyProcessor:
             self._publishers.keep(ids)
             self._guard.each("body", self._describe, self._pipeline.modelled)
         self._publish_models(bodies, frame)
+        if self._pointing.get_num_connections():
+            self._pointing.publish(pointing_message(self._pipeline.pointing, frame.header))
         if self._markers.get_num_connections() and not self._no_frame:
-            self._draw(bodies, frame, up)
+            self._draw(bodies, frame, self._pipeline.up)
 
     def reconfigure(self, settings: BodiesSettings) -> None:
         """Take up the values of the live parameters; the bodies stay."""
@@ -147,6 +150,7 @@ class BodyProcessor:
         self._topics.close()
         self._transforms.close()
         release(self._markers)
+        release(self._pointing)
 
     def _face_boxes(self, frame: Frame, context: dict) -> List[FaceBox]:
         observed: Optional[Sequence[FaceObservation]] = context.get("faces")
@@ -162,7 +166,8 @@ class BodyProcessor:
         publishers = self._publishers
         if publishers is None or model.revision <= publishers.revision(model.id):
             return
-        urdf = make_urdf(model.dimensions, model.id, self._pipeline.layout)
+        urdf = make_urdf(model.dimensions, model.id, self._pipeline.layout,
+                         stature_sd=model.stature_sd if model.stature_known else None)
         if not publishers.set(model.id, urdf, model.revision):
             rospy.logwarn_throttle(_LOG_PERIOD_S, "more bodies than ~max_bodies: %s has no skeleton frames", model.id)
 
@@ -186,7 +191,8 @@ class BodyProcessor:
     def _draw(self, bodies: Sequence[BodyObservation], frame: Frame, up: np.ndarray) -> None:
         labels = {body.id: self._pipeline.label(body.id) for body in bodies}
         self._markers.publish(self._drawing.update(
-            [drawn(body, self._pipeline.model(body)) for body in bodies], frame.header, labels, up))
+            [drawn(body, self._pipeline.model(body)) for body in bodies], frame.header, labels, up,
+            self._pipeline.pointing))
 
     def _publish_joints(self, models: Sequence[ModelledBody], frame: Frame) -> None:
         """Joint states and roots go out together, so that the frames of a stamp make whole skeletons."""

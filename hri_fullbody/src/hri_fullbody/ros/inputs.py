@@ -14,7 +14,6 @@ import rospy
 from tf2_msgs.msg import TFMessage
 
 from hri_fullbody.core.detection.windows import FaceBox, face_boxes
-from hri_fullbody.core.pipeline import IMAGE_UP
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import LandmarkArray, landmarks_from_msg, pose_from_transform
 from hri_pipeline.ros.diagnostics import OK, WARN
@@ -121,7 +120,7 @@ _LOWEST_M, _HIGHEST_M = 0.05, 10.0
 class UpFrame:
     """Pose of the camera in a frame whose z axis points up and whose z = 0 is the floor.
 
-    name: that frame; empty: there is none, and the image's own upright is taken.
+    name: that frame; empty: there is none, and `lookup` tells nothing.
     """
 
     def __init__(self, name: str) -> None:
@@ -130,12 +129,12 @@ class UpFrame:
         self._missing_since: Optional[float] = None
         self._told = False
 
-    def lookup(self, camera: str, stamp: genpy.Time) -> Tuple[np.ndarray, Optional[float]]:
-        """Return up (3,) in the frame `camera`, and its height above the floor, m; None while that is not known."""
+    def lookup(self, camera: str, stamp: genpy.Time) -> Tuple[Optional[np.ndarray], Optional[float]]:
+        """Return up (3,) in the frame `camera`, and its height above the floor, m; None while they are not known."""
         pose = self._frames.lookup(camera, stamp) if self._frames is not None and camera else None
         if pose is None:
             self._miss(camera)
-            return IMAGE_UP, None
+            return None, None
         self._missing_since = None
         return up_and_height(pose)
 
@@ -161,8 +160,8 @@ class UpFrame:
 
     def _problem(self, camera: str) -> str:
         return (
-            "no transform leads from {} to ~up_frame {}; the image is taken for upright. Mend: start what publishes "
-            "it, or set ~up_frame to a frame that exists or to nothing".format(camera, self._name)
+            "no transform leads from {} to ~up_frame {}; the tilt is guessed from the people. Mend: start what "
+            "publishes it, or set ~up_frame to a frame that exists or to nothing".format(camera, self._name)
         )
 
 

@@ -6,16 +6,18 @@ from typing import Iterable, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point, PointStamped, TwistStamped
+from geometry_msgs.msg import Point, PointStamped, TwistStamped, Vector3
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from hri_fullbody.core import keypoints as kp
+from hri_fullbody.core.behaviour.pointing import Pointing
 from hri_fullbody.core.behaviour.recognizer import BodyBehaviour
 from hri_fullbody.core.keypoints import EDGES
 from hri_fullbody.core.pipeline import ModelledBody
-from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, Skeleton2D
+from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, PointingStamped, Skeleton2D
+from hri_msgs.msg import Pointing as PointingMessage
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.overlay import colour_of
 from hri_pipeline.ros.conversions import bgr_to_image, roi_message, roi_type, skeleton_to_msg
@@ -112,6 +114,16 @@ def crop(bgr: np.ndarray, box: np.ndarray) -> Optional[np.ndarray]:
     return bgr[y0:y1, x0:x1] if x1 > x0 and y1 > y0 else None
 
 
+def pointing_message(found: Mapping[str, Pointing], header: Header) -> PointingStamped:
+    """Make the message of who points, by body id, in the frame of `header`."""
+    return PointingStamped(header=header, pointings=[
+        PointingMessage(
+            sender=body_id, receiver=one.receiver, origin=Point(*one.origin.tolist()),
+            direction=Vector3(*one.direction.tolist()), has_place=one.place is not None,
+            place=Point() if one.place is None else Point(*one.place.tolist()), confidence=one.confidence)
+        for body_id, one in found.items()])
+
+
 _LIFETIME_S = 1.0
 _LIMB_WIDTH_M = 0.035
 _FACE_WIDTH_M = 0.012
@@ -119,8 +131,9 @@ _JOINT_SIZE_M = 0.06
 _FACE_POINT_SIZE_M = 0.025
 _HEAD_SIZE_M = (0.19, 0.19, 0.25)
 _TEXT_HEIGHT_M = 0.10
+_ARROW_M, _RAY_M = (0.02, 0.06, 0.1), 3.0       # diameter of shaft and head, length of the head; of a ray into nothing
 _TEXT_ABOVE_HEAD_M = 0.25
-_NUMBER = {"limbs": 0, "joints": 1, "face": 2, "face points": 3, "head": 4, "text": 5}
+_NUMBER = {"limbs": 0, "joints": 1, "face": 2, "face points": 3, "head": 4, "text": 5, "pointing": 6}
 _FACE = (kp.NOSE, kp.LEFT_EYE, kp.RIGHT_EYE, kp.LEFT_EAR, kp.RIGHT_EAR)
 _LEFT = (kp.LEFT_SHOULDER, kp.LEFT_ELBOW, kp.LEFT_WRIST, kp.LEFT_HIP, kp.LEFT_KNEE, kp.LEFT_ANKLE)
 _RIGHT = (kp.RIGHT_SHOULDER, kp.RIGHT_ELBOW, kp.RIGHT_WRIST, kp.RIGHT_HIP, kp.RIGHT_KNEE, kp.RIGHT_ANKLE)
@@ -157,9 +170,12 @@ class SkeletonMarkers:
         self._shown: List[Tuple[str, int]] = []
 
     def update(self, bodies: Sequence[BodyObservation], header: Header, labels: Optional[Mapping[str, str]] = None,
-               up: Sequence[float] = (0.0, -1.0, 0.0)) -> MarkerArray:
-        """Return the markers of the bodies, see skeleton_markers, after the DELETE of all that is no longer there."""
+               up: Sequence[float] = (0.0, -1.0, 0.0),
+               pointing: Optional[Mapping[str, Pointing]] = None) -> MarkerArray:
+        """Return the markers of the bodies, see skeleton_markers, and an arrow for each that points, after the DELETE
+        of all that is no longer there."""
         array = skeleton_markers(bodies, header, labels, up)
+        array.markers += [_arrow(header, body_id, one) for body_id, one in (pointing or {}).items()]
         present = [(marker.ns, marker.id) for marker in array.markers]
         gone = [Marker(header=header, ns=name, id=number, action=Marker.DELETE)
                 for name, number in self._shown if (name, number) not in set(present)]
@@ -219,6 +235,15 @@ def _limb_colour(colour: np.ndarray, first: int, second: int) -> np.ndarray:
 
 def _white(colour: np.ndarray) -> np.ndarray:
     return 0.3 * colour + 0.7
+
+
+def _arrow(header: Header, name: str, pointing: Pointing) -> Marker:
+    """From the eyes to the place that is pointed at, else 3 m long."""
+    marker = _marker(header, name, "pointing", Marker.ARROW, _ARROW_M)
+    end = pointing.origin + _RAY_M * pointing.direction if pointing.place is None else pointing.place
+    marker.points = [Point(*pointing.origin.tolist()), Point(*end.tolist())]
+    marker.color = _rgba(np.array([1.0, 0.75, 0.1]), 0.8)
+    return marker
 
 
 def _many(header: Header, name: str, part: str, kind: int, size: Sequence[float],

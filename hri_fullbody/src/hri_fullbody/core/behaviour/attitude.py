@@ -20,7 +20,7 @@ _SPEED_S = 0.12
 # Speeds of a wrist (statures/s). Folded arms are held; hands that clap are as near to the elbows, but move. Forearms as
 # an X are shown for a moment only; what is faster swings past.
 _CLAPPING, _HELD = 0.75, 0.45
-_SWINGING, _SHOWN = 1.3, 0.9
+_SWINGING, _SHOWN = 1.2, 0.8
 
 
 class AttitudeClass(IntEnum):
@@ -48,7 +48,7 @@ class Rule:
 
 RAISED_RULE = Rule(on=0.7, off=0.3, on_time=0.15, off_time=0.3)
 FACE_RULE = Rule(on=0.6, off=0.2, on_time=0.2, off_time=0.4)
-CROSSED_RULE = Rule(on=0.4, off=0.15, on_time=0.15, off_time=0.5)
+CROSSED_RULE = Rule(on=0.4, off=0.1, on_time=0.3, off_time=0.5)
 
 
 class Latch:
@@ -106,11 +106,11 @@ class _Smoothed:
 
 
 class _WristSpeed:
-    """How fast the wrists move before the trunk, over some tenths of a second."""
+    """How fast the wrists move before the trunk: their low-passed velocity, in which noise averages out."""
 
     def __init__(self) -> None:
         self._last: Optional[List[float]] = None
-        self._speeds = [0.0, 0.0]
+        self._velocity = [0.0] * 6
 
     def update(self, features: ArmFeatures, elapsed: float) -> float:
         """Return the speed of the faster wrist (statures/s); NaN while a wrist is not known."""
@@ -120,11 +120,10 @@ class _WristSpeed:
             return _UNKNOWN
         if self._last is not None and elapsed > 0.0:
             weight = 1.0 - math.exp(-elapsed / _SPEED_S)
-            for side in (0, 1):
-                path = math.sqrt(sum((now[index] - self._last[index]) ** 2 for index in (side, side + 2, side + 4)))
-                self._speeds[side] += weight * (path / elapsed - self._speeds[side])
+            self._velocity = [mean + weight * ((value - last) / elapsed - mean)
+                              for mean, value, last in zip(self._velocity, now, self._last)]
         self._last = now
-        return max(self._speeds)
+        return max(math.sqrt(sum(value * value for value in self._velocity[side::2])) for side in (0, 1))
 
 
 class AttitudeEstimator:
@@ -193,31 +192,42 @@ def near_face_score(features: ArmFeatures, side: int) -> float:
 def crossed_score(features: ArmFeatures, speed: float = 0.0) -> float:
     """How much the forearms cross in front of the chest, 0 to 1. speed: of the faster wrist, statures/s.
 
-    Both forearms run inward before the trunk, and either the hands lie at the other elbows, near the chest (folded
-    arms), or the wrists are clearly on the other side of the mid-plane (forearms as an X). Hands that meet in the
-    middle, as in clapping, are neither, nor are two hands at one handle, whose forearms run ahead more than across. One
-    elbow may be hidden.
+    Both forearms run inward before the trunk, each wrist is near the other elbow, and either the hands lie near the
+    chest (folded arms), or the wrists are clearly on the other side of the mid-plane (forearms as an X). Hands that
+    meet in the middle, as in clapping, are neither, nor are two hands at one handle, which are near each other and far
+    from the elbows, with forearms side by side. One elbow may be hidden.
     """
     outward = 0.5 * sum(features.outward)
     inward = _mean((-features.lateral[0], features.lateral[1]))
     near = _mean(features.to_other_elbow)
     ahead = 0.5 * sum(features.forward)
+    across = inward - _mean(features.ahead)
     folded = _lowest(
         soft(ahead, 0.19, 0.16),
         soft(outward, 0.05, 0.02), soft(inward, 0.05, 0.07),
+        _or(soft(_between_forearms(features), 75.0, 95.0), soft(across, -0.02, 0.005)),
         soft(near, 0.175, 0.14), soft(speed, _CLAPPING, _HELD))
     beyond = _lowest(
         soft(ahead, 0.22, 0.185),
-        soft(outward, -0.005, -0.03), soft(inward, 0.035, 0.055),
+        soft(outward, -0.02, -0.045), soft(inward, 0.035, 0.055), soft(across, -0.08, -0.055),
         soft(near, 0.215, 0.18), soft(speed, _SWINGING, _SHOWN))
     return _lowest(
         _highest(folded, beyond) if folded == folded or beyond == beyond else _UNKNOWN,
-        soft(inward - _mean(features.ahead), -0.02, 0.005),
-        soft(_both(max, features.outward), 0.10, 0.06),
+        soft(_highest(*features.to_other_elbow), 0.205, 0.17),
+        soft(_both(max, features.outward), 0.13, 0.09),
         soft(_mean(features.elbow), math.radians(145.0), math.radians(130.0)),
         soft(ahead, 0.0, 0.03),
         soft(_both(min, features.level), -0.30, -0.25),
-        soft(_both(max, features.level), 0.15, 0.10))
+        soft(_both(max, features.level), 0.12, 0.07))
+
+
+def _between_forearms(features: ArmFeatures) -> float:
+    """Angle between the forearms, degrees: 0 side by side, 180 against each other; NaN while one is not known."""
+    left, right = zip(features.lateral, features.ahead, features.above_elbow)
+    lengths = math.sqrt(sum(value * value for value in left) * sum(value * value for value in right))
+    if not lengths > 0.0:
+        return _UNKNOWN
+    return math.degrees(math.acos(max(-1.0, min(1.0, sum(a * b for a, b in zip(left, right)) / lengths))))
 
 
 def soft(value: float, zero: float, one: float) -> float:

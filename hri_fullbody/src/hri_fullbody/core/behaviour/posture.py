@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import Iterable, NamedTuple, Optional
+from typing import Dict, Iterable, NamedTuple, Optional
 
 import numpy as np
 
@@ -22,13 +22,19 @@ _HIDDEN_SEAT_THIGH_LOW = 50.0
 _SEAT_TRUNK = 30.0
 _SEAT_SHANK = 60.0
 _ON_GROUND = 0.18
-_CROUCH_KNEE, _CROUCH_SHANK, _CROUCH_THIGH, _CROUCH_HEIGHT = 50.0, 78.0, 18.0, 0.30
+_CROUCH_KNEE, _CROUCH_SHANK, _CROUCH_THIGH, _CROUCH_HEIGHT = 42.0, 80.0, 14.0, 0.36
 _SAME_THIGHS = 35.0  # both legs bear the weight; on one knee or in a lunge they differ by more
 _OVER_FEET = 0.085
 _SHORT_LEG = 0.74
 _LEG = 0.481  # thigh and shank
 _HOLD_S = 0.3
 _UNKNOWN_S = 1.0
+# Standard deviation of the vertical below which it is exact; else the directions that are tried, in standard
+# deviations, with their weights, the share of a posture among all that are told, and its least weight.
+_EXACT = math.radians(2.0)
+_BALANCE = math.radians(7.0)
+_PITCHES = ((-1.7, 0.09), (-0.8, 0.24), (0.0, 0.34), (0.8, 0.24), (1.7, 0.09))
+_AGREEING, _LEAST_VOTES = 0.9, 0.3
 
 
 class PostureClass(IntEnum):
@@ -64,9 +70,10 @@ class PostureEstimator:
         self._unknown = 0.0
 
     def update(self, points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray,
-               elapsed: float) -> PostureClass:
-        """Take the body `elapsed` s after the last call; see `posture_now`."""
-        seen = posture_now(points, axes, stature, up)
+               elapsed: float, up_sd: float = 0.0) -> PostureClass:
+        """Take the body `elapsed` s after the last call; see `posture_now`. up_sd: of the pitch of `up`, rad."""
+        seen = (posture_now(points, axes, stature, up) if up_sd <= _EXACT
+                else likely_posture(points, axes, stature, up, up_sd))
         if seen is None:
             self._unknown += elapsed
             if self._unknown > _UNKNOWN_S:
@@ -94,6 +101,32 @@ def without_guessed_legs(points: np.ndarray, keypoints: np.ndarray, width: float
     seen = np.array(points, dtype=np.float64)
     seen[legs[~inside]] = np.nan
     return seen
+
+
+def likely_posture(points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray,
+                   up_sd: float) -> Optional[PostureClass]:
+    """Return the posture that most of the directions which `up` may have tell, None when they do not agree.
+
+    up_sd: standard deviation of its pitch, rad. OTHER speaks against no posture as long as other directions have one.
+    """
+    votes: Dict[Optional[PostureClass], float] = {}
+    for share, weight in _PITCHES:
+        seen = posture_now(points, axes, stature, _pitched(up, share * up_sd))
+        votes[seen] = votes.get(seen, 0.0) + weight
+    named = {posture: weight for posture, weight in votes.items() if posture}
+    if up_sd > _BALANCE and PostureClass.CROUCHING in named:
+        return None     # whether the feet bear the trunk hangs on the vertical
+    if not named:
+        return PostureClass.OTHER if votes.get(PostureClass.OTHER, 0.0) > 0.5 else None
+    best = max(named, key=lambda posture: named[posture])
+    sure = named[best] >= _AGREEING * sum(named.values()) and named[best] >= _LEAST_VOTES
+    return best if sure else None
+
+
+def _pitched(up: np.ndarray, angle: float) -> np.ndarray:
+    """Turn a direction (3,) in the optical frame about the x axis, as a camera that looks down by `angle` rad more."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return np.array([up[0], cosine * up[1] - sine * up[2], sine * up[1] + cosine * up[2]])
 
 
 def posture_now(points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray) -> Optional[PostureClass]:
@@ -137,13 +170,16 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
             return PostureClass.STANDING
         seated = tilt < _SEAT_TRUNK and all(_HIDDEN_SEAT_THIGH_LOW < leg.thigh < 110.0 for leg in legs)
         return PostureClass.SITTING if seated else PostureClass.OTHER
-    if any(leg.thigh < _STRAIGHT_THIGH and leg.knee < _STRAIGHT_KNEE and leg.shank < _CROUCH_SHANK for leg in whole):
+    # A leg that seems straight while the hips are low is a wrong one: straight legs are long.
+    low = max(leg.height for leg in whole) < _CROUCH_HEIGHT
+    if not low and any(leg.thigh < _STRAIGHT_THIGH and leg.knee < _STRAIGHT_KNEE and leg.shank < _CROUCH_SHANK
+                       for leg in whole):
         return PostureClass.STANDING
     if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
         return PostureClass.OTHER
     thighs = [leg.thigh for leg in whole]
     if _over_feet(points, hips, stature, up):
-        deep = (max(leg.height for leg in whole) < _CROUCH_HEIGHT and _middle(leg.knee for leg in whole) > _CROUCH_KNEE
+        deep = (low and _middle(leg.knee for leg in whole) > _CROUCH_KNEE
                 and _middle(leg.shank for leg in whole) < _CROUCH_SHANK and _middle(thighs) > _CROUCH_THIGH
                 and max(thighs) - min(thighs) < _SAME_THIGHS)
         return PostureClass.CROUCHING if deep else PostureClass.OTHER

@@ -100,12 +100,11 @@ _DEPTH_RANGE = (0.55, 1.35)
 # Beyond their range a face and a depth image still tell where the body is, but the landmarks are too wrong for a scale.
 _PLACE_RANGE = (0.4, 2.5)
 _STATURE_CV = 0.065         # of adults and of the network's own error, the two together
-_DRIFT = 0.01               # per root second: how fast the scale may change
-_FACE_SD, _FLOOR_SD, _DEPTH_SD = 0.04, 0.05, 0.03
-# The distance of a face is wrong by as much as its size differs from the average one's (about 6 % with the error of the
-# landmarks), for as long as it is measured: as much as statures differ. So half of what a face says is taken for the
-# body's size.
-_FACE_SIZE_SHARE = 0.5
+# What a cue says of the size: standard deviation of one measurement, and of the error that stays. The distance of a
+# face is wrong by as much as its size differs from the average one's (about 6 % with the error of the landmarks): as
+# much as statures differ. So half of what a face says is taken for the body's size.
+_FACE_SD, _FLOOR_SD, _DEPTH_SD = (0.04, 0.065), (0.05, 0.025), (0.03, 0.01)
+_MOST_IMAGES, _CORRELATED = 150, 5.0
 _OUTLIER = 3.0              # standard deviations: what differs by more counts as this much
 _ANKLE_HEIGHT = 0.07        # m, centre of the ankle above the floor
 _LEAST_SLOPE = 0.05         # of the ray to the ankle: a flatter one meets the floor anywhere
@@ -116,18 +115,17 @@ _FLOOR_SIGHTS = 45
 class ScaleCue:
     """A measurement of how many times farther away (and larger) a body is than its landmarks say.
 
-    sd: standard deviation of its logarithm, inf when it says nothing about the size. reference: the point (3,) m of
-    the landmarks that was measured; it is the one that must lie on its ray. size_share: part of
-    the ratio's logarithm that is due to the size of the body, the rest to a lasting error of the measurement.
-
-    exact: the body is to be at this distance now, not only to be scaled by it in the long run.
+    sd: standard deviation of its logarithm in one image, inf when it says nothing about the size. lasting_sd: of the
+    error that all images share. reference: the point (3,) m of the landmarks that was measured; it is the one that must
+    lie on its ray. exact: the body is to be at this distance now, not only to be scaled by it in the long run.
     """
 
+    source: str
     ratio: float
     sd: float
+    lasting_sd: float
     exact: bool
     reference: np.ndarray
-    size_share: float = 1.0
 
 
 def face_cue(points: np.ndarray, face: Optional[Pose]) -> Optional[ScaleCue]:
@@ -135,13 +133,12 @@ def face_cue(points: np.ndarray, face: Optional[Pose]) -> Optional[ScaleCue]:
     if face is None or not np.all(np.isfinite(face.translation)):
         return None
     sellion = points[list(BLAZE_INNER_EYES)].mean(axis=0)
-    return _cue(float(face.translation[2]) / max(float(sellion[2]), 1e-3), _FACE_SD, _FACE_RANGE, sellion,
-                _FACE_SIZE_SHARE)
+    return _cue("face", float(face.translation[2]) / max(float(sellion[2]), 1e-3), _FACE_SD, _FACE_RANGE, sellion)
 
 
 def depth_cue(ratio: Optional[float], trunk: np.ndarray) -> Optional[ScaleCue]:
     """Cue of a depth image, see trunk_ratio. trunk: its middle (3,) m."""
-    return None if ratio is None else _cue(ratio, _DEPTH_SD, _DEPTH_RANGE, trunk)
+    return None if ratio is None else _cue("depth", ratio, _DEPTH_SD, _DEPTH_RANGE, trunk)
 
 
 def floor_ratio(points: np.ndarray, rays: np.ndarray, confidence: np.ndarray, up: np.ndarray,
@@ -163,48 +160,71 @@ def floor_ratio(points: np.ndarray, rays: np.ndarray, confidence: np.ndarray, up
 
 
 class BodyScale:
-    """Scale of one body: a slowly changing number learnt from its cues, kept while there are none."""
+    """Size of one body against the average: the mean of each source's cues, kept while there are none.
+
+    The sources are combined with the spread of statures by their variances, of which that of the lasting error does not
+    fall with the number of images.
+    """
 
     def __init__(self) -> None:
-        self._log, self._variance = 0.0, _STATURE_CV ** 2
-        self._stamp: Optional[float] = None
+        self._sources: Dict[str, Tuple[float, int, float, float]] = {}     # mean, images, sd, lasting sd
         self._floor: Deque[float] = deque(maxlen=_FLOOR_SIGHTS)
 
     @property
     def value(self) -> float:
         """Size of the body, that of the network's average person being 1."""
-        return math.exp(self._log)
+        weight, total = self._combined()
+        return math.exp(total / (weight + _STATURE_CV ** -2.0))
 
-    def floor_cue(self, ratio: Optional[float]) -> Optional[ScaleCue]:
-        """Cue of the floor: the median of what was seen of it, with `ratio` when it is not None."""
+    @property
+    def measured(self) -> Optional[Tuple[float, float]]:
+        """Size by the cues alone, without the average, and the sd of its logarithm; None without any cue."""
+        weight, total = self._combined()
+        return (math.exp(total / weight), weight ** -0.5) if weight > 0.0 else None
+
+    def floor_cue(self, ratio: Optional[float], lasting_sd: float = 0.0) -> Optional[ScaleCue]:
+        """Cue of the floor: the median of what was seen of it, with `ratio` when it is not None.
+
+        lasting_sd: of the logarithm of the camera's height.
+        """
         if ratio is None:
             return None
         self._floor.append(ratio)
-        return ScaleCue(float(np.median(list(self._floor))), _FLOOR_SD, False, np.zeros(3))
+        return ScaleCue("floor", float(np.median(list(self._floor))), _FLOOR_SD[0],
+                        math.hypot(_FLOOR_SD[1], lasting_sd), False, np.zeros(3))
 
-    def update(self, cue: Optional[ScaleCue], stamp: float) -> None:
-        """Learn from a cue at `stamp` (s)."""
-        if cue is None:
+    def update(self, cue: Optional[ScaleCue]) -> None:
+        """Learn from a cue."""
+        if cue is None or not math.isfinite(cue.sd):
             return
-        step = 0.0 if self._stamp is None else max(0.0, stamp - self._stamp)
-        self._stamp = stamp
-        variance = min(self._variance + _DRIFT ** 2 * step, _STATURE_CV ** 2)
-        gain = variance / (variance + cue.sd ** 2)
-        limit = _OUTLIER * math.sqrt(variance + min(cue.sd, 1.0) ** 2)
-        self._log += gain * min(max(cue.size_share * math.log(cue.ratio) - self._log, -limit), limit)
-        self._variance = (1.0 - gain) * variance
+        mean, count, _, _ = self._sources.get(cue.source, (0.0, 0, 0.0, 0.0))
+        count = min(count + 1, _MOST_IMAGES)
+        limit = _OUTLIER * math.hypot(cue.sd, _STATURE_CV if count == 1 else 0.0)
+        mean += min(max(math.log(cue.ratio) - mean, -limit), limit) / count
+        self._sources[cue.source] = mean, count, cue.sd, cue.lasting_sd
+
+    def _combined(self) -> Tuple[float, float]:
+        """Sum of the weights of the sources, and of their weighted logarithms."""
+        weight = total = 0.0
+        for mean, count, sd, lasting in self._sources.values():
+            own = 1.0 / (sd ** 2 / max(count / _CORRELATED, 1.0) + lasting ** 2)
+            weight, total = weight + own, total + own * mean
+        return weight, total
 
 
-def _cue(ratio: float, sd: float, limits: Tuple[float, float], reference: np.ndarray,
-         size_share: float = 1.0) -> Optional[ScaleCue]:
+def _cue(source: str, ratio: float, sd: Tuple[float, float], limits: Tuple[float, float],
+         reference: np.ndarray) -> Optional[ScaleCue]:
     if limits[0] < ratio < limits[1]:
-        return ScaleCue(ratio, sd, True, reference, size_share)
-    return ScaleCue(ratio, math.inf, True, reference) if _PLACE_RANGE[0] < ratio < _PLACE_RANGE[1] else None
+        return ScaleCue(source, ratio, *sd, True, reference)
+    return (ScaleCue(source, ratio, math.inf, math.inf, True, reference)
+            if _PLACE_RANGE[0] < ratio < _PLACE_RANGE[1] else None)
 
 
 # A body is about as large as this: makes pixels comparable with metres, for which the filters are tuned.
 _BODY_METRES = 1.76
 _KNOWN = 0.3
+# m/s, of a face that is still the body's own, and the time within which it may have jumped.
+_FASTEST, _SHORTEST_S = 4.0, 0.05
 _BOX_MARGIN = 0.04
 _HIPS = [BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP]
 
@@ -213,12 +233,14 @@ _HIPS = [BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP]
 class SceneContext:
     """What else is known of an image.
 
-    depth: (h, w) m, registered to it. up: (3,) unit, in the optical frame. camera_height: m above the floor.
+    depth: (h, w) m, registered to it. up: (3,) unit, in the optical frame. camera_height: m above the floor;
+    height_sd: standard deviation of its logarithm.
     """
 
     depth: Optional[np.ndarray] = None
     up: Optional[np.ndarray] = None
     camera_height: Optional[float] = None
+    height_sd: float = 0.0
 
 
 class BodyLocalizer:
@@ -233,8 +255,14 @@ class BodyLocalizer:
         self._pixels_per_metre: Optional[float] = None
         self._pixels: Optional[np.ndarray] = None
         self._points: Optional[np.ndarray] = None
+        self._face: Optional[np.ndarray] = None
         self.by_depth = False
         """Whether a depth image gave the distance of the last detection."""
+
+    @property
+    def size(self) -> Optional[Tuple[float, float]]:
+        """See BodyScale.measured; None while a depth image measures the body."""
+        return None if self.by_depth else self._scale.measured
 
     def observe(self, track: BodyTrack, camera: CameraModel, stamp: float, face: Optional[Pose],
                 context: SceneContext) -> BodyObservation:
@@ -242,23 +270,34 @@ class BodyLocalizer:
         measured = track.stamp == stamp or self._pixels is None
         if measured:
             self._measure(track, camera, face, context)
+            self._face = None if face is None else face.translation
         assert self._pixels is not None
         estimate = track.expected(stamp)
         confidence = estimate.confidence[:BODY_LANDMARKS]
         age = max(0.0, stamp - track.stamp)
         velocity = track.motion.velocity
         velocity = None if velocity is None else velocity * self._scale.value
-        pixels: np.ndarray = self._pixels if measured else self._pixels + track.moved(stamp)
+        pixels: np.ndarray = self._pixels if measured else self._pixels + track.moved_with_face(stamp)
         in_space, pose = np.full((18, 3), np.nan), None
         sure = confidence_18(confidence)
         known = confidence_18(track.estimate.confidence[:BODY_LANDMARKS]) >= _KNOWN
         if self._points is not None:
-            points = self._points if measured or velocity is None else self._points + velocity * age
+            points = self._points + self._shift(measured, velocity, age, face)
             in_space[known] = to_18_points(points)[known]
             pose = body_pose(points)
         box = visible_box(pixels, track.estimate.confidence[:BODY_LANDMARKS], camera.width, camera.height)
         return BodyObservation(track.id, box, estimate.score, np.column_stack([to_18_points(pixels), sure]), in_space,
                                pose, face, velocity, measured, self.by_depth)
+
+    def _shift(self, measured: bool, velocity: Optional[np.ndarray], age: float, face: Optional[Pose]) -> np.ndarray:
+        """Way (3,) m since the body was measured: that of its face, else by its velocity (m/s) in `age` s."""
+        if measured:
+            return np.zeros(3)
+        if face is not None and self._face is not None and np.all(np.isfinite(face.translation)):
+            way = face.translation - self._face
+            if float(np.linalg.norm(way)) < _FASTEST * max(age, _SHORTEST_S):
+                return way
+        return np.zeros(3) if velocity is None else velocity * age
 
     def _measure(self, track: BodyTrack, camera: CameraModel, face: Optional[Pose], context: SceneContext) -> None:
         estimate = track.estimate
@@ -286,9 +325,10 @@ class BodyLocalizer:
             cue = depth_cue(trunk_ratio(context.depth, pixels, points, confidence, size), points[_TRUNK].mean(axis=0))
         self.by_depth = cue is not None
         cue = cue or face_cue(points, face)
-        if cue is None and context.up is not None and context.camera_height is not None:
-            cue = self._scale.floor_cue(floor_ratio(points, rays, confidence, context.up, context.camera_height))
-        self._scale.update(cue, track.stamp)
+        self._scale.update(cue)
+        if not self.by_depth and context.up is not None and context.camera_height is not None:
+            self._scale.update(self._scale.floor_cue(
+                floor_ratio(points, rays, confidence, context.up, context.camera_height), context.height_sd))
         scale = self._scale.value
         anchor, placed = points[_HIPS].mean(axis=0), points * scale
         if cue is not None and cue.exact:

@@ -184,12 +184,12 @@ _CORRELATED = 10.0
 _USUAL_NOISE_M, _USUAL_SAMPLES = 0.05, 5
 _MOST_BIAS = 0.12
 _LEAST_SAMPLES = 3
-
+_KNOWN_VARIANCE = 0.72      # of that between people, below which a stature is told
 
 @dataclass(frozen=True)
 class StatureEstimate:
     """Stature and lengths by name (SEGMENTS) with their standard deviations, m. samples: images it rests on;
-    seen: how many of the lengths were seen."""
+    seen: how many of the lengths were seen. known: whether the stature is more than the average of all people."""
 
     stature: float
     stature_sd: float
@@ -197,6 +197,7 @@ class StatureEstimate:
     lengths_sd: Dict[str, float]
     samples: int
     seen: int
+    known: bool = False
 
 
 class StatureEstimator:
@@ -271,8 +272,12 @@ class StatureEstimator:
     def _recent(self) -> np.ndarray:
         return self._stamps >= self._newest - self._window if math.isfinite(self._newest) else self._stamps > 0
 
-    def estimate(self) -> StatureEstimate:
-        """Return the estimate of now; without any measurement that of the table."""
+    def estimate(self, size: Optional[Tuple[float, float]] = None) -> StatureEstimate:
+        """Return the estimate of now; without any measurement that of the table.
+
+        size: stature as a part of the average one by cues outside the body, and the standard deviation of its
+        logarithm.
+        """
         recent = self._recent()
         logarithms, noise = self._observed(self._distances[recent])
         seen = np.flatnonzero(np.isfinite(logarithms))
@@ -284,11 +289,16 @@ class StatureEstimator:
             gain = np.linalg.solve(covariance[np.ix_(index, index)] + np.diag(variances), covariance[index]).T
             mean = mean + gain @ (logarithms[seen] - mean[index])
             covariance = covariance - gain @ covariance[index]
+        if size is not None:
+            gain = covariance[:, 0] / (covariance[0, 0] + size[1] ** 2)
+            mean = mean + gain * (self._mean[0] + math.log(size[0]) - mean[0])
+            covariance = covariance - np.outer(gain, covariance[0])
         values = np.exp(mean)
         spread = values * np.sqrt(np.maximum(np.diag(covariance), 0.0))
         return StatureEstimate(
             float(values[0]), float(spread[0]), dict(zip(SEGMENTS, values[1:].tolist())),
-            dict(zip(SEGMENTS, spread[1:].tolist())), int(recent.sum()), len(seen))
+            dict(zip(SEGMENTS, spread[1:].tolist())), int(recent.sum()), len(seen),
+            bool(covariance[0, 0] < _KNOWN_VARIANCE * self._covariance[0, 0]))
 
     def _prior(self, systematic: float) -> np.ndarray:
         """Covariance (9, 9) of the logarithms of stature and lengths as a source with this error shows them."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Optional
+from typing import Optional, Tuple
 
 import numpy as np
 
@@ -71,16 +71,17 @@ class PersonDimensions:
         self._due, self._agreeing = -math.inf, 0
         self._allowed = -math.inf if self._settled is None else math.inf
 
-    def update(self, points: np.ndarray, stamp: float, systematic: float = 0.0) -> None:
+    def update(self, points: np.ndarray, stamp: float, systematic: float = 0.0,
+               size: Optional[Tuple[float, float]] = None) -> None:
         """Take the key points (18, 3) m, without outliers and unfiltered, NaN missing, at `stamp` (s).
 
-        systematic: relative error of their source's lengths, see StatureEstimator.add."""
+        systematic: relative error of their source's lengths, see StatureEstimator.add. size: see its `estimate`."""
         self._estimator.add(points, stamp, systematic)
         if stamp < self._due:
             return
         if self._allowed == math.inf:
             self._allowed = stamp + self._wait
-        self.estimate = self._estimator.estimate()
+        self.estimate = self._estimator.estimate(size)
         duration = self._estimator.duration
         if self._settled is None:
             self._due = stamp + _EAGER_S

@@ -108,15 +108,19 @@ _CYLINDER = ('<visual><origin xyz="%.4f %.4f %.4f" rpy="0 %.4f %.4f"/><geometry>
 _SIDES = (("l_", 1.0), ("r_", -1.0))
 
 
-def make_urdf(dimensions: Dimensions, body_id: str, layout: Layout = PAPER, visuals: bool = True) -> str:
+def make_urdf(dimensions: Dimensions, body_id: str, layout: Layout = PAPER, visuals: bool = True,
+              stature_sd: Optional[float] = None) -> str:
     """Make the URDF of a body; every link and joint name ends in `_ID`.
 
+    stature_sd: standard deviation of the stature, m; None: it is the average, or given. It is told in a comment.
     Raises ValueError for an id that does not match `ID_PATTERN`. Takes about half a millisecond.
     """
     if not is_valid_id(body_id):
         raise ValueError("body id {!r} is not legal; it must match {}".format(body_id, ID_PATTERN))
     shapes = body_shapes(dimensions) if visuals else {}
     parts = [_HEADER.format(quoteattr("human_" + body_id))]
+    parts.append("<!-- stature_m: {:.3f} stature_sd_m: {} -->\n".format(
+        dimensions.stature, "unknown" if stature_sd is None else "{:.3f}".format(stature_sd)))
     if visuals:
         parts += [_MATERIAL.format(name, *colour) for name, colour in MATERIALS.items()]
     parts += ['<link name="{}_{}">{}</link>\n'.format(name, body_id, _visual_text(shapes.get(name, ())))

@@ -188,10 +188,13 @@ class BodyTrack:
         self.face_id: Optional[str] = None
         self._expected: Optional[Tuple[float, PoseEstimate]] = None
         self._face_stamp = stamp
+        self._face_centre: Optional[np.ndarray] = None
+        self._face_when_seen: Optional[np.ndarray] = None
         self._anchor_side = FACE_WINDOW_SIZES[0] if anchor is None else anchor
         self._anchored_until = -np.inf if anchor is None else stamp + _ANCHOR_HOLD
         if face is not None:
             self.link(face, stamp)
+            self._face_when_seen = self._face_centre
 
     @property
     def confirmed(self) -> bool:
@@ -205,8 +208,10 @@ class BodyTrack:
 
     def link(self, face: FaceBox, stamp: float) -> None:
         """Note that `face` is this body's own."""
+        if face.id != self.face_id:
+            self._face_when_seen = None
         self.face_id = face.id
-        self._face_stamp = stamp
+        self._face_stamp, self._face_centre = stamp, face.centre
 
     def forget_lost_face(self, stamp: float) -> None:
         """Let go of a face that has not been reported for half a second."""
@@ -238,6 +243,12 @@ class BodyTrack:
             return np.zeros(2)
         return self.motion.predicted_centre(stamp) - self.detection.estimate.centre
 
+    def moved_with_face(self, stamp: float) -> np.ndarray:
+        """The same by the body's own face, where that is seen at `stamp`: for what is shown, not for the search."""
+        if self._face_stamp == stamp and self._face_centre is not None and self._face_when_seen is not None:
+            return self._face_centre - self._face_when_seen
+        return self.moved(stamp)
+
     def expected(self, stamp: float) -> PoseEstimate:
         """The body at `stamp` where its motion takes it; the longer it was not seen the lower the confidence."""
         age = max(0.0, stamp - self.stamp)
@@ -262,6 +273,7 @@ class BodyTrack:
         step = max(0.0, stamp - self.stamp)
         self.returning = not self.visible and step > _SHORT_GAP_S
         self.detection, self.stamp, self._expected = detection, stamp, None
+        self._face_when_seen = self._face_centre if self._face_stamp == stamp else None
         self.described_at = self.described_at if detection.appearance is None else stamp
         self.visible, self.hidden, self.cut, self.inferred_at, self.misses = True, False, False, stamp, 0
         self.motion.update(detection.estimate.centre, detection.estimate.extent, detection.root, stamp,

@@ -1,0 +1,192 @@
+"""The ground plane of a camera whose mounting nobody told: which way is up, and how high it stands, from the people.
+
+A person who stands is an almost vertical line, an upright trunk and a face are so roughly, and the feet of people who
+stand are at one height. These give pitch and roll of the camera as the weighted least squares of small angles, with
+weights that fall for outliers (P. J. Huber, "Robust Estimation of a Location Parameter", 1964). The height follows from
+the average person: with the people at one place it is known better than the size of each of them, so that the
+neighbours tell how tall one is (A. Criminisi, I. Reid, A. Zisserman, "Single View Metrology", IJCV 2000).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Dict, List, Optional, Tuple
+
+import numpy as np
+
+from hri_fullbody.core import keypoints as kp
+from hri_pipeline.core.geometry import Pose
+
+# Pitch and roll (rad) of a camera that is set up for the image to look upright, with standard deviations; those of the
+# line of a person who stands, of the trunk of one who does not, of a face's own up.
+_MOUNTING, _MOUNTING_SD = np.radians([8.0, 0.0]), np.radians([15.0, 4.0])
+_AXIS_SD = {"standing": math.radians(6.0), "trunk": math.radians(11.0), "face": math.radians(14.0)}
+_FADING = math.radians(0.5)     # 1/s: how fast what was seen of a person ages; the camera may turn
+_OLDEST_S = 30.0
+_LEARN_S = 1.0
+_STRAIGHT = math.cos(math.radians(28.0))        # between trunk, thigh and shank of somebody who stands
+_UPRIGHT = math.cos(math.radians(60.0))         # from the image's own up
+_HUBER = 1.5
+_ROUNDS = 4
+_ANKLE_HEIGHT_M = 0.07
+_SIZE_SD = 0.065            # of the logarithm of statures, and of the network's error
+_HEIGHT_NOISE = 0.04
+_HEIGHT_RANGE_M = (0.3, 4.0)
+_MOST_PEOPLE = 30
+
+
+@dataclass
+class _Person:
+    """What was seen of one person: up directions by kind, with stamps, and the ankles (m, optical frame, average
+    size)."""
+
+    stamp: float
+    axes: Dict[str, Tuple[np.ndarray, float]] = field(default_factory=dict)
+    foot: Optional[np.ndarray] = None
+
+
+class GroundPlane:
+    """Up direction and height of one camera, learnt from the bodies; call `add` for each body, then `solve`."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all people."""
+        self._people: Dict[str, _Person] = {}
+        self._heights: Dict[str, Tuple[float, float]] = {}
+        self.up = up_of(*_MOUNTING)
+        """(3,) unit vector against gravity in the optical frame."""
+        self.up_sd = float(_MOUNTING_SD[0])
+        """Standard deviation of the pitch of `up`, rad."""
+
+    def add(self, body_id: str, points: np.ndarray, confidence: np.ndarray, stamp: float,
+            face: Optional[Pose] = None) -> None:
+        """Take a body of average size.
+
+        Parameters
+        ----------
+        points : (18, 3) m in the optical frame, at the average person's size, NaN unknown.
+        confidence : (18,) 0 to 1; guessed legs (below 0.5) say nothing.
+        stamp : s. face : pose of the own face in the optical frame, x out of the face, z to the scalp.
+        """
+        person = self._people.setdefault(body_id, _Person(stamp))
+        weight = 1.0 if not person.axes else 1.0 - math.exp(-max(stamp - person.stamp, 0.0) / _LEARN_S)
+        person.stamp = stamp
+        line, foot = _standing(points, confidence)
+        if line is not None and -line[1] <= _UPRIGHT:
+            line = foot = None      # stretched out on the ground
+        seen = {"standing": line, "trunk": _trunk(points) if line is None else None,
+                "face": None if face is None else face.rotation[:, 2]}
+        for kind, axis in seen.items():
+            if axis is not None and -axis[1] > _UPRIGHT:
+                old = person.axes.get(kind, (axis, stamp))[0]
+                person.axes[kind] = old + weight * (axis - old), stamp
+        if foot is not None:
+            person.foot = foot if person.foot is None else person.foot + weight * (foot - person.foot)
+
+    def solve(self, stamp: float) -> None:
+        """Estimate `up` and the camera's height at `stamp` (s)."""
+        self._people = {name: person for name, person in self._people.items() if stamp - person.stamp < _OLDEST_S}
+        state = _MOUNTING.copy()
+        information = np.diag(_MOUNTING_SD ** -2.0)
+        for _ in range(_ROUNDS):
+            rows = self._axis_rows(stamp) + self._floor_rows(state)
+            information, right = np.diag(_MOUNTING_SD ** -2.0), _MOUNTING * _MOUNTING_SD ** -2.0
+            for gradient, residual, sd in rows:
+                error = abs(residual - float(gradient @ state)) / sd
+                weight = min(1.0, _HUBER / max(error, 1e-9)) / sd ** 2
+                information += weight * np.outer(gradient, gradient)
+                right += weight * residual * gradient
+            state = np.linalg.solve(information, right)
+        self.up = up_of(*state)
+        self.up_sd = math.sqrt(float(np.linalg.inv(information)[0, 0]))
+        self._measure_heights()
+
+    def camera_height(self, body_id: str) -> Optional[Tuple[float, float]]:
+        """Height (m) of the camera above the floor by everybody else, and the sd of its logarithm; None: nobody."""
+        others = np.array([value for name, value in self._heights.items() if name != body_id]).reshape(-1, 2)
+        if not len(others):
+            return None
+        weights = others[:, 1] ** -2.0
+        return math.exp(float(weights @ others[:, 0] / weights.sum())), math.sqrt(1.0 / float(weights.sum()))
+
+    def _axis_rows(self, stamp: float) -> List[Tuple[np.ndarray, float, float]]:
+        """Gradient (2,), value (rad) and sd (rad) of each angle that a person's up direction tells."""
+        rows = []
+        for person in self._people.values():
+            # Who was seen to stand tells it better than the same person's trunk.
+            kinds = [kind for kind in person.axes if kind != "trunk" or "standing" not in person.axes]
+            for axis, seen, sd in ((*person.axes[kind], _AXIS_SD[kind]) for kind in kinds):
+                spread = math.hypot(sd, _FADING * (stamp - seen))
+                x, y, z = (axis / np.linalg.norm(axis)).tolist()
+                rows.append((np.array([1.0, 0.0]), math.atan2(-z, -y), spread))
+                rows.append((np.array([0.0, 1.0]), math.asin(max(-1.0, min(1.0, x))), spread))
+        return rows
+
+    def _floor_rows(self, state: np.ndarray) -> List[Tuple[np.ndarray, float, float]]:
+        """The same of the feet, which are at one height: one row for each person but the last."""
+        feet = [person.foot for person in self._people.values() if person.foot is not None]
+        if len(feet) < 2:
+            return []
+        pitch, roll = state
+        up = up_of(pitch, roll)
+        by_pitch = np.array([0.0, math.cos(roll) * math.sin(pitch), -math.cos(roll) * math.cos(pitch)])
+        by_roll = np.array([math.cos(roll), math.sin(roll) * math.cos(pitch), math.sin(roll) * math.sin(pitch)])
+        middle, rows = np.mean(feet, axis=0), []
+        for foot in feet[:-1]:
+            offset = foot - middle
+            gradient = np.array([float(by_pitch @ offset), float(by_roll @ offset)])
+            sd = math.hypot(_SIZE_SD * abs(float(foot @ up)), 0.05)
+            # Linear about the state: the residual that would be 0 at the right angles.
+            rows.append((gradient, float(gradient @ state) - float(up @ offset), sd))
+        return rows
+
+    def _measure_heights(self) -> None:
+        for name, person in self._people.items():
+            if person.foot is None:
+                continue
+            height = _ANKLE_HEIGHT_M - float(person.foot @ self.up)
+            if _HEIGHT_RANGE_M[0] < height < _HEIGHT_RANGE_M[1]:
+                far = float(np.linalg.norm(person.foot)) * self.up_sd / height
+                self._heights.pop(name, None)
+                self._heights[name] = math.log(height), math.sqrt(_SIZE_SD ** 2 + _HEIGHT_NOISE ** 2 + far ** 2)
+        while len(self._heights) > _MOST_PEOPLE:
+            del self._heights[next(iter(self._heights))]
+
+
+def up_of(pitch: float, roll: float) -> np.ndarray:
+    """Up (3,) in the optical frame of a camera that looks down by `pitch` and is turned by `roll`, rad."""
+    return np.array([math.sin(roll), -math.cos(roll) * math.cos(pitch), -math.cos(roll) * math.sin(pitch)])
+
+
+def _trunk(points: np.ndarray) -> Optional[np.ndarray]:
+    """Direction (3,) from the middle of the hips to the neck, None while it is not known."""
+    return _unit(points[kp.NECK] - 0.5 * (points[kp.LEFT_HIP] + points[kp.RIGHT_HIP]))
+
+
+def _standing(points: np.ndarray, confidence: np.ndarray) -> Tuple[Optional[np.ndarray], Optional[np.ndarray]]:
+    """Up (3,) of a body whose trunk and legs are in one line, from ankles to neck, and the middle of its ankles."""
+    trunk = _trunk(points)
+    if trunk is None:
+        return None, None
+    ankles = []
+    for hip in (kp.LEFT_HIP, kp.RIGHT_HIP):
+        if confidence[hip + 1:hip + 3].min() < 0.5:
+            continue
+        thigh, shank = _unit(points[hip] - points[hip + 1]), _unit(points[hip + 1] - points[hip + 2])
+        if thigh is None or shank is None:
+            continue
+        if min(float(thigh @ trunk), float(shank @ thigh)) < _STRAIGHT:
+            return None, None
+        ankles.append(points[hip + 2])
+    if len(ankles) < 2:
+        return None, None
+    foot = np.mean(ankles, axis=0)
+    return _unit(points[kp.NECK] - foot), foot
+
+
+def _unit(vector: np.ndarray) -> Optional[np.ndarray]:
+    length = float(vector @ vector) ** 0.5
+    return vector / length if length > 1e-6 else None
