@@ -15,7 +15,8 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[2] / "hri_msgs"
 TABLE, RULES = ROOT / "ros2" / "fields.txt", ROOT / "ros2" / "mapping_rules.yaml"
-OWN = {"AgeAndGender", "BodyAttitude", "GazeSenderReceiver", "GazesStamped", "GroupsStamped", "PrivacyNotice"}
+OWN = {"AgeAndGender", "BodyAttitude", "GazeSenderReceiver", "GazesStamped", "GroupsStamped", "Pointing",
+       "PointingStamped", "PrivacyNotice"}
 """Messages that ROS 2 does not have: copies of these definitions are needed there for their topics."""
 
 Fields = Dict[str, str]

@@ -25,7 +25,8 @@ def test_a_stretched_arm_held_still_points_after_half_a_second():
 
 @pytest.mark.parametrize("pose", [
     people.standing(), people.raised("right"), people.crossed(), people.on_face(),
-    people.standing().arm("left", (0.02, 0.02, 0.28), (0.04, 0.03, 0.54))], ids=str)
+    people.standing().arm("left", (0.02, 0.02, 0.28), (0.04, 0.03, 0.54))],
+    ids=["standing", "raised", "crossed", "on_face", "bent"])
 def test_other_arms_do_not_point(pose):
     assert told(pose.seen())[-1] is None
 

@@ -20,6 +20,7 @@ from scipy.optimize import least_squares
 from hri_pipeline.core.geometry import Pose
 
 STEP_S, GAP_S = 0.1, 0.3
+STARTS = 8                  # essential matrices by different draws of points
 FEWEST_POINTS = 30          # that two cameras have to share
 OUTLIER = 0.02              # of a ray, x/z: 15 px of 750; a key point that is so far off is wrong
 EYES_TO_ANKLES = 0.897      # of the stature: eyes at .936, ankles at .039 (D. Winter, Biomechanics, 2009)
@@ -68,13 +69,15 @@ def solve_poses(cameras: Sequence[Rays]) -> CameraPoses:
     if not begins:
         raise CalibrationError("the first camera shares {} points with another one, {} are needed: walk where both "
                                "see you".format(max(shared[1:]), FEWEST_POINTS))
-    # Two cameras that look at each other are a bad beginning, whatever they share.
-    return max((_solved_from(cameras, number) for number in begins), key=lambda found: len(found.points))
+    # Two cameras that look at each other are a bad beginning, whatever they share; and an essential matrix of some
+    # points may lead to poses that fit all points worse than others.
+    return min((_solved_from(cameras, number, start) for number in begins for start in range(STARTS)),
+               key=lambda found: found.residual / len(found.points))
 
 
-def _solved_from(cameras: Sequence[Rays], number: int) -> CameraPoses:
-    """The poses, beginning with the first camera and one of the others."""
-    placed = _first_two(cameras, number)
+def _solved_from(cameras: Sequence[Rays], number: int, start: int) -> CameraPoses:
+    """The poses, beginning with the first camera and one of the others, by the points that `start` draws."""
+    placed = _first_two(cameras, number, start)
     while len(placed) < len(cameras):
         _place_next(cameras, placed)
     chosen = _Bundle(cameras, placed).refined()
@@ -157,11 +160,12 @@ def _shared(one: Rays, other: Rays) -> Tuple[List[Hashable], np.ndarray, np.ndar
         [other[key] for key in keys]).reshape(-1, 2)
 
 
-def _first_two(cameras: Sequence[Rays], number: int) -> Dict[int, np.ndarray]:
+def _first_two(cameras: Sequence[Rays], number: int, start: int) -> Dict[int, np.ndarray]:
     """Poses, 6 numbers each (rotation vector and translation that map the first camera's frame into this one's), of
     the first camera and another one."""
     _, one, other = _shared(cameras[0], cameras[number])
-    cv2.setRNGSeed(0)
+    drawn = np.random.default_rng(start).permutation(len(one))[:max(len(one) // 2, FEWEST_POINTS)]
+    one, other = one[drawn], other[drawn]
     essential, inliers = cv2.findEssentialMat(one, other, np.eye(3), method=cv2.RANSAC, prob=0.9999,
                                               threshold=0.25 * OUTLIER)
     if essential is None or np.shape(essential) != (3, 3):
