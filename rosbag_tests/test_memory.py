@@ -172,8 +172,8 @@ class MemoryTest(unittest.TestCase):
         self.assertEqual(set(mode.values()), {0o600}, mode)
         self.assertEqual(stat.S_IMODE(self.store.parent.stat().st_mode), 0o700)
         content = self.bytes_on_disk()
-        self.assertTrue(person.encode() in content and NAME.encode() in content,
-                        "what is searched for later is there now")
+        self.assertIn(person.encode(), content, "what is searched for later is there now")
+        self.assertNotIn(NAME.encode(), content, "the name is encrypted, too")
 
     def second_run(self, person):
         """Known at the start, the same id when seen; then forgotten."""

@@ -159,7 +159,10 @@ class BodiesTest(unittest.TestCase):
         self.assertIn("models_ms_median", found)
         self.assertEqual(found["robot_state_publishers_restarted"], "0")
         self.assertEqual(found["errors"], "0")
-        self.assertEqual(found["statures_m"].count(" +- "), len(self.tracked.value.ids))
+        told = found["statures_m"].split(", ")
+        self.assertEqual(sorted(one.split()[0] for one in told), sorted(self.tracked.value.ids))
+        for one in told:
+            self.assertRegex(one, r"^\w+ (unknown|\d\.\d\d \+- 0\.\d\d)$")
 
     def test_markers_come_only_while_somebody_listens(self):
         def tracked_by_node():

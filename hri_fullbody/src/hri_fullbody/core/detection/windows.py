@@ -13,8 +13,6 @@ from hri_pipeline.core.geometry import Pose
 
 PERSON_BOX_MARGIN = 1.25
 LANDMARK_MARGIN = 1.25
-BOX_WINDOW_SIZES: Tuple[float, ...] = (1.0, 0.8, 1.15, 1.35)
-"""Factors of a person's window in the order in which they are tried: in company the usual one may show a neighbour."""
 
 # The network tells where the middle of the hips is and how far the body reaches around it.
 CENTRE_LANDMARK, REACH_LANDMARK = 33, 34
@@ -89,11 +87,10 @@ def face_boxes(faces: Iterable[Tuple[str, np.ndarray, Optional[Pose]]]) -> List[
     return found
 
 
-def window_from_person_box(box: np.ndarray, attempt: int = 0) -> Window:
-    """Window for a detected person's box (4,) px, for attempt 0 to 3 of another size."""
+def window_from_person_box(box: np.ndarray) -> Window:
+    """Window for a detected person's box (4,) px."""
     x0, y0, x1, y1 = (float(value) for value in box)
-    return Window(((x0 + x1) / 2.0, (y0 + y1) / 2.0),
-                  BOX_WINDOW_SIZES[attempt] * PERSON_BOX_MARGIN * max(x1 - x0, y1 - y0))
+    return Window(((x0 + x1) / 2.0, (y0 + y1) / 2.0), PERSON_BOX_MARGIN * max(x1 - x0, y1 - y0))
 
 
 def window_from_face(face: FaceBox, side: float) -> Window:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Deque, Dict, Optional, Sequence, Set
+from typing import Deque, Dict, Optional, Sequence
 
 import numpy as np
 
 from hri_fullbody.core.detection.pose_estimator import PoseEstimate, is_sound
 from hri_fullbody.core.detection.windows import (
-    BOX_WINDOW_SIZES,
     FACE_WINDOW_SIZES,
     FaceBox,
     Window,
@@ -34,13 +33,6 @@ class BodyCandidate:
     box: Optional[np.ndarray] = None
     attempt: int = 0
     first: Optional[PoseEstimate] = field(default=None, repr=False)
-    captors: Set[str] = field(default_factory=set)
-    """Ids of the bodies that its windows showed instead: their heads are hidden from then on."""
-
-    @property
-    def retried(self) -> bool:
-        """Whether its first window showed nobody new."""
-        return self.attempt > 0 or bool(self.captors)
 
     def side(self) -> Optional[float]:
         """Side of the face's window of this attempt in face sizes; None for a person's box."""
@@ -51,7 +43,7 @@ class BodyCandidate:
         if self.first is not None:
             return self.first.next_window()
         if self.box is not None:
-            return window_from_person_box(self.box, self.attempt)
+            return window_from_person_box(self.box)
         assert face is not None
         return window_from_face(face, FACE_WINDOW_SIZES[self.attempt])
 
@@ -66,13 +58,9 @@ class BodyCandidate:
             return WindowResult(found=estimate)
         elif face is not None and is_sound(self.first, min_score):
             return WindowResult(found=self.first, anchor=self.side())
-        return self.fail()
-
-    def fail(self) -> "WindowResult":
-        """Go on to the next size of the window, or give up after the last."""
         self.first = None
         self.attempt += 1
-        return WindowResult(failed=self.attempt >= len(BOX_WINDOW_SIZES if self.face_id is None else FACE_WINDOW_SIZES))
+        return WindowResult(failed=self.face_id is None or self.attempt >= len(FACE_WINDOW_SIZES))
 
 
 @dataclass(frozen=True)
@@ -121,11 +109,8 @@ class CandidateQueue:
         return self._queue.popleft() if self._queue else None
 
     def put_back(self, candidate: BodyCandidate) -> None:
-        """Return a candidate that needs another inference: it comes next, a box of which nothing is seen yet last."""
-        if candidate.box is not None and candidate.first is None:
-            self._queue.append(candidate)
-        else:
-            self._queue.appendleft(candidate)
+        """Return a candidate that needs another inference: it comes next."""
+        self._queue.appendleft(candidate)
 
     def give_up(self, face_id: Optional[str], stamp: float) -> None:
         """Let a face rest below which there is no body; None: it was a person's box."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import AbstractSet, Callable, Dict, List, Optional, Sequence, Tuple, cast
+from typing import Callable, Dict, List, Optional, Sequence, Tuple, cast
 
 import numpy as np
 
@@ -45,8 +45,6 @@ _LEAST_INSIDE = 0.25    # of the box of the landmarks that are seen: what lies o
 _FAST = 1.0             # body sizes per second from which a body counts as fast
 _NEWBORN_WEIGHT, _HIDDEN_WEIGHT = 3.0, 0.4
 _UNCERTAIN = 0.9        # score below which a body is uncertain
-# A person's box that a body from a second window must fill, and the part of it from the top where the nose is.
-_LEAST_FILLED, _HEAD_SHARE = 0.5, 0.45
 _OVERDUE = 1.5      # times as long as others lately waited for their inference
 
 
@@ -258,50 +256,18 @@ class BodyTracker:
 
     def _try_candidate(self, candidate: BodyCandidate, image: np.ndarray, stamp: float, face: Optional[FaceBox],
              faces: Sequence[FaceBox]) -> None:
-        estimate = self._infer(image, candidate.window(face), None, face, faces, stamp, candidate.captors)
+        estimate = self._infer(image, candidate.window(face), None, face, faces, stamp)
         if face is None and candidate.first is None and self._returns(image, estimate, stamp, faces):
-            return
-        if self._is_captured(candidate, estimate, stamp, face):
-            candidate.first = None
-            self._candidates.put_back(candidate)
             return
         result = candidate.judge(estimate, face, self._min_score)
         if result.found is not None:
             detection = self._make_detection(image, result.found, None, stamp)
-            if candidate.retried and not self._fills_box(candidate, result.found, stamp):
-                result = candidate.fail()
-            elif (detection is None or self._start_track(detection, stamp, face, result.anchor, faces)
-                  or face is not None):
-                return
-            else:
-                result = candidate.fail()
-        if result.failed:
+            if detection is not None:
+                self._start_track(detection, stamp, face, result.anchor, faces)
+        elif result.failed:
             self._candidates.give_up(candidate.face_id, stamp)
         else:
             self._candidates.put_back(candidate)
-
-    def _fills_box(self, candidate: BodyCandidate, estimate: PoseEstimate, stamp: float) -> bool:
-        """Tell whether a body from another window than the usual one is the person of the box, with a head of its own:
-        with a neighbour's head painted over, the network makes bodies of what is left."""
-        if candidate.box is None:
-            return True
-        x, y = estimate.nose.tolist()
-        x0, y0, x1, y1 = candidate.box.tolist()
-        heads = (track.expected(stamp).head_box().tolist() for track in self.tracks if track.visible)
-        return (covers(estimate, candidate.box, _LEAST_FILLED) and x0 < x < x1 and y0 < y < y0 + _HEAD_SHARE * (y1 - y0)
-                and not any(a < x < c and b < y < d for a, b, c, d in heads))
-
-    def _is_captured(self, candidate: BodyCandidate, estimate: PoseEstimate, stamp: float,
-                     face: Optional[FaceBox]) -> bool:
-        """Note the tracked neighbour that a candidate's window shows; tell whether it is one whose head was in view."""
-        if face is not None and face.distance(estimate.nose) <= NOSE_IN_FACE:
-            return False
-        captor = next((track for track in self.tracks if track.visible and same_body(track.expected(stamp), estimate)),
-                      None)
-        if captor is None or captor.id in candidate.captors or not is_sound(estimate, self._min_score):
-            return False
-        candidate.captors.add(captor.id)
-        return True
 
     def _returns(self, image: np.ndarray, estimate: PoseEstimate, stamp: float, faces: Sequence[FaceBox]) -> bool:
         """Give what a person's box shows at once to the hidden body that it fits; tell whether there is one."""
@@ -320,8 +286,8 @@ class BodyTracker:
         return True
 
     def _start_track(self, detection: PoseDetection, stamp: float, face: Optional[FaceBox], anchor: Optional[float],
-               faces: Sequence[FaceBox]) -> bool:
-        """Start a track with a new detection, or give it to a body lost a moment ago; False when it is neither.
+               faces: Sequence[FaceBox]) -> None:
+        """Start a track with a new detection, or give it to a body lost a moment ago.
 
         face None: it came from a person's box.
         """
@@ -329,11 +295,11 @@ class BodyTracker:
         if face is None:
             face = nearest_face(detection, faces)
             if face is not None and self._owner(face) is not None:
-                return False
+                return
         doubles = [track for track in self.tracks if track.visible
                    and self._is_duplicate(track, detection, stamp, face)]
         if any(face is None or track.face_id is not None for track in doubles):
-            return False
+            return
         lost = [track for track in self.tracks if not track.visible or track in doubles]
         cost = cost_matrix(lost, [detection], stamp, faces)
         best = int(np.argmin(cost[:, 0])) if lost else -1
@@ -347,9 +313,6 @@ class BodyTracker:
         elif len(self.tracks) < self._max_bodies and not doubles:
             life = TrackLife(stamp, self._birth_delay, self._death_time)
             self.tracks.append(BodyTrack(self._new_id(), detection, stamp, life, face, anchor, boxed or None))
-        else:
-            return False
-        return True
 
     @staticmethod
     def _is_duplicate(track: BodyTrack, detection: PoseDetection, stamp: float, face: Optional[FaceBox]) -> bool:
@@ -379,19 +342,18 @@ class BodyTracker:
                    for other in self.tracks if other is not track)
 
     def _infer(self, image: np.ndarray, window: Window, track: Optional[BodyTrack], own: Optional[FaceBox],
-              faces: Sequence[FaceBox], stamp: float, captors: AbstractSet[str] = frozenset()) -> PoseEstimate:
+              faces: Sequence[FaceBox], stamp: float) -> PoseEstimate:
         """Estimate with the neighbours' heads hidden; what was done in a batch is taken from it."""
         self.windows += 1
         prepared = self._prepared.pop(track.id, None) if track is not None else None
         if prepared is not None and prepared[0] == window:
             return prepared[1]
-        one = self._pose_window(window, track, own, faces, stamp, captors)
+        one = self._pose_window(window, track, own, faces, stamp)
         return self._pose.estimate(image, one.window, one.hidden, one.shown)
 
     def _pose_window(self, window: Window, track: Optional[BodyTrack], own: Optional[FaceBox],
-                     faces: Sequence[FaceBox], stamp: float,
-                     captors: AbstractSet[str] = frozenset()) -> PoseWindow:
-        """Hide all faces but the own one, or those known to be others', and the heads of the bodies `captors`.
+                     faces: Sequence[FaceBox], stamp: float) -> PoseWindow:
+        """Hide all faces but the own one, or those known to be others'.
 
         Only where there are no faces at all, or the body was lost, the heads of the other bodies are hidden: they are
         less sure, and with a human's own head hidden the network may make a second body of the trunk.
@@ -403,7 +365,6 @@ class BodyTracker:
             if not faces or (track is not None and not track.visible):
                 hidden += [other.expected(stamp).head_box() for other in self.tracks
                            if other is not track and other.visible]
-        hidden += [other.expected(stamp).head_box() for other in self.tracks if other.id in captors]
         return PoseWindow(window, hidden, None if own is None else own.box)
 
     def _owner(self, face: FaceBox) -> Optional[BodyTrack]:
