@@ -13,7 +13,8 @@ import numpy as np
 import scipy.io
 
 from benchmarks.data_directory import ABSENT, data_directory
-from hri_pipeline.core.interactions.groups import GroupTracker, Individual, find_formations
+from hri_pipeline.core.interactions.formations import find_formations
+from hri_pipeline.core.interactions.groups import GroupTracker, Individual
 from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS, GroupSettings
 from hri_pipeline.score.metrics import group_scores
 

@@ -12,16 +12,15 @@ import pytest
 from benchmarks.data_directory import ABSENT, data_directory
 from benchmarks.groups import group_figures, public_scenes, simulated_scenes, stability, with_noise
 from hri_pipeline.core.ids import is_valid_id
+from hri_pipeline.core.interactions.formations import find_formations, o_spaces
 from hri_pipeline.core.interactions.groups import (
     ROBOT,
     Group,
     GroupTracker,
     Individual,
-    find_formations,
     fuse_directions,
     group_numbers,
     individuals_of,
-    o_spaces,
 )
 from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS, InteractionSettings
 from hri_pipeline.core.interactions.people import GazeTarget, Observer, PeopleSnapshot
