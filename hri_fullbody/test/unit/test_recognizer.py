@@ -245,7 +245,7 @@ def test_who_sits_is_told_under_a_camera_of_unknown_tilt(up_sd, error):
 
 def test_a_crouch_is_told_with_a_sure_vertical_and_not_with_a_vague_one():
     points, told = people.crouching().seen(), {}
-    for up_sd in (0.0, math.radians(5.0), math.radians(12.0)):
+    for up_sd in (0.0, math.radians(5.0), math.radians(9.0)):
         body = BehaviourRecognizer()
         told[up_sd] = [body.update(points, STATURE, index / 15.0, UP, up_sd) for index in range(20)][-1].posture
     assert list(told.values()) == [PostureClass.CROUCHING, PostureClass.CROUCHING, PostureClass.OTHER]
