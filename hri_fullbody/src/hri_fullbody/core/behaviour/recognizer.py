@@ -16,6 +16,7 @@ from hri_fullbody.core.keypoints import LEFT_SHOULDER, NECK, RIGHT_SHOULDER
 
 # After a longer silence everything starts anew.
 MAX_GAP_S = 1.0
+_LEG_HOLD_S = 0.2       # a leg that is not seen for longer is hidden
 _MIN_STATURE_M, _MAX_STATURE_M = 0.4, 2.6
 
 
@@ -72,7 +73,8 @@ class BehaviourRecognizer:
         features = arm_features(points, stature, upwards, axes)
         attitude = self._attitude.update(features, elapsed)
         waving = self._waves.update(features, elapsed)
-        posture = self._posture.update(points, axes, stature, upwards, elapsed, up_sd)
+        posture = self._posture.update(
+            self._hold.without_old(points, stamp, _LEG_HOLD_S), axes, stature, upwards, elapsed, up_sd)
         self._result = BodyBehaviour(
             int(attitude), self._attitude.confidence, int(posture),
             int(gesture_of(attitude, self._attitude.raised, waving)))
@@ -126,3 +128,7 @@ class KeypointHold:
         missing[NECK] = not known[NECK]
         self._offsets[NECK] = 0.0
         return np.where(missing[:, None], origin + self._offsets, points)
+
+    def without_old(self, points: np.ndarray, stamp: float, most: float) -> np.ndarray:
+        """Return filled points (18, 3) m without those that were last seen more than `most` s before `stamp`."""
+        return np.where((stamp - self._seen <= most)[:, None], points, np.nan)
