@@ -276,7 +276,8 @@ class BodyPipeline:
         points = without_guessed_legs(model.points, body.keypoints, *size)
         recognizer = self._recognizers.setdefault(model.id, BehaviourRecognizer())
         behaviour = self._guard.each(
-            "behaviour of a body", lambda one: recognizer.update(points, one.stature, stamp, up, up_sd), [model])
+            "behaviour of a body",
+            lambda one: recognizer.update(points, one.stature, stamp, up, up_sd, body.keypoints[:, 2]), [model])
         self._last_models[model.id] = _LastModel(
             stamp, model, None if body.pose is None else body.pose.translation, behaviour[0] if behaviour else None)
         if body.head is not None:
