@@ -87,7 +87,8 @@ def test_an_action_of_this_page_or_of_a_program_is_taken() -> None:
 
 
 @pytest.mark.parametrize("address, local", [("127.0.0.1", True), ("127.1.2.3", True), ("::1", True),
-                                            ("localhost", True), ("0.0.0.0", False), ("::", False), ("192.168.1.7", False)])
+                                            ("localhost", True), ("0.0.0.0", False), ("::", False),
+                                            ("192.168.1.7", False)])
 def test_which_addresses_reach_this_machine_only(address: str, local: bool) -> None:
     assert is_local(address) is local
 

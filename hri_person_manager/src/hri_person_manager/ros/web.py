@@ -2,8 +2,8 @@
 
 Threads: tornado's loop in one, which alone touches connections; rospy's callbacks make the pictures; one thread looks
 at the people while somebody has the page open; each service call has one of its own, so that a node which does not
-answer holds up nobody else. They hand their results to the loop. A browser gets the next picture when it has shown the last
-one: a slow one gets fewer, and nobody waits for it.
+answer holds up nobody else. They hand their results to the loop. A browser gets the next picture when it has shown the
+last one: a slow one gets fewer, and nobody waits for it.
 """
 
 from __future__ import annotations
