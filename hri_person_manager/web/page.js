@@ -186,11 +186,7 @@ function download(id, data) {
 async function showNotice() {
   put($("notice-text"), "asking the nodes …");
   $("notice").showModal();
-  try {
-    put($("notice-text"), (await (await fetch("/privacy")).json()).message);
-  } catch (error) {
-    put($("notice-text"), "the robot does not answer");
-  }
+  put($("notice-text"), (await send({ command: "privacy" })).message);
 }
 
 // --- the map: forward is up, left is left; metres -----------------------------------------------

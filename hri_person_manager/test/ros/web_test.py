@@ -209,9 +209,9 @@ class WebTest(unittest.TestCase):
                                  if one["id"] == "ann"), WAIT_S, "her name is forgotten")
 
     def test_the_privacy_notice_is_that_of_the_nodes(self):
-        status, _, text = ask(self.page, "/privacy")
+        status, answer = act(self.page, command="privacy")
         self.assertEqual(status, 200)
-        self.assertIn("/hri_interactions computes: who looks at whom, groups", json.loads(text)["message"])
+        self.assertIn("/hri_interactions computes: who looks at whom, groups", answer["message"])
 
     def test_a_browser_that_does_not_read_holds_up_nobody(self):
         self.camera.show(np.random.default_rng(1).integers(0, 255, (480, 640, 3), np.uint8))
@@ -257,7 +257,7 @@ class WebTest(unittest.TestCase):
         said = wait_for(lambda: re.findall(r"\?token=(\S+)", page.text), WAIT_S, "the token")
         self.assertEqual(len(said), 1)
         token = said[0]
-        for path, headers in (("/", {}), ("/page.js", {}), ("/privacy", {}), ("/?token=x" + token, {}),
+        for path, headers in (("/", {}), ("/page.js", {}), ("/nothing", {}), ("/?token=x" + token, {}),
                               ("/", {"Cookie": "ros4hri_{}=x{}".format(page.port, token)})):
             status, _, text = ask(page, path, **headers)
             self.assertEqual(status, 403, path)

@@ -25,8 +25,9 @@ ACTION_HEADER = "X-Ros4hri"
 (Fetch standard, CORS preflight)."""
 CONTENT_POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
                   "base-uri 'none'; form-action 'none'; frame-ancestors 'none'")
-COMMANDS = ("list", "name", "enrol", "enrol-new", "forget", "export")
-_OF_ONE = COMMANDS[1:]
+LOOKING = ("list", "privacy")
+_OF_ONE = ("name", "enrol", "enrol-new", "forget", "export")
+COMMANDS = LOOKING + _OF_ONE
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(?::[0-9]{1,5})?")
 
 

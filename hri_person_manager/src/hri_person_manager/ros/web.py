@@ -32,6 +32,7 @@ from hri_person_manager.core.display import CameraStatus
 from hri_person_manager.core.web import (
     ACTION_HEADER,
     CONTENT_POLICY,
+    LOOKING,
     Access,
     Action,
     PersonOnPage,
@@ -255,7 +256,7 @@ class WebNode:
 
     async def carry_out(self, action: Action) -> Dict[str, Any]:
         """Return the answer of the person manager. Raises RequestError."""
-        if not self.settings.actions and action.command != "list":
+        if not self.settings.actions and action.command not in LOOKING:
             raise RequestError(403, "this page is for looking only (~actions is false)")
         name = self.settings.person_manager
         try:
@@ -264,12 +265,6 @@ class WebNode:
             raise RequestError(503, "{} does not answer: {}".format(name, error)) from error
         except asyncio.TimeoutError as error:
             raise RequestError(504, "{}: no answer within {:g} s".format(name, ANSWER_S)) from error
-
-    async def privacy(self) -> Dict[str, Any]:
-        """Return what the nodes say that they compute and keep of people."""
-        uses = await self._in_thread(lambda: collect(PRIVACY_S))
-        return {"success": bool(uses), "message": notice(uses) if uses else
-                "No node has said on /humans/privacy what it does."}
 
     def _in_thread(self, call: Callable[[], Any]) -> Awaitable[Any]:
         """Run a call in a thread of its own, for ANSWER_S at most. For the loop only."""
@@ -307,7 +302,7 @@ class WebNode:
         asyncio.set_event_loop(asyncio.new_event_loop())
         loop = IOLoop.current()
         routes = [(path, FileHandler) for path in _FILES] + [
-            ("/people", PeopleHandler), ("/privacy", PrivacyHandler), ("/live", LiveHandler)]
+            ("/people", PeopleHandler), ("/live", LiveHandler)]
         server = HTTPServer(Application([(path, handler, {"node": self}) for path, handler in routes],
                                         default_handler_class=NothingHandler, default_handler_args={"node": self},
                                         log_function=lambda handler: None, websocket_ping_interval=_PING_S,
@@ -456,17 +451,6 @@ class PeopleHandler(_Handler):
             raise HTTPError(error.status) from error
 
 
-class PrivacyHandler(_Handler):
-    """The privacy notice."""
-
-    async def get(self) -> None:
-        """Send it."""
-        try:
-            self.finish(await self.node.privacy())
-        except RequestError as error:
-            raise HTTPError(error.status) from error
-
-
 class LiveHandler(_Handler, WebSocketHandler):
     """The stream to one browser: what page_state makes as text, pictures as binary messages.
 
@@ -539,7 +523,11 @@ async def _end_tasks() -> None:
 
 
 def _ask(node: str, action: Action) -> Dict[str, Any]:
-    """Call the service of the person manager and return its answer as JSON data."""
+    """Ask the person manager, or all nodes for their privacy notices, and return the answer as JSON data."""
+    if action.command == "privacy":
+        uses = collect(PRIVACY_S)
+        return {"success": bool(uses), "message": notice(uses) if uses else
+                "No node has said on /humans/privacy what it does."}
     if action.command == "list":
         known = service(node, "list_known", ListKnown)()
         return {"success": True, "known": known_data(known.ids, known.names, known.anonymous, known.enrolled,

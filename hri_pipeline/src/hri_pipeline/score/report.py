@@ -172,7 +172,8 @@ def _x(record: Record, when: float) -> float:
 
 
 def _svg(width: float, height: float, content: str) -> str:
-    return "<svg viewBox='0 0 {0:.0f} {1:.0f}' style='max-width:{0:.0f}px'>{2}</svg>".format(width, height, content)
+    return ("<div class='wide'><svg viewBox='0 0 {0:.0f} {1:.0f}' style='min-width:{2:.0f}px;max-width:{0:.0f}px'>{3}"
+            "</svg></div>").format(width, height, 0.7 * width, content)
 
 
 def _axis(record: Record, height: float) -> str:
