@@ -25,7 +25,16 @@ from tornado.ioloop import IOLoop
 from tornado.websocket import websocket_connect
 
 from hri_msgs.msg import IdsList
-from hri_pipeline.testing import Browser, Camera, HeardProcess, Latest, photograph, wait_for
+from hri_pipeline.testing import (
+    Browser,
+    Camera,
+    HeardProcess,
+    Latest,
+    held_by,
+    photograph,
+    pid_of,
+    wait_for,
+)
 
 WAIT_S = 30.0
 CAMERA = "camera_color_optical_frame"
@@ -133,8 +142,8 @@ class WebTest(unittest.TestCase):
         self.addCleanup(page.kill)
         return page
 
-    def looking(self):
-        return any("/hri_web" in nodes for topic, nodes in rosgraph.Master("/test").getSystemState()[1]
+    def looking(self, node="/hri_web"):
+        return any(node in nodes for topic, nodes in rosgraph.Master("/test").getSystemState()[1]
                    if topic == OVERLAY)
 
     def test_the_page_comes_with_all_it_needs_and_allows_nothing_else(self):
@@ -243,6 +252,32 @@ class WebTest(unittest.TestCase):
         wait_for(self.looking, WAIT_S, "it is wanted again")
         stream.close()
         wait_for(lambda: not self.looking(), WAIT_S, "nobody looks any more")
+
+    def test_browsers_that_come_and_go_leave_nothing(self):
+        page = self.started(name="hri_web_many").wait()
+
+        def visit():
+            streams = [Stream(page) for _ in range(5)]
+            for stream in streams:
+                self.assertTrue(stream.read(WAIT_S, lambda self: self.states and self.states[-1]["people"]))
+                self.assertEqual(ask(page)[0], 200)
+            for stream in streams:
+                stream.close()
+
+        def rested():
+            wait_for(lambda: not self.looking("/hri_web_many"), WAIT_S, "nobody looks any more")
+            return held_by(pid_of("/hri_web_many"))
+
+        visit()
+        before = rested()
+        for _ in range(4):
+            visit()
+
+        def as_before():
+            now = rested()
+            return now.descriptors <= before.descriptors + 2 and now.threads <= before.threads + 1
+
+        wait_for(as_before, WAIT_S, lambda: "{} after {}".format(rested(), before), period=0.5)
 
     def test_too_many_browsers_are_refused(self):
         page = self.started("_max_browsers:=2", name="hri_web_two").wait()
