@@ -27,6 +27,7 @@ STEP_S, TICK_S = 0.02, 0.1
 SETTLED_S = 3.0
 SCENE_S = 40.0
 NAMED_AFTER_S = 1.5         # of a face that is seen
+CLOTHES_AFTER_S = 1.0       # of a body
 _KINDS = {"face": (Kind.FACE, PlaceSource.FACE), "body": (Kind.BODY, PlaceSource.HEAD)}
 
 
@@ -43,6 +44,7 @@ class Watch:
         self._camera: Dict[MatchNode, str] = {}
         self._since: Dict[MatchNode, float] = {}
         self._matched: Set[Tuple[MatchNode, MatchNode]] = set()
+        self._dressed: Set[MatchNode] = set()
         self._next_tick = 0.0
         self.counts: CounterType[str] = Counter()
         self.errors: List[float] = []
@@ -65,6 +67,7 @@ class Watch:
             if self.now >= self._next_tick:
                 self._next_tick = self.now + TICK_S
                 self._say_matches()
+                self._say_clothes()
                 self.manager.tick(self.now)
                 on_tick()
 
@@ -102,6 +105,13 @@ class Watch:
                 if other is not None and (face, other) not in self._matched:
                     self._matched.add((face, other))
                     self.manager.on_match(CandidateMatch(face, other, likelihood), self.now)
+
+    def _say_clothes(self) -> None:
+        for node in self.features():
+            if node.kind == Kind.BODY and node not in self._dressed and (
+                    self.now - self._since[node] >= CLOTHES_AFTER_S):
+                self._dressed.add(node)
+                self.manager.on_appearance(node.id, self.room.clothes(self._camera[node], self.human[node]))
 
     def camera_of(self, node: MatchNode) -> str:
         """Name of the camera that sees a track."""

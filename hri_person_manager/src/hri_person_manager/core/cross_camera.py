@@ -17,15 +17,16 @@ from scipy.optimize import linear_sum_assignment
 
 from hri_person_manager.core.features import MatchNode
 from hri_person_manager.core.triangulation import (
+    CHANGED,
     FRESH_S,
     SETTLING_S,
     WALK_S,
     WINDOW_S,
     Estimate,
-    Walk,
     fuse,
     ray_covariance,
     squared_distances,
+    walk_evidence,
 )
 from hri_person_manager.core.view_groups import (
     FIXED_VARIANCE,
@@ -39,6 +40,7 @@ from hri_person_manager.core.view_groups import (
     View,
     ViewGroup,
     ViewGroups,
+    clothes_evidence,
     fuse_views,
     is_doubted,
 )
@@ -53,17 +55,16 @@ UNPAIRED = 20.0            # squared distance that stands for two views that are
 REFINED = (2.0, 100.0)     # squared distances that are reckoned again
 SLOWER = 3.0               # beyond the gate, up to the loose one, so many times as long
 PARTING = 2.0              # a human is parted beyond so many times the gate, after so many times the time, of joining
-SOONER = 0.3               # of the time, for a human whom the same sensor has just lost, or who has the same name
+SOONER = 0.3               # of the time, for a human whom the same sensor has just lost, or of the same name or clothes
+ALIKE_CLOTHES = 1.5        # logarithm of the likelihood ratio of these
 RETURN_S = 3.0             # s after which a sensor has lost somebody for good
 ALIKE_MPS = 0.8            # difference of two measured velocities of one human
 HOLD_S = 15.0              # s for which a view is held at most
 NAME_ALIKE = -6.0          # squared distance that a common name is worth
 SAME_MOMENT_S = 0.1        # two places of one image, or of two that follow each other
 NEW_S = 2.0                # so long a view counts as new
-HANDOVER_GATE = 2.1        # Mahalanobis distance, place and velocity
-CHANGE_MPS = 0.2           # deviation of how a velocity changes out of sight
-CHANGED = 3.0              # squared distance that a change of pace before the loss is worth
-HANDOVER_HEIGHT_M = 0.03   # deviation of the height of a head that walks
+HANDOVER_EVIDENCE = 1.9    # logarithm of the likelihood ratio from which a new view is a lost human,
+HANDOVER_COST = 4.0        # and from which the squared distance of the two, twice what lacks of it, is 0
 LOOKING_S = 1.5            # a new view is looked at for so long before it is taken for a lost human
 
 
@@ -115,6 +116,12 @@ class CrossCamera:
             return
         track.add(source, position, covariance, origin, stamp)
         self._newest = max(self._newest, stamp)
+
+    def add_appearance(self, body: MatchNode, appearance: np.ndarray) -> None:
+        """Take the colours (5, B) of the clothes of a body that has been placed."""
+        track = self._groups.tracks.get(body)
+        if track is not None:
+            track.appearance = appearance
 
     def fused(self, feature: MatchNode, stamp: float) -> Optional[Estimate]:
         """Where the human of a feature is at `stamp` (s) by all who see it; None where one sensor does, or none."""
@@ -260,7 +267,8 @@ class CrossCamera:
             return False
         returns = any(view.began - RETURN_S <= b.seen.get(view.sensor, -math.inf) < view.began + OVERLAP_S
                       for a, b in ((one, other), (other, one)) for view in a.views)
-        sooner = SOONER if returns or one.names & other.names else 1.0
+        sooner = SOONER if returns or one.names & other.names or (
+            clothes_evidence(one.tracks, other.tracks) >= ALIKE_CLOTHES) else 1.0
         return (state.near and state.stamp - state.since >= sooner * self._time
                 or state.stamp - state.likely_since >= SLOWER * self._time)
 
@@ -287,7 +295,7 @@ class CrossCamera:
                     square = _refined(places[row], places[column], views[row], views[column])
                 if one.names & other.names:
                     square /= PARTING ** 2
-                square += _name_bonus(one, other)
+                square += _name_bonus(one, other) - 2.0 * min(0.0, clothes_evidence(one.tracks, other.tracks))
                 costs[pair] = self._smooth(self._groups.near, pair, square, stamp, GATE ** 2).square
         costs.update(self._costs_of_lost(seen))
         return costs
@@ -307,7 +315,7 @@ class CrossCamera:
                     continue
                 pair = frozenset((before.number, human.number))
                 costs[pair] = found[0] + _name_bonus(before, human)
-                if found[0] <= HANDOVER_GATE ** 2:
+                if found[0] <= 2.0 * (HANDOVER_COST - HANDOVER_EVIDENCE):
                     near.append(before)
                 if found[1]:
                     self._returned.add(pair)
@@ -361,19 +369,19 @@ class CrossCamera:
                 unclear.add(pair)
 
     def _jump(self, lost: ViewGroup, human: ViewGroup) -> Optional[Tuple[float, bool]]:
-        """Squared distance of how a new human came up from how a lost one must, and whether it is known well enough
-        that they are one; None if out of the question."""
+        """Cost of a new human as a lost one, and whether it is known well enough that they are one; None if out of
+        the question."""
         if lost.lost is None:
             return None
         view = min(human.views, key=lambda item: item.began)
         away = view.began - lost.lost.stamp
         if not -FRESH_S <= away <= max(self._handover, FRESH_S) or view.ended - view.began > NEW_S:
             return None
-        square = _way_squared(lost.lost, view)
-        known = (square <= HANDOVER_GATE ** 2 and view.ended - view.began >= LOOKING_S
+        evidence = _hand_off_evidence(lost.lost, view)
+        known = (evidence >= HANDOVER_EVIDENCE and view.ended - view.began >= LOOKING_S
                  and 0.0 < self._handover and -SETTLING_S <= away <= self._handover
                  and view.sensor not in lost.lost.sensors and len(human.persons) <= 1)
-        return square, known
+        return 2.0 * (HANDOVER_COST - evidence), known
 
     def _learn_scales(self, live: List[View]) -> None:
         """Learn by how much the distance of each view is wrong, where the rays of several cross."""
@@ -425,25 +433,16 @@ def _name_bonus(one: ViewGroup, other: ViewGroup) -> float:
     return NAME_ALIKE if one.names & other.names else 0.0
 
 
-def _way_squared(lost: LostSight, view: View) -> float:
-    """Squared distance of how somebody new came up from how a lost human must: place and velocity, by what is of one
-    kind, a body rather than a face, as these are not wrong by the same. He walks on as he did for the last seconds."""
+def _hand_off_evidence(lost: LostSight, view: View) -> float:
+    """Logarithm of the likelihood ratio of a lost human and somebody new, against somebody else: place and velocity, by
+    what is of one kind, a body rather than a face, as these are not wrong by the same; and clothes. He walks on as he
+    did for the last seconds."""
     before, after = max(((old, new) for old in lost.tracks for new in view.tracks.values()),
                         key=lambda pair: (pair[0].source == pair[1].source, pair[1].source, pair[1].length))
-    return min(_walk_squared(before.walk(begins=False, seconds=seconds), after.walk(begins=True), lost.place) + penalty
-               for seconds, penalty in ((WALK_S, 0.0), (WINDOW_S, CHANGED)))
-
-
-def _walk_squared(old: Walk, new: Walk, place: Optional[Estimate]) -> float:
-    """Squared distance of a walk from how another one goes on; place: where several sensors saw the end of that."""
-    away = new.stamp - old.stamp
-    position, covariance = place[::2] if place is not None else (old.position, old.covariance)
-    offset, changed = new.position - position - away * old.velocity, (new.velocity - old.velocity)[:2]
-    spread = (CHANGE_MPS * away) ** 2
-    of_place = covariance + away ** 2 * old.velocity_covariance + new.covariance + np.diag(
-        [spread, spread, HANDOVER_HEIGHT_M ** 2])
-    of_change = (old.velocity_covariance + new.velocity_covariance)[:2, :2] + CHANGE_MPS ** 2 * np.eye(2)
-    return float(offset @ np.linalg.solve(of_place, offset) + changed @ np.linalg.solve(of_change, changed))
+    new = after.walk(begins=True)
+    walked = max(walk_evidence(before.walk(begins=False, seconds=seconds), new, lost.place) - penalty
+                 for seconds, penalty in ((WALK_S, 0.0), (WINDOW_S, CHANGED)))
+    return walked + clothes_evidence(lost.tracks, view.tracks.values())
 
 
 def _refined(one: Estimate, other: Estimate, views: List[View], others: List[View]) -> float:

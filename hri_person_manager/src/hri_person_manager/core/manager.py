@@ -267,6 +267,14 @@ class PersonManager:
         self._framed.add(person.id)
         return person.id
 
+    def on_appearance(self, body_id: str, appearance: np.ndarray) -> None:
+        """Take the histograms (P, B) of the clothes of a body, to compare it across cameras. ValueError for numbers
+        that are none."""
+        if appearance.ndim != 2 or not (np.isfinite(appearance).all() and appearance.min(initial=0.0) >= 0.0):
+            raise ValueError("the appearance of {} is no table of histograms".format(body_id))
+        if self._settings.cross_camera:
+            self._cameras.add_appearance(MatchNode(Kind.BODY, body_id), appearance)
+
     def place(self, person_id: str) -> Optional[Place]:
         """Return where a person was seen last, in the reference frame; None where nobody has."""
         return self._table.persons[person_id].location.place

@@ -16,6 +16,7 @@ import numpy as np
 
 ALONG = 0.12               # standard deviation along the ray, share of the distance,
 ACROSS = 0.02              # and across
+OF_PERSON = 0.44           # share of the variance along the ray that is the person's size, wrong for all cameras
 WINDOW_S = 0.8             # of places that tell a velocity,
 MOMENT_S = 0.15            # and, before and after, of those that tell a position
 REST_S = 2.0               # of those that tell where somebody stands
@@ -28,6 +29,11 @@ FRESH_S = 0.5              # who was seen so long ago is seen now
 VOICE_RAD = 0.14           # error of the direction of a voice (standard deviation)
 VOICE_M, VOICE_SPREAD_M = 2.0, 1.0     # mean distance of who talks, and its standard deviation: 0.5 to 4 m
 AWAY_MPS, AWAY_S = 0.5, 1.0     # speed of who is out of sight, per axis, and for how long it goes one way
+CHANGE_MPS = 0.2           # deviation of how a velocity changes out of sight
+CHANGED = 1.5              # log-likelihood that a change of pace before the loss costs
+HEIGHT_M = 0.03            # deviation of the height of a head that walks
+# Deviations of where, and how fast, somebody else comes up instead: place, height and velocity.
+OTHER_M, OTHER_HEIGHT_M, OTHER_MPS = 1.2, 0.25, 0.6
 CHI_SQUARE_95 = 5.991      # of two degrees of freedom: the square of the Mahalanobis distance that 95 % keep
 _EYE = np.eye(3)
 _CAPACITY = 128            # places for which there is room at first
@@ -45,7 +51,8 @@ class Walk(NamedTuple):
     """A straight line through the places of some seconds.
 
     stamp: s, of `position` (3,) m, at one of its ends; covariance (3, 3) m^2 of that. velocity: (3,) m/s,
-    velocity_covariance: (3, 3) (m/s)^2.
+    velocity_covariance: (3, 3) (m/s)^2. shared: (3,) m, the part of the error of the position that another camera
+    would have along its own ray.
     """
 
     stamp: float
@@ -53,6 +60,7 @@ class Walk(NamedTuple):
     covariance: np.ndarray
     velocity: np.ndarray
     velocity_covariance: np.ndarray
+    shared: np.ndarray
 
 
 def ray_covariance(position: np.ndarray, origin: np.ndarray, along: float = ALONG, across: float = ACROSS,
@@ -137,14 +145,39 @@ def squared_distances(positions: np.ndarray, covariances: np.ndarray) -> np.ndar
     return np.einsum("abi,abi->ab", apart, np.linalg.solve(both, apart[..., None])[..., 0])
 
 
+def walk_evidence(old: Walk, new: Walk, place: Optional[Estimate] = None) -> float:
+    """Return the logarithm of the likelihood ratio of a walk that goes on from another one, against somebody else's who
+    comes up near there; place: where several sensors saw the end of the old one."""
+    away = new.stamp - old.stamp
+    position, covariance, shared = old.position, old.covariance, old.shared
+    if place is not None:
+        position, covariance, shared = place.position, place.covariance, np.zeros(3)
+    spread = (CHANGE_MPS * away) ** 2
+    both = np.outer(shared, new.shared)
+    of_place = covariance + away ** 2 * old.velocity_covariance + new.covariance - both - both.T + np.diag(
+        [spread, spread, HEIGHT_M ** 2])
+    of_change = (old.velocity_covariance + new.velocity_covariance)[:2, :2] + CHANGE_MPS ** 2 * np.eye(2)
+    other = of_place + np.diag([OTHER_M ** 2, OTHER_M ** 2, OTHER_HEIGHT_M ** 2])
+    offset, changed = new.position - position - away * old.velocity, (new.velocity - old.velocity)[:2]
+    return (_log_normal(offset, of_place) + _log_normal(changed, of_change) - _log_normal(offset, other)
+            - _log_normal(changed, of_change + OTHER_MPS ** 2 * np.eye(2)))
+
+
+def _log_normal(offset: np.ndarray, covariance: np.ndarray) -> float:
+    """Logarithm of the density of a normal distribution, but for a constant."""
+    return -0.5 * float(offset @ np.linalg.solve(covariance, offset) + np.linalg.slogdet(covariance)[1])
+
+
 class SensorTrack:
     """Places of one feature as one sensor tells them; stamps in s, places in m in the reference frame.
 
-    began, ended: stamps of the first and the last place of the present stretch, which has no gap.
+    began, ended: stamps of the first and the last place of the present stretch, which has no gap. appearance: (5, B),
+    the colours of the clothes, see `tracks.appearance_distance`; None where they are not known.
     """
 
     def __init__(self, sensor: str) -> None:
         self.sensor = sensor
+        self.appearance: Optional[np.ndarray] = None
         self._reset()
 
     def _reset(self) -> None:
@@ -227,8 +260,18 @@ class SensorTrack:
         at_end = times <= times[0] + 2.0 * MOMENT_S if begins else times >= times[-1] - 2.0 * MOMENT_S
         offset, span = times - times.mean(), max(float(times[-1] - times[0]), SHORTEST_S)
         velocity = offset @ places / max(float(offset @ offset), 1e-6)
-        return Walk(float(times[at_end].mean()), places[at_end].mean(axis=0), self.covariance, velocity,
-                    (WALK_DRIFT / span) ** 2 * self.covariance)
+        position = places[at_end].mean(axis=0)
+        return Walk(float(times[at_end].mean()), position, self.covariance, velocity,
+                    (WALK_DRIFT / span) ** 2 * self.covariance, self.shared_error(position))
+
+    def shared_error(self, position: np.ndarray) -> np.ndarray:
+        """The part of the error of a place (3,) m that other cameras have, too, each along its ray, (3,) m."""
+        if self.origin is None:
+            return np.zeros(3)
+        ray = position - self.origin
+        unit = ray / max(math.sqrt(ray @ ray), 1e-6)
+        shared: np.ndarray = math.sqrt(OF_PERSON * max(unit @ self.covariance @ unit, 0.0)) * unit
+        return shared
 
     @property
     def velocity(self) -> np.ndarray:
