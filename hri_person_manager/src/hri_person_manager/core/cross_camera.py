@@ -50,6 +50,7 @@ GATE = 1.7                 # Mahalanobis distance up to which two places are one
 LOOSE_GATE = 4.0           # and up to which a view may be somebody who is known
 STAYS = 1.5                # a pair that was near stays so up to so many times the squared distance
 CLEARER_BY = 10.0          # squared distance by which every other pairing has to be worse
+LIKELIER_BY = 3.0          # the same, of a pair that is placed together, but not told
 LIKELY = 8.0               # squared distance up to which two may be one
 UNPAIRED = 20.0            # squared distance that stands for two views that are nobody's else
 REFINED = (2.0, 100.0)     # squared distances that are reckoned again
@@ -134,7 +135,8 @@ class CrossCamera:
                 view.best is not self._groups.tracks.get(feature)):
             # Nothing new: a body of which the face is there, a frame of the hips of which the head is there.
             return last[1]._replace(position=last[1].position + (stamp - last[0]) * last[1].velocity)
-        views = [other for other in human.views if abs(stamp - other.ended) <= FRESH_S]
+        views = [other for other in [*human.views, *self._groups.likely.get(human.number, ())]
+                 if abs(stamp - other.ended) <= FRESH_S]
         if not human.scales and len({other.sensor for other in views}) < 2:
             human.fused = None
             return None
@@ -243,12 +245,19 @@ class CrossCamera:
         seen = [human for human in self._groups.all.values() if any(view in live for view in human.views)]
         costs = self._costs(seen, live)
         self._groups.explained.clear()
-        for pair, _ in sorted(self._pair_up(seen, live, costs).items(), key=lambda item: item[1]):
+        self._groups.likely.clear()
+        margins = self._pair_up(seen, live, costs)
+        for pair in sorted(margins, key=costs.__getitem__):
             if not pair <= self._groups.all.keys():
                 continue
             one, other = (self._groups.all[number] for number in sorted(pair))
-            if self._groups.may_be_one(one, other) and self._is_ripe(pair, one, other, live):
+            clear = margins[pair] >= CLEARER_BY and not self._has_rival(pair, seen, costs)
+            if clear and self._groups.may_be_one(one, other) and self._is_ripe(pair, one, other, live):
                 self._groups.unite(one, other)
+            elif margins[pair] >= LIKELIER_BY and costs[pair] <= LIKELY and one.views and other.views:
+                # Not sure enough, or not for long enough, to be told, but a better place than that of one of them.
+                for human, more in ((one, other), (other, one)):
+                    self._groups.likely.setdefault(human.number, []).extend(more.views)
 
     def _come_back_by_name(self) -> None:
         """Let a lost human go on whose person somebody is again."""
@@ -322,19 +331,17 @@ class CrossCamera:
         return costs
 
     def _pair_up(self, seen: List[ViewGroup], live: List[View], costs: Mapping[Pair, float]) -> Dict[Pair, float]:
-        """Pair up whom one sensor sees with whom another one sees, or who is lost; returns the clear pairs and their
-        costs."""
-        clear: Dict[Pair, float] = {}
-        unclear: Set[Pair] = set()
+        """Pair up whom one sensor sees with whom another one sees, or who is lost; returns for each pair by how much
+        every other way to do so is worse, as a squared distance."""
+        margins: Dict[Pair, float] = {}
         lost = [human for human in self._groups.all.values() if not human.views]
         sensors = sorted({view.sensor for view in live})
         for sensor, other in itertools.permutations([*sensors, ""], 2):
             rows = [human for human in seen if other in human.sensors and sensor not in human.sensors] + lost
             columns = [human for human in seen if sensor in human.sensors and other not in human.sensors]
             if rows and columns:
-                self._assign(rows, columns, costs, clear, unclear)
-        return {pair: cost for pair, cost in clear.items()
-                if pair not in unclear and not self._has_rival(pair, seen, costs)}
+                self._assign(rows, columns, costs, margins)
+        return margins
 
     def _has_rival(self, pair: Pair, seen: List[ViewGroup], costs: Mapping[Pair, float]) -> bool:
         """Tell whether one of a pair might as well be somebody else whom yet another sensor sees."""
@@ -349,24 +356,21 @@ class CrossCamera:
                     return True
         return False
 
-    def _assign(self, rows: List[ViewGroup], columns: List[ViewGroup],
-                costs: Mapping[Pair, float], clear: Dict[Pair, float],
-                unclear: Set[Pair]) -> None:
+    def _assign(self, rows: List[ViewGroup], columns: List[ViewGroup], costs: Mapping[Pair, float],
+                margins: Dict[Pair, float]) -> None:
         table = np.array([[costs.get(frozenset((row.number, column.number)), math.inf) for column in columns]
                           for row in rows])
         best, pairs = _least(table)
-        unclear.update(frozenset((rows[row].number, columns[column].number))
-                       for row, column in zip(*np.nonzero(np.isfinite(table))) if (row, column) not in pairs)
+        for row, column in zip(*np.nonzero(np.isfinite(table))):
+            if (row, column) not in pairs:
+                margins[frozenset((rows[row].number, columns[column].number))] = 0.0
         for row, column in pairs:
             pair = frozenset((rows[row].number, columns[column].number))
             self._groups.explained.setdefault(rows[row].number, set()).add(columns[column].number)
             self._groups.explained.setdefault(columns[column].number, set()).add(rows[row].number)
             without = table.copy()
             without[row, column] = math.inf
-            if _least(without)[0] - best >= CLEARER_BY:
-                clear[pair] = float(table[row, column])
-            else:
-                unclear.add(pair)
+            margins[pair] = min(margins.get(pair, math.inf), _least(without)[0] - best)
 
     def _jump(self, lost: ViewGroup, human: ViewGroup) -> Optional[Tuple[float, bool]]:
         """Cost of a new human as a lost one, and whether it is known well enough that they are one; None if out of

@@ -179,7 +179,8 @@ class ViewGroups:
     tracks: of each feature. view_of: by feature. group_of: by number of the view. all: by number of the group; one
     without a view is somebody whom all have lost. near, apart: how near pairs of groups are, and views to the rest of
     their group. two: pairs of groups that are two humans. parted: pairs of persons that a user has parted. kept: links
-    of groups that are gone. explained: groups that each group may be.
+    of groups that are gone. explained: groups that each group may be. likely: views that are most likely of a group,
+    too.
     """
 
     def __init__(self) -> None:
@@ -195,6 +196,7 @@ class ViewGroups:
         self.kept: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
         self.parted: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
         self.explained: Dict[int, Set[int]] = {}
+        self.likely: Dict[int, List[View]] = {}
         self._numbers = itertools.count()
 
     def track(self, feature: MatchNode, sensor: str) -> Optional[SensorTrack]:
