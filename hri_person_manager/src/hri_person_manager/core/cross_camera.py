@@ -384,7 +384,7 @@ class CrossCamera:
         evidence = _hand_off_evidence(lost.lost, view)
         known = (evidence >= HANDOVER_EVIDENCE and view.ended - view.began >= LOOKING_S
                  and 0.0 < self._handover and -SETTLING_S <= away <= self._handover
-                 and view.sensor not in lost.lost.sensors and len(human.persons) <= 1)
+                 and view.sensor not in lost.lost.best and len(human.persons) <= 1)
         return 2.0 * (HANDOVER_COST - evidence), known
 
     def _learn_scales(self, live: List[View]) -> None:
@@ -424,9 +424,8 @@ class CrossCamera:
             if views:
                 human.seen.update((view.sensor, view.ended) for view in views)
                 last = max(views, key=lambda view: view.ended)
-                place = fuse_views(views, last.ended, human.scales) if len(views) > 1 or human.scales else None
-                human.lost = LostSight(last.ended, frozenset(view.sensor for view in views), place,
-                                       tuple(last.tracks.values()))
+                human.lost = LostSight(last.ended, {view.sensor: view.best for view in views},
+                                       tuple(last.tracks.values()), human.scales)
             elif not human.views and (human.lost is None or not (
                     self._newest - human.lost.stamp <= max(self._handover, 1.0) + NEW_S)):
                 self._groups.drop(human)

@@ -10,7 +10,8 @@ a direction only; a place of which nothing new is heard becomes less certain wit
 from __future__ import annotations
 
 import math
-from typing import Dict, NamedTuple, Optional, Tuple
+from bisect import bisect_left
+from typing import Dict, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 
@@ -79,20 +80,21 @@ def ray_covariance(position: np.ndarray, origin: np.ndarray, along: float = ALON
     ray = position - origin
     square = float(ray @ ray)
     side = across * across * square + exactness * exactness
-    return side * _EYE + (along * along - across * across) * (ray[:, None] * ray)
+    covariance: np.ndarray = ((along * along - across * across) * ray)[:, None] * ray
+    covariance.flat[::4] += side
+    return covariance
 
 
-def shares(covariances: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return the weights (N, 3, 3), which sum to one, of independent measurements of a point with covariances
+def shares(informations: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the weights (N, 3, 3), which sum to one, of independent measurements of a point with inverse covariances
     (N, 3, 3), and the covariance (3, 3) of their mean."""
-    weights = np.linalg.inv(covariances)
-    covariance = np.linalg.inv(np.add.reduce(weights))
-    return covariance @ weights, covariance
+    covariance = np.linalg.inv(np.add.reduce(informations))
+    return covariance @ informations, covariance
 
 
 def weighted(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the mean (3,) of measurements (N, 3) by weights (N, 3, 3)."""
-    mean: np.ndarray = np.add.reduce(weights @ values[:, :, None])[:, 0]
+    """Return the means (3, K) of measurements (N, 3, K) by weights (N, 3, 3)."""
+    mean: np.ndarray = np.add.reduce(weights @ values)
     return mean
 
 
@@ -134,8 +136,8 @@ def ellipse(covariance: np.ndarray, gate: float = CHI_SQUARE_95) -> Tuple[float,
 def fuse(positions: np.ndarray, covariances: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
     """Return mean (3,) and covariance (3, 3) of independent places (N, 3) of one point with their covariances
     (N, 3, 3)."""
-    weights, covariance = shares(covariances)
-    return weighted(weights, positions), covariance
+    weights, covariance = shares(np.linalg.inv(covariances))
+    return weighted(weights, positions[:, :, None])[:, 0], covariance
 
 
 def squared_distances(positions: np.ndarray, covariances: np.ndarray) -> np.ndarray:
@@ -186,9 +188,15 @@ class SensorTrack:
         self._stamps: Dict[int, float] = {}
         self.covariance = _EYE
         self.origin: Optional[np.ndarray] = None
-        self._times, self._places = np.empty(_CAPACITY), np.empty((_CAPACITY, 3))
-        self._first = self._count = 0           # of the rows that are used
+        self._times: List[float] = []
+        self._places = np.empty((_CAPACITY, 3))
+        self._first = 0                         # of the rows that are used
+        self._forget_derived()
+
+    def _forget_derived(self) -> None:
         self._velocity: Optional[np.ndarray] = None
+        self._resting: Optional[np.ndarray] = None
+        self._information: Optional[np.ndarray] = None
 
     @property
     def length(self) -> float:
@@ -211,39 +219,46 @@ class SensorTrack:
         if not fresh:
             self.began = stamp
         if not fresh or source != self.source:
-            self._first = self._count = 0
+            self._times, self._first = [], 0
         self.source, self.ended, self.covariance, self.origin = source, stamp, covariance, origin
         self._append(stamp, position)
-        self._velocity = None
+        self._forget_derived()
 
     def _append(self, stamp: float, position: np.ndarray) -> None:
-        if self._count == len(self._times):
-            self._first = int(np.searchsorted(self._times, stamp - WALK_S))
-            used = slice(self._first, self._count)
-            spare = np.empty(max(_CAPACITY, 2 * (self._count - self._first)))
-            self._times = np.concatenate([self._times[used], spare])
-            self._places = np.concatenate([self._places[used], np.empty((len(spare), 3))])
-            self._first, self._count = 0, self._count - self._first
-        self._times[self._count], self._places[self._count] = stamp, position
-        self._count += 1
+        if len(self._times) == len(self._places):
+            first = bisect_left(self._times, stamp - WALK_S)
+            kept = self._places[first:]
+            self._places = np.concatenate([kept, np.empty((max(_CAPACITY, 2 * len(kept)), 3))])
+            self._times, self._first = self._times[first:], 0
+        self._places[len(self._times)] = position
+        self._times.append(stamp)
 
     def near(self, stamp: float) -> Tuple[float, Estimate]:
         """Return the mean place of the moment around `stamp` (s), or of the last one before, and its time (s)."""
-        times, places = self._since(WINDOW_S)
-        middle = times.searchsorted(stamp)
-        if middle == len(times) or middle > 0 and stamp - times[middle - 1] <= times[middle] - stamp:
+        times, end = self._times, len(self._times)
+        start = bisect_left(times, self.ended - WINDOW_S, self._first)
+        middle = bisect_left(times, stamp, start)
+        if middle == end or middle > start and stamp - times[middle - 1] <= times[middle] - stamp:
             middle -= 1
-        first, last = times.searchsorted((times[middle] - MOMENT_S, times[middle] + MOMENT_S + 1e-9))
-        count = last - first
-        return (float(np.add.reduce(times[first:last])) / count,
-                Estimate(np.add.reduce(places[first:last]) / count, self.velocity, self.covariance))
+        first = bisect_left(times, times[middle] - MOMENT_S, start)
+        last = bisect_left(times, times[middle] + MOMENT_S + 1e-9, start)
+        return (sum(times[first:last]) / (last - first),
+                Estimate(np.add.reduce(self._places[first:last]) / (last - first), self.velocity, self.covariance))
+
+    @property
+    def information(self) -> np.ndarray:
+        """Inverse (3, 3) of the covariance, 1/m^2."""
+        if self._information is None:
+            self._information = np.linalg.inv(self.covariance)
+        return self._information
 
     @property
     def resting_place(self) -> np.ndarray:
         """Mean of the last places, (3,) m: more exact than that of a moment for who stands."""
-        _, places = self._since(REST_S)
-        mean: np.ndarray = np.add.reduce(places) / len(places)
-        return mean
+        if self._resting is None:
+            _, places = self._since(REST_S)
+            self._resting = np.add.reduce(places) / len(places)
+        return self._resting
 
     def at(self, stamp: float) -> Estimate:
         """Where the person is at a time (s) near or after the last place, walking on as it went."""
@@ -289,6 +304,5 @@ class SensorTrack:
 
     def _since(self, seconds: float) -> Tuple[np.ndarray, np.ndarray]:
         """Times (N,) s and places (N, 3) m of the last `seconds`."""
-        times = self._times[self._first:self._count]
-        first = self._first + int(times.searchsorted(self.ended - seconds))
-        return self._times[first:self._count], self._places[first:self._count]
+        first = bisect_left(self._times, self.ended - seconds, self._first)
+        return np.array(self._times[first:]), self._places[first:len(self._times)]

@@ -79,11 +79,14 @@ class View:
     @property
     def best(self) -> SensorTrack:
         """The track that places the human: of the best source that is fresh, else the newest."""
-        if len(self.tracks) == 1:
-            return next(iter(self.tracks.values()))
-        newest = self.ended
-        return min(self.tracks.values(), key=lambda track: (newest - track.ended > FRESH_S, track.source,
-                                                            -track.ended))
+        best, *others = self.tracks.values()
+        if others:
+            oldest = self.ended - FRESH_S
+            for track in others:
+                fresh, known = track.ended >= oldest, best.ended >= oldest
+                if (not fresh, track.source, -track.ended) < (not known, best.source, -best.ended):
+                    best = track
+        return best
 
     @property
     def ended(self) -> float:
@@ -101,32 +104,24 @@ class View:
     def at(self, stamp: float, scales: Mapping[Tuple[str, int], Scale] = MappingProxyType({})) -> Estimate:
         """Where the human is at a time (s) near the newest place, by this view; scales: what was learnt of this human
         by sensor and source."""
-        time, found = self.near(stamp, scales)
-        return found._replace(position=found.position + found.velocity * (stamp - time))
-
-    def near(self, stamp: float, scales: Mapping[Tuple[str, int], Scale] = MappingProxyType({})
-             ) -> Tuple[float, Estimate]:
-        """The mean place of the moment around `stamp` (s), or of the last one before, and its time (s)."""
-        track = self.best
-        time, found = track.near(stamp)
-        scale = scales.get((self.sensor, track.source))
-        if scale is None or track.origin is None or scale.variance > LEARNT_VARIANCE:
-            return time, found
-        ray = found.position - track.origin
-        square = max(float(ray @ ray), 1e-6)
-        less = float(ray @ found.covariance @ ray) / square - (scale.variance + FIXED_VARIANCE) * square
-        return time, Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
-                              found.covariance - max(0.0, less) / square * (ray[:, None] * ray))
+        return _at(self.best, stamp, scales)
 
 
 class LostSight(NamedTuple):
-    """The last sight of a human: its stamp (s), the sensors that had it, where it was by all of them where these are
-    several, and the tracks of the view that ended last."""
+    """The last sight of a human: its stamp (s), the best tracks by sensor, the tracks of the view that ended last, and
+    what scales were learnt."""
 
     stamp: float
-    sensors: FrozenSet[str]
-    place: Optional[Estimate]
+    best: Mapping[str, SensorTrack]
     tracks: Tuple[SensorTrack, ...]
+    scales: Mapping[Tuple[str, int], Scale]
+
+    @property
+    def place(self) -> Optional[Estimate]:
+        """Where it was by all sensors, where these are several."""
+        if len(self.best) < 2 and not self.scales:
+            return None
+        return _fuse_tracks(list(self.best.values()), self.stamp, self.scales)
 
 
 class ViewGroup:
@@ -400,15 +395,36 @@ def fuse_views(views: List[View], stamp: float, scales: Mapping[Tuple[str, int],
                 ) -> Estimate:
     """Where a human is at `stamp` (s) by all of these views; those of heads only, where there are some. scales count
     where one view is left: they were learnt where several crossed."""
-    heads = [view for view in views if view.best.source < 2] or views
+    return _fuse_tracks([view.best for view in views], stamp, scales)
+
+
+def _at(track: SensorTrack, stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
+    """Where a human is at `stamp` (s) by one track."""
+    time, found = track.near(stamp)
+    scale = scales.get((track.sensor, track.source))
+    if scale is not None and track.origin is not None and scale.variance <= LEARNT_VARIANCE:
+        ray = found.position - track.origin
+        square = max(float(ray @ ray), 1e-6)
+        less = float(ray @ found.covariance @ ray) / square - (scale.variance + FIXED_VARIANCE) * square
+        found = Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
+                         found.covariance - max(0.0, less) / square * (ray[:, None] * ray))
+    return found._replace(position=found.position + found.velocity * (stamp - time))
+
+
+def _fuse_tracks(tracks: List[SensorTrack], stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
+    heads = [track for track in tracks if track.source < 2] or tracks
     if len(heads) == 1:
-        return heads[0].at(stamp, scales)
-    moments = [view.near(stamp) for view in heads]
+        return _at(heads[0], stamp, scales)
+    moments = [track.near(stamp) for track in heads]
     # One view tells the velocity along its ray badly, all together well.
-    weights, covariance = shares(np.array([item.covariance for _, item in moments]))
-    velocity = weighted(weights, np.array([item.velocity for _, item in moments]))
+    weights, covariance = shares(np.array([track.information for track in heads]))
+    means = weighted(weights, np.array([(found.position, found.velocity, track.resting_place)
+                                        for track, (_, found) in zip(heads, moments)]).swapaxes(1, 2))
+    place, velocity, resting = means.T
     if float(velocity @ velocity) < STANDING_MPS ** 2:
         velocity = np.zeros(3)
-    place = weighted(weights, np.array([item.position + velocity * (stamp - time) for time, item in moments]))
-    away = weighted(weights, np.array([view.best.resting_place for view in heads])) - place
+    else:
+        ahead = np.array([stamp - time for time, _ in moments])
+        place = place + np.add.reduce(ahead[:, None, None] * weights) @ velocity
+    away = resting - place
     return Estimate(place + away / (1.0 + (float(away @ away) / RESTING_M ** 2) ** 2), velocity, covariance)
