@@ -223,8 +223,8 @@ def handover(seeds: Sequence[int]) -> Dict[str, object]:
 def figures(scenes: int = 30, hand_offs: int = 120, hidden: int = 6) -> Dict[str, object]:
     """What `scripts/benchmark identity` reports of several cameras, on seeds that nothing was chosen by."""
     shared = cameras(range(REPORT_FROM, REPORT_FROM + scenes))
-    # Its first 120 report seeds have been seen before the last choice of the gate.
-    over = handover(range(REPORT_FROM + 20000, REPORT_FROM + 20000 + hand_offs))
+    # Those from 10000 and 20000 on have been seen before the last choice of the constants.
+    over = handover(range(REPORT_FROM + 30000, REPORT_FROM + 30000 + hand_offs))
     crowded = cameras(range(REPORT_FROM + 5000, REPORT_FROM + 5000 + hidden), hidden=True)
     details = {"cameras_" + key: value for key, value in shared.items()}
     details.update({"cameras_who_hide_each_other": crowded})

@@ -197,6 +197,7 @@ class SensorTrack:
         self._velocity: Optional[np.ndarray] = None
         self._resting: Optional[np.ndarray] = None
         self._information: Optional[np.ndarray] = None
+        self._moments: Dict[Tuple[int, int], Tuple[float, Estimate]] = {}
 
     @property
     def length(self) -> float:
@@ -242,8 +243,12 @@ class SensorTrack:
             middle -= 1
         first = bisect_left(times, times[middle] - MOMENT_S, start)
         last = bisect_left(times, times[middle] + MOMENT_S + 1e-9, start)
-        return (sum(times[first:last]) / (last - first),
+        found = self._moments.get((first, last))
+        if found is None:
+            found = self._moments[first, last] = (
+                sum(times[first:last]) / (last - first),
                 Estimate(np.add.reduce(self._places[first:last]) / (last - first), self.velocity, self.covariance))
+        return found
 
     @property
     def information(self) -> np.ndarray:
