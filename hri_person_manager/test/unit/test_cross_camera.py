@@ -130,6 +130,16 @@ def test_clothes_end_and_hasten_unions():
     assert joined["equal"] < joined["unknown"] < joined["different"]
 
 
+def test_two_cameras_place_somebody_before_they_are_told_to_see_one():
+    room = Room(OVERLAPPING)
+    (person,) = room.run(3.0, standing(1.8))
+    groups, alone, both = room.manager._cameras._groups, np.trace(room.manager.place(person).covariance), []
+    while room.now < 8.0 and not (len(groups.view_of) == 2 and len(groups.all) == 1):
+        room.run(0.1, walking(1.8, 0.3, since=3.0))
+        both += [np.trace(room.manager.place(person).covariance)] * (len(groups.all) == 2)
+    assert room.tracked == (person,) and min(both) < 0.6 * alone < both[0]
+
+
 def test_whose_clothes_are_others_is_not_who_left():
     seen = {}
     for other in (5.0, 15.0):
