@@ -214,10 +214,12 @@ class CrossCamera:
         if others[0].began > view.began and len(others) == 1:
             return False        # of two, the younger one is asked
         stamp = min([view.ended] + [other.ended for other in others])
-        found = [view.at(stamp), fuse_views(others, stamp)]
-        square = float(squared_distances(np.array([item.position for item in found]), np.array([
-            found[0].covariance + _lengthened(view, found[0])] + [
-            found[1].covariance + sum(_lengthened(other, found[1]) for other in others) / len(others) ** 2]))[0, 1])
+        own, place = view.at(stamp), fuse_views(others, stamp)
+        both = own.covariance + _lengthened(view, own) + place.covariance
+        for other in others:
+            both += _lengthened(other, place) / len(others) ** 2
+        offset = own.position - place.position
+        square = float(offset @ np.linalg.solve(both, offset))
         alike = any(view.names & other.names for other in others)
         limit = (PARTING * GATE * (SLOWER if alike else 1.0)) ** 2
         state = self._smooth(self._groups.apart, view.number, square, stamp, limit)
