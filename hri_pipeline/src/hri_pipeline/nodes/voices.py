@@ -24,11 +24,12 @@ from hri_pipeline.core.audio.own_voice import BargeInFilter, RobotSpeech, hear_h
 from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
 from hri_pipeline.core.audio.separation import SoundSeparator
+from hri_pipeline.core.audio.speakers import MODEL_FILE, SpeakerEmbedder
 from hri_pipeline.core.audio.stream import RATE, STALL_S, SoundBlock
 from hri_pipeline.core.audio.vad import ActivityModel, check_thresholds
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
-from hri_pipeline.core.onnx import model_path
+from hri_pipeline.core.onnx import ModelError, model_path
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.conversions import transform_to_msg
@@ -212,7 +213,9 @@ class VoiceProcessor:
         self._positions = parse_positions(settings.microphone_positions) if has_array else np.zeros((0, 3))
         self._model = ActivityModel(model_path(settings.vad_model, "silero_vad.onnx"), notify=rospy.logwarn)
         self._ids = IdGenerator()
-        self._pipeline = VoicePipeline(settings, self._model, None, self._ids)
+        self._no_speakers = ""
+        self._speakers = self._load_speakers() if settings.speaker_changes else None
+        self._pipeline = VoicePipeline(settings, self._model, None, self._ids, self._speakers)
         self._robot = RobotSpeech(settings)
         self._robot_input = RobotVoiceInput(self._robot)
         self._barge_in: Optional[BargeInFilter] = None
@@ -313,6 +316,8 @@ class VoiceProcessor:
         found = {"voices": (OK, "{} voices".format(len(tracked)), values), "own voice": self._robot_input.status()}
         if len(self._positions) and self._channels and not self._array_fits():
             found["voices"] = (WARN, self._misfit(), values)
+        elif self._no_speakers:
+            found["voices"] = (WARN, self._no_speakers, values)
         if self._speech is not None:
             found["speech"] = self._speech.status()
         elif self._no_speech:
@@ -332,6 +337,15 @@ class VoiceProcessor:
         if self._speech is not None:
             self._speech.close()
 
+    def _load_speakers(self) -> Optional[SpeakerEmbedder]:
+        """Return the network of speakers; without its file there are voices, and turns end by pauses only."""
+        try:
+            return SpeakerEmbedder(model_path("", MODEL_FILE), notify=rospy.logwarn)
+        except ModelError as error:
+            self._no_speakers = "changes of the speaker are not found: {}".format(error)
+            rospy.logwarn("%s", self._no_speakers)
+            return None
+
     def _start_speech(self) -> None:
         """Start the recogniser. Without a model for the language there are voices, and no speech."""
         try:
@@ -350,7 +364,8 @@ class VoiceProcessor:
             self._barge_in = BargeInFilter(SoundSeparator(self._positions, self._settings), self._robot, self._settings)
         elif len(self._positions):
             rospy.logwarn("%s", self._misfit())
-        self._pipeline = VoicePipeline(self._settings, self._model, self._barge_in, self._ids)
+        self._pipeline = VoicePipeline(self._settings, self._model, self._barge_in, self._ids,
+                                       self._speakers)
 
     def _array_fits(self) -> bool:
         return len(self._positions) >= 2 and len(self._positions) == self._channels
@@ -390,7 +405,7 @@ class VoiceProcessor:
             self._speech.feed(observation.id, observation.samples, observation.stamp, observation.speaking)
             self._unfinished.add(observation.id)
         if observation.end:
-            self._speech.end(observation.id)
+            self._speech.end(observation.id, observation.stamp)
 
     def _publish_frames(self, observations: Sequence[VoiceObservation]) -> None:
         """Publish the frame voice_ID of voices whose direction is known, only the newest of each."""

@@ -76,6 +76,9 @@ class VoiceActivitySettings(Settings):
     hangover_time: float = parameter(
         0.6, "A pause longer than this ends a turn: the sentence goes to the recogniser's final result. Longer keeps "
         "slow speakers in one piece, and answers later.", unit="s", minimum=0.05, maximum=10.0, live=True)
+    speaker_changes: bool = parameter(
+        True, "Without an array, a turn ends where another speaker goes on, too: a new voice begins, 1 to 2 s later, with "
+        "all its sound from the change on. The text of the first voice ends there. Needs speaker_embedding.onnx.")
     min_speech: float = parameter(
         0.1, "A turn with less speech than this was a noise: its voice is let go at once.", unit="s", minimum=0.0,
         maximum=2.0, live=True)
