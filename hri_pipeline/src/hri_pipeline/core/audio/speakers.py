@@ -27,12 +27,12 @@ LEVEL_DBFS = -30.0
 """Level to which sound is brought: the network was trained on such."""
 _BREAK_HZ, _HZ_PER_MEL = 1000.0, 200.0 / 3.0
 _LOG_STEP = np.log(6.4) / 27.0
-# Of SpeakerChange, in frames of 32 ms: what is compared (1.2 s), how often (0.26 s), with how much of the turn (4 s),
+# Of SpeakerChange, in frames of 32 ms: what is compared (1.2 s), how often (0.13 s), with how much of the turn (4 s),
 # and where the change is looked for before the end of what is compared. Chosen on the tuning speakers of
 # scripts/benchmarks/voice_turns.py, as the products are below which two sounds are of two speakers.
-_COMPARED, _EVERY, _REFERENCE, _FIRST = 38, 8, 125, 25
+_COMPARED, _EVERY, _REFERENCE, _FIRST = 38, 4, 125, 25
 _LATEST, _EARLIEST = 18, 46
-_LEAST_PRODUCT, _LEAST_PRODUCT_FIRST = 0.64, 0.56
+_LEAST_PRODUCT, _LEAST_PRODUCT_FIRST = 0.61, 0.55
 _SHORT_PAUSE_S = 0.03
 
 
