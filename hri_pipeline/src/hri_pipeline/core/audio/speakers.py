@@ -27,12 +27,13 @@ LEVEL_DBFS = -30.0
 """Level to which sound is brought: the network was trained on such."""
 _BREAK_HZ, _HZ_PER_MEL = 1000.0, 200.0 / 3.0
 _LOG_STEP = np.log(6.4) / 27.0
-# Of SpeakerChange, in frames of 32 ms: what is compared (1.2 s), how often (0.13 s), with how much of the turn (4 s),
-# and where the change is looked for before the end of what is compared. Chosen on the tuning speakers of
-# scripts/benchmarks/voice_turns.py, as the products are below which two sounds are of two speakers.
-_COMPARED, _EVERY, _REFERENCE, _FIRST = 38, 4, 125, 25
-_LATEST, _EARLIEST = 18, 46
-_LEAST_PRODUCT, _LEAST_PRODUCT_FIRST = 0.61, 0.55
+# Of SpeakerChange, in frames of 32 ms: what is compared (1.2 s), how often (0.26 s), with how much of the turn (4 s),
+# and where the change is looked for before the end of what is compared. The least product of one speaker, and how often
+# in a row it must be missed: chosen with scripts/benchmarks/voice_turns.py so that few turns of one speaker are cut.
+# The mean of several windows, and pitch beside the embedding, found no more changes at that price.
+_COMPARED, _EVERY, _REFERENCE = 38, 8, 125
+_LATEST, _EARLIEST = 18, 54
+_LEAST_PRODUCT, _IN_A_ROW = 0.64, 2
 _SHORT_PAUSE_S = 0.03
 
 
@@ -120,7 +121,7 @@ class SpeakerChange:
         self._kept = 0
         self._pause = 0.0
         self._views: List[Tuple[int, np.ndarray]] = []    # frames of speech up to the end of it, embedding
-        self._first: Optional[np.ndarray] = None
+        self._missed = 0      # times in a row that the product was too small
 
     def add(self, samples: np.ndarray, stamp: float, is_speech: bool) -> Optional[Tuple[np.ndarray, float]]:
         """Add a frame of the turn (n,); stamp: s. Return the sound (m,) of another speaker with whom it ends, and when
@@ -133,28 +134,26 @@ class SpeakerChange:
         self._kept += 1
         while self._kept > _EARLIEST:
             self._kept -= self._frames.popleft().is_speech
-        if self._spoken == _FIRST:
-            self._first = self._embed(_FIRST)
         if self._spoken < _COMPARED or (self._spoken - _COMPARED) % _EVERY:
             return None
-        newest = self._embed(_COMPARED)
-        is_other = self._is_other(newest)
+        newest = self._embed()
+        self._missed = self._missed + 1 if self._is_other(newest) else 0
         self._views.append((self._spoken, newest))
-        return self._divide() if is_other else None
+        return self._divide() if self._missed >= _IN_A_ROW else None
 
-    def _embed(self, count: int) -> np.ndarray:
-        """Return the embedding of the last `count` frames of speech."""
+    def _embed(self) -> np.ndarray:
+        """Return the embedding of the newest speech."""
         speech = [frame.samples for frame in self._frames if frame.is_speech]
-        return self._embedder.embed(np.concatenate(speech[-count:])[None])[0]
+        return self._embedder.embed(np.concatenate(speech[-_COMPARED:])[None])[0]
 
     def _is_other(self, newest: np.ndarray) -> bool:
         last = self._spoken - _COMPARED
         self._views = [view for view in self._views if view[0] > last - _REFERENCE]
         before = [embedding for end, embedding in self._views if end <= last]
-        if before:
-            mean = np.mean(before, axis=0)
-            return float(mean @ newest) < _LEAST_PRODUCT * float(np.linalg.norm(mean))
-        return last >= _FIRST and self._first is not None and float(self._first @ newest) < _LEAST_PRODUCT_FIRST
+        if not before:
+            return False
+        mean = np.mean(before, axis=0)
+        return float(mean @ newest) < _LEAST_PRODUCT * float(np.linalg.norm(mean))
 
     def _divide(self) -> Tuple[np.ndarray, float]:
         """Begin the other speaker's turn at the longest pause there, else where it is softest."""
@@ -163,13 +162,11 @@ class SpeakerChange:
         places = speech[:len(speech) - _LATEST]
         place = max(places, key=lambda index: frames[index].pause)
         if frames[place].pause < _SHORT_PAUSE_S:
-            place = min(places[-(_COMPARED - _LATEST):], key=lambda index: level_dbfs(frames[index].samples))
+            place = min(places[-(_EARLIEST - _LATEST):-_EVERY], key=lambda index: level_dbfs(frames[index].samples))
         rest = frames[place:]
         self.reset()
         for frame in rest:
             self._frames.append(frame)
             self._spoken += frame.is_speech
         self._kept = self._spoken
-        if self._spoken >= _FIRST:
-            self._first = self._embed(_FIRST)
         return np.concatenate([frame.samples for frame in rest]), rest[0].stamp
