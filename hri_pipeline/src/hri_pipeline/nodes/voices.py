@@ -52,7 +52,7 @@ _WAIT_S = 0.1
 _REPORT_S = 1.0
 _LOG_PERIOD_S = 10.0
 _WINDOW = 300
-_KINDS = ("features", "speech", "direction", "voice_identity")
+_KINDS = ("features", "speech", "direction", "speaker_changes", "voice_identity")
 # Processing that takes a larger share of the duration of the sound falls behind.
 _TOO_SLOW = 0.9
 # The topics of a voice that is no longer tracked wait so long for its last sentence.
