@@ -30,7 +30,7 @@ _LOG_STEP = np.log(6.4) / 27.0
 # Of SpeakerChange, in frames of 32 ms: what is compared (1.2 s), how often (0.26 s), with how much of the turn (4 s),
 # and where the change is looked for before the end of what is compared. The least product of one speaker, and how often
 # in a row it must be missed: chosen with scripts/benchmarks/voice_turns.py so that few turns of one speaker are cut.
-# The mean of several windows, and pitch beside the embedding, found no more changes at that price.
+# The mean of several windows, and pitch beside the embedding, found no more changes at that price (20 dialogues).
 _COMPARED, _EVERY, _REFERENCE = 38, 8, 125
 _LATEST, _EARLIEST = 18, 54
 _LEAST_PRODUCT, _IN_A_ROW = 0.64, 2
