@@ -135,12 +135,15 @@ def likely_posture(points: np.ndarray, axes: np.ndarray, stature: float, up: np.
     named = {posture: weight for posture, weight in votes.items() if posture}
     if not named:
         return PostureClass.OTHER if votes.get(PostureClass.OTHER, 0.0) > 0.5 else None
-    low = named.pop(PostureClass.SITTING, 0.0) + named.pop(PostureClass.CROUCHING, 0.0)
+    sitting = named.pop(PostureClass.SITTING, 0.0)
+    low = sitting + named.pop(PostureClass.CROUCHING, 0.0)
     crouches = _crouching_share(points, axes, up, up_sd)
     named.update({PostureClass.SITTING: low * (1.0 - crouches), PostureClass.CROUCHING: low * crouches})
     best = max(named, key=lambda posture: named[posture])
     sure = named[best] >= _AGREEING * sum(named.values()) and named[best] >= _LEAST_VOTES
     if best == PostureClass.STANDING and up_sd > _BALANCE and not _knee(points) < _VAGUE_KNEE:
+        return None
+    if best == PostureClass.SITTING and sitting == 0.0:
         return None
     return best if sure else None
 
