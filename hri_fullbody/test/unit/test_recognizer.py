@@ -183,6 +183,17 @@ def test_what_does_not_wave():
         assert GestureClass.WAVING not in {seen.gesture for seen in show(BehaviourRecognizer(), still, 3.0, 30.0)}
 
 
+def test_a_hidden_hand_that_the_network_guesses_to_and_fro_does_not_wave():
+    def told(forearm):
+        body, confidence = BehaviourRecognizer(), np.ones(18)
+        confidence[[kp.RIGHT_ELBOW, kp.RIGHT_WRIST]] = forearm
+        return {body.update(people.waving(stamp, "right").seen(), STATURE, stamp, UP, confidence=confidence).gesture
+                for stamp in (np.arange(45) / 15.0).tolist()}
+
+    assert GestureClass.WAVING not in told((0.8, 0.3)) | told((0.4, 0.9))
+    assert GestureClass.WAVING in told((0.8, 0.6))
+
+
 POSTURES = [
     ("standing", people.standing(), PostureClass.STANDING),
     ("one leg lifted", people.standing().lean(10.0), PostureClass.STANDING),
@@ -237,7 +248,7 @@ def test_a_hand_is_where_its_knuckles_are(ahead, knuckles, on_face):
     points = people.Pose().arm("right", (0.15, 0.05, -0.21), (ahead, -0.10, -0.02)).seen()
     hands, body = np.full((2, 3), np.nan), BehaviourRecognizer()
     hands[1] = people.FACING @ (0.08 * np.array(knuckles) / np.linalg.norm(knuckles))
-    told = [body.update(points, STATURE, index / 15.0, UP, 0.0, hands) for index in range(15)]
+    told = [body.update(points, STATURE, index / 15.0, UP, 0.0, None, hands) for index in range(15)]
     assert (told[-1].attitude == AttitudeClass.HANDS_ON_FACE) == on_face
 
 
