@@ -230,6 +230,11 @@ class BodyPipeline:
                                0.1 if last is None else last.model.stature_sd, track.face_id,
                                track.visible and not track.returning)
 
+    def appearance(self, body_id: str) -> Optional[np.ndarray]:
+        """Return the colours (5, 21) of a body's clothes, see `reidentification.describe`; None while they are not
+        known."""
+        return next((track.appearance for track in self._tracker.tracks if track.id == body_id), None)
+
     def _solve_pnp(self, estimate: PoseEstimate, camera: CameraModel) -> Optional[np.ndarray]:
         """Place the landmarks of an estimate in the optical frame: (33, 3) m, or None."""
         with self.times("perspective"):
