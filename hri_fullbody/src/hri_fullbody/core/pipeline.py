@@ -17,7 +17,7 @@ import numpy as np
 
 from hri_fullbody.core.behaviour.gesture import GestureClass
 from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
-from hri_fullbody.core.behaviour.posture import PostureClass, without_guessed_legs
+from hri_fullbody.core.behaviour.posture import PostureClass, without_guessed_limbs
 from hri_fullbody.core.behaviour.recognizer import MAX_GAP_S, BehaviourRecognizer, BodyBehaviour
 from hri_fullbody.core.detection.person_detector import CenterNetDetector, PersonDetector
 from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, BlazePose, PoseEstimate, PoseEstimator
@@ -278,11 +278,12 @@ class BodyPipeline:
     def _express(self, model: ModelledBody, body: BodyObservation, stamp: float, up: np.ndarray,
                  size: Tuple[int, int], up_sd: float) -> None:
         """Keep the model of a detected body, and recognise its attitude, posture and gesture."""
-        points = without_guessed_legs(model.points, body.keypoints, *size)
+        points = without_guessed_limbs(model.points, body.keypoints, *size)
         recognizer = self._recognizers.setdefault(model.id, BehaviourRecognizer())
         behaviour = self._guard.each(
             "behaviour of a body",
-            lambda one: recognizer.update(points, one.stature, stamp, up, up_sd, body.keypoints[:, 2]), [model])
+            lambda one: recognizer.update(
+                points, one.stature, stamp, up, up_sd, body.keypoints[:, 2], body.hands), [model])
         self._last_models[model.id] = _LastModel(
             stamp, model, None if body.pose is None else body.pose.translation, behaviour[0] if behaviour else None)
         if body.head is not None:
