@@ -7,7 +7,7 @@ depth image and stature.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Collection, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -139,7 +139,10 @@ class FaceGeometry:
         pose, scale, scale_sd = self._placed(face, found, camera, stamp)
         gaze = face.gaze
         if gaze is not None and not found.measured:
-            gaze = GazeEstimate(gaze.direction, gaze.confidence * found.presence, gaze.eyes_closed, gaze.from_eyes)
+            gaze = replace(gaze, confidence=gaze.confidence * found.presence)
+        if gaze is not None and gaze.direction is not None and gaze.from_eyes == 0.0 and pose is not None:
+            # Exactly the head's, so that nobody takes it for that of the eyes.
+            gaze = replace(gaze, direction=pose.rotation[:, 0])
         return FaceObservation(found.id, found.box, found.presence, landmarks, found.mesh, pose, gaze,
                                head_scale=scale, head_scale_sd=scale_sd, measured=found.measured)
 
