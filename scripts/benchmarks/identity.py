@@ -8,7 +8,6 @@ import json
 from typing import Callable, Dict, Mapping, Sequence, Tuple
 
 from benchmarks.report import chosen, machine, measure_all, report_of, table_of
-from hri_pipeline.core.process import one_thread_each
 
 PARTS: Dict[str, Sequence[str]] = {
     "names": ("stranger_wrong_name", "enrolled_precision", "enrolled_recall", "closed_sets"),
@@ -57,6 +56,8 @@ def run(options: argparse.Namespace) -> int:
     wanted = chosen("identity", options.only, PARTS)
     if wanted is None:
         return 2
+    from hri_pipeline.core.process import one_thread_each
+
     one_thread_each()
     before = machine()
     inputs: Dict[str, object] = {}
