@@ -56,6 +56,9 @@ def run(options: argparse.Namespace) -> int:
     wanted = chosen("identity", options.only, PARTS)
     if wanted is None:
         return 2
+    from hri_pipeline.core.process import one_thread_each
+
+    one_thread_each()
     before = machine()
     inputs: Dict[str, object] = {}
     details: Dict[str, object] = {}

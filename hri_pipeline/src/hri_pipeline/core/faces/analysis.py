@@ -202,7 +202,9 @@ class FaceAnalysis:
         with self._times("action_units"):
             for face in faces:
                 if face.id in wanted and face.measured:
-                    estimator = self._units.setdefault(face.id, ActionUnitEstimator(self._measures))
+                    if face.id not in self._units:
+                        self._units[face.id] = ActionUnitEstimator(self._measures)
+                    estimator = self._units[face.id]
                     closed = None if face.gaze is None else face.gaze.eyes_closed
                     found[face.id] = estimator.update(face.mesh, face.pose, stamp, face.score, size, closed)
         return found
@@ -311,7 +313,9 @@ class ExpressionProcessor:
         self._latest = {}
         for face in faces:
             if face.id in wanted and face.measured:
-                tracker = self._trackers.setdefault(face.id, ExpressionTracker())
+                if face.id not in self._trackers:
+                    self._trackers[face.id] = ExpressionTracker()
+                tracker = self._trackers[face.id]
                 quality = view_quality(face.mesh, None if face.pose is None else turned_away(face.pose))
                 self._latest[face.id] = tracker.update(self._fresh.pop(face.id, None), units.get(face.id), stamp,
                                                        quality)

@@ -80,7 +80,8 @@ class FaceGeometry:
         camera: of the image's size; stamp: s; depth: (H, W) m registered with the image, 0 or NaN unknown.
         """
         for found in tracked:
-            self._faces.setdefault(found.id, _Face())
+            if found.id not in self._faces:
+                self._faces[found.id] = _Face()
         self._measure([found for found in tracked if found.measured], camera, stamp, depth)
         return [self._observation(found, camera, stamp) for found in tracked]
 

@@ -477,9 +477,8 @@ class FaceTrackingPipeline:
         measured = track.measured_at >= stamp
         mesh, box, presence = track.measurement.mesh, track.measurement.box, track.measurement.presence
         if not measured:
-            shift = track.shift(stamp)
-            mesh = mesh + np.append(shift, 0.0)
-            box = box + np.concatenate([shift] * 2)
+            mesh, box = mesh.copy(), track.predicted_box(stamp)
+            mesh[:, :2] += track.shift(stamp)
             presence *= math.exp(-(stamp - track.measured_at) / _PREDICTION_TIME)
         return TrackedFace(track.id, mesh, box, presence, measured, self._tracker.is_confirmed(track))
 

@@ -308,7 +308,7 @@ class FaceTracker:
         pairs: List[Tuple[int, int]] = []
         strangers: Set[int] = set()
         if self._tracks and measurements:
-            cost = np.array([track.cost(measurements, stamp) for track in self._tracks])
+            cost = association_costs(self._tracks, measurements, stamp)
             if cut:
                 cost = self._cost_by_appearance(measurements, cost)
             pairs, strangers = self._same_faces(cost, measurements, stamp, cut)
@@ -480,12 +480,13 @@ class FaceTrack:
         self.doubtful_since: Optional[float] = None
         self.detected_at = stamp
         self._velocity = np.zeros(2)
-        self._colours = measurement.colours
+        self.colours = measurement.colours
         self._stamp = self._moved_at = stamp
         self._moved = np.zeros(2)
         self._followed = False
         self._centre, self._size = measurement.place
         self._openness, self._speech = measurement.openness, 0.0
+        self._predicted: Optional[Tuple[float, np.ndarray]] = None    # of the stamp that was asked for last
 
     @property
     def measured_at(self) -> float:
@@ -523,31 +524,23 @@ class FaceTrack:
             motion = self._velocity * step
         else:
             self._update_velocity(motion, step)
-        self._moved, self._moved_at = self._moved + motion, stamp
+        self._moved, self._moved_at, self._predicted = self._moved + motion, stamp, None
 
     def _update_velocity(self, motion: np.ndarray, step: float) -> None:
         """Filter the velocity: motion (2,) px in `step` s."""
         weight = 1.0 - math.exp(-step / VELOCITY_TIME)
         self._velocity = self._velocity + weight * (motion / step - self._velocity)
 
+    def centre(self, stamp: float) -> np.ndarray:
+        """Centre (2,) px expected at `stamp`."""
+        return self._centre + self.shift(stamp)
+
     def predicted_box(self, stamp: float) -> np.ndarray:
         """Box (4,) px expected at `stamp`."""
-        return self.measurement.box + np.concatenate([self.shift(stamp)] * 2)
-
-    def cost(self, measurements: Sequence[FaceMeasurement], stamp: float) -> np.ndarray:
-        """Cost (N,) of continuing with each measurement, in face sizes; infinite when it is too far away."""
-        places = [measurement.place for measurement in measurements]
-        centres, sizes = np.array([place[0] for place in places]), np.array([place[1] for place in places])
-        away = centres - (self._centre + self.shift(stamp))
-        distance = np.sqrt(away[:, 0] ** 2 + away[:, 1] ** 2) / self._size
-        cost = distance + SIZE_WEIGHT * np.abs(np.log(sizes / self._size))
-        gate = GATE_SEEN if self.visible else GATE_LOST
-        colours = COLOUR_WEIGHT * np.array([self._appearance_distance(m.colours) for m in measurements])
-        # Without a look, the colours alone say whether it is somebody else.
-        compared = np.array([m.look is not None and self.memory is not None for m in measurements])
-        cost[np.where(compared, cost, cost + colours) > gate] = np.inf
-        cost[[self._is_part_of(measurement, stamp) for measurement in measurements]] = PART_COST
-        return cost + colours
+        if self._predicted is None or self._predicted[0] != stamp:
+            dx, dy = self.shift(stamp).tolist()
+            self._predicted = stamp, self.measurement.box + (dx, dy, dx, dy)
+        return self._predicted[1]
 
     def is_unusual(self, measurement: FaceMeasurement, stamp: float) -> bool:
         """Whether a measurement looks unlike this face, is not where it is expected, or the face was not seen in the
@@ -559,12 +552,7 @@ class FaceTrack:
         centre, size = measurement.place
         away = float(np.linalg.norm(centre - self._centre - self.shift(stamp))) / self._size
         return (away + SIZE_WEIGHT * abs(math.log(size / self._size)) > JUMP
-                or self._appearance_distance(measurement.colours) >= 1.0)
-
-    def _is_part_of(self, measurement: FaceMeasurement, stamp: float) -> bool:
-        """Whether this track holds on to a part of the face that the detector is as sure of."""
-        return (self.visible and measurement.score >= self.score - SCORE_MARGIN
-                and is_part(self.predicted_box(stamp), measurement.box))
+                or bool(appearance_distances([self.colours], [measurement.colours])[0, 0] >= 1.0))
 
     def continue_with(self, measurement: FaceMeasurement, stamp: float) -> None:
         """Update the track with a measurement of this face."""
@@ -575,7 +563,7 @@ class FaceTrack:
         self._speech += weight * (abs(measurement.openness - self._openness) - self._speech)
         self._openness = measurement.openness
         self._centre, self._size, self._stamp = centre, size, max(stamp, self._stamp)
-        self._moved, self._moved_at, self._followed = np.zeros(2), self._stamp, False
+        self._moved, self._moved_at, self._followed, self._predicted = np.zeros(2), self._stamp, False, None
         self._update_colours(measurement.colours)
         self.measurement = measurement
         self.score = max(self.score, measurement.score)
@@ -583,17 +571,10 @@ class FaceTrack:
         self.life.seen(stamp)
 
     def _update_colours(self, colours: Optional[np.ndarray]) -> None:
-        if colours is None or self._colours is None:
-            self._colours = colours if self._colours is None else self._colours
+        if colours is None or self.colours is None:
+            self.colours = colours if self.colours is None else self.colours
         else:
-            self._colours = _COLOUR_MEMORY * self._colours + (1.0 - _COLOUR_MEMORY) * colours
-
-    def _appearance_distance(self, colours: Optional[np.ndarray]) -> float:
-        """Appearance distance: 0 for the usual colours of this face, 1 for those of somebody else."""
-        if colours is None or self._colours is None:
-            return 0.0
-        difference = float(np.abs(colours - self._colours).sum()) / colours.size
-        return min(1.0, max(0.0, (difference - _SAME_COLOURS) / (_OTHER_COLOURS - _SAME_COLOURS)))
+            self.colours = _COLOUR_MEMORY * self.colours + (1.0 - _COLOUR_MEMORY) * colours
 
     def add_detection(self, stamp: float, weight: float = 1.0, score: float = 0.0) -> None:
         """Count a detection of this face. weight: what it adds to the hit count, 0 to 1; score: its own, 0 to 1."""
@@ -612,6 +593,41 @@ class FaceTrack:
     def miss(self) -> None:
         """Note that the face was not found in this frame."""
         self.visible = False
+
+
+def association_costs(tracks: Sequence[FaceTrack], measurements: Sequence[FaceMeasurement],
+                      stamp: float) -> np.ndarray:
+    """Cost (T, N) of continuing each track with each measurement, in face sizes; infinite when it is too far away."""
+    places = [measurement.place for measurement in measurements]
+    centres, sizes = np.array([place[0] for place in places]), np.array([place[1] for place in places])
+    own = np.array([track.size for track in tracks])[:, None]
+    away = centres - np.array([track.centre(stamp) for track in tracks])[:, None]
+    cost = np.hypot(away[..., 0], away[..., 1]) / own + SIZE_WEIGHT * np.abs(np.log(sizes / own))
+    gate = np.array([GATE_SEEN if track.visible else GATE_LOST for track in tracks])[:, None]
+    colours = COLOUR_WEIGHT * appearance_distances([track.colours for track in tracks],
+                                                   [measurement.colours for measurement in measurements])
+    # Without a look, the colours alone say whether it is somebody else.
+    compared = np.outer([track.memory is not None for track in tracks], [m.look is not None for m in measurements])
+    cost[np.where(compared, cost, cost + colours) > gate] = np.inf
+    # A track may hold on to a part of a face that the detector is as sure of.
+    parts = are_parts(np.array([track.predicted_box(stamp) for track in tracks]),
+                      np.array([measurement.box for measurement in measurements]))
+    surer = np.array([[track.visible and one.score >= track.score - SCORE_MARGIN for one in measurements]
+                      for track in tracks])
+    cost[parts & surer] = PART_COST
+    return cost + colours
+
+
+def appearance_distances(known: Sequence[Optional[np.ndarray]], seen: Sequence[Optional[np.ndarray]]) -> np.ndarray:
+    """Appearance distances (T, N) between colours (5, 4, 3) or None: 0 for those of one face in two images, and where
+    they are not known; 1 for those of two people."""
+    blank = np.zeros(_COLOUR_GRID[::-1] + (3,))
+    before, now = (np.stack([blank if one is None else one for one in some]).reshape(len(some), -1)
+                   for some in (known, seen))
+    difference = np.abs(before[:, None] - now).mean(axis=2)
+    compared = np.outer([one is not None for one in known], [one is not None for one in seen])
+    distance = (difference - _SAME_COLOURS) / (_OTHER_COLOURS - _SAME_COLOURS)
+    return np.where(compared, np.minimum(np.maximum(distance, 0.0), 1.0), 0.0)
 
 
 def face_colours(bgr: np.ndarray, box: np.ndarray) -> Optional[np.ndarray]:
@@ -634,6 +650,15 @@ def is_part(box: np.ndarray, other: np.ndarray) -> bool:
         return False
     inner = max(0.0, min(ax1, bx1) - max(ax0, bx0)) * max(0.0, min(ay1, by1) - max(ay0, by0))
     return inner > PART_INSIDE * (ax1 - ax0) * (ay1 - ay0)
+
+
+def are_parts(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Whether (T, N) boxes (T, 4) px are parts of others (N, 4) px, see `is_part`."""
+    sides = boxes[:, 2:] - boxes[:, :2]
+    inner = np.clip(np.minimum(boxes[:, None, 2:], others[:, 2:]) - np.maximum(boxes[:, None, :2], others[:, :2]),
+                    0.0, None)
+    is_small = sides.sum(axis=1)[:, None] < PART_SIZE * (others[:, 2:] - others[:, :2]).sum(axis=1)
+    return is_small & (inner[..., 0] * inner[..., 1] > PART_INSIDE * (sides[:, 0] * sides[:, 1])[:, None])
 
 
 def _place(box: np.ndarray) -> Tuple[np.ndarray, float]:

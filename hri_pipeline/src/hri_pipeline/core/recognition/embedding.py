@@ -11,6 +11,7 @@ the others 0.56; with an upright square around the mesh, 1.0 to 1.6 times its si
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Callable, Dict, Optional, Sequence, Tuple, Union
@@ -190,18 +191,15 @@ def similarity(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     Umeyama 1991, "Least-squares estimation of transformation parameters between two point patterns". Raises
     ValueError for points that are not finite or in one place.
     """
-    if not np.isfinite(source).all():
+    # In the plane the rotation and scale are one complex number, and plain numbers are quicker for a few points.
+    points, goals = [complex(*point) for point in source.tolist()], [complex(*point) for point in target.tolist()]
+    centre, goal = sum(points) / len(points), sum(goals) / len(goals)
+    spread = sum(((point - centre) * (point - centre).conjugate()).real for point in points)
+    if not (math.isfinite(spread) and spread >= 1e-6):
         raise ValueError("the points of the face are not finite, or all lie in one place")
-    centre, goal = source.mean(axis=0), target.mean(axis=0)
-    around, wanted = source - centre, target - goal
-    spread = float((around ** 2).sum())
-    if spread < 1e-6:
-        raise ValueError("the points of the face are not finite, or all lie in one place")
-    # In the plane the rotation and scale are one complex number.
-    a = float((around * wanted).sum()) / spread
-    b = float((around[:, 0] * wanted[:, 1] - around[:, 1] * wanted[:, 0]).sum()) / spread
-    turn = np.array([[a, -b], [b, a]])
-    return np.column_stack([turn, goal - turn @ centre])
+    turn = sum((point - centre).conjugate() * (wanted - goal) for point, wanted in zip(points, goals)) / spread
+    shift = goal - turn * centre
+    return np.array([[turn.real, -turn.imag, shift.real], [turn.imag, turn.real, shift.imag]])
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
