@@ -7,23 +7,25 @@ import tempfile
 import unittest
 from pathlib import Path
 
+import cv2
 import numpy as np
 import rospy
 import rostest
 import yaml
-from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from hri_msgs.msg import IdsList, Skeleton2D
 from hri_person_manager.ros.cameras import CameraFileError, launch_arguments, read_cameras
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.ros.conversions import camera_info, skeleton_to_msg
+from hri_pipeline.ros.conversions import bgr_to_image, camera_info, skeleton_to_msg
 
 JOINTS = {"left_eye": (0.03, 0.05, 0.936), "right_eye": (-0.03, 0.05, 0.936), "neck": (0.0, 0.0, 0.818),
           "left_hip": (0.08, 0.0, 0.53), "right_hip": (-0.08, 0.0, 0.53), "left_ankle": (0.08, 0.0, 0.039),
           "right_ankle": (-0.08, 0.0, 0.039), "left_wrist": (0.2, 0.1, 0.485), "right_wrist": (-0.2, 0.1, 0.485)}
 STATURE, NOISE_M = 1.75, 0.01
+BOARD = (7, 5, 0.12, 0.09)      # columns, rows, side of the squares and of the markers, m
 NAMES = ["nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
          "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "left_eye", "right_eye",
          "left_ear", "right_ear"]
@@ -91,13 +93,66 @@ class CamerasTest(unittest.TestCase):
         finally:
             if process.poll() is None:
                 process.kill()
+        self.check_right(process, said, errors, CAMERAS[1])
+
+    def test_4_a_board_tells_where_two_cameras_are(self):
+        cameras = [looking((0.0, 0.0, 1.6), (1.3, 2.2, 1.2)), looking((2.6, 0.2, 1.9), (1.3, 2.2, 1.2))]
+        self.write({"left": {"place": place_of(cameras[0])}, "right": None})
+        process = subprocess.Popen(["rosrun", "ros4hri", "calibrate_cameras", str(self.file), "--seconds", "16",
+                                    "--board", "{}x{},{},{}".format(*BOARD)],
+                                   stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        try:
+            self.show_board_until_over(process, cameras)
+            said, errors = (text.decode() for text in process.communicate(timeout=40))
+        finally:
+            if process.poll() is None:
+                process.kill()
+        self.check_right(process, said, errors, cameras[1])
+
+    def check_right(self, process, said, errors, true):
+        """The command has ended well, and has written the place of the right camera."""
         self.assertEqual(process.returncode, 0, errors)
         self.assertRegex(said, r"residual \d+\.\d+ px of \d+ points")
         found = yaml.safe_load(self.file.read_text(encoding="utf-8"))["cameras"]["right"]["place"]
         pose = Pose.from_quaternion(found[3:], found[:3])
-        self.assertLessEqual(np.linalg.norm(pose.translation - CAMERAS[1].translation), 0.05)
-        turn = np.linalg.norm(pose.inverse().compose(CAMERAS[1]).quaternion[:3])
-        self.assertLessEqual(2.0 * math.asin(turn), math.radians(1.0))
+        self.assertLessEqual(np.linalg.norm(pose.translation - true.translation), 0.05, said)
+        turn = np.linalg.norm(pose.inverse().compose(true).quaternion[:3])
+        self.assertLessEqual(2.0 * math.asin(turn), math.radians(1.0), said)
+
+    def show_board_until_over(self, process, cameras):
+        """Publish pictures of a board that somebody moves about between two cameras, with noise of the sensor."""
+        model, rng = CameraModel.from_fov(960, 720, 1.2), np.random.default_rng(4)
+        noise = rng.normal(0.0, 4.0, (800, 1040)).astype(np.int16)
+        columns, rows, square, marker = BOARD
+        board = cv2.aruco.CharucoBoard((columns, rows), square, marker,
+                                       cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
+        drawn = cv2.copyMakeBorder(board.generateImage((100 * columns, 100 * rows)), 40, 40, 40, 40,
+                                   cv2.BORDER_CONSTANT, value=255)
+        scale = square / 100.0
+        drawn_to_board = np.array([[scale, 0.0, -40.0 * scale], [0.0, scale, -40.0 * scale], [0.0, 0.0, 1.0]])
+        infos = [rospy.Publisher("/{}/camera_info".format(name), CameraInfo, queue_size=1)
+                 for name in ("left", "right")]
+        images = [rospy.Publisher("/{}/image_raw".format(name), Image, queue_size=1) for name in ("left", "right")]
+        rate, begin = rospy.Rate(6.0), rospy.get_time()
+        while process.poll() is None and rospy.get_time() - begin < 60.0:
+            now = rospy.Time.now()
+            angle = 0.5 * (now.to_sec() - begin)
+            middle = np.array([1.3 + 0.45 * math.cos(angle), 2.2 + 0.5 * math.sin(1.7 * angle),
+                               1.2 + 0.3 * math.sin(1.3 * angle)])
+            # Somebody behind the board holds it towards a point between the cameras that moves, too.
+            held = looking((1.3 + 0.8 * math.sin(0.9 * angle), 0.0, 1.7 + 0.5 * math.cos(1.1 * angle)), middle)
+            corner = middle - held.rotation @ np.array([columns * square / 2.0, rows * square / 2.0, 0.0])
+            for camera, name, info, image in zip(cameras, ("left", "right"), infos, images):
+                pose = camera.inverse().compose(Pose(held.rotation, corner))
+                plane = np.column_stack([pose.rotation[:, :2], pose.translation])
+                picture = cv2.warpPerspective(drawn, model.matrix @ plane @ drawn_to_board, (960, 720),
+                                              flags=cv2.INTER_AREA, borderMode=cv2.BORDER_CONSTANT, borderValue=110)
+                down, right = rng.integers(0, 80, 2)
+                picture = cv2.add(picture, noise[down:down + 720, right:right + 960], dtype=cv2.CV_8U)
+                header = Header(stamp=now, frame_id=name + "_optical_frame")
+                info.publish(camera_info(960, 720, 1.2, header))
+                image.publish(bgr_to_image(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR), header))
+            rate.sleep()
 
     def walk_until_over(self, process):
         """Publish what two cameras see of somebody on an eight, until the process has written its result."""

@@ -43,6 +43,12 @@ def _posture_is_met(value: object) -> bool:
         row["recall"] >= 0.85 and row["precision"] >= 0.95 for row in value.values())
 
 
+def _photographs_are_met(value: object) -> bool:
+    return isinstance(value, dict) and all(
+        (value[name]["recall"] or 0.0) >= 0.85 and (value[name]["precision"] or 0.0) >= 0.95
+        for name in ("sitting", "standing"))
+
+
 def _told(limits: Dict[str, float]) -> str:
     return "<= " + " / ".join("{:g}".format(limit) for limit in limits.values())
 
@@ -60,6 +66,7 @@ KEYS: Sequence[Tuple[str, str, Callable[[object], bool]]] = (
     ("stature_no_legs_sd_mm", "<= 40", _most(40.0)), ("head_face_median_m", "<= 0.05", _most(0.05)),
     ("attitude", "recall .9, precision .9", _attitude_is_met), ("waving_false", "<= 4", _most(4)),
     ("posture", "recall .85, precision .95", _posture_is_met),
+    ("photographs", "recall .85, precision .95", _photographs_are_met),
     ("stature", "r >= 0.5", lambda value: isinstance(value, dict) and value.get("r", 0.0) >= 0.5),
     ("churn_500", "flat", _each_most(GROWTH)))
 
@@ -67,7 +74,7 @@ PARTS: Dict[str, Sequence[str]] = {
     "fit": ("mpjpe_height_only_mm", "mpjpe_limbs_mm"), "heading": ("worst_heading_ratio",), "wave": ("wave_lag_ms",),
     "ik": ("ik_ms_1", "ik_ms_10", "ikpy_warm_ms"),
     "stature": ("stature_bias_mm", "stature_sd_mm", "stature_no_legs_sd_mm"), "attitude": ("attitude",),
-    "clips": ("waving_false", "posture"), "company": ("stature",),
+    "clips": ("waving_false", "posture"), "photographs": ("photographs",), "company": ("stature",),
     "tf": ("tf_fk_error_m",), "first": ("rsp_first_tf_s",), "publishers": ("rsp_cpu_percent_10",),
     "cpu": ("cpu_ms_per_body_frame",), "heads": ("head_face_median_m",), "churn": ("churn_500",)}
 
@@ -103,8 +110,9 @@ def make_report(values: Dict[str, object], reasons: Dict[str, str], details: Dic
                  "the first settled model on",
         "tuned_on": "filter, gate and weights of the points on subject 02, with 03 in view",
         "clips": "UTD-MHAD, tuned on subjects 1 and 3 (crouching with a look at 7), told of 5 and 7, 10 and 30 mm and"
-                 " depth noise; postures before nine simulated cameras of unknown tilt",
-        "photographs": "the six of the demonstration"}, details)
+                 " depth noise; postures before random simulated cameras of unknown tilt",
+        "photographs": "postures: 44 people labelled by eye before the pipeline saw them (postures.txt); how unseen"
+                       " legs are treated was then changed; heads: the six of the demonstration"}, details)
 
 
 def as_table(report: dict) -> str:
@@ -124,6 +132,9 @@ def _measure(part: str, details: Dict[str, object]) -> Dict[str, object]:
     if part == "attitude":
         from benchmarks import attitude as attitude_figures
         return {"attitude": _attitude(attitude_figures.figures(), details)}
+    if part == "photographs":
+        from benchmarks import body_photographs
+        return {"photographs": body_photographs.figures(models_directory())}
     if part == "clips":
         from benchmarks import kinect_clips
         found = kinect_clips.figures()

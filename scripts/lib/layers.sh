@@ -154,7 +154,7 @@ pytest_here() { # pytest_here NAME INTERPRETER ARGUMENT...: one run, its results
 
 run_pytest() { # run_pytest NAME INTERPRETER DIRECTORY...: what fails is run once more, in one process
     local name=$1 interpreter=$2 code=0 counts failed
-    local -a files=("$R4H_LOGS/$1.xml") again
+    local -a files=("$R4H_LOGS/$1.xml") again=()
     shift 2
     if (($# == 0)); then
         note "no test found"
@@ -163,9 +163,11 @@ run_pytest() { # run_pytest NAME INTERPRETER DIRECTORY...: what fails is run onc
     pytest_here "$name" "$interpreter" -n "$(nproc)" --dist worksteal --durations=5 "$@" || code=$?
     show_log "$name" "$( ((code == 0)) && echo 8 || echo 120)"
     if ((code == 1)); then
+        mapfile -t again < <("$R4H_SYSTEM_PYTHON" "$R4H_LIB/results.py" failed "${files[0]}" "$R4H_ROOT/..")
+    fi
+    if ((${#again[@]})); then
         note "once more what failed, one after the other"
         files+=("$R4H_LOGS/$name-again.xml")
-        mapfile -t again < <("$R4H_SYSTEM_PYTHON" "$R4H_LIB/results.py" failed "${files[0]}" "$R4H_ROOT/..")
         pytest_here "$name-again" "$interpreter" -p no:xdist "${again[@]}" || true
         show_log "$name-again" 40
     fi

@@ -18,7 +18,8 @@ KEYS_FILE = Path(__file__).resolve().with_name("rosdep_keys.txt")
 _RUN_TAGS, _TEST_TAGS = ("depend", "exec_depend"), ("depend", "exec_depend", "test_depend")
 _KEYS_OF_MODULES = {"cv2": "python3-opencv", "cryptography": "python3-cryptography", "numpy": "python3-numpy",
                     "pytest": "python3-pytest",
-                    "rospkg": "python3-rospkg", "scipy": "python3-scipy", "yaml": "python3-yaml"}
+                    "rospkg": "python3-rospkg", "scipy": "python3-scipy", "tornado": "python3-tornado",
+                    "yaml": "python3-yaml"}
 _MODULES = {"opencv-python-headless": "cv2", "pyyaml": "yaml"}
 """Names of modules whose PyPI package has another name."""
 _FOUND = re.compile(r'\$\(find ([\w-]+)\)|\bpkg="([\w-]+)"')

@@ -97,10 +97,13 @@ def _sum(cases: Dict[str, Counts]) -> Counts:
 
 
 def failed_ids(path: Path, root: Path) -> List[str]:
-    """What to call pytest with to run the cases again that failed: node ids with the path below `root`."""
+    """What to call pytest with to run the cases again that failed: node ids with the path below `root`.
+
+    A failure without a file (a worker of pytest-xdist that collected other tests, say) cannot be repeated.
+    """
     cases = ElementTree.parse(str(path)).getroot().iter("testcase")
     return ["%s/%s" % (root, _node_id(case)) for case in cases
-            if case.find("failure") is not None or case.find("error") is not None]
+            if case.get("file") and (case.find("failure") is not None or case.find("error") is not None)]
 
 
 def count_twice(first: Path, second: Path, data_required: bool = False) -> Counts:
@@ -181,7 +184,7 @@ def main(arguments: List[str]) -> int:
     with 'second' and a tabulator name what passed only in the second file. SECOND holds such lines of all layers.
     """
     if arguments[:1] == ["failed"] and len(arguments) == 3:
-        print("\n".join(failed_ids(Path(arguments[1]), Path(arguments[2]))))
+        print("".join(name + "\n" for name in failed_ids(Path(arguments[1]), Path(arguments[2]))), end="")
         return 0
     if arguments[:1] == ["pytest"] and len(arguments) == 3:
         _print_counts(count_file(Path(arguments[1]), arguments[2] == "true"))

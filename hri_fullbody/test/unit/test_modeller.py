@@ -203,6 +203,8 @@ def test_what_a_body_expresses_is_told_of_the_image_in_which_it_was_looked_at() 
     pipeline.fit([seen_body(measured=False)], 0.5, UP, (640, 480))
     assert pipeline.behaviour("abcde", 0.5) is None
     assert pipeline.model(seen_body(measured=False)) is not None and "standing" in pipeline.label("abcde")
+    pipeline.fit([seen_body(measured=False)], 1.5, UP, (640, 480))
+    assert "standing" not in pipeline.label("abcde")
 
 
 def test_keys_of_diagnostics_are_the_same_for_whoever_is_there() -> None:

@@ -9,9 +9,10 @@ import pytest
 from posed_people import STATURE, UP
 
 from hri_fullbody.core import keypoints as kp
+from hri_fullbody.core.behaviour.arms import trunk_axes
 from hri_fullbody.core.behaviour.attitude import AttitudeClass, Latch, Rule
 from hri_fullbody.core.behaviour.gesture import GestureClass, turns
-from hri_fullbody.core.behaviour.posture import PostureClass, without_guessed_legs
+from hri_fullbody.core.behaviour.posture import PostureClass, PostureEstimator, without_guessed_legs
 from hri_fullbody.core.behaviour.recognizer import BehaviourRecognizer, BodyBehaviour
 
 RATES = (5.0, 15.0, 60.0)
@@ -182,6 +183,17 @@ def test_what_does_not_wave():
         assert GestureClass.WAVING not in {seen.gesture for seen in show(BehaviourRecognizer(), still, 3.0, 30.0)}
 
 
+def test_a_hidden_hand_that_the_network_guesses_to_and_fro_does_not_wave():
+    def told(forearm):
+        body, confidence = BehaviourRecognizer(), np.ones(18)
+        confidence[[kp.RIGHT_ELBOW, kp.RIGHT_WRIST]] = forearm
+        return {body.update(people.waving(stamp, "right").seen(), STATURE, stamp, UP, confidence=confidence).gesture
+                for stamp in (np.arange(45) / 15.0).tolist()}
+
+    assert GestureClass.WAVING not in told((0.8, 0.3)) | told((0.4, 0.9))
+    assert GestureClass.WAVING in told((0.8, 0.6))
+
+
 POSTURES = [
     ("standing", people.standing(), PostureClass.STANDING),
     ("one leg lifted", people.standing().lean(10.0), PostureClass.STANDING),
@@ -219,6 +231,45 @@ def test_legs_outside_the_image_are_no_legs(width, height, posture):
     given = points.copy()
     assert last(without_guessed_legs(points, pixels, width, height)).posture == posture
     assert np.array_equal(given, points)
+
+
+def test_legs_that_the_network_guesses_are_no_legs():
+    points = people.seated().seen()
+    pixels = np.column_stack([400.0 * points[:, :2] + (640.0, 760.0), np.full(18, 0.9)])
+    assert last(without_guessed_legs(points, pixels, 1280, 2000)).posture == PostureClass.SITTING
+    pixels[kp.LEFT_KNEE, 2] = 0.3
+    assert np.isnan(without_guessed_legs(points, pixels, 1280, 2000)[kp.LEFT_KNEE]).all()
+    pixels[[kp.RIGHT_ANKLE, kp.LEFT_ANKLE], 2] = 0.3
+    assert last(without_guessed_legs(points, pixels, 1280, 2000)).posture == PostureClass.OTHER
+
+
+@pytest.mark.parametrize("up_sd", np.radians([5.0, 9.0]), ids=["stood", "never stood"])
+@pytest.mark.parametrize("error", (-8.0, 0.0, 8.0))
+def test_who_sits_is_told_under_a_camera_of_unknown_tilt(up_sd, error):
+    angle = math.radians(error)
+    up = np.array([0.0, -math.cos(angle), -math.sin(angle)])
+    for heading in (0.0, 0.8, -0.8):
+        points, body = people.seated().seen(heading), BehaviourRecognizer()
+        told = [body.update(points, STATURE, index / 15.0, up, up_sd) for index in range(20)]
+        assert told[-1].posture == PostureClass.SITTING
+
+
+def test_a_crouch_is_told_with_a_sure_vertical_and_not_with_a_vague_one():
+    points, told = people.crouching().seen(), {}
+    for up_sd in (0.0, math.radians(5.0), math.radians(9.0)):
+        body = BehaviourRecognizer()
+        told[up_sd] = [body.update(points, STATURE, index / 15.0, UP, up_sd) for index in range(20)][-1].posture
+    assert list(told.values()) == [PostureClass.CROUCHING, PostureClass.CROUCHING, PostureClass.OTHER]
+
+
+@pytest.mark.parametrize("seen_for, outlasts", [(0.4, 0.3), (3.0, 0.9)])
+def test_a_posture_outlasts_a_loss_as_long_as_it_was_seen(seen_for, outlasts):
+    estimator, points, lost = PostureEstimator(), people.seated().seen(), np.full((18, 3), np.nan)
+    for _ in range(int(seen_for / 0.1) + 1):
+        estimator.update(points, trunk_axes(points, UP), STATURE, UP, 0.1)
+    told = [estimator.update(lost, trunk_axes(lost, UP), STATURE, UP, 0.1) for _ in range(15)]
+    assert told.count(PostureClass.SITTING) == pytest.approx(outlasts / 0.1, abs=1.5)
+    assert told[-1] == PostureClass.OTHER
 
 
 def test_posture_waits_and_outlasts_a_short_loss():

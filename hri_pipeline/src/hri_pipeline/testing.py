@@ -1,14 +1,21 @@
-"""For tests that run nodes: waits for conditions, in wall time, a camera, and what a process holds."""
+"""For tests that run nodes: waits for conditions, in wall time, a camera, a browser, and what a process holds."""
 
 from __future__ import annotations
 
+import base64
+import itertools
+import json
 import os
 import resource
+import shutil
+import signal
 import subprocess
+import tempfile
 import threading
 import time
 from contextlib import contextmanager
 from typing import Any, Callable, Iterator, List, NamedTuple, Optional, Set, Union
+from urllib.request import urlopen
 from xmlrpc.client import ServerProxy
 
 import cv2
@@ -17,6 +24,8 @@ import rosgraph
 import rospy
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from tornado.ioloop import IOLoop
+from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.onnx import models_directory
@@ -229,3 +238,92 @@ class HeardProcess:
             self.process.kill()
         self.process.wait()
         self._reader.join(10.0)
+
+
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+
+
+class Browser:
+    """Chromium without a window, by its DevTools protocol (chromedevtools.github.io/devtools-protocol).
+
+    Parameters
+    ----------
+    width, height : int
+        Of the page, px.
+    dark : bool
+        What the page is told of the user's wishes.
+
+    Raises
+    ------
+    FileNotFoundError
+        Where there is no Chromium.
+    """
+
+    def __init__(self, width: int = 1280, height: int = 900, dark: bool = False) -> None:
+        program = next((found for found in map(shutil.which, BROWSERS) if found), None)
+        if program is None:
+            raise FileNotFoundError("there is none of " + ", ".join(BROWSERS))
+        self._folder = tempfile.mkdtemp(prefix="ros4hri-browser-")
+        self._loop = IOLoop(make_current=False)
+        self._number, self._closed = itertools.count(1), False
+        self._process = subprocess.Popen(
+            [program, "--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0",
+             "--user-data-dir=" + self._folder, "about:blank"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            start_new_session=True)
+        try:
+            self._connection = self._connect()
+            self.command("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1,
+                         mobile=False)
+            self.command("Emulation.setEmulatedMedia", features=[
+                {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}])
+        except BaseException:
+            self.close()
+            raise
+
+    def _connect(self) -> WebSocketClientConnection:
+        port = os.path.join(self._folder, "DevToolsActivePort")
+        wait_for(lambda: os.path.exists(port) and open(port, encoding="ascii").read().count("\n"), 30.0, "a browser")
+        with open(port, encoding="ascii") as lines:
+            base = "http://127.0.0.1:{}/json/list".format(lines.readline().strip())
+        page = wait_for(lambda: [one for one in json.loads(urlopen(base, timeout=10.0).read())
+                                 if one["type"] == "page"], 30.0, "an empty page")
+        return self._loop.run_sync(
+            lambda: websocket_connect(page[0]["webSocketDebuggerUrl"], max_message_size=2 ** 26))
+
+    def command(self, method: str, **parameters: Any) -> Any:
+        """Give a command of the protocol, and return its result. AssertionError when it is refused."""
+        number = next(self._number)
+        text = json.dumps({"id": number, "method": method, "params": parameters})
+        self._loop.run_sync(lambda: self._connection.write_message(text))
+        while True:
+            answer = json.loads(self._loop.run_sync(self._connection.read_message, timeout=60.0) or "null")
+            if answer is None:
+                raise AssertionError("the browser has gone")
+            if answer.get("id") == number:
+                assert "error" not in answer, answer
+                return answer["result"]
+
+    def open(self, url: str) -> None:
+        """Go to a page."""
+        self.command("Page.navigate", url=url)
+
+    def value(self, expression: str) -> Any:
+        """Return the value of a JavaScript expression, of a promise its result. AssertionError when it throws."""
+        result = self.command("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in result, result
+        return result["result"].get("value")
+
+    def picture(self, path: str, whole: bool = False) -> None:
+        """Write what is seen as PNG; whole: the page in its whole length."""
+        data = self.command("Page.captureScreenshot", format="png", captureBeyondViewport=whole)["data"]
+        with open(path, "wb") as file:
+            file.write(base64.b64decode(data))
+
+    def close(self) -> None:
+        """End it. Idempotent."""
+        if not self._closed:
+            self._closed = True
+            os.killpg(self._process.pid, signal.SIGKILL)    # Debian's program is a shell script around the browser
+            self._process.wait()
+            self._loop.close(all_fds=True)
+        shutil.rmtree(self._folder, ignore_errors=True)

@@ -247,6 +247,18 @@ def test_a_camera_that_swings_and_two_looks_for_all_faces(names, rate, swing, pe
     assert counts[len(counts) // 2:] == [there] * (len(counts) - len(counts) // 2) and len(known) == there
 
 
+def test_images_that_come_now_and_then_on_a_busy_machine_end_no_face():
+    """One look is left per image, and an image comes late after two faces had to wait: they stay who they were."""
+    image = cv2.resize(photograph("sample1"), (960, 640), interpolation=cv2.INTER_AREA)
+    finder = FaceTrackingPipeline(FACES.resolve({"cpu_share": 0.0}), StageTimes(), clock=lambda: 0.0)
+    known = set()
+    for stamp in (0.04, 0.67, 0.89, 1.12, 1.68, 1.93, 2.3, 2.9):
+        finder.scheduler.note_timing(0.2, 0.2)
+        finder.update(image, 1000.0 + stamp)
+        known.update(finder.tracked_ids)
+    assert len(known) == len(finder.tracked_ids) == 3
+
+
 def test_what_looks_like_a_face_now_and_then_is_none(stage):
     """A blurred chair, in which the detector sees half a face in some images, and the mesh a whole one."""
     motion = PictureMotion(photograph("sample1"), 1280, 720)

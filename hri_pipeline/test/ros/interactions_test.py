@@ -77,6 +77,20 @@ class InteractionsTest(unittest.TestCase):
         self.stage.lids["ann"] = 0.1
         self.wait_for_gazes({("ann", ""), ("bob", "ann")}, "open eyes")
 
+    def test_1b_who_is_not_tracked_any_more_leaves_the_group_at_once_and_its_id_stays(self):
+        ann, bob, cho = np.array([0.5, 0.0, 1.5]), np.array([-0.5, 0.0, 1.5]), np.array([1.0, 0.0, 2.1])
+        pair = {"ann": (LEFT, ann, np.array([1.5, 0.0, 1.5])), "bob": (RIGHT, bob, np.array([-1.5, 0.0, 1.5]))}
+        self.stage.people = dict(pair, cho=(LEFT, cho, np.array([1.0, 0.0, 0.0])))
+        three = wait_for(lambda: {"ann", "bob", "cho"} <= set(self.groups[-1].members) and self.groups[-1], WAIT_S,
+                         "three")
+        self.stage.people, left = pair, rospy.Time.now()
+        two = wait_for(lambda: "cho" not in self.groups[-1].members and self.groups[-1], WAIT_S, "two")
+        self.assertTrue({"ann", "bob"} <= set(two.members), two)
+        self.assertEqual(two.group_id, three.group_id)
+        self.assertLess((two.header.stamp - left).to_sec(), 0.8, "before who is not seen for a moment leaves")
+        text = "{} ({})".format(two.group_id, len(two.members))
+        wait_for(lambda: [marker.text for marker in self.markers[-1].markers if marker.text] == [text], WAIT_S, text)
+
     def test_2_engagement_is_latched_and_ends_unknown(self):
         heard = []
         here, robot = np.array([1.0, 0.0, 1.2]), np.array([1.0, 0.0, 0.0])

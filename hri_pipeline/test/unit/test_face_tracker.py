@@ -418,6 +418,19 @@ def test_a_skipped_face_dies_when_it_is_never_looked_at():
     assert faces.ids == []
 
 
+def test_a_face_that_waits_for_its_turn_outlives_slow_images():
+    """Seen when it was looked for, then another's turn twice, then a slow image: nobody was away."""
+    faces = tracker(death=1.0)
+    for stamp in (0.0, 0.2):
+        faces.update([face(100.0)], stamp)
+    only = faces.ids
+    for stamp in (0.4, 0.7):
+        faces.update([], stamp, skipped=only)
+    assert [track.id for track in faces.expected(1.3)] == only
+    faces.update([face(100.0)], 1.3)
+    assert faces.ids == only
+
+
 def test_colours_of_a_face():
     image = np.zeros((100, 200, 3), np.uint8)
     image[:, 100:] = 255

@@ -318,7 +318,7 @@ def test_catalogue_is_consistent() -> None:
 
 def test_evaluation_pictures_are_fetched_only_when_named() -> None:
     evaluation = {product.output for product in select(["evaluation"])}
-    assert len(evaluation) == 42 and all(output.startswith("evaluation/") for output in evaluation)
+    assert len(evaluation) == 44 and all(output.startswith("evaluation/") for output in evaluation)
     for group in ("default", "demo", "all"):
         assert not evaluation & {product.output for product in select([group])}
     files = {label.file for label in labelled_eyes()}

@@ -52,15 +52,16 @@ def pose_of(yaw=0.0, pitch=0.0, roll=0.0, place=(0.0, 0.0, 0.7)):
 
 
 def mesh_of(pose, direction, opening=0.3, scale=1.0):
-    """Mesh (478, 3) px of that head whose eyes look in `direction` of the optical frame; scale: of the irises' size."""
+    """Mesh (478, 3) px of that head whose eyes look in `direction` of the optical frame, (3,), or (2, 3) one of each
+    eye; scale: of the irises' size."""
     face = head(opening)
     model = pose.compose(face.face_frame().inverse())
     mesh = np.zeros((478, 3))
     mesh[:468, :2] = CAMERA.project(model.apply(face.vertices))
     corners = np.array([[CORNERS[33], CORNERS[133]], [CORNERS[263], CORNERS[362]]]).mean(axis=1)
     centres = model.apply(corners + [[-EYE_OUT, -EYE_UP, EYE_BACK], [EYE_OUT, -EYE_UP, EYE_BACK]])
-    for first, centre in zip((468, 473), centres):
-        iris = CAMERA.project((centre + EYE_RADIUS * direction)[None])[0]
+    for first, centre, line in zip((468, 473), centres, np.broadcast_to(direction, (2, 3))):
+        iris = CAMERA.project((centre + EYE_RADIUS * line)[None])[0]
         radius = scale * 0.5 * 0.0117 * CAMERA.matrix[0, 0] / centre[2]
         mesh[first:first + 5, :2] = iris + radius * np.array([(0, 0), (1, 0), (0, -1), (-1, 0), (0, 1)])
     return mesh
@@ -107,6 +108,31 @@ def test_eyes_that_disagree_are_not_believed():
     mesh = mesh_of(pose, towards(0, 0))
     mesh[468:473] = mesh_of(pose, towards(35, 0))[468:473]
     assert estimator().estimate(mesh, pose, CAMERA).from_eyes < 0.1
+
+
+@pytest.mark.parametrize("distance", [0.15, 0.25, 0.3])
+@pytest.mark.parametrize("beside", [0.0, 2.0, -10.0])
+def test_the_eyes_of_a_near_face_converge_and_are_believed(distance, beside):
+    pose = pose_of(place=(0.0, 0.0, distance))
+    target = pose.translation + distance * towards(beside, 0.0)
+    inner = np.array([[CORNERS[33], CORNERS[133]], [CORNERS[263], CORNERS[362]]]).mean(axis=1)
+    eyes = pose.compose(head().face_frame().inverse()).apply(inner)
+    lines = (target - eyes) / np.linalg.norm(target - eyes, axis=1, keepdims=True)
+    gaze = estimator().estimate(mesh_of(pose, lines), pose, CAMERA)
+    assert gaze.from_eyes > 0.9
+    assert degrees(gaze.direction, towards(beside, 0.0)) < 4.0
+    # As far apart, but diverging, they are wrong.
+    apart = estimator().estimate(mesh_of(pose, lines[::-1]), pose, CAMERA)
+    assert distance > 0.2 or apart.from_eyes < 0.2
+
+
+@pytest.mark.parametrize("width", [13, 20, 26, 30])
+def test_the_gaze_of_a_face_of_13_to_30_px_is_that_of_its_head_and_says_so(width):
+    distance = 0.15 * CAMERA.matrix[0, 0] / width
+    pose = pose_of(20, 5, 0, (0.0, 0.0, distance))
+    gaze = estimator().estimate(mesh_of(pose, towards(-5, 0)), pose, CAMERA, presence=0.9)
+    assert gaze.from_eyes == 0.0 and gaze.confidence == pytest.approx(0.9 * HEAD_CONFIDENCE)
+    assert gaze.direction == pytest.approx(pose.rotation[:, 0]) and gaze.eyes_closed < OPEN
 
 
 def test_eyes_turn_only_so_far_in_their_head():

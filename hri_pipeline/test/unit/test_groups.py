@@ -314,6 +314,49 @@ def test_a_member_who_is_not_seen_for_a_moment_stays_and_one_who_is_gone_leaves(
     assert film.run([], 2.0) == {}
 
 
+def test_who_is_not_tracked_any_more_leaves_at_once_and_the_others_keep_the_id() -> None:
+    film = Film()
+    first = film.run(standing("abc") + standing("de", x=6.0), 5.0)
+    groups = film.tracker.retain("abd")
+    assert {group.members: group.id for group in groups} == {("a", "b"): first[("a", "b", "c")]}
+    assert film.run([person for person in standing("abc") if person.id != "c"], STEP) == {
+        ("a", "b"): first[("a", "b", "c")]}
+    assert film.tracker.retain("") == [] == film.tracker.retain("abc")
+    assert film.run(standing("abc"), 0.4) == {("a", "b", "c"): first[("a", "b", "c")]}, "a gap of the list ends nothing"
+
+
+def test_people_who_get_other_ids_where_they_stand_are_the_same_group() -> None:
+    film = Film()
+    first = film.run(standing("abc"), 5.0)
+    assert film.tracker.retain("xyz") == []
+    assert film.run(standing("xyz"), 0.4) == {("x", "y", "z"): first[("a", "b", "c")]}
+
+
+def test_somebody_new_elsewhere_takes_nobodys_place() -> None:
+    film = Film()
+    first = film.run(standing("abc"), 5.0)
+    film.tracker.retain("bcx")
+    company = [person for person in standing("abc") if person.id != "a"]
+    assert film.run(company + alone("x"), 2.0) == {("b", "c"): first[("a", "b", "c")]}
+
+
+def test_the_largest_part_has_the_id_also_when_it_takes_in_another_group() -> None:
+    film = Film(group_time=0.0, group_delay=0.0)
+    before = film.run(standing("abcde", radius=0.8) + standing("fg", x=6.0), 2.0)
+    film.stamp += 1.1
+    after = film.run(standing("abcfg", radius=0.8) + standing("de", x=6.0), STEP)
+    assert after[("a", "b", "c", "f", "g")] == before[("a", "b", "c", "d", "e")]
+    assert after[("d", "e")] not in before.values()
+
+
+def test_of_equal_parts_that_without_the_robot_has_the_id() -> None:
+    film = Film()
+    whole = film.run(standing([ROBOT, "c", "a", "b"], radius=0.8), 5.0)
+    film.stamp += 1.1
+    parts = film.run(standing([ROBOT, "c"], x=6.0) + standing("ab"), 1.0)
+    assert parts[("a", "b")] == whole[(ROBOT, "a", "b", "c")]
+
+
 def test_the_robot_may_be_a_member() -> None:
     film = Film()
     people = standing(["a", "b"]) + standing(["c", "d", ROBOT], x=8.0)

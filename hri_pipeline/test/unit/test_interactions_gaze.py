@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hri_pipeline.core.interactions.gaze import ROBOT, GazeTargets, Observer
+from hri_pipeline.core.interactions.gaze import ROBOT, ErrorRenewal, GazeTargets, Observer
 from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
 from hri_pipeline.core.interactions.people import PeopleSnapshot
 
@@ -232,6 +232,26 @@ def test_errors_that_last_do_not_add_up_to_certainty_and_those_that_tremble_do()
 
     assert confidence(0.0) < 0.75, "somebody else is nearly as likely, however long it lasts"
     assert confidence(0.14) > 0.9
+
+
+def test_eyes_that_go_elsewhere_are_followed_at_the_second_image():
+    room = Room()
+    room.places["bob"] = np.array([1.0, 1.6, 1.7])
+    company = [room.person("bob"), room.person("cho")]
+    assert room.look(3.0, [room.person("ann", at="bob", gaze_direction_sd=0.1), *company]) == {"ann": "bob"}
+    assert room.look(2.0 / RATE, [room.person("ann", at=ROBOT, gaze_direction_sd=0.1), *company]) == {"ann": ROBOT}
+
+
+@pytest.mark.parametrize("sd", [0.1, 0.2])
+def test_eyes_that_tremble_about_one_place_do_not_go_elsewhere(sd):
+    random, renewal, error, begun = np.random.RandomState(3), ErrorRenewal(), np.zeros(3), 0
+    for _ in range(int(60.0 * RATE)):
+        error = 0.85 * error + math.sqrt(1.0 - 0.85 ** 2) * random.normal(0.0, sd, 3)
+        direction = np.array([1.0, 0.0, 0.0]) + error * (0.0, 1.0, 1.0)
+        person = Observer("ann", np.zeros(3), gaze_direction=direction / np.linalg.norm(direction),
+                          gaze_direction_sd=sd)
+        begun += int(renewal.update(PeopleSnapshot.of([person]), np.array([0.3]), 1.0 / RATE)[1].sum())
+    assert begun <= 2, "in a minute"
 
 
 def test_people_look_rather_at_those_of_their_group():

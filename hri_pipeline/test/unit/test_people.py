@@ -26,9 +26,10 @@ def facing_camera(distance):
     return Pose(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]]), np.array([0.0, 0.0, distance]))
 
 
-def straight():
-    """A gaze along x of the face: z of the gaze frame is x of the face, y is down."""
-    return Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3))
+def straight(turn=0.0):
+    """A gaze along x of the face: z of the gaze frame is x of the face, y is down; turn: rad to its left."""
+    cosine, sine = math.cos(turn), math.sin(turn)
+    return Pose(np.array([[sine, 0.0, cosine], [-cosine, 0.0, sine], [0.0, -1.0, 0.0]]), np.zeros(3))
 
 
 @pytest.fixture
@@ -52,13 +53,21 @@ def seen(frames, newest=10.0, lids=None, settings=SETTINGS):
 
 def test_a_face_and_its_gaze(frames):
     put(frames, "camera", "face_fa", facing_camera(1.0))
-    put(frames, "face_fa", "gaze_fa", straight())
+    put(frames, "face_fa", "gaze_fa", straight(0.01))
     (ann,) = seen(frames)
     np.testing.assert_allclose(ann.head, (1.0, 0.0, 1.3), atol=1e-9)
     np.testing.assert_allclose(ann.head_direction, (-1.0, 0.0, 0.0), atol=1e-9)
-    np.testing.assert_allclose(ann.gaze_direction, (-1.0, 0.0, 0.0), atol=1e-9)
+    np.testing.assert_allclose(ann.gaze_direction, (-math.cos(0.01), -math.sin(0.01), 0.0), atol=1e-9)
     assert ann.eyes_closed == 0.0
     assert ann.body_direction is None
+
+
+def test_a_gaze_that_is_the_heads_own_says_nothing_more_than_the_head(frames):
+    """Of a face of 13 to 30 px, and of detectors that measure no eyes."""
+    put(frames, "camera", "face_fa", facing_camera(1.0))
+    put(frames, "face_fa", "gaze_fa", straight())
+    (ann,) = seen(frames)
+    assert ann.gaze_direction is None and ann.eyes_closed == 0.0 and ann.head_direction is not None
 
 
 def test_a_gaze_given_in_the_frame_of_the_camera(frames):
@@ -124,7 +133,7 @@ def test_eyes_far_away_are_too_small(frames):
     sds = []
     for distance in (0.3, 0.8, 1.2):
         put(frames, "camera", "face_fa", facing_camera(distance * SETTINGS.gaze_range))
-        put(frames, "face_fa", "gaze_fa", straight())
+        put(frames, "face_fa", "gaze_fa", straight(0.01))
         (ann,) = seen(frames)
         sds.append(ann.gaze_direction_sd if ann.gaze_direction is not None else math.inf)
     assert sds[0] == pytest.approx(SETTINGS.gaze_sd)

@@ -52,6 +52,28 @@ def test_the_page_holds_all_plots_and_escapes_what_was_said(bag, tmp_path, capsy
     assert "http" not in text, "nothing comes from the network"
 
 
+def test_people_have_their_names_and_what_they_said_and_ids_of_a_moment_are_counted_only(tmp_path):
+    with BagWriter(tmp_path / "names.bag") as writer:
+        for number in range(101):
+            stamp = BASE + 0.1 * number
+            writer.ids("/humans/persons/tracked", ["p1"] + ["anonymous_person_blip1"] * (40 <= number < 50), stamp)
+            writer.groups("/humans/interactions/groups", [{"p1", ""}], stamp)
+        writer.text("/humans/persons/p1/name", "Ada <3", BASE)
+        for voice, begin in (("vabcd", 2.0), ("vefgh", 6.0)):
+            writer.text("/humans/persons/p1/voice_id", voice, BASE + begin)
+            writer.flag("/humans/voices/{}/is_speaking".format(voice), True, BASE + begin)
+            writer.text("/humans/voices/{}/speech".format(voice), "words of " + voice, BASE + begin + 1.0)
+            writer.flag("/humans/voices/{}/is_speaking".format(voice), False, BASE + begin + 1.0)
+        writer.flag("/humans/voices/vnone/is_speaking", True, BASE + 8.0)
+        writer.flag("/humans/voices/vnone/is_speaking", False, BASE + 9.0)
+    text = page(read_bag(tmp_path / "names.bag"), "names")
+    people, _, _, groups, speech, _ = (part.split("</h2>")[1] for part in text.split("<h2>")[1:])
+    assert "Ada &lt;3" in people and "Ada &lt;3 + robot" in groups and "blip" not in text and "p1" not in text
+    assert speech.count("<text x='4'") == 2, "one row of Ada, one of the voice of nobody"
+    assert "0:02.0 Ada &lt;3: words of vabcd" in speech and "voice vnone" in speech
+    assert "At most 2 at a time, 2 ids, 1 of them not shown" in text
+
+
 def test_an_empty_recording_says_so(tmp_path):
     with BagWriter(tmp_path / "empty.bag") as writer:
         writer.ids("/humans/persons/tracked", [], BASE)

@@ -21,6 +21,7 @@ from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
 from benchmarks.store import no_room
 from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
+from hri_pipeline.core.recognition import database as database_module
 from hri_pipeline.core.recognition import store as store_module
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson, StoreWriter
 
@@ -211,10 +212,10 @@ def test_a_damaged_store_that_another_one_holds_is_left_alone(path):
 
 
 def test_a_newer_schema_is_refused_and_left_alone(path, monkeypatch):
-    newer = store_module.MIGRATIONS + (("ALTER TABLE persons ADD COLUMN shoe_size REAL",),)
+    newer = database_module.MIGRATIONS + (("ALTER TABLE persons ADD COLUMN shoe_size REAL",),)
     filled(path).close()
     with monkeypatch.context() as patched:
-        patched.setattr(store_module, "MIGRATIONS", newer)
+        patched.setattr(database_module, "MIGRATIONS", newer)
         store = PersonStore(path)
         assert len(store.load_records()) == 4, "an older one is brought to the newer schema, with all that is in it"
         store.close()
@@ -226,12 +227,12 @@ def test_a_newer_schema_is_refused_and_left_alone(path, monkeypatch):
 def test_a_store_of_the_first_schema_is_read_and_brought_to_the_newest(path):
     path.parent.mkdir(mode=0o700)
     with sqlite3.connect(str(path)) as first:
-        for statement in store_module.MIGRATIONS[0]:
+        for statement in database_module.MIGRATIONS[0]:
             first.execute(statement)
         for name in ("anna", "person0", "person1", "person2"):
             first.execute("INSERT INTO persons VALUES (?, ?, '', 0, '', 1, 2, '{}')", (name, name.upper()))
         first.execute("PRAGMA user_version = 1")
-        first.execute("PRAGMA application_id = {}".format(store_module.APPLICATION_ID))
+        first.execute("PRAGMA application_id = {}".format(database_module.APPLICATION_ID))
     first.close()
     store = PersonStore(path)
     assert [record.name for record in store.load_records()][0] == "ANNA"
@@ -364,7 +365,7 @@ def test_a_lock_that_is_not_given_costs_no_descriptor(path, monkeypatch):
     def refused(descriptor, operation):
         raise OSError(37, "No locks available")
 
-    monkeypatch.setattr(store_module.fcntl, "flock", refused)
+    monkeypatch.setattr(database_module.fcntl, "flock", refused)
     before = os.listdir("/proc/self/fd")
     for _ in range(3):
         with pytest.raises(StoreError, match="No locks"):

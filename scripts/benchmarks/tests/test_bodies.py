@@ -11,7 +11,7 @@ ASKED = {
     "ikpy_warm_ms",
     "tf_fk_error_m", "rsp_first_tf_s", "rsp_cpu_percent_10", "cpu_ms_per_body_frame", "stature_bias_mm",
     "stature_sd_mm", "stature_no_legs_sd_mm", "head_face_median_m", "attitude", "waving_false",
-    "posture", "stature", "churn_500"}
+    "photographs", "posture", "stature", "churn_500"}
 MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3], "versions": {}}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 from pathlib import Path
@@ -124,6 +125,29 @@ def test_rep155_page_tells_what_only_one_knows() -> None:
     for name, known in told.items():
         assert of[name] == whose.get(known, "paper"), name
     assert {name for name, who in of.items() if who != "paper" and PAPER[name] == REP155[name]} <= set(told)
+
+
+def test_the_layout_for_foxglove_names_what_is_published() -> None:
+    """Topics of the interface, and pictures for people, which nodes publish as visualization/...; each panel is shown
+    once."""
+    layout = json.loads((ROOT / "launch" / "foxglove_layout.json").read_text(encoding="utf-8"))
+    panels = layout["configById"]
+    named = {panel.get(key, "").split(".")[0] for panel in panels.values() for key in ("topicPath", "topicToRender")}
+    named |= {topic for panel in panels.values() for topic in panel.get("topics", ())}
+    named |= {panel["imageMode"]["imageTopic"] for panel in panels.values() if "imageMode" in panel}
+    sources = "".join(path.read_text(encoding="utf-8") for path in ROOT.glob("hri_*/src/**/*.py"))
+    drawn = {"/" + name for name in re.findall(r'Publisher\("(visualization/\w+)"', sources)}
+    assert drawn <= named, "what is drawn for people is in the layout"
+    assert named - {""} <= set(PAPER) | drawn | {"/diagnostics"}
+    shown: List[str] = []
+    places = [layout["layout"]]
+    while places:
+        place = places.pop()
+        if isinstance(place, str):
+            shown.append(place)
+        else:
+            places += [place["first"], place["second"]]
+    assert sorted(shown) == sorted(panels)
 
 
 def test_a_row_that_stands_twice_is_refused(tmp_path: Path) -> None:

@@ -228,7 +228,8 @@ def test_failed_cases_are_called_by_their_node_ids(tmp_path: Path) -> None:
     path = _write(tmp_path / "r.xml", """<testsuite>
       <testcase classname="r.p.test_a" name="good" file="r/p/test_a.py"/>
       <testcase classname="r.p.test_a" name="bad[1::2-x]" file="r/p/test_a.py"><failure/></testcase>
-      <testcase classname="r.p.test_a.TestB" name="bad" file="r/p/test_a.py"><error/></testcase></testsuite>""")
+      <testcase classname="r.p.test_a.TestB" name="bad" file="r/p/test_a.py"><error/></testcase>
+      <testcase classname="" name="gw1"><error>Different tests were collected</error></testcase></testsuite>""")
     assert results.failed_ids(path, Path("/w")) == ["/w/r/p/test_a.py::bad[1::2-x]", "/w/r/p/test_a.py::TestB::bad"]
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from hri_fullbody.core.behaviour.gesture import GestureClass
 from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
 from hri_fullbody.core.behaviour.posture import PostureClass, without_guessed_legs
-from hri_fullbody.core.behaviour.recognizer import BehaviourRecognizer, BodyBehaviour
+from hri_fullbody.core.behaviour.recognizer import MAX_GAP_S, BehaviourRecognizer, BodyBehaviour
 from hri_fullbody.core.detection.person_detector import CenterNetDetector, PersonDetector
 from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, BlazePose, PoseEstimate, PoseEstimator
 from hri_fullbody.core.detection.windows import FaceBox
@@ -170,6 +170,7 @@ class BodyPipeline:
         up: (3,) unit vector against gravity, optical frame; up_sd: standard deviation of its pitch, rad. size: width
         and height of the image, px.
         """
+        self._last_stamp = stamp
         seen = {body.id: body for body in bodies if body.measured}
         with self.times("models"):
             self.modelled = self._modeller.update(
@@ -270,7 +271,8 @@ class BodyPipeline:
         points = without_guessed_legs(model.points, body.keypoints, *size)
         recognizer = self._recognizers.setdefault(model.id, BehaviourRecognizer())
         behaviour = self._guard.each(
-            "behaviour of a body", lambda one: recognizer.update(points, one.stature, stamp, up, up_sd), [model])
+            "behaviour of a body",
+            lambda one: recognizer.update(points, one.stature, stamp, up, up_sd, body.keypoints[:, 2]), [model])
         self._last_models[model.id] = _LastModel(
             stamp, model, None if body.pose is None else body.pose.translation, behaviour[0] if behaviour else None)
         if body.head is not None:
@@ -307,12 +309,15 @@ class BodyPipeline:
         return None if last is None or last.stamp != stamp else last.behaviour
 
     def label(self, body_id: str) -> str:
-        """Return what is known of a body in a few words, such as `1.72 m, sitting, arms crossed`."""
+        """Return what is known of a body in a few words, such as `1.72 m, sitting, arms crossed`.
+
+        Posture and gesture are those of the last second; older ones are left out.
+        """
         last = self._last_models.get(body_id)
         if last is None:
             return ""
         words = ["{:.2f} m".format(last.model.stature)] if last.model.stature_known else []
-        if last.behaviour is not None:
+        if last.behaviour is not None and self._last_stamp - last.stamp <= MAX_GAP_S:
             words += [value.name.lower().replace("_", " ") for value in (
                 PostureClass(last.behaviour.posture), GestureClass(last.behaviour.gesture)) if value]
         return ", ".join(words)

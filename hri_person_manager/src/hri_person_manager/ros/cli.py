@@ -34,17 +34,8 @@ from hri_person_manager.core.display import (
     format_table,
 )
 from hri_person_manager.core.features import MAX_FEATURES
-from hri_person_manager.srv import (
-    Enrol,
-    Export,
-    Forget,
-    ListKnown,
-    ListKnownResponse,
-    Merge,
-    SetName,
-    SetNativeLanguage,
-    Split,
-)
+from hri_person_manager.ros.services import COMMANDS, carry_out, service
+from hri_person_manager.srv import ListKnown, ListKnownResponse
 from hri_pipeline.core.frames import RawTransform, read
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.privacy import notice
@@ -57,20 +48,7 @@ from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import SKELETONS, Frames, TfSubscriber
 
-SERVICE_PATIENCE_S = 5.0
 PRIVACY_S = 2.0      # in which all nodes have sent what they have latched
-_COMMANDS: Dict[str, Tuple[str, type, Tuple[str, ...], str]] = {
-    "name": ("set_name", SetName, ("id", "name"), "give a known person a name; '' takes it away"),
-    "language": ("set_native_language", SetNativeLanguage, ("id", "language"), "set the native language, such as "
-                                                                               "pt-BR"),
-    "merge": ("merge", Merge, ("id", "other"), "two ids are one human: OTHER becomes an alias of ID"),
-    "split": ("split", Split, ("id",), "undo a merge"),
-    "forget": ("forget", Forget, ("id",), "remove everything that is known of a person"),
-    "enrol": ("enrol", Enrol, ("id", "name"), "the person ID, who is seen now, agrees to be recognised"),
-    "enrol-new": ("enrol_new", Enrol, ("id", "name"), "the same, as a new person although the face looks like "
-                                                      "somebody who is known"),
-    "export": ("export", Export, ("id",), "print everything that is known of a person, or of all, as JSON"),
-}
 NOBODY = 3
 ONCE_S = 30.0
 REDRAW_S = 0.5
@@ -113,7 +91,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("list", help="list everybody who is known")
     commands.add_parser("privacy", help="what is computed and kept of people, by the nodes themselves")
-    for command, (_, _, fields, text) in _COMMANDS.items():
+    for command, (_, _, fields, text) in COMMANDS.items():
         added = commands.add_parser(command, help=text, description=text)
         for field in fields:
             optional = command == "export" or (command.startswith("enrol") and field == "name")
@@ -170,31 +148,24 @@ def _enrol_photographs(options: argparse.Namespace) -> int:
 
 def _carry_out(options: argparse.Namespace) -> int:
     if options.command == "list":
-        print(known_table(_service(options.node, "list_known", ListKnown)()))
+        print(known_table(service(options.node, "list_known", ListKnown)()))
         return 0
     if options.command == "privacy":
         uses = collect(PRIVACY_S)
         print(notice(uses) if uses else "people: no node has said on /humans/privacy what it does", flush=True)
         return 0 if uses else 1
     if options.command == "reset":
-        _service(options.node, "reset", Empty)()
+        service(options.node, "reset", Empty)()
         return 0
     if options.command == "forget-all":
-        answer = _service(options.node, "forget_all", Trigger)()
+        answer = service(options.node, "forget_all", Trigger)()
     else:
-        name, kind, fields, _ = _COMMANDS[options.command]
-        answer = _service(options.node, name, kind)(*(getattr(options, field) for field in fields))
+        answer = carry_out(options.node, options.command, vars(options))
     if not answer.success:
         print("people: {}".format(answer.message), file=sys.stderr)
         return 1
     print(answer.data if options.command == "export" else answer.message)
     return 0
-
-
-def _service(node: str, name: str, kind: type) -> Callable:
-    full = "{}/{}".format(node.rstrip("/"), name)
-    rospy.wait_for_service(full, SERVICE_PATIENCE_S)
-    return rospy.ServiceProxy(full, kind)
 
 
 def known_table(known: ListKnownResponse) -> str:

@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 import threading
 import time
-from typing import Any, Callable, List, NamedTuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, NamedTuple, Tuple
 
 import rosgraph
 import rospy
 import rosservice
 from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 
-from hri_person_manager.core.manager import PersonManager
-from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.register import PersonRegister, RegisterError
 from hri_person_manager.srv import (
     Enrol,
@@ -45,10 +43,47 @@ from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.ros.conversions import to_time
 from hri_pipeline.srv import Gallery, GalleryRequest, GalleryResponse
 
+if TYPE_CHECKING:     # scipy takes most of a second, which no command has to wait for
+    from hri_person_manager.core.manager import PersonManager
+    from hri_person_manager.core.match_graph import MatchGuard
+
 GALLERY_SUFFIX = "/gallery"
 GALLERY_PATIENCE_S = 2.0
 _NO_RECOGNISER = ("no recogniser can learn a face: no service ~gallery is offered. Start the node faces with "
                   "recognition on")
+SERVICE_PATIENCE_S = 5.0
+COMMANDS: Dict[str, Tuple[str, type, Tuple[str, ...], str]] = {
+    "name": ("set_name", SetName, ("id", "name"), "give a known person a name; '' takes it away"),
+    "language": ("set_native_language", SetNativeLanguage, ("id", "language"), "set the native language, such as "
+                                                                               "pt-BR"),
+    "merge": ("merge", Merge, ("id", "other"), "two ids are one human: OTHER becomes an alias of ID"),
+    "split": ("split", Split, ("id",), "undo a merge"),
+    "forget": ("forget", Forget, ("id",), "remove everything that is known of a person"),
+    "enrol": ("enrol", Enrol, ("id", "name"), "the person ID, who is seen now, agrees to be recognised"),
+    "enrol-new": ("enrol_new", Enrol, ("id", "name"), "the same, as a new person although the face looks like "
+                                                      "somebody who is known"),
+    "export": ("export", Export, ("id",), "print everything that is known of a person, or of all, as JSON"),
+}
+"""Commands for people: service, its type, the fields of its request, and what it does."""
+
+
+def service(node: str, name: str, kind: type) -> Callable:
+    """Return the service of a person manager as a function.
+
+    Raises rospy.ROSException when it is not offered; the function rospy.ServiceException when it is not answered.
+    """
+    full = "{}/{}".format(node.rstrip("/"), name)
+    rospy.wait_for_service(full, SERVICE_PATIENCE_S)
+    return rospy.ServiceProxy(full, kind)
+
+
+def carry_out(node: str, command: str, fields: Mapping[str, str]) -> Any:
+    """Call the service of one of the COMMANDS and return its answer; fields: at least those of its request.
+
+    Raises as `service` does.
+    """
+    name, kind, wanted, _ = COMMANDS[command]
+    return service(node, name, kind)(*(fields[field] for field in wanted))
 
 
 class GalleryAnswer(NamedTuple):

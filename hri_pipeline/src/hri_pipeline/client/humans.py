@@ -24,6 +24,7 @@ from hri_pipeline.client.topics import (
     GroupOfPersons,
     HumanPoses,
     LazyTopic,
+    Location,
     Posture,
     Region,
 )
@@ -225,7 +226,7 @@ class Person(Human):
     TOPICS = {"face_id": _Topic(_data, True), "body_id": _Topic(_data, True), "voice_id": _Topic(_data, True),
               "name": _Topic(_data, True), "native_language": _Topic(_data, True), "alias": _Topic(_data, True),
               "anonymous": _Topic(_data, True), "location_confidence": _Topic(_data, True),
-              "demographics": _Topic(topics.demographics, True),
+              "demographics": _Topic(topics.demographics, True), "position": _Topic(topics.location),
               "engagement_status": _Topic(lambda message: topics.choice(Engagement, message.level), True)}
 
     @property
@@ -267,6 +268,11 @@ class Person(Human):
     def location_confidence(self) -> float:
         """1 while seen or heard, less with time, 0 when it is not known any more where the person is."""
         return self._get("location_confidence", 0.0)
+
+    @property
+    def location(self) -> Optional[Location]:
+        """Where this person is, with its covariance; while seen or heard, it is new with each image or sound."""
+        return self._get("position")
 
     @property
     def demographics(self) -> Optional[Demographics]:

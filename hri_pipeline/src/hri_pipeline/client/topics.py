@@ -13,6 +13,7 @@ import genpy
 import numpy as np
 import roslib.message
 import rospy
+from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from hri_msgs.msg import (
     AgeAndGender,
@@ -187,6 +188,19 @@ class Demographics:
 
 
 @dataclass(frozen=True)
+class Location:
+    """Where somebody is.
+
+    frame: that of pose and covariance; pose: of the person's frame; covariance: (3, 3) m^2, of its position; stamp: s.
+    """
+
+    frame: str
+    pose: Pose
+    covariance: np.ndarray
+    stamp: float
+
+
+@dataclass(frozen=True)
 class GazeOfPerson:
     """Somebody looks at somebody. sender, receiver: person ids, empty for the robot. confidence: 0 to 1."""
 
@@ -255,6 +269,16 @@ def _demographics(age: float, age_confidence: float, gender: int, confidence: fl
     if age_confidence <= 0.0 and confidence <= 0.0:
         return None
     return Demographics(age, age_confidence, _GENDERS.get(gender, ""), confidence)
+
+
+def location(message: PoseWithCovarianceStamped) -> Location:
+    """Return the place of a person. Raises ValueError for numbers that are no pose."""
+    pose, covariance = message.pose.pose, np.asarray(message.pose.covariance).reshape(6, 6)[:3, :3]
+    turn, place = pose.orientation, pose.position
+    found = Pose.from_quaternion((turn.x, turn.y, turn.z, turn.w), (place.x, place.y, place.z))
+    if not (np.isfinite(found.translation).all() and np.isfinite(covariance).all()):
+        raise ValueError("numbers that are not finite")
+    return Location(message.header.frame_id, found, covariance, message.header.stamp.to_sec())
 
 
 def skeleton(message: genpy.Message) -> np.ndarray:

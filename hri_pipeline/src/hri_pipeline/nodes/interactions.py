@@ -55,6 +55,7 @@ _EARLY = 0.9            # part of the period after which the next image is not t
 _LOG_PERIOD_S = 10.0
 _SLACK_S = 1e-3
 _NEVER = genpy.Time()
+_QUEUE = 10             # of markers, too: who misses one misses what is deleted
 
 
 class InteractionsNode:
@@ -81,12 +82,13 @@ class InteractionsNode:
         self._is_empty = True
         self._frame_name = ""
         self._grouped_at = -math.inf
+        self._tracked: List[str] = []
         self._latest_groups: List[Group] = []
         self._latest_gazes: List[GazeTarget] = []
         self._published_groups: Optional[Sequence[Group]] = None
         self._times = StageTimes()
         self._markers = InteractionMarkers()
-        self._marker_topic = rospy.Publisher("visualization/interactions", MarkerArray, queue_size=1)
+        self._marker_topic = rospy.Publisher("visualization/interactions", MarkerArray, queue_size=_QUEUE)
         self._topics = InteractionTopics(settings.interface, settings.engagement)
         self._privacy = PrivacyTopic(DataUse(("who looks at whom", "groups",
                                               *(("engagement",) if settings.engagement else ()))))
@@ -196,7 +198,10 @@ class InteractionsNode:
             self._marker_topic.publish(moved_markers(markers, LEVEL.inverse()) if self._frame.is_level else markers)
 
     def _group(self, people: PeopleSnapshot, robot: Optional[RobotPose], seconds: float) -> List[Group]:
-        """Return the groups; the tracker uses its input once in group_period only."""
+        """Return the groups; the tracker uses its input once in group_period only, but who leaves does so at once."""
+        tracked = self._people.ids
+        if tracked != self._tracked:
+            self._tracked, self._latest_groups = tracked, self._groups.retain(tracked)
         if not 0.0 <= seconds - self._grouped_at < self._settings.group_period - _SLACK_S:
             self._grouped_at = seconds
             individuals = individuals_of(people, self._settings.group_head_sd, self._latest_gazes)
@@ -239,7 +244,6 @@ def moved_markers(markers: MarkerArray, pose: Pose) -> MarkerArray:
 
 NAMESPACE = "/humans/interactions"
 ENGAGEMENT = "engagement_status"
-_QUEUE = 10
 _MOST_GROUPS = 50
 
 

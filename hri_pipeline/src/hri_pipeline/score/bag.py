@@ -67,7 +67,8 @@ class Record:
 
     listed: tracked ids by kind (faces, bodies, voices); counted: the same of the truth, where it counts (recordings of
     pictures). said: texts by voice: the last one (String), or all that are finished (LiveSpeech). true_words: the
-    sentences of the truth. speaking: whether each voice speaks. texts: (time, voice, text) of all texts.
+    sentences of the truth. speaking: whether each voice speaks. texts: (time, voice, text) of all texts. names:
+    the last one by person; speakers: the last person by voice.
     """
 
     begin: float
@@ -84,6 +85,8 @@ class Record:
     true_words: List[str] = field(default_factory=list)
     speaking: Dict[str, List[Tuple[float, bool]]] = field(default_factory=dict)
     texts: List[Tuple[float, str, str]] = field(default_factory=list)
+    names: Dict[str, str] = field(default_factory=dict)
+    speakers: Dict[str, str] = field(default_factory=dict)
     messages: Counter = field(default_factory=Counter)
     foreign_frames: int = 0
     damaged: int = 0
@@ -137,8 +140,9 @@ class _Reading:
         for connection, nanoseconds, data in self._reader.messages():
             self._record.messages[connection.topic] += 1
             take = topics.get(connection.topic)
-            if take is None and connection.topic.endswith("/location_confidence"):
-                take = self._confidence
+            if take is None and connection.topic.startswith(PERSONS):
+                take = {"location_confidence": self._confidence, "name": self._name,
+                        "voice_id": self._voice_id}.get(connection.topic.split("/")[-1])
             elif take is None and connection.topic.startswith(HUMANS + "voices/"):
                 take = {"speech": self._speech, "is_speaking": self._speaking}.get(connection.topic.split("/")[-1])
             if take is None or (connection.topic in counts and connection.msgtype != _IDS_LIST):
@@ -208,6 +212,16 @@ class _Reading:
     def _confidence(self, connection: Any, when: float, data: bytes) -> None:
         person = connection.topic[len(PERSONS):].split("/")[0]
         self._record.confidence.setdefault(person, []).append((when, float(self._message(connection, data).data)))
+
+    def _name(self, connection: Any, when: float, data: bytes) -> None:
+        name = self._message(connection, data).data
+        if name:
+            self._record.names[connection.topic[len(PERSONS):].split("/")[0]] = name
+
+    def _voice_id(self, connection: Any, when: float, data: bytes) -> None:
+        voice = self._message(connection, data).data
+        if voice:
+            self._record.speakers[voice] = connection.topic[len(PERSONS):].split("/")[0]
 
     def _ids_of(self, series: List[Tuple[float, frozenset]]):
         def take(connection: Any, when: float, data: bytes) -> None:

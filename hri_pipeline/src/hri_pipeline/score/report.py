@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import html
 import sys
+import time
 from pathlib import Path
 from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
@@ -15,9 +16,27 @@ import numpy as np
 
 from hri_pipeline.score.bag import Record, RecordError, read_bag
 
-WIDTH, ROW, LEFT, SIDE = 900, 18, 170, 420      # px
+WIDTH, ROW, LEFT, SIDE = 1000, 18, 210, 480      # px
 HELD_S = 1.0            # a value that is not said again holds for so long
-MOST_PERSONS = 40
+LISTED_S = 3.0          # the same for lists
+MOST_PERSONS, MOST_GROUPS = 40, 30
+SHORTEST_S = 2.0        # who was there for less is counted, not shown: most of them are ids of a moment
+_STYLE = """
+:root { color-scheme: light dark; --text: #1c2430; --back: #fff; --plot: #f4f5f7; --line: #d5dae1; }
+@media (prefers-color-scheme: dark) {
+  :root { --text: #e8ecf1; --back: #14181e; --plot: #1e242c; --line: #3a4450; }
+}
+body { font: 15px/1.4 system-ui, "DejaVu Sans", sans-serif; margin: 1.5em auto; padding: 0 1em; max-width: 1000px;
+  background: var(--back); color: var(--text); }
+h2 { margin: 1.6em 0 .4em; font-size: 1.15em; }
+svg { display: block; width: 100%; height: auto; background: var(--plot); border-radius: 6px; }
+svg text { font: 11px system-ui, "DejaVu Sans", sans-serif; fill: var(--text); paint-order: stroke; stroke: var(--plot);
+  stroke-width: 3px; stroke-linejoin: round; }
+.line { stroke: var(--line); }
+.wide { overflow-x: auto; }
+table { border-collapse: collapse; }
+td, th { padding: 3px 8px; text-align: right; white-space: nowrap; font-weight: normal; }
+"""
 _COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#997700", "#555555")
 _ROBOT = "robot"
 
@@ -55,7 +74,7 @@ def gaze_shares(record: Record) -> Dict[Tuple[str, str], float]:
         sender, receiver = span.row.split("\0")
         looked[sender, receiver] = looked.get((sender, receiver), 0.0) + span.end - span.begin
     there: Dict[str, float] = {}
-    for span in spans(record.tracked, record.end, 3.0):
+    for span in spans(record.tracked, record.end, LISTED_S):
         there[span.row] = there.get(span.row, 0.0) + span.end - span.begin
     whole = max(record.end - record.begin, 1e-9)
     return {pair: min(1.0, seconds / max(there.get(pair[0], whole), 1e-9)) for pair, seconds in looked.items()}
@@ -78,39 +97,74 @@ def speech_spans(record: Record) -> List[Span]:
 
 def page(record: Record, title: str) -> str:
     """Return the page of a recording."""
-    persons = _persons(record)
+    persons, there = _persons(record), spans(record.tracked, record.end, LISTED_S)
     colours = {name: _COLOURS[number % len(_COLOURS)] for number, name in enumerate(persons)}
-    groups = spans([(when, [" + ".join(sorted(name or _ROBOT for name in group)) for group in found])
-                    for when, found in record.groups], record.end, 3.0)
     sections = [
-        ("People", _timeline(record, spans(record.tracked, record.end, 3.0), colours)),
+        ("People", _timeline(record, [span for span in there if span.row in colours], colours)),
         ("Places from above", _plan(record, persons, colours)),
         ("Who looks at whom", _gaze_table(record, persons)),
-        ("Groups", _timeline(record, groups, {})),
-        ("Speech", _timeline(record, speech_spans(record), {}) + _texts(record)),
+        ("Groups", _timeline(record, _group_spans(record), {})),
+        ("Speech", _timeline(record, _by_speaker(record), colours) + _texts(record)),
         ("Location confidence", _confidence(record, persons, colours))]
     body = "".join("<h2>{}</h2>{}".format(name, content or "<p>nothing in the recording</p>")
                    for name, content in sections)
-    minutes = (record.end - record.begin) / 60.0
-    return ("<!DOCTYPE html><html lang='en'><meta charset='utf-8'><title>{0}</title><style>body{{font:14px sans-serif;"
-            "margin:2em}}svg{{background:#fafafa}}td,th{{padding:2px 8px;text-align:right}}text{{font:11px sans-serif}}"
-            "</style><h1>{0}</h1><p>{1:.1f} minutes, {2} persons</p>{3}</html>").format(
-                html.escape(title), minutes, len(persons), body)
+    return ("<!DOCTYPE html><html lang='en'><head><meta charset='utf-8'><meta name='viewport' "
+            "content='width=device-width'><title>{0}</title><style>{1}</style></head><body><h1>{0}</h1><p>{2}</p>{3}"
+            "</body></html>").format(html.escape(title), _STYLE, _summary(record, persons), body)
+
+
+def _summary(record: Record, persons: Sequence[str]) -> str:
+    """When it was, how long, and how many people; ids are more than people: who is lost and found gets a new one."""
+    ids = {name for _, names in record.tracked for name in names}
+    most = max((len(names) for _, names in record.tracked), default=0)
+    text = "{}, {} min {} s. At most {} at a time, {} ids".format(
+        time.strftime("%Y-%m-%d %H:%M", time.localtime(record.begin)),
+        *divmod(int(round(record.end - record.begin)), 60), most, len(ids))
+    left_out = len(ids) - len(persons)
+    if not left_out:
+        return text + "."
+    beyond = " or beyond the {} longest".format(MOST_PERSONS) if len(persons) == MOST_PERSONS else ""
+    return text + ", {} of them not shown: there for less than {:g} s{}.".format(left_out, SHORTEST_S, beyond)
 
 
 def _persons(record: Record) -> List[str]:
     """Those who are there longest, in the order in which they came."""
     lasting: Dict[str, float] = {}
     first: Dict[str, float] = {}
-    for span in spans(record.tracked, record.end, 3.0):
+    for span in spans(record.tracked, record.end, LISTED_S):
         lasting[span.row] = lasting.get(span.row, 0.0) + span.end - span.begin
         first.setdefault(span.row, span.begin)
-    kept = sorted(lasting, key=lambda name: -lasting[name])[:MOST_PERSONS]
+    kept = sorted((name for name in lasting if lasting[name] >= SHORTEST_S),
+                  key=lambda name: -lasting[name])[:MOST_PERSONS]
     return sorted(kept, key=lambda name: (first[name], name))
 
 
-def _short(name: str) -> str:
-    return html.escape(name.replace("anonymous_person_", "~"))
+def _group_spans(record: Record) -> List[Span]:
+    """The groups that lasted longest, by the names of their members."""
+    found = spans([(when, [" + ".join(sorted(_name(record, name) for name in group)) for group in groups])
+                   for when, groups in record.groups], record.end, LISTED_S)
+    lasting: Dict[str, float] = {}
+    for span in found:
+        lasting[span.row] = lasting.get(span.row, 0.0) + span.end - span.begin
+    kept = sorted(lasting, key=lambda row: -lasting[row])[:MOST_GROUPS]
+    return [span for span in found if span.row in kept]
+
+
+def _by_speaker(record: Record) -> List[Span]:
+    """When each person speaks; voices of nobody by their own id."""
+    return sorted((span._replace(row=record.speakers.get(span.row, "voice " + span.row))
+                   for span in speech_spans(record)), key=lambda span: span.begin)
+
+
+def _name(record: Record, name: str) -> str:
+    """How somebody is called on the page."""
+    return record.names.get(name) or name.replace("anonymous_person_", "~") or _ROBOT
+
+
+def _shown(record: Record, name: str, most: int = 32) -> str:
+    """The same as HTML, in as many letters as there is room for."""
+    text = _name(record, name)
+    return html.escape(text if len(text) <= most else text[:most - 1] + "\u2026")
 
 
 def _x(record: Record, when: float) -> float:
@@ -118,7 +172,8 @@ def _x(record: Record, when: float) -> float:
 
 
 def _svg(width: float, height: float, content: str) -> str:
-    return "<svg width='{0:.0f}' height='{1:.0f}'>{2}</svg>".format(width, height, content)
+    return ("<div class='wide'><svg viewBox='0 0 {0:.0f} {1:.0f}' style='min-width:{2:.0f}px;max-width:{0:.0f}px'>{3}"
+            "</svg></div>").format(width, height, 0.7 * width, content)
 
 
 def _axis(record: Record, height: float) -> str:
@@ -126,7 +181,7 @@ def _axis(record: Record, height: float) -> str:
     whole = record.end - record.begin
     step = next((step for step in (1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600) if whole / step <= 12), 7200)
     marks = [step * number for number in range(int(whole / step) + 1)]
-    return "".join("<line x1='{0:.1f}' x2='{0:.1f}' y1='0' y2='{1:.0f}' stroke='#ddd'/><text x='{0:.1f}' y='{2:.0f}'>"
+    return "".join("<line x1='{0:.1f}' x2='{0:.1f}' y1='0' y2='{1:.0f}' class='line'/><text x='{0:.1f}' y='{2:.0f}'>"
                    "{3}:{4:02d}</text>".format(_x(record, record.begin + mark), height, height + 12, *divmod(mark, 60))
                    for mark in marks)
 
@@ -138,10 +193,12 @@ def _timeline(record: Record, found: Sequence[Span], colours: Dict[str, str]) ->
     if not rows:
         return ""
     height = ROW * len(rows)
-    names = "".join("<text x='4' y='{}'>{}</text>".format(ROW * row + 13, _short(name)) for name, row in rows.items())
+    names = "".join("<text x='4' y='{}'>{}</text>".format(ROW * row + 13, _shown(record, name))
+                    for name, row in rows.items())
     bars = "".join("<rect x='{:.1f}' y='{}' width='{:.1f}' height='{}' fill='{}'><title>{} {}</title></rect>".format(
         _x(record, span.begin), ROW * rows[span.row] + 3, max(1.0, _x(record, span.end) - _x(record, span.begin)),
-        ROW - 6, colours.get(span.row, _COLOURS[0]), _short(span.row), html.escape(span.text)) for span in found)
+        ROW - 6, colours.get(span.row, _COLOURS[0]), _shown(record, span.row, 200), html.escape(span.text))
+                   for span in found)
     return _svg(WIDTH, height + 16, _axis(record, height) + names + bars)
 
 
@@ -156,15 +213,32 @@ def _plan(record: Record, persons: Sequence[str], colours: Dict[str, str]) -> st
     # x of the frame points up, y to the left, as on a map that looks along x.
     points = {name: np.column_stack([(high[1] - places[:, 1]) * scale, (high[0] - places[:, 0]) * scale])
               for name, places in tracks.items()}
-    lines = "".join("<polyline fill='none' stroke='{}' points='{}'><title>{}</title></polyline>".format(
-        colours[name], " ".join("{:.1f},{:.1f}".format(*point) for point in _thinned(where)), _short(name))
+    size = (high - low) * scale
+    lines = _grid(low, high, scale) + "".join(
+        "<polyline fill='none' stroke='{}' stroke-opacity='0.7' points='{}'><title>{}</title></polyline>".format(
+            colours[name], " ".join("{:.1f},{:.1f}".format(*point) for point in _thinned(where)), _shown(record, name))
         for name, where in points.items())
     ends = "".join("<circle cx='{:.1f}' cy='{:.1f}' r='4' fill='{}'/><text x='{:.1f}' y='{:.1f}'>{}</text>".format(
-        where[-1][0], where[-1][1], colours[name], where[-1][0] + 6, where[-1][1] + 4, _short(name))
+        where[-1][0], where[-1][1], colours[name], where[-1][0] + 6, where[-1][1] + 4, _shown(record, name))
         for name, where in points.items())
-    size = (high - low) * scale
-    return _svg(size[1] + 120, size[0], lines + ends) + "<p>{:.1f} by {:.1f} m; x up, y to the left</p>".format(
-        *(high - low))
+    return _svg(size[1] + 120, size[0], lines + ends) + (
+        "<p>Lines are {:g} m apart; x up, y to the left; a dot: where somebody was last.</p>".format(_step(low, high)))
+
+
+def _step(low: np.ndarray, high: np.ndarray) -> float:
+    """Return how far the lines of the plan are apart, m."""
+    return next((step for step in (1.0, 2.0, 5.0, 10.0, 20.0) if float((high - low).max()) / step <= 12.0), 50.0)
+
+
+def _grid(low: np.ndarray, high: np.ndarray, scale: float) -> str:
+    """Lines of whole metres, of x (across) and of y."""
+    step = _step(low, high)
+    height, width = ((high - low) * scale).tolist()
+    along = [np.arange(np.ceil(low[axis] / step), np.floor(high[axis] / step) + 1) * step for axis in (0, 1)]
+    return "".join("<line x1='0' x2='{1:.0f}' y1='{0:.1f}' y2='{0:.1f}' class='line'/>".format(
+        (high[0] - mark) * scale, width) for mark in along[0]) + "".join(
+        "<line x1='{0:.1f}' x2='{0:.1f}' y1='0' y2='{1:.0f}' class='line'/>".format((high[1] - mark) * scale, height)
+        for mark in along[1])
 
 
 def _thinned(points: np.ndarray, most: int = 2000) -> np.ndarray:
@@ -176,10 +250,10 @@ def _gaze_table(record: Record, persons: Sequence[str]) -> str:
     if not shares:
         return ""
     names = [name for name in persons if any(name in pair for pair in shares)]
-    head = "".join("<th>{}</th>".format(_short(name)) for name in names + [_ROBOT])
-    rows = "".join("<tr><th>{}</th>{}</tr>".format(_short(sender), "".join(
+    head = "".join("<th>{}</th>".format(_shown(record, name, 16)) for name in names + [""])
+    rows = "".join("<tr><th>{}</th>{}</tr>".format(_shown(record, sender, 16), "".join(
         _gaze_cell(shares.get((sender, receiver), 0.0)) for receiver in names + [""])) for sender in names)
-    return "<table><tr><th>looks at</th>{}</tr>{}</table>".format(head, rows)
+    return "<div class='wide'><table><tr><th>looks at</th>{}</tr>{}</table></div>".format(head, rows)
 
 
 def _gaze_cell(share: float) -> str:
@@ -189,9 +263,9 @@ def _gaze_cell(share: float) -> str:
 
 def _texts(record: Record) -> str:
     lines = ["<li>{}:{:04.1f} {}: {}</li>".format(int(span.begin - record.begin) // 60,
-                                                 (span.begin - record.begin) % 60.0, _short(span.row),
+                                                 (span.begin - record.begin) % 60.0, _shown(record, span.row),
                                                  html.escape(span.text))
-             for span in sorted(speech_spans(record), key=lambda span: span.begin) if span.text]
+             for span in _by_speaker(record) if span.text]
     return "<ul>{}</ul>".format("".join(lines)) if lines else ""
 
 
@@ -209,7 +283,7 @@ def _confidence(record: Record, persons: Sequence[str], colours: Dict[str, str])
             last = value
         steps.append("{:.1f},{:.1f}".format(_x(record, record.end), base - 28 * last))
         content += "<text x='4' y='{}'>{}</text><polyline fill='none' stroke='{}' points='{}'/>".format(
-            base - 8, _short(name), colours[name], " ".join(steps))
+            base - 8, _shown(record, name), colours[name], " ".join(steps))
     return _svg(WIDTH, height + 16, _axis(record, height) + content)
 
 

@@ -53,13 +53,13 @@ class _ArmHistory:
         self._samples: Deque[_Sample] = deque()
         self._time = 0.0
 
-    def add(self, features: ArmFeatures, side: int, elapsed: float) -> None:
+    def add(self, features: ArmFeatures, side: int, elapsed: float, sure: bool) -> None:
         self._time += elapsed
         while self._samples and self._samples[0].time < self._time - _MEMORY_S:
             self._samples.popleft()
         lateral, ahead, rise, above = (
             features.lateral[side], features.ahead[side], features.rise[side], features.above_elbow[side])
-        if not all(map(math.isfinite, (lateral, ahead, rise, above))):
+        if not (sure and all(map(math.isfinite, (lateral, ahead, rise, above)))):
             return
         up = above > _ABOVE_ELBOW and rise > -_BELOW_SHOULDER
         if self._samples:
@@ -100,10 +100,13 @@ class WaveDetector:
         self._arms = (_ArmHistory(), _ArmHistory())
         self._latch = Latch(self._RULE)
 
-    def update(self, features: ArmFeatures, elapsed: float) -> bool:
-        """Take the arms `elapsed` s after the last call; return whether a hand waves."""
+    def update(self, features: ArmFeatures, elapsed: float, sure: Tuple[bool, bool] = (True, True)) -> bool:
+        """Take the arms `elapsed` s after the last call; return whether a hand waves.
+
+        sure: whether the left and the right forearm are seen well; a guessed one jumps to and fro, and does not count.
+        """
         for side, arm in enumerate(self._arms):
-            arm.add(features, side, elapsed)
+            arm.add(features, side, elapsed, sure[side])
         return self._latch.update(max(arm.score() for arm in self._arms), elapsed)
 
 

@@ -9,7 +9,18 @@ from typing import Dict, Iterable, NamedTuple, Optional
 
 import numpy as np
 
-from hri_fullbody.core.keypoints import LEFT_ANKLE, LEFT_HIP, LEFT_KNEE, RIGHT_ANKLE, RIGHT_HIP, RIGHT_KNEE
+from hri_fullbody.core.keypoints import (
+    LEFT_ANKLE,
+    LEFT_HIP,
+    LEFT_KNEE,
+    LEFT_SHOULDER,
+    RIGHT_ANKLE,
+    RIGHT_HIP,
+    RIGHT_KNEE,
+    RIGHT_SHOULDER,
+)
+
+_TRUNK = [LEFT_SHOULDER, RIGHT_SHOULDER, LEFT_HIP, RIGHT_HIP]
 
 # Angles in degrees from the vertical, lengths in statures.
 _UPRIGHT, _LYING = 50.0, 60.0
@@ -22,7 +33,7 @@ _HIDDEN_SEAT_THIGH_LOW = 50.0
 _SEAT_TRUNK = 30.0
 _SEAT_SHANK = 60.0
 _ON_GROUND = 0.18
-_CROUCH_KNEE, _CROUCH_SHANK, _CROUCH_THIGH, _CROUCH_HEIGHT = 42.0, 80.0, 14.0, 0.36
+_CROUCH_KNEE, _CROUCH_SHANK, _CROUCH_THIGHS, _CROUCH_HEIGHT = 42.0, 80.0, (14.0, 125.0), 0.36
 _SAME_THIGHS = 35.0  # both legs bear the weight; on one knee or in a lunge they differ by more
 _OVER_FEET = 0.085
 _SHORT_LEG = 0.74
@@ -32,9 +43,16 @@ _UNKNOWN_S = 1.0
 # Standard deviation of the vertical below which it is exact; else the directions that are tried, in standard
 # deviations, with their weights, the share of a posture among all that are told, and its least weight.
 _EXACT = math.radians(2.0)
+_PITCHES = ((-1.8, 0.07), (-1.2, 0.14), (-0.6, 0.20), (0.0, 0.18), (0.6, 0.20), (1.2, 0.14), (1.8, 0.07))
+_AGREEING, _LEAST_VOTES = 0.9, 0.25
+# A half squat is a seated body that is turned forward by some 25 degrees. Direction from the feet to the middle of the
+# trunk, degrees forward of the vertical, of both, with its standard deviation between people; and how often people
+# crouch for each time that they sit, where the vertical is less certain than _BALANCE: then nobody has stood.
+_SEATED_LEAN, _CROUCHED_LEAN, _LEAN_SD = -18.0, 5.0, 5.0
 _BALANCE = math.radians(7.0)
-_PITCHES = ((-1.7, 0.09), (-0.8, 0.24), (0.0, 0.34), (0.8, 0.24), (1.7, 0.09))
-_AGREEING, _LEAST_VOTES = 0.9, 0.3
+_VAGUE_KNEE = 35.0      # degrees of the straighter knee of who stands, while the vertical is that uncertain
+_CROUCHING_PRIOR = 0.03
+_GUESSED = 0.5      # confidence of the pose network below which a leg is not seen
 
 
 class PostureClass(IntEnum):
@@ -61,13 +79,14 @@ class Leg(NamedTuple):
 
 
 class PostureEstimator:
-    """The posture of one body over time: a new one counts after 0.3 s, an unknown one after 1 s."""
+    """The posture of one body over time: a new one counts after 0.3 s, an unknown one as long as it was seen, at most
+    1 s."""
 
     def __init__(self) -> None:
         self.posture = PostureClass.OTHER
         self._next: Optional[PostureClass] = None
-        self._held = 0.0
-        self._unknown = 0.0
+        self._held = self._unknown = 0.0
+        self._shown = 0.0       # s for which the present posture was seen
 
     def update(self, points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray,
                elapsed: float, up_sd: float = 0.0) -> PostureClass:
@@ -76,28 +95,28 @@ class PostureEstimator:
                 else likely_posture(points, axes, stature, up, up_sd))
         if seen is None:
             self._unknown += elapsed
-            if self._unknown > _UNKNOWN_S:
-                self.posture, self._next = PostureClass.OTHER, None
+            if self._unknown > min(_UNKNOWN_S, self._shown):
+                self.posture, self._next, self._shown = PostureClass.OTHER, None, 0.0
             return self.posture
         self._unknown = 0.0
-        if seen != self._next:
-            self._next, self._held = seen, 0.0
-        else:
-            self._held += elapsed
+        self._held = self._held + elapsed if seen == self._next else 0.0
+        self._next = seen
         if self._held >= _HOLD_S - 1e-6:
-            self.posture = seen
+            self.posture, self._shown = seen, self._held
         return self.posture
 
 
 def without_guessed_legs(points: np.ndarray, keypoints: np.ndarray, width: float, height: float) -> np.ndarray:
-    """Return the key points (18, 3) m without the knees and ankles outside the image of width x height px.
+    """Return the key points (18, 3) m without the knees and ankles that are not in the image of width x height px.
 
-    keypoints: (18, 2 or more) px. A pose network places what lies below the image, too, mostly hanging down: that is
-    its habit and no detection of a leg.
+    keypoints: (18, 2) px, or (18, 3) with the confidence. A pose network places what lies below the image or behind a
+    table, too, mostly hanging down: that is its habit and no detection of a leg.
     """
     legs = np.array([LEFT_KNEE, RIGHT_KNEE, LEFT_ANKLE, RIGHT_ANKLE])
     x, y = keypoints[legs, 0], keypoints[legs, 1]
     inside = (x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)
+    if keypoints.shape[1] > 2:
+        inside &= keypoints[legs, 2] >= _GUESSED
     seen = np.array(points, dtype=np.float64)
     seen[legs[~inside]] = np.nan
     return seen
@@ -114,13 +133,44 @@ def likely_posture(points: np.ndarray, axes: np.ndarray, stature: float, up: np.
         seen = posture_now(points, axes, stature, _pitched(up, share * up_sd))
         votes[seen] = votes.get(seen, 0.0) + weight
     named = {posture: weight for posture, weight in votes.items() if posture}
-    if up_sd > _BALANCE and PostureClass.CROUCHING in named:
-        return None     # whether the feet bear the trunk hangs on the vertical
     if not named:
         return PostureClass.OTHER if votes.get(PostureClass.OTHER, 0.0) > 0.5 else None
+    low = named.pop(PostureClass.SITTING, 0.0) + named.pop(PostureClass.CROUCHING, 0.0)
+    crouches = _crouching_share(points, axes, up, up_sd)
+    named.update({PostureClass.SITTING: low * (1.0 - crouches), PostureClass.CROUCHING: low * crouches})
     best = max(named, key=lambda posture: named[posture])
     sure = named[best] >= _AGREEING * sum(named.values()) and named[best] >= _LEAST_VOTES
+    if best == PostureClass.STANDING and up_sd > _BALANCE and not _knee(points) < _VAGUE_KNEE:
+        return None
     return best if sure else None
+
+
+def _knee(points: np.ndarray) -> float:
+    """Flexion (degrees) of the straighter knee, NaN when none is known."""
+    flexions = []
+    for hip in (LEFT_HIP, RIGHT_HIP):
+        thigh, shank = points[hip + 1] - points[hip], points[hip + 2] - points[hip + 1]
+        lengths = float(np.linalg.norm(thigh) * np.linalg.norm(shank))
+        if lengths > 1e-6:
+            flexions.append(_degrees(float(thigh @ shank) / lengths))
+    return min(flexions, default=math.nan)
+
+
+def _crouching_share(points: np.ndarray, axes: np.ndarray, up: np.ndarray, up_sd: float) -> float:
+    """Probability that a body with its hips low and its knees bent crouches instead of sitting, by its balance.
+
+    axes: trunk_axes of the points (18, 3) m. up_sd: standard deviation of the pitch of `up`, rad.
+    """
+    from_feet = 0.25 * points[_TRUNK].sum(axis=0) - 0.5 * (points[LEFT_ANKLE] + points[RIGHT_ANKLE])
+    if not np.isfinite(from_feet[0]):
+        return 0.0
+    ahead = axes[0] - float(axes[0] @ up) * up
+    level = float(ahead @ from_feet) / max(float(ahead @ ahead) ** 0.5, 1e-6)
+    lean = math.degrees(math.atan2(level, float(from_feet @ up)))
+    seated, crouched = lean - _SEATED_LEAN, lean - _CROUCHED_LEAN
+    odds = (seated * seated - crouched * crouched) / (2.0 * (_LEAN_SD ** 2 + math.degrees(up_sd) ** 2))
+    prior = math.log(_CROUCHING_PRIOR) if up_sd > _BALANCE else 0.0
+    return 1.0 / (1.0 + math.exp(-max(-50.0, min(50.0, odds + prior))))
 
 
 def _pitched(up: np.ndarray, angle: float) -> np.ndarray:
@@ -168,7 +218,8 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
     if not whole:
         if all(leg.thigh < _HANGING_THIGH for leg in legs):
             return PostureClass.STANDING
-        seated = tilt < _SEAT_TRUNK and all(_HIDDEN_SEAT_THIGH_LOW < leg.thigh < 110.0 for leg in legs)
+        seated = tilt < _SEAT_TRUNK and len(legs) == 2 and all(
+            _HIDDEN_SEAT_THIGH_LOW < leg.thigh < _SEAT_THIGH_HIGH for leg in legs)
         return PostureClass.SITTING if seated else PostureClass.OTHER
     # A leg that seems straight while the hips are low is a wrong one: straight legs are long.
     low = max(leg.height for leg in whole) < _CROUCH_HEIGHT
@@ -178,9 +229,10 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
     if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
         return PostureClass.OTHER
     thighs = [leg.thigh for leg in whole]
-    if _over_feet(points, hips, stature, up):
+    if len(whole) == 2 and _over_feet(points, hips, stature, up):
         deep = (low and _middle(leg.knee for leg in whole) > _CROUCH_KNEE
-                and _middle(leg.shank for leg in whole) < _CROUCH_SHANK and _middle(thighs) > _CROUCH_THIGH
+                and _middle(leg.shank for leg in whole) < _CROUCH_SHANK
+                and _CROUCH_THIGHS[0] < _middle(thighs) < _CROUCH_THIGHS[1]
                 and max(thighs) - min(thighs) < _SAME_THIGHS)
         return PostureClass.CROUCHING if deep else PostureClass.OTHER
     seated = all(_SEAT_THIGH_LOW < leg.thigh < _SEAT_THIGH_HIGH and (
@@ -191,10 +243,9 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
 def _over_feet(points: np.ndarray, hips: np.ndarray, stature: float, up: np.ndarray) -> bool:
     """Whether the trunk's middle is so near above the ankles that the feet can carry it."""
     ankles = points[[LEFT_ANKLE, RIGHT_ANKLE]]
-    known = np.isfinite(ankles[:, 0])
-    offset = 0.5 * (hips + 0.5 * (points[2] + points[5])) - ankles[known].mean(axis=0)
+    offset = 0.5 * (hips + 0.5 * (points[LEFT_SHOULDER] + points[RIGHT_SHOULDER])) - ankles.mean(axis=0)
     if not np.isfinite(offset[0]):
-        offset = hips - ankles[known].mean(axis=0)
+        offset = hips - ankles.mean(axis=0)
     level = offset - float(offset @ up) * up
     return float(level @ level) ** 0.5 < _OVER_FEET * stature
 

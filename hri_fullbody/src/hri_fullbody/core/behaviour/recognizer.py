@@ -12,11 +12,21 @@ from hri_fullbody.core.behaviour.arms import arm_features, trunk_axes
 from hri_fullbody.core.behaviour.attitude import AttitudeEstimator
 from hri_fullbody.core.behaviour.gesture import WaveDetector, gesture_of
 from hri_fullbody.core.behaviour.posture import PostureEstimator
-from hri_fullbody.core.keypoints import LEFT_SHOULDER, NECK, RIGHT_SHOULDER
+from hri_fullbody.core.keypoints import (
+    LEFT_ELBOW,
+    LEFT_SHOULDER,
+    LEFT_WRIST,
+    NECK,
+    RIGHT_ELBOW,
+    RIGHT_SHOULDER,
+    RIGHT_WRIST,
+)
 
 # After a longer silence everything starts anew.
 MAX_GAP_S = 1.0
+_LEG_HOLD_S = 0.2       # a leg that is not seen for longer is hidden
 _MIN_STATURE_M, _MAX_STATURE_M = 0.4, 2.6
+_SURE = 0.5
 
 
 @dataclass(frozen=True)
@@ -49,13 +59,15 @@ class BehaviourRecognizer:
         self._result = BodyBehaviour(0, 0.0, 0, 0)
 
     def update(self, points: np.ndarray, stature: float, stamp: float,
-               up: Union[Sequence[float], np.ndarray], up_sd: float = 0.0) -> BodyBehaviour:
+               up: Union[Sequence[float], np.ndarray], up_sd: float = 0.0,
+               confidence: Optional[np.ndarray] = None) -> BodyBehaviour:
         """Take one frame and return what the body expresses.
 
         points: (18, 3) m in a sensor's frame, key points in the order of hri_msgs/Skeleton2D, NaN or infinite
         unknown. stature: m. stamp: s; the same stamp again changes nothing, and one that is before the last or more
         than 1 s after it starts anew. up: (3,), against gravity in the sensor's frame, any length; up_sd: standard
         deviation of its pitch about the sensor's x axis, rad: a posture is told when it does not hang on it.
+        confidence: (18,) 0 to 1 of the points, None: all are sure; a forearm of less than 0.5 does not wave.
         Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
         an `up` without a direction.
         """
@@ -71,12 +83,21 @@ class BehaviourRecognizer:
         axes = trunk_axes(points, upwards)
         features = arm_features(points, stature, upwards, axes)
         attitude = self._attitude.update(features, elapsed)
-        waving = self._waves.update(features, elapsed)
-        posture = self._posture.update(points, axes, stature, upwards, elapsed, up_sd)
+        waving = self._waves.update(features, elapsed, _sure_forearms(confidence))
+        posture = self._posture.update(
+            self._hold.without_old(points, stamp, _LEG_HOLD_S), axes, stature, upwards, elapsed, up_sd)
         self._result = BodyBehaviour(
             int(attitude), self._attitude.confidence, int(posture),
             int(gesture_of(attitude, self._attitude.raised, waving)))
         return self._result
+
+
+def _sure_forearms(confidence: Optional[np.ndarray]) -> Tuple[bool, bool]:
+    """Whether elbow and wrist of the left and of the right side are seen well."""
+    if confidence is None:
+        return True, True
+    return (bool(confidence[[LEFT_ELBOW, LEFT_WRIST]].min() >= _SURE),
+            bool(confidence[[RIGHT_ELBOW, RIGHT_WRIST]].min() >= _SURE))
 
 
 def _checked(points: np.ndarray, stature: float, stamp: float,
@@ -126,3 +147,7 @@ class KeypointHold:
         missing[NECK] = not known[NECK]
         self._offsets[NECK] = 0.0
         return np.where(missing[:, None], origin + self._offsets, points)
+
+    def without_old(self, points: np.ndarray, stamp: float, most: float) -> np.ndarray:
+        """Return filled points (18, 3) m without those that were last seen more than `most` s before `stamp`."""
+        return np.where((stamp - self._seen <= most)[:, None], points, np.nan)

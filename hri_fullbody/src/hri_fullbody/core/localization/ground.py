@@ -26,6 +26,8 @@ _FADING = math.radians(0.5)     # 1/s: how fast what was seen of a person ages; 
 _OLDEST_S = 30.0
 _LEARN_S = 1.0
 _STRAIGHT = math.cos(math.radians(28.0))        # between trunk, thigh and shank of somebody who stands
+_BENT = math.cos(math.radians(40.0))            # between thigh and shank of somebody who sits
+_SHANK_WEIGHT = 0.35    # trunks differ by some 11 degrees from the vertical, shanks of who sits by some 15
 _UPRIGHT = math.cos(math.radians(60.0))         # from the image's own up
 _HUBER = 1.5
 _ROUNDS = 4
@@ -77,7 +79,7 @@ class GroundPlane:
         line, foot = _standing(points, confidence)
         if line is not None and -line[1] <= _UPRIGHT:
             line = foot = None      # stretched out on the ground
-        seen = {"standing": line, "trunk": _trunk(points) if line is None else None,
+        seen = {"standing": line, "trunk": _seated(points, confidence) if line is None else None,
                 "face": None if face is None else face.rotation[:, 2]}
         for kind, axis in seen.items():
             if axis is not None and -axis[1] > _UPRIGHT:
@@ -163,6 +165,23 @@ def up_of(pitch: float, roll: float) -> np.ndarray:
 def _trunk(points: np.ndarray) -> Optional[np.ndarray]:
     """Direction (3,) from the middle of the hips to the neck, None while it is not known."""
     return _unit(points[kp.NECK] - 0.5 * (points[kp.LEFT_HIP] + points[kp.RIGHT_HIP]))
+
+
+def _seated(points: np.ndarray, confidence: np.ndarray) -> Optional[np.ndarray]:
+    """Up (3,) of a body that does not stand: its trunk, with both knees bent between trunk and shanks.
+
+    Who sits leans back with the feet before the seat, or leans forward with the feet below it: the two make up for each
+    other.
+    """
+    trunk = _trunk(points)
+    thighs = [_unit(points[hip] - points[hip + 1]) for hip in (kp.LEFT_HIP, kp.RIGHT_HIP)]
+    shanks = [_unit(points[hip + 1] - points[hip + 2]) for hip in (kp.LEFT_HIP, kp.RIGHT_HIP)]
+    legs = [hip + joint for hip in (kp.LEFT_HIP, kp.RIGHT_HIP) for joint in (1, 2)]
+    if trunk is None or confidence[legs].min() < 0.5 or any(
+            thigh is None or shank is None or not float(thigh @ shank) < _BENT for thigh, shank in zip(thighs, shanks)):
+        return trunk
+    shank = _unit(np.sum(shanks, axis=0))
+    return trunk if shank is None or shank[1] > 0.0 else _unit((1.0 - _SHANK_WEIGHT) * trunk + _SHANK_WEIGHT * shank)
 
 
 def _standing(points: np.ndarray, confidence: np.ndarray) -> Tuple[Optional[np.ndarray], Optional[np.ndarray]]:

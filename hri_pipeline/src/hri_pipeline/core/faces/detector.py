@@ -9,13 +9,13 @@ several of them in one batch. Box and key point layout: MediaPipe's published mo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import List, Optional, Sequence, Tuple
+from typing import Callable, List, Mapping, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
 
 from hri_pipeline.core.geometry import iou_matrix
-from hri_pipeline.core.onnx import OnnxModel
+from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel, model_path
 
 INPUT_SIZE = 192
 ANCHOR_STRIDES = (4,)
@@ -246,3 +246,19 @@ def _letterbox(bgr: np.ndarray, region: Region, out: np.ndarray) -> Tuple[float,
     inside *= 1.0 / 127.5
     inside -= 1.0
     return scale, np.array([inner_x - left * scale, inner_y - top * scale])
+
+
+def load_face_network(configured: str, default: str, outputs: Mapping[str, int], providers: Sequence[str],
+                      notify: Optional[Callable[[str], None]]) -> OnnxModel:
+    """Load the detector or the mesh network, and run it once: this warms it up, and tells a wrong model.
+
+    outputs: numbers in each output for one image. Raises ModelError naming the file.
+    """
+    path = model_path(configured, default)
+    model = OnnxModel(path, providers, inputs=("input_1",), outputs=tuple(outputs), notify=notify)
+    trial = model.run({"input_1": np.zeros((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)})
+    for name, size in outputs.items():
+        if trial[name].size != size:
+            raise ModelError("model file {} gives {} numbers in {} instead of {}; it is another model: {}".format(
+                path, trial[name].size, name, size, FETCH_HINT))
+    return model

@@ -58,6 +58,8 @@ LEAST_IRIS, GOOD_IRIS = np.array([2.4, 3.0]), np.array([4.5, 7.0])
 """Diameter (px) of the iris up to which it is not used, and from which the head pose is not used, to the sides, and up
 or down. Pictures made smaller, blurred, noisy and compressed: at 2.6 px (a face of 30 px) the turn to the sides is
 still the full picture's (slope 0.9), up and down it is not (0.1); at 3.5 px 1.0 and 0.4, at 5.2 px 0.95 and 0.7."""
+_IRIS_PART = 0.08
+"""Diameter of an iris over the width of its face, 11.7 of 145 mm: that of the mesh of a tiny face is a guess."""
 _SHAPE_TURN, _SHAPE_UP = np.deg2rad(25.0), np.deg2rad((30.0, 6.0))
 """Turn (rad) of eyes in the head by the blendshapes: to the side per unit; up per unit, and of eyes straight ahead."""
 _SECOND_OPINION = 0.5
@@ -65,7 +67,10 @@ _SECOND_OPINION = 0.5
 MAX_AWAY = np.deg2rad((40.0, 30.0))
 """Largest turn (rad) of eyes in the head, to the sides and up or down (Stahl 1999: people turn the head before)."""
 _AGREE, _DISAGREE = np.deg2rad(8.0), np.deg2rad(25.0)
-"""Angle (rad) between the two eyes' directions up to which they agree, and from which they are not used."""
+"""Angle (rad) between the two eyes' directions up to which they agree, and from which they are not used; beside the
+angle by which they converge on something as near as the camera."""
+_BETWEEN_EYES = 0.063
+"""m; mean distance of the pupils of adults (Dodgson, Proc. SPIE 5291, 2004)."""
 HEAD_CONFIDENCE, EYES_CONFIDENCE = 0.4, 0.9
 _LEAST_FACE, _GOOD_FACE = 20.0, 50.0
 """Width (px) of a face below which its eyelids are not used, and from which they have full weight."""
@@ -122,13 +127,14 @@ class GazeEstimator:
             return [], np.zeros((0, 2))
         stack = np.stack([np.asarray(mesh, dtype=np.float64)[:, :2] for mesh in meshes])
         rotations = np.stack([pose.rotation for pose in poses])
-        measures = self._eyes.measure(stack, rotations, np.stack([pose.translation for pose in poses]), camera)
+        places = np.stack([pose.translation for pose in poses])
+        measures = self._eyes.measure(stack, rotations, places, camera)
         widths = stack[..., 0].max(axis=1) - stack[..., 0].min(axis=1)
         if callable(shapes):
             openness = np.where(measures.visibility > 0.3, measures.openness, np.inf).min(axis=1)
             shapes = shapes(~((openness > _WIDE_OPEN) & np.isfinite(openness)))
         lids = _lids(measures, widths, shapes)
-        directions, iris_weights = _directions(measures, rotations, shapes)
+        directions, iris_weights = _directions(measures, rotations, _length(places), widths, shapes)
         gazes = []
         for index, presence in enumerate(presences):
             confidence = HEAD_CONFIDENCE + iris_weights[index] * (EYES_CONFIDENCE - HEAD_CONFIDENCE)
@@ -209,18 +215,32 @@ def _lids(measures: EyeMeasures, widths: np.ndarray, shapes: Optional[np.ndarray
             in zip(measures.openness.tolist(), blinks, weights, downs, known)]
 
 
-def _directions(measures: EyeMeasures, rotations: np.ndarray, shapes: Optional[np.ndarray]
-                ) -> Tuple[np.ndarray, np.ndarray]:
-    """(F, 3) directions of the gaze, and (F,) weight of the irises, 0 to 1: 0 is the head alone."""
+def _convergence(lines: np.ndarray, rotations: np.ndarray, distances: np.ndarray) -> np.ndarray:
+    """(F,) part of the angle (rad) between the eyes' lines (F, 2, 3) that is due to convergence: at most that on
+    something at `distances` (F,) m, and none where they diverge."""
+    # Towards the subject's left, in the head.
+    sideways = (lines @ rotations)[..., 1]
+    inwards = np.nan_to_num(np.arcsin(_limited(sideways[:, RIGHT] - sideways[:, LEFT])))
+    return np.minimum(inwards, 2.0 * np.arctan2(0.5 * _BETWEEN_EYES, distances))
+
+
+def _directions(measures: EyeMeasures, rotations: np.ndarray, distances: np.ndarray, widths: np.ndarray,
+                shapes: Optional[np.ndarray]) -> Tuple[np.ndarray, np.ndarray]:
+    """(F, 3) directions of the gaze, and (F,) weight of the irises, 0 to 1: 0 is the head alone.
+
+    distances: (F,) m from the camera; widths: (F,) px of the faces.
+    """
     # Beyond 40 degrees of yaw the near eye alone.
     seen = _limited((measures.visibility - 0.25) / 0.5)
     lines = measures.lines
     finite = np.isfinite(lines).all(axis=(1, 2))
     mean = (np.nan_to_num(lines) * (seen + 1e-9)[..., None]).sum(axis=1)
-    apart = np.arccos(np.minimum(np.maximum((lines[:, 0] * lines[:, 1]).sum(axis=1), -1.0), 1.0))
+    apart = np.maximum(np.arccos(np.minimum(np.maximum((lines[:, 0] * lines[:, 1]).sum(axis=1), -1.0), 1.0))
+                       - _convergence(lines, rotations, distances), 0.0)
     agree = np.minimum(np.maximum((_DISAGREE - apart) / (_DISAGREE - _AGREE), 0.0), 1.0)
     agree = np.where(finite, np.where(measures.visibility.min(axis=1) > 0.3, agree, 1.0), 0.0)
-    sizes = _limited((measures.irises[..., None] - LEAST_IRIS) / (GOOD_IRIS - LEAST_IRIS))
+    irises = np.minimum(measures.irises, _IRIS_PART * widths[:, None])
+    sizes = _limited((irises[..., None] - LEAST_IRIS) / (GOOD_IRIS - LEAST_IRIS))
     large = (seen[..., None] * sizes).max(axis=1)
     weights = large * agree[:, None]
     # In the head: x out of the face, y to the subject's left, z up.

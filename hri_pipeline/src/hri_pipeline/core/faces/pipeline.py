@@ -1,37 +1,26 @@
 """The main road of faces: from an image to the published observations of every tracked face.
 
 `FacePipeline.update` shows the steps in order: tracking (`FaceTrackingPipeline.update`: optical flow, scheduling of the
-mesh network, face mesh, face detector, data association), geometry (`FaceGeometry`: head pose, gaze, size of the head),
-and analysis (`FaceAnalysis`: action units, expression, age and gender, recognition).
+mesh network, face mesh, face detector, data association), geometry (`face_geometry`: head pose, gaze, size of the
+head), and analysis (`FaceAnalysis`: action units, expression, age and gender, recognition).
 """
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
-from typing import Any, Callable, Collection, Dict, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Any, Callable, Dict, List, Optional, Sequence, Set
 
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.analysis import FaceAnalysis, FaceDemand
 from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook
-from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector
+from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector, load_face_network
+from hri_pipeline.core.faces.face_geometry import FaceGeometry, TrackedFace
 from hri_pipeline.core.faces.flow import FaceFlow
-from hri_pipeline.core.faces.gaze import EyeGeometry, GazeEstimator, GazeSmoother
-from hri_pipeline.core.faces.head_pose import (
-    HeadPoseEstimator,
-    HeadScale,
-    PoseSmoother,
-    scale_from_depth,
-    scale_from_iris,
-    scale_from_stature,
-)
 from hri_pipeline.core.faces.mesh import (
-    INPUT_SIZE,
     Blendshapes,
-    CanonicalFace,
     FaceMesh,
     FaceMeshResult,
     FaceRoi,
@@ -39,7 +28,6 @@ from hri_pipeline.core.faces.mesh import (
     bounding_box,
     is_face,
     is_sound,
-    landmarks_from_mesh,
     load_canonical_face,
     roi_from_detection,
     roi_from_mesh,
@@ -58,11 +46,10 @@ from hri_pipeline.core.faces.tracker import (
     face_colours,
     is_same_or_part,
 )
-from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.images import PictureCuts
-from hri_pipeline.core.observations import FaceObservation, GazeEstimate
-from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel, model_path
+from hri_pipeline.core.observations import FaceObservation
+from hri_pipeline.core.onnx import model_path
 from hri_pipeline.core.recognition.face_identity import PersonMatch
 from hri_pipeline.core.recognition.recogniser import FaceRecognition
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler, Request
@@ -88,10 +75,6 @@ _PREDICTION_TIME = 0.3
 """Time constant (s) with which the presence of a face that was not measured falls."""
 ANEW_PERIOD = 0.25
 """Least time (s) between two searches of all the picture for somebody who took another one's place."""
-_SHAPES_AGE = 0.4
-"""Time (s) for which blendshapes of open eyes are used again: half a millisecond for each face."""
-_SKIN = np.array([1, 4, 5, 6, 9, 151, 195, 197, 50, 280, 101, 330, 36, 266, 117, 346, 107, 336, 8, 168])
-"""Vertices of nose, cheeks and forehead, where a depth image sees skin and neither hair nor background."""
 
 
 class FacePipeline:
@@ -230,22 +213,6 @@ class FacePipeline:
         self._analysis.close()
 
 
-@dataclass(frozen=True)
-class TrackedFace:
-    """A tracked face in one image.
-
-    mesh: (478, 3) px; box: (4,) px; presence: probability 0 to 1; measured: False when the mesh network did not run on
-    it in this image and its last mesh was moved by the predicted motion; confirmed: it may be published.
-    """
-
-    id: str
-    mesh: np.ndarray
-    box: np.ndarray
-    presence: float
-    measured: bool
-    confirmed: bool
-
-
 class FaceTrackingPipeline:
     """Detects and tracks faces in an image sequence: the detector now and then, the mesh network as the time allows.
 
@@ -275,10 +242,10 @@ class FaceTrackingPipeline:
     def __init__(self, settings: FacePipelineSettings, times: StageTimes, ids: Optional[IdGenerator] = None,
                  notify: Optional[Callable[[str], None]] = None,
                  clock: Callable[[], float] = time.thread_time, judge: Optional[AppearanceJudge] = None) -> None:
-        detector = _load(settings.face_detector_model, "face_detection_full_range.onnx", FaceDetector.OUTPUTS,
-                         settings.providers, notify)
-        mesh = _load(settings.face_mesh_model, "face_landmarks_attention.onnx", FaceMesh.OUTPUTS,
-                     settings.providers, notify)
+        detector = load_face_network(settings.face_detector_model, "face_detection_full_range.onnx",
+                                     FaceDetector.OUTPUTS, settings.providers, notify)
+        mesh = load_face_network(settings.face_mesh_model, "face_landmarks_attention.onnx", FaceMesh.OUTPUTS,
+                                 settings.providers, notify)
         self._detector = FaceDetector(detector)
         self._detection_scheduler = DetectionScheduler(settings.face_detection_period, settings.face_detection_tiles)
         self._mesh = FaceMesh(mesh)
@@ -517,139 +484,6 @@ class FaceTrackingPipeline:
         return TrackedFace(track.id, mesh, box, presence, measured, self._tracker.is_confirmed(track))
 
 
-class FaceGeometry:
-    """Head pose, gaze and head size of every tracked face, over time; all faces of an image are solved together."""
-
-    def __init__(self, canonical: CanonicalFace, blendshapes: Blendshapes) -> None:
-        self._canonical = canonical
-        self._blendshapes = blendshapes
-        self._to_face = canonical.face_frame().inverse()
-        self._heads = HeadPoseEstimator(canonical)
-        self._eyes = EyeGeometry(canonical)
-        self._gazes = GazeEstimator(self._eyes)
-        self._faces: Dict[str, _Face] = {}
-
-    def keep(self, ids: Collection[str]) -> None:
-        """Forget all faces but these."""
-        self._faces = {face_id: face for face_id, face in self._faces.items() if face_id in ids}
-
-    def reset(self) -> None:
-        """Forget all faces."""
-        self._faces = {}
-
-    def set_stature(self, face_id: str, stature: float) -> None:
-        """Set the stature (m) of a face's person; an unknown face or an impossible value is ignored."""
-        if face_id in self._faces and np.isfinite(stature) and 0.4 < stature < 2.6:
-            self._faces[face_id].scale.add("stature", scale_from_stature(stature))
-
-    def observe(self, tracked: Sequence[TrackedFace], camera: CameraModel, stamp: float,
-                depth: Optional[np.ndarray] = None) -> List[FaceObservation]:
-        """Return one observation per tracked face, in order.
-
-        camera: of the image's size; stamp: s; depth: (H, W) m registered with the image, 0 or NaN unknown.
-        """
-        for found in tracked:
-            self._faces.setdefault(found.id, _Face())
-        self._measure([found for found in tracked if found.measured], camera, stamp, depth)
-        return [self._observation(found, camera, stamp) for found in tracked]
-
-    def _measure(self, tracked: Sequence[TrackedFace], camera: CameraModel, stamp: float,
-                 depth: Optional[np.ndarray]) -> None:
-        faces = [self._faces[found.id] for found in tracked]
-        starts = [face.raw for face in faces]
-        # A new face has no start value; alone it would make the others iterate longer, too.
-        fresh = [index for index, start in enumerate(starts) if start is None]
-        known = [index for index, start in enumerate(starts) if start is not None]
-        for group in (known, fresh):
-            poses = self._heads.estimate_all([tracked[index].mesh for index in group], camera,
-                                             [starts[index] for index in group])
-            for index, pose in zip(group, poses):
-                if pose is None and starts[index] is not None:
-                    pose = self._heads.estimate(tracked[index].mesh, camera)
-                faces[index].set_pose(pose, tracked[index].mesh, stamp)
-        posed = [(face, found, face.raw) for face, found in zip(faces, tracked) if face.raw is not None]
-        self._measure_eyes(posed, camera, stamp, depth)
-
-    def _measure_eyes(self, posed: Sequence[Tuple[_Face, TrackedFace, Pose]], camera: CameraModel, stamp: float,
-                      depth: Optional[np.ndarray]) -> None:
-        """Measure gaze and head size of the faces that have a pose."""
-        gazes, irises = self._gazes.estimate_all(
-            [found.mesh for _, found, _ in posed], [pose for _, _, pose in posed], camera,
-            [found.presence for _, found, _ in posed], lambda needed: self._shapes(posed, needed, stamp))
-        focal = float(camera.matrix[0, 0])
-        for (face, found, pose), gaze, diameters in zip(posed, gazes, irises):
-            face.gaze = face.gaze_smoother(gaze, stamp)
-            from_eyes = 0.0 if face.gaze_smoother.is_closed else gaze.from_eyes
-            for source, scale in (("iris", scale_from_iris(diameters, pose, self._eyes, focal, from_eyes)),
-                                  ("depth", self._depth_scale(found.mesh, pose, depth))):
-                if scale is not None:
-                    face.scale.add(source, scale)
-
-    def _shapes(self, posed: Sequence[Tuple[_Face, TrackedFace, Pose]], needed: np.ndarray,
-                stamp: float) -> np.ndarray:
-        """Blendshapes (F, 52): fresh ones where they are needed, else those of a moment ago."""
-        due = [(face, found.mesh) for (face, found, _), need in zip(posed, needed.tolist())
-               if need or face.blendshapes is None or not 0.0 <= stamp - face.shaped_at < _SHAPES_AGE]
-        for (face, _), face_shapes in zip(due, self._blendshapes.run([mesh for _, mesh in due])):
-            face.blendshapes, face.shaped_at = face_shapes, stamp
-        return np.stack([face.blendshapes for face, _, _ in posed if face.blendshapes is not None])
-
-    def _depth_scale(self, mesh: np.ndarray, pose: Pose, depth: Optional[np.ndarray]) -> Optional[float]:
-        if depth is None:
-            return None
-        model = pose.compose(self._to_face)
-        return scale_from_depth(mesh, model.apply(self._canonical.vertices[_SKIN])[:, 2], _SKIN, depth)
-
-    def _observation(self, found: TrackedFace, camera: CameraModel, stamp: float) -> FaceObservation:
-        face = self._faces[found.id]
-        landmarks = landmarks_from_mesh(found.mesh, found.presence, camera.width, camera.height,
-                                        self._heads.visibility(face.pose))
-        pose, scale, scale_sd = self._placed(face, found, camera, stamp)
-        gaze = face.gaze
-        if gaze is not None and not found.measured:
-            gaze = GazeEstimate(gaze.direction, gaze.confidence * found.presence, gaze.eyes_closed, gaze.from_eyes)
-        return FaceObservation(found.id, found.box, found.presence, landmarks, found.mesh, pose, gaze,
-                               head_scale=scale, head_scale_sd=scale_sd, measured=found.measured)
-
-    @staticmethod
-    def _placed(face: _Face, found: TrackedFace, camera: CameraModel, stamp: float
-                ) -> Tuple[Optional[Pose], Optional[float], Optional[float]]:
-        """Pose, head scale and its standard deviation; the pose is moved with the mesh of a face that was not
-        measured."""
-        if face.pose is None or face.mesh is None:
-            return None, None, None
-        scale, scale_sd = face.scale.estimate(stamp)
-        translation = face.pose.translation.copy()
-        if not found.measured:
-            shift = (found.mesh - face.mesh)[0, :2]
-            translation[:2] += shift * translation[2] / np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
-        return Pose(face.pose.rotation, scale * translation), scale, scale_sd
-
-
-class _Face:
-    """State of one face: filters and last measurements."""
-
-    def __init__(self) -> None:
-        self.smoother = PoseSmoother()
-        self.gaze_smoother = GazeSmoother()
-        self.scale = HeadScale()
-        self.raw: Optional[Pose] = None
-        self.pose: Optional[Pose] = None
-        self.gaze: Optional[GazeEstimate] = None
-        self.mesh: Optional[np.ndarray] = None
-        self.blendshapes: Optional[np.ndarray] = None
-        self.shaped_at = -math.inf
-
-    def set_pose(self, pose: Optional[Pose], mesh: np.ndarray, stamp: float) -> None:
-        """Set the pose measured in the image of `stamp` (s), None for no plausible one."""
-        self.raw, self.mesh = pose, mesh
-        if pose is None:
-            self.smoother.reset()
-            self.pose = self.gaze = None
-        else:
-            self.pose = self.smoother(pose, stamp)
-
-
 def _limits(settings: FacePipelineSettings) -> Dict[str, Any]:
     """Arguments of FaceTracker.limit()."""
     return {"birth_delay": settings.face_birth_delay, "death_time": settings.face_death_time,
@@ -660,19 +494,3 @@ def _limits(settings: FacePipelineSettings) -> Dict[str, Any]:
 def _is_rejected(track: FaceTrack) -> bool:
     """Whether the verification has failed often enough: the detector need not run for this track."""
     return track.verification <= LEAST_VERIFICATION and not track.published
-
-
-def _load(configured: str, default: str, outputs: Mapping[str, int], providers: Sequence[str],
-          notify: Optional[Callable[[str], None]]) -> OnnxModel:
-    """Load a network and run it once: that shows another one with the same names, and warms it up.
-
-    outputs: numbers in each output for one image. Raises ModelError naming the file.
-    """
-    path = model_path(configured, default)
-    model = OnnxModel(path, providers, inputs=("input_1",), outputs=tuple(outputs), notify=notify)
-    trial = model.run({"input_1": np.zeros((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)})
-    for name, size in outputs.items():
-        if trial[name].size != size:
-            raise ModelError("model file {} gives {} numbers in {} instead of {}; it is another model: {}".format(
-                path, trial[name].size, name, size, FETCH_HINT))
-    return model

@@ -41,6 +41,9 @@ CENTRAL_WEIGHT = 0.5
 SLOW_IMAGES, SLOWEST = 2.0, 3.0
 """A face lives for so many intervals of the images, when that is more than the death time; longest interval (s) that
 counts."""
+LONGEST_WAIT = 2.0
+"""A face that was seen when it was last looked for, and is followed by its motion since, lives for so many death times
+without another look."""
 _INTERVAL_MEMORY = 0.8
 GATE_SEEN, GATE_LOST = 0.7, 1.5
 """Largest legal cost for a track seen in the last frame, and for one that was not."""
@@ -284,8 +287,12 @@ class FaceTracker:
             track.published = True
 
     def _dead(self, track: FaceTrack, stamp: float) -> bool:
-        """Whether a track was not seen for longer than the death time, and than images as slow as these explain."""
-        return track.life.dead(stamp) and stamp - track.life.last_seen > SLOW_IMAGES * self._interval
+        """Whether a track was not seen for longer than the death time, and than images as slow as these explain; one
+        that only waits for its turn has more time."""
+        unseen = stamp - track.life.last_seen
+        waits = track.visible and self._stamp is not None and stamp - self._stamp <= self._death_time
+        return (track.life.dead(stamp) and unseen > SLOW_IMAGES * self._interval
+                and not (waits and unseen <= LONGEST_WAIT * self._death_time))
 
     def _note_interval(self, stamp: float) -> None:
         """Follow the time between images: up at once, down within some of them."""

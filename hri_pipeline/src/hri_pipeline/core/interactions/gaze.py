@@ -90,8 +90,9 @@ class GazeTargets:
         ids = people.ids
         closed = self._closed(people, stamp)
         weights = self._weights(lines, ids, stamp) * self._filter.attention(ids, people.speaking, people.groups)
-        looked_at = self._filter.update(ids, weights, ratios, self._renewal.update(people, times, dt), closed, dt,
-                                        closed & self._blinking(people, closed, stamp))
+        shares, begun = self._renewal.update(people, times, dt)
+        looked_at = self._filter.update(ids, weights, ratios, shares, closed, dt,
+                                        closed & self._blinking(people, closed, stamp), begun & ~closed)
         names = ids + [ROBOT]
         return [GazeTarget(ids[sender], names[target], self._filter.probability(sender, target))
                 for sender, target in enumerate(looked_at.tolist()) if target >= 0]
@@ -340,6 +341,10 @@ def _head_for(units: np.ndarray, trunks: np.ndarray, settings: GazeSettings
 _CALM, _RENEWAL_S = 0.7, 3.0
 """Squared steps of a direction count up to this part of their variance, so that looks which go elsewhere do not pass
 for trembling; time constant (s) of their mean."""
+_SACCADE, _AGREEING, _FIXATION_S = 4.0, 1.5, 0.2
+"""Eyes look elsewhere when two images in a row have them so many standard deviations from where they were, and so many
+at most from each other; time constant (s) of where they were. (As the velocity threshold of D. D. Salvucci and J. H.
+Goldberg, ETRA 2000, on the noise of cameras: smaller turns are left to the filter.)"""
 
 
 class ErrorRenewal:
@@ -357,11 +362,16 @@ class ErrorRenewal:
     def reset(self) -> None:
         """Forget everybody."""
         self._ids: List[str] = []
-        self._directions, self._steps = np.zeros((0, 3)), np.zeros(0)
+        self._directions, self._steps, self._fixations = np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
 
-    def update(self, people: PeopleSnapshot, times: np.ndarray, dt: float) -> np.ndarray:
-        """Return the shares (N,), 0 of who tells nothing; times (N,): see evidence; dt: s since the last image."""
+    def update(self, people: PeopleSnapshot, times: np.ndarray, dt: float) -> Tuple[np.ndarray, np.ndarray]:
+        """Return the shares (N,), 0 of who tells nothing, and whose eyes have just gone elsewhere (N,): of what they
+        look at now nothing has been told yet.
+
+        times (N,): see evidence; dt: s since the last image.
+        """
         self._follow(people.ids)
+        begun = self._look_elsewhere(people, dt)
         unseen = np.isnan(people.gazes[:, 0])
         directions = np.where(unseen[:, None], people.faces, people.gazes)
         sds = np.where(unseen, people.deviations[:, 1], people.deviations[:, 2])
@@ -371,7 +381,23 @@ class ErrorRenewal:
         self._directions = np.where(np.isnan(directions), self._directions, directions)
         # What the limit takes away from the mean of exponentially distributed squares, about.
         trembling = self._steps / np.maximum(1.0 - (self._steps / _CALM) ** 2, 0.05)
-        return np.where(np.isfinite(times), np.minimum(np.maximum(trembling, dt / np.maximum(times, 1e-6)), 1.0), 0.0)
+        shares = np.minimum(np.maximum(np.where(begun, 1.0, trembling), dt / np.maximum(times, 1e-6)), 1.0)
+        return np.where(np.isfinite(times), shares, 0.0), begun
+
+    def _look_elsewhere(self, people: PeopleSnapshot, dt: float) -> np.ndarray:
+        """Return whose eyes have gone elsewhere (N,), and follow where they are."""
+        gazes, sds = people.gazes, people.deviations[:, 2]
+
+        def apart(others: np.ndarray) -> np.ndarray:
+            return np.sqrt(((gazes - others) ** 2).sum(axis=1)) / sds
+
+        middle = 0.5 * (gazes + self._directions)
+        away = np.sqrt(((middle - self._fixations) ** 2).sum(axis=1)) > _SACCADE * sds
+        begun = away & (apart(self._fixations) > _SACCADE) & (apart(self._directions) < _AGREEING)     # False for NaN
+        gain = 1.0 - math.exp(-dt / _FIXATION_S)
+        moved = np.where(np.isnan(self._fixations), gazes, self._fixations + gain * (gazes - self._fixations))
+        self._fixations = np.where(np.isnan(gazes), self._fixations, np.where(begun[:, None], middle, moved))
+        return begun
 
     def _follow(self, ids: List[str]) -> None:
         if ids == self._ids:
@@ -379,6 +405,7 @@ class ErrorRenewal:
         rows = {identity: row for row, identity in enumerate(self._ids)}
         before = np.array([rows.get(identity, len(rows)) for identity in ids], dtype=np.int64)
         self._directions = np.append(self._directions, [UNKNOWN], axis=0)[before]
+        self._fixations = np.append(self._fixations, [UNKNOWN], axis=0)[before]
         self._steps = np.append(self._steps, 0.0)[before]
         self._ids = list(ids)
 
@@ -415,18 +442,21 @@ class GazeTargetFilter:
         self._weights = self._latest_prior = np.zeros((0, 2))
 
     def update(self, ids: Sequence[str], weights: np.ndarray, ratios: np.ndarray, shares: np.ndarray,
-               closed: np.ndarray, dt: float, blinking: Optional[np.ndarray] = None) -> np.ndarray:
+               closed: np.ndarray, dt: float, blinking: Optional[np.ndarray] = None,
+               begun: Optional[np.ndarray] = None) -> np.ndarray:
         """Take the evidence of `dt` s; return what each person looks at (N,): index of a target, -1 for nobody.
 
         weights (N, T), ratios (N, T): see evidence; T = N + 1 with the robot last. shares (N,): see ErrorRenewal.
         closed (N,): the eyes are closed, whatever else is known. blinking (N,): of those, who closed them a moment ago:
-        what they look at stays.
+        what they look at stays. begun (N,): whose eyes have just gone elsewhere: nothing is known of where.
         """
         prior = self._prior(weights)
         self._follow(list(ids), prior)
         dt = min(max(dt, 0.0), _MOST_DT)
         stay = math.exp(-dt / self._settings.dwell_time)
         belief = stay * self._probabilities + (1.0 - stay) * prior
+        if begun is not None:
+            belief[begun] = prior[begun]
         seen = (shares > 0.0) & ~closed
         kept = np.exp(-dt / _FADE_S * (1.0 - shares) * seen)[:, None]
         scores = kept * np.log(np.maximum(belief, _LEAST)) + (1.0 - kept) * np.log(np.maximum(prior, _LEAST))

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Deque, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Collection, Deque, Dict, List, Optional, Sequence, Set, Tuple
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
@@ -26,7 +26,6 @@ from hri_pipeline.core.interactions.formations import (
 )
 from hri_pipeline.core.interactions.parameters import GroupSettings
 from hri_pipeline.core.interactions.people import ROBOT, GazeTarget, PeopleSnapshot
-from hri_pipeline.core.tracks import assign
 
 _JUMP_BACK_S = 0.5
 _STAMP_S = 1e-3         # stamps that are nearer to each other are taken for the same
@@ -47,6 +46,7 @@ _ATTENTION, _LESS_ATTENTION = 0.15, 0.05
 it."""
 _LEVEL_PART = 0.2
 _STAY_BONUS = 0.1       # share of the time that speaks for those who are in one group already
+_SAME_PLACE = 0.3       # who is new so near (m) to where somebody just ceased to be tracked is the same human
 
 
 @dataclass(frozen=True)
@@ -173,8 +173,9 @@ class GroupTracker:
     `group_time`, over the time that both were seen) and did not walk apart or past each other; groups are the average
     linkage of these shares, cut at one half.
     A group goes on under its id when two of its members at least are in one group again; where it splits, the part with
-    the largest share of common members (Jaccard) has the id, and of groups that merge the one with the largest share,
-    the older of equals, gives it. A group that ended less than `group_hold_time` ago comes back under its id.
+    the largest share of common members (Jaccard) has the id, of equals the part without the robot, and of groups that
+    merge the one with the largest share, the older of equals, gives it. A group that ended less than `group_hold_time`
+    ago comes back under its id. Whose id changes (somebody is recognised) stays a member.
     """
 
     def __init__(self, settings: GroupSettings, seed: Optional[int] = None) -> None:
@@ -198,6 +199,19 @@ class GroupTracker:
         self._shares, self._confidences, self._times = (np.zeros((0, 0)) for _ in range(3))
         self._known: List[_Known] = []
         self._groups: List[Group] = []
+        self._gone: Set[str] = set()
+
+    def retain(self, ids: Collection[str]) -> List[Group]:
+        """Take everybody but these persons and the robot out of the groups at once; return those that are left.
+
+        Who comes back within `group_hold_time`, also under another id at the same place, is a member again.
+        """
+        self._gone = {person for person in self._people if person != ROBOT and person not in ids}
+        if any(member in self._gone for group in self._groups for member in group.members):
+            left = [replace(group, members=tuple(member for member in group.members if member not in self._gone))
+                    for group in self._groups]
+            self._groups = [group for group in left if len(group.members) > 1]
+        return list(self._groups)
 
     def update(self, people: Sequence[Individual], stamp: float) -> List[Group]:
         """Return the groups at a time.
@@ -245,10 +259,14 @@ class GroupTracker:
             for identity in (identity for identity, stay in zip(self._people, stays) if not stay):
                 del self._individuals[identity], self._paths[identity]
                 self._attention.pop(identity, None)
+                self._gone.discard(identity)
             self._people = [person for person, stay in zip(self._people, stays) if stay]
             self._seen = self._seen[stays]
             self._shares, self._confidences, self._times = (
                 table[np.ix_(stays, stays)] for table in (self._shares, self._confidences, self._times))
+        for person in seen:
+            if self._gone and person.id not in self._individuals:
+                self._take_over(person)
         fresh = [person.id for person in seen if person.id not in self._individuals]
         if fresh:
             self._people += fresh
@@ -262,7 +280,24 @@ class GroupTracker:
             while stamp - path[0][0] > _WALK_S:
                 path.popleft()
         present = {person.id for person in seen}
+        self._gone -= present
         self._seen[[person in present for person in self._people]] = stamp
+
+    def _take_over(self, person: Individual) -> None:
+        """Go on under a new id with who stood nearest to there and is not tracked any more, if that was near enough."""
+        def apart(name: str) -> float:
+            return float(np.linalg.norm(self._individuals[name].position - person.position))
+
+        before = min(self._gone, key=apart)
+        if apart(before) > _SAME_PLACE:
+            return
+        self._gone.remove(before)
+        self._people[self._people.index(before)] = person.id
+        self._individuals[person.id] = self._individuals.pop(before)
+        self._paths[person.id] = self._paths.pop(before)
+        self._attention[person.id] = self._attention.pop(before, 0.0)
+        for known in self._known:
+            known.members = frozenset(person.id if member == before else member for member in known.members)
 
     def _attend(self, seen: Sequence[Individual], step: float) -> None:
         """Update the share of the time in which each looks at the robot; 1 where it is not known."""
@@ -355,6 +390,9 @@ class GroupTracker:
             grouped[[rows[person] for person in group.members if person in rows]] = number
         near = np.where(self._times >= self._settings.group_delay - 1e-9, self._shares, 0.0)
         near = near + _STAY_BONUS * ((grouped[:, None] == grouped) & (grouped >= 0))
+        if self._gone:
+            gone = np.array([person in self._gone for person in self._people])
+            near[gone[:, None] | gone] = 0.0
         return self._with_attention(groups_of(_linked(np.minimum(near, 1.0))))
 
     def _name(self, groups: Sequence[Sequence[int]], votes: Votes, stamp: float) -> List[Group]:
@@ -388,17 +426,17 @@ class GroupTracker:
         return (each / (sizes * (sizes - 1.0))).tolist()
 
     def _owners(self, members: Sequence[frozenset]) -> Dict[int, int]:
-        """Return the number of the known group, of those with two common members at least, that each set goes on."""
-        if not members or not self._known:
-            return {}
-        # Of equal shares the living and then the older is chosen; no such bonus outweighs a share.
-        order = sorted(range(len(self._known)), key=lambda number: (
-            self._known[number].ended is not None, self._known[number].begun))
-        same = {self._known[number].members: number for number in reversed(order)}
-        if all(ours in same for ours in members):
-            return {index: same[ours] for index, ours in enumerate(members)}
-        rank = {number: 1e-3 * place / len(order) for place, number in enumerate(order)}
-        cost = np.array([[1.0 - len(ours & known.members) / len(ours | known.members) + rank[number]
-                          if len(ours & known.members) > 1 else np.inf
-                          for number, known in enumerate(self._known)] for ours in members])
-        return dict(assign(cost, 2.0))
+        """Return the number of the known group, of those with two common members at least, that each set goes on:
+        the pairs with the largest share of common members first."""
+        pairs = []
+        for index, ours in enumerate(members):
+            for number, known in enumerate(self._known):
+                common = len(ours & known.members)
+                if common > 1:
+                    pairs.append((-common / len(ours | known.members), known.ended is not None, ROBOT in ours,
+                                  known.begun, index, number))
+        owners: Dict[int, int] = {}
+        for *_, index, number in sorted(pairs):
+            if index not in owners and number not in owners.values():
+                owners[index] = number
+        return owners

@@ -203,6 +203,9 @@ HEAD_ABOVE_HIPS = 0.65
 """Height (m) of the eyes above the middle of the hips of somebody who stands: about 0.38 of the stature (Winter
 2009)."""
 _LEAST_LEVEL = 0.3
+_HEADS_OWN = 1e-3
+"""Angle (rad) from the head's direction up to which that of a gaze was made of it: of faces too small for their eyes,
+and of detectors that measure none."""
 _PLACE_SD, _DEPTH_PART, _FALLBACK_SD = 0.03, 0.045, 0.15
 """Standard deviations (m) of heads: across the ray of the camera, along it for each metre of distance (heads differ by
 5.5 %, irises tell a part of it), and from anything but a face."""
@@ -323,7 +326,10 @@ def _collect(identity: str, frames: PeopleTf, oldest: float, settings: Interacti
         closed = _closed(frames, face, gaze, closures.get(face_id), settings)
         if gaze is not None and face.stamp - gaze.stamp <= settings.gaze_timeout and far < settings.gaze_range:
             above = (face.transform,) if gaze.transform.parent == face.transform.child else ()
-            mine["gaze"] = rows.add((gaze.transform, *above), along_z=True)
+            row = rows.add((gaze.transform, *above), along_z=True)
+            # Where it is the head's very own, the eyes were not measured, and it says nothing more.
+            if _apart(rows.vectors[2 * row + 1], (i, j, k)) > _HEADS_OWN:
+                mine["gaze"] = row
     body = frames.get("body_" + body_id, oldest) if body_id else None
     if body is not None:
         mine["body"] = rows.add((body.transform,))
@@ -336,6 +342,11 @@ def _collect(identity: str, frames: PeopleTf, oldest: float, settings: Interacti
         unknown = features == Features() and person.stamp >= oldest
         mine["person" if unknown else "place"] = rows.add((person.transform,))
     return _Frames(**mine), closed, far, turn
+
+
+def _apart(first: Vector, second: Vector) -> float:
+    """Distance of two unit vectors: the angle (rad) between them where it is small."""
+    return math.sqrt(sum((one - other) ** 2 for one, other in zip(first, second)))
 
 
 def _closed(frames: PeopleTf, face: Timed, gaze: Optional[Timed], closure: Optional[Seen],
