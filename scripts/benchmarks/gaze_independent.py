@@ -25,6 +25,7 @@ second:
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import Dict, Iterator, List, NamedTuple, Sequence, Tuple
 
 import numpy as np
@@ -33,12 +34,12 @@ from scipy.spatial.transform import Rotation
 from hri_pipeline.core.frames import RawTransform
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.interactions.gaze import ROBOT, GazeTargets
-from hri_pipeline.core.interactions.groups import GroupTracker, group_numbers, individuals_of
+from hri_pipeline.core.interactions.groups import Group, GroupTracker, Individual, group_numbers, individuals_of
 from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
-from hri_pipeline.core.interactions.people import PeopleSnapshot, PeopleTf, gather
+from hri_pipeline.core.interactions.people import GazeTarget, PeopleSnapshot, PeopleTf, gather
 
 RATE = 15.0
-SEEDS, TUNING_SEEDS = tuple(range(500, 506)), tuple(range(3))
+SEEDS, TUNING_SEEDS = tuple(range(700, 706)), tuple(range(30, 38))
 """Of the figures told, and those that the estimator's constants were looked at with."""
 _CAMERA = np.array([0.0, 0.0, 1.35])
 _FOCAL, _HALF_VIEW = 1100.0, math.radians(42.0)
@@ -294,29 +295,38 @@ def _wrapped(angle: float) -> float:
 def figures(counts: Sequence[int] = (4, 8, 12), seconds: float = 30.0, seeds: Sequence[int] = SEEDS
             ) -> Dict[str, Dict[str, Dict[str, float]]]:
     """Return precision and recall of who looks at whom: `faces` of senders whose face is seen, or was 0.3 s ago, by
-    number of people; `no_face` of all others together.
+    number of people; `no_face` of all others together; and `robot`, by number of people: groups with the robot, which
+    only stands there and looks ahead, `wrong_per_true` group of people.
 
     Every image counts, also those just after a change; a pair is right when its receiver is.
     """
     faces = {str(count): np.zeros(3) for count in counts}
-    hidden = np.zeros(3)
+    hidden, robot = np.zeros(3), {str(count): np.zeros(2) for count in counts}
     for count in counts:
         for seed in seeds:
+            true_groups = sum(size > 1 for size in Counter(person.group for person in scene(count, seed)[0]).values())
             settings = INTERACTION_PARAMETERS.resolve({})
             targets, groups = GazeTargets(settings), GroupTracker(settings, seed=0)
             face_at: Dict[str, float] = {}
+            gazes: Sequence[GazeTarget] = ()
+            at = Individual(ROBOT, _CAMERA[:2], 0.0, 0.05, 0.1)
             for image in images(count, seed, seconds):
                 # As the node does it: who stands together, then who looks at whom.
-                together = groups.update(individuals_of(image.people, settings.group_head_sd), image.stamp)
+                seen_now = individuals_of(image.people, settings.group_head_sd, gazes) + [at]
+                together: Sequence[Group] = groups.update(seen_now, image.stamp)
+                robot[str(count)] += sum(ROBOT in group.members for group in together), true_groups
                 image.people.groups = group_numbers(image.people.ids, together)
-                found = {gaze.sender: gaze.receiver for gaze in targets.update(image.people, _CAMERA, image.stamp)}
+                gazes = targets.update(image.people, _CAMERA, image.stamp)
+                found = {gaze.sender: gaze.receiver for gaze in gazes}
                 face_at.update((sender, image.stamp) for sender in image.faces)
                 for sender in set(found) | set(image.gazes):
                     told, true = found.get(sender), image.gazes.get(sender)
                     seen = image.stamp - face_at.get(sender, -1.0) <= _JUST_SEEN_S
                     sums = faces[str(count)] if seen else hidden
                     sums += (told is not None and told == true, told is not None, true is not None)
-    return {"faces": {count: _ratios(sums) for count, sums in faces.items()}, "no_face": {"all": _ratios(hidden)}}
+    return {"faces": {count: _ratios(sums) for count, sums in faces.items()}, "no_face": {"all": _ratios(hidden)},
+            "robot": {count: {"wrong_per_true": float(wrong / max(true, 1.0))}
+                      for count, (wrong, true) in robot.items()}}
 
 
 def _ratios(sums: np.ndarray) -> Dict[str, float]:

@@ -63,6 +63,7 @@ KEYS: Sequence[Tuple[str, str, Callable[[object], bool]]] = (
     ("gaze_independent", ">= .92/.85 .90/.82 .88/.80", _independent),
     ("gaze_no_face", "precision >= 0.7", lambda value: isinstance(value, dict) and (
         value["told"] == 0 or value["precision"] >= 0.7)),
+    ("robot_groups", "<= 0.05 wrong of 8 people", lambda value: isinstance(value, dict) and value["8"] <= 0.05),
     ("eyes", "<= 3 %, 5 %", lambda value: isinstance(value, dict) and value["open_told_shut"] <= 0.03
      and value["shut_told_open"] <= 0.05),
     ("groups_f1", ">= 0.87, 0.93, 0.78, 0.93, 0.88", _groups), ("engagement", "illegal 0, each level", _engagement),
@@ -71,7 +72,7 @@ KEYS: Sequence[Tuple[str, str, Callable[[object], bool]]] = (
 
 PARTS: Dict[str, Sequence[str]] = {
     "gaze": ("gaze_3", "gaze_6", "gaze_without_closed_eyes_rule"), "photographs": ("photographs", "gaze_real"),
-    "eyes": ("eyes",), "independent": ("gaze_independent", "gaze_no_face"),
+    "eyes": ("eyes",), "independent": ("gaze_independent", "gaze_no_face", "robot_groups"),
     "groups": ("groups_f1",), "engagement": ("engagement",), "cpu": ("cpu_percent_10", "cpu_percent_30"),
     "nods": ("nod", "shake"), "crowd": ("crowd",)}
 
@@ -150,7 +151,8 @@ def _measure(part: str, hours: float, overlay: Optional[Path]) -> Dict[str, obje
         from benchmarks.gaze_independent import figures
         found_gazes = figures()
         return {"gaze_independent": _rounded(found_gazes["faces"]),
-                "gaze_no_face": _rounded(found_gazes["no_face"]["all"])}
+                "gaze_no_face": _rounded(found_gazes["no_face"]["all"]),
+                "robot_groups": {count: round(one["wrong_per_true"], 4) for count, one in found_gazes["robot"].items()}}
     if part == "eyes":
         from benchmarks.face_figures import eye_errors
         errors = eye_errors(models_directory())

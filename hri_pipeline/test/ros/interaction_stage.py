@@ -1,5 +1,6 @@
 """People on a ROS graph whose places and looks a test decides, as detectors and a person manager would tell them."""
 
+import math
 import threading
 
 import numpy as np
@@ -14,6 +15,7 @@ from hri_pipeline.ros.conversions import action_units_to_msg, make_header, trans
 
 ROBOT = np.array([0.0, 0.0, 0.0])
 RATE = 15.0
+EYES_BESIDE_HEAD = 0.005        # rad
 
 
 def face_pose(place, target):
@@ -100,8 +102,9 @@ class Stage:
                 pose = face_pose(place, target if target is not None else ROBOT)
                 frames.append(transform_to_msg(pose, stamp, camera, "face_f" + name))
                 if target is not None:
-                    frames.append(transform_to_msg(gaze_frame(pose, pose.rotation[:, 0]), stamp, "face_f" + name,
-                                                   "gaze_f" + name))
+                    # A gaze that is exactly the head's would be taken for that of a face too small for its eyes.
+                    eyes = pose.rotation @ (math.cos(EYES_BESIDE_HEAD), math.sin(EYES_BESIDE_HEAD), 0.0)
+                    frames.append(transform_to_msg(gaze_frame(pose, eyes), stamp, "face_f" + name, "gaze_f" + name))
             if frames:
                 self.stamps.append(stamp)
                 self._tf.publish(TFMessage(frames))

@@ -89,6 +89,19 @@ def test_circles_of_any_size_are_one_group(radius: float) -> None:
     assert formations(people) == [[0, 1, 2, 3, 4]]
 
 
+def test_who_stands_behind_a_member_is_none() -> None:
+    people = standing("abc", radius=0.6)
+    positions = np.array([person.position for person in people] + [people[0].position * 2.4])
+    directions = np.array([person.direction for person in people] + [people[0].direction])
+    sds = np.full(4, math.radians(20.0))
+    (group,) = find_formations(positions, directions, sds, SETTINGS, np.full(4, 0.1))
+    assert group.members == [0, 1, 2]
+    positions[3] = people[0].position * 1.5 + (0.0, 0.6)
+    directions[3] = math.atan2(-positions[3, 1], -positions[3, 0])
+    (group,) = find_formations(positions, directions, sds, SETTINGS, np.full(4, 0.1))
+    assert group.members == [0, 1, 2, 3], "who has made room for himself is one"
+
+
 def test_an_uncertain_direction_counts_less_than_a_certain_one() -> None:
     people = np.array([[0.0, 0.0, math.pi], [0.9, 0.0, math.pi]])      # one looks at the other's back
     both = [find_formations(people[:, :2], people[:, 2] + [0.0, math.pi], np.full(2, sd), SETTINGS)

@@ -8,7 +8,7 @@ import json
 from benchmarks import interactions
 
 ASKED = {"gaze_3", "gaze_6", "gaze_without_closed_eyes_rule", "groups_f1", "cpu_percent_10", "cpu_percent_30",
-         "photographs", "gaze_real", "eyes", "gaze_independent", "gaze_no_face",
+         "photographs", "gaze_real", "eyes", "gaze_independent", "gaze_no_face", "robot_groups",
          "engagement", "nod", "shake", "crowd"}
 MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3], "versions": {}}
 
@@ -57,6 +57,11 @@ def test_independent_figures_are_asked_for_by_number_of_people() -> None:
     for precision, told, short in ((0.7, 10, False), (0.69, 10, True), (0.0, 0, False)):
         value = {"precision": precision, "recall": 0.0, "told": told}
         assert (" NO " in lines({"gaze_no_face": value})["gaze_no_face"]) is short
+
+
+def test_the_robot_is_in_few_groups_of_eight_people() -> None:
+    for wrong, short in ((0.05, False), (0.06, True)):
+        assert (" NO " in lines({"robot_groups": {"4": 0.2, "8": wrong, "12": 0.2}})["robot_groups"]) is short
 
 
 def test_eyes_fall_short_above_three_and_five_percent() -> None:

@@ -13,6 +13,8 @@ vote for where its middle is; a group is a set of people whose votes agree bette
   metres.
 - A group has a size, too: its members have the middle at the same distance ahead, more or less. So circles of any size
   are found without taking strangers for members of small ones.
+- Who has somebody of the group between himself and the middle is no member: the space is shared by those who see it
+  (the visibility constraint of GCFF).
 - It is minimised by joining the two groups that gain most (J. H. Ward, "Hierarchical grouping to optimize an objective
   function", JASA 58, 1963), and then by moving single people, instead of by graph cuts.
 """
@@ -33,6 +35,9 @@ from hri_pipeline.core.interactions.parameters import GroupSettings
 # information, log |covariance|, people. With the squares, log |covariance| and people in one row: (10, ...).
 _LEAST_SD = 0.02
 """m; no position of a person is known better."""
+_HIDDEN_ANGLE, _HIDDEN_DEPTH = 0.3, 0.6
+"""A member hides the middle of the group from who is in the same direction from it (rad; half of the shoulders, at
+0.75 m) and so much farther away (m): more than places err."""
 
 
 class FFormation(NamedTuple):
@@ -47,16 +52,18 @@ class FFormation(NamedTuple):
 class Votes(NamedTuple):
     """Votes of everybody for the middle and the size of the group: table (12, N) as above, relative to `middle` (2,) m.
 
-    size: information about the size of any group beforehand, 1 / m^2.
+    size: information about the size of any group beforehand, 1 / m^2; places: (N, 2) m of the people, relative to
+    `middle`.
     """
 
     table: np.ndarray
     middle: np.ndarray
     size: float
+    places: np.ndarray
 
     def of(self, rows: Sequence[int]) -> Votes:
         """Return those of some of the people, in this order."""
-        return Votes(self.table[:, list(rows)], self.middle, self.size)
+        return Votes(self.table[:, list(rows)], self.middle, self.size, self.places[list(rows)])
 
 
 def votes_of(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: GroupSettings,
@@ -84,7 +91,7 @@ def votes_of(positions: np.ndarray, directions: np.ndarray, direction_sds: np.nd
     positions, directions, angles, places = _checked(positions, directions, direction_sds, position_sds)
     middle = positions.mean(axis=0) if len(positions) else np.zeros(2)
     return Votes(_votes(positions - middle, directions, angles, places, settings), middle,
-                 1.0 / max(settings.group_size_sd, _LEAST_SD) ** 2)
+                 1.0 / max(settings.group_size_sd, _LEAST_SD) ** 2, positions - middle)
 
 
 def find_formations(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: GroupSettings,
@@ -105,12 +112,28 @@ def formations_of(votes: Votes, settings: GroupSettings) -> List[FFormation]:
     # What adds up to the cost without further ado is one row.
     table = np.concatenate([table[:9], (table[9] + table[10] + 2.0 * prior.per_person * table[11])[None]])
     groups = groups_of(_moved(table, _joined(table, prior), prior))
+    groups = _in_view(groups, votes.places, _centres(table @ membership(groups, table.shape[1]), prior.size))
     if not groups:
         return []
     totals = table @ membership(groups, table.shape[1])
     found = zip(groups, _centres(totals, prior.size) + votes.middle, _cost(totals, prior).tolist())
     return [FFormation(members, centre, 1.0 / (1.0 + math.exp(-min(-cost / (len(members) - 1), 50.0))))
             for members, centre, cost in found]
+
+
+def _in_view(groups: Sequence[List[int]], places: np.ndarray, centres: np.ndarray) -> List[List[int]]:
+    """Return the groups without those from whom another member hides the middle.
+
+    groups: rows of places (N, 2) m; centres: (G, 2) m of their middles.
+    """
+    found = []
+    for group, centre in zip(groups, centres):
+        ways = places[group] - centre
+        distances, bearings = np.hypot(ways[:, 0], ways[:, 1]), np.arctan2(ways[:, 1], ways[:, 0])
+        turns = np.abs((bearings[:, None] - bearings + np.pi) % (2.0 * np.pi) - np.pi)
+        hidden = ((turns < _HIDDEN_ANGLE) & (distances[:, None] > distances + _HIDDEN_DEPTH)).any(axis=1)
+        found.append([row for row, behind in zip(group, hidden.tolist()) if not behind])
+    return [group for group in found if len(group) > 1]
 
 
 def groups_of(labels: np.ndarray) -> List[List[int]]:
