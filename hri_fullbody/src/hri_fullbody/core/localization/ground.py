@@ -180,7 +180,7 @@ def _seated(points: np.ndarray, confidence: np.ndarray) -> Optional[np.ndarray]:
     if trunk is None or confidence[legs].min() < 0.5 or any(
             thigh is None or shank is None or not float(thigh @ shank) < _BENT for thigh, shank in zip(thighs, shanks)):
         return trunk
-    shank = _unit(np.sum(shanks, axis=0))
+    shank = _unit(np.sum([shank for shank in shanks if shank is not None], axis=0))
     return trunk if shank is None or shank[1] > 0.0 else _unit((1.0 - _SHANK_WEIGHT) * trunk + _SHANK_WEIGHT * shank)
 
 
