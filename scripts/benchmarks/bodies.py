@@ -145,7 +145,7 @@ def _measure(part: str, details: Dict[str, object]) -> Dict[str, object]:
     if part == "company":
         from benchmarks.body_fit import monocular_statures
         details["stature"] = monocular_statures(SegmentTable.load())
-        return {"stature": {name: details["stature"][name] for name in ("r", "sd_mm")}}
+        return {"stature": {name: details["stature"][name] for name in ("r", "sd_mm", "within_sd")}}
     return {"fit": _fit, "heading": _heading, "wave": _wave, "ik": _joints, "stature": _stature}[part](
         SegmentTable.load(), details)
 

@@ -27,6 +27,7 @@ STEP_S, TICK_S = 0.02, 0.1
 SETTLED_S = 3.0
 SCENE_S = 40.0
 NAMED_AFTER_S = 1.5         # of a face that is seen
+CLOTHES_AFTER_S = 1.0       # of a body
 _KINDS = {"face": (Kind.FACE, PlaceSource.FACE), "body": (Kind.BODY, PlaceSource.HEAD)}
 
 
@@ -43,6 +44,7 @@ class Watch:
         self._camera: Dict[MatchNode, str] = {}
         self._since: Dict[MatchNode, float] = {}
         self._matched: Set[Tuple[MatchNode, MatchNode]] = set()
+        self._dressed: Set[MatchNode] = set()
         self._next_tick = 0.0
         self.counts: CounterType[str] = Counter()
         self.errors: List[float] = []
@@ -65,6 +67,7 @@ class Watch:
             if self.now >= self._next_tick:
                 self._next_tick = self.now + TICK_S
                 self._say_matches()
+                self._say_clothes()
                 self.manager.tick(self.now)
                 on_tick()
 
@@ -102,6 +105,13 @@ class Watch:
                 if other is not None and (face, other) not in self._matched:
                     self._matched.add((face, other))
                     self.manager.on_match(CandidateMatch(face, other, likelihood), self.now)
+
+    def _say_clothes(self) -> None:
+        for node in self.features():
+            if node.kind == Kind.BODY and node not in self._dressed and (
+                    self.now - self._since[node] >= CLOTHES_AFTER_S):
+                self._dressed.add(node)
+                self.manager.on_appearance(node.id, self.room.clothes(self._camera[node], self.human[node]))
 
     def camera_of(self, node: MatchNode) -> str:
         """Name of the camera that sees a track."""
@@ -213,8 +223,8 @@ def handover(seeds: Sequence[int]) -> Dict[str, object]:
 def figures(scenes: int = 30, hand_offs: int = 120, hidden: int = 6) -> Dict[str, object]:
     """What `scripts/benchmark identity` reports of several cameras, on seeds that nothing was chosen by."""
     shared = cameras(range(REPORT_FROM, REPORT_FROM + scenes))
-    # Its first 120 report seeds have been seen before the last choice of the gate.
-    over = handover(range(REPORT_FROM + 20000, REPORT_FROM + 20000 + hand_offs))
+    # Those from 10000 and 20000 on have been seen before the last choice of the constants.
+    over = handover(range(REPORT_FROM + 30000, REPORT_FROM + 30000 + hand_offs))
     crowded = cameras(range(REPORT_FROM + 5000, REPORT_FROM + 5000 + hidden), hidden=True)
     details = {"cameras_" + key: value for key, value in shared.items()}
     details.update({"cameras_who_hide_each_other": crowded})

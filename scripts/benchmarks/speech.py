@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.room import Room, images_at, with_noise
 from benchmarks.speech_files import HELD_OUT_FILES, SPEECH_DIRECTORY, TUNING_FILES, read_announcements, read_speech
-from benchmarks.voice_figures import activity_model, activity_settings, blocks
+from benchmarks.voice_figures import activity_model, activity_settings, blocks, speaker_embedder
 from hri_pipeline.core.asr.engines import (
     RATE,
     EngineChoice,
@@ -145,12 +145,14 @@ class TurnReader:
     def __init__(self, engine: SpeechEngine) -> None:
         self._engine = engine
         self._length = self._spoken = self._frames = 0
+        self._begin = 0.0
 
     def add(self, seen: VoiceObservation) -> Optional[Recognised]:
         """Add what is seen of the voice; return the text at the end of a turn, if it is sure enough to be published."""
         if seen.onset:
             self._engine.start()
             self._length = self._frames = 0
+            self._begin = seen.stamp
         if len(seen.samples):
             self._engine.feed(np.frombuffer(encode_s16(seen.samples), np.int16))
             self._length += len(seen.samples)
@@ -160,13 +162,14 @@ class TurnReader:
         self._frames += seen.turn
         if seen.turn and self._frames % _PARTIAL_BLOCKS == 0:
             self._engine.partial()
-        found = self._engine.finish(self._spoken) if seen.end else None
+        found = self._engine.finish(min(self._spoken, int((seen.stamp - self._begin) * RATE))) if seen.end else None
         return found if found and found.text and found.confidence >= least_confidence() else None
 
 
 def turn_texts(engine: SpeechEngine, sound: np.ndarray) -> List[Recognised]:
     """Return the texts of the turns in a sound (n,) that are published."""
-    pipeline, reader = VoicePipeline(activity_settings(), activity_model()), TurnReader(engine)
+    pipeline = VoicePipeline(activity_settings(), activity_model(), speakers=speaker_embedder())
+    reader = TurnReader(engine)
     texts = [reader.add(seen) for block in blocks(sound.astype(np.float32)) for seen in pipeline.update(block)]
     return [text for text in texts if text is not None]
 

@@ -13,7 +13,7 @@ import numpy as np
 import psutil
 
 from benchmarks.speech_files import HELD_OUT_FILES, RATE, read_speech
-from benchmarks.voice_figures import activity_model, blocks, energy_labels, make_scene
+from benchmarks.voice_figures import activity_model, blocks, energy_labels, make_scene, speaker_embedder
 from hri_pipeline.core.asr.recognition import SpeechRecognition, SpeechResult
 from hri_pipeline.core.audio.parameters import VOICES
 from hri_pipeline.core.audio.pipeline import VoicePipeline
@@ -41,7 +41,7 @@ class Heard(NamedTuple):
 
 def play(speech: SpeechRecognition, sound: np.ndarray) -> Heard:
     """Play a sound (n,) in real time."""
-    pipeline = VoicePipeline(VOICES.resolve({}), activity_model())
+    pipeline = VoicePipeline(VOICES.resolve({}), activity_model(), speakers=speaker_embedder())
     results: List[Tuple[float, SpeechResult]] = []
     ends: Dict[str, float] = {}
     before, begin = _cpu_s(speech), time.monotonic()
@@ -53,7 +53,7 @@ def play(speech: SpeechRecognition, sound: np.ndarray) -> Heard:
             if len(seen.samples):
                 speech.feed(seen.id, seen.samples, seen.stamp, seen.speaking)
             if seen.end:
-                speech.end(seen.id)
+                speech.end(seen.id, seen.stamp)
                 ends[seen.id] = time.monotonic() - begin
         results += [(time.monotonic() - begin, result) for result in speech.poll()]
     spent, passed = _cpu_s(speech) - before, time.monotonic() - begin

@@ -19,6 +19,7 @@ from benchmarks.speech_files import read_speech
 from hri_pipeline.core.audio.features import AudioFeatureExtractor
 from hri_pipeline.core.audio.parameters import VOICES, VoiceActivitySettings
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
+from hri_pipeline.core.audio.speakers import MODEL_FILE, SpeakerEmbedder
 from hri_pipeline.core.audio.stream import SoundBlock, SoundFormat, SoundStream, encode_s16
 from hri_pipeline.core.audio.vad import FRAME, FRAME_TIME, RATE, ActivityModel
 from hri_pipeline.core.onnx import model_path
@@ -56,6 +57,11 @@ def activity_settings(**changes: Any) -> VoiceActivitySettings:
 def activity_model() -> ActivityModel:
     """Return the network from the models directory. Raises ModelError with the mend."""
     return ActivityModel(model_path("", "silero_vad.onnx"))
+
+
+def speaker_embedder() -> SpeakerEmbedder:
+    """Return the network of speakers. Raises ModelError with the mend."""
+    return SpeakerEmbedder(model_path("", MODEL_FILE))
 
 
 def energy_labels(samples: np.ndarray) -> np.ndarray:
@@ -232,7 +238,7 @@ def run_all(samples: np.ndarray, settings: Optional[VoiceActivitySettings] = Non
     if channels > 1:
         from hri_pipeline.core.audio.separation import SoundSeparator
         array = SoundSeparator(SQUARE, settings)
-    stage = VoicePipeline(settings, activity_model(), array)
+    stage = VoicePipeline(settings, activity_model(), array, speakers=speaker_embedder())
     stream = SoundStream(SoundFormat(channels, RATE))
     extractors: Dict[str, AudioFeatureExtractor] = {}
     ids, frames, longest = set(), 0, 0.0

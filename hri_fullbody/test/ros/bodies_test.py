@@ -17,6 +17,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from hri_fullbody.core.model.human import PAPER
 from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, IdsList, PointingStamped, Skeleton2D
+from hri_pipeline.ros.conversions import matrix_from_image
 from hri_pipeline.testing import FRAME, Camera, Latest, photograph, pid_of, wait_for
 
 START_S, WAIT_S = 60.0, 30.0
@@ -143,6 +144,16 @@ class BodiesTest(unittest.TestCase):
         self.assertEqual((cropped.encoding, len(cropped.data)), ("bgr8", cropped.height * cropped.step))
         self.assertTrue(50 < cropped.width <= self.picture.shape[1])
         self.assertGreater(np.frombuffer(cropped.data, np.uint8).std(), 10.0)
+
+    def test_colours_of_clothes_are_histograms(self):
+        identity = self.tracked.value.ids[0]
+        message = self.first("/humans/bodies/{}/appearance".format(identity), Image)
+        self.assertIn(message.header.stamp, self.camera.stamps)
+        rows = matrix_from_image(message)
+        self.assertEqual(rows.shape, (5, 21))
+        for total in rows.sum(axis=1):
+            self.assertAlmostEqual(total, round(total), places=5)
+        self.assertAlmostEqual(rows[0].sum(), 1.0, places=5)
 
     def test_diagnostics_tell_of_models_and_processes(self):
         diagnostics = self.listen("/diagnostics", DiagnosticArray)

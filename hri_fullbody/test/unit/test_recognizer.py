@@ -12,7 +12,7 @@ from hri_fullbody.core import keypoints as kp
 from hri_fullbody.core.behaviour.arms import trunk_axes
 from hri_fullbody.core.behaviour.attitude import AttitudeClass, Latch, Rule
 from hri_fullbody.core.behaviour.gesture import GestureClass, turns
-from hri_fullbody.core.behaviour.posture import PostureClass, PostureEstimator, without_guessed_legs
+from hri_fullbody.core.behaviour.posture import PostureClass, PostureEstimator, without_guessed_limbs
 from hri_fullbody.core.behaviour.recognizer import BehaviourRecognizer, BodyBehaviour
 
 RATES = (5.0, 15.0, 60.0)
@@ -229,18 +229,37 @@ def test_legs_outside_the_image_are_no_legs(width, height, posture):
     points = people.standing().seen()
     pixels = 400.0 * points[:, :2] + (640.0, 760.0 - 400.0 * points[list(LEGS), 1].min())  # the knees are at y = 760
     given = points.copy()
-    assert last(without_guessed_legs(points, pixels, width, height)).posture == posture
+    assert last(without_guessed_limbs(points, pixels, width, height)).posture == posture
     assert np.array_equal(given, points)
+
+
+def test_a_hand_that_the_network_guesses_is_not_on_the_face():
+    points = people.on_face("right").seen()
+    pixels = np.column_stack([400.0 * points[:, :2] + (640.0, 760.0), np.full(18, 0.9)])
+    assert last(without_guessed_limbs(points, pixels, 1280, 2000)).attitude == AttitudeClass.HANDS_ON_FACE
+    pixels[kp.RIGHT_WRIST, 2] = 0.3
+    assert last(without_guessed_limbs(points, pixels, 1280, 2000)).attitude == AttitudeClass.OTHER
+
+
+@pytest.mark.parametrize("ahead, knuckles, on_face", [
+    (0.22, (-0.2, 1.0, 0.7), True), (0.22, (1.0, -0.6, -0.2), False), (0.50, (-0.2, 1.0, 0.7), False)],
+    ids=["towards the chin", "away from it", "at arm's length"])
+def test_a_hand_is_where_its_knuckles_are(ahead, knuckles, on_face):
+    points = people.Pose().arm("right", (0.15, 0.05, -0.21), (ahead, -0.10, -0.02)).seen()
+    hands, body = np.full((2, 3), np.nan), BehaviourRecognizer()
+    hands[1] = people.FACING @ (0.08 * np.array(knuckles) / np.linalg.norm(knuckles))
+    told = [body.update(points, STATURE, index / 15.0, UP, 0.0, None, hands) for index in range(15)]
+    assert (told[-1].attitude == AttitudeClass.HANDS_ON_FACE) == on_face
 
 
 def test_legs_that_the_network_guesses_are_no_legs():
     points = people.seated().seen()
     pixels = np.column_stack([400.0 * points[:, :2] + (640.0, 760.0), np.full(18, 0.9)])
-    assert last(without_guessed_legs(points, pixels, 1280, 2000)).posture == PostureClass.SITTING
+    assert last(without_guessed_limbs(points, pixels, 1280, 2000)).posture == PostureClass.SITTING
     pixels[kp.LEFT_KNEE, 2] = 0.3
-    assert np.isnan(without_guessed_legs(points, pixels, 1280, 2000)[kp.LEFT_KNEE]).all()
+    assert np.isnan(without_guessed_limbs(points, pixels, 1280, 2000)[kp.LEFT_KNEE]).all()
     pixels[[kp.RIGHT_ANKLE, kp.LEFT_ANKLE], 2] = 0.3
-    assert last(without_guessed_legs(points, pixels, 1280, 2000)).posture == PostureClass.OTHER
+    assert last(without_guessed_limbs(points, pixels, 1280, 2000)).posture == PostureClass.OTHER
 
 
 @pytest.mark.parametrize("up_sd", np.radians([5.0, 9.0]), ids=["stood", "never stood"])

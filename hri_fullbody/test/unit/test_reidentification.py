@@ -11,9 +11,9 @@ from hri_fullbody.core.tracking.reidentification import (
     BodyReidentifier,
     TrackAppearance,
     difference,
-    differences,
     marginals,
 )
+from hri_pipeline.core.tracks import appearance_distances
 
 
 def clothes(seed, noise=0.0):
@@ -142,7 +142,7 @@ def test_differences_from_many_are_those_from_each():
     one[0] = 0.0
     wanted = [np.nan if apart is None else apart for apart in (difference(one, other) for other in many)]
     assert np.isnan(wanted).sum() == 2
-    assert differences(one, many) == pytest.approx(np.array(wanted), abs=1e-9, nan_ok=True)
+    assert appearance_distances(one, many) == pytest.approx(np.array(wanted), abs=1e-9, nan_ok=True)
 
 
 def test_probabilities_of_an_assignment_exclude_that_somebody_is_two():

@@ -33,7 +33,7 @@ class TestPersonServices(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.lists = {kind: rospy.Publisher("/humans/%s/tracked" % kind, IdsList, latch=True, queue_size=10)
-                     for kind in ("faces", "bodies")}
+                     for kind in ("faces", "bodies", "voices")}
         cls.shown = {kind: [] for kind in cls.lists}
         cls.lock = threading.Lock()
         rospy.Timer(rospy.Duration(1), lambda event: cls.repeat())
@@ -53,6 +53,7 @@ class TestPersonServices(unittest.TestCase):
     def tearDown(self):
         self.show("faces")
         self.show("bodies")
+        self.show("voices")
         self.wait_for(lambda: self.tracked.value is not None and not self.tracked.value.ids, "everybody has left")
 
     def wait_for(self, condition, what, seconds=WAIT_S):
@@ -226,6 +227,25 @@ class TestPersonServices(unittest.TestCase):
         self.assertTrue(made.success, made.message)
         self.assertEqual(made.id, "ned")
         self.assertEqual(asked, [("enrol", "kim", self.face), ("enrol_new", "", self.face)])
+
+    def test_who_speaks_while_being_enrolled_is_enrolled_by_voice_as_well(self):
+        asked = []
+
+        def answer(request):
+            asked.append((request.command, request.id, request.other))
+            return GalleryResponse(success=request.other == self.face, id=request.id, message="no such face")
+        service = rospy.Service("/recogniser/gallery", Gallery, answer)
+        self.addCleanup(service.shutdown)
+        self.someone(self.face, "tim")
+        voice = "v" + self.face
+        self.show("voices", voice)
+
+        def enrolled():
+            self.recognise(voice, "tim", kind=IdsMatch.VOICE)
+            self.assertTrue(self.call("enrol", Enrol, "tim", "").success)
+            return ("enrol", "tim", voice) in asked
+        self.wait_for(enrolled, "the voice is enrolled")
+        self.assertEqual(asked[-2:], [("enrol", "tim", self.face), ("enrol", "tim", voice)])
 
     def test_merging_through_an_alias_is_answered_as_it_is_done(self):
         for number, person in enumerate(("pia", "quy", "ron")):

@@ -21,8 +21,11 @@ RATE = 15.0
 class Room:
     """Cameras that each see the people between two x, as faces, with noise and an error of the calibration."""
 
-    def __init__(self, views, noise=0.03, seed=1, frame="map", **given):
-        """views: {camera: (x from, x to, error of x)}, m."""
+    def __init__(self, views, noise=0.03, seed=1, frame="map", clothes=None, **given):
+        """views: {camera: (x from, x to, error of x)}, m. clothes: {(camera, person): colours}; people are bodies
+        then."""
+        self._clothes = clothes or {}
+        self._of = (Kind.BODY, PlaceSource.HEAD) if clothes else (Kind.FACE, PlaceSource.FACE)
         numbers = itertools.count(1)
         self.manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve(given), lambda: "a%04d" % next(numbers))
         self.views, self.frame = views, frame
@@ -61,12 +64,14 @@ class Room:
             del self._faces[key]
         for key in seen:
             self._faces.setdefault(key, "f%03d" % next(self._visits) if key not in self._faces else "")
-        self.manager.on_tracked(Kind.FACE, sorted(self._faces.values()), self.now)
+        self.manager.on_tracked(self._of[0], sorted(self._faces.values()), self.now)
         for key, point in seen.items():
             position = np.array([*point, 1.6]) + self._chance.normal(0.0, self._noise, 3)
-            self.manager.on_place(PlaceSource.FACE, self._faces[key],
+            self.manager.on_place(self._of[1], self._faces[key],
                                   Place(self.frame, Pose(np.eye(3), position), self.now, origin=self._origin(key[0])),
                                   self.now, key[0])
+            if key in self._clothes:
+                self.manager.on_appearance(self._faces[key], self._clothes[key])
 
     def _origin(self, camera):
         """The cameras stand on both sides, in turn, 3 m away."""
@@ -98,6 +103,64 @@ def test_one_human_in_two_views_is_one_person():
     assert aliases == list(room.tracked)
     room.run(20.0, standing(3.0))
     assert len(room.tracked) == 1 and len(set(room.ids[60:])) == 1
+
+
+def colours(middle):
+    """Histograms of which those of middles that are far apart have little in common."""
+    rows = np.exp(-0.5 * ((np.arange(21) - middle) / 2.0) ** 2)
+    return np.tile(rows / rows.sum(), (5, 1))
+
+
+def test_clothes_end_and_hasten_unions():
+    """Two cameras that see somebody each, at one place; the clothes differ, or not."""
+    joined = {}
+    for name, other in (("equal", 5.0), ("unknown", None), ("different", 15.0)):
+        clothes = {("left", 0): colours(5.0)}
+        if other is not None:
+            clothes["right", 0] = colours(other)
+        room = Room(OVERLAPPING, clothes=clothes)
+        room.run(4.0, standing(1.0))        # one camera knows him before
+        start = room.now
+        while room.now < start + 10.0:
+            room.run(0.2, standing(3.0))
+            groups = room.manager._cameras._groups
+            if len(groups.all) == 1 and len(groups.sensors) == 2:
+                break
+        joined[name] = room.now - start
+    assert joined["equal"] < joined["unknown"] < joined["different"]
+
+
+def test_two_cameras_place_somebody_before_they_are_told_to_see_one():
+    room = Room(OVERLAPPING)
+    (person,) = room.run(3.0, standing(1.8))
+    groups, alone, both = room.manager._cameras._groups, np.trace(room.manager.place(person).covariance), []
+    while room.now < 8.0 and not (len(groups.view_of) == 2 and len(groups.all) == 1):
+        room.run(0.1, walking(1.8, 0.3, since=3.0))
+        both += [np.trace(room.manager.place(person).covariance)] * (len(groups.all) == 2)
+    assert room.tracked == (person,) and min(both) < 0.6 * alone < both[0]
+
+
+def test_whose_clothes_are_others_is_not_who_left():
+    seen = {}
+    for other in (5.0, 15.0):
+        room = Room(APART, clothes={("left", 0): colours(5.0), ("right", 0): colours(other)})
+        first = room.run(2.0, standing(0.5))
+        room.run(9.0, walking(0.5, 1.0, since=2.0, stop=7.0))
+        seen[other] = room.tracked == first
+    assert seen == {5.0: True, 15.0: False}
+
+
+@pytest.mark.parametrize("colours", [np.zeros(5), np.full((5, 21), np.nan), np.full((5, 21), -0.1)],
+                         ids=["flat", "nan", "negative"])
+def test_an_appearance_of_wrong_numbers_is_refused(colours):
+    with pytest.raises(ValueError, match="histograms"):
+        Room(OVERLAPPING).manager.on_appearance("b1", colours)
+
+
+def test_clothes_of_another_number_of_colours_say_nothing():
+    room = Room(OVERLAPPING, clothes={("left", 0): colours(5.0), ("right", 0): np.ones((3, 4)) / 4.0})
+    room.run(6.0, standing(3.0))
+    assert len(room.tracked) == 1
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.03, 0.1])

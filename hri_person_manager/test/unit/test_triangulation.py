@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from hri_person_manager.core.triangulation import (
+    SensorTrack,
+    Walk,
     aged,
     ellipse,
     fuse,
     ray_covariance,
     squared_distances,
     voice_covariance,
+    walk_evidence,
 )
 
 LEFT, RIGHT = np.array([0.0, 0.0, 1.5]), np.array([4.0, 0.0, 1.5])
@@ -46,6 +49,34 @@ def test_a_voice_tells_a_direction_and_hardly_a_distance():
     along, side = np.sqrt(covariance[0, 0]), np.sqrt(covariance[1, 1])
     assert 1.3 < along < 1.5 and 0.3 < side < 0.33 and covariance[0, 1] == 0.0
     assert voice_covariance(LEFT, LEFT)[0, 0] > 0.0, "a place at the microphones is no mistake"
+
+
+def walk(stamp, x, speed=1.0, height=1.6, shared=0.0):
+    return Walk(stamp, np.array([x, 3.0, height]), np.diag([0.04, 0.09, 0.0025]), np.array([speed, 0.0, 0.0]),
+                np.diag([0.01, 0.02, 0.01]), np.array([0.0, shared, 0.0]))
+
+
+def test_who_walks_on_as_before_is_more_likely_the_same_than_somebody_else():
+    on = walk_evidence(walk(0.0, 0.0), walk(1.0, 1.0))
+    assert on > 3.0 and walk_evidence(walk(0.0, 0.0), walk(1.0, 1.0, height=1.3)) < on - 2.0
+    assert walk_evidence(walk(0.0, 0.0), walk(1.0, 1.0, speed=-1.0)) < -2.0
+    assert walk_evidence(walk(0.0, 0.0), walk(1.0, 3.0)) < 0.0
+    assert walk_evidence(walk(0.0, 0.0), walk(4.0, 4.0)) < on, "the longer away, the less it says"
+
+
+def test_an_error_that_both_cameras_share_cancels():
+    apart = Walk(1.0, np.array([1.0, 3.5, 1.6]), *walk(0.0, 0.0)[2:])
+    shared = apart._replace(shared=np.array([0.0, 0.2, 0.0]))
+    assert walk_evidence(walk(0.0, 0.0, shared=0.2), shared) < walk_evidence(walk(0.0, 0.0), apart)
+
+
+def test_the_error_of_the_size_of_a_person_is_along_the_ray():
+    track = SensorTrack("left")
+    place = np.array([0.0, 3.0, 1.5])
+    for number in range(20):
+        track.add(0, place, ray_covariance(place, LEFT), LEFT, 0.1 * number)
+    assert track.walk(begins=True).shared == pytest.approx([0.0, np.sqrt(0.44) * 0.36, 0.0], abs=1e-9)
+    assert not SensorTrack("left").shared_error(place).any(), "whose camera is nowhere"
 
 
 def test_a_place_that_is_not_renewed_grows():

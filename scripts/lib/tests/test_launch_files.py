@@ -35,7 +35,7 @@ LEFT_OUT: Dict[str, Dict[str, str]] = {
             "vision_config", "overlay_config")},
         **{name: _SOUND for name in (
             "audio", "audio_info", "microphone_frame", "microphones", "microphone_positions", "speech",
-            "speech_grammar", "voices_config")},
+            "speech_grammar", "language", "robot_speaking", "voice_identity", "voices_config")},
         "matcher_config": "the simulator tells the matches", "voice_matcher_config": "the simulator tells the matches"},
     "two_cameras.launch": {
         "sensor": _OF_EACH, "sensor_namespace": _OF_EACH, "image": _OF_EACH, "camera_info": _OF_EACH, "depth": _OF_EACH,

@@ -28,6 +28,8 @@ BLAZE_LEFT_ANKLE, BLAZE_RIGHT_ANKLE = 27, 28
 BLAZE_INNER_EYES = (1, 4)
 BLAZE_NOSE = 0
 
+# Wrist, knuckles of the little and of the index finger; left, right.
+_HANDS = ((BLAZE_LEFT_WRIST, 17, 19), (BLAZE_RIGHT_WRIST, 18, 20))
 # Pairs of BlazePose landmarks whose mean is the key point; equal numbers where it is one landmark.
 _SOURCES = np.array([
     (0, 0), (BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER),
@@ -58,6 +60,16 @@ def to_18_points(points: np.ndarray) -> np.ndarray:
     if points.ndim != 2 or len(points) < 33:
         raise ValueError("BlazePose gives 33 landmarks, not an array of shape {}".format(points.shape))
     return (points[_SOURCES[:, 0]] + points[_SOURCES[:, 1]]) / 2.0
+
+
+def wrist_to_knuckles(points: np.ndarray, confidence: np.ndarray, least: float) -> np.ndarray:
+    """Way (2, 3) from wrist to the middle of the knuckles of index and little finger, left and right, of BlazePose
+    landmarks (33, 3); NaN where one of these is less sure than `least`. confidence: (33,)."""
+    ways = np.full((2, 3), np.nan)
+    for side, (wrist, little, index) in enumerate(_HANDS):
+        if min(confidence[wrist], confidence[little], confidence[index]) >= least:
+            ways[side] = 0.5 * (points[little] + points[index]) - points[wrist]
+    return ways
 
 
 def confidence_18(landmark_confidence: np.ndarray) -> np.ndarray:

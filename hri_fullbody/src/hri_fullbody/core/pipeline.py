@@ -17,7 +17,7 @@ import numpy as np
 
 from hri_fullbody.core.behaviour.gesture import GestureClass
 from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
-from hri_fullbody.core.behaviour.posture import PostureClass, without_guessed_legs
+from hri_fullbody.core.behaviour.posture import PostureClass, without_guessed_limbs
 from hri_fullbody.core.behaviour.recognizer import MAX_GAP_S, BehaviourRecognizer, BodyBehaviour
 from hri_fullbody.core.detection.person_detector import CenterNetDetector, PersonDetector
 from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, BlazePose, PoseEstimate, PoseEstimator
@@ -225,6 +225,11 @@ class BodyPipeline:
                                0.1 if last is None else last.model.stature_sd, track.face_id,
                                track.visible and not track.returning)
 
+    def appearance(self, body_id: str) -> Optional[np.ndarray]:
+        """Return the colours (5, 21) of a body's clothes, see `reidentification.describe`; None while they are not
+        known."""
+        return next((track.appearance for track in self._tracker.tracks if track.id == body_id), None)
+
     def _solve_pnp(self, estimate: PoseEstimate, camera: CameraModel) -> Optional[np.ndarray]:
         """Place the landmarks of an estimate in the optical frame: (33, 3) m, or None."""
         with self.times("perspective"):
@@ -268,11 +273,12 @@ class BodyPipeline:
     def _express(self, model: ModelledBody, body: BodyObservation, stamp: float, up: np.ndarray,
                  size: Tuple[int, int], up_sd: float) -> None:
         """Keep the model of a detected body, and recognise its attitude, posture and gesture."""
-        points = without_guessed_legs(model.points, body.keypoints, *size)
+        points = without_guessed_limbs(model.points, body.keypoints, *size)
         recognizer = self._recognizers.setdefault(model.id, BehaviourRecognizer())
         behaviour = self._guard.each(
             "behaviour of a body",
-            lambda one: recognizer.update(points, one.stature, stamp, up, up_sd, body.keypoints[:, 2]), [model])
+            lambda one: recognizer.update(
+                points, one.stature, stamp, up, up_sd, body.keypoints[:, 2], body.hands), [model])
         self._last_models[model.id] = _LastModel(
             stamp, model, None if body.pose is None else body.pose.translation, behaviour[0] if behaviour else None)
         if body.head is not None:

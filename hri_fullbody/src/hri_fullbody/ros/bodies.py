@@ -39,6 +39,7 @@ from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import TfPublisher
 
 _LOG_PERIOD_S = 10.0
+_APPEARANCE_HZ = 1.0
 _MOST_BODIES = 500
 _NO_FRAME = "images have no frame_id, so bodies have no TF frame; set the camera driver's frame_id"
 
@@ -63,6 +64,7 @@ class BodyProcessor:
         if settings.state_publishers:
             self._publishers = StatePublishers(settings.max_bodies, settings.joint_state_rate)
         self._pacer = StampPacer(settings.joint_state_rate)
+        self._appearance_pacer = StampPacer(_APPEARANCE_HZ)
         self._topics = BodyTopics(settings.interface)
         self._tracked = TrackedList(NAMESPACE + "/tracked")
         self._transforms = TfPublisher()
@@ -91,6 +93,9 @@ class BodyProcessor:
         self._topics.keep(ids)
         self._tracked.set(ids, frame.header.stamp)
         self._guard.each("body", lambda body: self._topics.publish_seen(body, frame), bodies)
+        if self._appearance_pacer.is_due(frame.stamp):
+            self._guard.each("body", lambda body: self._topics.publish_appearance(
+                body.id, self._pipeline.appearance(body.id), frame), bodies)
         if self._matches is not None:
             self._matches.publish(self._pipeline.reidentified)
         if self._publishers is not None:
@@ -113,6 +118,7 @@ class BodyProcessor:
         if self._publishers is not None:
             self._publishers.keep([])
         self._pacer.reset()
+        self._appearance_pacer.reset()
         self._tracked.clear()
         self._topics.close()
 

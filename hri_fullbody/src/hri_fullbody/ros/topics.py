@@ -20,7 +20,7 @@ from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, PointingStamped, Sk
 from hri_msgs.msg import Pointing as PointingMessage
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.overlay import colour_of
-from hri_pipeline.ros.conversions import bgr_to_image, roi_message, roi_type, skeleton_to_msg
+from hri_pipeline.ros.conversions import bgr_to_image, matrix_to_image, roi_message, roi_type, skeleton_to_msg
 from hri_pipeline.ros.inputs import Frame
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec
 
@@ -40,6 +40,7 @@ class BodyTopics:
             "roi": TopicSpec(roi_type(interface)), "skeleton2d": TopicSpec(Skeleton2D),
             "joint_states": TopicSpec(JointState, greet=True), "attitude": TopicSpec(BodyAttitude),
             "posture": TopicSpec(BodyPosture), "gesture": TopicSpec(Gesture), "cropped": TopicSpec(Image),
+            "appearance": TopicSpec(Image),
             "position": TopicSpec(PointStamped), "velocity": TopicSpec(TwistStamped)})
 
     def keep(self, ids: Iterable[str]) -> None:
@@ -80,6 +81,11 @@ class BodyTopics:
             self._leases.publish(body_id, "posture", BodyPosture(header=frame.header, posture=behaviour.posture))
         if self._listened(body_id, "gesture"):
             self._leases.publish(body_id, "gesture", Gesture(header=frame.header, gesture=behaviour.gesture))
+
+    def publish_appearance(self, body_id: str, colours: Optional[np.ndarray], frame: Frame) -> None:
+        """Publish the colours (5, 21) of a body's clothes, a row for each part, as far as they are known."""
+        if colours is not None and self._listened(body_id, "appearance"):
+            self._leases.publish(body_id, "appearance", matrix_to_image(colours, frame.header))
 
     def publish_joints(self, model: ModelledBody, names: Sequence[str], frame: Frame) -> None:
         """Publish the joint angles, rad; names without the id of the body."""

@@ -17,15 +17,16 @@ from scipy.optimize import linear_sum_assignment
 
 from hri_person_manager.core.features import MatchNode
 from hri_person_manager.core.triangulation import (
+    CHANGED,
     FRESH_S,
     SETTLING_S,
     WALK_S,
     WINDOW_S,
     Estimate,
-    Walk,
     fuse,
     ray_covariance,
     squared_distances,
+    walk_evidence,
 )
 from hri_person_manager.core.view_groups import (
     FIXED_VARIANCE,
@@ -39,6 +40,7 @@ from hri_person_manager.core.view_groups import (
     View,
     ViewGroup,
     ViewGroups,
+    clothes_evidence,
     fuse_views,
     is_doubted,
 )
@@ -48,22 +50,22 @@ GATE = 1.7                 # Mahalanobis distance up to which two places are one
 LOOSE_GATE = 4.0           # and up to which a view may be somebody who is known
 STAYS = 1.5                # a pair that was near stays so up to so many times the squared distance
 CLEARER_BY = 10.0          # squared distance by which every other pairing has to be worse
+LIKELIER_BY = 3.0          # the same, of a pair that is placed together, but not told
 LIKELY = 8.0               # squared distance up to which two may be one
 UNPAIRED = 20.0            # squared distance that stands for two views that are nobody's else
 REFINED = (2.0, 100.0)     # squared distances that are reckoned again
 SLOWER = 3.0               # beyond the gate, up to the loose one, so many times as long
 PARTING = 2.0              # a human is parted beyond so many times the gate, after so many times the time, of joining
-SOONER = 0.3               # of the time, for a human whom the same sensor has just lost, or who has the same name
+SOONER = 0.3               # of the time, for a human whom the same sensor has just lost, or of the same name or clothes
+ALIKE_CLOTHES = 1.5        # logarithm of the likelihood ratio of these
 RETURN_S = 3.0             # s after which a sensor has lost somebody for good
 ALIKE_MPS = 0.8            # difference of two measured velocities of one human
 HOLD_S = 15.0              # s for which a view is held at most
 NAME_ALIKE = -6.0          # squared distance that a common name is worth
 SAME_MOMENT_S = 0.1        # two places of one image, or of two that follow each other
 NEW_S = 2.0                # so long a view counts as new
-HANDOVER_GATE = 2.1        # Mahalanobis distance, place and velocity
-CHANGE_MPS = 0.2           # deviation of how a velocity changes out of sight
-CHANGED = 3.0              # squared distance that a change of pace before the loss is worth
-HANDOVER_HEIGHT_M = 0.03   # deviation of the height of a head that walks
+HANDOVER_EVIDENCE = 1.9    # logarithm of the likelihood ratio from which a new view is a lost human,
+HANDOVER_COST = 4.0        # and from which the squared distance of the two, twice what lacks of it, is 0
 LOOKING_S = 1.5            # a new view is looked at for so long before it is taken for a lost human
 
 
@@ -116,6 +118,12 @@ class CrossCamera:
         track.add(source, position, covariance, origin, stamp)
         self._newest = max(self._newest, stamp)
 
+    def add_appearance(self, body: MatchNode, appearance: np.ndarray) -> None:
+        """Take the colours (5, B) of the clothes of a body that has been placed."""
+        track = self._groups.tracks.get(body)
+        if track is not None:
+            track.appearance = appearance
+
     def fused(self, feature: MatchNode, stamp: float) -> Optional[Estimate]:
         """Where the human of a feature is at `stamp` (s) by all who see it; None where one sensor does, or none."""
         view = self._groups.view_of.get(feature)
@@ -127,7 +135,8 @@ class CrossCamera:
                 view.best is not self._groups.tracks.get(feature)):
             # Nothing new: a body of which the face is there, a frame of the hips of which the head is there.
             return last[1]._replace(position=last[1].position + (stamp - last[0]) * last[1].velocity)
-        views = [other for other in human.views if abs(stamp - other.ended) <= FRESH_S]
+        views = [other for other in [*human.views, *self._groups.likely.get(human.number, ())]
+                 if abs(stamp - other.ended) <= FRESH_S]
         if not human.scales and len({other.sensor for other in views}) < 2:
             human.fused = None
             return None
@@ -205,10 +214,12 @@ class CrossCamera:
         if others[0].began > view.began and len(others) == 1:
             return False        # of two, the younger one is asked
         stamp = min([view.ended] + [other.ended for other in others])
-        found = [view.at(stamp), fuse_views(others, stamp)]
-        square = float(squared_distances(np.array([item.position for item in found]), np.array([
-            found[0].covariance + _lengthened(view, found[0])] + [
-            found[1].covariance + sum(_lengthened(other, found[1]) for other in others) / len(others) ** 2]))[0, 1])
+        own, place = view.at(stamp), fuse_views(others, stamp)
+        both = own.covariance + _lengthened(view, own) + place.covariance
+        for other in others:
+            both += _lengthened(other, place) / len(others) ** 2
+        offset = own.position - place.position
+        square = float(offset @ np.linalg.solve(both, offset))
         alike = any(view.names & other.names for other in others)
         limit = (PARTING * GATE * (SLOWER if alike else 1.0)) ** 2
         state = self._smooth(self._groups.apart, view.number, square, stamp, limit)
@@ -236,12 +247,19 @@ class CrossCamera:
         seen = [human for human in self._groups.all.values() if any(view in live for view in human.views)]
         costs = self._costs(seen, live)
         self._groups.explained.clear()
-        for pair, _ in sorted(self._pair_up(seen, live, costs).items(), key=lambda item: item[1]):
+        self._groups.likely.clear()
+        margins = self._pair_up(seen, live, costs)
+        for pair in sorted(margins, key=costs.__getitem__):
             if not pair <= self._groups.all.keys():
                 continue
             one, other = (self._groups.all[number] for number in sorted(pair))
-            if self._groups.may_be_one(one, other) and self._is_ripe(pair, one, other, live):
+            clear = margins[pair] >= CLEARER_BY and not self._has_rival(pair, seen, costs)
+            if clear and self._groups.may_be_one(one, other) and self._is_ripe(pair, one, other, live):
                 self._groups.unite(one, other)
+            elif margins[pair] >= LIKELIER_BY and costs[pair] <= LIKELY and one.views and other.views:
+                # Not sure enough, or not for long enough, to be told, but a better place than that of one of them.
+                for human, more in ((one, other), (other, one)):
+                    self._groups.likely.setdefault(human.number, []).extend(more.views)
 
     def _come_back_by_name(self) -> None:
         """Let a lost human go on whose person somebody is again."""
@@ -260,7 +278,8 @@ class CrossCamera:
             return False
         returns = any(view.began - RETURN_S <= b.seen.get(view.sensor, -math.inf) < view.began + OVERLAP_S
                       for a, b in ((one, other), (other, one)) for view in a.views)
-        sooner = SOONER if returns or one.names & other.names else 1.0
+        sooner = SOONER if returns or one.names & other.names or (
+            clothes_evidence(one.tracks, other.tracks) >= ALIKE_CLOTHES) else 1.0
         return (state.near and state.stamp - state.since >= sooner * self._time
                 or state.stamp - state.likely_since >= SLOWER * self._time)
 
@@ -287,7 +306,7 @@ class CrossCamera:
                     square = _refined(places[row], places[column], views[row], views[column])
                 if one.names & other.names:
                     square /= PARTING ** 2
-                square += _name_bonus(one, other)
+                square += _name_bonus(one, other) - 2.0 * min(0.0, clothes_evidence(one.tracks, other.tracks))
                 costs[pair] = self._smooth(self._groups.near, pair, square, stamp, GATE ** 2).square
         costs.update(self._costs_of_lost(seen))
         return costs
@@ -307,26 +326,24 @@ class CrossCamera:
                     continue
                 pair = frozenset((before.number, human.number))
                 costs[pair] = found[0] + _name_bonus(before, human)
-                if found[0] <= HANDOVER_GATE ** 2:
+                if found[0] <= 2.0 * (HANDOVER_COST - HANDOVER_EVIDENCE):
                     near.append(before)
                 if found[1]:
                     self._returned.add(pair)
         return costs
 
     def _pair_up(self, seen: List[ViewGroup], live: List[View], costs: Mapping[Pair, float]) -> Dict[Pair, float]:
-        """Pair up whom one sensor sees with whom another one sees, or who is lost; returns the clear pairs and their
-        costs."""
-        clear: Dict[Pair, float] = {}
-        unclear: Set[Pair] = set()
+        """Pair up whom one sensor sees with whom another one sees, or who is lost; returns for each pair by how much
+        every other way to do so is worse, as a squared distance."""
+        margins: Dict[Pair, float] = {}
         lost = [human for human in self._groups.all.values() if not human.views]
         sensors = sorted({view.sensor for view in live})
         for sensor, other in itertools.permutations([*sensors, ""], 2):
             rows = [human for human in seen if other in human.sensors and sensor not in human.sensors] + lost
             columns = [human for human in seen if sensor in human.sensors and other not in human.sensors]
             if rows and columns:
-                self._assign(rows, columns, costs, clear, unclear)
-        return {pair: cost for pair, cost in clear.items()
-                if pair not in unclear and not self._has_rival(pair, seen, costs)}
+                self._assign(rows, columns, costs, margins)
+        return margins
 
     def _has_rival(self, pair: Pair, seen: List[ViewGroup], costs: Mapping[Pair, float]) -> bool:
         """Tell whether one of a pair might as well be somebody else whom yet another sensor sees."""
@@ -341,39 +358,36 @@ class CrossCamera:
                     return True
         return False
 
-    def _assign(self, rows: List[ViewGroup], columns: List[ViewGroup],
-                costs: Mapping[Pair, float], clear: Dict[Pair, float],
-                unclear: Set[Pair]) -> None:
+    def _assign(self, rows: List[ViewGroup], columns: List[ViewGroup], costs: Mapping[Pair, float],
+                margins: Dict[Pair, float]) -> None:
         table = np.array([[costs.get(frozenset((row.number, column.number)), math.inf) for column in columns]
                           for row in rows])
         best, pairs = _least(table)
-        unclear.update(frozenset((rows[row].number, columns[column].number))
-                       for row, column in zip(*np.nonzero(np.isfinite(table))) if (row, column) not in pairs)
+        for row, column in zip(*np.nonzero(np.isfinite(table))):
+            if (row, column) not in pairs:
+                margins[frozenset((rows[row].number, columns[column].number))] = 0.0
         for row, column in pairs:
             pair = frozenset((rows[row].number, columns[column].number))
             self._groups.explained.setdefault(rows[row].number, set()).add(columns[column].number)
             self._groups.explained.setdefault(columns[column].number, set()).add(rows[row].number)
             without = table.copy()
             without[row, column] = math.inf
-            if _least(without)[0] - best >= CLEARER_BY:
-                clear[pair] = float(table[row, column])
-            else:
-                unclear.add(pair)
+            margins[pair] = min(margins.get(pair, math.inf), _least(without)[0] - best)
 
     def _jump(self, lost: ViewGroup, human: ViewGroup) -> Optional[Tuple[float, bool]]:
-        """Squared distance of how a new human came up from how a lost one must, and whether it is known well enough
-        that they are one; None if out of the question."""
+        """Cost of a new human as a lost one, and whether it is known well enough that they are one; None if out of
+        the question."""
         if lost.lost is None:
             return None
         view = min(human.views, key=lambda item: item.began)
         away = view.began - lost.lost.stamp
         if not -FRESH_S <= away <= max(self._handover, FRESH_S) or view.ended - view.began > NEW_S:
             return None
-        square = _way_squared(lost.lost, view)
-        known = (square <= HANDOVER_GATE ** 2 and view.ended - view.began >= LOOKING_S
+        evidence = _hand_off_evidence(lost.lost, view)
+        known = (evidence >= HANDOVER_EVIDENCE and view.ended - view.began >= LOOKING_S
                  and 0.0 < self._handover and -SETTLING_S <= away <= self._handover
-                 and view.sensor not in lost.lost.sensors and len(human.persons) <= 1)
-        return square, known
+                 and view.sensor not in lost.lost.best and len(human.persons) <= 1)
+        return 2.0 * (HANDOVER_COST - evidence), known
 
     def _learn_scales(self, live: List[View]) -> None:
         """Learn by how much the distance of each view is wrong, where the rays of several cross."""
@@ -412,9 +426,8 @@ class CrossCamera:
             if views:
                 human.seen.update((view.sensor, view.ended) for view in views)
                 last = max(views, key=lambda view: view.ended)
-                place = fuse_views(views, last.ended, human.scales) if len(views) > 1 or human.scales else None
-                human.lost = LostSight(last.ended, frozenset(view.sensor for view in views), place,
-                                       tuple(last.tracks.values()))
+                human.lost = LostSight(last.ended, {view.sensor: view.best for view in views},
+                                       tuple(last.tracks.values()), human.scales)
             elif not human.views and (human.lost is None or not (
                     self._newest - human.lost.stamp <= max(self._handover, 1.0) + NEW_S)):
                 self._groups.drop(human)
@@ -425,25 +438,16 @@ def _name_bonus(one: ViewGroup, other: ViewGroup) -> float:
     return NAME_ALIKE if one.names & other.names else 0.0
 
 
-def _way_squared(lost: LostSight, view: View) -> float:
-    """Squared distance of how somebody new came up from how a lost human must: place and velocity, by what is of one
-    kind, a body rather than a face, as these are not wrong by the same. He walks on as he did for the last seconds."""
+def _hand_off_evidence(lost: LostSight, view: View) -> float:
+    """Logarithm of the likelihood ratio of a lost human and somebody new, against somebody else: place and velocity, by
+    what is of one kind, a body rather than a face, as these are not wrong by the same; and clothes. He walks on as he
+    did for the last seconds."""
     before, after = max(((old, new) for old in lost.tracks for new in view.tracks.values()),
                         key=lambda pair: (pair[0].source == pair[1].source, pair[1].source, pair[1].length))
-    return min(_walk_squared(before.walk(begins=False, seconds=seconds), after.walk(begins=True), lost.place) + penalty
-               for seconds, penalty in ((WALK_S, 0.0), (WINDOW_S, CHANGED)))
-
-
-def _walk_squared(old: Walk, new: Walk, place: Optional[Estimate]) -> float:
-    """Squared distance of a walk from how another one goes on; place: where several sensors saw the end of that."""
-    away = new.stamp - old.stamp
-    position, covariance = place[::2] if place is not None else (old.position, old.covariance)
-    offset, changed = new.position - position - away * old.velocity, (new.velocity - old.velocity)[:2]
-    spread = (CHANGE_MPS * away) ** 2
-    of_place = covariance + away ** 2 * old.velocity_covariance + new.covariance + np.diag(
-        [spread, spread, HANDOVER_HEIGHT_M ** 2])
-    of_change = (old.velocity_covariance + new.velocity_covariance)[:2, :2] + CHANGE_MPS ** 2 * np.eye(2)
-    return float(offset @ np.linalg.solve(of_place, offset) + changed @ np.linalg.solve(of_change, changed))
+    new = after.walk(begins=True)
+    walked = max(walk_evidence(before.walk(begins=False, seconds=seconds), new, lost.place) - penalty
+                 for seconds, penalty in ((WALK_S, 0.0), (WINDOW_S, CHANGED)))
+    return walked + clothes_evidence(lost.tracks, view.tracks.values())
 
 
 def _refined(one: Estimate, other: Estimate, views: List[View], others: List[View]) -> float:

@@ -47,6 +47,7 @@ FRESH_PERIODS = 3.0        # and so many image periods, where these are longer
 LONGEST_PERIOD = 10.0      # s; what comes less often is no sequence of images
 JUMP_BACK = 0.5            # s; a clock that goes back by more has been set
 HIGHEST_SPEED = 3.0        # m/s, a person who runs; more is a jump of the measurement
+HEAD_M, TRUNK_M = 0.15, 0.5    # of a face from the head of its body, and from its root (standard deviations)
 
 
 class FaceBodyTransition:
@@ -263,6 +264,19 @@ class FeaturePlaces:
         """Return those of the features that have a place, with it, the one that was received first comes first."""
         found = [(feature, self._known[feature]) for feature in features if feature in self._known]
         return sorted(found, key=lambda entry: (entry[1].now, entry[1].source))
+
+    def squared_distance(self, face: MatchNode, body: MatchNode) -> float:
+        """Return the squared Mahalanobis distance of a face and a body that one sensor sees, as one human's; infinite
+        where it cannot be told."""
+        one, other = self._known.get(face), self._known.get(body)
+        if one is None or other is None or one.sensor != other.sensor or one.place.frame != other.place.frame or (
+                one.place.covariance is None or other.place.covariance is None):
+            return math.inf
+        offset = one.place.pose.translation - other.place.pose.translation
+        apart = TRUNK_M if other.source == PlaceSource.BODY else HEAD_M
+        covariance = aged(one.place.covariance + other.place.covariance + apart ** 2 * np.eye(3),
+                          abs(one.place.stamp - other.place.stamp))
+        return float(offset @ np.linalg.solve(covariance, offset))
 
     def retain(self, is_tracked: Callable[[MatchNode], bool]) -> None:
         """Forget the features that are not tracked any more."""

@@ -5,6 +5,7 @@ All times are seconds of one clock and are given by the caller. Not thread-safe:
 
 from __future__ import annotations
 
+import math
 from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Set, Tuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from hri_person_manager.core.features import Kind, MatchNode, TrackedFeatures
 from hri_person_manager.core.location import Decay, FeaturePlaces, Location, Place, PlaceSource
 from hri_person_manager.core.match_graph import Association, CandidateMatch
 from hri_person_manager.core.merges import Merges
-from hri_person_manager.core.parameters import PersonManagerSettings
+from hri_person_manager.core.parameters import PersonManagerSettings, sensor_errors
 from hri_person_manager.core.persons import (
     ANONYMOUS_PREFIX,
     KnownIds,
@@ -26,9 +27,11 @@ from hri_person_manager.core.triangulation import voice_covariance
 from hri_person_manager.core.view_groups import SensedGroup
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
-from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.tracks import assign
 
 _ORIGIN = np.zeros(3)
+MATCH_WAIT_S = 5.0            # for which a body at the place of a face that has none, or a face, waits for their match
+MATCH_GATE = 9.0              # squared Mahalanobis distance up to which they are at one place
 MAX_UNSEEN_PERSONS = 32       # permanent persons kept with their topics although nobody sees them
 _KIND_OF_SOURCE = {PlaceSource.FACE: Kind.FACE, PlaceSource.HEAD: Kind.BODY, PlaceSource.BODY: Kind.BODY,
                    PlaceSource.VOICE: Kind.VOICE}
@@ -264,6 +267,14 @@ class PersonManager:
         self._framed.add(person.id)
         return person.id
 
+    def on_appearance(self, body_id: str, appearance: np.ndarray) -> None:
+        """Take the histograms (P, B) of the clothes of a body, to compare it across cameras. ValueError for numbers
+        that are none."""
+        if appearance.ndim != 2 or not (np.isfinite(appearance).all() and appearance.min(initial=0.0) >= 0.0):
+            raise ValueError("the appearance of {} is no table of histograms".format(body_id))
+        if self._settings.cross_camera:
+            self._cameras.add_appearance(MatchNode(Kind.BODY, body_id), appearance)
+
     def place(self, person_id: str) -> Optional[Place]:
         """Return where a person was seen last, in the reference frame; None where nobody has."""
         return self._table.persons[person_id].location.place
@@ -282,6 +293,7 @@ class PersonManager:
     def tick(self, now: float) -> None:
         """Let time pass: unassigned features become persons, places fade, forgotten persons go."""
         expired = self._expire_inferred(now) | self._association.solve_refuted(now)
+        self._hold(now)
         waiting = self._table.waiting_until()
         if expired or (waiting is not None and now >= waiting):
             self._associate(now)
@@ -361,14 +373,40 @@ class PersonManager:
             return False
         self._cameras.update(self._sensed_groups(now), self._merges.is_split)
         due = frozenset().union(*self._cameras.due)
-        self._table.hold(self._cameras.held, due)
         if due:
+            self._hold(now, due)
             self._associate(now)
         changed = False
         for link in self._cameras.links(self._owner_id, self._table.persons):
             likelihood = max(link.likelihood, self._threshold) if link.likelihood > 0.0 else 0.0
             changed |= self._merges.set_observed(link.first, link.second, likelihood)
         return changed
+
+    def _hold(self, now: float, due: FrozenSet[MatchNode] = frozenset()) -> None:
+        """Let features wait that may well be of somebody who is a person already; those `due` no longer."""
+        self._table.hold(self._cameras.held | self._waiting_for_matches(now), due)
+
+    def _waiting_for_matches(self, now: float) -> Set[MatchNode]:
+        """Features without a person at the place of a face, or body, of one camera that lacks them.
+
+        On a loaded machine their match comes seconds later; until then they are not told as somebody else.
+        """
+        waiting = {node: since for node, since in self._table.unassigned.items() if now - since <= MATCH_WAIT_S}
+        if not waiting:
+            return set()
+        halves: Dict[Kind, List[MatchNode]] = {Kind.FACE: [], Kind.BODY: []}
+        for group in self._association.groups:
+            seen = [node for node in group if node.kind in halves]
+            if len(seen) == 1:
+                halves[seen[0].kind].append(seen[0])
+        faces, bodies = halves[Kind.FACE], halves[Kind.BODY]
+        costs = np.full((len(faces), len(bodies)), math.inf)
+        for row, face in enumerate(faces):
+            for column, body in enumerate(bodies):
+                if (face in waiting or body in waiting) and not self._association.is_refuted(face, body):
+                    costs[row, column] = self._places.squared_distance(face, body)
+        pairs = [(faces[row], bodies[column]) for row, column in assign(costs, MATCH_GATE)]
+        return {body if body in waiting else face for face, body in pairs}
 
     def _owner_id(self, feature: MatchNode) -> str:
         owner = self._table.owner(feature)
@@ -464,21 +502,3 @@ class PersonManager:
 
 def _camera_limits(settings: PersonManagerSettings) -> Tuple[float, float, float]:
     return settings.cross_camera_distance, settings.cross_camera_time, settings.cross_camera_handover
-
-
-def sensor_errors(items: Iterable[str]) -> Dict[str, float]:
-    """Read `FRAME=SHARE` for each sensor whose distances are more or less exact than those of others.
-
-    Raises ParameterError for anything else.
-    """
-    found = {}
-    for item in items:
-        frame, _, share = item.partition("=")
-        try:
-            found[frame.strip().lstrip("/")] = value = float(share)
-        except ValueError:
-            value = 0.0
-        if not (frame.strip() and 0.001 <= value <= 1.0):
-            raise ParameterError("~distance_errors has {!r}, wanted FRAME=SHARE with a share of 0.001 to 1, such as "
-                             "camera_depth_optical_frame=0.03".format(item))
-    return found

@@ -391,6 +391,10 @@ class Association:
             while len(self._refuted) > MAX_REFUTED:
                 self._refuted.popitem(last=False)
 
+    def is_refuted(self, first: MatchNode, second: MatchNode) -> bool:
+        """Tell whether the last match of two who are there says that they are two humans."""
+        return frozenset((first, second)) in self._refuted
+
     def refuted_as(self, feature: MatchNode, now: float) -> Set[str]:
         """Ids of the persons that recognisers say a feature is not, for long enough at `now` (s)."""
         return {node.id for pair, since in self._refuted.items() if feature in pair and now - since >= REFUTED_S

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Sequence
+from typing import Dict, Iterable, Sequence
 
 from hri_person_manager.core.location import DECAY_KINDS
-from hri_pipeline.core.parameters import ParameterTable, Settings, list_timeout_parameter, parameter
+from hri_pipeline.core.parameters import ParameterError, ParameterTable, Settings, list_timeout_parameter, parameter
 
 
 @dataclass(frozen=True)
@@ -104,3 +104,21 @@ class PersonManagerSettings(Settings):
 
 
 PERSON_MANAGER_PARAMETERS = ParameterTable("person_manager", PersonManagerSettings)
+
+
+def sensor_errors(items: Iterable[str]) -> Dict[str, float]:
+    """Read `FRAME=SHARE` for each sensor whose distances are more or less exact than those of others.
+
+    Raises ParameterError for anything else.
+    """
+    found = {}
+    for item in items:
+        frame, _, share = item.partition("=")
+        try:
+            found[frame.strip().lstrip("/")] = value = float(share)
+        except ValueError:
+            value = 0.0
+        if not (frame.strip() and 0.001 <= value <= 1.0):
+            raise ParameterError("~distance_errors has {!r}, wanted FRAME=SHARE with a share of 0.001 to 1, such as "
+                             "camera_depth_optical_frame=0.03".format(item))
+    return found

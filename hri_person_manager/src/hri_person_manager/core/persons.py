@@ -93,6 +93,11 @@ class PersonTable:
         """Make no anonymous person of the features `held`, however long they wait; make one of those `due` at once."""
         self._held, self._due = held, due
 
+    @property
+    def unassigned(self) -> Mapping[MatchNode, float]:
+        """Features that are assigned to nobody, and since when (s)."""
+        return self._unassigned
+
     def owner(self, feature: MatchNode) -> Optional[PersonEntry]:
         """Return the person that a feature belongs to, None if it is assigned to nobody."""
         return self._of_feature.get(feature)

@@ -10,12 +10,14 @@ a direction only; a place of which nothing new is heard becomes less certain wit
 from __future__ import annotations
 
 import math
-from typing import Dict, NamedTuple, Optional, Tuple
+from bisect import bisect_left
+from typing import Dict, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 
 ALONG = 0.12               # standard deviation along the ray, share of the distance,
 ACROSS = 0.02              # and across
+OF_PERSON = 0.44           # share of the variance along the ray that is the person's size, wrong for all cameras
 WINDOW_S = 0.8             # of places that tell a velocity,
 MOMENT_S = 0.15            # and, before and after, of those that tell a position
 REST_S = 2.0               # of those that tell where somebody stands
@@ -28,6 +30,11 @@ FRESH_S = 0.5              # who was seen so long ago is seen now
 VOICE_RAD = 0.14           # error of the direction of a voice (standard deviation)
 VOICE_M, VOICE_SPREAD_M = 2.0, 1.0     # mean distance of who talks, and its standard deviation: 0.5 to 4 m
 AWAY_MPS, AWAY_S = 0.5, 1.0     # speed of who is out of sight, per axis, and for how long it goes one way
+CHANGE_MPS = 0.2           # deviation of how a velocity changes out of sight
+CHANGED = 1.5              # log-likelihood that a change of pace before the loss costs
+HEIGHT_M = 0.03            # deviation of the height of a head that walks
+# Deviations of where, and how fast, somebody else comes up instead: place, height and velocity.
+OTHER_M, OTHER_HEIGHT_M, OTHER_MPS = 1.2, 0.25, 0.6
 CHI_SQUARE_95 = 5.991      # of two degrees of freedom: the square of the Mahalanobis distance that 95 % keep
 _EYE = np.eye(3)
 _CAPACITY = 128            # places for which there is room at first
@@ -45,7 +52,8 @@ class Walk(NamedTuple):
     """A straight line through the places of some seconds.
 
     stamp: s, of `position` (3,) m, at one of its ends; covariance (3, 3) m^2 of that. velocity: (3,) m/s,
-    velocity_covariance: (3, 3) (m/s)^2.
+    velocity_covariance: (3, 3) (m/s)^2. shared: (3,) m, the part of the error of the position that another camera
+    would have along its own ray.
     """
 
     stamp: float
@@ -53,6 +61,7 @@ class Walk(NamedTuple):
     covariance: np.ndarray
     velocity: np.ndarray
     velocity_covariance: np.ndarray
+    shared: np.ndarray
 
 
 def ray_covariance(position: np.ndarray, origin: np.ndarray, along: float = ALONG, across: float = ACROSS,
@@ -71,20 +80,21 @@ def ray_covariance(position: np.ndarray, origin: np.ndarray, along: float = ALON
     ray = position - origin
     square = float(ray @ ray)
     side = across * across * square + exactness * exactness
-    return side * _EYE + (along * along - across * across) * (ray[:, None] * ray)
+    covariance: np.ndarray = ((along * along - across * across) * ray)[:, None] * ray
+    covariance.flat[::4] += side
+    return covariance
 
 
-def shares(covariances: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return the weights (N, 3, 3), which sum to one, of independent measurements of a point with covariances
+def shares(informations: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the weights (N, 3, 3), which sum to one, of independent measurements of a point with inverse covariances
     (N, 3, 3), and the covariance (3, 3) of their mean."""
-    weights = np.linalg.inv(covariances)
-    covariance = np.linalg.inv(np.add.reduce(weights))
-    return covariance @ weights, covariance
+    covariance = np.linalg.inv(np.add.reduce(informations))
+    return covariance @ informations, covariance
 
 
 def weighted(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the mean (3,) of measurements (N, 3) by weights (N, 3, 3)."""
-    mean: np.ndarray = np.add.reduce(weights @ values[:, :, None])[:, 0]
+    """Return the means (3, K) of measurements (N, 3, K) by weights (N, 3, 3)."""
+    mean: np.ndarray = np.add.reduce(weights @ values)
     return mean
 
 
@@ -126,8 +136,8 @@ def ellipse(covariance: np.ndarray, gate: float = CHI_SQUARE_95) -> Tuple[float,
 def fuse(positions: np.ndarray, covariances: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
     """Return mean (3,) and covariance (3, 3) of independent places (N, 3) of one point with their covariances
     (N, 3, 3)."""
-    weights, covariance = shares(covariances)
-    return weighted(weights, positions), covariance
+    weights, covariance = shares(np.linalg.inv(covariances))
+    return weighted(weights, positions[:, :, None])[:, 0], covariance
 
 
 def squared_distances(positions: np.ndarray, covariances: np.ndarray) -> np.ndarray:
@@ -137,14 +147,39 @@ def squared_distances(positions: np.ndarray, covariances: np.ndarray) -> np.ndar
     return np.einsum("abi,abi->ab", apart, np.linalg.solve(both, apart[..., None])[..., 0])
 
 
+def walk_evidence(old: Walk, new: Walk, place: Optional[Estimate] = None) -> float:
+    """Return the logarithm of the likelihood ratio of a walk that goes on from another one, against somebody else's who
+    comes up near there; place: where several sensors saw the end of the old one."""
+    away = new.stamp - old.stamp
+    position, covariance, shared = old.position, old.covariance, old.shared
+    if place is not None:
+        position, covariance, shared = place.position, place.covariance, np.zeros(3)
+    spread = (CHANGE_MPS * away) ** 2
+    both = np.outer(shared, new.shared)
+    of_place = covariance + away ** 2 * old.velocity_covariance + new.covariance - both - both.T + np.diag(
+        [spread, spread, HEIGHT_M ** 2])
+    of_change = (old.velocity_covariance + new.velocity_covariance)[:2, :2] + CHANGE_MPS ** 2 * np.eye(2)
+    other = of_place + np.diag([OTHER_M ** 2, OTHER_M ** 2, OTHER_HEIGHT_M ** 2])
+    offset, changed = new.position - position - away * old.velocity, (new.velocity - old.velocity)[:2]
+    return (_log_normal(offset, of_place) + _log_normal(changed, of_change) - _log_normal(offset, other)
+            - _log_normal(changed, of_change + OTHER_MPS ** 2 * np.eye(2)))
+
+
+def _log_normal(offset: np.ndarray, covariance: np.ndarray) -> float:
+    """Logarithm of the density of a normal distribution, but for a constant."""
+    return -0.5 * float(offset @ np.linalg.solve(covariance, offset) + np.linalg.slogdet(covariance)[1])
+
+
 class SensorTrack:
     """Places of one feature as one sensor tells them; stamps in s, places in m in the reference frame.
 
-    began, ended: stamps of the first and the last place of the present stretch, which has no gap.
+    began, ended: stamps of the first and the last place of the present stretch, which has no gap. appearance: (5, B),
+    the colours of the clothes, see `tracks.appearance_distance`; None where they are not known.
     """
 
     def __init__(self, sensor: str) -> None:
         self.sensor = sensor
+        self.appearance: Optional[np.ndarray] = None
         self._reset()
 
     def _reset(self) -> None:
@@ -153,9 +188,16 @@ class SensorTrack:
         self._stamps: Dict[int, float] = {}
         self.covariance = _EYE
         self.origin: Optional[np.ndarray] = None
-        self._times, self._places = np.empty(_CAPACITY), np.empty((_CAPACITY, 3))
-        self._first = self._count = 0           # of the rows that are used
+        self._times: List[float] = []
+        self._places = np.empty((_CAPACITY, 3))
+        self._first = 0                         # of the rows that are used
+        self._forget_derived()
+
+    def _forget_derived(self) -> None:
         self._velocity: Optional[np.ndarray] = None
+        self._resting: Optional[np.ndarray] = None
+        self._information: Optional[np.ndarray] = None
+        self._moments: Dict[Tuple[int, int], Tuple[float, Estimate]] = {}
 
     @property
     def length(self) -> float:
@@ -178,39 +220,50 @@ class SensorTrack:
         if not fresh:
             self.began = stamp
         if not fresh or source != self.source:
-            self._first = self._count = 0
+            self._times, self._first = [], 0
         self.source, self.ended, self.covariance, self.origin = source, stamp, covariance, origin
         self._append(stamp, position)
-        self._velocity = None
+        self._forget_derived()
 
     def _append(self, stamp: float, position: np.ndarray) -> None:
-        if self._count == len(self._times):
-            self._first = int(np.searchsorted(self._times, stamp - WALK_S))
-            used = slice(self._first, self._count)
-            spare = np.empty(max(_CAPACITY, 2 * (self._count - self._first)))
-            self._times = np.concatenate([self._times[used], spare])
-            self._places = np.concatenate([self._places[used], np.empty((len(spare), 3))])
-            self._first, self._count = 0, self._count - self._first
-        self._times[self._count], self._places[self._count] = stamp, position
-        self._count += 1
+        if len(self._times) == len(self._places):
+            first = bisect_left(self._times, stamp - WALK_S)
+            kept = self._places[first:]
+            self._places = np.concatenate([kept, np.empty((max(_CAPACITY, 2 * len(kept)), 3))])
+            self._times, self._first = self._times[first:], 0
+        self._places[len(self._times)] = position
+        self._times.append(stamp)
 
     def near(self, stamp: float) -> Tuple[float, Estimate]:
         """Return the mean place of the moment around `stamp` (s), or of the last one before, and its time (s)."""
-        times, places = self._since(WINDOW_S)
-        middle = times.searchsorted(stamp)
-        if middle == len(times) or middle > 0 and stamp - times[middle - 1] <= times[middle] - stamp:
+        times, end = self._times, len(self._times)
+        start = bisect_left(times, self.ended - WINDOW_S, self._first)
+        middle = bisect_left(times, stamp, start)
+        if middle == end or middle > start and stamp - times[middle - 1] <= times[middle] - stamp:
             middle -= 1
-        first, last = times.searchsorted((times[middle] - MOMENT_S, times[middle] + MOMENT_S + 1e-9))
-        count = last - first
-        return (float(np.add.reduce(times[first:last])) / count,
-                Estimate(np.add.reduce(places[first:last]) / count, self.velocity, self.covariance))
+        first = bisect_left(times, times[middle] - MOMENT_S, start)
+        last = bisect_left(times, times[middle] + MOMENT_S + 1e-9, start)
+        found = self._moments.get((first, last))
+        if found is None:
+            found = self._moments[first, last] = (
+                sum(times[first:last]) / (last - first),
+                Estimate(np.add.reduce(self._places[first:last]) / (last - first), self.velocity, self.covariance))
+        return found
+
+    @property
+    def information(self) -> np.ndarray:
+        """Inverse (3, 3) of the covariance, 1/m^2."""
+        if self._information is None:
+            self._information = np.linalg.inv(self.covariance)
+        return self._information
 
     @property
     def resting_place(self) -> np.ndarray:
         """Mean of the last places, (3,) m: more exact than that of a moment for who stands."""
-        _, places = self._since(REST_S)
-        mean: np.ndarray = np.add.reduce(places) / len(places)
-        return mean
+        if self._resting is None:
+            _, places = self._since(REST_S)
+            self._resting = np.add.reduce(places) / len(places)
+        return self._resting
 
     def at(self, stamp: float) -> Estimate:
         """Where the person is at a time (s) near or after the last place, walking on as it went."""
@@ -227,8 +280,18 @@ class SensorTrack:
         at_end = times <= times[0] + 2.0 * MOMENT_S if begins else times >= times[-1] - 2.0 * MOMENT_S
         offset, span = times - times.mean(), max(float(times[-1] - times[0]), SHORTEST_S)
         velocity = offset @ places / max(float(offset @ offset), 1e-6)
-        return Walk(float(times[at_end].mean()), places[at_end].mean(axis=0), self.covariance, velocity,
-                    (WALK_DRIFT / span) ** 2 * self.covariance)
+        position = places[at_end].mean(axis=0)
+        return Walk(float(times[at_end].mean()), position, self.covariance, velocity,
+                    (WALK_DRIFT / span) ** 2 * self.covariance, self.shared_error(position))
+
+    def shared_error(self, position: np.ndarray) -> np.ndarray:
+        """The part of the error of a place (3,) m that other cameras have, too, each along its ray, (3,) m."""
+        if self.origin is None:
+            return np.zeros(3)
+        ray = position - self.origin
+        unit = ray / max(math.sqrt(ray @ ray), 1e-6)
+        shared: np.ndarray = math.sqrt(OF_PERSON * max(unit @ self.covariance @ unit, 0.0)) * unit
+        return shared
 
     @property
     def velocity(self) -> np.ndarray:
@@ -246,6 +309,5 @@ class SensorTrack:
 
     def _since(self, seconds: float) -> Tuple[np.ndarray, np.ndarray]:
         """Times (N,) s and places (N, 3) m of the last `seconds`."""
-        times = self._times[self._first:self._count]
-        first = self._first + int(times.searchsorted(self.ended - seconds))
-        return self._times[first:self._count], self._places[first:self._count]
+        first = bisect_left(self._times, self.ended - seconds, self._first)
+        return np.array(self._times[first:]), self._places[first:len(self._times)]

@@ -19,12 +19,17 @@ import numpy as np
 
 from hri_person_manager.core.features import Kind, MatchNode
 from hri_person_manager.core.triangulation import FRESH_S, Estimate, SensorTrack, shares, weighted
+from hri_pipeline.core.tracks import appearance_distances
 
 OVERLAP_S = 0.2            # two views of one sensor that were there at once for so long are two humans
 STANDING_MPS = 0.15        # who goes slower stands
 RESTING_M = 0.12           # nearer to the mean of the last seconds somebody stands rather than walks
 LEARNT_VARIANCE = 0.1 ** 2     # a scale is used from then on
 FIXED_VARIANCE = 0.08 ** 2     # of a scale that was learnt, as far as it changes with the moment
+# The clothes of one human differ by .39 +- .11 between two cameras, those of two people by .60 +- .11: where that tells
+# nothing, change of the logarithm of the likelihood ratio with the difference, and what it is worth at most.
+CLOTHES_EVEN, CLOTHES_SLOPE = 0.5, 15.0
+LEAST_CLOTHES, MOST_CLOTHES = -4.0, 2.5
 MAX_SENSORS = 50
 MAX_NAMES = 1000
 _NOBODY: FrozenSet[str] = frozenset()
@@ -74,11 +79,14 @@ class View:
     @property
     def best(self) -> SensorTrack:
         """The track that places the human: of the best source that is fresh, else the newest."""
-        if len(self.tracks) == 1:
-            return next(iter(self.tracks.values()))
-        newest = self.ended
-        return min(self.tracks.values(), key=lambda track: (newest - track.ended > FRESH_S, track.source,
-                                                            -track.ended))
+        best, *others = self.tracks.values()
+        if others:
+            oldest = self.ended - FRESH_S
+            for track in others:
+                fresh, known = track.ended >= oldest, best.ended >= oldest
+                if (not fresh, track.source, -track.ended) < (not known, best.source, -best.ended):
+                    best = track
+        return best
 
     @property
     def ended(self) -> float:
@@ -96,32 +104,24 @@ class View:
     def at(self, stamp: float, scales: Mapping[Tuple[str, int], Scale] = MappingProxyType({})) -> Estimate:
         """Where the human is at a time (s) near the newest place, by this view; scales: what was learnt of this human
         by sensor and source."""
-        time, found = self.near(stamp, scales)
-        return found._replace(position=found.position + found.velocity * (stamp - time))
-
-    def near(self, stamp: float, scales: Mapping[Tuple[str, int], Scale] = MappingProxyType({})
-             ) -> Tuple[float, Estimate]:
-        """The mean place of the moment around `stamp` (s), or of the last one before, and its time (s)."""
-        track = self.best
-        time, found = track.near(stamp)
-        scale = scales.get((self.sensor, track.source))
-        if scale is None or track.origin is None or scale.variance > LEARNT_VARIANCE:
-            return time, found
-        ray = found.position - track.origin
-        square = max(float(ray @ ray), 1e-6)
-        less = float(ray @ found.covariance @ ray) / square - (scale.variance + FIXED_VARIANCE) * square
-        return time, Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
-                              found.covariance - max(0.0, less) / square * (ray[:, None] * ray))
+        return _at(self.best, stamp, scales)
 
 
 class LostSight(NamedTuple):
-    """The last sight of a human: its stamp (s), the sensors that had it, where it was by all of them where these are
-    several, and the tracks of the view that ended last."""
+    """The last sight of a human: its stamp (s), the best tracks by sensor, the tracks of the view that ended last, and
+    what scales were learnt."""
 
     stamp: float
-    sensors: FrozenSet[str]
-    place: Optional[Estimate]
+    best: Mapping[str, SensorTrack]
     tracks: Tuple[SensorTrack, ...]
+    scales: Mapping[Tuple[str, int], Scale]
+
+    @property
+    def place(self) -> Optional[Estimate]:
+        """Where it was by all sensors, where these are several."""
+        if len(self.best) < 2 and not self.scales:
+            return None
+        return _fuse_tracks(list(self.best.values()), self.stamp, self.scales)
 
 
 class ViewGroup:
@@ -147,6 +147,11 @@ class ViewGroup:
         return {slot for view in self.views for slot in view.slots}
 
     @property
+    def tracks(self) -> List[SensorTrack]:
+        """What all views are made of."""
+        return [track for view in self.views for track in view.tracks.values()]
+
+    @property
     def sensors(self) -> Set[str]:
         """Sensors that see it."""
         return {view.sensor for view in self.views}
@@ -169,7 +174,8 @@ class ViewGroups:
     tracks: of each feature. view_of: by feature. group_of: by number of the view. all: by number of the group; one
     without a view is somebody whom all have lost. near, apart: how near pairs of groups are, and views to the rest of
     their group. two: pairs of groups that are two humans. parted: pairs of persons that a user has parted. kept: links
-    of groups that are gone. explained: groups that each group may be.
+    of groups that are gone. explained: groups that each group may be. likely: views that are most likely of a group,
+    too.
     """
 
     def __init__(self) -> None:
@@ -185,6 +191,7 @@ class ViewGroups:
         self.kept: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
         self.parted: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
         self.explained: Dict[int, Set[int]] = {}
+        self.likely: Dict[int, List[View]] = {}
         self._numbers = itertools.count()
 
     def track(self, feature: MatchNode, sensor: str) -> Optional[SensorTrack]:
@@ -366,6 +373,18 @@ class ViewGroups:
         return not any(frozenset((a, b)) in self.parted for a in one.persons for b in other.persons)
 
 
+def clothes_evidence(tracks: Iterable[SensorTrack], others: Iterable[SensorTrack]) -> float:
+    """Return the logarithm of the likelihood ratio of the clothes of these tracks as one human's, against two people's;
+    0 where they are not known."""
+    one, other = ([track.appearance for track in of if track.appearance is not None] for of in (tracks, others))
+    if not one or not other or one[0].shape != other[0].shape:
+        return 0.0
+    apart = float(appearance_distances(one[0], other[0]))
+    if math.isnan(apart):
+        return 0.0
+    return min(max(CLOTHES_SLOPE * (CLOTHES_EVEN - apart), LEAST_CLOTHES), MOST_CLOTHES)
+
+
 def is_doubted(views: List[View], others: List[View]) -> bool:
     """Tell whether a recogniser says of one of these views that it is not who one of the others is."""
     return any(a.doubted & (b.names | {b.person}) for one, two in ((views, others), (others, views))
@@ -376,15 +395,36 @@ def fuse_views(views: List[View], stamp: float, scales: Mapping[Tuple[str, int],
                 ) -> Estimate:
     """Where a human is at `stamp` (s) by all of these views; those of heads only, where there are some. scales count
     where one view is left: they were learnt where several crossed."""
-    heads = [view for view in views if view.best.source < 2] or views
+    return _fuse_tracks([view.best for view in views], stamp, scales)
+
+
+def _at(track: SensorTrack, stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
+    """Where a human is at `stamp` (s) by one track."""
+    time, found = track.near(stamp)
+    scale = scales.get((track.sensor, track.source))
+    if scale is not None and track.origin is not None and scale.variance <= LEARNT_VARIANCE:
+        ray = found.position - track.origin
+        square = max(float(ray @ ray), 1e-6)
+        less = float(ray @ found.covariance @ ray) / square - (scale.variance + FIXED_VARIANCE) * square
+        found = Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
+                         found.covariance - max(0.0, less) / square * (ray[:, None] * ray))
+    return found._replace(position=found.position + found.velocity * (stamp - time))
+
+
+def _fuse_tracks(tracks: List[SensorTrack], stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
+    heads = [track for track in tracks if track.source < 2] or tracks
     if len(heads) == 1:
-        return heads[0].at(stamp, scales)
-    moments = [view.near(stamp) for view in heads]
+        return _at(heads[0], stamp, scales)
+    moments = [track.near(stamp) for track in heads]
     # One view tells the velocity along its ray badly, all together well.
-    weights, covariance = shares(np.array([item.covariance for _, item in moments]))
-    velocity = weighted(weights, np.array([item.velocity for _, item in moments]))
+    weights, covariance = shares(np.array([track.information for track in heads]))
+    means = weighted(weights, np.array([(found.position, found.velocity, track.resting_place)
+                                        for track, (_, found) in zip(heads, moments)]).swapaxes(1, 2))
+    place, velocity, resting = means.T
     if float(velocity @ velocity) < STANDING_MPS ** 2:
         velocity = np.zeros(3)
-    place = weighted(weights, np.array([item.position + velocity * (stamp - time) for time, item in moments]))
-    away = weighted(weights, np.array([view.best.resting_place for view in heads])) - place
+    else:
+        ahead = np.array([stamp - time for time, _ in moments])
+        place = place + np.add.reduce(ahead[:, None, None] * weights) @ velocity
+    away = resting - place
     return Estimate(place + away / (1.0 + (float(away @ away) / RESTING_M ** 2) ** 2), velocity, covariance)

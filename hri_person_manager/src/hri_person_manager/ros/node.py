@@ -12,6 +12,7 @@ from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import genpy
 import rospy
+from sensor_msgs.msg import Image
 from std_srvs.srv import Empty, EmptyRequest, EmptyResponse
 
 from hri_msgs.msg import IdsMatch, SoftBiometrics
@@ -33,7 +34,7 @@ from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.process import share_arenas
 from hri_pipeline.core.recognition.gallery import SHARED_ENDINGS
 from hri_pipeline.core.recognition.store import PersonStore, StoreWriter, read_store
-from hri_pipeline.ros.conversions import transform_to_msg
+from hri_pipeline.ros.conversions import matrix_from_image, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.privacy import PrivacyTopic
 from hri_pipeline.ros.rospy_compat import release
@@ -50,7 +51,7 @@ EXPIRY_S = 3600.0
 WRITE_S = 0.25       # what has changed of persons is in the store after so long
 _LOG_PERIOD_S = 30.0
 JUMP_BACK_S = 0.5
-_FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", Kind.BODY, {}),
+_FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", Kind.BODY, {"appearance": Image}),
           ("voices", Kind.VOICE, {}))
 
 
@@ -337,7 +338,15 @@ class PersonManagerNode:
                 self._publish_state()
         return on_tracked
 
-    def _on_feature(self, face_id: str, name: str, message: SoftBiometrics) -> None:
+    def _on_feature(self, feature_id: str, name: str, message: genpy.Message) -> None:
+        if name == "appearance":
+            colours = matrix_from_image(message)
+            with self._lock:
+                self._manager.on_appearance(feature_id, colours)
+        else:
+            self._on_biometrics(feature_id, message)
+
+    def _on_biometrics(self, face_id: str, message: SoftBiometrics) -> None:
         with self._lock:
             person_id = self._manager.person_of(MatchNode(Kind.FACE, face_id))
             if person_id is not None:

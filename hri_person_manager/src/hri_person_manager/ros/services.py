@@ -264,6 +264,9 @@ class PersonServices:
         learned = [answer.response.id for answer in answers if answer.response.success and answer.response.id]
         if not learned:
             raise RegisterError(_first_lines(answers) if answers else _NO_RECOGNISER)
+        if state.voice:
+            # Whoever recognises voices learns this one as well; recognisers of faces know no such face.
+            self._galleries.call(GalleryRequest.ENROL, learned[0], state.voice)
         with self._lock:
             self._manager.know(learned[:1])
             self._register.set_enrolled(learned[0], True, time.time())

@@ -78,6 +78,7 @@ class BodyObservation:
     velocity: (3,) m/s of the body in the optical frame; None while it is not known.
     measured: False when the body was predicted by its motion and not measured in this image.
     by_depth: True when a depth image gave its distance and its joints, not the size of an average person.
+    hands: (2, 3) m from the wrist to the knuckles of the left and the right hand, NaN unknown; None without any.
     """
 
     id: str
@@ -90,3 +91,4 @@ class BodyObservation:
     velocity: Optional[np.ndarray] = None
     measured: bool = True
     by_depth: bool = False
+    hands: Optional[np.ndarray] = None

@@ -77,3 +77,16 @@ def assign(cost: np.ndarray, max_cost: float) -> List[Tuple[int, int]]:
     illegal = cost[legal].max() + (spread + 1.0) * min(cost.shape)
     rows, columns = linear_sum_assignment(np.where(legal, cost, illegal))
     return [(int(row), int(column)) for row, column in zip(rows, columns) if legal[row, column]]
+
+
+def appearance_distances(one: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the mean Hellinger distances (...), 0 to 1, of the histograms (P, B) of the parts of one human from those
+    of others (..., P, B), over the parts that both show; NaN where there are none.
+
+    Rows sum to 1, or to 0 for a part that is not shown. E. Hellinger, "Neue Begruendung der Theorie quadratischer
+    Formen", 1909.
+    """
+    shown = (one.sum(axis=-1) > 0.0) & (others.sum(axis=-1) > 0.0)
+    alike = np.clip(np.sqrt(one * others).sum(axis=-1), 0.0, 1.0)
+    parts = shown.sum(axis=-1)
+    return np.sqrt(np.where(parts > 0, 1.0 - (alike * shown).sum(axis=-1) / np.maximum(parts, 1), np.nan))

@@ -77,6 +77,12 @@ def _faceapi(product: Product, contents: Mapping[str, bytes]) -> bytes:
     return _serialised(convert_faceapi(_json_member(contents), _shards(contents), product.options["network"]))
 
 
+def _speaker(product: Product, contents: Mapping[str, bytes]) -> bytes:
+    from hri_pipeline.models.torch_to_onnx import convert_speaker_network
+
+    return _serialised(convert_speaker_network(next(iter(contents.values())), product.name))
+
+
 def _canonical_face(product: Product, contents: Mapping[str, bytes]) -> bytes:
     from hri_pipeline.models.convert import convert_canonical_face
 
@@ -104,6 +110,7 @@ _CONVERTERS: Dict[str, Callable[[Product, Mapping[str, bytes]], bytes]] = {
     "tflite": _tflite,
     "tfjs": _tfjs,
     "faceapi": _faceapi,
+    "speaker": _speaker,
     "canonical_face": _canonical_face,
 }
 

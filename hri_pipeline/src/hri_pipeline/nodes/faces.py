@@ -1,11 +1,10 @@
-"""The ROS side of faces: what the node `faces` does with each image, its topics /humans/faces/ID/..., its TF frames,
-and its service ~gallery."""
+"""The ROS side of faces: what the node `faces` does with each image, its topics /humans/faces/ID/..., and its TF
+frames."""
 
 from __future__ import annotations
 
-import json
 import time
-from typing import Callable, Dict, Iterable, List, Optional, Sequence, Set, Tuple
+from typing import Dict, Iterable, List, Optional, Sequence, Set, Tuple
 
 import rospy
 from geometry_msgs.msg import TransformStamped
@@ -19,16 +18,13 @@ from hri_pipeline.core.faces.crops import MAX_SIZE, aligned_crop, box_crop
 from hri_pipeline.core.faces.gaze import gaze_frame
 from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.faces.pipeline import FacePipeline
-from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.onnx import ModelLog
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.recognition.face_identity import PersonMatch, SamePersons
-from hri_pipeline.core.recognition.gallery import GalleryError, UnknownPersonError
-from hri_pipeline.core.recognition.recogniser import SAME, FaceRecognition
-from hri_pipeline.core.recognition.store import StoreWriter
+from hri_pipeline.core.recognition.recogniser import SAME
 from hri_pipeline.ros.conversions import (
     action_units_to_msg,
     bgr_to_image,
@@ -42,11 +38,11 @@ from hri_pipeline.ros.conversions import (
     transform_to_msg,
 )
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
+from hri_pipeline.ros.gallery_service import GalleryService
 from hri_pipeline.ros.inputs import Frame
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.tf import TfPublisher
-from hri_pipeline.srv import Gallery, GalleryRequest, GalleryResponse
 
 _NO_FRAME = "images have no frame_id, so faces have no TF frame; set the camera driver's frame_id"
 _LOG_PERIOD_S = 10.0
@@ -100,7 +96,8 @@ class FaceProcessor:
         self._owns_transforms = transforms is None
         self._transforms = TfPublisher() if transforms is None else transforms
         recognition = self._pipeline.recognition
-        self._gallery = GalleryService(recognition) if recognition is not None else None
+        self._gallery = (
+            GalleryService(recognition.recogniser, recognition.flush) if recognition is not None else None)
         self._match_subscribers = 0
         self._no_frame = False
         self._poseless = 0
@@ -346,94 +343,3 @@ class FacePictures:
                                    name, value, MAX_SIZE, DEFAULT_SIZE)
             return DEFAULT_SIZE
         return value
-
-
-_REMINDER_S = 30.0
-_PROBLEM = "the gallery could not be written: {}"
-
-GalleryAnswer = Tuple[str, str, str]
-"""Message, id, data."""
-
-
-class GalleryService:
-    """Service to forget, merge, enrol, list and export known persons. close() ends service and writer.
-
-    The commands to forget and to merge return when the change is on the disk; the processing of images does not wait
-    for it.
-    """
-
-    def __init__(self, recognition: FaceRecognition) -> None:
-        self._recognition = recognition
-        self._commands: Dict[str, Callable[[GalleryRequest], GalleryAnswer]] = {
-            GalleryRequest.FORGET: self._forget, GalleryRequest.FORGET_ALL: self._forget_all,
-            GalleryRequest.MERGE: self._merge, GalleryRequest.ENROL: self._enrol, GalleryRequest.LIST: self._list,
-            GalleryRequest.EXPORT: self._export, GalleryRequest.ENROL_NEW: self._enrol_new}
-        self._writer = StoreWriter(recognition.flush, notify=_log)
-        self._closed = False
-        self._service = rospy.Service("~gallery", Gallery, self._answer)
-
-    @property
-    def problem(self) -> str:
-        """Why the gallery could not be written; empty without a problem."""
-        return _PROBLEM.format(self._writer.problem) if self._writer.problem else ""
-
-    def close(self) -> None:
-        """End the service, and write what is left. Idempotent; the gallery itself is closed by its owner."""
-        if self._closed:
-            return
-        self._closed = True
-        self._service.shutdown("the node ends")
-        problem = self._writer.close()
-        if problem:
-            rospy.logerr("%s", _PROBLEM.format(problem))
-
-    def _answer(self, request: GalleryRequest) -> GalleryResponse:
-        command = self._commands.get(request.command)
-        if command is None:
-            return GalleryResponse(success=False, message="unknown command {!r}; known: {}".format(
-                request.command[:40], ", ".join(self._commands)))
-        wrong = [name for name in (request.id, request.other) if name and not is_valid_id(name)]
-        if wrong:
-            return GalleryResponse(success=False, message="{!r} is not an id".format(wrong[0][:40]))
-        try:
-            message, identity, data = command(request)
-        except (GalleryError, StoreError, OSError) as error:
-            return GalleryResponse(success=False, unknown=isinstance(error, UnknownPersonError), message=str(error),
-                                   id=request.id)
-        return GalleryResponse(success=True, message=message, id=identity, data=data)
-
-    def _forget(self, request: GalleryRequest) -> GalleryAnswer:
-        is_known = self._recognition.recogniser.forget(request.id)
-        self._writer.wait()
-        if not is_known:
-            raise UnknownPersonError("person {!r} is not known".format(request.id))
-        return "forgotten", request.id, ""
-
-    def _forget_all(self, request: GalleryRequest) -> GalleryAnswer:
-        self._recognition.recogniser.forget_all()
-        self._writer.wait()
-        return "everybody is forgotten", "", ""
-
-    def _merge(self, request: GalleryRequest) -> GalleryAnswer:
-        self._recognition.recogniser.merge(request.other, request.id)
-        self._writer.wait()
-        return "{} is {} now".format(request.other, request.id), request.id, ""
-
-    def _enrol(self, request: GalleryRequest) -> GalleryAnswer:
-        return "enrolled", self._recognition.recogniser.enrol(request.other, request.id), ""
-
-    def _enrol_new(self, request: GalleryRequest) -> GalleryAnswer:
-        return "enrolled", self._recognition.recogniser.enrol(request.other, request.id, confirm=True), ""
-
-    def _list(self, request: GalleryRequest) -> GalleryAnswer:
-        known = self._recognition.recogniser.list_known()
-        return "{} persons".format(len(known)), "", json.dumps(known)
-
-    def _export(self, request: GalleryRequest) -> GalleryAnswer:
-        person = self._recognition.recogniser.export(request.id)
-        data = {"id": person.id, "templates": len(person.templates), "enrolled": bool(person.enrolled)}
-        return "exported", request.id, json.dumps(data)
-
-
-def _log(problem: str) -> None:
-    rospy.logerr_throttle(_REMINDER_S, _PROBLEM.format(problem))

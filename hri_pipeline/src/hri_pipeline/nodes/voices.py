@@ -17,33 +17,42 @@ from typing import Callable, Deque, Dict, List, Optional, Sequence, Set, Tuple
 import numpy as np
 import rospy
 
+from hri_msgs.msg import IdsMatch
 from hri_pipeline.core.asr.engines import LanguageError
 from hri_pipeline.core.asr.recognition import SpeechRecognition
 from hri_pipeline.core.audio.array import parse_positions
+from hri_pipeline.core.audio.identity import CALIBRATION, MODEL, VoiceIdentity
 from hri_pipeline.core.audio.own_voice import BargeInFilter, RobotSpeech, hear_humans
 from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
 from hri_pipeline.core.audio.separation import SoundSeparator
+from hri_pipeline.core.audio.speakers import DIMENSION, MODEL_FILE, SpeakerEmbedder
 from hri_pipeline.core.audio.stream import RATE, STALL_S, SoundBlock
 from hri_pipeline.core.audio.vad import ActivityModel, check_thresholds
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
-from hri_pipeline.core.onnx import model_path
+from hri_pipeline.core.onnx import ModelError, model_path
+from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.privacy import DataUse
+from hri_pipeline.core.private_file import StoreError, TemplateCipher
+from hri_pipeline.core.recognition.gallery import open_gallery
 from hri_pipeline.core.timing import StageTimes
-from hri_pipeline.ros.conversions import transform_to_msg
+from hri_pipeline.ros.conversions import match_to_msg, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.gallery_service import GalleryService
 from hri_pipeline.ros.privacy import PrivacyTopic
 from hri_pipeline.ros.publishers import TrackedList
+from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.sound_input import RobotVoiceInput, SoundInput
 from hri_pipeline.ros.tf import TfPublisher
 from hri_pipeline.ros.voice_topics import NAMESPACE, VoiceTopics
 
+MATCHES_TOPIC = "/humans/candidate_matches"
 _WAIT_S = 0.1
 _REPORT_S = 1.0
 _LOG_PERIOD_S = 10.0
 _WINDOW = 300
-_KINDS = ("features", "speech", "direction")
+_KINDS = ("features", "speech", "direction", "speaker_changes", "voice_identity")
 # Processing that takes a larger share of the duration of the sound falls behind.
 _TOO_SLOW = 0.9
 # The topics of a voice that is no longer tracked wait so long for its last sentence.
@@ -212,7 +221,9 @@ class VoiceProcessor:
         self._positions = parse_positions(settings.microphone_positions) if has_array else np.zeros((0, 3))
         self._model = ActivityModel(model_path(settings.vad_model, "silero_vad.onnx"), notify=rospy.logwarn)
         self._ids = IdGenerator()
-        self._pipeline = VoicePipeline(settings, self._model, None, self._ids)
+        self._no_speakers = ""
+        self._speakers = self._load_speakers() if settings.speaker_changes else None
+        self._pipeline = VoicePipeline(settings, self._model, None, self._ids, self._speakers)
         self._robot = RobotSpeech(settings)
         self._robot_input = RobotVoiceInput(self._robot)
         self._barge_in: Optional[BargeInFilter] = None
@@ -221,6 +232,7 @@ class VoiceProcessor:
         self._no_speech = ""
         if settings.speech and SpeechRecognition.enabled(settings):
             self._start_speech()
+        self._persons = self._know_persons() if settings.voice_identity else None
         self._topics = VoiceTopics(settings, self._speech is not None)
         self._tracked_list = TrackedList(NAMESPACE + "/tracked")
         self._transforms = TfPublisher()
@@ -313,6 +325,10 @@ class VoiceProcessor:
         found = {"voices": (OK, "{} voices".format(len(tracked)), values), "own voice": self._robot_input.status()}
         if len(self._positions) and self._channels and not self._array_fits():
             found["voices"] = (WARN, self._misfit(), values)
+        elif self._no_speakers:
+            found["voices"] = (WARN, self._no_speakers, values)
+        if self._persons is not None:
+            found["identity"] = self._persons.status()
         if self._speech is not None:
             found["speech"] = self._speech.status()
         elif self._no_speech:
@@ -329,8 +345,27 @@ class VoiceProcessor:
         self._topics.close_ids()
         self._transforms.close()
         self._privacy.close()
+        if self._persons is not None:
+            self._persons.close()
         if self._speech is not None:
             self._speech.close()
+
+    def _load_speakers(self) -> Optional[SpeakerEmbedder]:
+        """Return the network of speakers; without its file there are voices, and turns end by pauses only."""
+        try:
+            return SpeakerEmbedder(model_path("", MODEL_FILE), notify=rospy.logwarn)
+        except ModelError as error:
+            self._no_speakers = "changes of the speaker are not found: {}".format(error)
+            rospy.logwarn("%s", self._no_speakers)
+            return None
+
+    def _know_persons(self) -> Optional[VoicePersons]:
+        """Return who tells whose voice it is; None without the network."""
+        embedder = self._speakers or self._load_speakers()
+        try:
+            return VoicePersons(embedder, self._settings) if embedder is not None else None
+        except StoreError as error:
+            raise ParameterError("~gallery, ~gallery_key: {}".format(error)) from error
 
     def _start_speech(self) -> None:
         """Start the recogniser. Without a model for the language there are voices, and no speech."""
@@ -350,7 +385,8 @@ class VoiceProcessor:
             self._barge_in = BargeInFilter(SoundSeparator(self._positions, self._settings), self._robot, self._settings)
         elif len(self._positions):
             rospy.logwarn("%s", self._misfit())
-        self._pipeline = VoicePipeline(self._settings, self._model, self._barge_in, self._ids)
+        self._pipeline = VoicePipeline(self._settings, self._model, self._barge_in, self._ids,
+                                       self._speakers)
 
     def _array_fits(self) -> bool:
         return len(self._positions) >= 2 and len(self._positions) == self._channels
@@ -366,6 +402,8 @@ class VoiceProcessor:
         for observation in observations:
             self._topics.publish(observation)
             self._recognise(observation)
+        if self._persons is not None:
+            self._persons.update(observations, ids)
         self._publish_frames(observations)
         self._update_topics(ids)
 
@@ -390,7 +428,7 @@ class VoiceProcessor:
             self._speech.feed(observation.id, observation.samples, observation.stamp, observation.speaking)
             self._unfinished.add(observation.id)
         if observation.end:
-            self._speech.end(observation.id)
+            self._speech.end(observation.id, observation.stamp)
 
     def _publish_frames(self, observations: Sequence[VoiceObservation]) -> None:
         """Publish the frame voice_ID of voices whose direction is known, only the newest of each."""
@@ -413,9 +451,63 @@ class VoiceProcessor:
         self._transforms.send(transforms)
 
 
+class VoicePersons:
+    """Publishes whose voice it is, and offers ~gallery.
+
+    Parameters
+    ----------
+    embedder : SpeakerEmbedder
+    settings : VoicesSettings
+
+    Raises
+    ------
+    StoreError
+        The store cannot be used.
+    """
+
+    def __init__(self, embedder: SpeakerEmbedder, settings: VoicesSettings) -> None:
+        cipher = TemplateCipher(settings.gallery_key) if settings.gallery_key else None
+        self._identity = VoiceIdentity(embedder, open_gallery(settings.gallery, MODEL, DIMENSION, CALIBRATION, cipher,
+                                                              rospy.logwarn))
+        self._service = GalleryService(self._identity, self._identity.flush)
+        self._matches = rospy.Publisher(MATCHES_TOPIC, IdsMatch, queue_size=100)
+        self._subscribers = 0
+
+    def update(self, observations: Sequence[VoiceObservation], tracked: Sequence[str]) -> None:
+        """Add what the voices have said; publish new and withdrawn matches, and all to a new subscriber."""
+        for seen in observations:
+            if seen.speaking and len(seen.samples):
+                self._identity.add(seen.id, seen.samples)
+        self._identity.retain(tracked)
+        subscribers, changes = self._matches.get_num_connections(), self._identity.changes()
+        if subscribers > self._subscribers:
+            changes += self._identity.current()
+        self._subscribers = subscribers
+        for match in changes:
+            self._matches.publish(match_to_msg(match.voice_id, IdsMatch.VOICE, match.person_id, IdsMatch.PERSON,
+                                               match.likelihood))
+
+    def status(self) -> Status:
+        """Return level, message and values for diagnostics."""
+        values: Dict[str, object] = {"known_voices": len(self._identity.list_known()),
+                                     "recognised_voices": len(self._identity.current())}
+        return (ERROR if self._service.problem else OK,
+                self._service.problem or "{known_voices} voices are known".format(**values), values)
+
+    def close(self) -> None:
+        """Take service and topic back, and write what is left."""
+        self._service.close()
+        release(self._matches)
+        self._identity.close()
+
+
 def data_use(settings: VoicesSettings) -> DataUse:
-    """Return what is computed of voices; nothing is kept."""
-    return DataUse(("who speaks", *(name for name in _KINDS if getattr(settings, name))))
+    """Return what is computed of voices, and what is kept of those who have agreed to be known by theirs."""
+    computes = ("who speaks", *(name for name in _KINDS if getattr(settings, name)))
+    if not (settings.voice_identity and settings.gallery):
+        return DataUse(computes)
+    return DataUse(computes, settings.gallery, ("ids", "consent", "times", "templates of voices"),
+                   encrypted=bool(settings.gallery_key))
 
 
 def privacy_line(settings: VoicesSettings) -> str:

@@ -97,6 +97,23 @@ def bgr_to_image(bgr: np.ndarray, header: Header) -> Image:
                  step=3 * bgr.shape[1], data=np.ascontiguousarray(bgr).tobytes())
 
 
+def matrix_to_image(rows: np.ndarray, header: Header) -> Image:
+    """Return a 32FC1 message of an array (N, M)."""
+    return Image(header=header, height=rows.shape[0], width=rows.shape[1], encoding="32FC1", is_bigendian=0,
+                 step=4 * rows.shape[1], data=np.ascontiguousarray(rows, "<f4").tobytes())
+
+
+def matrix_from_image(msg: Image) -> np.ndarray:
+    """Return the array (N, M) of a message of matrix_to_image(). Raises ImageError for anything else."""
+    if msg.encoding != "32FC1" or msg.is_bigendian or msg.step != 4 * msg.width or (
+            len(msg.data) != msg.step * msg.height):
+        raise ImageError("wanted a 32FC1 matrix, got {} of {}x{}".format(msg.encoding[:20], msg.height, msg.width))
+    rows = np.frombuffer(msg.data, "<f4").reshape(msg.height, msg.width).astype(np.float64)
+    if not np.isfinite(rows).all():
+        raise ImageError("a matrix holds numbers that are not finite")
+    return rows
+
+
 def camera_from_info(msg: CameraInfo, fallback_hfov: float, width: int = 0, height: int = 0) -> CameraModel:
     """Return the camera model of a CameraInfo; raises CameraError for numbers that cannot be true.
 

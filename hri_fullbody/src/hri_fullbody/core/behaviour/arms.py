@@ -43,6 +43,7 @@ _TO_FACE_MIDDLE = {
 # The fingers' middle joints are half a hand (0.108 statures: Drillis and Contini 1966) beyond the wrist; a little more
 # is taken, as hands reach out when they touch.
 _HAND_LENGTH = 0.075
+_SEEN_HAND_LENGTH = 0.095       # where the direction of the hand is seen, the fingers count
 _MIN_LENGTH_M = 1e-6
 _NAN3 = (math.nan, math.nan, math.nan)
 
@@ -112,11 +113,12 @@ def face_middle(rows: Sequence[Vector], axes: Sequence[Vector], stature: float) 
 
 
 def arm_features(points: np.ndarray, stature: float, up: np.ndarray,
-                 axes: Optional[np.ndarray] = None) -> ArmFeatures:
+                 axes: Optional[np.ndarray] = None, hands: Optional[np.ndarray] = None) -> ArmFeatures:
     """Measure the arms of a body.
 
     points: (18, 3) m in any frame, NaN unknown. stature: m, positive. up: (3,) unit vector against gravity in the
     same frame. axes: trunk_axes of the points, when they are known already.
+    hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: none is.
     """
     rows: List[List[float]] = points.tolist()
     trunk = (trunk_axes(points, up) if axes is None else axes).tolist()
@@ -125,36 +127,40 @@ def arm_features(points: np.ndarray, stature: float, up: np.ndarray,
     if middle[0] != middle[0]:
         middle = rows[NECK]
     face = face_middle(rows, trunk, stature)
-    left, right = (_one_arm([rows[index] for index in arm[:4]], arm[4], middle, face, trunk, vertical, stature)
-                   for arm in _ARMS)
+    knuckles = [_NAN3, _NAN3] if hands is None else hands.tolist()
+    left, right = (_one_arm([*(rows[index] for index in arm[:4]), hand], arm[4], middle, face, trunk, vertical, stature)
+                   for arm, hand in zip(_ARMS, knuckles))
     return ArmFeatures(*zip(left, right))
 
 
 def _one_arm(places: Sequence[Vector], sign: float, middle: Vector, face: Vector, trunk: Sequence[Vector], up: Vector,
              stature: float) -> Tuple[float, ...]:
-    """The values of ArmFeatures, in its order, of one arm: shoulder, elbow, wrist, other elbow."""
-    shoulder, elbow, wrist, other_elbow = places
+    """The values of ArmFeatures, in its order, of one arm: shoulder, elbow, wrist, other elbow, wrist to
+    knuckles."""
+    shoulder, elbow, wrist, other_elbow, knuckles = places
     reach, forearm, from_middle = _minus(wrist, shoulder), _minus(wrist, elbow), _minus(wrist, middle)
     forward, left, high = trunk
     return (
         _dot(reach, up) / stature, _dot(reach, high) / stature, _dot(forearm, up) / stature,
-        _distance_to_hand(face, wrist, forearm, stature),
+        (_distance_to_hand(face, wrist, forearm, _HAND_LENGTH * stature) if knuckles[0] != knuckles[0] else
+         _distance_to_hand(face, wrist, knuckles, _SEEN_HAND_LENGTH * stature)) / stature,
         _dot(from_middle, forward) / stature, sign * _dot(from_middle, left) / stature,
         _dot(from_middle, high) / stature, _angle(_minus(shoulder, elbow), forearm),
         _length(_minus(wrist, other_elbow)) / stature, _dot(forearm, left) / stature, _dot(forearm, forward) / stature)
 
 
-def _distance_to_hand(target: Vector, wrist: Vector, forearm: Vector, stature: float) -> float:
-    """Distance in statures of a point to the line from the wrist to the fingers, which go on from the forearm.
+def _distance_to_hand(target: Vector, wrist: Vector, along_hand: Vector, hand: float) -> float:
+    """Distance (m) of a point to the line from the wrist to the fingers.
 
-    With the elbow unknown the wrist alone counts.
+    along_hand: direction of the hand: that of its knuckles, else of the forearm; with neither the wrist alone counts.
+    hand: its length, m.
     """
-    to_target, length = _minus(target, wrist), _length(forearm)
+    to_target, length = _minus(target, wrist), _length(along_hand)
     if not length > _MIN_LENGTH_M:
-        return _length(to_target) / stature
-    along = _dot(to_target, forearm) / length
-    along = 0.0 if along < 0.0 else min(along, _HAND_LENGTH * stature) / length
-    return _length(_minus(to_target, [along * value for value in forearm])) / stature
+        return _length(to_target)
+    along = _dot(to_target, along_hand) / length
+    along = 0.0 if along < 0.0 else min(along, hand) / length
+    return _length(_minus(to_target, [along * value for value in along_hand]))
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

@@ -48,7 +48,7 @@ class Rule:
 
 RAISED_RULE = Rule(on=0.7, off=0.3, on_time=0.15, off_time=0.3)
 FACE_RULE = Rule(on=0.6, off=0.2, on_time=0.2, off_time=0.4)
-CROSSED_RULE = Rule(on=0.4, off=0.1, on_time=0.3, off_time=0.5)
+CROSSED_RULE = Rule(on=0.35, off=0.1, on_time=0.3, off_time=0.5)
 
 
 class Latch:

@@ -14,10 +14,12 @@ from hri_fullbody.core.keypoints import (
     LEFT_HIP,
     LEFT_KNEE,
     LEFT_SHOULDER,
+    LEFT_WRIST,
     RIGHT_ANKLE,
     RIGHT_HIP,
     RIGHT_KNEE,
     RIGHT_SHOULDER,
+    RIGHT_WRIST,
 )
 
 _TRUNK = [LEFT_SHOULDER, RIGHT_SHOULDER, LEFT_HIP, RIGHT_HIP]
@@ -50,9 +52,10 @@ _AGREEING, _LEAST_VOTES = 0.9, 0.25
 # crouch for each time that they sit, where the vertical is less certain than _BALANCE: then nobody has stood.
 _SEATED_LEAN, _CROUCHED_LEAN, _LEAN_SD = -18.0, 5.0, 5.0
 _BALANCE = math.radians(7.0)
+_BENT_LEG, _BENT_THIGH = 0.40, 25.0     # hip to ankle, statures; thighs hang straight on who kneels
 _VAGUE_KNEE = 35.0      # degrees of the straighter knee of who stands, while the vertical is that uncertain
-_CROUCHING_PRIOR = 0.03
-_GUESSED = 0.5      # confidence of the pose network below which a leg is not seen
+_CROUCHING_PRIOR = 0.1
+_GUESSED = 0.5      # confidence of the pose network below which a joint is not seen
 
 
 class PostureClass(IntEnum):
@@ -106,19 +109,20 @@ class PostureEstimator:
         return self.posture
 
 
-def without_guessed_legs(points: np.ndarray, keypoints: np.ndarray, width: float, height: float) -> np.ndarray:
-    """Return the key points (18, 3) m without the knees and ankles that are not in the image of width x height px.
+def without_guessed_limbs(points: np.ndarray, keypoints: np.ndarray, width: float, height: float) -> np.ndarray:
+    """Return key points (18, 3) m without wrists, knees and ankles that an image of width x height px does not show.
 
     keypoints: (18, 2) px, or (18, 3) with the confidence. A pose network places what lies below the image or behind a
-    table, too, mostly hanging down: that is its habit and no detection of a leg.
+    table, too, mostly hanging down: that is its habit and no detection of a leg; a guessed hand is often put before the
+    face.
     """
-    legs = np.array([LEFT_KNEE, RIGHT_KNEE, LEFT_ANKLE, RIGHT_ANKLE])
-    x, y = keypoints[legs, 0], keypoints[legs, 1]
+    limbs = np.array([LEFT_WRIST, RIGHT_WRIST, LEFT_KNEE, RIGHT_KNEE, LEFT_ANKLE, RIGHT_ANKLE])
+    x, y = keypoints[limbs, 0], keypoints[limbs, 1]
     inside = (x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)
     if keypoints.shape[1] > 2:
-        inside &= keypoints[legs, 2] >= _GUESSED
+        inside &= keypoints[limbs, 2] >= _GUESSED
     seen = np.array(points, dtype=np.float64)
-    seen[legs[~inside]] = np.nan
+    seen[limbs[~inside]] = np.nan
     return seen
 
 
@@ -133,16 +137,41 @@ def likely_posture(points: np.ndarray, axes: np.ndarray, stature: float, up: np.
         seen = posture_now(points, axes, stature, _pitched(up, share * up_sd))
         votes[seen] = votes.get(seen, 0.0) + weight
     named = {posture: weight for posture, weight in votes.items() if posture}
-    if not named:
+    agreed = _agreed(named)
+    if up_sd <= _BALANCE and agreed is not None:
+        return agreed
+    vague = up_sd > _BALANCE and _has_bent_legs(points, stature, up)
+    if not named and not vague:
         return PostureClass.OTHER if votes.get(PostureClass.OTHER, 0.0) > 0.5 else None
-    low = named.pop(PostureClass.SITTING, 0.0) + named.pop(PostureClass.CROUCHING, 0.0)
+    sitting = named.pop(PostureClass.SITTING, 0.0)
+    low = sitting + named.pop(PostureClass.CROUCHING, 0.0)
     crouches = _crouching_share(points, axes, up, up_sd)
+    if vague:
+        named, low = {}, 1.0
     named.update({PostureClass.SITTING: low * (1.0 - crouches), PostureClass.CROUCHING: low * crouches})
-    best = max(named, key=lambda posture: named[posture])
-    sure = named[best] >= _AGREEING * sum(named.values()) and named[best] >= _LEAST_VOTES
+    best = _agreed(named)
     if best == PostureClass.STANDING and up_sd > _BALANCE and not _knee(points) < _VAGUE_KNEE:
         return None
-    return best if sure else None
+    return None if best == PostureClass.SITTING and sitting == 0.0 and votes.get(PostureClass.CROUCHING) else best
+
+
+def _agreed(votes: Dict[PostureClass, float]) -> Optional[PostureClass]:
+    """The posture that nearly all votes are for, None when there is none or they are too few."""
+    best = max(votes, key=lambda posture: votes[posture], default=None)
+    if best is None or votes[best] < max(_AGREEING * sum(votes.values()), _LEAST_VOTES):
+        return None
+    return best
+
+
+def _has_bent_legs(points: np.ndarray, stature: float, up: np.ndarray) -> bool:
+    """Whether both legs are as bent and as short as those of who sits or crouches, whatever the vertical is."""
+    for hip, knee, ankle in ((LEFT_HIP, LEFT_KNEE, LEFT_ANKLE), (RIGHT_HIP, RIGHT_KNEE, RIGHT_ANKLE)):
+        leg = _leg(points, hip, knee, ankle, stature, up)
+        reach = float(np.linalg.norm(points[hip] - points[ankle]))
+        if not (leg.knee > _CROUCH_KNEE and reach < _BENT_LEG * stature and leg.shank < _SEAT_SHANK
+                and _BENT_THIGH < leg.thigh < _SEAT_THIGH_HIGH):
+            return False
+    return True
 
 
 def _knee(points: np.ndarray) -> float:

@@ -23,6 +23,7 @@ from hri_fullbody.core.keypoints import (
     BLAZE_RIGHT_SHOULDER,
     confidence_18,
     to_18_points,
+    wrist_to_knuckles,
 )
 from hri_fullbody.core.localization.pnp import body_pose
 from hri_fullbody.core.tracking.track import BodyTrack
@@ -278,16 +279,17 @@ class BodyLocalizer:
         velocity = track.motion.velocity
         velocity = None if velocity is None else velocity * self._scale.value
         pixels: np.ndarray = self._pixels if measured else self._pixels + track.moved_with_face(stamp)
-        in_space, pose = np.full((18, 3), np.nan), None
+        in_space, pose, hands = np.full((18, 3), np.nan), None, None
         sure = confidence_18(confidence)
         known = confidence_18(track.estimate.confidence[:BODY_LANDMARKS]) >= _KNOWN
         if self._points is not None:
             points = self._points + self._shift(measured, velocity, age, face)
             in_space[known] = to_18_points(points)[known]
+            hands = wrist_to_knuckles(points, track.estimate.confidence[:BODY_LANDMARKS], _KNOWN)
             pose = body_pose(points)
         box = visible_box(pixels, track.estimate.confidence[:BODY_LANDMARKS], camera.width, camera.height)
         return BodyObservation(track.id, box, estimate.score, np.column_stack([to_18_points(pixels), sure]), in_space,
-                               pose, face, velocity, measured, self.by_depth)
+                               pose, face, velocity, measured, self.by_depth, hands)
 
     def _shift(self, measured: bool, velocity: Optional[np.ndarray], age: float, face: Optional[Pose]) -> np.ndarray:
         """Way (3,) m since the body was measured: that of its face, else by its velocity (m/s) in `age` s."""

@@ -29,6 +29,7 @@ from hri_fullbody.core.keypoints import (
     BLAZE_RIGHT_SHOULDER,
     BLAZE_RIGHT_WRIST,
 )
+from hri_pipeline.core.tracks import appearance_distances
 
 # Where the bins of lightness, and of both colour axes (CIE 1976 L*a*b*, 8 bits), have their middles; a value between
 # two counts for both, so that no colour lies on a border. Narrow where clothes are: most are dark and of little colour.
@@ -77,14 +78,6 @@ def difference(a: Optional[np.ndarray], b: Optional[np.ndarray]) -> Optional[flo
     # What one does not show is 0 in the product. Rounding may take a sum a little beyond 1.
     alike = np.minimum(np.sqrt(a * b).sum(axis=1), 1.0)
     return math.sqrt(max(0.0, 1.0 - float(alike.sum()) / shown))
-
-
-def differences(one: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return the difference (N,) of one appearance (5, B) from each of the others (N, 5, B), NaN where none."""
-    shown = (one.sum(axis=-1) > 0.0) & (others.sum(axis=-1) > 0.0)
-    alike = np.clip(np.sqrt(one * others).sum(axis=-1), 0.0, 1.0)
-    parts = shown.sum(axis=-1)
-    return np.sqrt(np.where(parts > 0, 1.0 - (alike * shown).sum(axis=-1) / np.maximum(parts, 1), np.nan))
 
 
 def blend(old: Optional[np.ndarray], new: Optional[np.ndarray], weight: float) -> Optional[np.ndarray]:
@@ -322,7 +315,7 @@ class BodyReidentifier:
         """Part of the people here, without the lost one, who wear such clothes."""
         alike = 0
         if old.now.appearance is not None and self._wardrobe:
-            alike = int((differences(old.now.appearance, np.stack(self._wardrobe)) <= _ALIKE_BELOW).sum())
+            alike = int((appearance_distances(old.now.appearance, np.stack(self._wardrobe)) <= _ALIKE_BELOW).sum())
         # One of them is the lost one himself.
         others = max(0, len(self._wardrobe) - 1)
         return (_ALIKE_PRIOR * _ALIKE_WEIGHT + max(0, alike - 1)) / (_ALIKE_WEIGHT + others)

@@ -19,6 +19,8 @@ from hri_pipeline.core.onnx import ModelError, model_path, models_directory
 from hri_pipeline.core.parameters import ParameterError
 
 RATE = 16000
+LONGEST_PAUSE_S = 0.7
+"""Sound for longer than this (s) behind the last word of a turn is no pause: somebody else has gone on."""
 """Sample rate (Hz) of all sound that is recognised."""
 
 
@@ -153,7 +155,7 @@ class PocketsphinxEngine:
         """End the utterance; its text is empty where nothing, or no sentence of the grammar, was heard."""
         self._decoder.end_utt()
         self._open = False
-        self._decode_again()
+        self._decode_again(spoken)
         hypothesis = self._decoder.hyp()
         text = "" if hypothesis is None else _words_of(hypothesis.hypstr)
         if not text:
@@ -164,9 +166,10 @@ class PocketsphinxEngine:
             confidence *= _grammar_fit(words)
         return Recognised(text, min(max(confidence, 0.0), 1.0))
 
-    def _decode_again(self) -> None:
-        """Decode the whole utterance with the mean of its own cepstra."""
-        sound, self._heard = _trim_silence(b"".join(self._heard)), []
+    def _decode_again(self, spoken: int) -> None:
+        """Decode the utterance, without what somebody else has said behind it, with the mean of its own cepstra."""
+        sound, self._heard = b"".join(self._heard), []
+        sound = _trim_silence(sound[:2 * spoken] if len(sound) // 2 - spoken > LONGEST_PAUSE_S * RATE else sound)
         if not 0 < len(sound) <= _AGAIN_S * RATE * 2:
             return
         self._decoder.reinit_feat()

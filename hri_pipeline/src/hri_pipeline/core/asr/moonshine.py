@@ -21,7 +21,7 @@ from typing import Dict, List, NamedTuple, Sequence, Tuple, Union
 
 import numpy as np
 
-from hri_pipeline.core.asr.engines import RATE, EngineChoice, Recognised, model_files
+from hri_pipeline.core.asr.engines import LONGEST_PAUSE_S, RATE, EngineChoice, Recognised, model_files
 from hri_pipeline.core.onnx import ModelError, OnnxModel
 from hri_pipeline.core.parameters import ParameterError
 
@@ -269,6 +269,9 @@ class MoonshineEngine:
         covered = self._last.samples
         if spoken > self._cut + covered and (not covered or _is_loud(sound[covered:], sound)):
             self.pause()
+        own = max(0, spoken - self._cut)
+        if covered - own > LONGEST_PAUSE_S * RATE and _is_loud(sound[own:covered], sound):
+            self._last = _Piece(self._transcribe(sound[:own]), own)    # behind it somebody else has spoken
         last = self._last.transcript
         text = self._text([last])
         confidence = _confidence(self._done + [last]) if text else 0.0

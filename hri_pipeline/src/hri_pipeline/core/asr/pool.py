@@ -242,6 +242,12 @@ class QueuedUtterance:
         self.sent += len(data) // 2
         return data
 
+    def end_at(self, stamp: float) -> None:
+        """Note that nothing was said behind `stamp` (s)."""
+        behind = [end - int((until - stamp) * RATE) for end, until in self._ends if until > stamp]
+        if behind:
+            self.spoken = max(0, min(self.spoken, behind[0]))
+
     def rewind(self) -> None:
         """Begin from the first sample, with another process."""
         self._next = self.sent = self.done = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import threading
@@ -132,9 +133,14 @@ class SpeechRecognition:
             self._note_pause(utterance, speaking, len(data) // 2)
             self._wake()
 
-    def end(self, voice_id: str) -> None:
-        """End the utterance of a voice; its final text comes from poll() later."""
+    def end(self, voice_id: str, stamp: float = math.inf) -> None:
+        """End the utterance of a voice; its final text comes from poll() later.
+
+        stamp: s, behind which the sound is of somebody else.
+        """
         with self._lock:
+            if voice_id in self._open:
+                self._open[voice_id].end_at(stamp)
             self._finish(voice_id)
             self._wake()
 

@@ -76,6 +76,9 @@ class VoiceActivitySettings(Settings):
     hangover_time: float = parameter(
         0.6, "A pause longer than this ends a turn: the sentence goes to the recogniser's final result. Longer keeps "
         "slow speakers in one piece, and answers later.", unit="s", minimum=0.05, maximum=10.0, live=True)
+    speaker_changes: bool = parameter(
+        True, "Without an array, a turn ends where another speaker goes on, too: a new voice begins, 1 to 2 s later, "
+        "with all its sound from the change on. The text of the first voice ends there. Needs speaker_embedding.onnx.")
     min_speech: float = parameter(
         0.1, "A turn with less speech than this was a noise: its voice is let go at once.", unit="s", minimum=0.0,
         maximum=2.0, live=True)
@@ -175,8 +178,22 @@ class AudioFeatureSettings(Settings):
 
 
 @dataclass(frozen=True)
+class VoiceIdentitySettings(Settings):
+    """Of whose voice it is (core/audio/identity.py)."""
+
+    voice_identity: bool = parameter(
+        False, "Recognise the voices of people who have agreed: templates of voices are computed, and kept of those "
+        "who were enrolled while they spoke. They are biometric data. Needs speaker_embedding.onnx.")
+    gallery: str = parameter(
+        "", "File of the store of people, ending in .sqlite, in which the templates of voices are kept beyond the run; "
+        "shared with the person manager (parameter `store`) and recognisers of faces. Empty: in memory only.")
+    gallery_key: str = parameter(
+        "", "File with the key that templates in `gallery` are encrypted with; that of the other nodes.")
+
+
+@dataclass(frozen=True)
 class VoicesSettings(SoundInputSettings, VoiceActivitySettings, DirectionSettings, ArraySettings, OwnVoiceSettings,
-                     AudioFeatureSettings, SpeechSettings):
+                     AudioFeatureSettings, VoiceIdentitySettings, SpeechSettings):
     """Node voices: finds out who speaks, from where, and what is said, in the sound of a microphone or an array of
     them."""
 

@@ -8,13 +8,14 @@ Every source has its own frames, speech activity and turns; the network processe
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Dict, Iterable, List, Optional, Tuple
 
 import numpy as np
 
 from hri_pipeline.core.audio.level import SILENT_DBFS
 from hri_pipeline.core.audio.parameters import VoiceActivitySettings
+from hri_pipeline.core.audio.speakers import SpeakerChange, SpeakerEmbedder
 from hri_pipeline.core.audio.stream import RATE, SoundBlock
 from hri_pipeline.core.audio.turns import TurnStep, VoiceSource, VoiceTrack, VoiceTracks, angle_between
 from hri_pipeline.core.audio.vad import FRAME_TIME, ActivityModel
@@ -42,10 +43,10 @@ class VoiceObservation:
     ----------
     id : str
     stamp : float
-        s, of the first of `samples`, or of the frame when there are none.
+        s, of the first of `samples`, or of the frame when there are none; of an end without samples: when it ended.
     samples : np.ndarray
         (n,) float32 at 16 kHz, -1 to 1, the sound of this voice: 512 samples in a turn, at its onset preceded by the
-        look-back; none between turns.
+        look-back, or by what this speaker has said before another speaker was told; none between turns.
     speaking : bool
         It is heard speaking (short hangover).
     turn : bool
@@ -87,6 +88,8 @@ class VoicePipeline:
         Of the array of microphones; without one the channels are mixed.
     ids : IdGenerator, optional
         Source of the ids of voices.
+    speakers : SpeakerEmbedder, optional
+        Without an array, a turn ends where another speaker goes on, too.
 
     Raises
     ------
@@ -95,8 +98,9 @@ class VoicePipeline:
     """
 
     def __init__(self, settings: VoiceActivitySettings, model: ActivityModel, array: Optional[SoundSeparator] = None,
-                 ids: Optional[IdGenerator] = None) -> None:
+                 ids: Optional[IdGenerator] = None, speakers: Optional[SpeakerEmbedder] = None) -> None:
         self._settings = settings
+        self._speakers = speakers if array is None else None
         self._model = model
         self._array = array
         self._tracks = VoiceTracks(settings, ids or IdGenerator())
@@ -219,13 +223,34 @@ class VoicePipeline:
         if step.onset or source.voice is None:
             found = self._end_lost_turns(source)
             source.voice = self._tracks.begin(source.key, end, source.direction, source.direction_sd)
+            if source.speakers is not None:
+                source.speakers.reset()
+                source.speakers.add(frame, stamp, source.turns.activity.heard)
             frame, stamp = source.with_look_back(frame, stamp)
-        elif step.speaking:
-            self._tracks.heard(source.voice, end, source.direction, source.direction_sd)
+        else:
+            divided = self._divide_turn(source, step, frame, stamp)
+            if divided:
+                return divided + self._silent_voices(source, stamp)
+            if step.speaking:
+                self._tracks.heard(source.voice, end, source.direction, source.direction_sd)
         found.append(_observation(source, source.voice, step, frame, stamp))
         found += self._silent_voices(source, stamp)
         self._end_turn(source, step)
         return found
+
+    def _divide_turn(self, source: VoiceSource, step: TurnStep, frame: np.ndarray, stamp: float
+                     ) -> List[VoiceObservation]:
+        """Where another speaker goes on: end the turn there, and begin that of a new voice with all its sound."""
+        other = None
+        if source.speakers is not None and not step.end:
+            other = source.speakers.add(frame, stamp, source.turns.activity.heard)
+        if other is None or source.voice is None:
+            return []
+        samples, since = other
+        ended = _observation(source, source.voice, source.turns.divide(len(samples) / RATE), _NO_SOUND, since)
+        self._tracks.end(source.voice, short=False)
+        source.voice = self._tracks.begin(source.key, stamp + FRAME_TIME, is_other=True)
+        return [ended, _observation(source, source.voice, replace(step, onset=True), samples, since)]
 
     def _expire(self, stamp: float) -> None:
         """Remove voices whose time is over, and sources without sound for longer than a voice is tracked."""
@@ -282,7 +307,8 @@ class VoicePipeline:
 
     def _source(self, key: int) -> VoiceSource:
         if key not in self._sources:
-            self._sources[key] = VoiceSource(key, self._settings)
+            self._sources[key] = VoiceSource(key, self._settings,
+                                             SpeakerChange(self._speakers) if self._speakers is not None else None)
         return self._sources[key]
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from hri_pipeline.core.audio.level import SILENT_DBFS, level_dbfs
 from hri_pipeline.core.audio.parameters import VoiceActivitySettings
+from hri_pipeline.core.audio.speakers import SpeakerChange
 from hri_pipeline.core.audio.stream import RATE
 from hri_pipeline.core.audio.vad import FRAME, FRAME_TIME, ActivityState, SpeechActivity
 from hri_pipeline.core.ids import IdGenerator
@@ -117,6 +118,11 @@ class TurnDetector:
         self.activity.stop()
         return TurnStep(turn=was_turn, end=was_turn, short=was_turn and self._is_short())
 
+    def divide(self, speech: float) -> TurnStep:
+        """End the running turn and begin another one, which has had `speech` (s) already."""
+        self._speech = speech
+        return TurnStep(turn=True, end=True)
+
     def _is_short(self) -> bool:
         return self._speech < self._settings.min_speech - _TOLERANCE
 
@@ -201,10 +207,10 @@ class VoiceTracks:
         return [voice for voice in self._voices.values() if not voice.in_turn]
 
     def begin(self, key: int, stamp: float, direction: Optional[np.ndarray] = None,
-              direction_sd: Optional[float] = None) -> VoiceTrack:
+              direction_sd: Optional[float] = None, is_other: bool = False) -> VoiceTrack:
         """Return the voice of a turn that begins at `stamp` (s) in source `key`: a tracked one that is silent, or a new
-        one."""
-        voice = self._resumed(key, stamp, direction)
+        one. is_other: of another speaker than the turn before, hence new."""
+        voice = None if is_other else self._resumed(key, stamp, direction)
         if voice is None:
             voice = VoiceTrack(self._ids.new(), key, stamp)
             self._voices[voice.id] = voice
@@ -263,6 +269,8 @@ class VoiceSource:
     key : int
         Of the source.
     settings : VoiceActivitySettings
+    speakers : SpeakerChange, optional
+        Of this source; without it a turn ends by a pause only.
 
     Attributes
     ----------
@@ -282,8 +290,9 @@ class VoiceSource:
         s, end of the last sound that came from its direction.
     """
 
-    def __init__(self, key: int, settings: VoiceActivitySettings) -> None:
+    def __init__(self, key: int, settings: VoiceActivitySettings, speakers: Optional[SpeakerChange] = None) -> None:
         self.key = key
+        self.speakers = speakers
         self.state = ActivityState()
         self.turns = TurnDetector(settings)
         self.voice: Optional[VoiceTrack] = None

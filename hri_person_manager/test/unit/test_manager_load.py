@@ -1,0 +1,129 @@
+"""A loaded machine: lists, places and matches that come late and out of order make no more persons than there are
+people."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from hri_person_manager.core.features import Kind, MatchNode
+from hri_person_manager.core.location import Place, PlaceSource
+from hri_person_manager.core.manager import PersonManager
+from hri_person_manager.core.match_graph import CandidateMatch
+from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
+from hri_pipeline.core.geometry import Pose
+
+CAMERA = np.array([0.0, 0.0, 1.5])
+
+
+class LateCamera:
+    """People before one camera who walk sideways; `late`: delays (s) of faces, bodies and matches.
+
+    Body `number` is that of face `number`; faces and bodies are told with the errors of real ones.
+    """
+
+    def __init__(self, places, faces=0.1, bodies=1.2, matches=2.5, seed=0, source=PlaceSource.HEAD, speed=0.5):
+        numbers = itertools.count(1)
+        self.manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({}), lambda: "a%04d" % next(numbers))
+        self.places, self.late, self.source, self.speed = np.array(places), (faces, bodies, matches), source, speed
+        self.rng = np.random.default_rng(seed)
+        self.along = 1.0 + 0.1 * self.rng.normal(size=(2, len(places)))
+        self.now, self.most, self.missing = 0.0, 0, set()
+        self.bodies_of = ["b%d" % number for number in range(len(places))]
+
+    def where(self, number, kind, stamp):
+        point = self.places[number] + (0.0, self.speed * stamp, 0.0) + 0.03 * self.rng.normal(size=3)
+        if kind and self.source == PlaceSource.BODY:
+            point = point - (0.0, 0.0, 0.7)
+        return CAMERA + self.along[kind, number] * (point - CAMERA)
+
+    def step(self):
+        self.now = round(self.now + 0.1, 6)
+        for kind, (of, source) in enumerate(((Kind.FACE, PlaceSource.FACE), (Kind.BODY, self.source))):
+            stamp = self.now - self.late[kind]
+            if stamp < 0.0:
+                continue
+            ids = ["f%d" % number for number in range(len(self.places))] if not kind else self.bodies_of
+            ids = [id for number, id in enumerate(ids) if (of, number) not in self.missing]
+            self.manager.on_tracked(of, ids, self.now)
+            for id in ids:
+                place = self.where(int(id[1]), kind, stamp)
+                self.manager.on_place(source, id, Place("map", Pose(np.eye(3), place), stamp, origin=CAMERA), self.now,
+                                      "camera")
+        self.manager.tick(self.now)
+        self.most = max(self.most, len(self.manager.snapshot(self.now).tracked))
+
+    def run(self, seconds):
+        for _ in range(round(10 * seconds)):
+            self.step()
+            if self.now >= self.late[2]:
+                for number in self.rng.permutation(len(self.places)):
+                    self.match(number, 0.8)
+
+    def match(self, number, likelihood):
+        self.manager.on_match(CandidateMatch(MatchNode(Kind.FACE, "f%d" % number),
+                                             MatchNode(Kind.BODY, self.bodies_of[number]), likelihood), self.now)
+
+    def person(self, name):
+        return self.manager.person_of(MatchNode({"f": Kind.FACE, "b": Kind.BODY}[name[0]], name))
+
+
+THREE = ((2.0, -0.8, 1.6), (2.5, 0.0, 1.7), (2.0, 0.8, 1.5))
+
+
+@pytest.mark.parametrize("bodies, matches", [(0.3, 1.0), (1.2, 2.5), (2.0, 3.5), (0.1, 3.0)])
+@pytest.mark.parametrize("source", [PlaceSource.HEAD, PlaceSource.BODY], ids=["head", "body"])
+def test_three_people_are_three_persons_however_late_their_matches_are(bodies, matches, source):
+    for seed in range(5):
+        camera = LateCamera(THREE, bodies=bodies, matches=matches, source=source, seed=seed)
+        camera.run(8.0)
+        assert camera.most == 3
+        assert all(camera.person("f%d" % number) == camera.person("b%d" % number) for number in range(3))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_bodies_that_are_tracked_before_the_faces_are_no_more_persons_either(seed):
+    camera = LateCamera(THREE, faces=1.5, bodies=0.1, matches=3.0, seed=seed)
+    camera.run(6.0)
+    assert camera.most == 3
+
+
+def test_a_body_that_is_tracked_anew_is_no_second_person():
+    camera = LateCamera(THREE, matches=1.5)
+    camera.run(4.0)
+    person = camera.person("f1")
+    camera.bodies_of[1] = "b1x"
+    camera.late = (0.1, 1.2, 6.0)       # the matcher needs two seconds
+    camera.run(5.0)
+    assert camera.most == 3 and camera.person("b1x") == camera.person("f1") == person
+
+
+def test_a_body_of_which_only_the_back_is_seen_is_a_person_beside_others():
+    camera = LateCamera(((2.0, -0.8, 1.6), (2.0, 0.8, 1.5)))
+    camera.missing.add((Kind.FACE, 1))
+    camera.run(2.2)
+    assert camera.person("b1") not in (None, camera.person("f0"))
+
+
+def test_two_of_one_place_are_two_when_nothing_says_otherwise_for_long():
+    camera = LateCamera(((2.0, 0.0, 1.6),), matches=1e9)
+    camera.run(12.0)
+    assert camera.person("b0") not in (None, camera.person("f0"))
+
+
+def test_two_of_one_place_of_whom_a_match_says_that_they_are_two_are_so_at_once():
+    camera = LateCamera(((2.0, 0.0, 1.6),), bodies=0.2, matches=1e9)
+    camera.run(1.0)
+    assert camera.person("b0") is None
+    camera.match(0, 0.0)
+    camera.run(0.3)
+    assert camera.person("b0") not in (None, camera.person("f0"))
+
+
+def test_one_face_explains_one_body():
+    camera = LateCamera(((2.0, 0.0, 1.6), (2.05, 0.0, 1.6)), bodies=0.2, matches=1e9)
+    camera.missing.add((Kind.FACE, 1))
+    camera.run(2.0)
+    assert sorted(camera.person(name) is None for name in ("b0", "b1")) == [False, True]
