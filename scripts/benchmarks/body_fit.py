@@ -43,8 +43,9 @@ from hri_fullbody.core.localization.localizer import BodyScale, face_cue, floor_
 from hri_fullbody.core.model.anthropometry import MONOCULAR, SegmentTable, StatureEstimator
 from hri_fullbody.core.model.human import PAPER, Dimensions, stack_dimensions
 from hri_fullbody.core.model.urdf import make_urdf
+from hri_fullbody.core.modeller import BodyInput, BodyModeller
 from hri_fullbody.core.parameters import VISION
-from hri_fullbody.core.pipeline import BodyInput, BodyModeller, BodyPipeline
+from hri_fullbody.core.pipeline import BodyPipeline
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.geometry import Pose

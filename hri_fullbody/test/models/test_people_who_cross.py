@@ -111,6 +111,14 @@ def test_one_who_waits_behind_another_keeps_the_id():
     assert all(len(ids_of(history, name)) == 1 for name in ("green", "burgundy"))
 
 
+def test_two_who_stand_half_before_each_other_are_never_three(stage):
+    def comes(time):
+        return 730.0 + 400.0 * max(0.0, 1.5 - time)
+
+    history = watch(stage, ("green", "burgundy"), (lambda time: 640.0, comes), 4.4, 15.0, (560, 600))
+    assert max(count for _, _, count in history) == 2
+
+
 def test_who_comes_after_somebody_has_gone_is_somebody_else(stage):
     history = watch(stage, ("green", "blue"), (lambda time: 400.0 if time < 1.5 else None,
                                                lambda time: 480.0 if time > 1.8 else None), 4.0, 15.0, (600, 600))

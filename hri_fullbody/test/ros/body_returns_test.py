@@ -20,7 +20,7 @@ NOSE = 0
 class BodyReturnsTest(unittest.TestCase):
 
     def setUp(self):
-        self.picture = photograph(1)
+        self.picture = photograph(3)
         self.camera = Camera(self.picture)
         self.addCleanup(self.camera.close)
         self.tracked = Latest("/humans/bodies/tracked", IdsList)

@@ -13,8 +13,9 @@ from hri_fullbody.core.kinematics.forward import forward
 from hri_fullbody.core.kinematics.solver import JointSolver
 from hri_fullbody.core.model.anthropometry import SegmentTable
 from hri_fullbody.core.model.human import PAPER, Dimensions
+from hri_fullbody.core.modeller import BodyInput, BodyModeller
 from hri_fullbody.core.parameters import BODIES
-from hri_fullbody.core.pipeline import BodyInput, BodyModeller, BodyPipeline
+from hri_fullbody.core.pipeline import BodyPipeline
 from hri_pipeline.core.observations import BodyObservation
 
 TABLE = SegmentTable.load()

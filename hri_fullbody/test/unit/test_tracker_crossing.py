@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from synthetic_people import Walkers, face_of, standing_at
+from synthetic_people import Phantoms, Walkers, face_of, standing_at
 
 from hri_fullbody.core.tracking.tracker import BodyTracker
 from hri_pipeline.core.scheduler import InferenceScheduler
@@ -143,6 +143,42 @@ def test_a_window_captured_by_a_neighbour_refreshes_the_neighbour():
     scene.people, scene.colours = [(300.0, 400.0), (460.0, 400.0)], [RED, BLUE]
     film.run(0.6)
     assert film.ids() == before
+
+
+@pytest.mark.parametrize("schedule", [None, InferenceScheduler(10.0, most=1, batches=False)],
+                         ids=["every image", "by turns"])
+@pytest.mark.parametrize("first", [0, 1], ids=["hidden came first", "hidden came last"])
+def test_who_is_hidden_does_not_become_a_double_of_who_stands_before(first, schedule):
+    places = [(300.0, 400.0), (460.0, 400.0)]
+    scene = Phantoms([places[first]], [RED])
+    if schedule is not None:
+        schedule.reset()
+    film = Film(scene, schedule=schedule)
+    film.run(1.0)
+    scene.people, scene.colours = list(places), [RED, RED]
+    film.run(1.5)
+    before = film.ids()
+    assert None not in before
+    film.run(0.6, lambda time: [(300.0 + 240.0 * time, 400.0), places[1]])
+    film.run(0.4)       # till both had their turn
+    for _ in range(20):
+        film.run(0.1)
+        assert len(film.tracker.published(film.stamp - film.step)) <= 1     # dressed alike, nothing tells who it is
+    film.run(0.6, lambda time: [(444.0 - 240.0 * time, 400.0), places[1]])
+    film.run(0.5)
+    assert sorted(film.ids()) == sorted(before)
+
+
+def test_of_two_bodies_on_one_head_the_one_with_a_face_in_the_image_stays():
+    scene = Phantoms([(300.0, 400.0), (460.0, 400.0)], (RED, RED))
+    film = Film(scene)
+    faces = [face_of(standing_at(300.0, 400.0), "f0"), face_of(standing_at(460.0, 400.0), "f1")]
+    film.run(1.0, faces=lambda: faces)
+    before = film.ids()
+    film.run(0.6, lambda time: [(300.0 + 240.0 * time, 400.0), (460.0, 400.0)], faces=lambda: faces[1:])
+    for _ in range(10):
+        film.run(0.1, faces=lambda: faces[1:])
+        assert [track.id for track in film.tracker.published(film.stamp - film.step)] == [before[1]]
 
 
 def test_a_body_that_nobody_looks_at_is_published_for_the_death_time():

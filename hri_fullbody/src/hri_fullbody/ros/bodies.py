@@ -16,8 +16,9 @@ from visualization_msgs.msg import MarkerArray
 
 from hri_fullbody.core.detection.windows import FaceBox, face_boxes
 from hri_fullbody.core.model.urdf import make_urdf
+from hri_fullbody.core.modeller import ModelledBody
 from hri_fullbody.core.parameters import BodiesSettings
-from hri_fullbody.core.pipeline import BodyPipeline, ModelledBody
+from hri_fullbody.core.pipeline import BodyPipeline
 from hri_fullbody.core.tracking.reidentification import Reidentification
 from hri_fullbody.ros.inputs import FaceInput, UpFrame
 from hri_fullbody.ros.state_publishers import StatePublishers

@@ -15,7 +15,7 @@ from hri_fullbody.core import keypoints as kp
 from hri_fullbody.core.behaviour.pointing import Pointing
 from hri_fullbody.core.behaviour.recognizer import BodyBehaviour
 from hri_fullbody.core.keypoints import EDGES
-from hri_fullbody.core.pipeline import ModelledBody
+from hri_fullbody.core.modeller import ModelledBody
 from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, PointingStamped, Skeleton2D
 from hri_msgs.msg import Pointing as PointingMessage
 from hri_pipeline.core.observations import BodyObservation

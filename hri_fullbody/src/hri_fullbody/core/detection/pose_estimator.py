@@ -204,6 +204,7 @@ _LARGEST_PX, _LARGEST_M = 1e5, 5.0
 # Of what is smaller (px) no key points can be told: letters and spots resemble people far away.
 _LEAST_PX = 24.0
 _SAME_TRUNK, _SAME_NOSE = 0.09, 0.12
+_SAME_HEAD = 0.065      # three quarters of a head's breadth; two who cross are told from 0.07 on
 
 
 @dataclass(frozen=True)
@@ -253,6 +254,14 @@ def same_body(a: PoseEstimate, b: PoseEstimate) -> bool:
     if offset < _SAME_TRUNK and math.hypot(*(a.nose - b.nose)) < _SAME_NOSE * size:
         return True
     return body_distance(a, b) < SAME_BODY
+
+
+def one_human(a: PoseEstimate, b: PoseEstimate) -> bool:
+    """Tell whether two estimates come from one human: the same body, or noses in one head.
+
+    Of somebody whose head is hidden the network makes a body with the head of a neighbour, whatever its limbs are.
+    """
+    return same_body(a, b) or math.hypot(*(a.nose - b.nose)) < _SAME_HEAD * max(a.extent, b.extent)
 
 
 def is_sound(estimate: PoseEstimate, min_score: float) -> bool:

@@ -91,17 +91,16 @@ class GroundPlane:
     def solve(self, stamp: float) -> None:
         """Estimate `up` and the camera's height at `stamp` (s)."""
         self._people = {name: person for name, person in self._people.items() if stamp - person.stamp < _OLDEST_S}
-        state = _MOUNTING.copy()
-        information = np.diag(_MOUNTING_SD ** -2.0)
+        state, prior = _MOUNTING.copy(), np.diag(_MOUNTING_SD ** -2.0)
+        axes = self._axis_rows(stamp)
         for _ in range(_ROUNDS):
-            rows = self._axis_rows(stamp) + self._floor_rows(state)
-            information, right = np.diag(_MOUNTING_SD ** -2.0), _MOUNTING * _MOUNTING_SD ** -2.0
-            for gradient, residual, sd in rows:
-                error = abs(residual - float(gradient @ state)) / sd
-                weight = min(1.0, _HUBER / max(error, 1e-9)) / sd ** 2
-                information += weight * np.outer(gradient, gradient)
-                right += weight * residual * gradient
-            state = np.linalg.solve(information, right)
+            rows = axes + self._floor_rows(state)
+            gradients = np.array([gradient for gradient, _, _ in rows]).reshape(-1, 2)
+            values, sds = np.array([row[1:] for row in rows]).reshape(-1, 2).T
+            error = np.abs(values - gradients @ state) / sds
+            weighted = gradients.T * (np.minimum(1.0, _HUBER / np.maximum(error, 1e-9)) / sds ** 2)
+            information = prior + weighted @ gradients
+            state = np.linalg.solve(information, prior @ _MOUNTING + weighted @ values)
         self.up = up_of(*state)
         self.up_sd = math.sqrt(float(np.linalg.inv(information)[0, 0]))
         self._measure_heights()

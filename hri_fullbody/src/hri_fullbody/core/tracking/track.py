@@ -180,7 +180,7 @@ class BodyTrack:
         self.inferred_at = stamp
         self.misses = 0
         self.wait = 0.0
-        self.box_confirmed_at = self.born_at = stamp
+        self.box_confirmed_at = self.born_at = self._seen_since = stamp
         self.box_confirmed = box_confirmed
         self.appearance: Optional[np.ndarray] = detection.appearance
         self.described_at = stamp
@@ -237,6 +237,16 @@ class BodyTrack:
         self._anchor_side = side
         self._anchored_until = stamp + _ANCHOR_HOLD
 
+    def weakness(self, now: bool, stamp: float) -> Tuple[bool, bool, float]:
+        """What decides, in this order, which of two bodies on one human waits: it came, or came back after a gap, less
+        than a second ago; it was not seen at `stamp` (s); it came later. now: it is, or seems to be, seen at `stamp`.
+        """
+        since = stamp if now and self._has_gap(stamp) else self._seen_since
+        return stamp - since < _SURE_S, not now, since
+
+    def _has_gap(self, stamp: float) -> bool:
+        return not self.visible and stamp - self.stamp > _SHORT_GAP_S
+
     def moved(self, stamp: float) -> np.ndarray:
         """Way (2,) px in the image since the body was last seen, as its motion tells; 0 at rest."""
         if self.motion.speed() < _STILL:
@@ -271,7 +281,8 @@ class BodyTrack:
         unhidden: nobody stands before it, so that its appearance may be learnt.
         """
         step = max(0.0, stamp - self.stamp)
-        self.returning = not self.visible and step > _SHORT_GAP_S
+        self.returning = self._has_gap(stamp)
+        self._seen_since = stamp if self.returning else self._seen_since
         self.detection, self.stamp, self._expected = detection, stamp, None
         self._face_when_seen = self._face_centre if self._face_stamp == stamp else None
         self.described_at = self.described_at if detection.appearance is None else stamp

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Callable, Dict, List, Optional, Sequence, Tuple, cast
+from typing import Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple, cast
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from hri_fullbody.core.detection.pose_estimator import (
     distinct,
     inside,
     is_sound,
+    one_human,
     same_body,
 )
 from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, FaceBox, Window, head_box, window_from_face
@@ -108,7 +109,7 @@ class BodyTracker:
 
     def follow(self, image: np.ndarray, stamp: float, faces: Sequence[FaceBox] = (),
                locate: Optional[Locate] = None, for_new: int = 0) -> None:
-        """Update the known bodies whose turn it is from `image` (H, W, 3) BGR; hide duplicates, remove the dead.
+        """Update the known bodies whose turn it is from `image` (H, W, 3) BGR, remove the dead.
 
         locate: places the landmarks of an estimate in the optical frame, (33, 3) m or None.
         for_new: windows of the schedule's budget that are left for new bodies.
@@ -129,7 +130,6 @@ class BodyTracker:
         detections = [detection for detection in results if detection is not None]
         near = [nearest_face(detection, faces) for detection in detections]
         self._associate(distinct(detections, [face.id if face else None for face in near]), chosen, stamp, faces)
-        self._hide_duplicates(stamp)
         self._link_faces(faces, stamp)
         for track in self.tracks:
             if not track.visible:
@@ -239,14 +239,33 @@ class BodyTracker:
     def _associate(self, detections: Sequence[PoseDetection], chosen: Sequence[BodyTrack], stamp: float,
               faces: Sequence[FaceBox]) -> None:
         """Assign each detection to a track; chosen tracks without one are marked as missed."""
-        found = set()
-        for row, column in assign(cost_matrix(self.tracks, detections, stamp, faces), MAX_COST):
-            track, detection = self.tracks[row], detections[column]
-            found.add(track.id)
-            track.update(detection, stamp, self._unhidden(track, detection, stamp))
-        for track in chosen:
-            if track.id not in found:
+        pairs = {self.tracks[row].id: detections[column]
+                 for row, column in assign(cost_matrix(self.tracks, detections, stamp, faces), MAX_COST)}
+        doubles = self._doubles({name: detection.estimate for name, detection in pairs.items()}, stamp, faces)
+        for track in self.tracks:
+            if track.id in pairs and track.id not in doubles:
+                track.update(pairs[track.id], stamp, self._unhidden(track, pairs[track.id], stamp))
+            elif track in chosen or track.id in doubles:
                 track.missed(stamp)
+
+    def _doubles(self, seen: Mapping[str, PoseEstimate], stamp: float, faces: Sequence[FaceBox]) -> Set[str]:
+        """Ids of the bodies that are told from the same part of the image as another one, and yield to it.
+
+        seen: estimates of this image by id; other visible bodies are where they are expected. Of two one stays: that
+        with a face in this image, else the less weak (see `BodyTrack.weakness`). Two faces are two humans.
+        """
+        shown_faces = {face.id for face in faces}
+        order = sorted((track for track in self.tracks if track.visible or track.id in seen),
+                       key=lambda track: (track.face_id not in shown_faces, *track.weakness(track.id in seen, stamp)))
+        shown: List[Tuple[PoseEstimate, bool]] = []
+        doubles = set()
+        for track in order:
+            estimate, faced = seen.get(track.id, track.expected(stamp)), track.face_id in shown_faces
+            if any(one_human(estimate, other) for other, its in shown if not (faced and its)):
+                doubles.add(track.id)
+            else:
+                shown.append((estimate, faced))
+        return doubles
 
     def _unhidden(self, track: BodyTrack, detection: PoseDetection, stamp: float) -> bool:
         """Tell whether nobody else is near enough to stand before this body."""
@@ -275,7 +294,8 @@ class BodyTracker:
         if not hidden or not is_sound(estimate, self._min_score):
             return False
         detection = self._make_detection(image, estimate, None, stamp)
-        if detection is None or nearest_face(detection, faces) is not None:
+        if detection is None or nearest_face(detection, faces) is not None or any(
+                track.visible and one_human(track.expected(stamp), estimate) for track in self.tracks):
             return False
         costs = cost_matrix(self.tracks, [detection], stamp, faces)[:, 0]
         best = int(np.argmin(costs))
@@ -319,7 +339,7 @@ class BodyTracker:
         """Tell whether a new detection shows a body that is followed: the same landmarks, or, without a face, its
         trunk."""
         expected = track.expected(stamp)
-        if same_body(expected, detection.estimate):
+        if same_body(expected, detection.estimate) or (face is None and one_human(expected, detection.estimate)):
             return True
         offset = float(np.hypot(*(expected.centre - detection.estimate.centre))) / track.motion.size
         return face is None and offset < _SECOND_OFFSET and inside(detection.estimate.box, expected.box) > _SECOND_SHARE
@@ -386,18 +406,6 @@ class BodyTracker:
         cost = np.array([[face.distance(track.estimate.nose) for face in free] for track in tracks])
         for row, column in assign(cost.reshape(len(tracks), len(free)), NOSE_IN_FACE):
             tracks[row].link(free[column], stamp)
-
-    def _hide_duplicates(self, stamp: float) -> None:
-        """Of two tracks on one human show one: that with a face, else the one just seen, else the older."""
-        order = sorted((track for track in self.tracks if track.visible),
-                       key=lambda track: (track.face_id is None, -track.stamp, track.life.first_seen))
-        shown: List[BodyTrack] = []
-        for track in order:
-            if any(same_body(track.expected(stamp), other.expected(stamp)) for other in shown
-                   if track.face_id is None or other.face_id is None):
-                track.missed(stamp)
-            else:
-                shown.append(track)
 
 
 def urgency(track: BodyTrack, largest: float) -> float:

@@ -1,0 +1,222 @@
+"""The kinematic models of the bodies of one camera: key points are filtered, lengths estimated, joints solved."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Dict, List, Optional, Sequence, Tuple
+
+import numpy as np
+
+from hri_fullbody.core.filtering import FilteredPoints, FilterSettings, KeypointFilter
+from hri_fullbody.core.kinematics.solver import JointSolver
+from hri_fullbody.core.model.anthropometry import SegmentTable
+from hri_fullbody.core.model.dimensions import DimensionSettings, PersonDimensions
+from hri_fullbody.core.model.human import Dimensions, Layout, layout_for
+from hri_fullbody.core.parameters import BodiesSettings
+from hri_pipeline.core.geometry import Pose
+
+_LEAST_POINTS = 4
+_WORST_RESIDUAL_M = 0.5
+_SURELY_SEEN = 0.65  # confidence from which a guessed point counts for the lengths
+
+
+@dataclass(frozen=True)
+class BodyInput:
+    """Key points of one body in one image.
+
+    points: (18, 3) m in the optical frame, NaN where unknown. confidence: (18,) 0 to 1. head: the face frame in
+    the optical frame when this human's face is tracked. systematic: relative error of the lengths between the points
+    that does not go away with time: 0 for points measured in space, stature.MONOCULAR for those that are guessed from
+    a colour image; points of less than 0.65 confidence then say nothing about the stature. size: see
+    StatureEstimator.estimate.
+    """
+
+    id: str
+    points: np.ndarray
+    confidence: Optional[np.ndarray] = None
+    head: Optional[Pose] = None
+    systematic: float = 0.0
+    size: Optional[Tuple[float, float]] = None
+
+
+@dataclass(frozen=True)
+class ModelledBody:
+    """A posed model of one body.
+
+    pose: body frame in the optical frame. joints: (J,) rad in the order of the layout. head: head frame in the
+    optical frame. points: (18, 3) filtered key points, NaN where unknown; fitted: (18, 3) those of the model, m.
+    stature, stature_sd: the newest estimate, m; stature_known: False while it is the average.
+    dimensions: those of the model; revision: 0 while they are not
+    settled, then 1, 2, ...: the URDF is to be made anew when it grows. residual: mean distance of points and
+    fitted, m.
+    """
+
+    id: str
+    pose: Pose
+    joints: np.ndarray
+    head: Pose
+    points: np.ndarray
+    fitted: np.ndarray
+    stature: float
+    stature_sd: float
+    dimensions: Dimensions
+    revision: int
+    residual: float
+    stature_known: bool = False
+
+
+class BodyModeller:
+    """Models of all bodies of one camera. Time is an argument; a stamp that goes back starts the filters anew."""
+
+    def __init__(self, interface: str = "paper", ik_solver: str = "gauss_newton",
+                 table: Optional[SegmentTable] = None, stature_tolerance: float = 0.03, limb_lengths: bool = True,
+                 min_confidence: float = 0.3, model_delay: float = 0.2, stature_window: float = 5.0,
+                 filter_settings: Optional[FilterSettings] = None) -> None:
+        """interface, ik_solver: see Layout and JointSolver. table: None: the package's own. min_confidence: points
+        below it are missing. The others: see DimensionSettings and FilterSettings. Raises ValueError."""
+        if not 0.0 <= min_confidence <= 1.0:
+            raise ValueError("min_confidence is {}, legal: 0 to 1".format(min_confidence))
+        self._table = SegmentTable.load() if table is None else table
+        self.layout: Layout = layout_for(interface)
+        self._solver = JointSolver(self.layout, ik_solver)
+        self._filter = KeypointFilter(filter_settings or FilterSettings())
+        self._settings = DimensionSettings(stature_tolerance, limb_lengths, model_delay, stature_window)
+        self._min_confidence = min_confidence
+        self._people: Dict[str, PersonDimensions] = {}
+        self._states: Dict[str, np.ndarray] = {}
+        self._stamp = -math.inf
+        self.failures: Dict[str, str] = {}
+        """Bodies of the last update that have no model, and why."""
+
+    @classmethod
+    def from_parameters(cls, values: BodiesSettings) -> "BodyModeller":
+        """Return the one with these settings. Raises ValueError."""
+        return cls(values.interface, values.ik_solver, SegmentTable.load(values.segments or None),
+                   values.stature_tolerance, values.limb_lengths, values.min_keypoint_confidence,
+                   values.model_delay, values.stature_window,
+                   FilterSettings(process_noise_scale=values.keypoint_agility, gate=values.keypoint_gate))
+
+    def reconfigure(self, values: BodiesSettings) -> None:
+        """Take up the values of the live parameters; the bodies stay."""
+        self._min_confidence = values.min_keypoint_confidence
+        self._filter.settings = FilterSettings(process_noise_scale=values.keypoint_agility, gate=values.keypoint_gate)
+
+    def reset(self) -> None:
+        """Forget all bodies."""
+        self._filter.reset()
+        self._people.clear()
+        self._states.clear()
+        self.failures, self._stamp = {}, -math.inf
+
+    def retain(self, ids: Sequence[str]) -> None:
+        """Forget all bodies but these."""
+        wanted = set(ids)
+        self._filter.retain(ids)
+        for known in (self._people, self._states):
+            for name in [name for name in known if name not in wanted]:
+                del known[name]
+
+    def update(self, bodies: Sequence[BodyInput], stamp: float,
+               up: Optional[np.ndarray] = None) -> List[ModelledBody]:
+        """Model the bodies seen at `stamp` (s). up: (3,) unit vector against gravity in the optical frame.
+
+        Bodies that are not among them stay known till `retain`. One without enough points, or whose solution
+        fails, is left out and named in `failures`. Raises ValueError for one id twice or a bad stamp.
+        """
+        if len({body.id for body in bodies}) != len(bodies) or not math.isfinite(stamp):
+            raise ValueError("bodies need different ids and a finite time, not {} and {}".format(
+                [body.id for body in bodies], stamp))
+        if stamp < self._stamp:
+            self._start_anew()
+            self._stamp = stamp
+        step = stamp - self._stamp if math.isfinite(self._stamp) else 0.0
+        self._stamp, self.failures = stamp, {}
+        known = [(body, points) for body, points in ((body, self._checked(body)) for body in bodies)
+                 if points is not None]
+        if not known:
+            return []
+        ids = [body.id for body, _ in known]
+        filtered = self._filter.update(ids, np.stack([points for _, points in known]), stamp)
+        for (body, _), gated in zip(known, filtered.gated):
+            if body.id not in self._people:
+                self._people[body.id] = PersonDimensions(self._table, self._settings)
+            if body.systematic > 0.0 and body.confidence is not None:
+                gated = np.where((np.asarray(body.confidence) >= _SURELY_SEEN)[:, None], gated, np.nan)
+            self._people[body.id].update(gated, stamp, body.systematic, body.size)
+        return self._solve([body for body, _ in known], filtered, step, up)
+
+    def _start_anew(self) -> None:
+        self._filter.reset()
+        self._states.clear()
+        for person in self._people.values():
+            person.restart()
+
+    def _checked(self, body: BodyInput) -> Optional[np.ndarray]:
+        """Points (18, 3) with NaN for all that is not to be used; None, with the reason noted, without any."""
+        points = np.asarray(body.points, dtype=np.float64)
+        if not 0.0 <= body.systematic <= 1.0:
+            self.failures[body.id] = "its systematic error is {}, not 0 to 1".format(body.systematic)
+            return None
+        if points.shape != (18, 3):
+            self.failures[body.id] = "its key points have the shape {}, not (18, 3)".format(points.shape)
+            return None
+        if body.confidence is not None:
+            confidence = np.asarray(body.confidence, dtype=np.float64)
+            if confidence.shape != (18,):
+                self.failures[body.id] = "its confidences have the shape {}, not (18,)".format(confidence.shape)
+                return None
+            points = np.where((confidence >= self._min_confidence)[:, None], points, np.nan)
+        if np.isfinite(points).all(axis=1).sum() < _LEAST_POINTS:
+            self.failures[body.id] = "fewer than {} of its key points are known".format(_LEAST_POINTS)
+            return None
+        return points
+
+    def _solve(self, bodies: Sequence[BodyInput], filtered: FilteredPoints, step: float,
+               up: Optional[np.ndarray]) -> List[ModelledBody]:
+        """Solve all bodies, one by one where that fails together, so that one cannot take the others with it."""
+        try:
+            return self._solve_batch(bodies, filtered, step, up)
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            if len(bodies) == 1:
+                self._fail(bodies[0].id, "no solution: {}".format(error))
+                return []
+        return [model for number, body in enumerate(bodies)
+                for model in self._solve([body], filtered.only(number), step, up)]
+
+    def _solve_batch(self, bodies: Sequence[BodyInput], filtered: FilteredPoints, step: float,
+                     up: Optional[np.ndarray]) -> List[ModelledBody]:
+        points = filtered.smooth
+        people = [self._people[body.id] for body in bodies]
+        dimensions = [person.dimensions for person in people]
+        solution = self._solver.solve(points, dimensions, [self._states.get(body.id) for body in bodies], step, up,
+                                      [body.head for body in bodies], filtered.noise)
+        residual = _mean_distance(points, solution.keypoints)
+        models = []
+        for n, (body, person) in enumerate(zip(bodies, people)):
+            if not solution.solved[n]:
+                self.failures[body.id] = "its trunk cannot be told: neither shoulders nor hips are known"
+                self._states[body.id] = solution.states[n]
+                continue
+            if not residual[n] <= _WORST_RESIDUAL_M or not np.isfinite(solution.q[n]).all():
+                self._fail(body.id, "the model misses its key points by {:.2f} m".format(residual[n]))
+                continue
+            self._states[body.id] = solution.states[n]
+            models.append(ModelledBody(
+                body.id, Pose(solution.rotation[n], solution.position[n]), solution.q[n],
+                Pose(solution.head_rotation[n], solution.head_position[n]), points[n], solution.keypoints[n],
+                person.estimate.stature, person.estimate.stature_sd, person.dimensions, person.revision,
+                float(residual[n]), person.estimate.known))
+        return models
+
+    def _fail(self, name: str, reason: str) -> None:
+        self.failures[name] = reason
+        self._states.pop(name, None)
+
+
+def _mean_distance(points: np.ndarray, fitted: np.ndarray) -> np.ndarray:
+    """Mean distance (N,) m over the known points (N, 18, 3); NaN when the fit is not finite, 0 without points."""
+    apart = points - fitted
+    distance = np.sqrt(np.einsum("nki,nki->nk", apart, apart))
+    seen = ~np.isnan(points[..., 0])
+    return np.where(seen, distance, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
