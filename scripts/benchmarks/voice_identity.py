@@ -1,9 +1,9 @@
 """Whose voice it is: how many of the persons that are told are right, and how many of the enrolled are told.
 
 Enrolled are the reader, from one half of the recordings, and the speakers of the cards and of the announcements, in one
-room; what is judged are pieces of 4 s of the reader's other recordings and of a stranger in other rooms, all
-at one of three speeds. The threshold was chosen on the cards and the announcements, but a table of all speakers had been
-seen before, so that none of them is unseen. These are few people, of different microphones: where many are alike it errs more.
+room; what is judged are pieces of 4 s of the reader's other recordings and of a stranger in other rooms, all at one of
+three speeds. The threshold was chosen on the cards and the announcements, but a table of all speakers had been seen
+before: none of them is unseen. These are few people, of different microphones: where many are alike it errs more.
 """
 
 from __future__ import annotations
