@@ -92,7 +92,7 @@ def test_who_keeps_settings_with_live_values_takes_up_other_ones():
     keepers = list(classes_that_keep_settings())
     assert len(keepers) > 15
     fixed = {"simulator.SceneSimulatorNode": {"rate"}, "sources.ImageSourceNode": {"rate"},
-             "sources.SoundSourceNode": {"rate"}}       # live in another node only
+             "sources.SoundSourceNode": {"rate"}, "web.Pictures": {"max_rate"}}     # live in another node only
     assert [name for name, used, takers in keepers if (used & live) - fixed.get(name, set()) and not takers] == []
 
 
