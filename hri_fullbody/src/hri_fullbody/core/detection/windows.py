@@ -11,7 +11,8 @@ import numpy as np
 
 from hri_pipeline.core.geometry import Pose
 
-PERSON_BOX_MARGIN = 1.25
+# Side of the window in units of the longer side of a person's box, in the order in which they are worth trying.
+PERSON_BOX_MARGINS: Tuple[float, ...] = (1.25, 1.7, 1.0, 1.45)
 LANDMARK_MARGIN = 1.25
 
 # The network tells where the middle of the hips is and how far the body reaches around it.
@@ -87,10 +88,10 @@ def face_boxes(faces: Iterable[Tuple[str, np.ndarray, Optional[Pose]]]) -> List[
     return found
 
 
-def window_from_person_box(box: np.ndarray) -> Window:
-    """Window for a detected person's box (4,) px."""
+def window_from_person_box(box: np.ndarray, margin: float = PERSON_BOX_MARGINS[0]) -> Window:
+    """Window for a detected person's box (4,) px, `margin` times its longer side wide."""
     x0, y0, x1, y1 = (float(value) for value in box)
-    return Window(((x0 + x1) / 2.0, (y0 + y1) / 2.0), PERSON_BOX_MARGIN * max(x1 - x0, y1 - y0))
+    return Window(((x0 + x1) / 2.0, (y0 + y1) / 2.0), margin * max(x1 - x0, y1 - y0))
 
 
 def window_from_face(face: FaceBox, side: float) -> Window:

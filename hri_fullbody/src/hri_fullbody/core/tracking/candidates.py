@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
-from typing import Deque, Dict, Optional, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Deque, Dict, Optional, Sequence, Tuple
 
 import numpy as np
 
-from hri_fullbody.core.detection.pose_estimator import PoseEstimate, is_sound
+from hri_fullbody.core.detection.pose_estimator import PoseEstimate, body_size, inside, is_sound
 from hri_fullbody.core.detection.windows import (
     FACE_WINDOW_SIZES,
+    PERSON_BOX_MARGINS,
     FaceBox,
     Window,
     window_from_face,
@@ -23,14 +24,26 @@ _PROMISING = 0.2
 _FACE_HEAD_SHARE = 0.4
 _SAME_BOX = 0.5
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 8.0
+_MOST_FAILED = 20
+# A box that shares less with each other one stands alone.
+_APART = 0.1
+
+
+# A body out of another window than the first one of a box is believed from this score on.
+_SURE_SCORE = 0.9
+_OVERLAP, _LEAST_SHARE = 0.5, 0.4
 
 
 @dataclass
 class BodyCandidate:
-    """A face without a body, or a person's box: tried with one window after another, each refined once."""
+    """A face without a body, or a person's box: tried with one window after another, each refined once.
+
+    alone: the box has no neighbour. Among others it has one window only: another one may show a neighbour.
+    """
 
     face_id: Optional[str] = None
     box: Optional[np.ndarray] = None
+    alone: bool = False
     attempt: int = 0
     first: Optional[PoseEstimate] = field(default=None, repr=False)
 
@@ -43,13 +56,16 @@ class BodyCandidate:
         if self.first is not None:
             return self.first.next_window()
         if self.box is not None:
-            return window_from_person_box(self.box)
+            return window_from_person_box(self.box, PERSON_BOX_MARGINS[self.attempt])
         assert face is not None
         return window_from_face(face, FACE_WINDOW_SIZES[self.attempt])
 
     def judge(self, estimate: PoseEstimate, face: Optional[FaceBox], min_score: float) -> "WindowResult":
         """Take the result of `window` and decide: found (the better of two estimates), try again, or give up."""
         fits = face is None or face.distance(estimate.nose) <= NOSE_IN_FACE
+        if self.box is not None and self.attempt:
+            min_score = max(min_score, _SURE_SCORE)
+            fits = self.first is None or _shows(estimate, self.box)
         if self.first is None:
             if fits and is_sound(estimate, _PROMISING):
                 self.first = estimate
@@ -60,7 +76,8 @@ class BodyCandidate:
             return WindowResult(found=self.first, anchor=self.side())
         self.first = None
         self.attempt += 1
-        return WindowResult(failed=self.face_id is None or self.attempt >= len(FACE_WINDOW_SIZES))
+        windows = len(FACE_WINDOW_SIZES) if self.face_id is not None else len(PERSON_BOX_MARGINS) if self.alone else 1
+        return WindowResult(failed=self.attempt >= windows)
 
 
 @dataclass(frozen=True)
@@ -73,10 +90,12 @@ class WindowResult:
 
 
 class CandidateQueue:
-    """The candidates that wait. A face whose windows all failed rests for a while, each time twice as long."""
+    """The candidates that wait. A face whose windows all failed rests for a while, each time twice as long; a box has
+    only its first window then."""
 
     def __init__(self) -> None:
         self._queue: Deque[BodyCandidate] = deque()
+        self._failed: Deque[Tuple[np.ndarray, float]] = deque(maxlen=_MOST_FAILED)
         self._rest_until: Dict[str, float] = {}
         self._pause: Dict[str, float] = {}
 
@@ -95,12 +114,22 @@ class CandidateQueue:
             self._pause = {key: value for key, value in self._pause.items() if key in present}
             self._rest_until = {key: value for key, value in self._rest_until.items() if key in present}
 
-    def offer_boxes(self, boxes: Sequence[np.ndarray], faces: Sequence[FaceBox]) -> None:
-        """Queue persons' boxes (4,) px instead of earlier ones; those with a face at the top are left to the face."""
-        begun = [item for item in self._queue if item.face_id is None and item.first is not None]
+    def offer_boxes(self, boxes: Sequence[np.ndarray], faces: Sequence[FaceBox], others: Sequence[np.ndarray],
+                    stamp: float) -> None:
+        """Queue persons' boxes (4,) px instead of earlier ones; those with a face at the top are left to the face.
+
+        others: boxes (4,) px of all people in the image, those of `boxes` included.
+        """
+        begun = [item for item in self._queue if item.box is not None and (item.first is not None or item.attempt)]
         self._queue = deque(item for item in self._queue if item.face_id is not None)
-        free = [np.asarray(box) for box in boxes if not any(face_at_top(face, box) for face in faces)]
-        offered = [BodyCandidate(box=box, first=_first_estimate(box, begun)) for box in free]
+        failed = [box for box, until in self._failed if stamp < until]
+        offered = []
+        for box in (np.asarray(box) for box in boxes if not any(face_at_top(face, box) for face in faces)):
+            known = _at(box, [item.box for item in begun if item.box is not None])
+            alone = _at(box, failed) is None and all(
+                max(inside(box, other), inside(other, box)) < _APART for other in others if other is not box)
+            offered.append(BodyCandidate(box=box, alone=alone) if known is None else replace(
+                begun[known], box=box, alone=alone))
         # In slow images there may be one inference between two calls of the detector: what has begun is finished.
         self._queue.extend(sorted(offered, key=lambda item: item.first is None))
 
@@ -112,8 +141,10 @@ class CandidateQueue:
         """Return a candidate that needs another inference: it comes next."""
         self._queue.appendleft(candidate)
 
-    def give_up(self, face_id: Optional[str], stamp: float) -> None:
-        """Let a face rest below which there is no body; None: it was a person's box."""
+    def give_up(self, face_id: Optional[str], stamp: float, box: Optional[np.ndarray] = None) -> None:
+        """Let a face rest below which there is no body, or a person's box without one."""
+        if box is not None:
+            self._failed.append((box, stamp + _LONGEST_PAUSE))
         if face_id is not None:
             pause = self._pause.get(face_id, _FIRST_PAUSE)
             self._rest_until[face_id] = stamp + pause
@@ -126,17 +157,24 @@ class CandidateQueue:
     def clear(self) -> None:
         """Forget everything."""
         self._queue.clear()
+        self._failed.clear()
         self._rest_until.clear()
         self._pause.clear()
 
 
-def _first_estimate(box: np.ndarray, begun: Sequence[BodyCandidate]) -> Optional[PoseEstimate]:
-    """Return the first estimate of an earlier box at the same place."""
-    if not begun:
+def _at(box: np.ndarray, boxes: Sequence[np.ndarray]) -> Optional[int]:
+    """Index of the box at the same place, None when there is none."""
+    if not boxes:
         return None
-    overlap = iou_matrix(box[None], np.array([item.box for item in begun]))[0]
+    overlap = iou_matrix(box[None], np.array(boxes))[0]
     best = int(np.argmax(overlap))
-    return begun[best].first if overlap[best] >= _SAME_BOX else None
+    return best if overlap[best] >= _SAME_BOX else None
+
+
+def _shows(estimate: PoseEstimate, box: np.ndarray) -> bool:
+    """Tell whether a body out of a wide window is that of the box (4,) px, nobody beside it and no small thing in it."""
+    overlap = max(inside(estimate.box, box), inside(box, estimate.box))
+    return overlap >= _OVERLAP and body_size(estimate) >= _LEAST_SHARE * float(max(box[2:] - box[:2]))
 
 
 def face_at_top(face: FaceBox, box: np.ndarray) -> bool:

@@ -170,7 +170,9 @@ class BodyTracker:
                 self._candidates.give_up(track.face_id, stamp)
         self.tracks = kept
         free = [box for box in boxes if not self._has_track(box, stamp)]
-        self._candidates.offer_boxes(free, faces)
+        others = [*boxes, *(track.expected(stamp).box for track in kept if track.visible),
+                  *(face.box for face in faces)]
+        self._candidates.offer_boxes(free, faces, others, stamp)
 
     def try_new(self, image: np.ndarray, stamp: float, faces: Sequence[FaceBox], max_windows: int) -> None:
         """Run at most `max_windows` inferences for bodies that are not tracked yet."""
@@ -284,7 +286,7 @@ class BodyTracker:
             if detection is not None:
                 self._start_track(detection, stamp, face, result.anchor, faces)
         elif result.failed:
-            self._candidates.give_up(candidate.face_id, stamp)
+            self._candidates.give_up(candidate.face_id, stamp, candidate.box if candidate.alone else None)
         else:
             self._candidates.put_back(candidate)
 

@@ -1,0 +1,77 @@
+"""Windows that are tried for a person's box: several where it stands alone, one among others."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hri_fullbody.core.detection.windows import PERSON_BOX_MARGINS
+from hri_fullbody.core.tracking import candidates
+from hri_fullbody.core.tracking.candidates import CandidateQueue
+
+BOX = np.array([100.0, 100.0, 200.0, 400.0])
+BESIDE = np.array([180.0, 100.0, 280.0, 400.0])
+AWAY = np.array([400.0, 100.0, 500.0, 400.0])
+
+
+@pytest.fixture(autouse=True)
+def sound_by_score(monkeypatch):
+    monkeypatch.setattr(candidates, "is_sound", lambda estimate, least: estimate.score >= least)
+
+
+def estimate(score, box=BOX):
+    """What the network finds in a window."""
+    return SimpleNamespace(score=score, box=box, nose=np.zeros(2), next_window=lambda: "refined")
+
+
+def tried(queue, score_of, box=BOX):
+    """Sides of the windows of the first candidate in units of the box's longer side, and what came of it."""
+    candidate, sides = queue.take(), []
+    while True:
+        window = candidate.window(None)
+        sides.append(window if window == "refined" else round(window.size / 300.0, 2))
+        result = candidate.judge(estimate(score_of(sides), box), None, 0.5)
+        if result.failed or result.found is not None:
+            return sides, result.found is not None, candidate
+
+
+def offered(others, stamp=0.0):
+    queue = CandidateQueue()
+    queue.offer_boxes([BOX], [], [BOX, *others], stamp)
+    return queue
+
+
+def test_a_box_alone_is_tried_with_windows_of_several_sizes():
+    assert tried(offered([AWAY]), lambda sides: 0.1)[:2] == (list(PERSON_BOX_MARGINS), False)
+    sides, found, _ = tried(offered([]), lambda sides: 0.95 if 1.7 in sides else 0.1)
+    assert sides == [1.25, 1.7, "refined"] and found
+
+
+def test_a_box_among_others_has_one_window_since_another_may_show_a_neighbour():
+    assert tried(offered([BESIDE]), lambda sides: 0.1)[:2] == ([1.25], False)
+
+
+def test_a_body_out_of_another_window_must_be_sure():
+    assert tried(offered([]), lambda sides: 0.7)[1]
+    assert not tried(offered([]), lambda sides: 0.1 if sides == [1.25] else 0.7)[1]
+
+
+def test_a_body_out_of_another_window_must_be_that_of_the_box():
+    assert not tried(offered([]), lambda sides: 0.1 if sides == [1.25] else 0.95, BESIDE)[1]
+
+
+def test_a_box_without_a_body_has_one_window_for_a_while():
+    queue = offered([])
+    queue.give_up(None, 0.0, tried(queue, lambda sides: 0.1)[2].box)
+    for stamp, windows in ((1.0, 1), (9.0, len(PERSON_BOX_MARGINS))):
+        queue.offer_boxes([BOX + 5.0], [], [], stamp)
+        assert len(tried(queue, lambda sides: 0.1)[0]) == windows
+
+
+def test_what_has_begun_goes_on_when_the_detector_finds_the_box_again():
+    queue = offered([])
+    candidate = queue.take()
+    candidate.judge(estimate(0.1), None, 0.5)
+    queue.put_back(candidate)
+    queue.offer_boxes([BOX + 5.0], [], [], 1.0)
+    assert queue.take().attempt == 1
