@@ -194,6 +194,19 @@ def test_a_hidden_hand_that_the_network_guesses_to_and_fro_does_not_wave():
     assert GestureClass.WAVING in told((0.8, 0.6))
 
 
+def test_without_a_sign_of_feet_nobody_is_told_to_sit():
+    def told(points, ankles):
+        body, confidence = BehaviourRecognizer(), np.ones(18)
+        confidence[[kp.LEFT_ANKLE, kp.RIGHT_ANKLE]] = ankles
+        return [body.update(points, STATURE, stamp, UP, confidence=confidence).posture
+                for stamp in (np.arange(15) / 10.0).tolist()][-1]
+
+    seated = people.seated().without(kp.LEFT_ANKLE, kp.RIGHT_ANKLE).seen()
+    assert told(seated, (0.1, 0.4)) == PostureClass.SITTING and told(seated, (0.1, 0.2)) == PostureClass.OTHER
+    standing = people.standing().without(kp.LEFT_ANKLE, kp.RIGHT_ANKLE).seen()
+    assert told(standing, (0.1, 0.2)) == PostureClass.STANDING
+
+
 POSTURES = [
     ("standing", people.standing(), PostureClass.STANDING),
     ("one leg lifted", people.standing().lean(10.0), PostureClass.STANDING),

@@ -92,10 +92,16 @@ class PostureEstimator:
         self._shown = 0.0       # s for which the present posture was seen
 
     def update(self, points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray,
-               elapsed: float, up_sd: float = 0.0) -> PostureClass:
-        """Take the body `elapsed` s after the last call; see `posture_now`. up_sd: of the pitch of `up`, rad."""
+               elapsed: float, up_sd: float = 0.0, feet: bool = True) -> PostureClass:
+        """Take the body `elapsed` s after the last call; see `posture_now`. up_sd: of the pitch of `up`, rad.
+
+        feet: whether there is any sign of an ankle. Without one, behind a table or another person, the network bends
+        the legs of those who stand, too: then only standing and lying are told.
+        """
         seen = (posture_now(points, axes, stature, up) if up_sd <= _EXACT
                 else likely_posture(points, axes, stature, up, up_sd))
+        if not feet and seen in (PostureClass.SITTING, PostureClass.CROUCHING):
+            seen = None
         if seen is None:
             self._unknown += elapsed
             if self._unknown > min(_UNKNOWN_S, self._shown):

@@ -13,10 +13,12 @@ from hri_fullbody.core.behaviour.attitude import AttitudeEstimator
 from hri_fullbody.core.behaviour.gesture import WaveDetector, gesture_of
 from hri_fullbody.core.behaviour.posture import PostureEstimator
 from hri_fullbody.core.keypoints import (
+    LEFT_ANKLE,
     LEFT_ELBOW,
     LEFT_SHOULDER,
     LEFT_WRIST,
     NECK,
+    RIGHT_ANKLE,
     RIGHT_ELBOW,
     RIGHT_SHOULDER,
     RIGHT_WRIST,
@@ -26,7 +28,7 @@ from hri_fullbody.core.keypoints import (
 MAX_GAP_S = 1.0
 _LEG_HOLD_S = 0.2       # a leg that is not seen for longer is hidden
 _MIN_STATURE_M, _MAX_STATURE_M = 0.4, 2.6
-_SURE = 0.5
+_SURE, _FEET = 0.5, 0.3
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,8 @@ class BehaviourRecognizer:
         unknown. stature: m. stamp: s; the same stamp again changes nothing, and one that is before the last or more
         than 1 s after it starts anew. up: (3,), against gravity in the sensor's frame, any length; up_sd: standard
         deviation of its pitch about the sensor's x axis, rad: a posture is told when it does not hang on it.
-        confidence: (18,) 0 to 1 of the points, None: all are sure; a forearm of less than 0.5 does not wave.
+        confidence: (18,) 0 to 1 of the points, None: all are sure; a forearm of less than 0.5 does not wave, and
+        without an ankle of 0.3 nobody is told to sit or crouch.
         hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: along the forearms.
         Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
         an `up` without a direction.
@@ -86,7 +89,8 @@ class BehaviourRecognizer:
         attitude = self._attitude.update(features, elapsed)
         waving = self._waves.update(features, elapsed, _sure_forearms(confidence))
         posture = self._posture.update(
-            self._hold.without_old(points, stamp, _LEG_HOLD_S), axes, stature, upwards, elapsed, up_sd)
+            self._hold.without_old(points, stamp, _LEG_HOLD_S), axes, stature, upwards, elapsed, up_sd,
+            confidence is None or bool(confidence[[LEFT_ANKLE, RIGHT_ANKLE]].max() >= _FEET))
         self._result = BodyBehaviour(
             int(attitude), self._attitude.confidence, int(posture),
             int(gesture_of(attitude, self._attitude.raised, waving)))

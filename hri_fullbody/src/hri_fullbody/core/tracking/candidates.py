@@ -172,7 +172,7 @@ def _at(box: np.ndarray, boxes: Sequence[np.ndarray]) -> Optional[int]:
 
 
 def _shows(estimate: PoseEstimate, box: np.ndarray) -> bool:
-    """Tell whether a body out of a wide window is that of the box (4,) px, nobody beside it and no small thing in it."""
+    """Tell whether a body out of a wide window is that of the box (4,) px, no neighbour and no small thing."""
     overlap = max(inside(estimate.box, box), inside(box, estimate.box))
     return overlap >= _OVERLAP and body_size(estimate) >= _LEAST_SHARE * float(max(box[2:] - box[:2]))
 
