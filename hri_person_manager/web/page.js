@@ -153,7 +153,7 @@ async function send(request) {
 function ask(command, id, title, name) {
   const dialog = $("ask"), texts = {
     name: ["Rename " + title, "An empty name takes the name away."],
-    enrol: ["Enrol " + title, "The robot will recognise this person's face later on. The face has to be seen now."],
+    enrol: ["Enrol " + title, "The robot will recognise this person's face later on, and the voice where that is switched on (voice_identity). The face has to be seen now."],
     forget: ["Forget " + title + "?", "Everything that is known of this person is removed, for good."],
     export: ["Export " + title, "Everything that is known of this person, as a file (JSON)."] };
   put($("ask-title"), texts[command][0]);

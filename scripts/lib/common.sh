@@ -68,7 +68,7 @@ open_logs() {
         fail 2 "The cache directory $R4H_CACHE cannot be written." "Set ROS4HRI_CACHE to a directory of yours."
     fi
     R4H_LOGS=$R4H_CACHE/logs/$(date +%Y%m%d-%H%M%S)-${R4H_NAME##*/}-$$
-    mkdir -p "$R4H_LOGS"
+    mkdir -p -m 700 "$R4H_LOGS"     # the output of nodes may hold the token of the web page
     R4H_TMP=$(mktemp -d)
     # Only the ten newest logs are kept.
     while IFS= read -r old; do

@@ -109,9 +109,22 @@ watch_people() { # watch_people SECONDS PEOPLE: in the background; leaves $R4H_T
     touch "$R4H_TMP/people"
 }
 
+tell_page() { # where the web page is, with its token, once the node has said so
+    local _
+    for _ in $(seq 60); do
+        if grep -q 'the page is at http:' "$R4H_LOGS/roslaunch.log" 2>/dev/null; then
+            sleep 0.5       # the line with the token comes next
+            note "web page: $(grep -oE '(page is at|token:) http:[^ ]*' "$R4H_LOGS/roslaunch.log" | tail -n 1 | sed 's/.* //')"
+            return 0
+        fi
+        sleep 0.5
+    done
+}
+
 show_table() { # show_table SECONDS PEOPLE: the live table until the end; the exit code of the run
     local code=0 limit=${1:-} table
     watch_people "${limit:-86400}" "$2" &
+    tell_page &
     rosrun hri_person_manager show_persons ${limit:+--duration "$limit"} </dev/null &
     table=$!
     R4H_CHILD=$table        # ends first, so that nothing is drawn while the nodes end

@@ -71,9 +71,10 @@ def test_without_a_token_none_is_needed() -> None:
 
 @pytest.mark.parametrize("header, origin, kind", [
     (None, "http://localhost:8080", "application/json"), ("1", "http://evil.example", "application/json"),
-    ("1", "null", "application/json"), ("1", "http://localhost:8081", "application/json"),
+    ("1", "null", "application/json"), ("1", "http://[", "application/json"),
+    ("1", "http://localhost:8081", "application/json"),
     ("1", None, "text/plain"), ("1", None, "application/x-www-form-urlencoded"), ("0", None, "application/json")],
-    ids=["no header", "other page", "null", "other port", "text", "form", "other header"])
+    ids=["no header", "other page", "null", "no address", "other port", "text", "form", "other header"])
 def test_an_action_of_another_page_is_refused(header: str, origin: str, kind: str) -> None:
     access = Access("127.0.0.1", [], "")
     with pytest.raises(RequestError):
@@ -110,7 +111,8 @@ def test_by_default_nobody_else_is_served() -> None:
     (b'{"command": "export", "id": ""}', "id"),
     (b'{"command": "name", "id": "ada", "name": 3}', "name"), (b'{"command": "enrol", "id": "ada"}', "agree"),
     (b'{"command": "enrol-new", "id": "ada", "consent": "true"}', "agree"),
-    (b'{"command": "enrol", "id": "ada", "consent": 1}', "agree")], ids=range(15))
+    (b'{"command": "enrol", "id": "ada", "consent": 1}', "agree"),
+    (b'{"command": "name", "id": "ada", "name": "\\ud800x"}', "UTF-8")], ids=range(16))
 def test_bad_requests_are_refused_with_the_reason(body: bytes, words: str) -> None:
     with pytest.raises(RequestError, match=words) as refused:
         action_of(body)

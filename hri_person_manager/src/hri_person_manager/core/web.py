@@ -117,8 +117,12 @@ class Access:
     @staticmethod
     def check_origin(origin: Optional[str], host: str) -> None:
         """Raise RequestError when a browser says that another page asks."""
-        if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
-            raise RequestError(403, "this comes from another page: {!r}".format(origin[:80]))
+        try:
+            same = origin is None or urlsplit(origin).netloc.lower() == host.lower()
+        except ValueError:
+            same = False
+        if not same:
+            raise RequestError(403, "this comes from another page: {!r}".format((origin or "")[:80]))
 
     def check_action(self, header: Optional[str], origin: Optional[str], host: str, kind: str) -> None:
         """Raise RequestError unless an action comes from this page, or from a program that says so."""
@@ -169,6 +173,8 @@ def action_of(body: bytes) -> Action:
         raise RequestError(400, "the id of the person is missing, or is none")
     if not isinstance(name, str):
         raise RequestError(400, "a name has to be text")
+    if any(0xD800 <= ord(letter) < 0xE000 for letter in name):      # half a UTF-16 pair, as JSON allows
+        raise RequestError(400, "the name is no text that can be stored (UTF-8)")
     if command.startswith("enrol") and data.get("consent") is not True:
         raise RequestError(400, "the person has to agree to be recognised")
     return Action(command, person_id if command in _OF_ONE else "", name.strip())

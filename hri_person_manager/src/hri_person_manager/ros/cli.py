@@ -61,6 +61,9 @@ def run_people(arguments: Optional[Sequence[str]] = None) -> int:
     given = list(rospy.myargv(sys.argv)[1:] if arguments is None else arguments)
     if not given or given[0] == "watch":
         return show_persons(given[1:], "people watch")
+    if any(0xD800 <= ord(letter) < 0xE000 for word in given for letter in word):
+        print("people: the arguments are no text in UTF-8; see `locale`", file=sys.stderr)
+        return 2
     options = _parser().parse_args(given)
     if options.command == "forget-all" and not options.yes:
         print("people: this removes everybody who is known; add --yes", file=sys.stderr)

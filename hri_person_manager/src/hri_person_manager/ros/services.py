@@ -175,7 +175,7 @@ class PersonServices:
             self._admit(request.id)
             self._register.set_name(request.id, request.name)
             self._changed()
-        return SetNameResponse(True, "{} has a {}name".format(request.id, "" if request.name else "no "))
+        return SetNameResponse(True, "{} has {} name".format(request.id, "a" if request.name else "no"))
 
     def _set_native_language(self, request: SetNativeLanguageRequest) -> SetNativeLanguageResponse:
         with self._lock:
@@ -264,16 +264,17 @@ class PersonServices:
         learned = [answer.response.id for answer in answers if answer.response.success and answer.response.id]
         if not learned:
             raise RegisterError(_first_lines(answers) if answers else _NO_RECOGNISER)
-        if state.voice:
-            # Whoever recognises voices learns this one as well; recognisers of faces know no such face.
-            self._galleries.call(GalleryRequest.ENROL, learned[0], state.voice)
+        # Whoever recognises voices learns this one as well; recognisers of faces know no such face.
+        voices = self._galleries.call(GalleryRequest.ENROL, learned[0], state.voice) if state.voice else []
+        by_voice = any(answer.response.success and answer.response.id for answer in voices)
         with self._lock:
             self._manager.know(learned[:1])
             self._register.set_enrolled(learned[0], True, time.time())
             if request.name:
                 self._register.set_name(learned[0], request.name)
             self._changed()
-        return EnrolResponse(True, "{} is enrolled".format(learned[0]), learned[0])
+        return EnrolResponse(True, "{} is enrolled by face{}".format(learned[0], " and voice" if by_voice else ""),
+                             learned[0])
 
     def _list_known(self, request: ListKnownRequest) -> ListKnownResponse:
         with self._lock:

@@ -512,7 +512,9 @@ def data_use(settings: VoicesSettings) -> DataUse:
 
 def privacy_line(settings: VoicesSettings) -> str:
     """Return one line of log that says what is computed from voices."""
-    kinds = data_use(settings).computes[1:]
+    use = data_use(settings)
+    kinds = use.computes[1:]
     off = [name for name in _KINDS if name not in kinds]
-    return "made of voices: who speaks{}; switched off: {}; sound is never stored".format(
-        "".join(", " + name for name in kinds), ", ".join(off) or "nothing")
+    return "made of voices: who speaks{}; switched off: {}; sound is never stored{}".format(
+        "".join(", " + name for name in kinds), ", ".join(off) or "nothing",
+        "; templates of the voices of people who agreed are kept in {}".format(settings.gallery) if use.stored else "")
