@@ -57,7 +57,7 @@ class SampleVoicesTest(unittest.TestCase):
         wait_for(lambda: not lists[-1].ids, LIMIT, "nobody is tracked any more")
         said = node.stdout.read()
         self.assertNotIn("Traceback", said)
-        self.assertIn("switched off: speech; sound is never stored", said)
+        self.assertIn("switched off: speech, voice_identity; sound is never stored", said)
 
     def test_errors_of_the_set_up_are_one_line(self):
         for argument, words in (("_channels:=0", "parameter channels is 0 (int); legal: int, 1 to 32"),
