@@ -439,6 +439,11 @@ _LANGUAGE = re.compile(r"(?P<language>[a-z]{2,3})(-(?P<extended>[a-z]{3}))?(-(?P
 _PRIVATE = re.compile(r"x(-[a-z0-9]{1,8})+", re.ASCII)
 
 
+def is_storable(text: str) -> bool:
+    """Tell whether a text can be written as UTF-8; half a UTF-16 pair, as JSON and odd locales bring it, cannot."""
+    return not any(0xD800 <= ord(letter) < 0xE000 for letter in text)
+
+
 def normal_language_tag(text: str) -> str:
     """Return a language tag in the form of BCP 47; ValueError for what is none."""
     tag = text.replace("_", "-").lower()

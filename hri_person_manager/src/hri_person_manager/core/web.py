@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
+from hri_person_manager.core.register import is_storable
 from hri_person_manager.core.triangulation import ellipse
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
@@ -173,7 +174,7 @@ def action_of(body: bytes) -> Action:
         raise RequestError(400, "the id of the person is missing, or is none")
     if not isinstance(name, str):
         raise RequestError(400, "a name has to be text")
-    if any(0xD800 <= ord(letter) < 0xE000 for letter in name):      # half a UTF-16 pair, as JSON allows
+    if not is_storable(name):
         raise RequestError(400, "the name is no text that can be stored (UTF-8)")
     if command.startswith("enrol") and data.get("consent") is not True:
         raise RequestError(400, "the person has to agree to be recognised")

@@ -34,6 +34,7 @@ from hri_person_manager.core.display import (
     format_table,
 )
 from hri_person_manager.core.features import MAX_FEATURES
+from hri_person_manager.core.register import is_storable
 from hri_person_manager.ros.services import COMMANDS, carry_out, service
 from hri_person_manager.srv import ListKnown, ListKnownResponse
 from hri_pipeline.core.frames import RawTransform, read
@@ -61,7 +62,7 @@ def run_people(arguments: Optional[Sequence[str]] = None) -> int:
     given = list(rospy.myargv(sys.argv)[1:] if arguments is None else arguments)
     if not given or given[0] == "watch":
         return show_persons(given[1:], "people watch")
-    if any(0xD800 <= ord(letter) < 0xE000 for word in given for letter in word):
+    if not all(map(is_storable, given)):
         print("people: the arguments are no text in UTF-8; see `locale`", file=sys.stderr)
         return 2
     options = _parser().parse_args(given)

@@ -352,7 +352,7 @@ class WebNode:
             browser.wake()
 
     def _say_where(self) -> None:
-        """Print where the page is; with the token on standard output only, which no topic and no log file carries."""
+        """Print where the page is; with the token on standard output only, which no topic and no log of ROS carries."""
         host = "[{}]".format(self.settings.address) if ":" in self.settings.address else self.settings.address
         if self.settings.address in ("0.0.0.0", "::"):
             host = socket.gethostname()

@@ -55,7 +55,7 @@ _BALANCE = math.radians(7.0)
 _BENT_LEG, _BENT_THIGH = 0.40, 25.0     # hip to ankle, statures; thighs hang straight on who kneels
 _VAGUE_KNEE = 35.0      # degrees of the straighter knee of who stands, while the vertical is that uncertain
 _CROUCHING_PRIOR = 0.1
-_GUESSED = 0.5      # confidence of the pose network below which a joint is not seen
+GUESSED = 0.5       # confidence of the pose network below which a joint is not seen
 
 
 class PostureClass(IntEnum):
@@ -126,7 +126,7 @@ def without_guessed_limbs(points: np.ndarray, keypoints: np.ndarray, width: floa
     x, y = keypoints[limbs, 0], keypoints[limbs, 1]
     inside = (x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)
     if keypoints.shape[1] > 2:
-        inside &= keypoints[limbs, 2] >= _GUESSED
+        inside &= keypoints[limbs, 2] >= GUESSED
     seen = np.array(points, dtype=np.float64)
     seen[limbs[~inside]] = np.nan
     return seen

@@ -11,7 +11,7 @@ import numpy as np
 from hri_fullbody.core.behaviour.arms import arm_features, trunk_axes
 from hri_fullbody.core.behaviour.attitude import AttitudeEstimator
 from hri_fullbody.core.behaviour.gesture import WaveDetector, gesture_of
-from hri_fullbody.core.behaviour.posture import PostureEstimator
+from hri_fullbody.core.behaviour.posture import GUESSED, PostureEstimator
 from hri_fullbody.core.keypoints import (
     LEFT_ANKLE,
     LEFT_ELBOW,
@@ -28,7 +28,7 @@ from hri_fullbody.core.keypoints import (
 MAX_GAP_S = 1.0
 _LEG_HOLD_S = 0.2       # a leg that is not seen for longer is hidden
 _MIN_STATURE_M, _MAX_STATURE_M = 0.4, 2.6
-_SURE, _FEET = 0.5, 0.3
+_FEET = 0.3
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ def _sure_forearms(confidence: Optional[np.ndarray]) -> Tuple[bool, bool]:
     """Whether elbow and wrist of the left and of the right side are seen well."""
     if confidence is None:
         return True, True
-    return (bool(confidence[[LEFT_ELBOW, LEFT_WRIST]].min() >= _SURE),
-            bool(confidence[[RIGHT_ELBOW, RIGHT_WRIST]].min() >= _SURE))
+    return (bool(confidence[[LEFT_ELBOW, LEFT_WRIST]].min() >= GUESSED),
+            bool(confidence[[RIGHT_ELBOW, RIGHT_WRIST]].min() >= GUESSED))
 
 
 def _checked(points: np.ndarray, stature: float, stamp: float,

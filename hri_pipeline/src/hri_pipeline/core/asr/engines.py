@@ -19,9 +19,9 @@ from hri_pipeline.core.onnx import ModelError, model_path, models_directory
 from hri_pipeline.core.parameters import ParameterError
 
 RATE = 16000
+"""Sample rate (Hz) of all sound that is recognised."""
 LONGEST_PAUSE_S = 0.7
 """Sound for longer than this (s) behind the last word of a turn is no pause: somebody else has gone on."""
-"""Sample rate (Hz) of all sound that is recognised."""
 
 
 class EngineChoice(NamedTuple):
