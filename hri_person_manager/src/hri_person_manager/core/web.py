@@ -41,11 +41,11 @@ class WebSettings(Settings):
         "needs the token.")
     port: int = parameter(8080, "TCP port. 0: any free one, which is printed.", minimum=0, maximum=65535)
     token_file: str = parameter(
-        "", "File whose first line is the token that browsers need, 16 characters at least. Empty: none for an address "
-        "of this machine only, else a new one at each start, which is printed.")
+        "", "File whose first line is the token that browsers need, 16 characters at least. Empty: none for this "
+        "machine only, else a new one is printed at each start.")
     host_names: Sequence[str] = parameter(
-        [], "Names, besides that of the machine, under which browsers reach this page, such as robot.example.org; "
-        "requests for other names are refused.")
+        [], "More names of this machine in addresses of the page, such as robot.example.org; requests for other names "
+        "are refused.")
     actions: bool = parameter(True, "Let browsers name, enrol, export and forget people. False: look only.")
     person_manager: str = parameter("/hri_person_manager", "Name of the node whose services do that.")
     robot_frame: str = parameter(

@@ -21,11 +21,11 @@ class OverlaySettings(Settings):
         "raw", "Which topic to take the image from: `image`, or `image/compressed`.", choices=("raw", "compressed"))
     max_rate: float = parameter(10.0, "Most images per second.", unit="Hz", minimum=0.1, maximum=120.0, live=True)
     history: int = parameter(
-        30, "How many of the latest images are kept until their faces and bodies arrive. Each takes width x height x "
-        "3 bytes.", minimum=2, maximum=300)
+        30, "Latest images that are kept until their faces and bodies arrive. Each takes width x height x 3 bytes.",
+        minimum=2, maximum=300)
     pair_tolerance: float = parameter(
-        0.15, "Largest difference between the stamps of an image and of a feature drawn on it, where none has the "
-        "image's stamp.", unit="s", minimum=0.0, maximum=2.0, live=True)
+        0.15, "Largest difference between the stamps of an image and of what is drawn on it.", unit="s", minimum=0.0,
+        maximum=2.0, live=True)
     min_confidence: float = parameter(
         0.3, "Key points and landmarks below this confidence are left out.", minimum=0.0, maximum=1.0, live=True)
     names: bool = parameter(True, "Write the names of persons who have one; false: their ids.")
