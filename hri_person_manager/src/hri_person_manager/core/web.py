@@ -185,7 +185,7 @@ def action_of(body: bytes) -> Action:
 class PersonOnPage:
     """One person who is there.
 
-    since: s for which. speaking, posture, looks_at: None, or empty text, where not known; looks_at: a person id, empty
+    since: s for which. face, body: whether they are seen now. speaking, posture, looks_at: None, or empty text, where not known; looks_at: a person id, empty
     for the robot. pose: in `frame`, with the covariance (3, 3) m^2 of its position where that is known.
     """
 
@@ -201,6 +201,8 @@ class PersonOnPage:
     frame: str = ""
     pose: Optional[Pose] = None
     covariance: Optional[np.ndarray] = None
+    face: bool = False
+    body: bool = False
 
 
 def page_state(people: Sequence[PersonOnPage], groups: Sequence[Sequence[str]],
@@ -235,7 +237,7 @@ def _person_data(person: PersonOnPage, frame: str) -> Dict[str, Any]:
     data = {"id": person.id, "name": person.name, "anonymous": person.anonymous, "since": round(person.since, 1),
             "colour": "#{:02x}{:02x}{:02x}".format(red, green, blue), "engagement": person.engagement,
             "speaking": person.speaking, "posture": person.posture, "looks_at": person.looks_at,
-            "confidence": round(person.confidence, 2), "place": None}
+            "confidence": round(person.confidence, 2), "face": person.face, "body": person.body, "place": None}
     if person.pose is not None and person.frame == frame:
         data["place"] = _place(person.pose, frame, person.covariance)
     return data
