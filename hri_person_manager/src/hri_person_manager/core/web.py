@@ -186,8 +186,8 @@ class PersonOnPage:
     """One person who is there.
 
     since: s for which. face, body: whether they are seen now. speaking, posture, looks_at: None, or empty text, where
-    not known; looks_at: a person id, empty for the robot. pose: in `frame`, with the covariance (3, 3) m^2 of its position
-    where that is known.
+    not known; looks_at: a person id, empty for the robot. pose: in `frame`, with the covariance (3, 3) m^2 of its
+    position where that is known.
     """
 
     id: str
