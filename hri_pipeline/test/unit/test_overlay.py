@@ -92,7 +92,7 @@ def test_who_is_only_heard_is_no_further_person():
     seen = [PersonMark("p1", "f1", "b1"), PersonMark("p2", "f2"), PersonMark("p3", body_id="b3", voice_id="v3")]
     assert counts(2, 2, seen) == "2 faces   2 bodies   3 persons"
     assert counts(1, 1, seen[:1] + [PersonMark("p4", voice_id="v4")]) == "1 face   1 body   1 person   1 voice"
-    assert counts(0, 0, [PersonMark("p5")]) == "0 faces   0 bodies   0 persons"
+    assert counts(0, 0, [PersonMark("lost")]) == "0 faces   0 bodies   1 person"
 
 
 def test_labels_in_space_that_are_near_each_other_get_rows_of_their_own():

@@ -28,9 +28,9 @@ class PersonRow:
     age_ms: Optional[float]
 
     @property
-    def is_seen(self) -> bool:
-        """Whether there is a face or a body, and not only a voice."""
-        return bool(self.face or self.body)
+    def is_voice(self) -> bool:
+        """Whether there is nothing but a voice."""
+        return bool(self.voice) and not (self.face or self.body)
 
 
 class RateMeter:
@@ -67,7 +67,7 @@ def format_table(rows: Sequence[PersonRow], face_rate: float, body_rate: float, 
     """
     lines = ["%-22s  %-6s %-6s %-6s %10s  %-22s %-20s %7s" % (
         "person", "face", "body", "voice", "confidence", "position x y z (m)", "frame", "age ms")]
-    for row in sorted(rows, key=lambda row: not row.is_seen):
+    for row in sorted(rows, key=lambda row: row.is_voice):
         position = "%6.2f %6.2f %6.2f" % row.position if row.position is not None else "-"
         age = "%7.0f" % row.age_ms if row.age_ms is not None else "      -"
         confidence = "%.2f" % row.confidence if row.position is not None else "-"
@@ -81,9 +81,9 @@ def format_table(rows: Sequence[PersonRow], face_rate: float, body_rate: float, 
 
 
 def _counts(rows: Sequence[PersonRow]) -> str:
-    """How many are seen, and how many only heard."""
-    seen = sum(row.is_seen for row in rows)
-    heard = sum(bool(row.voice) and not row.is_seen for row in rows)
+    """How many there are, and apart from them how many who are only a voice."""
+    heard = sum(row.is_voice for row in rows)
+    seen = len(rows) - heard
     text = "%d person%s" % (seen, "" if seen == 1 else "s")
     return text + (", %d voice%s" % (heard, "" if heard == 1 else "s") if heard else "")
 

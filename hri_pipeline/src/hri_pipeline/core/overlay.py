@@ -132,9 +132,8 @@ def draw_overlay(image: np.ndarray, faces: Mapping[str, np.ndarray], bodies: Map
 
 def counts(faces: int, bodies: int, persons: Sequence[PersonMark]) -> str:
     """Return how many there are of each; persons who are only a voice are counted apart."""
-    seen = sum(bool(mark.face_id or mark.body_id) for mark in persons)
     heard = sum(bool(mark.voice_id) and not (mark.face_id or mark.body_id) for mark in persons)
-    words = [(faces, "face", "faces"), (bodies, "body", "bodies"), (seen, "person", "persons")]
+    words = [(faces, "face", "faces"), (bodies, "body", "bodies"), (len(persons) - heard, "person", "persons")]
     words += [(heard, "voice", "voices")] if heard else []
     return "   ".join("{} {}".format(number, one if number == 1 else more) for number, one, more in words)
 
