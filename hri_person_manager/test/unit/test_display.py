@@ -79,7 +79,7 @@ def test_the_table_has_one_line_per_person():
     assert lines[1].split() == ["anonymous_person_abcde", "fabcd", "-", "-", "1.00", "1.00", "-2.50", "0.25", "map",
                                 "63"]
     assert lines[2].split() == ["ann", "-", "-", "-", "-", "-", "-", "-"]
-    assert lines[3] == "1 person; faces found in 15.0 images/s, bodies in 7.0 images/s"
+    assert lines[3] == "2 persons; faces found in 15.0 images/s, bodies in 7.0 images/s"
     assert "nobody yet" in format_table([], 0.0, 0.0)
     assert "no images arrive: why" in format_table([], 0.0, 0.0, nobody="no images arrive: why")
 

@@ -3,7 +3,7 @@ import pytest
 
 from hri_pipeline.core import overlay
 from hri_pipeline.core.feature_history import FeatureHistory
-from hri_pipeline.core.overlay import PersonMark, colour_of, counts, draw_overlay, label_rows, short_name
+from hri_pipeline.core.overlay import PersonMark, colour_of, counts, draw_overlay, label_lifts, short_name
 
 
 def body(x=200.0, confidence=1.0):
@@ -95,11 +95,16 @@ def test_who_is_only_heard_is_no_further_person():
     assert counts(0, 0, [PersonMark("lost")]) == "0 faces   0 bodies   1 person"
 
 
-def test_labels_in_space_that_are_near_each_other_get_rows_of_their_own():
-    places = [(0.0, 0.0, 1.6), (0.3, 0.0, 1.6), (0.5, 0.0, 1.7), (2.0, 0.0, 1.6)]
-    assert label_rows(places, [0.55] * 4) == [0, 1, 2, 0]
-    assert label_rows(places, [0.35] * 4) == [0, 1, 0, 0]
-    assert label_rows([], []) == []
+@pytest.mark.parametrize("turned", [False, True])
+def test_labels_in_space_that_are_near_each_other_stand_above_one_another(turned):
+    places = np.array([(0.0, 0.0, 1.6), (0.3, 0.0, 1.55), (0.5, 0.0, 1.7), (2.0, 0.0, 1.6), (0.0, 0.1, 1.2)])
+    up = (0.0, 0.0, 1.0)
+    if turned:
+        places, up = places[:, [0, 2, 1]] * (1.0, -1.0, 1.0), (0.0, -1.0, 0.0)
+    wide = label_lifts(places, up, [0.55] * 5, 0.2)
+    assert wide == pytest.approx([0.0, 0.25, 0.3, 0.0, 0.0])
+    assert label_lifts(places, up, [0.15] * 5, 0.2) == [0.0] * 5
+    assert label_lifts([], up, [], 0.2) == []
 
 
 def test_what_is_written_about_a_person():

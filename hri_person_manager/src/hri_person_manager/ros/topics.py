@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Callable, Dict, List, Optional, Set, Tuple
 
 import genpy
+import numpy as np
 import rospy
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Quaternion
 from geometry_msgs.msg import Pose as PoseMsg
@@ -28,7 +29,7 @@ from hri_person_manager.ros.inputs import TfInput
 from hri_person_manager.ros.navigation import position_to_msg
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.overlay import label_rows
+from hri_pipeline.core.overlay import label_lifts
 from hri_pipeline.ros.conversions import to_time
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
 from hri_pipeline.ros.rospy_compat import release
@@ -337,15 +338,13 @@ class PersonMarkers:
         markers: List[Marker] = []
         shown = [(number, state, state.place) for number, state in enumerate(snapshot.persons)
                  if state.place is not None and state.confidence > 0.0]
-        rows = label_rows([place.pose.translation for _, _, place in shown],
-                          [LETTER_WIDTH * len(_label(state.id)) for _, state, _ in shown])
-        for (number, state, place), row in zip(shown, rows):
-            position = Point(*(float(value) for value in place.pose.translation))
-            above = Point(position.x, position.y, position.z)
-            if is_optical(place.frame):
-                above.y -= TEXT_ABOVE + row * TEXT_HEIGHT        # y of an optical frame points down
-            else:
-                above.z += TEXT_ABOVE + row * TEXT_HEIGHT
+        # y of an optical frame points down. All places are mostly in one frame.
+        ups = [np.array([0.0, -1.0, 0.0] if is_optical(place.frame) else [0.0, 0.0, 1.0]) for _, _, place in shown]
+        lifts = label_lifts([place.pose.translation for _, _, place in shown], ups[0] if ups else (0.0, 0.0, 1.0),
+                            [LETTER_WIDTH * len(_label(state.id)) for _, state, _ in shown], 1.4 * TEXT_HEIGHT)
+        for (number, state, place), up, lift in zip(shown, ups, lifts):
+            position = Point(*place.pose.translation.tolist())
+            above = Point(*(place.pose.translation + (TEXT_ABOVE + lift) * up).tolist())
             colour = ColorRGBA(0.1, 0.7, 1.0, 0.3 + 0.7 * state.confidence)
             for kind, where, size in ((Marker.SPHERE, position, 2.0 * RADIUS),
                                       (Marker.TEXT_VIEW_FACING, above, TEXT_HEIGHT)):

@@ -138,17 +138,22 @@ def counts(faces: int, bodies: int, persons: Sequence[PersonMark]) -> str:
     return "   ".join("{} {}".format(number, one if number == 1 else more) for number, one, more in words)
 
 
-def label_rows(places: Sequence[Sequence[float]], widths: Sequence[float]) -> List[int]:
-    """Return the row of each label in space, 0 the lowest, so that labels near each other stand above one another.
+def label_lifts(places: Sequence[Sequence[float]], up: Sequence[float], widths: Sequence[float],
+                height: float) -> List[float]:
+    """Return how far (m) to lift each label in space, so that labels near each other stand above one another.
 
-    places: (3,) m each, where the labels begin; widths: m, of the labels. Near is less than half of both widths.
+    places: (3,) m each; up: (3,), of length 1; widths, height: m, of the labels. Near is less than half of both widths.
     """
-    rows: List[int] = []
-    for index, (place, width) in enumerate(zip(places, widths)):
-        near = {rows[other] for other in range(index)
-                if np.linalg.norm(np.subtract(place, places[other])) < 0.5 * (width + widths[other])}
-        rows.append(min(set(range(len(near) + 1)) - near))
-    return rows
+    levels: List[float] = []
+    own = [float(np.dot(place, up)) for place in places]
+    for index, (place, level) in enumerate(zip(places, own)):
+        way = [np.subtract(place, places[other]) for other in range(index)]
+        near = [levels[other] for other, step in enumerate(way)
+                if np.linalg.norm(step - np.dot(step, up) * np.array(up)) < 0.5 * (widths[index] + widths[other])]
+        for taken in sorted(near):
+            level = taken + height if abs(level - taken) < height else level
+        levels.append(level)
+    return [level - start for level, start in zip(levels, own)]
 
 
 def _good(points: np.ndarray, min_confidence: float) -> np.ndarray:
