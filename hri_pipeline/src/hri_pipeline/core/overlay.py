@@ -278,12 +278,14 @@ def _free_place(wanted: np.ndarray, size: np.ndarray, room: np.ndarray, plates: 
     """Return the place (2,) px next to `wanted` where a plate of `size` covers no plate and no face; without such a
     place no plate, and without that `wanted` itself. room: (2,), the largest place."""
     for boxes in (np.concatenate([plates, faces]), plates):
-        columns = np.concatenate([[wanted[0]], np.floor(boxes[:, 0]) - size[0] - 1, np.ceil(boxes[:, 2]) + 1])
-        lines = np.concatenate([[wanted[1]], np.floor(boxes[:, 1]) - size[1] - 1, np.ceil(boxes[:, 3]) + 1])
-        low = np.stack(np.meshgrid(columns, lines), axis=-1).reshape(-1, 1, 2)
-        overlap = ((low <= boxes[:, 2:]) & (boxes[:, :2] <= low + size)).all(axis=2).any(axis=1)
-        free = low[~overlap & ((low >= 0) & (low <= room)).all(axis=(1, 2)), 0]
-        if len(free):
-            nearest: np.ndarray = free[np.argmin(np.abs(free - wanted).sum(axis=1))]
-            return nearest
+        low, high = np.floor(boxes[:, :2]) - size - 1, np.ceil(boxes[:, 2:]) + 1
+        tried = np.clip(np.concatenate([[wanted], low, high]), 0, room)
+        # (tried, boxes, 2): whether they meet in x, in y.
+        meet = (tried[:, None] <= boxes[:, 2:]) & (boxes[:, :2] <= tried[:, None] + size)
+        blocked = meet[:, :, 0].astype(int) @ meet[:, :, 1].astype(int).T
+        way = np.abs(tried - wanted)
+        cost = np.where(blocked, np.inf, way[:, None, 0] + way[None, :, 1])
+        column, line = np.unravel_index(int(np.argmin(cost)), cost.shape)
+        if np.isfinite(cost[column, line]):
+            return np.array([tried[column, 0], tried[line, 1]])
     return wanted
