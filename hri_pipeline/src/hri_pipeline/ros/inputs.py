@@ -147,7 +147,7 @@ class ImageInput:
         self._last_stamp: Optional[float] = None
         self._problem: Tuple[int, str] = (OK, "")
         self._told: Tuple[str, float] = ("", float("-inf"))
-        self._heard = self._started = time.monotonic()
+        self._heard = time.monotonic()
         self._outage = Outage(CALM_S)
         self._senders = OneSender(SENDER_S)
         self._first = 0.0

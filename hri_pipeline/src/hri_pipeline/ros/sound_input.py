@@ -82,7 +82,6 @@ class SoundInput:
         self._dropped_bytes = 0
         self.counts = {"messages": 0, "unreadable": 0, "dropped_messages": 0, "restarts": 0, "time_jumps": 0}
         self.topic = rospy.resolve_name("audio")
-        self.info_topic = rospy.resolve_name("audio_info")
         self._subscribers = [
             rospy.Subscriber("audio", AudioData, self._on_audio, buff_size=BUFFER_BYTES, tcp_nodelay=True),
             rospy.Subscriber("audio_info", AudioInfo, self._on_info, queue_size=1)]
