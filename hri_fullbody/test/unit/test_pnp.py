@@ -3,10 +3,8 @@ import numpy as np
 import pytest
 from synthetic_people import STANDING
 
-from hri_fullbody.core.keypoints import to_18_points
 from hri_fullbody.core.localization.pnp import body_pose, place, rotation_to_ray, translation_only
 from hri_pipeline.core.camera import Calibration, CameraModel
-from hri_pipeline.core.geometry import Pose
 
 CAMERA = CameraModel.from_fov(1280, 720, 1.05)
 BENT = CameraModel(1280, 720, CAMERA.matrix, np.array([-0.25, 0.08, 0.001, -0.001, 0.0]), "plumb_bob",
