@@ -104,7 +104,6 @@ def test_it_loops(tmp_path):
     source = open_sound_source(settings(write(tmp_path / "a.wav", 0.1), pause=0.1), refuse)
     sound = np.concatenate([source.read(160) for _ in range(40)])[:, 0]
     np.testing.assert_array_equal(sound[:1600], sound[3200:4800])
-    assert source.passes == 1
 
 
 @pytest.mark.parametrize("make, changes, words", [

@@ -17,7 +17,7 @@ import rosgraph
 import rospy
 from rospy.exceptions import ROSInitException
 
-from hri_pipeline.core.error_log import ShortWords
+from hri_pipeline.core.error_log import LogFilter
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.parameters import ParameterError, ParameterTable, S
 from hri_pipeline.core.private_file import StoreError
@@ -61,7 +61,7 @@ def run_node(name: str, build: Callable[[], RunnableNode]) -> NoReturn:
     _install_handlers()
     # Without room for its log, Python would print a traceback for each line that it cannot write.
     logging.raiseExceptions = False
-    logging.getLogger("rosout").addFilter(ShortWords())
+    logging.getLogger("rosout").addFilter(LogFilter())
     keep_large_blocks()
     one_thread_each()
     prepare_rospy()
