@@ -17,6 +17,7 @@ SILENCE_S = 3.0
 CALM_S = 10.0
 LOG_PERIOD_S = 10.0
 _NEW_PROBLEM_S = 1.0
+_MOST_OTHERS = 20
 
 
 class OneSender:
@@ -38,7 +39,10 @@ class OneSender:
         if sender == self.used:
             self._used_at = now
         elif self.used and now - self._used_at < self.timeout:
+            self._others.pop(sender, None)
             self._others[sender] = now
+            if len(self._others) > _MOST_OTHERS:
+                del self._others[next(iter(self._others))]
             return False
         return True
 
