@@ -180,13 +180,18 @@ def raised_score(features: ArmFeatures, side: int) -> float:
 
 
 def face_score(features: ArmFeatures, side: int) -> float:
-    """How near the hand of a side (0 left, 1 right) is to the face."""
-    return soft(features.to_face[side], 0.128, 0.072)
+    """How near the hand of a side (0 left, 1 right) is to the face; a straight arm stretches out before it."""
+    return _lowest(soft(features.to_face[side], 0.128, 0.072), _bent(features, side))
 
 
 def near_face_score(features: ArmFeatures, side: int) -> float:
     """The same in a wider zone, where a hand on its way to the face or just off it is not a raised hand."""
-    return soft(features.to_face[side], 0.135, 0.095)
+    return _lowest(soft(features.to_face[side], 0.135, 0.095), _bent(features, side))
+
+
+def _bent(features: ArmFeatures, side: int) -> float:
+    """How much the elbow is bent, 1 when that is not known."""
+    return _or(soft(features.elbow[side], math.radians(145.0), math.radians(130.0)), 1.0)
 
 
 def crossed_score(features: ArmFeatures, speed: float = 0.0) -> float:

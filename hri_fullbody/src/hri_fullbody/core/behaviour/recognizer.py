@@ -62,7 +62,8 @@ class BehaviourRecognizer:
 
     def update(self, points: np.ndarray, stature: float, stamp: float,
                up: Union[Sequence[float], np.ndarray], up_sd: float = 0.0,
-               confidence: Optional[np.ndarray] = None, hands: Optional[np.ndarray] = None) -> BodyBehaviour:
+               confidence: Optional[np.ndarray] = None, hands: Optional[np.ndarray] = None,
+               depth_counts: float = 1.0) -> BodyBehaviour:
         """Take one frame and return what the body expresses.
 
         points: (18, 3) m in a sensor's frame, key points in the order of hri_msgs/Skeleton2D, NaN or infinite
@@ -72,6 +73,7 @@ class BehaviourRecognizer:
         confidence: (18,) 0 to 1 of the points, None: all are sure; a forearm of less than 0.5 does not wave, and
         without an ankle of 0.3 nobody is told to sit or crouch.
         hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: along the forearms.
+        depth_counts: see arm_features.
         Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
         an `up` without a direction.
         """
@@ -85,7 +87,7 @@ class BehaviourRecognizer:
         self._last = stamp
         points = self._hold.fill(points, stamp)
         axes = trunk_axes(points, upwards)
-        features = arm_features(points, stature, upwards, axes, hands)
+        features = arm_features(points, stature, upwards, axes, hands, depth_counts)
         attitude = self._attitude.update(features, elapsed)
         waving = self._waves.update(features, elapsed, _sure_forearms(confidence))
         posture = self._posture.update(
