@@ -140,10 +140,13 @@ class AttitudeEstimator:
         """Whether the left and the right hand are raised."""
         return self._raised[0].latch.active, self._raised[1].latch.active
 
-    def update(self, features: ArmFeatures, elapsed: float) -> AttitudeClass:
-        """Take the arms `elapsed` s after the last call; return the attitude and keep it with its confidence."""
+    def update(self, features: ArmFeatures, elapsed: float, sure: Tuple[bool, bool] = (True, True)) -> AttitudeClass:
+        """Take the arms `elapsed` s after the last call; return the attitude and keep it with its confidence.
+
+        sure: whether elbow and wrist of the left and right arm are seen: a guessed hand is often put before the face.
+        """
         weight = 1.0 - math.exp(-elapsed / _SMOOTHING_S)
-        near = [face_score(features, side) for side in (0, 1)]
+        near = [face_score(features, side) if sure[side] else _UNKNOWN for side in (0, 1)]
         raised = [self._raised[side].update(_but_not(raised_score(features, side), near_face_score(features, side)),
                                             weight, elapsed) for side in (0, 1)]
         crossed = crossed_score(features, self._speed.update(features, elapsed))

@@ -70,8 +70,8 @@ class BehaviourRecognizer:
         unknown. stature: m. stamp: s; the same stamp again changes nothing, and one that is before the last or more
         than 1 s after it starts anew. up: (3,), against gravity in the sensor's frame, any length; up_sd: standard
         deviation of its pitch about the sensor's x axis, rad: a posture is told when it does not hang on it.
-        confidence: (18,) 0 to 1 of the points, None: all are sure; a forearm of less than 0.5 does not wave, and
-        without an ankle of 0.3 nobody is told to sit or crouch.
+        confidence: (18,) 0 to 1 of the points, None: all are sure; a forearm of less than 0.5 does not wave nor
+        touch the face, and without an ankle of 0.3 nobody is told to sit or crouch.
         hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: along the forearms.
         depth_counts: see arm_features.
         Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
@@ -88,8 +88,9 @@ class BehaviourRecognizer:
         points = self._hold.fill(points, stamp)
         axes = trunk_axes(points, upwards)
         features = arm_features(points, stature, upwards, axes, hands, depth_counts)
-        attitude = self._attitude.update(features, elapsed)
-        waving = self._waves.update(features, elapsed, _sure_forearms(confidence))
+        sure = _sure_forearms(confidence)
+        attitude = self._attitude.update(features, elapsed, sure)
+        waving = self._waves.update(features, elapsed, sure)
         posture = self._posture.update(
             self._hold.without_old(points, stamp, _LEG_HOLD_S), axes, stature, upwards, elapsed, up_sd,
             confidence is None or bool(confidence[[LEFT_ANKLE, RIGHT_ANKLE]].max() >= _FEET))
