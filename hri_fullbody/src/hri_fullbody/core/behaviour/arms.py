@@ -119,8 +119,8 @@ def arm_features(points: np.ndarray, stature: float, up: np.ndarray, axes: Optio
                  hands: Optional[np.ndarray] = None, depth_counts: float = 1.0) -> ArmFeatures:
     """Measure the arms of a body.
 
-    points: (18, 3) m in the sensor's frame, NaN unknown. stature: m, positive. up: (3,) unit vector against gravity in the
-    same frame. axes: trunk_axes of the points, when they are known already.
+    points: (18, 3) m in the sensor's frame, NaN unknown. stature: m, positive. up: (3,) unit vector against gravity in
+    the same frame. axes: trunk_axes of the points, when they are known already.
     hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: none is.
     depth_counts: part of the distance from hand to face along the view that counts, see GUESSED_DEPTH.
     """

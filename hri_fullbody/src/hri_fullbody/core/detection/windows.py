@@ -14,8 +14,8 @@ from hri_pipeline.core.geometry import Pose
 LANDMARK_MARGIN = 1.25
 # Windows for a person's box in the order in which they are worth trying: times how broad the person is at least tall,
 # and the side of the window in units of that height. A box that ends at a table or at the rim of the image shows the
-# upper part of a body: a window of its size squeezes a small figure into it. Measured on 38 boxes of photographs: the
-# first one alone shows 37 of them with the nose in place, 1.25 of the longer side 28.
+# upper part of a body: a window of its size squeezes a small figure into it. Of 38 people in photographs 37 are
+# found in the first window with a breadth of 2.5, 38 with 3, 28 with 1.25 of the longer side.
 PERSON_BOX_WINDOWS: Tuple[Tuple[float, float], ...] = ((2.75, 1.25), (1.0, 1.7), (3.5, 1.25), (1.0, 1.25))
 _FLAT = 1.8     # a box that is so many times as broad as high is that of somebody who lies
 

@@ -8,7 +8,7 @@ from typing import Deque, Dict, Optional, Sequence, Tuple
 
 import numpy as np
 
-from hri_fullbody.core.detection.pose_estimator import PoseEstimate, body_size, inside, is_sound
+from hri_fullbody.core.detection.pose_estimator import PoseEstimate, inside, is_sound
 from hri_fullbody.core.detection.windows import (
     FACE_WINDOW_SIZES,
     PERSON_BOX_WINDOWS,
@@ -25,14 +25,14 @@ _FACE_HEAD_SHARE = 0.4
 _SAME_BOX = 0.5
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 8.0
 _MOST_FAILED = 20
-# A box that shares less with each other one stands alone; an unsure one that lies in another one by more is a part of it.
+# A box that shares less with each other one stands alone; an unsure one that shares more with one is a part of that.
 _APART, _PART = 0.1, 0.6
 
 
 # A body out of another window than the first one of a box, or of a box that the detector is unsure of, is believed from
 # this score on.
 _SURE_SCORE = 0.9
-# A body reaches at least as far as what is seen of it: of 42 people .95 of the longer side of their boxes and more, and
+# A body reaches at least as far as what is seen of it: of 36 people .96 of the longer side of their boxes and more, and
 # 8 and more sizes of the face for grown-ups. What is smaller is another thing, or a figure squeezed into a part.
 _OVERLAP, _LEAST_SHARE, _LEAST_FACES = 0.5, 0.88, 6.0
 
@@ -41,8 +41,8 @@ _OVERLAP, _LEAST_SHARE, _LEAST_FACES = 0.5, 0.88, 6.0
 class BodyCandidate:
     """A face without a body, or a person's box: tried with one window after another, each refined once.
 
-    alone: the box has no neighbour. Among others it has one window only: another one may show a neighbour. So has an
-    unsure one, which the detector takes for nobody by itself.
+    alone: the box has no neighbour. Among others it has one window only: another one may show a neighbour. An
+    unsure one, which the detector takes for nobody by itself, has one window, too.
     """
 
     face_id: Optional[str] = None
@@ -141,10 +141,11 @@ class CandidateQueue:
             if any(face_at_top(face, box) for face in faces):
                 continue
             known = _at(box, [item.box for item in begun if item.box is not None])
-            alone = _at(box, failed) is None and all(
-                max(inside(box, other), inside(other, box)) < _APART for other in others if other is not box)
-            offered.append(replace(BodyCandidate() if known is None else begun[known], box=box,
-                                   alone=alone, unsure=number >= len(boxes)))
+            doubtful = number >= len(boxes)
+            alone = doubtful or (_at(box, failed) is None and all(
+                max(inside(box, other), inside(other, box)) < _APART for other in others if other is not box))
+            offered.append(replace(BodyCandidate() if known is None else begun[known], box=box, alone=alone,
+                                   unsure=doubtful))
         # In slow images there may be one inference between two calls of the detector: what has begun is finished.
         self._queue.extend(sorted(offered, key=lambda item: (item.unsure, item.first is None)))
 

@@ -286,7 +286,7 @@ class BodyTracker:
             if detection is not None:
                 self._start_track(detection, stamp, face, result.anchor, faces)
         elif result.failed:
-            self._candidates.give_up(candidate.face_id, stamp, candidate.box if candidate.alone or candidate.unsure else None)
+            self._candidates.give_up(candidate.face_id, stamp, candidate.box if candidate.alone else None)
         else:
             self._candidates.put_back(candidate)
 
