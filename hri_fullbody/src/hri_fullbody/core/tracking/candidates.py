@@ -8,7 +8,7 @@ from typing import Deque, Dict, Optional, Sequence, Tuple
 
 import numpy as np
 
-from hri_fullbody.core.detection.pose_estimator import PoseEstimate, inside, is_sound
+from hri_fullbody.core.detection.pose_estimator import LEAST_SHARE, PoseEstimate, inside, is_sound
 from hri_fullbody.core.detection.windows import (
     FACE_WINDOW_SIZES,
     PERSON_BOX_WINDOWS,
@@ -32,9 +32,8 @@ _APART, _PART = 0.1, 0.6
 # A body out of another window than the first one of a box, or of a box that the detector is unsure of, is believed from
 # this score on.
 _SURE_SCORE = 0.9
-# A body reaches at least as far as what is seen of it: of 36 people .96 of the longer side of their boxes and more, and
-# 8 and more sizes of the face for grown-ups. What is smaller is another thing, or a figure squeezed into a part.
-_OVERLAP, _LEAST_SHARE, _LEAST_FACES = 0.5, 0.88, 6.0
+# Grown-ups reach over 8 and more sizes of their faces. What is smaller is a figure squeezed into a part of somebody.
+_OVERLAP, _LEAST_FACES = 0.5, 6.0
 
 
 @dataclass
@@ -191,7 +190,7 @@ def _shows(estimate: PoseEstimate, box: np.ndarray, nose: bool) -> bool:
     """Tell whether a body is that of the box (4,) px, no neighbour and no small thing. nose: it must lie in the box."""
     overlap = max(inside(estimate.box, box), inside(box, estimate.box))
     x, y = estimate.nose
-    return bool(overlap >= _OVERLAP and estimate.extent >= _LEAST_SHARE * max(box[2:] - box[:2])
+    return bool(overlap >= _OVERLAP and estimate.extent >= LEAST_SHARE * max(box[2:] - box[:2])
                 and (not nose or (box[0] <= x <= box[2] and box[1] <= y <= box[3])))
 
 
