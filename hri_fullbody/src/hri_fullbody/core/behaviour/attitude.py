@@ -36,7 +36,7 @@ class AttitudeClass(IntEnum):
 class Rule:
     """When a latch closes and opens: scores 0 to 1, times in s.
 
-    unknown_time: for how long a closed latch holds while the score is not known; an open one starts anew after on_time.
+    unknown_time: for how long a closed latch holds while the score is not known.
     """
 
     on: float
@@ -68,7 +68,7 @@ class Latch:
         """
         if math.isnan(score):
             self._unknown += elapsed
-            if self._unknown > (self._rule.unknown_time if self.active else self._rule.on_time):
+            if self._unknown > self._rule.unknown_time:
                 self.active, self._running, self._held = False, False, 0.0
             return self.active
         self._unknown = 0.0
