@@ -76,7 +76,7 @@ SUBJECT = Subject("bodies", "fit, joints, stature, attitudes and processes of bo
     "clips": "UTD-MHAD, tuned on subjects 1 and 3 (crouching with a look at 7), told of 5 and 7, 10 and 30 mm and"
              " depth noise; postures before random simulated cameras of unknown tilt",
     "photographs": "postures: 44 people labelled by eye before the pipeline saw them (postures.txt); how unseen"
-                   " legs are treated was then changed; heads: the six of the demonstration"})
+                   " legs and elbows are treated was then changed; heads: the six of the demonstration"})
 
 
 def register(commands: argparse._SubParsersAction) -> None:
