@@ -54,7 +54,7 @@ class TestPersonManager(unittest.TestCase):
         cls.connected = rospy.get_param("~connected", True)
         cls.lists = {kind: rospy.Publisher("/humans/%s/tracked" % kind, IdsList, latch=True, queue_size=10)
                      for kind in ("faces", "bodies", "voices")}
-        cls.announced = {}
+        cls.announced, cls.lists_lock = {}, threading.Lock()
         rospy.Timer(rospy.Duration(1), lambda event: cls.repeat())      # as a tracker does
         cls.matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=5000)
         cls.tf = rospy.Publisher("/tf", TFMessage, queue_size=1000)
@@ -116,8 +116,9 @@ class TestPersonManager(unittest.TestCase):
 
     @classmethod
     def repeat(cls):
-        for kind, ids in cls.announced.items():
-            cls.lists[kind].publish(IdsList(ids=ids))
+        with cls.lists_lock:    # never an older list after a newer one
+            for kind, ids in cls.announced.items():
+                cls.lists[kind].publish(IdsList(ids=ids))
 
     def match(self, id1, type1, id2, type2, confidence):
         self.matches.publish(IdsMatch(id1, type1, id2, type2, confidence))
