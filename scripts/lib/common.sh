@@ -8,6 +8,7 @@ R4H_CACHE=${ROS4HRI_CACHE:-${HOME:-/root}/.cache/ros4hri}
 R4H_STEP=0
 R4H_CHILD=            # process group id of the running child, empty between children
 R4H_CHILD_PATIENT=    # "yes" while that child must be let end by itself (apt)
+R4H_BESIDE=           # process id of what runs beside
 R4H_TMP=
 R4H_LOGS=
 R4H_MARK=ros4hri-$$-${RANDOM}${RANDOM}
@@ -93,6 +94,7 @@ on_exit() {
     trap - EXIT
     trap '' INT TERM HUP
     end_child
+    [ -z "$R4H_BESIDE" ] || kill -TERM "$R4H_BESIDE" 2>/dev/null || true
     [ -z "${R4H_STACK:-}" ] || note "ending the nodes ..."
     if [ -x "$R4H_SYSTEM_PYTHON" ]; then
         # Without the mark, or the helper would end itself.

@@ -85,7 +85,7 @@ class CheckTest(unittest.TestCase):
         master = rospy.get_master()
         wait_for(lambda: master.lookupNode("/victim")[0] == 1, 20, "the node is there")
         wait_for(lambda: any("/victim" in nodes for _, nodes in master.getSystemState()[2][0]), 20, "it publishes")
-        subprocess.run(["pkill", "-9", "-f", "__name:=victim"], check=True)
+        victim.kill()
         victim.wait(10)
         self.names("victim is registered, but does not answer", *self.camera("mourning"), nodes="[victim]")
         subprocess.run(["rosnode", "cleanup"], input="y\n", universal_newlines=True, check=True,
