@@ -138,7 +138,7 @@ class CamerasTest(unittest.TestCase):
         for number in itertools.count():
             if process.poll() is not None or rospy.get_time() - begin > 60.0:
                 break
-            # A slow machine drops images, and what is dropped must not tear gaps: the stamps run at a third of the time.
+            # Stamps run at a third of the time: a slow machine drops images, and that must not tear gaps.
             now = rospy.Time.from_sec(begin + number / 18.0)
             angle = 1.5 * number / 18.0
             middle = np.array([1.3 + 0.45 * math.cos(angle), 2.2 + 0.5 * math.sin(1.7 * angle),
