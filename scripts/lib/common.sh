@@ -56,6 +56,11 @@ clean_environment() {
     done < <(env)
     unset PYTHONPATH PYTHONHOME PYTHONSTARTUP VIRTUAL_ENV CMAKE_PREFIX_PATH PKG_CONFIG_PATH
     unset PIP_USER PIP_TARGET PIP_PREFIX PIP_REQUIRE_VIRTUALENV PIP_CONSTRAINT PYTEST_ADDOPTS
+    # Who wants no __pycache__ in the tree has it in our cache: nodes and tests would be compiled at each start.
+    if [ -n "${PYTHONDONTWRITEBYTECODE:-}" ]; then
+        unset PYTHONDONTWRITEBYTECODE
+        export PYTHONPYCACHEPREFIX=$R4H_CACHE/pycache
+    fi
     export PYTHONNOUSERSITE=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1 PIP_PROGRESS_BAR=off
     export PATH="/usr/sbin:/usr/bin:/sbin:/bin:$PATH"
     case ${TMPDIR:-/tmp} in *[[:space:]]*) export TMPDIR=/tmp ;; esac
