@@ -76,9 +76,9 @@ open_logs() {
     R4H_LOGS=$R4H_CACHE/logs/$(date +%Y%m%d-%H%M%S)-${R4H_NAME##*/}-$$
     mkdir -p -m 700 "$R4H_LOGS"     # the output of nodes may hold the token of the web page
     R4H_TMP=$(mktemp -d)
-    # Only the ten newest logs are kept.
+    # Only the ten newest logs are kept, and those of who still runs; their names end with the process id.
     while IFS= read -r old; do
-        rm -rf -- "${R4H_CACHE:?}/logs/$old"
+        [ -d "/proc/${old##*-}" ] || rm -rf -- "${R4H_CACHE:?}/logs/$old"
     done < <(LC_ALL=C command ls -1 "$R4H_CACHE/logs" | sort -r | tail -n +11)
 }
 
