@@ -162,7 +162,7 @@ lint_catkin() {
 layer_static() {
     local interpreter
     check "ruff" ruff check --config scripts/ruff.toml --no-cache .
-    check "mypy" mypy --config-file scripts/mypy.ini --cache-dir "$R4H_CACHE/mypy"
+    check "mypy" mypy --config-file scripts/mypy.ini --cache-dir "$R4H_WS/mypy"
     check "syntax, $(python3 -c 'import sys; print("Python %d.%d" % sys.version_info[:2])')" compile_sources python3
     if interpreter=$(find_python38); then
         check "syntax, Python 3.8" compile_sources "$interpreter"
