@@ -106,7 +106,8 @@ def play(name: str, distance: float) -> Tuple[float, str]:
         bag, told = Path(folder) / "camera.bag", Path(folder) / "told.bag"
         write_bag(bag, driver, cv2.resize(picture, SIZE), distance)
         run.start_master()
-        recorder = run.start("record", ["rosbag", "record", "-O", str(told), "/tf"])
+        # Not the command rosbag: it ends on SIGINT before its child, the recorder, has closed the bag.
+        recorder = run.start("record", ["rosrun", "rosbag", "record", "-O", str(told), "/tf"])
         command = ["roslaunch", "ros4hri", "bag.launch", "bag:=" + str(bag), "sensor:=" + name, "bag_rate:=0.5"]
         command += [part + ":=false" for part in ("rviz", "bodies", "voices", "persons", "interactions", "overlay")]
         launch = run.start("launch", command + (["image_transport:=compressed"] if driver.compressed else []))

@@ -8,6 +8,7 @@ R4H_CACHE=${ROS4HRI_CACHE:-${HOME:-/root}/.cache/ros4hri}
 R4H_STEP=0
 R4H_CHILD=            # process group id of the running child, empty between children
 R4H_CHILD_PATIENT=    # "yes" while that child must be let end by itself (apt)
+R4H_BESIDE=           # process id of what runs beside
 R4H_TMP=
 R4H_LOGS=
 R4H_MARK=ros4hri-$$-${RANDOM}${RANDOM}
@@ -55,6 +56,11 @@ clean_environment() {
     done < <(env)
     unset PYTHONPATH PYTHONHOME PYTHONSTARTUP VIRTUAL_ENV CMAKE_PREFIX_PATH PKG_CONFIG_PATH
     unset PIP_USER PIP_TARGET PIP_PREFIX PIP_REQUIRE_VIRTUALENV PIP_CONSTRAINT PYTEST_ADDOPTS
+    # Who wants no __pycache__ in the tree has it in our cache: nodes and tests would be compiled at each start.
+    if [ -n "${PYTHONDONTWRITEBYTECODE:-}" ]; then
+        unset PYTHONDONTWRITEBYTECODE
+        export PYTHONPYCACHEPREFIX=$R4H_CACHE/pycache
+    fi
     export PYTHONNOUSERSITE=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1 PIP_PROGRESS_BAR=off
     export PATH="/usr/sbin:/usr/bin:/sbin:/bin:$PATH"
     case ${TMPDIR:-/tmp} in *[[:space:]]*) export TMPDIR=/tmp ;; esac
@@ -70,9 +76,9 @@ open_logs() {
     R4H_LOGS=$R4H_CACHE/logs/$(date +%Y%m%d-%H%M%S)-${R4H_NAME##*/}-$$
     mkdir -p -m 700 "$R4H_LOGS"     # the output of nodes may hold the token of the web page
     R4H_TMP=$(mktemp -d)
-    # Only the ten newest logs are kept.
+    # Only the ten newest logs are kept, and those of who still runs; their names end with the process id.
     while IFS= read -r old; do
-        rm -rf -- "${R4H_CACHE:?}/logs/$old"
+        [ -d "/proc/${old##*-}" ] || rm -rf -- "${R4H_CACHE:?}/logs/$old"
     done < <(LC_ALL=C command ls -1 "$R4H_CACHE/logs" | sort -r | tail -n +11)
 }
 
@@ -93,6 +99,7 @@ on_exit() {
     trap - EXIT
     trap '' INT TERM HUP
     end_child
+    [ -z "$R4H_BESIDE" ] || kill -TERM "$R4H_BESIDE" 2>/dev/null || true
     [ -z "${R4H_STACK:-}" ] || note "ending the nodes ..."
     if [ -x "$R4H_SYSTEM_PYTHON" ]; then
         # Without the mark, or the helper would end itself.

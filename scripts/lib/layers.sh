@@ -5,8 +5,49 @@ R4H_PACKAGES=(hri_msgs hri_pipeline hri_fullbody hri_person_manager)
 R4H_ROSTEST_LIMIT=300  # seconds for one .test file
 R4H_ROSTEST_PLACES=$((2 * $(nproc)))  # light .test files at a time: they wait most of the time
 R4H_ROSTEST_REPEATS=8  # a few files fail by chance; where more fail, none is run again
-R4H_PYTEST_LIMIT=1200  # seconds for one run of pytest
+R4H_PYTEST_LIMIT=1800  # seconds for one run of pytest
+R4H_NICE=()  # the command before pytest, while rostests run beside it
 R4H_NO_PYTHON38="no Python 3.8 here (/usr/bin, /usr/local/bin, pyenv)"
+
+run_layers() { # run_layers NAME...: those of pytest beside the rostests, which wait most of the time
+    local layer
+    local -a beside=()
+    for layer in "$@"; do
+        if [[ $layer == pytest* && " $* " == *" rostest "* ]]; then
+            beside+=("$layer")
+        elif [ "$layer" = rostest ] && ((${#beside[@]})); then
+            run_beside "${beside[@]}"
+        else
+            run_layer "$layer"
+        fi
+    done
+}
+
+run_beside() { # run_beside LAYER...: the rostests, and beside them these; each is told as a whole, at its end
+    local layer
+    note "beside the rostests: $*"
+    : >"$R4H_TMP/beside"
+    {
+        R4H_NICE=(nice -n 5)
+        for layer in "$@"; do
+            run_layer "$layer" >"$R4H_TMP/$layer.said" 2>&1
+            grep -vE '^ +\.\.\. [0-9]+ s: ' "$R4H_TMP/$layer.said" || true
+        done
+    } &
+    R4H_BESIDE=$!
+    run_layer rostest
+    end_beside
+    for layer in "$@"; do
+        grep -q "^$layer"$'\t' "$R4H_TABLE" || printf '%s\t0\t1\t0\t0\tended without a result\n' "$layer" >>"$R4H_TABLE"
+    done
+}
+
+end_beside() { # waits until nothing runs beside the rostests any more; what failed there is repeated now, alone
+    [ -n "$R4H_BESIDE" ] || return 0
+    rm -f "$R4H_TMP/beside"
+    wait "$R4H_BESIDE" || true
+    R4H_BESIDE=
+}
 
 run_layer() {
     local began
@@ -121,7 +162,7 @@ lint_catkin() {
 layer_static() {
     local interpreter
     check "ruff" ruff check --config scripts/ruff.toml --no-cache .
-    check "mypy" mypy --config-file scripts/mypy.ini --cache-dir "$R4H_CACHE/mypy"
+    check "mypy" mypy --config-file scripts/mypy.ini --cache-dir "$R4H_WS/mypy"
     check "syntax, $(python3 -c 'import sys; print("Python %d.%d" % sys.version_info[:2])')" compile_sources python3
     if interpreter=$(find_python38); then
         check "syntax, Python 3.8" compile_sources "$interpreter"
@@ -148,7 +189,8 @@ pytest_here() { # pytest_here NAME INTERPRETER ARGUMENT...: one run, its results
     local name=$1 interpreter=$2
     shift 2
     HYPOTHESIS_STORAGE_DIRECTORY=$R4H_CACHE/hypothesis \
-        run_logged "$name" timeout -k 20 "$R4H_PYTEST_LIMIT" "$interpreter" -m pytest -q -c scripts/pytest.ini --rootdir .. \
+        run_logged "$name" ${R4H_NICE[@]+"${R4H_NICE[@]}"} timeout -k 20 "$R4H_PYTEST_LIMIT" \
+        "$interpreter" -m pytest -q -c scripts/pytest.ini --rootdir .. \
         "--junitxml=$R4H_LOGS/$name.xml" "$@"
 }
 
@@ -166,6 +208,7 @@ run_pytest() { # run_pytest NAME INTERPRETER DIRECTORY...: what fails is run onc
         mapfile -t again < <("$R4H_SYSTEM_PYTHON" "$R4H_LIB/results.py" failed "${files[0]}" "$R4H_ROOT/..")
     fi
     if ((${#again[@]})); then
+        while [ -e "$R4H_TMP/beside" ]; do sleep 1; done
         note "once more what failed, one after the other"
         files+=("$R4H_LOGS/$name-again.xml")
         pytest_here "$name-again" "$interpreter" -p no:xdist "${again[@]}" || true
@@ -310,10 +353,12 @@ run_rostests() { # run_rostests FILE...: side by side, each with a master of its
     for file in "${files[@]}"; do
         places=$(places_of "$file")
         wait_for_places $((R4H_ROSTEST_PLACES - places))
+        ((places < R4H_ROSTEST_PLACES)) || end_beside
         R4H_RUNNING[$file]=$places
         run_rostest "$file" "rostest-${file//\//_}" &
     done
     wait_for_places 0
+    end_beside
     for file in ${R4H_AGAIN[@]+"${!R4H_AGAIN[@]}"}; do
         if ((${#R4H_AGAIN[@]} > R4H_ROSTEST_REPEATS)); then add_counts "${R4H_AGAIN[$file]}"; else repeat_rostest "$file"; fi
     done

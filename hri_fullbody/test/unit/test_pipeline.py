@@ -238,6 +238,13 @@ def broken(estimate):
     raise RuntimeError("the network has no answer")
 
 
+@pytest.fixture(scope="module")
+def alone():
+    """The bodies in each image where somebody is alone."""
+    stage, _, _ = make([(400, 400)], pose_rate=0.0)
+    return [stage.update(IMAGE, CAMERA, index / 20.0) for index in range(30)]
+
+
 @pytest.mark.parametrize("spoil", [
     broken, spoilt("landmarks", 1e300, 15), spoilt("landmarks", 1e200), spoilt("landmarks", -1e300, 34),
     spoilt("landmarks", np.nan, 7),
@@ -246,13 +253,11 @@ def broken(estimate):
     lambda estimate: replace(estimate, confidence=estimate.confidence[:5]),
     lambda estimate: replace(estimate, world=estimate.world[:5])])
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_one_bad_look_costs_that_body_alone(spoil):
+def test_one_bad_look_costs_that_body_alone(spoil, alone):
     scene = OneBad([(400, 400), (900, 380)], spoil)
     stage = BodyPipeline(BODIES.resolve({"pose_rate": 0.0}), pose=scene, detector=Boxes(scene))
-    alone, _, _ = make([(400, 400)], pose_rate=0.0)
-    for index in range(30):
+    for index, expected in enumerate(alone):
         bodies = stage.update(IMAGE, CAMERA, index / 20.0)
-        expected = alone.update(IMAGE, CAMERA, index / 20.0)
         first = [body for body in bodies if abs(body.box[:3:2].mean() - 400.0) < 50.0]
         assert len(first) == len(expected)
     assert len(expected) == 1 and scene.since > 10

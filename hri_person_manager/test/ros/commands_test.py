@@ -15,6 +15,7 @@ import termios
 import unittest
 
 import rosgraph
+import roslib.packages
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -24,6 +25,8 @@ from tf2_msgs.msg import TFMessage
 from hri_msgs.msg import IdsList
 from hri_pipeline.testing import HeardProcess, wait_for
 
+# rosrun seeks them anew each time.
+PROGRAMS = {name: roslib.packages.find_node("hri_person_manager", name)[0] for name in ("people", "show_persons")}
 NOBODY = 3
 COLUMNS = 60
 
@@ -47,7 +50,7 @@ class Command(HeardProcess):
         self.mouth, out = pty.openpty() if terminal else os.pipe()
         if terminal:
             fcntl.ioctl(out, termios.TIOCSWINSZ, struct.pack("HHHH", 24, COLUMNS, 0, 0))
-        process = subprocess.Popen(["rosrun", "hri_person_manager"] + list(words), stdin=subprocess.DEVNULL, stdout=out,
+        process = subprocess.Popen([PROGRAMS[words[0]], *words[1:]], stdin=subprocess.DEVNULL, stdout=out,
                                    stderr=out, preexec_fn=deaf_to_ctrl_c if terminal else None,
                                    env=dict(os.environ, PYTHONUNBUFFERED="1",
                                             **({"ROS_MASTER_URI": uri} if uri else {})))

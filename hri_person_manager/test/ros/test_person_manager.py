@@ -12,39 +12,20 @@ import rosgraph
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import Bool, Float32, String
 from std_srvs.srv import Empty
 from tf2_msgs.msg import TFMessage
+from trackers import Trackers
 
 from hri_msgs.msg import IdsList, IdsMatch
+from hri_pipeline.testing import Latest, transform, wait_for
 
 CAMERA = "camera_optical_frame"
 WAIT_S = 10.0
 
 
-class Latest:
-    """Keeps the latest message of a topic and, on request, all of them."""
-
-    def __init__(self, topic, kind):
-        self.messages = []
-        self.subscriber = rospy.Subscriber(topic, kind, self.messages.append)
-
-    @property
-    def value(self):
-        return self.messages[-1] if self.messages else None
-
-    def close(self):
-        self.subscriber.unregister()
-
-
-def transform(parent, child, x, stamp=None):
-    message = TransformStamped(child_frame_id=child)
-    message.header.frame_id = parent
-    message.header.stamp = stamp or rospy.Time.now()
-    message.transform.translation.x = x
-    message.transform.rotation.w = 1.0
-    return message
+def placed(parent, child, x):
+    return transform(parent, child, rospy.Time.now(), x)
 
 
 class TestPersonManager(unittest.TestCase):
@@ -52,16 +33,13 @@ class TestPersonManager(unittest.TestCase):
     def setUpClass(cls):
         cls.reference = rospy.get_param("/humans/reference_frame", "map")
         cls.connected = rospy.get_param("~connected", True)
-        cls.lists = {kind: rospy.Publisher("/humans/%s/tracked" % kind, IdsList, latch=True, queue_size=10)
-                     for kind in ("faces", "bodies", "voices")}
-        cls.announced = {}
-        rospy.Timer(rospy.Duration(1), lambda event: cls.repeat())      # as a tracker does
+        cls.trackers = Trackers()
         cls.matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=5000)
         cls.tf = rospy.Publisher("/tf", TFMessage, queue_size=1000)
         cls.static = rospy.Publisher("/tf_static", TFMessage, latch=True, queue_size=10)
         if cls.connected:
-            cls.static.publish(TFMessage([transform(cls.reference, "base_link", 10.0),
-                                          transform("base_link", CAMERA, 1.0)]))
+            cls.static.publish(TFMessage([placed(cls.reference, "base_link", 10.0),
+                                          placed("base_link", CAMERA, 1.0)]))
         cls.frames = {}
         cls.arrivals = {}
         cls.lock = threading.Lock()
@@ -81,7 +59,7 @@ class TestPersonManager(unittest.TestCase):
     def setUp(self):
         self.opened = []
         self.wait_for(lambda: self.matches.get_num_connections() and self.tf.get_num_connections() > 1
-                      and self.lists["voices"].get_num_connections(), "the person manager")
+                      and self.trackers.are_heard(), "the person manager")
         self.announce()
         # Features that are tracked survive a reset: first everybody leaves.
         self.wait_for(lambda: self.tracked.value is not None and not self.tracked.value.ids, "an empty list")
@@ -99,25 +77,11 @@ class TestPersonManager(unittest.TestCase):
 
     def wait_for(self, condition, what, seconds=WAIT_S, act=None):
         """Wait until the condition holds and return its value; `act` is done again and again meanwhile."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            if act is not None:
-                act()
-            value = condition()
-            if value:
-                return value
-            threading.Event().wait(0.03)
-        self.fail("waited %.0f s in vain for %s" % (seconds, what))
+        return wait_for(condition, seconds, what, act, 0.03)
 
     @classmethod
     def announce(cls, faces=(), bodies=(), voices=()):
-        cls.announced = {"faces": list(faces), "bodies": list(bodies), "voices": list(voices)}
-        cls.repeat()
-
-    @classmethod
-    def repeat(cls):
-        for kind, ids in cls.announced.items():
-            cls.lists[kind].publish(IdsList(ids=ids))
+        cls.trackers.show(faces=faces, bodies=bodies, voices=voices)
 
     def match(self, id1, type1, id2, type2, confidence):
         self.matches.publish(IdsMatch(id1, type1, id2, type2, confidence))
@@ -133,7 +97,7 @@ class TestPersonManager(unittest.TestCase):
     def show(self, *frames):
         """Publish transforms in the camera's frame: pairs of frame and x; return their stamp."""
         stamp = rospy.Time.now()
-        self.tf.publish(TFMessage([transform(CAMERA, frame, x, stamp) for frame, x in frames]))
+        self.tf.publish(TFMessage([transform(CAMERA, frame, stamp, x) for frame, x in frames]))
         return stamp
 
     def last_frame(self, person):
@@ -192,15 +156,15 @@ class TestPersonManager(unittest.TestCase):
 
     def test_without_a_face_the_person_stands_at_the_head_of_its_skeleton(self):
         # As robot_state_publisher sends it: fixed links once, before or after the body is told of, the others together.
-        self.static.publish(TFMessage([transform("y_head_bhhhh", "head_bhhhh", 0.05),
-                                       transform("waist_bhhhh", "torso_bhhhh", 0.5)]))
+        self.static.publish(TFMessage([placed("y_head_bhhhh", "head_bhhhh", 0.05),
+                                       placed("waist_bhhhh", "torso_bhhhh", 0.5)]))
         self.announce(bodies=["bhhhh"])
         person = self.one_person()
 
         def move():
             stamp = rospy.Time.now()
-            self.tf.publish(TFMessage([transform(CAMERA, "body_bhhhh", 3.0, stamp)]))
-            self.tf.publish(TFMessage([transform(parent, child + "_bhhhh", x, stamp) for parent, child, x in (
+            self.tf.publish(TFMessage([transform(CAMERA, "body_bhhhh", stamp, 3.0)]))
+            self.tf.publish(TFMessage([transform(parent, child + "_bhhhh", stamp, x) for parent, child, x in (
                 ("body_bhhhh", "waist", 0.0), ("torso_bhhhh", "l_y_shoulder", 9.0), ("torso_bhhhh", "y_head", 0.1),
                 ("l_y_shoulder_bhhhh", "l_elbow", 9.0))]))
 
@@ -264,7 +228,7 @@ class TestPersonManager(unittest.TestCase):
         self.assertAlmostEqual(self.last_frame(person).transform.translation.x, self.expected_x(2.0)[1])
 
     def test_a_fixed_frame_that_came_before_its_list_places_the_person(self):
-        self.static.publish(TFMessage([transform(CAMERA, "face_fllll", 2.0)]))
+        self.static.publish(TFMessage([placed(CAMERA, "face_fllll", 2.0)]))
         self.announce(faces=["fllll"])
         person = self.one_person()
         self.wait_for(lambda: self.last_frame(person), "its frame")
@@ -272,14 +236,14 @@ class TestPersonManager(unittest.TestCase):
     def test_a_standing_adult_before_the_robot_is_in_personal_space(self):
         """robot_frame is base_link, on the floor; without a map it tells what is horizontal."""
         if not self.connected:
-            self.static.publish(TFMessage([transform("base_link", CAMERA, 1.0)]))
+            self.static.publish(TFMessage([placed("base_link", CAMERA, 1.0)]))
         spaces = {name: self.keep(Latest("/humans/persons/in_%s_space" % name, IdsList))
                   for name in ("personal", "social")}
         self.announce(faces=["fmmmm", "fnnnn"])
         self.wait_for(lambda: len(self.tracked.value.ids) == 2, "two persons")
 
         def move():
-            near, far = transform(CAMERA, "face_fmmmm", -0.4), transform(CAMERA, "face_fnnnn", 1.0)
+            near, far = placed(CAMERA, "face_fmmmm", -0.4), placed(CAMERA, "face_fnnnn", 1.0)
             near.transform.translation.z = far.transform.translation.z = 1.6
             self.tf.publish(TFMessage([near, far]))
 
@@ -335,8 +299,8 @@ class TestPersonManager(unittest.TestCase):
             self.match(text, IdsMatch.FACE, text, IdsMatch.PERSON, 0.9)
         self.match("fffff", 77, "bffff", IdsMatch.BODY, 0.9)
         self.match("fffff", IdsMatch.FACE, "fffff", IdsMatch.FACE, 0.9)
-        bad = transform("", "", float("nan"))
-        self.tf.publish(TFMessage([bad, transform(CAMERA, "face_fffff", float("nan"))]))
+        bad = placed("", "", float("nan"))
+        self.tf.publish(TFMessage([bad, placed(CAMERA, "face_fffff", float("nan"))]))
         self.announce(faces=["fffff", "a b", "", "a/b"])
         person = self.one_person()
         self.wait_for(lambda: self.last_frame(person), "its frame", act=lambda: self.show(("face_fffff", 1.0)))
@@ -382,8 +346,8 @@ class TestPersonManager(unittest.TestCase):
         # A report tells what was the case up to a second before it: the first one may be older than this test.
         self.wait_for(lambda: kept() is not None and len(reports.messages) > 1, "the diagnostics")
         before = kept()
-        self.tf.publish(TFMessage([transform(CAMERA, "face_z%04d" % number, 1.0) for number in range(200)]
-                                  + [transform("base_link", "tray_link", 1.0)]))
+        self.tf.publish(TFMessage([placed(CAMERA, "face_z%04d" % number, 1.0) for number in range(200)]
+                                  + [placed("base_link", "tray_link", 1.0)]))
         self.wait_for(lambda: kept() > before, "the frame of the robot")
         self.assertEqual(kept(), before + 1)
 

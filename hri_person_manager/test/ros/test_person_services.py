@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import unittest
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import rostest
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
+from trackers import Trackers
 
 from hri_msgs.msg import AgeAndGender, IdsList, IdsMatch, SoftBiometrics
 from hri_person_manager.srv import Enrol, Export, Forget, ListKnown, Merge, SetName, SetNativeLanguage, Split
@@ -32,11 +32,7 @@ class TestPersonServices(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        cls.lists = {kind: rospy.Publisher("/humans/%s/tracked" % kind, IdsList, latch=True, queue_size=10)
-                     for kind in ("faces", "bodies", "voices")}
-        cls.shown = {kind: [] for kind in cls.lists}
-        cls.lock = threading.Lock()
-        rospy.Timer(rospy.Duration(1), lambda event: cls.repeat())
+        cls.trackers = Trackers()
         cls.matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=100)
         cls.tf = rospy.Publisher("/tf", TFMessage, queue_size=100)
         cls.tracked = Latest("/humans/persons/tracked", IdsList)
@@ -51,9 +47,7 @@ class TestPersonServices(unittest.TestCase):
         self.wait_for(lambda: self.tracked.value is not None, "the list of persons")
 
     def tearDown(self):
-        self.show("faces")
-        self.show("bodies")
-        self.show("voices")
+        self.trackers.show(faces=(), bodies=(), voices=())
         self.wait_for(lambda: self.tracked.value is not None and not self.tracked.value.ids, "everybody has left")
 
     def wait_for(self, condition, what, seconds=WAIT_S):
@@ -61,16 +55,7 @@ class TestPersonServices(unittest.TestCase):
 
     @classmethod
     def show(cls, kind, *ids):
-        with cls.lock:
-            cls.shown[kind] = list(ids)
-            cls.lists[kind].publish(IdsList(ids=list(ids)))
-
-    @classmethod
-    def repeat(cls):
-        """Publish the lists again, as trackers do; never an older one after a newer one."""
-        with cls.lock:
-            for kind, ids in cls.shown.items():
-                cls.lists[kind].publish(IdsList(ids=list(ids)))
+        cls.trackers.show(**{kind: ids})
 
     def recognise(self, face, person, likelihood=0.9, kind=IdsMatch.FACE):
         self.matches.publish(IdsMatch(id1=face, id1_type=kind, id2=person, id2_type=IdsMatch.PERSON,

@@ -2,59 +2,33 @@
 """The paper's Table I on the graph, the hand-over between two cameras, and a flood of candidate matches."""
 
 import sys
-import threading
 import time
 import unittest
 
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
+from trackers import Trackers
 
 from hri_msgs.msg import IdsList, IdsMatch
+from hri_pipeline.testing import Latest, transform, wait_for
 
 PERSON, FACE, BODY, VOICE = IdsMatch.PERSON, IdsMatch.FACE, IdsMatch.BODY, IdsMatch.VOICE
 WAIT_S = 15.0
 FLOOD = 10000
 
 
-def transform(parent, child, x, stamp):
-    message = TransformStamped(child_frame_id=child)
-    message.header.frame_id, message.header.stamp = parent, stamp
-    message.transform.translation.x = x
-    message.transform.rotation.w = 1.0
-    return message
-
-
-class Latest:
-    """The newest message of a topic."""
-
-    def __init__(self, topic, kind):
-        self.value = None
-        self._subscriber = rospy.Subscriber(topic, kind, self._store)
-
-    def close(self):
-        self._subscriber.unregister()
-
-    def _store(self, message):
-        self.value = message
-
-
 class TestPersonTable(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        cls.lists = {kind: rospy.Publisher("/humans/%s/tracked" % kind, IdsList, latch=True, queue_size=10)
-                     for kind in ("faces", "bodies", "voices")}
-        cls.shown = {kind: [] for kind in cls.lists}
-        cls.lock = threading.Lock()
-        rospy.Timer(rospy.Duration(1), lambda event: cls.repeat())      # as a tracker does
+        cls.trackers = Trackers()
         cls.matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=FLOOD)
         cls.tf = rospy.Publisher("/tf", TFMessage, queue_size=100)
         cls.static = rospy.Publisher("/tf_static", TFMessage, latch=True, queue_size=1)
-        cls.static.publish(TFMessage([transform("map", name, 0.0, rospy.Time.now())
+        cls.static.publish(TFMessage([transform("map", name, rospy.Time.now())
                                       for name in ("left_cam", "right_cam")]))
         cls.tracked = Latest("/humans/persons/tracked", IdsList)
         cls.diagnostics = {}
@@ -65,29 +39,17 @@ class TestPersonTable(unittest.TestCase):
         cls.diagnostics.update({status.name.rpartition(": ")[2]: status for status in message.status
                                 if "hri_person_manager" in status.name})
 
-    @classmethod
-    def repeat(cls):
-        with cls.lock:      # never an older list after a newer one
-            for kind, ids in cls.shown.items():
-                cls.lists[kind].publish(IdsList(ids=ids))
-
     def setUp(self):
         self.wait_for(lambda: self.matches.get_num_connections() and self.tf.get_num_connections() > 0
-                      and all(topic.get_num_connections() for topic in self.lists.values()), "the person manager")
+                      and self.trackers.are_heard(), "the person manager")
         self.show()
         self.wait_for(lambda: self.tracked.value is not None and not self.tracked.value.ids, "nobody to be there")
 
     def wait_for(self, condition, what, act=None):
-        end = time.monotonic() + WAIT_S
-        while not condition():
-            self.assertLess(time.monotonic(), end, "waited in vain for " + what)
-            if act is not None:
-                act()
-            time.sleep(0.03)
+        wait_for(condition, WAIT_S, what, act, 0.03)
 
     def show(self, faces=(), bodies=(), voices=()):
-        type(self).shown = {"faces": list(faces), "bodies": list(bodies), "voices": list(voices)}
-        self.repeat()
+        self.trackers.show(faces=faces, bodies=bodies, voices=voices)
 
     def match(self, first, first_type, second, second_type, likelihood=0.9):
         self.matches.publish(IdsMatch(first, first_type, second, second_type, likelihood))
@@ -151,7 +113,7 @@ class TestPersonTable(unittest.TestCase):
         def walk(camera, face):
             stamp = rospy.Time.now()
             x = 1.0 + 0.5 * (stamp - began).to_sec()
-            self.tf.publish(TFMessage([transform(camera, "face_" + face, x, stamp)]))
+            self.tf.publish(TFMessage([transform(camera, "face_" + face, stamp, x)]))
 
         self.show(faces=["left1"])
         self.wait_for(lambda: len(self.tracked.value.ids) == 1, "a person", act=lambda: walk("left_cam", "left1"))

@@ -16,6 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import rosgraph
+import roslib.packages
 import rospkg
 import rospy
 import rostest
@@ -36,6 +37,7 @@ from hri_pipeline.testing import (
     wait_for,
 )
 
+PROGRAM = roslib.packages.find_node("hri_person_manager", "web")[0]
 WAIT_S = 30.0
 CAMERA = "camera_color_optical_frame"
 OVERLAY = "/visualization/overlay"
@@ -49,7 +51,7 @@ class Page(HeardProcess):
     def __init__(self, *parameters, name="hri_web"):
         self.text = ""
         super().__init__(subprocess.Popen(
-            ["rosrun", "hri_person_manager", "web", "__name:=" + name, "_port:=0", *parameters],
+            [PROGRAM, "__name:=" + name, "_port:=0", *parameters],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True,
             env=dict(os.environ, PYTHONUNBUFFERED="1")), self.read)
 

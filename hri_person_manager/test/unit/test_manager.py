@@ -654,6 +654,7 @@ def test_hostile_ids_are_left_out_and_counted():
     assert manager.refused_ids == 7
 
 
+@pytest.mark.slow("thousands of ids")
 def test_state_is_bounded_over_thousands_of_ids():
     manager = make(new_person_delay=0.0, half_life=0.1)
     for number in range(2000):

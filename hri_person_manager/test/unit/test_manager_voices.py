@@ -221,6 +221,7 @@ def sizes(manager):
     return found
 
 
+@pytest.mark.slow("thousands of turns")
 def test_thousands_of_turns_leave_nothing_behind():
     manager = make()
     manager.on_tracked(Kind.FACE, ["f1"], 0.0)

@@ -8,6 +8,7 @@ import unittest
 
 import numpy as np
 import rosgraph
+import roslib.packages
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -16,6 +17,7 @@ from sensor_msgs.msg import CompressedImage
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.testing import Camera, wait_for
 
+CHECK = roslib.packages.find_node("hri_pipeline", "check")[0]       # rosrun seeks it anew each time
 PICTURE = np.random.default_rng(0).integers(60, 200, (120, 160, 3)).astype(np.uint8)
 
 
@@ -23,7 +25,7 @@ class CheckTest(unittest.TestCase):
 
     def check(self, *topics, nodes="[face_body_matcher]", code=1, **environment):
         """Run the check and return what it prints."""
-        command = ["rosrun", "hri_pipeline", "check", "_watch_time:=1.0", "_nodes:=" + nodes] + list(topics)
+        command = [CHECK, "_watch_time:=1.0", "_nodes:=" + nodes] + list(topics)
         done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True,
                               timeout=60,
                               env=dict(os.environ, **environment))
@@ -85,7 +87,7 @@ class CheckTest(unittest.TestCase):
         master = rospy.get_master()
         wait_for(lambda: master.lookupNode("/victim")[0] == 1, 20, "the node is there")
         wait_for(lambda: any("/victim" in nodes for _, nodes in master.getSystemState()[2][0]), 20, "it publishes")
-        subprocess.run(["pkill", "-9", "-f", "__name:=victim"], check=True)
+        victim.kill()
         victim.wait(10)
         self.names("victim is registered, but does not answer", *self.camera("mourning"), nodes="[victim]")
         subprocess.run(["rosnode", "cleanup"], input="y\n", universal_newlines=True, check=True,

@@ -216,6 +216,7 @@ def test_no_network_for_npm(tmp_path: Path) -> None:
     assert not [p for p in tmp_path.iterdir() if p.name.startswith(".fetch-") or p.suffix == ".npz"]
 
 
+@pytest.mark.slow("starts pip")
 def test_no_npm_and_no_wheel_of_it(tmp_path: Path) -> None:
     result = run("--directory", str(tmp_path), "--models", "canonical_face", PATH="/nonexistent")
     check_failure(result, "no npm on this machine", "apt install npm")
@@ -251,6 +252,7 @@ def test_directory_that_cannot_be_written(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.slow("pip waits for an index")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted_while_a_client_waits(tmp_path: Path, number: signal.Signals) -> None:
     """An index that never answers; after the signal the client is gone too, and nothing lies about."""

@@ -8,6 +8,7 @@ from benchmarks.gaze import CLOSED_AFTER_S, RATE, ROBOT_AT, gaze, head_rule, run
 SEED = (7,)
 
 
+@pytest.mark.slow("three simulations")
 def test_the_closed_eyes_rule_is_what_ends_gazes_of_closed_eyes():
     with_rule, without = (gaze(3, 20.0, rule, seeds=SEED) for rule in (True, False))
     assert min(with_rule["precision"], with_rule["recall"]) > 0.85

@@ -158,6 +158,7 @@ def test_a_scene_file_that_is_absent_or_something_else_is_named(tmp_path) -> Non
         public_scenes("Synth", tmp_path)
 
 
+@pytest.mark.slow("recorded and simulated scenes")
 def test_one_setting_reaches_the_figures_on_all_scenes() -> None:
     if data_directory() is None:
         pytest.skip(ABSENT)

@@ -43,6 +43,7 @@ def perfect(stays, names):
     return FilmTrack(boxes, [])
 
 
+@pytest.mark.slow("a whole film")
 def test_who_finds_all_has_full_figures_and_who_swaps_two_has_not(stays):
     names = {stay.name: stay.name for stay in stays}
     found = crossing_figures(frames_of(perfect(stays, names), stays), 1.325)
@@ -55,6 +56,7 @@ def test_who_finds_all_has_full_figures_and_who_swaps_two_has_not(stays):
     assert worse["switches"] == 2 and worse["idf1"] < 0.98
 
 
+@pytest.mark.slow("a whole film")
 def test_a_match_on_the_film_is_right_for_one_human(stays):
     track = perfect(stays, {stay.name: stay.name for stay in stays})
     told = [(610, "red.2", "red.1", 0.95), (580, "jeans.2", "bald.1", 0.95), (0, "nobody", "nobody else", 0.95)]

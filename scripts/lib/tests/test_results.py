@@ -116,8 +116,9 @@ echo "<testsuite>$case</testsuite>" >"$ROS_TEST_RESULTS_DIR/rosunit-a.xml"
 COMMENTS = {"alone": "<!-- runs alone: figures of time -->", "heavy": "<!-- heavy: networks -->"}
 
 
-def run_rostests(directory: Path, failures: Dict[str, int], setting: str = ":") -> "subprocess.CompletedProcess[str]":
-    """Run the rostest layer's loop on files which fail so many times each; their table is directory/table."""
+def run_rostests(directory: Path, failures: Dict[str, int], setting: str = ":",
+                 layers: str = "rostest") -> "subprocess.CompletedProcess[str]":
+    """Run layers, that of the rostests on files which fail so many times each; their table is directory/table."""
     program = _write(directory / "bin" / "rostest", ROSTEST)
     program.chmod(0o755)
     sources = directory / "src" / "ros4hri"
@@ -125,8 +126,8 @@ def run_rostests(directory: Path, failures: Dict[str, int], setting: str = ":") 
         _write(sources / name, "<launch>%s</launch>" % COMMENTS.get(Path(name).stem.split("_")[0], ""))
         _write(sources / (name + ".failures"), str(times))
     return run_layers(directory, 'PATH=$2/bin:$PATH; R4H_SYSTEM_PYTHON=%s; %s; cd "$2/src/ros4hri"; '
-                                 'layer_rostest() { run_rostests %s; }; run_layer rostest'
-                      % (sys.executable, setting, " ".join(failures)))
+                                 'layer_rostest() { run_rostests %s; }; run_layers %s'
+                      % (sys.executable, setting, " ".join(failures), layers))
 
 
 def test_a_rostest_that_passes_the_second_time_has_passed_and_is_named(tmp_path: Path) -> None:
@@ -162,6 +163,20 @@ def test_a_file_says_how_many_run_beside_it(tmp_path: Path) -> None:
         assert places <= 4, log
         most = max(most, len(running))
     assert most == 3
+
+
+def test_pytest_runs_beside_the_rostests_but_not_beside_those_that_run_alone(tmp_path: Path) -> None:
+    # As it does before it repeats what has failed, it waits until no rostest runs any more.
+    done = run_rostests(tmp_path, {"alone.test": 0, "c.test": 0}, """log=$2/log; layer_pytest() {
+        echo +pytest >>"$log"; while [ -e "$R4H_TMP/beside" ]; do sleep 0.05; done
+        echo -pytest >>"$log"; add_counts $'3\\t0\\t0'; }""", "pytest rostest")
+    assert (tmp_path / "log").read_text().split()[-4:] == ["-c", "-pytest", "+alone", "-alone"]
+    assert "pytest: 3 passed, 0 failed" in done.stdout and results.print_table(tmp_path / "table") == (5, 0)
+
+
+def test_a_layer_beside_the_rostests_that_breaks_off_has_failed(tmp_path: Path) -> None:
+    run_rostests(tmp_path, {"c.test": 0}, "layer_pytest() { exit 1; }", "pytest rostest")
+    assert results.print_table(tmp_path / "table") == (1, 1)
 
 
 def test_a_rostest_that_ends_without_a_result_has_failed(tmp_path: Path) -> None:
