@@ -73,6 +73,16 @@ def test_one_face_of_three_is_asked_for():
     assert networks_run(stage) == {"age_gender"}
 
 
+def test_places_do_not_wait_for_the_analysis():
+    stage, image, order = FacePipeline(FACES.resolve(UNHURRIED)), photograph("sample3"), []
+    watch(stage, image, 15, FaceDemand.everything)
+    analyse = stage._analysis.update
+    stage._analysis.update = lambda *arguments: order.append("analysis") or analyse(*arguments)
+    faces = stage.update(image, CAMERA, 1001.5, None, FaceDemand.everything(stage.tracked_ids), order.append)
+    assert [(face.id, face.pose) for face in order[0]] == [(face.id, face.pose) for face in faces]
+    assert len(faces) == 3 and order[1:] == ["analysis"]
+
+
 def test_at_most_one_network_runs_per_image():
     stage = FacePipeline(FACES.resolve(UNHURRIED))
     image = photograph("sample5")

@@ -319,3 +319,18 @@ def test_nobody_is_lost_in_images_that_are_old_and_slow():
             assert index / 3.0 - last.get(name, index / 3.0) < 0.7
             last[name] = index / 3.0
     assert set(last) == set(FACES)
+
+
+def test_idle_time_is_spent_in_every_image_that_is_taken_though_two_come_close_together_and_some_are_slow():
+    """A node takes 15 of 30 images a second: now and then one that comes late, and then the next one; one image a
+    second takes 40 ms longer."""
+    machine = Machine(2)
+    schedule = InferenceScheduler(cost=0.012, batches=False, idle=machine.share())
+    schedule.limit(10.0, most=3, max_age=0.5, max_rate=15.0)
+    number, inferences_at = 0, []
+    for turn in range(600):
+        number += (2, 2, 3, 1)[turn % 4]
+        schedule.note_timing(0.005, 0.048 if turn % 15 == 0 else 0.008)
+        inferences_at += [turn] * len(choose(schedule, FACES[:1], number / 30.0))
+        machine.now, machine.idle = machine.now + 1.0 / 15.0, machine.idle + 1.0 / 15.0
+    assert sum(turn >= 300 for turn in inferences_at) == pytest.approx(300, rel=0.05)

@@ -102,8 +102,8 @@ class BodyPipeline:
         self._tracker = BodyTracker(
             self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time, settings.min_body_score,
             settings.max_bodies, guard=self._guard, schedule=InferenceScheduler(
-                settings.pose_rate, most=settings.pose_budget, cost=_FIRST_COST_S, batches=False,
-                idle=IdleShare(settings.cpu_share), max_age=settings.max_age))
+                cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share)))
+        self._limit_poses(settings)
         self._settings = settings
         self._localizers: Dict[str, BodyLocalizer] = {}
         self._reidentifier = BodyReidentifier(settings.body_memory)
@@ -365,9 +365,13 @@ class BodyPipeline:
         self._settings = settings
         self._detector.threshold = _FAINT * settings.min_person_score
         self._tracker.limit(settings.body_birth_delay, settings.body_death_time, settings.min_body_score)
-        self._tracker.schedule.limit(settings.pose_rate, most=settings.pose_budget, max_age=settings.max_age)
-        self._tracker.schedule.set_share(settings.cpu_share)
+        self._limit_poses(settings)
         self._modeller.reconfigure(settings)
+
+    def _limit_poses(self, settings: BodiesSettings) -> None:
+        self._tracker.schedule.limit(settings.pose_rate, most=settings.pose_budget, max_age=settings.max_age,
+                                     max_rate=settings.max_rate)
+        self._tracker.schedule.set_share(settings.cpu_share)
 
     def reset(self) -> None:
         """Forget all bodies, for example because time went back."""

@@ -47,7 +47,8 @@ _INTERVAL_LEAK = 1.01
 _TIE_S = 1e-4
 """Deadlines (s) that differ by less are equal: who waits for longer comes first."""
 _UP, _DOWN = 0.5, 0.05
-"""Weight of a longer, and of a shorter time of an image, in the estimate: the slow images give the age."""
+"""Weight of a longer, and of a shorter time of an image, in the estimate for the age: the slow images give it. The
+mean, which says how much time is free, has the second weight for both."""
 
 
 class IdleShare:
@@ -128,10 +129,11 @@ class InferenceScheduler:
         self._cost, self._batches, self._idle = cost, batches, idle
         self.limit(rate, budget, most, max_age)
         self.reset()
-        self._rest = self._took = 0.0
+        self._rest = self._mean_rest = self._took = 0.0
         self._stretch = 1.0
 
-    def limit(self, rate: float, budget: float = math.inf, most: int = 0, max_age: float = math.inf) -> None:
+    def limit(self, rate: float, budget: float = math.inf, most: int = 0, max_age: float = math.inf,
+              max_rate: float = 0.0) -> None:
         """Set the limits.
 
         Parameters
@@ -145,6 +147,9 @@ class InferenceScheduler:
         max_age
             Age (s) of an image that the work on it may not exceed; one inference, and two a second for each, are
             made all the same.
+        max_rate
+            Rate (Hz) at which images are taken at most, 0 for all: two that follow each other sooner by chance do not
+            mean that there is less time for each.
 
         Raises
         ------
@@ -156,6 +161,7 @@ class InferenceScheduler:
             raise ValueError("rate {} Hz, budget {} s, {} per image, cost {} s, age {} s: rate and number from 0, the "
                              "others above 0".format(rate, budget, most, self._cost, max_age))
         self._rate, self._budget, self._most, self._max_age = rate, budget, most, max_age
+        self._least_interval = 1.0 / max_rate if max_rate > 0.0 else 0.0
 
     def set_share(self, share: float) -> None:
         """Set the share of the cores' time (see IdleShare). Raises ValueError out of 0 to 1."""
@@ -194,6 +200,7 @@ class InferenceScheduler:
         """
         rest = max(0.0, took - self._took)
         self._rest += (_UP if rest > self._rest else _DOWN) * (rest - self._rest)
+        self._mean_rest += _DOWN * (rest - self._mean_rest)
         self._age, self._took = max(0.0, age), 0.0
 
     def choose(self, requests: Sequence[Request], stamp: float, reserved: int = 0) -> List[str]:
@@ -207,7 +214,7 @@ class InferenceScheduler:
             self._resumed = stamp
         self._stamp = stamp
         if step > 0.0:
-            self._interval = min(self._interval * _INTERVAL_LEAK, step)
+            self._interval = min(self._interval * _INTERVAL_LEAK, max(step, self._least_interval))
         extra = self._extra(len(requests))
         periods = self._periods(requests, step, extra)
         self._admit(requests, stamp, periods)
@@ -242,7 +249,7 @@ class InferenceScheduler:
         if self._idle is None or self._age is None or self._rate == 0.0 or not math.isfinite(self._interval):
             return 0.0
         missing = count * self._cost - self._least(count)
-        room = _OF_INTERVAL * self._interval - self._rest - self._least(count) * self._stretch
+        room = _OF_INTERVAL * self._interval - self._mean_rest - self._least(count) * self._stretch
         usable = min(missing, room / self._stretch) / self._interval
         return self._idle.update(usable) * self._interval
 

@@ -108,13 +108,11 @@ class FaceProcessor:
         demand = self._topics.demand(self._pipeline.tracked_ids)
         if "age" in context:
             self._pipeline.note_timing(context["age"], context["took"])
-        faces = self._pipeline.update(frame.bgr, frame.camera, frame.stamp, getattr(frame, "depth", None), demand)
+        # Where somebody is does not wait for the analysis.
+        faces = self._pipeline.update(frame.bgr, frame.camera, frame.stamp, getattr(frame, "depth", None), demand,
+                                      lambda placed: self._publish_places(placed, frame))
         context["faces"] = faces
-        ids = self._pipeline.tracked_ids
-        self._topics.keep(ids)
-        self._tracked.set(ids, frame.header.stamp)
         self._guard.each("face", lambda face: self._topics.publish(face, frame), faces)
-        self._publish_frames(faces, frame)
         self._publish_matches()
 
     def reconfigure(self, settings: FacePipelineSettings) -> None:
@@ -154,7 +152,11 @@ class FaceProcessor:
             self._transforms.close()
         self._pipeline.close()
 
-    def _publish_frames(self, faces: Sequence[FaceObservation], frame: Frame) -> None:
+    def _publish_places(self, faces: Sequence[FaceObservation], frame: Frame) -> None:
+        """Publish who is tracked, and the frames."""
+        ids = self._pipeline.tracked_ids
+        self._topics.keep(ids)
+        self._tracked.set(ids, frame.header.stamp)
         posed = [face for face in faces if face.pose is not None]
         self._poseless = len(faces) - len(posed)
         self._no_frame = not frame.header.frame_id

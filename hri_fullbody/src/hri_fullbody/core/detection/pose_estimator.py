@@ -29,6 +29,7 @@ _HEAD_LANDMARKS = 11
 _KNOWN = 0.3
 _LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT = "Identity", "Identity_1", "Identity_4"
 _GREY = (128, 128, 128)
+_GREY_PATCH = np.full((INPUT_SIZE, INPUT_SIZE, 3), _GREY, np.uint8)
 
 
 @dataclass(frozen=True)
@@ -186,7 +187,7 @@ def _hide(patch: np.ndarray, affine: np.ndarray, hidden: Sequence[np.ndarray], s
     for corner in corners[~outside]:
         cv2.fillConvexPoly(cover, corner, (1.0,))
     cv2.fillConvexPoly(cover, _corners(shown[None], inverse)[0], (0.0,))
-    cv2.copyTo(np.full_like(patch, _GREY), cover, patch)
+    cv2.copyTo(_GREY_PATCH, cover, patch)
 
 
 def _corners(boxes: np.ndarray, affine: np.ndarray) -> np.ndarray:

@@ -16,6 +16,8 @@ SHRINK = 2
 _GRID = 4
 _INNER = 0.35
 """Half the side of the grid of points, of the box: its rim shows what is behind the face."""
+_PLACES = np.stack(np.meshgrid(*[np.linspace(-_INNER, _INNER, _GRID)] * 2), axis=-1).reshape(1, -1, 2)
+"""The points, sides of the box from its centre."""
 _WINDOW, _LEVELS = (9, 9), 3
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 8, 0.05)
 _LEAST_BOX = 8.0
@@ -79,9 +81,7 @@ def shrink(bgr: np.ndarray) -> np.ndarray:
 
 def _grids(boxes: np.ndarray) -> np.ndarray:
     """Points (N, P, 2) on a grid in the inner part of boxes (N, 4)."""
-    steps = np.linspace(-_INNER, _INNER, _GRID)
-    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(1, -1, 2)
-    return (boxes[:, None, :2] + boxes[:, None, 2:]) / 2.0 + grid * (boxes[:, None, 2:] - boxes[:, None, :2])
+    return (boxes[:, None, :2] + boxes[:, None, 2:]) / 2.0 + _PLACES * (boxes[:, None, 2:] - boxes[:, None, :2])
 
 
 def _flat(points: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Nods and shakes of one head, out of its pose over time.
+"""Nods and shakes of one head, from its pose over time.
 
 A nod turns the head down and up again and again, a shake to one side and the other. Both are told by their swings: the
 ways between the turning points of pitch and of yaw. Swings of a gesture come one directly after the other, are about
@@ -137,13 +137,15 @@ def swings(path: Sequence[Tuple[float, float]], least: float) -> List[Swing]:
     """Return the ways between the turning points of a path of (s, rad), of `least` rad and more; the last one is that
     up to the farthest point so far."""
     found: List[Swing] = []
-    if not path:
-        return found
+    values = [value for _, value in path]
+    if not values or max(values) - min(values) < least:
+        return found    # most heads, most of the time
     low = high = turning = path[0]
     direction = 0
     for at, value in path[1:]:
         if direction == 0:
-            low, high = min(low, (at, value), key=_value), max(high, (at, value), key=_value)
+            low = (at, value) if value < low[1] else low
+            high = (at, value) if value > high[1] else high
             if high[1] - low[1] >= least:
                 turning, direction = (low, 1) if high[0] > low[0] else (high, -1)
         elif direction > 0:
@@ -160,10 +162,6 @@ def swings(path: Sequence[Tuple[float, float]], least: float) -> List[Swing]:
         last = high if direction > 0 else low
         found.append(Swing(turning[0], last[0], turning[1], last[1]))
     return found
-
-
-def _value(point: Tuple[float, float]) -> float:
-    return point[1]
 
 
 def _last_run(found: Sequence[Swing]) -> List[Swing]:

@@ -123,7 +123,8 @@ class FacePipeline:
         return self._analysis.matches
 
     def update(self, bgr: np.ndarray, camera: CameraModel, stamp: float, depth: Optional[np.ndarray] = None,
-               demand: FaceDemand = NOTHING) -> List[FaceObservation]:
+               demand: FaceDemand = NOTHING,
+               placed: Optional[Callable[[List[FaceObservation]], None]] = None) -> List[FaceObservation]:
         """Return the confirmed faces seen in this image, oldest first.
 
         Parameters
@@ -138,6 +139,8 @@ class FacePipeline:
             (H, W) m, registered with the image; ignored when it is of another size.
         demand
             Which results of the analysis are wanted; none by default.
+        placed
+            Called with the faces when their poses are known, before the analysis.
 
         Raises
         ------
@@ -158,6 +161,8 @@ class FacePipeline:
             observed = self._geometry.observe(tracked, camera, stamp, depth)
         faces = [observation for observation, face in zip(observed, tracked) if face.confirmed]
         self._count(faces)
+        if placed is not None:
+            placed(faces)
         return self._analysis.update(bgr, faces, stamp, demand, self._tracking.detected)
 
     def _judge(self) -> AppearanceJudge:
@@ -269,7 +274,8 @@ class FaceTrackingPipeline:
         self._set_thresholds(settings)
 
     def _limit_mesh(self, settings: FacePipelineSettings) -> None:
-        self._mesh_scheduler.limit(settings.face_mesh_rate, 1e-3 * settings.face_budget, max_age=settings.max_age)
+        self._mesh_scheduler.limit(settings.face_mesh_rate, 1e-3 * settings.face_budget, max_age=settings.max_age,
+                                   max_rate=settings.max_rate)
         self._mesh_scheduler.set_share(settings.cpu_share)
 
     def _set_thresholds(self, settings: FacePipelineSettings) -> None:
