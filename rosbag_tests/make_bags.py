@@ -22,9 +22,11 @@ from hri_pipeline.core.simulation.scene_file import load_scene
 from hri_pipeline.core.sources.image_sources import PictureMotion
 from hri_pipeline.score.bag import BagWriter
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "scripts"))
+ROOT = Path(__file__).resolve().parents[1]
+sys.path += [str(ROOT / "scripts"), str(ROOT / "hri_pipeline/test/unit")]
 
-from benchmarks.recordings import BASE, write_scene  # noqa: E402
+from scene_bag import BASE, write_scene  # noqa: E402
+
 from benchmarks.speech_files import read_speech  # noqa: E402
 
 SCENE = Path(__file__).resolve().parent / "three_meet.yaml"

@@ -8,7 +8,7 @@ from hypothesis import settings
 
 from hri_pipeline.core.process import one_thread_each
 
-sys.path.append(str(Path(__file__).resolve().parents[2] / "scripts"))
+sys.path += [str(Path(__file__).resolve().parents[2] / "scripts"), str(Path(__file__).resolve().parent / "msgs")]
 one_thread_each()
 # The same examples in each run, however slow the machine.
 settings.register_profile("repeatable", derandomize=True, deadline=None, database=None, max_examples=30)

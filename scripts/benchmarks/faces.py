@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
-from typing import Callable, Dict, Sequence, Tuple
+from typing import Callable, Dict, Sequence
 
-from benchmarks.report import chosen, machine, measure_all, models_directory, report_of, table_of
+from benchmarks.report import Keys, Subject, each_most, models_directory, most, told
 
 CHURN_FACES = 2000
 IDS_SECONDS = 60.0
 GROWTH = {"fds": 0, "threads": 0, "rss_mb": 10}
 """Most that 2,000 faces may leave behind and still count as flat; the memory of a process breathes by some MB."""
-
-
-def _most(limit: float) -> Callable[[object], bool]:
-    return lambda value: isinstance(value, (int, float)) and value <= limit
 
 
 def _all_most(limit: float) -> Callable[[object], bool]:
@@ -29,19 +24,18 @@ def _no_error(*wrong: str) -> Callable[[object], bool]:
 
 
 # Figure, what is asked, and whether a value is that.
-KEYS: Sequence[Tuple[str, str, Callable[[object], bool]]] = (
-    ("cpu_ms_1", "<= 10 ms", _most(10.0)), ("cpu_ms_3", "<= 16 ms", _most(16.0)),
-    ("cpu_ms_10", "<= 35 ms", _most(35.0)),
-    ("pose_mae_deg", "<= 2 deg each", _all_most(2.0)), ("pose_position_percent", "<= 3 %", _most(3.0)),
-    ("portrait_pitch_median_deg", "<= 4 deg", _most(4.0)),
+KEYS: Keys = (
+    ("cpu_ms_1", "<= 10 ms", most(10.0)), ("cpu_ms_3", "<= 16 ms", most(16.0)),
+    ("cpu_ms_10", "<= 35 ms", most(35.0)),
+    ("pose_mae_deg", "<= 2 deg each", _all_most(2.0)), ("pose_position_percent", "<= 3 %", most(3.0)),
+    ("portrait_pitch_median_deg", "<= 4 deg", most(4.0)),
     ("face_body_depth_ratio_median", "0.85 .. 1.15",
      lambda value: isinstance(value, float) and 0.85 <= value <= 1.15),
-    ("eyes_closed", "(told)", lambda value: value is not None),
+    ("eyes_closed", "(told)", told),
     ("expression", "precision >= 0.8", lambda value: isinstance(value, dict) and value["precision"] >= 0.8),
     ("recognition", "wrong 0, unknown 0", _no_error("wrong", "unknown")),
-    ("ids_60s", "5", lambda value: value == 5), ("gallery_1000_ms", "(told)", lambda value: value is not None),
-    ("churn_2000", "flat", lambda value: isinstance(value, dict) and all(
-        value[name] <= most for name, most in GROWTH.items())))
+    ("ids_60s", "5", lambda value: value == 5), ("gallery_1000_ms", "(told)", told),
+    ("churn_2000", "flat", each_most(GROWTH)))
 
 PARTS: Dict[str, Sequence[str]] = {
     "cpu": ("cpu_ms_1", "cpu_ms_3", "cpu_ms_10"), "pose": ("pose_mae_deg", "pose_position_percent"),
@@ -49,41 +43,24 @@ PARTS: Dict[str, Sequence[str]] = {
     "eyes": ("eyes_closed",), "expression": ("expression",),
     "recognition": ("recognition",), "ids": ("ids_60s",), "gallery": ("gallery_1000_ms",),
     "churn": ("churn_2000",)}
+SUBJECT = Subject("faces", "processor time, poses, eyes, recognition and endurance of faces", KEYS, PARTS, {
+    "images": "1280x720", "pictures": "groups demo and evaluation of fetch_models", "threads": "1 per network",
+    "recognition": "each picture as a film of 8 s at 5 Hz, in two runs", "models": models_directory().name})
 
 
 def register(commands: argparse._SubParsersAction) -> None:
     """Add the command line of this benchmark."""
-    parser = commands.add_parser("faces", help="processor time, poses, eyes, recognition and endurance of faces")
-    parser.add_argument("--only", default="", help="parts to measure, of: " + ", ".join(PARTS))
-    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    SUBJECT.register(commands)
 
 
 def run(options: argparse.Namespace) -> int:
     """Measure and print; 1 when something could not be measured."""
-    wanted = chosen("faces", options.only, PARTS)
-    if wanted is None:
-        return 2
-    before, models = machine(), models_directory()
-    values, reasons, failed = measure_all(wanted, PARTS, lambda name: _measure(name, models))
-    report = make_report(values, reasons, before, models)
-    print(json.dumps(report) if options.json else as_table(report))
-    return 1 if failed else 0
+    return SUBJECT.run(options, _measure)
 
 
-def make_report(values: Dict[str, object], reasons: Dict[str, str], before: dict, models: Path) -> dict:
-    """Return the JSON object: every figure, null with a reason where there is none."""
-    return report_of(KEYS, values, reasons, before, {
-        "images": "1280x720", "pictures": "groups demo and evaluation of fetch_models", "threads": "1 per network",
-        "recognition": "each picture as a film of 8 s at 5 Hz, in two runs", "models": models.name})
-
-
-def as_table(report: dict) -> str:
-    """Return the same for a person to read."""
-    return table_of(report, KEYS)
-
-
-def _measure(part: str, models: Path) -> Dict[str, object]:
+def _measure(part: str) -> Dict[str, object]:
     """Figures of one part."""
+    models = models_directory()
     if part == "recognition":
         return {"recognition": _recognition(models)}
     if part == "gallery":

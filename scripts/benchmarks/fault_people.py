@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Callable, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Callable, Dict, FrozenSet, List, Sequence, Set, Tuple
 
 import processes
 import rospy
@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Bool, String
 
 from benchmarks.fault_stack import PATIENCE_S
+from benchmarks.faults import NEVER, Recovery
 from hri_msgs.msg import FacialLandmarks, GazesStamped, IdsList, IdsMatch, Skeleton2D
 from hri_pipeline.core.frames import read_stamp
 from hri_pipeline.ros.subscriptions import IdSubscribers
@@ -21,16 +22,6 @@ _FEATURES = {FACE: "faces", BODY: "bodies"}
 SETTLED_S = 4.0
 COME_S = 120.0      # a machine that has much to do takes long to learn five faces
 _EARLY_S = 0.5      # a stamp further ahead is none of now
-
-
-class Recovery(NamedTuple):
-    """Times (s) after a fault; None: not within PATIENCE_S. there: everybody is there again; alone: and nobody else."""
-
-    there: Optional[float]
-    alone: Optional[float]
-
-
-NEVER = Recovery(None, None)
 
 
 class People:

@@ -18,7 +18,7 @@ import rosgraph
 import rospy
 
 from benchmarks.fault_disk import FullDisk, small_disk
-from benchmarks.fault_people import NEVER, People, Recovery
+from benchmarks.fault_people import People
 from benchmarks.fault_stack import (
     PATIENCE_S,
     RECOGNISER,
@@ -29,6 +29,7 @@ from benchmarks.fault_stack import (
     odd_processes,
     unplugged_for,
 )
+from benchmarks.faults import NEVER, Recovery
 from benchmarks.garbage import Garbage
 
 CLEAN_S = 30.0          # topics of somebody who has just gone are closed a moment later

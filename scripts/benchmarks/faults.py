@@ -29,7 +29,7 @@ Found = Dict[str, object]
 
 
 class Recovery(NamedTuple):
-    """Times (s) after a fault; None: never. there: everybody is there again; alone: and nobody else."""
+    """Times (s) after a fault; None: not within a minute. there: everybody is there again; alone: and nobody else."""
 
     there: Optional[float]
     alone: Optional[float]

@@ -61,7 +61,7 @@ class Person:
         self.aim = np.zeros(2)
         self.head = np.array([facing, 0.0])
         self.eyes = np.array([facing, 0.0])
-        self.shut_until = self.open_until = 0.0
+        self.shut_until = 0.0
         self.closed_at = math.inf
         self.gap_until = -1.0
         self.bias = rng.normal(0.0, 1.0, 2)

@@ -34,8 +34,6 @@ PATTERNS = 400
 """Patterns, of both halves."""
 IMAGES, STEP = 9, 0.3
 """Images of each film, and the time between them, s."""
-QUIET = 5
-"""Images after which a film ends in which nothing is being tracked."""
 HFOV = np.deg2rad(53.0)
 
 

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
-from typing import Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence
 
-from benchmarks.report import chosen, machine, measure_all, models_directory, report_of, short, table_of
+from benchmarks.report import Keys, Subject, models_directory, most, rounded, short, told
 
 GAZE_SECONDS = 60.0
 RATE_HZ = 15.0
 GROUPS_WANTED = {"CoffeeBreak": 0.87, "Synth": 0.93, "CoffeeBreak_noisy": 0.78, "radii": 0.93, "walkers": 0.88}
 CROWD_GROWTH_MB = 10.0
 """Most by which the memory may grow in an hour and still count as flat; that of a process breathes by some MB."""
-
-
-def _most(limit: float) -> Callable[[object], bool]:
-    return lambda value: isinstance(value, (int, float)) and value <= limit
 
 
 def _gaze(value: object) -> bool:
@@ -50,14 +45,10 @@ def _gesture(value: object) -> bool:
     return isinstance(value, dict) and min(value["precision"], value["recall"]) >= 0.90
 
 
-def _told(value: object) -> bool:
-    return value is not None
-
-
 # Figure, what is asked, and whether a value is that.
-KEYS: Sequence[Tuple[str, str, Callable[[object], bool]]] = (
+KEYS: Keys = (
     ("gaze_3", "both >= 0.90, closed 0", _gaze), ("gaze_6", "both >= 0.90, closed 0", _gaze),
-    ("gaze_without_closed_eyes_rule", "(told)", _told), ("photographs", "(told)", _told),
+    ("gaze_without_closed_eyes_rule", "(told)", told), ("photographs", "(told)", told),
     ("gaze_real", "precision .85, recall .75", lambda value: isinstance(value, dict) and value["precision"] >= 0.85
      and value["recall"] >= 0.75),
     ("gaze_independent", ">= .92/.85 .90/.82 .88/.80", _independent),
@@ -67,7 +58,7 @@ KEYS: Sequence[Tuple[str, str, Callable[[object], bool]]] = (
     ("eyes", "<= 3 %, 5 %", lambda value: isinstance(value, dict) and value["open_told_shut"] <= 0.03
      and value["shut_told_open"] <= 0.05),
     ("groups_f1", ">= 0.87, 0.93, 0.78, 0.93, 0.88", _groups), ("engagement", "illegal 0, each level", _engagement),
-    ("cpu_percent_10", "<= 3 %", _most(3.0)), ("cpu_percent_30", "<= 10 %", _most(10.0)),
+    ("cpu_percent_10", "<= 3 %", most(3.0)), ("cpu_percent_30", "<= 10 %", most(10.0)),
     ("nod", "both >= 0.9", _gesture), ("shake", "both >= 0.9", _gesture), ("crowd", "flat, stable ids", _crowd))
 
 PARTS: Dict[str, Sequence[str]] = {
@@ -79,49 +70,29 @@ PARTS: Dict[str, Sequence[str]] = {
 
 def register(commands: argparse._SubParsersAction) -> None:
     """Add the command line of this benchmark."""
-    parser = commands.add_parser("interactions", help="gazes, groups, engagement, their cost, and an hour in a crowd")
-    parser.add_argument("--only", default="", help="parts to measure, of: " + ", ".join(PARTS))
+    parser = SUBJECT.register(commands)
     parser.add_argument("--hours", type=float, default=1.0, help="simulated time of the crowd (default: 1)")
     parser.add_argument("--overlay", default="", help="file for the photographs with what was found in them")
-    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
 
 
 def run(options: argparse.Namespace) -> int:
     """Measure and print; 1 when something could not be measured."""
-    wanted = chosen("interactions", options.only, PARTS)
     if not options.hours > 0.0:
         print("scripts/benchmark interactions: --hours must be above 0", file=sys.stderr)
-    if wanted is None or not options.hours > 0.0:
         return 2
-    before = machine()
     overlay = Path(options.overlay) if options.overlay else None
-    values, reasons, failed = measure_all(wanted, PARTS, lambda name: _measure(name, options.hours, overlay))
-    report = make_report(values, reasons, before)
-    print(json.dumps(report) if options.json else as_table(report))
-    return 1 if failed else 0
+    return SUBJECT.run(options, lambda part: _measure(part, options.hours, overlay))
 
 
-def make_report(values: Dict[str, object], reasons: Dict[str, str], before: dict) -> dict:
-    """Return the JSON object: every figure, null with a reason where there is none."""
-    asked = {key for key, _, _ in KEYS}
-    return report_of(KEYS, values, reasons, before, {
-        "gaze": "people 1 to 4 m away, gaze noise 8 deg, head noise 5 deg, 10 % dropouts, eyes closed 10 % of the "
-                "time, {:g} s for each seed".format(GAZE_SECONDS),
-        "pictures": "those of fetch_models (demo, evaluation), labels in gazes.txt, each as a film of 2 s",
-        "groups": "F1 at T = 2/3, one setting; noisy: 20 cm and 20 deg, mean of 5 draws",
-        "cpu": "{:g} Hz".format(RATE_HZ)},
-        {key: value for key, value in values.items() if key not in asked})
-
-
-def as_table(report: dict) -> str:
-    """Return the same for a person to read."""
-    told = {}
+def _words(report: dict) -> Dict[str, str]:
+    """Texts of the table for values that are too long for a line."""
+    texts: Dict[str, str] = {}
     if report["photographs"] is not None:
-        told["photographs"] = "\n".join(["rows: truth; columns: answer"] + _confusion(report["photographs"]))
+        texts["photographs"] = "\n".join(["rows: truth; columns: answer"] + _confusion(report["photographs"]))
     if report["groups_f1"] is not None and "groups_published" in report["details"]:
-        told["groups_f1"] = "{}; published (GCFF, a setting for each sequence): {}".format(
+        texts["groups_f1"] = "{}; published (GCFF, a setting for each sequence): {}".format(
             short(report["groups_f1"]), short(report["details"]["groups_published"]))
-    return table_of(report, KEYS, told)
+    return texts
 
 
 def _confusion(table: Dict[str, Dict[str, int]]) -> List[str]:
@@ -131,10 +102,12 @@ def _confusion(table: Dict[str, Dict[str, int]]) -> List[str]:
                     for truth, row in table.items()]
 
 
-def _rounded(value: object, digits: int = 4) -> object:
-    if isinstance(value, dict):
-        return {name: _rounded(number, digits) for name, number in value.items()}
-    return round(value, digits) if isinstance(value, float) else value
+SUBJECT = Subject("interactions", "gazes, groups, engagement, their cost, and an hour in a crowd", KEYS, PARTS, {
+    "gaze": "people 1 to 4 m away, gaze noise 8 deg, head noise 5 deg, 10 % dropouts, eyes closed 10 % of the "
+            "time, {:g} s for each seed".format(GAZE_SECONDS),
+    "pictures": "those of fetch_models (demo, evaluation), labels in gazes.txt, each as a film of 2 s",
+    "groups": "F1 at T = 2/3, one setting; noisy: 20 cm and 20 deg, mean of 5 draws",
+    "cpu": "{:g} Hz".format(RATE_HZ)}, _words)
 
 
 def _measure(part: str, hours: float, overlay: Optional[Path]) -> Dict[str, object]:
@@ -145,24 +118,24 @@ def _measure(part: str, hours: float, overlay: Optional[Path]) -> Dict[str, obje
         from benchmarks.gaze_photographs import FRAMES, USE_FACS, photographs, told_of
         models = models_directory()
         tables = photographs(models, overlay)
-        return {"photographs": tables[USE_FACS], "gaze_real": _rounded(told_of(tables[USE_FACS])),
+        return {"photographs": tables[USE_FACS], "gaze_real": rounded(told_of(tables[USE_FACS])),
                 "photographs_without_use_facs": tables[FRAMES]}
     if part == "independent":
         from benchmarks.gaze_independent import figures
         found_gazes = figures()
-        return {"gaze_independent": _rounded(found_gazes["faces"]),
-                "gaze_no_face": _rounded(found_gazes["no_face"]["all"]),
+        return {"gaze_independent": rounded(found_gazes["faces"]),
+                "gaze_no_face": rounded(found_gazes["no_face"]["all"]),
                 "robot_groups": {count: round(one["wrong_per_true"], 4) for count, one in found_gazes["robot"].items()}}
     if part == "eyes":
         from benchmarks.face_figures import eye_errors
         errors = eye_errors(models_directory())
-        return {"eyes": _rounded(errors["eyes"]), "eyes_wrong_of": errors["counts"]}
+        return {"eyes": rounded(errors["eyes"]), "eyes_wrong_of": errors["counts"]}
     if part == "nods":
         from benchmarks.nods import nod_figures
-        return {name: _rounded(scores) for name, scores in nod_figures().items()}
+        return {name: rounded(scores) for name, scores in nod_figures().items()}
     if part == "crowd":
         from benchmarks.crowd import crowd
-        return {"crowd": _rounded(crowd(hours), 2)}
+        return {"crowd": rounded(crowd(hours), 2)}
     if part == "gaze":
         return _measure_gaze()
     if part == "cpu":
@@ -170,7 +143,7 @@ def _measure(part: str, hours: float, overlay: Optional[Path]) -> Dict[str, obje
         loads = {people: load(people, RATE_HZ) for people in (10, 30)}
         found: Dict[str, object] = {"cpu_percent_{}".format(people): round(one["cpu_percent"], 2)
                                     for people, one in loads.items()}
-        found["cpu_load"] = {str(people): _rounded(one, 2) for people, one in loads.items()}
+        found["cpu_load"] = {str(people): rounded(one, 2) for people, one in loads.items()}
         return found
     from benchmarks.gaze import engagement
     return {"engagement": engagement()}
@@ -178,19 +151,19 @@ def _measure(part: str, hours: float, overlay: Optional[Path]) -> Dict[str, obje
 
 def _measure_gaze() -> Dict[str, object]:
     from benchmarks.gaze import gaze, head_rule
-    found: Dict[str, object] = {"gaze_{}".format(people): _rounded(gaze(people, GAZE_SECONDS)) for people in (3, 6)}
+    found: Dict[str, object] = {"gaze_{}".format(people): rounded(gaze(people, GAZE_SECONDS)) for people in (3, 6)}
     found["gaze_without_closed_eyes_rule"] = {
-        str(people): _rounded(gaze(people, GAZE_SECONDS, closed_eyes_rule=False)) for people in (3, 6)}
-    found["gaze_of_the_head_alone"] = {str(people): _rounded(head_rule(people, GAZE_SECONDS)) for people in (3, 6)}
+        str(people): rounded(gaze(people, GAZE_SECONDS, closed_eyes_rule=False)) for people in (3, 6)}
+    found["gaze_of_the_head_alone"] = {str(people): rounded(head_rule(people, GAZE_SECONDS)) for people in (3, 6)}
     return found
 
 
 def _measure_groups() -> Dict[str, object]:
     from benchmarks import groups
     figures = groups.group_figures()
-    found: Dict[str, object] = {"groups_" + name: _rounded(scores) for name, scores in figures.items()}
+    found: Dict[str, object] = {"groups_" + name: rounded(scores) for name, scores in figures.items()}
     found["groups_f1"] = {name: round(figures["f1"][name], 4) for name in GROUPS_WANTED}
     found["groups_f1_simulated"] = round(figures["f1"]["simulated"], 4)
-    found["groups_over_time"] = _rounded(groups.stability())
+    found["groups_over_time"] = rounded(groups.stability())
     found["groups_ms"] = {str(people): round(groups.milliseconds(people), 2) for people in (10, 30)}
     return found

@@ -139,7 +139,7 @@ def figures_of(speakers: int, seeds: Sequence[int], tuning: bool = False) -> Dic
             "strangers_per_minute": 60.0 * others / length, "cpu_percent": 100.0 * spent / length}
 
 
-def array_figures(scenes: int = 12) -> Dict[str, object]:
+def figures(scenes: int = 12) -> Dict[str, object]:
     """Return the figures of `scripts/benchmark voices`, on recordings, rooms and places that nothing was chosen on.
 
     doa_error_deg_1, doa_error_deg_2: medians; kept_apart: mean; si_sdr_gain_db: mean of two speakers who talk at the

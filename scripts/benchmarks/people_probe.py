@@ -12,8 +12,9 @@ from typing import List
 
 import rospy
 from people_msgs.msg import People
+from processes import wait_until
 
-from benchmarks.persons_world import FeatureSource, wait
+from benchmarks.persons_world import FeatureSource
 
 PEOPLE, RATE_HZ = 10, 15.0
 
@@ -36,11 +37,11 @@ def main() -> int:
     subscriber = rospy.Subscriber(
         "/people", People, lambda message: len(message.people) == PEOPLE and heard.append(time.monotonic()))
     try:
-        if not wait(lambda: len(heard) > 5, 30.0):
+        if not wait_until(lambda: len(heard) > 5, 30.0):
             print("people_probe: ten people do not come on /people", file=sys.stderr)
             return 1
         del heard[:]
-        wait(lambda: bool(heard) and heard[-1] - heard[0] > seconds, seconds + 20.0)
+        wait_until(lambda: bool(heard) and heard[-1] - heard[0] > seconds, seconds + 20.0)
         result = {"hz": (len(heard) - 1) / (heard[-1] - heard[0])}
     finally:
         stop.set()

@@ -3,49 +3,40 @@
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import sys
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Callable, Dict, List, Sequence, Tuple
+from typing import TYPE_CHECKING, Callable, Dict, Sequence
 
-from benchmarks.report import chosen, machine, measure_all
+from benchmarks.report import Keys, Subject, most
 
 if TYPE_CHECKING:
     from benchmarks.stack_run import StackRun
 
-KEYS: Sequence[Tuple[str, str]] = (
-    ("latency_p50_ms", "<= 5"), ("latency_p99_ms", "<= 20"),
-    ("latency_p50_ms_300", "<= 5"), ("latency_p99_ms_300", "<= 20"),
-    ("latency_p50_ms_1800", "<= 5"), ("latency_p99_ms_1800", "<= 20"),
-    ("persons_10", "10"), ("persons_30", "30"), ("dropped", "0"), ("cpu_percent_10", "<= 10"),
-    ("cpu_percent_30", "<= 30"), ("linked_7x7_ms", "<= 50"), ("chain_12_ms", "<= 50"), ("churn_rss_mb", "<= 1"),
-    ("rest_rss_mb", "<= 1"), ("confidence_curve", "1, below 1 at once, falls to 0"), ("recover_s", "<= 5"),
-    ("kill_damaged", "0"),
-    ("who_wins", "10"), ("persons_200", "200"), ("linked_15_ms", "<= 100"), ("late_body_taken", "0"),
-    ("wire_layouts", "17"), ("forget_undone", "0"))
+def _falls(value: object) -> bool:
+    """Tell whether a confidence stays at 1, and falls to 0 at last."""
+    return isinstance(value, list) and value[0][1] == 1.0 and value[-1][1] == 0.0
 
 
-def register(commands: argparse._SubParsersAction) -> None:
-    """Add the command line of this benchmark."""
-    parser = commands.add_parser("persons", help="latency, processor, memory and recovery of the person manager")
-    parser.add_argument("--only", default="", help="parts to measure, of: " + ", ".join(PARTS))
-    parser.add_argument("--soak", type=float, default=1.0,
-                        help="length of the memory runs, 1 = 5 minutes of coming and going and 10 of rest (default: 1)")
-    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
-
-
+KEYS: Keys = (
+    *(("latency_p{}_ms{}".format(part, seconds), "<= {}".format(limit), most(limit))
+      for seconds in ("", "_300", "_1800") for part, limit in ((50, 5), (99, 20))),
+    ("persons_10", "10", lambda value: value == 10), ("persons_30", "30", lambda value: value == 30),
+    ("dropped", "0", most(0)), ("cpu_percent_10", "<= 10", most(10)), ("cpu_percent_30", "<= 30", most(30)),
+    ("linked_7x7_ms", "<= 50", most(50)), ("chain_12_ms", "<= 50", most(50)), ("churn_rss_mb", "<= 1", most(1)),
+    ("rest_rss_mb", "<= 1", most(1)), ("confidence_curve", "1, below 1 at once, falls to 0", _falls),
+    ("recover_s", "<= 5", most(5)), ("kill_damaged", "0", most(0)), ("who_wins", "10", lambda value: value == 10),
+    ("persons_200", "200", lambda value: value == 200), ("linked_15_ms", "<= 100", most(100)),
+    ("late_body_taken", "0", most(0)), ("forget_undone", "0", most(0)))
 PARTS: Dict[str, Sequence[str]] = {
     "latency": ("latency_p50_ms", "latency_p99_ms", "latency_p50_ms_300", "latency_p99_ms_300", "latency_p50_ms_1800",
                 "latency_p99_ms_1800"),
     "crowd": ("persons_10", "persons_30", "dropped", "cpu_percent_10", "cpu_percent_30"),
     "hard": ("linked_7x7_ms", "chain_12_ms"), "confidence": ("confidence_curve",), "recover": ("recover_s",),
     "kill": ("kill_damaged",), "rules": ("who_wins", "linked_15_ms", "late_body_taken"), "many": ("persons_200",),
-    "wire": ("wire_layouts",), "forget": ("forget_undone",), "soak": ("churn_rss_mb", "rest_rss_mb")}
-
-
+    "forget": ("forget_undone",), "soak": ("churn_rss_mb", "rest_rss_mb")}
 FORGET_S = 60.0
 """Time (s) in which two processes learn and forget persons in one store."""
 USUAL_DESCRIPTORS = 1024
@@ -72,9 +63,6 @@ def _measure(part: str, logs: Path, soak: float) -> dict:
     if part == "kill":
         from benchmarks.store import kill_writer
         return kill_writer()
-    if part == "wire":
-        from benchmarks.wire_layouts import faults
-        return {"wire_layouts": sum(not fault for fault in faults().values())}
     if part == "forget":
         from benchmarks.store import forget_undone
         return {"forget_undone": forget_undone(FORGET_S, Path(tempfile.mkdtemp(dir=str(logs))))}
@@ -105,41 +93,31 @@ def _recover(logs: Path) -> dict:
     return found
 
 
+def register(commands: argparse._SubParsersAction) -> None:
+    """Add the command line of this benchmark."""
+    SUBJECT.register(commands).add_argument(
+        "--soak", type=float, default=1.0,
+        help="length of the memory runs, 1 = 5 minutes of coming and going and 10 of rest (default: 1)")
+
+
 def run(options: argparse.Namespace) -> int:
-    """Measure and print; 1 when something could not be measured."""
-    wanted = chosen("persons", options.only, PARTS)
+    """Measure and print; 1 when something could not be measured, and then the logs stay."""
     if not options.soak > 0.0:
         print("scripts/benchmark persons: --soak must be above 0", file=sys.stderr)
-    if wanted is None or not options.soak > 0.0:
         return 2
-    before = machine()
     logs = Path(tempfile.mkdtemp(prefix="ros4hri-benchmark-"))
-    values, reasons, failed = measure_all(wanted, PARTS, lambda name: _measure(name, logs, options.soak))
-    report: Dict[str, object] = {key: values.get(key) for key, _ in KEYS}
-    report["reasons"] = {key: reasons.get(key, "not measured") for key, _ in KEYS if report[key] is None}
-    report["details"] = {key: value for key, value in values.items() if key not in report}
-    report["machine"] = before
-    print(json.dumps(report) if options.json else _table(report))
-    if failed:
+    code = SUBJECT.run(options, lambda part: _measure(part, logs, options.soak))
+    if code == 1:
         print("logs: {}".format(logs), file=sys.stderr)
     else:
         shutil.rmtree(str(logs), ignore_errors=True)
-    return 1 if failed else 0
+    return code
 
 
-def _table(report: dict) -> str:
-    lines: List[str] = ["{:22} {:>32}  {}".format("figure", "wanted", "measured")]
-    for key, asked in KEYS:
-        lines.append("{:22} {:>32}  {}".format(key, asked, _short(report[key])))
-    lines += ["{}: {}".format(key, value) for key, value in sorted(report["details"].items())]
-    lines += ["not measured, {}: {}".format(key, why) for key, why in report["reasons"].items()]
-    lines.append("machine: {cpu}, {cores} cores, load {load_average}".format(**report["machine"]))
-    return "\n".join(lines)
+def _words(report: dict) -> Dict[str, str]:
+    """The curve of the confidence in a dozen points."""
+    curve = report["confidence_curve"] or []
+    return {"confidence_curve": ", ".join("{:g} s {:.2f}".format(*pair) for pair in curve[::max(1, len(curve) // 12)])}
 
 
-def _short(value: object) -> str:
-    if isinstance(value, list):
-        shown = value[:: max(1, len(value) // 12)]
-        return ", ".join("{:g} s {:.2f}".format(*pair) for pair in shown)
-    return "-" if value is None else "{:g}".format(value) if isinstance(value, (int, float)) else str(value)
-
+SUBJECT = Subject("persons", "latency, processor, memory and recovery of the person manager", KEYS, PARTS, {}, _words)

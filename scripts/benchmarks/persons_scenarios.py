@@ -24,10 +24,11 @@ import numpy as np
 import processes
 import rosgraph
 import rospy
+from processes import wait_until
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float32
 
-from benchmarks.persons_world import BODY, FACE, PERSON, FaceIdEar, FeatureSource, match, wait
+from benchmarks.persons_world import BODY, FACE, PERSON, FaceIdEar, FeatureSource, match
 from benchmarks.stack_run import command_of, cpu_s, pid_of_node, usage
 from hri_msgs.msg import IdsList
 from hri_pipeline.ros.master import MasterWatch
@@ -41,7 +42,7 @@ class ScenarioError(RuntimeError):
 
 def expect(condition: Callable[[], bool], seconds: float, what: str) -> None:
     """Wait for a condition. Raises ScenarioError naming `what` when it does not come true."""
-    if not wait(condition, seconds):
+    if not wait_until(condition, seconds):
         raise ScenarioError("did not happen within {:g} s: {}".format(seconds, what))
 
 
@@ -254,7 +255,7 @@ def many(world: FeatureSource, people: int = 200) -> dict:
     shown = ids("f", people)
     world.show(faces=shown)
     _repeat(world, 5.0, 20.0, lambda number: world.place(shown))
-    wait(lambda: len(world.tracked) >= people, 20.0)
+    wait_until(lambda: len(world.tracked) >= people, 20.0)
     held_now = held(manager_pid())
     published = {topic for topic, _ in rospy.get_published_topics("/humans/persons")}
     complete = sum("/humans/persons/%s/face_id" % name in published for name in world.tracked)

@@ -14,6 +14,7 @@ from typing import Dict, Iterable, List, Optional, Sequence, Tuple
 
 import rospy
 from geometry_msgs.msg import TransformStamped
+from processes import wait_until
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
@@ -57,7 +58,7 @@ class FeatureSource:
 
     def wait_for_manager(self, seconds: float = 30.0) -> bool:
         """Wait until the manager listens to the matches."""
-        return wait(lambda: self.matches.get_num_connections() > 0, seconds)
+        return wait_until(lambda: self.matches.get_num_connections() > 0, seconds)
 
     def show(self, faces: Sequence[str] = (), bodies: Sequence[str] = ()) -> None:
         """Publish who is tracked now."""
@@ -133,21 +134,11 @@ class FaceIdEar:
             self._condition.notify_all()
 
 
-def wait(condition, seconds: float) -> bool:
-    """True as soon as the condition holds, False after `seconds`."""
-    deadline = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.02)
-    return True
-
-
 def load(rate: float) -> None:
     """Publish `rate` matches per second between ten faces and ten bodies, until killed."""
     rospy.init_node("persons_load", anonymous=True)
     publisher = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=1000, tcp_nodelay=True)
-    wait(lambda: publisher.get_num_connections() > 0, 30.0)
+    wait_until(lambda: publisher.get_num_connections() > 0, 30.0)
     chance, began, sent = random.Random(1), time.monotonic(), 0
     while not rospy.is_shutdown():
         due = int((time.monotonic() - began) * rate)

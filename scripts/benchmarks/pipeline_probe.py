@@ -45,7 +45,6 @@ class Probe:
         self.keeps_faces = False
         self.faces: Dict[str, Dict[float, Pose]] = defaultdict(dict)
         """Poses of the frames of faces by their names and stamps (s), while `keeps_faces`."""
-        self.most: Dict[str, int] = {}
         self.stages: Dict[str, Dict[str, Dict[str, float]]] = {}
         self.inferences: Dict[str, List[Tuple[float, int]]] = defaultdict(list)
         """Stamp (s) of the diagnostics and how often each network has run until then."""
@@ -79,8 +78,6 @@ class Probe:
         """Note how many there are."""
         with self.lock:
             self.tracked[kind], self.ids[kind] = len(message.ids), list(message.ids)
-            if self.watching:
-                self.most[kind] = max(self.most.get(kind, 0), len(message.ids))
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
         """Keep the latest times of stages, STAGE_ms_median and STAGE_ms_p95, and times of inferences_NETWORK."""
@@ -103,7 +100,7 @@ class Probe:
             images = {stamp for kind in KINDS if kind != "person" for stamps in self.stamps[kind].values()
                       for stamp in stamps}
             return {
-                "seconds": seconds, "tracked": self.tracked, "most_tracked": self.most,
+                "seconds": seconds, "tracked": self.tracked,
                 "ages": [age for stamp, age in self.ages if stamp in images],
                 "rates": {kind: sorted((len(stamps & images) / seconds for stamps in frames.values()), reverse=True)
                           for kind, frames in self.stamps.items()},

@@ -1,18 +1,111 @@
-"""What the benchmarks have in common: the choice of the parts, measuring one after the other, the machine, the report
+"""What the benchmarks have in common: the command line, measuring one part after the other, the machine, and the report
 as table and JSON."""
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
 import platform
 import subprocess
 import sys
 import traceback
 from pathlib import Path
-from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 Parts = Mapping[str, Sequence[str]]
 """Names of the parts, with the keys of the figures that each gives."""
+IsMet = Callable[[Any], bool]
+Keys = Sequence[Tuple[str, str, IsMet]]
+"""Name of each figure, what is asked, and whether a value meets that."""
+
+
+def most(limit: float) -> IsMet:
+    """Return what tells whether a value is a number of at most this size, of either sign."""
+    return lambda value: isinstance(value, (int, float)) and abs(value) <= limit
+
+
+def least(limit: float) -> IsMet:
+    """Return what tells whether a value is a number of at least this size."""
+    return lambda value: isinstance(value, (int, float)) and value >= limit
+
+
+def each_most(limits: Mapping[str, float]) -> IsMet:
+    """Return what tells whether a value has all of these numbers, none above its limit."""
+    return lambda value: isinstance(value, dict) and all(
+        isinstance(value.get(name), (int, float)) and value[name] <= limit for name, limit in limits.items())
+
+
+def told(value: object) -> bool:
+    """Tell whether there is a value; nothing is asked of it."""
+    return value is not None
+
+
+def rounded(value: Any, digits: int = 4) -> Any:
+    """Return a number, or the numbers of a dictionary, rounded."""
+    if isinstance(value, dict):
+        return {name: rounded(number, digits) for name, number in value.items()}
+    return round(value, digits) if isinstance(value, float) else value
+
+
+class Subject:
+    """One subject of scripts/benchmark.
+
+    Parameters
+    ----------
+    name, text
+        Of the command, and its line of help.
+    keys, parts
+        Figures, and which part measures which.
+    inputs
+        What was measured on, for the report.
+    words
+        Called with a report; other texts for the values of some figures in the table.
+    """
+
+    def __init__(self, name: str, text: str, keys: Keys, parts: Parts, inputs: Mapping[str, object],
+                 words: Callable[[dict], Mapping[str, str]] = lambda report: {}) -> None:
+        self.name, self.text, self.keys, self.parts, self._words = name, text, keys, parts, words
+        self._inputs = dict(inputs)
+
+    def register(self, commands: argparse._SubParsersAction) -> argparse.ArgumentParser:
+        """Add the command line; returns its parser."""
+        parser: argparse.ArgumentParser = commands.add_parser(self.name, help=self.text)
+        parser.add_argument("--only", default="", help="parts to measure, of: " + ", ".join(self.parts))
+        parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+        return parser
+
+    def run(self, options: argparse.Namespace, measure: Callable[[str], Mapping[str, object]]) -> int:
+        """Measure and print; 1 when something could not be measured, 2 for a wrong command line.
+
+        measure: called with each part, returns its figures; others, and those of its `details`, are told beside them,
+        and its `input` among the inputs.
+        """
+        wanted = chosen(self.name, options.only, self.parts)
+        if wanted is None:
+            return 2
+        before = machine()
+
+        def one(part: str) -> Mapping[str, object]:
+            found = dict(measure(part))
+            self._inputs.update({part: found.pop("input")} if "input" in found else {})
+            return found
+
+        values, reasons, failed = measure_all(wanted, self.parts, one)
+        report = self.report(values, reasons, before)
+        print(json.dumps(report) if options.json else self.table(report))
+        return 1 if failed else 0
+
+    def report(self, values: Mapping[str, object], reasons: Mapping[str, str], before: dict) -> dict:
+        """Return the JSON object: every figure, null with a reason where there is none. before: `machine()` of before
+        the start."""
+        asked = {key for key, _, _ in self.keys}
+        return report_of(self.keys, values, reasons, before, self._inputs,
+                         {key: value for key, value in values.items() if key not in asked})
+
+    def table(self, report: dict) -> str:
+        """Return the same for a person to read."""
+        return table_of(report, self.keys, self._words(report))
 
 
 def chosen(subject: str, only: str, parts: Parts) -> Optional[List[str]]:
@@ -38,7 +131,12 @@ def measure_all(wanted: Sequence[str], parts: Parts,
     for name in wanted:
         print("{} ...".format(name), file=sys.stderr, flush=True)
         try:
-            values.update(measure(name))
+            found = dict(measure(name))
+            values.update(found.pop("details", {}))  # type: ignore[call-overload]
+            values.update(found)
+            missing = [key for key in parts[name] if key not in found]
+            if missing:
+                raise KeyError("the figures of {} have no {}".format(name, ", ".join(missing)))
         except Exception as error:
             failed = True
             traceback.print_exc(file=sys.stderr)
@@ -74,10 +172,6 @@ def _output(command: List[str]) -> str:
                               check=True).stdout.decode().strip()
     except (OSError, subprocess.CalledProcessError):
         return "?"
-
-
-Keys = Sequence[Tuple[str, str, Callable[[object], bool]]]
-"""Name of each figure, what is asked, and whether a value meets that."""
 
 
 def report_of(keys: Keys, values: Mapping[str, object], reasons: Mapping[str, str], before: dict,

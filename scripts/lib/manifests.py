@@ -91,7 +91,7 @@ def undeclared(package: Package, root: Path, ours: Set[str]) -> List[str]:
     # Only tests may use what is not installed.
     beside_tests = {path.parent.name for path in (root / "scripts").glob("*/__init__.py")}
     if directory == root:
-        own |= ours
+        own |= ours | {path.stem for path in root.glob("*/test/**/*.py")}
     problems = []
     for tags, files, patterns in ((_RUN_TAGS, source, ("launch/*.launch",)),
                                   (_TEST_TAGS, tests, ("test/**/*.test", "rosbag_tests/*.test",

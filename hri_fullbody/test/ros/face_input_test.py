@@ -10,7 +10,7 @@ from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from hri_fullbody.ros.inputs import FaceInput
+from hri_fullbody.ros.bodies import FaceInput
 from hri_msgs.msg import FacialLandmarks, IdsList
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import landmarks_to_msg, transform_to_msg

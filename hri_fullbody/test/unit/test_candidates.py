@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hri_fullbody.core.detection.windows import PERSON_BOX_MARGINS
+from hri_fullbody.core.detection.windows import PERSON_BOX_WINDOWS, FaceBox
 from hri_fullbody.core.tracking import candidates
 from hri_fullbody.core.tracking.candidates import CandidateQueue
 
@@ -19,18 +19,18 @@ def sound_by_score(monkeypatch):
     monkeypatch.setattr(candidates, "is_sound", lambda estimate, least: estimate.score >= least)
 
 
-def estimate(score, box=BOX):
+def estimate(score, box=BOX, extent=310.0, nose=(150.0, 120.0)):
     """What the network finds in a window."""
-    return SimpleNamespace(score=score, box=box, nose=np.zeros(2), next_window=lambda: "refined")
+    return SimpleNamespace(score=score, box=box, extent=extent, nose=np.array(nose), next_window=lambda: "refined")
 
 
-def tried(queue, score_of, box=BOX):
+def tried(queue, score_of, box=BOX, **properties):
     """Sides of the windows of the first candidate in units of the box's longer side, and what came of it."""
     candidate, sides = queue.take(), []
     while True:
         window = candidate.window(None)
         sides.append(window if window == "refined" else round(window.size / 300.0, 2))
-        result = candidate.judge(estimate(score_of(sides), box), None, 0.5)
+        result = candidate.judge(estimate(score_of(sides), box, **properties), None, 0.5)
         if result.failed or result.found is not None:
             return sides, result.found is not None, candidate
 
@@ -42,7 +42,7 @@ def offered(others, stamp=0.0):
 
 
 def test_a_box_alone_is_tried_with_windows_of_several_sizes():
-    assert tried(offered([AWAY]), lambda sides: 0.1)[:2] == (list(PERSON_BOX_MARGINS), False)
+    assert tried(offered([AWAY]), lambda sides: 0.1)[:2] == ([1.25, 1.7, 1.46, 1.25], False)
     sides, found, _ = tried(offered([]), lambda sides: 0.95 if 1.7 in sides else 0.1)
     assert sides == [1.25, 1.7, "refined"] and found
 
@@ -60,10 +60,41 @@ def test_a_body_out_of_another_window_must_be_that_of_the_box():
     assert not tried(offered([]), lambda sides: 0.1 if sides == [1.25] else 0.95, BESIDE)[1]
 
 
+def test_a_body_that_is_smaller_than_its_box_is_another_thing():
+    assert tried(offered([]), lambda sides: 0.95, extent=270.0)[1]
+    assert not tried(offered([]), lambda sides: 0.95, extent=250.0)[1]
+
+
+def test_a_box_that_the_detector_is_unsure_of_has_one_window_and_must_show_a_sure_body():
+    def unsure(others=(), stamp=0.0, queue=None):
+        queue = CandidateQueue() if queue is None else queue
+        queue.offer_boxes([], [], others, stamp, unsure=[BOX])
+        return queue
+
+    assert tried(unsure(), lambda sides: 0.95)[:2] == ([1.25, "refined"], True)
+    assert tried(unsure(), lambda sides: 0.85)[:2] == ([1.25], False)
+    assert not tried(unsure(), lambda sides: 0.95 if sides == [1.25] else 0.85)[1]
+    assert not tried(unsure(), lambda sides: 0.95, nose=(90.0, 120.0))[1]
+    assert not len(unsure([BOX + 2.0]))           # a part of somebody
+    queue = unsure()
+    queue.give_up(None, 0.0, tried(queue, lambda sides: 0.1)[2].box)
+    assert not len(unsure(stamp=1.0, queue=queue)) and len(unsure(stamp=9.0, queue=queue))
+
+
+def test_a_figure_too_small_for_its_face_is_none():
+    face = FaceBox("f", np.array([130.0, 100.0, 170.0, 140.0]))
+    for extent, found in ((230.0, False), (250.0, True)):
+        queue = CandidateQueue()
+        queue.offer_faces([face], 0.0)
+        candidate = queue.take()
+        candidate.judge(estimate(0.9, extent=extent), face, 0.5)
+        assert (candidate.judge(estimate(0.9, extent=extent), face, 0.5).found is not None) == found
+
+
 def test_a_box_without_a_body_has_one_window_for_a_while():
     queue = offered([])
     queue.give_up(None, 0.0, tried(queue, lambda sides: 0.1)[2].box)
-    for stamp, windows in ((1.0, 1), (9.0, len(PERSON_BOX_MARGINS))):
+    for stamp, windows in ((1.0, 1), (9.0, len(PERSON_BOX_WINDOWS))):
         queue.offer_boxes([BOX + 5.0], [], [], stamp)
         assert len(tried(queue, lambda sides: 0.1)[0]) == windows
 

@@ -3,10 +3,8 @@ import numpy as np
 import pytest
 from synthetic_people import STANDING
 
-from hri_fullbody.core.keypoints import to_18_points
-from hri_fullbody.core.localization.pnp import body_pose, head_pose, place, rotation_to_ray, translation_only
+from hri_fullbody.core.localization.pnp import body_pose, place, rotation_to_ray, translation_only
 from hri_pipeline.core.camera import Calibration, CameraModel
-from hri_pipeline.core.geometry import Pose
 
 CAMERA = CameraModel.from_fov(1280, 720, 1.05)
 BENT = CameraModel(1280, 720, CAMERA.matrix, np.array([-0.25, 0.08, 0.001, -0.001, 0.0]), "plumb_bob",
@@ -70,15 +68,3 @@ def test_body_frame_looks_forward_with_z_to_the_head():
     assert pose.rotation == pytest.approx(np.array([[0, 1, 0], [0, 0, -1], [-1, 0, 0]]), abs=0.02)
     assert np.linalg.det(pose.rotation) == pytest.approx(1.0)
     assert body_pose(np.zeros((33, 3))) is None
-
-
-def test_head_frame_is_between_the_eyes_and_turns_with_the_head():
-    keypoints = to_18_points(truth((0.0, 0.0, 2.0), 0.0)[0])
-    body = Pose(np.array([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]]), np.array([0.0, 0.0, 2.0]))
-    head = head_pose(keypoints, body)
-    assert head.translation == pytest.approx([0.0, -0.66, 1.89])
-    assert head.rotation == pytest.approx(body.rotation, abs=0.1)
-    keypoints[17] = np.nan
-    assert head_pose(keypoints, body).rotation == pytest.approx(body.rotation)
-    keypoints[[0, 14]] = np.nan
-    assert head_pose(keypoints, body) is None

@@ -1,7 +1,9 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from hri_fullbody.core.detection.pose_estimator import decode
+from hri_fullbody.core.detection.pose_estimator import covers, decode
 from hri_pipeline.core.geometry import crop_rotated
 
 
@@ -34,3 +36,13 @@ def test_world_landmarks_turn_back_with_the_window():
     # Up in a window turned a quarter clockwise is right in the image.
     assert estimate.world[0] == pytest.approx([1.0, 0.0, 0.5])
     assert estimate.world.shape == (33, 3)
+
+
+@pytest.mark.parametrize("seen, nose, extent, covered", [
+    ((110, 120, 190, 260), (150, 140), 500.0, True),      # at a table: little of the body is sure, the head is in place
+    ((110, 120, 190, 260), (150, 140), 200.0, False),     # a small figure in the picture of somebody
+    ((110, 250, 190, 390), (150, 270), 500.0, False),     # who stands before that person, and is shorter
+    ((110, 120, 330, 260), (150, 140), 500.0, False)])    # beside it for the most part
+def test_the_box_of_a_body_is_known_by_its_head(seen, nose, extent, covered):
+    estimate = SimpleNamespace(box=np.array(seen, float), nose=np.array(nose, float), extent=extent)
+    assert covers(estimate, np.array([100.0, 110.0, 210.0, 410.0])) == covered

@@ -9,7 +9,7 @@ import pytest
 from posed_people import STATURE, UP
 
 from hri_fullbody.core import keypoints as kp
-from hri_fullbody.core.behaviour.arms import trunk_axes
+from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH, trunk_axes
 from hri_fullbody.core.behaviour.attitude import AttitudeClass, Latch, Rule
 from hri_fullbody.core.behaviour.gesture import GestureClass, turns
 from hri_fullbody.core.behaviour.posture import PostureClass, PostureEstimator, without_guessed_limbs
@@ -263,6 +263,20 @@ def test_a_hand_is_where_its_knuckles_are(ahead, knuckles, on_face):
     hands[1] = people.FACING @ (0.08 * np.array(knuckles) / np.linalg.norm(knuckles))
     told = [body.update(points, STATURE, index / 15.0, UP, 0.0, None, hands) for index in range(15)]
     assert (told[-1].attitude == AttitudeClass.HANDS_ON_FACE) == on_face
+
+
+@pytest.mark.parametrize("elbow, wrist, depth_counts, sure, attitude", [
+    ((0.20, 0.05, -0.19), (0.33, -0.10, 0.06), 1.0, 0.9, AttitudeClass.OTHER),
+    ((0.20, 0.05, -0.19), (0.33, -0.10, 0.06), GUESSED_DEPTH, 0.9, AttitudeClass.HANDS_ON_FACE),
+    ((0.20, 0.05, -0.19), (0.33, -0.10, 0.06), GUESSED_DEPTH, 0.2, AttitudeClass.OTHER),
+    ((0.27, -0.05, 0.03), (0.53, -0.13, 0.10), GUESSED_DEPTH, 0.9, AttitudeClass.OTHER)],
+    ids=["measured before the face", "guessed", "its elbow is not seen", "stretched out towards the camera"])
+def test_one_camera_puts_hands_before_the_face(elbow, wrist, depth_counts, sure, attitude):
+    points = people.Pose().arm("right", elbow, wrist).seen(place=(0.0, 0.6, 3.0))
+    confidence, body = np.full(18, 0.9), BehaviourRecognizer()
+    confidence[kp.RIGHT_ELBOW] = sure
+    told = [body.update(points, STATURE, index / 15.0, UP, 0.0, confidence, None, depth_counts) for index in range(15)]
+    assert told[-1].attitude == attitude
 
 
 def test_legs_that_the_network_guesses_are_no_legs():

@@ -173,6 +173,15 @@ def test_points_that_are_missing_leave_the_others_right(layout):
         assert distances(solution.keypoints, points).max() < 0.02, (gone, distances(solution.keypoints, points))
 
 
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_feet_under_a_table_hang_below_the_knees(layout):
+    body, points = standing("sitting", layout)
+    hidden = points.copy()
+    hidden[:, [s.LEFT_ANKLE, s.RIGHT_ANKLE]] = np.nan
+    ankles = JointSolver(layout).solve(hidden, body, [None], up=UP).keypoints[0, [s.LEFT_ANKLE, s.RIGHT_ANKLE]]
+    assert distances(ankles, points[0, [s.LEFT_ANKLE, s.RIGHT_ANKLE]]).max() < 0.1
+
+
 def test_legs_behind_a_table_are_held_then_relax():
     body, points = standing("sitting")
     solver = JointSolver()

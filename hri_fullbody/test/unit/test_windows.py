@@ -18,9 +18,12 @@ def test_impossible_windows_are_refused(centre, size, angle):
         Window(centre, size, angle)
 
 
-def test_person_box_is_centred_with_a_margin():
-    window = window_from_person_box(np.array([10.0, 20.0, 50.0, 120.0]))
-    assert window == Window((30.0, 70.0), 125.0, 0.0)
+@pytest.mark.parametrize("box, centre, size", [
+    ((10.0, 20.0, 40.0, 120.0), (25.0, 70.0), 125.0),     # whole: centred on it
+    ((10.0, 20.0, 90.0, 120.0), (50.0, 130.0), 275.0),    # cut at a table: hangs from the head
+    ((10.0, 20.0, 210.0, 70.0), (110.0, 45.0), 250.0)])    # lies
+def test_a_person_is_at_least_as_tall_as_its_breadth_tells(box, centre, size):
+    assert window_from_person_box(np.array(box)) == Window(centre, size, 0.0)
 
 
 def test_face_window_hangs_below_the_face():

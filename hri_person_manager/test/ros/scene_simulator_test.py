@@ -9,13 +9,14 @@ import rosgraph
 import rospy
 import rostest
 from geometry_msgs.msg import PoseArray
-from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from hri_msgs.msg import FacialActionUnits, FacialLandmarks, IdsList, Skeleton2D
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.simulation.scene_file import load_scene
+from hri_pipeline.ros.conversions import matrix_from_image
 from hri_pipeline.testing import wait_for
 
 PEOPLE = ["ann", "bob", "cho"]
@@ -95,6 +96,8 @@ class TestSceneSimulator(unittest.TestCase):
         self.assertEqual(len(units.intensity), 99)
         skeleton = rospy.wait_for_message("/humans/bodies/{}/skeleton2d".format(body), Skeleton2D, 10.0)
         self.assertGreater(sum(point.c > 0.5 for point in skeleton.skeleton), 8)
+        colours = matrix_from_image(rospy.wait_for_message("/humans/bodies/{}/appearance".format(body), Image, 10.0))
+        self.assertTrue(colours.shape == (5, 21) and np.allclose(colours.sum(axis=1), 1.0))
         self.assertEqual(rospy.wait_for_message("camera_info", CameraInfo, 10.0).width, 1280)
         for frame in ("face_" + face, "gaze_" + face, "body_" + body, "head_" + body):
             wait_for(lambda frame=frame: frame in self.ears.frames, 10.0, "the frame " + frame)

@@ -9,8 +9,8 @@ import pytest
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header, String
+from wire_layouts import serialise
 
-from benchmarks.wire_layouts import serialise
 from hri_msgs.msg import (
     AudioFeatures,
     Expression,

@@ -2,8 +2,7 @@
 came."""
 
 import pytest
-
-from benchmarks.wire_layouts import exchange, faults, read_layouts, serialise
+from wire_layouts import exchange, faults, read_layouts, serialise
 
 LAYOUTS = read_layouts()
 

@@ -14,7 +14,7 @@ import rostest
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from hri_pipeline.core.camera import Calibration
-from hri_pipeline.ros import inputs
+from hri_pipeline.ros import inputs, sensor_input
 from hri_pipeline.ros.conversions import bgr_to_image, make_header
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.inputs import ImageInput
@@ -68,9 +68,9 @@ class InputCase(unittest.TestCase):
 class ImageInputTest(InputCase):
 
     def test_a_camera_that_is_away_is_told_once(self):
-        for name, value in (("CALM_S", 0.2), ("_LOG_PERIOD_S", 0.3)):
-            self.addCleanup(setattr, inputs, name, getattr(inputs, name))
-            setattr(inputs, name, value)
+        for name, value in (("CALM_S", 0.2), ("LOG_PERIOD_S", 0.3)):
+            self.addCleanup(setattr, sensor_input, name, getattr(sensor_input, name))
+            setattr(sensor_input, name, value)
         image_input = self.image_input()
         with self.assertLogs("rosout", "WARNING") as log:
             for _ in range(3):
@@ -377,7 +377,7 @@ class VisionLoopTest(InputCase):
 
 def suite():
     """Both cases; the limits for silence and grace are shorter than on a robot."""
-    inputs.SILENCE_S, inputs.INFO_GRACE_S = 0.6, 0.5
+    sensor_input.SILENCE_S, inputs.INFO_GRACE_S = 0.6, 0.5
     load = unittest.defaultTestLoader.loadTestsFromTestCase
     return unittest.TestSuite([load(ImageInputTest), load(VisionLoopTest)])
 

@@ -7,17 +7,24 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 import unittest
 from xmlrpc.client import ServerProxy
 
 import rosgraph
 import rospy
 import rostest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from hri_msgs.msg import IdsList
 from hri_pipeline.testing import HeardProcess, wait_for
 
 NODE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "small_node.py")
+LAUNCH = """<launch>
+  <node name="small_node" pkg="hri_pipeline" type="small_node.py" respawn="true" respawn_delay="0.1" output="screen">
+    {}
+  </node>
+</launch>"""
 
 # A master that has just begun, and takes nothing from the node at first.
 HASTY_MASTER = """
@@ -167,6 +174,33 @@ class RunNodeTest(unittest.TestCase):
                 self.assertEqual(len(said), 1, said)
                 self.assertIn(text, said[0])
                 rospy.delete_param("/small_node")
+
+    def test_roslaunch_does_not_start_it_again_and_again(self):
+        self.launch_wrongly("<param name='size' value='11'/>", 1)
+        self.launch_wrongly("<param name='model' value='/nowhere/x.onnx'/>", 2)
+
+    def launch_wrongly(self, parameter, starts):
+        """The error is on /diagnostics, the node is not started much more often than `starts`, and then it is well."""
+        with tempfile.NamedTemporaryFile("w", suffix=".launch") as launch:
+            launch.write(LAUNCH.format(parameter))
+            launch.flush()
+            roslaunch, told = self.start(["roslaunch", launch.name]), []
+            subscriber = rospy.Subscriber("/diagnostics", DiagnosticArray, lambda message: told.extend(
+                status for status in message.status if status.name == "small_node: settings"))
+
+            def started():
+                return "".join(roslaunch.lines).count("process[small_node-1]")
+
+            wait_for(lambda: told and started() >= starts, 30, lambda: "it says so; said: {}".format(roslaunch.lines))
+            self.assertEqual(told[0].level, DiagnosticStatus.ERROR)
+            subscriber.unregister()
+            time.sleep(2.0)
+            self.assertLessEqual(started(), starts + 1)
+            rospy.set_param("/small_node/size", 3)
+            rospy.set_param("/small_node/model", "")
+            roslaunch.says("spinning")
+            self.assertEqual(roslaunch.end(), 0)
+            rospy.delete_param("/small_node")
 
     def test_other_errors_close_and_give_a_traceback(self):
         for where, closed in (("build", 0), ("spin", 1), ("close", 1)):

@@ -14,7 +14,7 @@ from audio_common_msgs.msg import AudioData, AudioInfo
 from std_msgs.msg import Header
 
 from hri_pipeline.core.audio.parameters import VOICES
-from hri_pipeline.ros import sound_input
+from hri_pipeline.ros import sensor_input, sound_input
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
 from hri_pipeline.ros.sound_input import SoundInput
 from hri_pipeline.testing import wait_for
@@ -67,7 +67,7 @@ class SoundInputTest(unittest.TestCase):
         sound._on_audio(self.from_node("/microphone"))
         for number in range(2000):
             sound._on_audio(self.from_node("/other_{}".format(number)))
-        self.assertLess(len(sound._others), 100)
+        self.assertLess(len(sound._senders._others), 100)
         self.assertIn("/other_1999 sends too", sound._other_sender().replace(", ", " sends too "))
 
     @staticmethod
@@ -154,7 +154,7 @@ class SoundInputTest(unittest.TestCase):
 
     def test_nobody_sends(self):
         sound = self.open()
-        with mock.patch.object(sound_input, "_LOG_PERIOD_S", 0.3), self.assertLogs("rosout", "WARNING") as log:
+        with mock.patch.object(sensor_input, "LOG_PERIOD_S", 0.3), self.assertLogs("rosout", "WARNING") as log:
             wait_for(lambda: not sound.next(0.05) and log.output, LIMIT, "a warning")
             told = time.monotonic()
             wait_for(lambda: not sound.next(0.05) and time.monotonic() > told + 2.0, LIMIT,

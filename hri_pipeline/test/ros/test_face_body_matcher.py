@@ -13,9 +13,9 @@ from std_msgs.msg import Header
 from hri_msgs.msg import FacialLandmarks, IdsList, IdsMatch, NormalizedPointOfInterest2D, Skeleton2D
 from hri_pipeline.testing import wait_for
 
-sys.path.append(str(Path(__file__).resolve().parents[3] / "scripts"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "msgs"))
 
-from benchmarks.wire_layouts import serialise  # noqa: E402
+from wire_layouts import serialise  # noqa: E402
 
 WAIT_S = 10.0
 

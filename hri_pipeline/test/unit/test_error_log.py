@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from hri_pipeline.core.error_log import LONGEST_LINE, LONGEST_WORD, ItemGuard, Outage, ShortWords, shortened
+from hri_pipeline.core.error_log import LONGEST_LINE, LONGEST_WORD, ItemGuard, LogFilter, Outage, shortened
 
 
 def test_an_outage_is_told_once():
@@ -48,16 +48,22 @@ def test_ordinary_texts_stay_as_they_are():
         assert shortened(text) == text
 
 
-def test_the_filter_changes_records_with_arguments(caplog):
+def test_the_filter_changes_records_with_arguments_and_drops_ordinary_ends(caplog):
     logger = logging.getLogger("test_log_texts")
-    cut = ShortWords()
+    cut = LogFilter()
     logger.addFilter(cut)
     try:
         with caplog.at_level(logging.INFO):
             logger.info("from %s to %s, 100 %%", 50000 * "f", "map")
+            logger.warning("Inbound TCP/IP connection failed: %s", "connection from sender terminated before handshake "
+                           "header received. 0 bytes were received. Please check sender for additional details.")
+            logger.warning("Could not process inbound connection: [/hri_faces] is not a publisher of "
+                           "[/humans/faces/abcde/roi]. Topics are []{'callerid': '/rviz'}")
+            logger.warning("Could not process inbound connection: topic types do not match: [a/A] vs. [b/B]")
     finally:
         logger.removeFilter(cut)
     assert len(caplog.messages[0]) < 300 and caplog.messages[0].endswith(" to map, 100 %")
+    assert len(caplog.messages) == 2 and "types do not match" in caplog.messages[1]
 
 
 def test_the_others_get_their_results_in_order():

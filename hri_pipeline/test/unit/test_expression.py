@@ -13,7 +13,6 @@ from hri_pipeline.core.faces.expression import (
     PROTOTYPES,
     ExpressionModel,
     ExpressionTracker,
-    tempered,
     unit_scores,
     view_quality,
 )
@@ -179,14 +178,6 @@ def test_bad_probabilities():
         tracker.update(np.ones(6), None, 0.0)
     assert tracker.update(np.full(7, np.nan), None, 0.0) is None
     assert tracker.update(np.zeros(7), None, 0.1) is None
-
-
-def test_tempering_keeps_the_order_and_lowers_the_peak():
-    raw = np.array([[0.9, 0.05, 0.02, 0.01, 0.01, 0.005, 0.005]])
-    soft = tempered(raw, 2.5)
-    assert soft.sum() == pytest.approx(1.0) and soft.max() < 0.7
-    assert (np.argsort(soft) == np.argsort(raw))[0, -1]
-    assert tempered(raw, 1.0) == pytest.approx(raw)
 
 
 def test_the_prototypes_name_every_category():

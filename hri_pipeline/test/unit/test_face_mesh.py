@@ -14,7 +14,6 @@ from hri_pipeline.core.faces.mesh import (
     agreement_score,
     bounding_box,
     landmarks_from_mesh,
-    normalised,
 )
 
 
@@ -57,13 +56,6 @@ def test_confidence_falls_with_visibility_and_stays_in_range():
 def test_another_mesh_is_refused(shape):
     with pytest.raises(ValueError, match="mesh"):
         landmarks_from_mesh(np.zeros(shape), 1.0, 640, 480, np.ones(LANDMARKS))
-
-
-def test_normalised_is_clipped_and_needs_a_size():
-    landmarks = np.array([[-5.0, 240.0, 0.5], [320.0, 900.0, 1.0]])
-    assert normalised(landmarks, 640, 480) == pytest.approx(np.array([[0.0, 0.5, 0.5], [0.5, 1.0, 1.0]]))
-    with pytest.raises(ValueError, match="positive"):
-        normalised(landmarks, 0, 480)
 
 
 def test_bounding_box():

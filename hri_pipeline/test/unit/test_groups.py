@@ -12,7 +12,7 @@ import pytest
 from benchmarks.data_directory import ABSENT, data_directory
 from benchmarks.groups import group_figures, public_scenes, simulated_scenes, stability, with_noise
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.interactions.formations import find_formations, o_spaces
+from hri_pipeline.core.interactions.formations import find_formations, middles_of, votes_of
 from hri_pipeline.core.interactions.groups import (
     ROBOT,
     Group,
@@ -122,9 +122,9 @@ def test_an_uncertain_place_makes_a_group_less_certain() -> None:
 
 def test_the_middle_of_given_groups() -> None:
     table = np.array(circle(4, 0.7, 3.0, 1.0) + [[8.0, 8.0, math.nan]])
-    middles = o_spaces(table[:, :2], table[:, 2], np.full(5, 0.2), SETTINGS, [[0, 1, 2, 3], [4]])
-    assert np.allclose(middles, [[3.0, 1.0], [8.0, 8.0]], atol=1e-6)
-    assert o_spaces(table[:, :2], table[:, 2], np.full(5, 0.2), SETTINGS, []).shape == (0, 2)
+    votes = votes_of(table[:, :2], table[:, 2], np.full(5, 0.2), SETTINGS)
+    assert np.allclose(middles_of(votes, [[0, 1, 2, 3], [4]]), [[3.0, 1.0], [8.0, 8.0]], atol=1e-6)
+    assert middles_of(votes, []).shape == (0, 2)
 
 
 def test_what_does_not_fit_is_refused() -> None:

@@ -1,8 +1,8 @@
 """A recording as a page: what is in it, and its numbers."""
 
 import pytest
+from scene_bag import BASE
 
-from benchmarks.recordings import BASE
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.score.bag import BagWriter, read_bag
 from hri_pipeline.score.report import gaze_shares, main, page, spans, speech_spans

@@ -27,7 +27,7 @@ def test_every_part_and_every_figure_once():
 
 
 def test_json_is_one_object_with_null_and_reason(monkeypatch, capsys):
-    def measure(part, models):
+    def measure(part):
         if part == "gallery":
             return {"gallery_1000_ms": 0.6}
         raise FileNotFoundError("no pictures")
@@ -36,7 +36,7 @@ def test_json_is_one_object_with_null_and_reason(monkeypatch, capsys):
     assert faces.run(options("--json", "--only", "gallery,recognition")) == 1
     written = capsys.readouterr()
     report = json.loads(written.out)
-    assert set(report) == set(WANTED) | {"machine", "input", "load", "reasons"}
+    assert set(report) == set(WANTED) | {"machine", "input", "load", "reasons", "details"}
     assert report["gallery_1000_ms"] == 0.6 and "gallery_1000_ms" not in report["reasons"]
     assert report["recognition"] is None and "no pictures" in report["reasons"]["recognition"]
     assert "--only" in report["reasons"]["cpu_ms_1"]
@@ -44,7 +44,7 @@ def test_json_is_one_object_with_null_and_reason(monkeypatch, capsys):
 
 
 def test_the_exit_status_is_good_when_all_that_was_asked_for_is_measured(monkeypatch, capsys):
-    monkeypatch.setattr(faces, "_measure", lambda part, models: {"gallery_1000_ms": 0.6})
+    monkeypatch.setattr(faces, "_measure", lambda part: {"gallery_1000_ms": 0.6})
     assert faces.run(options("--only", "gallery")) == 0
     assert faces.run(options("--only", "galery")) == 2
     assert "galery" in capsys.readouterr().err
@@ -57,11 +57,11 @@ def test_the_exit_status_is_good_when_all_that_was_asked_for_is_measured(monkeyp
     ("churn_2000", {"fds": 0, "threads": 0, "rss_mb": 2.0}, "yes"),
     ("churn_2000", {"fds": 1, "threads": 0, "rss_mb": 2.0}, "NO"), ("face_body_depth_ratio_median", 0.8, "NO")])
 def test_the_table_says_what_is_met(key, value, met):
-    report = faces.make_report({key: value}, {}, {
-        "cpu": "some", "cores": 2, "system": "here", "load_average": [0.1, 0.2, 0.3]}, faces.Path("models"))
-    line, = [line for line in faces.as_table(report).splitlines() if line.startswith(key + " ")]
+    report = faces.SUBJECT.report({key: value}, {}, {
+        "cpu": "some", "cores": 2, "system": "here", "load_average": [0.1, 0.2, 0.3]})
+    line, = [line for line in faces.SUBJECT.table(report).splitlines() if line.startswith(key + " ")]
     assert re.search(r" (yes|NO|-)  ", line)[1] == met
-    others = [line for line in faces.as_table(report).splitlines() if "not measured" in line]
+    others = [line for line in faces.SUBJECT.table(report).splitlines() if "not measured" in line]
     assert len(others) == len(WANTED) - 1
 
 

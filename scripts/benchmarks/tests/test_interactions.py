@@ -14,7 +14,7 @@ MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3
 
 
 def lines(values: dict) -> dict:
-    table = interactions.as_table(interactions.make_report(values, {}, MACHINE))
+    table = interactions.SUBJECT.table(interactions.SUBJECT.report(values, {}, MACHINE))
     return {line.split()[0]: line for line in table.splitlines() if line.strip()}
 
 
@@ -24,12 +24,13 @@ def test_every_figure_is_measured_by_one_part() -> None:
 
 
 def test_what_was_not_measured_is_null_with_its_reason() -> None:
-    report = json.loads(json.dumps(interactions.make_report({"cpu_percent_10": 0.9}, {"crowd": "no scene"}, MACHINE)))
+    found = interactions.SUBJECT.report({"cpu_percent_10": 0.9}, {"crowd": "no scene"}, MACHINE)
+    report = json.loads(json.dumps(found))
     assert set(report) == ASKED | {"reasons", "details", "machine", "load", "input"}
     assert set(report["reasons"]) == ASKED - {"cpu_percent_10"}
     assert all(report[key] is None for key in report["reasons"])
     assert report["reasons"]["crowd"] == "no scene"
-    assert "no scene" in interactions.as_table(report)
+    assert "no scene" in interactions.SUBJECT.table(report)
 
 
 def test_the_table_tells_what_falls_short() -> None:

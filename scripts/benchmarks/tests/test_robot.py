@@ -22,11 +22,11 @@ def test_every_figure_is_measured_by_one_part() -> None:
     assert sorted(measured) == sorted(ASKED) == sorted(key for key, _, _ in robot.KEYS)
     assert set(robot.SOURCES) == set(robot.PARTS)
     with_ros = ["web"] if importlib.util.find_spec("rospy") else []
-    assert not [part for part in ["covariance", "people", "presets", "bridge"] + with_ros if robot.why_absent(part)]
+    assert all(robot.source_of(part) for part in ["covariance", "people", "presets", "bridge"] + with_ros)
 
 
 def test_what_was_not_measured_is_null_with_its_reason() -> None:
-    report = json.loads(json.dumps(robot.make_report({"people_msgs_hz": 15.0}, {"nod": "not there"}, MACHINE)))
+    report = json.loads(json.dumps(robot.SUBJECT.report({"people_msgs_hz": 15.0}, {"nod": "not there"}, MACHINE)))
     assert report["people_msgs_hz"] == 15.0 and report["nod"] is None and report["reasons"]["nod"] == "not there"
 
 

@@ -48,32 +48,31 @@ def test_every_figure_is_measured_by_one_part() -> None:
 
 
 def test_what_was_not_measured_is_null_with_its_reason() -> None:
-    report = json.loads(json.dumps(voices.make_report({"kept_apart": 0.95}, {"turns": "no ROS"}, {}, MACHINE)))
+    report = json.loads(json.dumps(voices.SUBJECT.report({"kept_apart": 0.95}, {"turns": "no ROS"}, MACHINE)))
     assert set(report) == ASKED | {"reasons", "details", "machine", "load", "input"}
     assert report["kept_apart"] == 0.95 and set(report["reasons"]) == ASKED - {"kept_apart"}
     assert all(report[key] is None for key in report["reasons"])
-    assert report["reasons"]["turns"] == "no ROS" and "no ROS" in voices.as_table(report)
+    assert report["reasons"]["turns"] == "no ROS" and "no ROS" in voices.SUBJECT.table(report)
 
 
 @pytest.mark.parametrize("values, word", [(GOOD, " yes "), (BAD, " NO ")], ids=["good", "bad"])
 def test_the_table_says_what_is_met(values, word) -> None:
-    lines = {line.split()[0]: line for line in voices.as_table(
-        voices.make_report(values, {}, {}, MACHINE)).splitlines() if line.strip()}
+    lines = {line.split()[0]: line for line in voices.SUBJECT.table(
+        voices.SUBJECT.report(values, {}, MACHINE)).splitlines() if line.strip()}
     assert all(word in lines[key] for key in values), lines
 
 
 @pytest.mark.parametrize("vad", [{}, {"clean": GOOD_VAD["clean"]}, dict(GOOD_VAD, **{"0": {"tpr": 0.79, "fpr": 0.0}})])
 def test_half_a_figure_is_not_met(vad) -> None:
-    assert " NO " in [line for line in voices.as_table(voices.make_report({"vad": vad}, {}, {}, MACHINE)).splitlines()
-                      if line.startswith("vad ")][0]
+    table = voices.SUBJECT.table(voices.SUBJECT.report({"vad": vad}, {}, MACHINE))
+    assert " NO " in [line for line in table.splitlines() if line.startswith("vad ")][0]
 
 
 def test_a_part_that_lacks_a_figure_is_told(monkeypatch, capsys) -> None:
-    monkeypatch.setattr(voices, "_features",
-                        lambda details: voices._split("features", {"f0_error_percent": 1.0}, details))
+    monkeypatch.setattr(voices, "_measure", lambda part, turns: {"f0_error_percent": 1.0})
     status = voices.run(argparse.Namespace(only="features", turns=1, json=True))
     report = json.loads(capsys.readouterr().out)
-    assert status == 1 and report["f0_error_percent"] is None and "hnr_error_db" in report["reasons"]["hnr_error_db"]
+    assert status == 1 and report["f0_error_percent"] == 1.0 and "hnr_error_db" in report["reasons"]["hnr_error_db"]
     assert report["reasons"]["vad"] == "not asked for (--only)"
 
 

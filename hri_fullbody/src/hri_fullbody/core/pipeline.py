@@ -15,6 +15,7 @@ from typing import Callable, Deque, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
+from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH
 from hri_fullbody.core.behaviour.gesture import GestureClass
 from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
 from hri_fullbody.core.behaviour.posture import PostureClass, without_guessed_limbs
@@ -278,7 +279,8 @@ class BodyPipeline:
         behaviour = self._guard.each(
             "behaviour of a body",
             lambda one: recognizer.update(
-                points, one.stature, stamp, up, up_sd, body.keypoints[:, 2], body.hands), [model])
+                points, one.stature, stamp, up, up_sd, body.keypoints[:, 2], body.hands,
+                1.0 if body.by_depth else GUESSED_DEPTH), [model])
         self._last_models[model.id] = _LastModel(
             stamp, model, None if body.pose is None else body.pose.translation, behaviour[0] if behaviour else None)
         if body.head is not None:

@@ -185,9 +185,9 @@ class MatchGraph:
                     refuted: Container[FrozenSet[MatchNode]] = ()) -> None:
         """Keep transitive links: the members of a group stay linked when the node in the middle of a chain leaves.
 
-        Where two members were linked only through `leaving`, an edge takes its place. Its likelihood is the
-        product along the path, at least the threshold: that evidence was enough when it was given. refuted: pairs that
-        are not linked.
+        Where two members were linked only through `leaving`, an edge takes its place, the one of the best path. It
+        counts just so (`threshold`): what was measured since is better, as after a cut of the picture, when a body has
+        borne the name of another one's face for a moment. refuted: pairs that are not linked.
         """
         members = sorted(group)
         products = path_products(members, self._likelihoods(members, threshold))
@@ -208,7 +208,7 @@ class MatchGraph:
         for first, second in pairs:
             product = products.get(frozenset((first, second)), 0.0)
             if product > 0.0 and parts[first] is not parts[second] and frozenset((first, second)) not in refuted:
-                self.set(first, second, max(product, threshold))
+                self.set(first, second, threshold)
                 join(first, second)
 
     def component(self, start: MatchNode, threshold: float, present: Callable[[MatchNode], bool]) -> List[MatchNode]:

@@ -79,12 +79,6 @@ class DemographicsFusion:
         self._estimate = self._fuse()
         return True
 
-    def absorb(self, other: "DemographicsFusion") -> None:
-        """Take over the faces of a person that turned out to be the same."""
-        for face_id, face in other._faces.items():
-            self._faces.setdefault(face_id, face)
-        self._estimate = self._fuse()
-
     def estimate(self) -> Optional[DemographicsEstimate]:
         """Return the fused estimate, None while nothing is known."""
         return self._estimate

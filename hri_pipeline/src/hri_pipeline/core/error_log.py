@@ -39,13 +39,20 @@ class Outage:
         return not told
 
 
-class ShortWords(logging.Filter):
+# What rospy tells of subscribers that let go before they were connected, and of the topics of those who have gone.
+_ORDINARY = re.compile(r"Inbound TCP/IP connection failed: .* 0 bytes were received"
+                       r"|Could not process inbound connection: \[\S*\] is not a publisher of \[/humans/")
+
+
+class LogFilter(logging.Filter):
     """Shortens long words and lines of every log record: names of frames and topics come from outside and have any
-    length."""
+    length. Leaves out what rospy tells of subscriptions that end while they begin, which happens all the time."""
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Change the record where it is too long; it is always logged."""
+        """Return whether to log the record; change it where it is too long."""
         text = record.getMessage()
+        if _ORDINARY.match(text):
+            return False
         if len(text) > LONGEST_WORD:
             record.msg, record.args = shortened(text), ()
         return True

@@ -26,8 +26,8 @@ LONGEST_WAIT_S = 30.0
 PROVEN_S = 10.0
 
 
-def share_arenas(count: int = 2) -> bool:
-    """Let all threads allocate from `count` arenas; return whether the C library can. For nodes whose threads come and
+def share_arenas() -> bool:
+    """Let all threads allocate from two arenas; return whether the C library can. For nodes whose threads come and
     go.
 
     By default each new thread may get an arena of its own, up to eight per core, and other threads cannot use the
@@ -38,7 +38,7 @@ def share_arenas(count: int = 2) -> bool:
     except (OSError, AttributeError):
         return False
     mallopt.argtypes = (ctypes.c_int, ctypes.c_int)
-    return bool(mallopt(_M_ARENA_MAX, count))
+    return bool(mallopt(_M_ARENA_MAX, 2))
 
 
 class GarbageCollector:

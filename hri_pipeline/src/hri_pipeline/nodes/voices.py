@@ -8,11 +8,9 @@ Threads: callbacks of rospy only store; everything else happens in the caller of
 
 from __future__ import annotations
 
-import threading
 import time
-import traceback
 from collections import deque
-from typing import Callable, Deque, Dict, List, Optional, Sequence, Set, Tuple
+from typing import Callable, Deque, Dict, Iterable, List, Optional, Sequence, Set, Tuple
 
 import numpy as np
 import rospy
@@ -36,7 +34,6 @@ from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.recognition.gallery import open_gallery
-from hri_pipeline.core.timing import StageTimes
 from hri_pipeline.ros.conversions import match_to_msg, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.gallery_service import GalleryService
@@ -46,10 +43,10 @@ from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.sound_input import RobotVoiceInput, SoundInput
 from hri_pipeline.ros.tf import TfPublisher
 from hri_pipeline.ros.voice_topics import NAMESPACE, VoiceTopics
+from hri_pipeline.ros.worker import Status, Worker
 
 MATCHES_TOPIC = "/humans/candidate_matches"
 _WAIT_S = 0.1
-_REPORT_S = 1.0
 _LOG_PERIOD_S = 10.0
 _WINDOW = 300
 _KINDS = ("features", "speech", "direction", "speaker_changes", "voice_identity")
@@ -59,14 +56,12 @@ _TOO_SLOW = 0.9
 _LAST_WORDS_S = 5.0
 # Period of the frames of voices: directions change slowly, and every listener of /tf has to process each frame.
 _FRAME_PERIOD_S = 0.06
-Status = Tuple[int, str, Dict[str, object]]
 
 
-class VoicesNode:
-    """Gives the blocks of the input to the processor, in the thread that calls spin().
+class VoicesNode(Worker):
+    """Gives the blocks of the input to the processor.
 
-    An exception costs the block that caused it, and nothing else. Without sound for STALL_S of ROS time all turns end;
-    after `silence_time` s all voices are removed.
+    Without sound for STALL_S of ROS time all turns end; after `silence_time` s all voices are removed.
 
     Parameters
     ----------
@@ -80,36 +75,10 @@ class VoicesNode:
 
     def __init__(self, settings: VoicesSettings) -> None:
         self._settings = settings
-        self._lock = threading.RLock()
-        self._closed = threading.Event()
         self._processor = VoiceProcessor(settings)
-        self._input = SoundInput(settings, self._restart)
-        self._diagnostics = NodeDiagnostics(rospy.get_name())
+        super().__init__("sound", SoundInput(settings, self._restart), NodeDiagnostics(rospy.get_name()), _WINDOW)
         self._work: Deque[Tuple[float, float]] = deque(maxlen=_WINDOW)
-        self._ages: Deque[float] = deque(maxlen=_WINDOW)
-        self._times = StageTimes(_WINDOW)
-        self._errors = 0
-        self._last_error: Tuple[str, float] = ("", float("-inf"))
-        self._traced: Set[str] = set()
-        self._reported = float("-inf")
         rospy.on_shutdown(self._closed.set)
-
-    def spin(self) -> None:
-        """Work until ROS shuts down or close() is called."""
-        heard, is_quiet = rospy.get_time(), True
-        while not self._closed.is_set() and not rospy.is_shutdown():
-            blocks = self._input.next(_WAIT_S)
-            for block in blocks:
-                self._guard(lambda block=block: self._process(block))
-            self._guard(self._processor.poll)
-            if blocks:
-                heard, is_quiet = rospy.get_time(), False
-            elif not is_quiet:
-                heard = min(heard, rospy.get_time())     # simulated time may go back
-                is_quiet = self._handle_silence(rospy.get_time() - heard)
-            if time.monotonic() - self._reported >= _REPORT_S:
-                self._reported = time.monotonic()
-                self._guard(self._report)
 
     def reconfigure(self, settings: VoicesSettings) -> None:
         """Apply the values of the live parameters between two blocks.
@@ -122,74 +91,49 @@ class VoicesNode:
             self._processor.reconfigure(settings)
             self._input.reconfigure(settings)
 
-    def close(self) -> None:
-        """Stop spin() and release everything. Idempotent."""
-        self._closed.set()
-        for owner in (self._input, self._processor, self._diagnostics):
-            try:
-                owner.close()
-            except Exception:
-                rospy.logerr("%s did not close:\n%s", type(owner).__name__, traceback.format_exc())
+    def process(self, block: SoundBlock) -> None:
+        """Find the voices in a block."""
+        self._attempt("block", lambda: self._find(block))
 
-    def _process(self, block: SoundBlock) -> None:
+    def _find(self, block: SoundBlock) -> None:
         started = time.perf_counter()
-        with self._times("block"):
+        with self.times("block"):
             self._processor.process(block)
         length = len(block.samples) / RATE
         self._work.append((time.perf_counter() - started, length))
         self._ages.append(rospy.get_time() - block.stamp - length)
 
-    def _handle_silence(self, seconds: float) -> bool:
-        """Handle `seconds` without sound; return whether all voices have been removed."""
+    def _take(self) -> Sequence[SoundBlock]:
+        return self._input.next(_WAIT_S)
+
+    def _after(self) -> None:
+        self._attempt("speech", self._processor.poll)
+
+    def _rest(self, seconds: float) -> bool:
         if seconds >= STALL_S or seconds >= self._settings.silence_time:
-            self._guard(lambda: self._processor.idle(seconds))
+            self._attempt("idle", lambda: self._processor.idle(seconds))
         if seconds < self._settings.silence_time:
             return False
-        self._guard(self._processor.remove_voices)
+        self._attempt("idle", self._processor.remove_voices)
         return True
 
     def _restart(self) -> None:
         self._ages.clear()
-        self._guard(self._processor.reset)
+        self._attempt("reset", self._processor.reset)
 
-    def _guard(self, call: Callable[[], None]) -> None:
-        """Run `call`; count and log an error, with one traceback for each kind."""
-        try:
-            with self._lock:
-                call()
-        except Exception as error:  # one block never ends the node
-            self._errors += 1
-            text = "{}: {}".format(type(error).__name__, error)
-            self._last_error = (text, time.monotonic())
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            kind = "{}:{}:{}".format(type(error).__name__, place.filename, place.lineno)
-            if kind not in self._traced:
-                self._traced.add(kind)
-                rospy.logerr("%s; this sound is skipped\n%s", text, traceback.format_exc())
-            else:
-                rospy.logerr_throttle(_LOG_PERIOD_S, "%s; this sound is skipped", text)
+    def _owned(self) -> Iterable[VoiceProcessor]:
+        return (self._processor,)
 
-    def _report(self) -> None:
-        self._diagnostics.set("input", *self._input.status())
-        self._diagnostics.set("pipeline", *self._load())
-        for task, status in self._processor.status().items():
-            self._diagnostics.set(task, *status)
+    def _statuses(self) -> Iterable[Tuple[str, Callable[[], Status]]]:
+        return [(task, lambda status=status: status) for task, status in self._processor.status().items()]
 
-    def _load(self) -> Tuple[int, str, Dict[str, object]]:
+    def _load(self) -> Status:
         work, length = sum(cost for cost, _ in self._work), sum(length for _, length in self._work)
-        values: Dict[str, object] = {"errors": self._errors,
+        values: Dict[str, object] = {"errors": sum(self._errors.values()),
                                      "dropped_messages": self._input.counts["dropped_messages"]}
-        if self._ages:
-            ages = sorted(self._ages)
-            values["age_ms_median"] = 1e3 * ages[len(ages) // 2]
-            values["age_ms_p95"] = 1e3 * ages[int(0.95 * (len(ages) - 1))]
-        values.update(self._times.values())
-        if length:
-            values["real_time_factor"] = work / length
-        if time.monotonic() - self._last_error[1] < _LOG_PERIOD_S:
-            return ERROR, self._last_error[0], values
         if not length:
             return WARN, "no sound yet", values
+        values["real_time_factor"] = work / length
         if work / length > _TOO_SLOW:
             return WARN, "the processor is too slow: {:.2f} s of work per second of sound; switch features or speech " \
                          "off".format(work / length), values

@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
-from typing import Callable, Deque, Dict, List, Optional, Tuple, Union
+from typing import Callable, Deque, Dict, Optional, Tuple, Union
 
 import numpy as np
 import rospy
@@ -21,6 +21,7 @@ from hri_pipeline.core.images import ImageError, depth_from_raw
 from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
 from hri_pipeline.ros.rospy_compat import release, sender_of
+from hri_pipeline.ros.sensor_input import CALM_S, LOG_PERIOD_S, SensorInput
 
 # Larger than an image: with rospy's 64 kB, images pile up in the socket while the worker is busy.
 BUFFER_BYTES = 2 ** 24
@@ -28,14 +29,8 @@ BUFFER_BYTES = 2 ** 24
 JUMP_S = 1.0
 # How long the first image waits for its camera_info.
 INFO_GRACE_S = 1.0
-SILENCE_S = 3.0
 # Images of other publishers are ignored until the one that is used has sent nothing for so long.
 SENDER_S = 1.0
-# The silence of a camera is logged again only if it has sent for so long without a gap.
-CALM_S = 10.0
-_LOG_PERIOD_S = 10.0
-_NEW_PROBLEM_S = 1.0
-
 _CAMERA_LOG_PERIOD_S = 30.0
 # Aspect ratios that differ by more are not the same view.
 _ASPECT_TOLERANCE = 0.02
@@ -65,43 +60,7 @@ class Frame:
     depth: Optional[np.ndarray] = None
 
 
-class OneSender:
-    """Uses the messages of one publisher of a topic at a time: the first whose messages can be read, while it sends.
-
-    timeout: s without a message after which another publisher is used. Times are in s, of a clock that never jumps. The
-    caller holds a lock.
-    """
-
-    def __init__(self, timeout: float) -> None:
-        self._timeout = timeout
-        self._used_at = float("-inf")
-        self._others: Dict[str, float] = {}
-        self.used = ""
-        """Name of the publisher that is used, empty without one."""
-
-    def accepts(self, sender: str, now: float) -> bool:
-        """Return whether a message of this publisher, which has come at `now`, is to be read."""
-        if sender == self.used:
-            self._used_at = now
-        elif self.used and now - self._used_at < self._timeout:
-            self._others[sender] = now
-            return False
-        return True
-
-    def was_read(self, sender: str, is_readable: bool, now: float) -> None:
-        """Use this publisher from now on, unless its message could not be read."""
-        if is_readable and sender != self.used:
-            self.used, self._used_at = sender, now
-        elif not is_readable and sender == self.used:
-            self.used = ""
-
-    def others(self, now: float) -> List[str]:
-        """Return the names of the publishers whose messages were not accepted in the last SILENCE_S."""
-        self._others = {name: at for name, at in self._others.items() if now - at < SILENCE_S}
-        return sorted(self._others)
-
-
-class ImageInput:
+class ImageInput(SensorInput):
     """Keeps the newest message of `image` (or `image/compressed`) and the latest of `camera_info`.
 
     The callback only stores; `next` decodes in the thread of the worker. An image that is not newer than the last one
@@ -139,25 +98,18 @@ class ImageInput:
         kinds = {"raw": ("image", Image), "compressed": ("image/compressed", CompressedImage)}
         if transport not in kinds:
             raise ValueError("image transport is {!r}, known: {}".format(transport, ", ".join(kinds)))
+        name, kind = kinds[transport]
+        super().__init__(name, "image", "camera", ("start the camera or remap `image`", "is the camera running?"),
+                         SENDER_S)
         self.on_time_jump = on_time_jump
         self._depth = depth
         self._decode = image_to_bgr if transport == "raw" else compressed_to_bgr
-        self._condition = threading.Condition()
         self._message: Optional[ImageMessage] = None
         self._last_stamp: Optional[float] = None
         self._problem: Tuple[int, str] = (OK, "")
-        self._told: Tuple[str, float] = ("", float("-inf"))
-        self._heard = self._started = time.monotonic()
-        self._outage = Outage(CALM_S)
-        self._senders = OneSender(SENDER_S)
-        self._first = 0.0
-        self._closed = False
         self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0}
         self._camera = CameraInfoInput(fallback_hfov, fov_parameter)
-        name, kind = kinds[transport]
-        self.topic = rospy.resolve_name(name)
-        self._subscriber = rospy.Subscriber(
-            name, kind, self._store, queue_size=1, buff_size=BUFFER_BYTES)
+        self._subscribers = [rospy.Subscriber(name, kind, self._store, queue_size=1, buff_size=BUFFER_BYTES)]
 
     def next(self, timeout: float) -> Optional[Frame]:
         """Return the newest image that has not been taken yet; None when none comes for `timeout` s."""
@@ -199,31 +151,18 @@ class ImageInput:
             self._closed = True
             self._message = None
             self._condition.notify_all()
-        release(self._subscriber)
+        release(self._subscribers[0])
         self._camera.close()
         if self._depth is not None:
             self._depth.close()
 
     def _store(self, message: ImageMessage) -> None:
         with self._condition:
-            if not self._senders.accepts(sender_of(message), time.monotonic()):
+            if not self._accepts(message):
                 return
-            self._heard = time.monotonic()
-            self._outage.there(self._heard)
-            self._first = self._first or self._heard
             self.counts["received"] += 1
             self._message = message
             self._condition.notify()
-
-    def _other_sender(self) -> str:
-        """Return which other publishers of the topic are ignored, in words; empty without one."""
-        with self._condition:
-            others, used = self._senders.others(time.monotonic()), self._senders.used
-        if not others:
-            return ""
-        return "{}: {} sends too, only {} is heard; give each camera its own topic".format(
-            self.topic, ", ".join(others), used
-        )
 
     def _take(self, timeout: float) -> Optional[ImageMessage]:
         with self._condition:
@@ -243,7 +182,7 @@ class ImageInput:
                 self._senders.was_read(sender_of(message), False, time.monotonic())
             self.counts["unreadable"] += 1
             self._problem = (ERROR, "{}: {}".format(self.topic, error))
-            self._tell(self._problem[1])
+            self._tell(self._problem[1] + "; such images are skipped")
             return None
         with self._condition:
             self._senders.was_read(sender_of(message), True, time.monotonic())
@@ -254,17 +193,10 @@ class ImageInput:
         depth = self._depth.match(stamp, bgr.shape[1], bgr.shape[0]) if self._depth is not None else None
         return Frame(bgr, camera, stamp, header, depth)
 
-    def _tell(self, problem: str) -> None:
-        """Log a problem with an image: a new problem soon, the same one every _LOG_PERIOD_S."""
-        told, at = self._told
-        if time.monotonic() - at > (_LOG_PERIOD_S if problem == told else _NEW_PROBLEM_S):
-            rospy.logerr("%s; such images are skipped", problem)
-            self._told = (problem, time.monotonic())
-
     def _stamped(self, header: Header) -> Optional[Header]:
         """Return the header with a stamp, or None for an image that is not newer than the last one."""
         if header.stamp.is_zero():
-            rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: images have no stamp; the time of arrival is used instead. "
+            rospy.logwarn_throttle(LOG_PERIOD_S, "%s: images have no stamp; the time of arrival is used instead. "
                                    "Let the camera driver set header.stamp", self.topic)
             now = rospy.Time.now()
             header.stamp = rospy.Time.from_sec(time.time()) if now.is_zero() else now
@@ -284,24 +216,6 @@ class ImageInput:
             self.counts["late"] += 1
             return None
         return header
-
-    def _silence(self) -> str:
-        """Return why no image comes, empty while images come."""
-        silent = time.monotonic() - self._heard
-        if silent < SILENCE_S or self._closed:
-            return ""
-        if not self._subscriber.get_num_connections():
-            return "no publisher on {} for {:.0f} s; start the camera or remap `image`".format(self.topic, silent)
-        return "no image on {} for {:.0f} s, although it has a publisher; is the camera running?".format(
-            self.topic, silent)
-
-    def _warn_of_silence(self) -> None:
-        with self._condition:
-            text = self._silence()
-            is_to_tell = bool(text) and self._outage.is_to_tell()
-        if is_to_tell:
-            rospy.logwarn("%s", text)
-
 
 def image_input_of(settings: DepthCameraSettings) -> ImageInput:
     """Return the image input of a node."""

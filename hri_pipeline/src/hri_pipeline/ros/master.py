@@ -107,7 +107,6 @@ class MasterWatch:
     def __init__(self, period: float = _PERIOD_S) -> None:
         self._identity = self._ask()
         self._away = False
-        self.restarts = 0
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._watch, args=(period,), name="master watch", daemon=True)
         self._thread.start()
@@ -169,7 +168,6 @@ class MasterWatch:
         except Exception as error:      # it has just begun, or has gone again
             rospy.logerr("registration with the new ROS master failed: %s; trying again", error)
             return False
-        self.restarts += 1
         return True
 
 

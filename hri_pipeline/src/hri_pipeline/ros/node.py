@@ -4,28 +4,31 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import signal
 import sys
 import threading
 import time
 import traceback
 from types import FrameType
-from typing import Callable, Dict, NoReturn, Optional, Protocol
+from typing import Callable, Dict, NoReturn, Optional, Protocol, Tuple
 
 import rosgraph
 import rospy
 from rospy.exceptions import ROSInitException
 
-from hri_pipeline.core.error_log import ShortWords
+from hri_pipeline.core.error_log import LogFilter
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.parameters import ParameterError, ParameterTable, S
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.process import GarbageCollector, keep_large_blocks, one_thread_each
-from hri_pipeline.ros.master import MasterAway, MasterWatch, ask_master
+from hri_pipeline.ros.diagnostics import ERROR, NodeDiagnostics
+from hri_pipeline.ros.master import MasterAway, MasterWatch, ask_master, node_at
 from hri_pipeline.ros.rospy_compat import prepare_rospy
 
 _RETRY_S = 1.0
 _SAY_EVERY = 10
+_LONGEST_PAUSE_S = 60.0
 
 # Errors of whoever set the node up: one line says it, a traceback would hide it.
 SETUP_ERRORS = (ParameterError, ModelError, StoreError)
@@ -52,12 +55,13 @@ def run_node(name: str, build: Callable[[], RunnableNode]) -> NoReturn:
 
     Waits for the master, initialises rospy as `name`, calls build() and spin() of what it returns. On SIGINT,
     SIGTERM or any exception its close() is called while ROS still works, then ROS is shut down.
-    Exit code 0, or 1 after an error; SETUP_ERRORS are told in one line.
+    Exit code 0, or 1 after an error; SETUP_ERRORS are told in one line. Where roslaunch would start the node again,
+    it then waits until its parameters change: see `_wait_for_change`.
     """
     _install_handlers()
     # Without room for its log, Python would print a traceback for each line that it cannot write.
     logging.raiseExceptions = False
-    logging.getLogger("rosout").addFilter(ShortWords())
+    logging.getLogger("rosout").addFilter(LogFilter())
     keep_large_blocks()
     one_thread_each()
     prepare_rospy()
@@ -159,6 +163,7 @@ def _run(build: Callable[[], RunnableNode]) -> int:
     except SETUP_ERRORS as error:
         rospy.logfatal("%s", error)
         code = 1
+        _wait_for_change(error)
     except Exception:
         rospy.logfatal("%s ends because of an error:\n%s", rospy.get_name(), traceback.format_exc())
         code = 1
@@ -167,6 +172,52 @@ def _run(build: Callable[[], RunnableNode]) -> int:
         for owner in (node, watch, collector):
             code = max(code, _close(owner))
     return code
+
+
+def _wait_for_change(error: Exception) -> None:
+    """Wait, with the error on /diagnostics, while it would be of no use to be started again by roslaunch.
+
+    That is until the parameters change. What may pass by itself, such as a port or a file in use, a missing model, is
+    tried again after a second, then after two, four, and so on.
+    """
+    restarts = _restarts()
+    if restarts is None:
+        return
+    may_pass = isinstance(error, (ModelError, StoreError)) or isinstance(error.__cause__, (OSError, StoreError))
+    end = time.monotonic() + (min(2.0 ** restarts, _LONGEST_PAUSE_S) if may_pass else math.inf)
+    name = rospy.get_name()
+    if not may_pass:
+        rospy.logwarn("%s waits for its parameters to change; to load them anew, end this launch and start it again",
+                      name)
+    diagnostics = NodeDiagnostics(name)
+    diagnostics.set("settings", ERROR, str(error))
+    try:
+        before = _given(name)
+        while not rospy.is_shutdown() and time.monotonic() < end and _given(name) == before:
+            time.sleep(_RETRY_S)
+    except (OSError, rosgraph.MasterError):
+        pass                        # the master has gone, and its parameters with it
+    finally:
+        diagnostics.close()
+
+
+def _given(name: str) -> Tuple[object, object]:
+    """Return the parameters of a node, and those of the whole stack."""
+    return rospy.get_param(name, {}), rospy.get_param("/humans", {})
+
+
+def _restarts() -> Optional[int]:
+    """Return how often roslaunch has started this process again; None where it does not do so."""
+    for uri in rospy.get_param("/roslaunch/uris", {}).values():
+        try:
+            with node_at(uri) as launch:
+                for process, _ in launch.list_processes()[2][0]:
+                    known = launch.process_info(process)[2]
+                    if known.get("pid") == os.getpid():
+                        return int(known["spawn_count"]) - 1 if known["respawn"] else None
+        except Exception as error:      # a launch that has ended leaves its address; anything may answer there
+            rospy.logdebug("%s does not say what it has started: %s", uri, error)
+    return None
 
 
 def _close(owner: Optional[_Closable]) -> int:

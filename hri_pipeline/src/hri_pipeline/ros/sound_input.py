@@ -9,6 +9,7 @@ from collections import OrderedDict, deque
 from typing import Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 
 import audio_common_msgs.msg
+import genpy
 import rospy
 from audio_common_msgs.msg import AudioData, AudioInfo
 from std_msgs.msg import Bool
@@ -16,9 +17,9 @@ from std_msgs.msg import Bool
 from hri_pipeline.core.audio.own_voice import RobotSpeech
 from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.stream import SoundBlock, SoundError, SoundFormat, SoundStream
-from hri_pipeline.core.error_log import Outage
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
-from hri_pipeline.ros.rospy_compat import release
+from hri_pipeline.ros.rospy_compat import release, sender_of
+from hri_pipeline.ros.sensor_input import LOG_PERIOD_S, SILENCE_S, SensorInput
 
 # audio_common_msgs has this type since 0.3.9; replacements of the package may not have it.
 AudioDataStamped = getattr(audio_common_msgs.msg, "AudioDataStamped", None)
@@ -26,13 +27,7 @@ AudioDataStamped = getattr(audio_common_msgs.msg, "AudioDataStamped", None)
 BUFFER_BYTES = 2 ** 20
 JUMP_S = 1.0
 INFO_GRACE_S = 1.0
-SILENCE_S = 3.0
-# A new silence is logged again only after so long (s) without one.
-CALM_S = 10.0
-_MOST_OTHERS = 20
 MAX_WAITING_S = 5.0
-_LOG_PERIOD_S = 10.0
-_NEW_PROBLEM_S = 1.0
 _BAD_S = 2.0
 _GAP_SHOWN_S = 5.0
 _MOST_INFOS = 8
@@ -47,7 +42,7 @@ class _Chunk(NamedTuple):
     arrival: float
 
 
-class SoundInput:
+class SoundInput(SensorInput):
     """Subscribes to `audio` and `audio_info`, and to `audio_stamped` where the system has that type.
 
     Callbacks only store messages; next() decodes them in the thread of the caller. Only one publisher is heard at a
@@ -61,28 +56,20 @@ class SoundInput:
     """
 
     def __init__(self, settings: VoicesSettings, on_restart: Optional[Callable[[], None]] = None) -> None:
+        super().__init__("audio", "sound", "microphone", (
+            "start the microphone's node or remap `audio`", "is the microphone there?"), settings.silence_time)
         self._settings = settings
         self.on_restart = on_restart
-        self._condition = threading.Condition()
         self._chunks: Deque[_Chunk] = deque()
         self._waiting_bytes = 0
         self._infos: "OrderedDict[str, AudioInfo]" = OrderedDict()
         self._stream: Optional[SoundStream] = None
         self._last: Optional[float] = None
-        self._sender = ""
-        self._others: Dict[str, float] = {}
         self._stamped_at = float("-inf")
         self._bad: Tuple[str, float] = ("", float("-inf"))
         self._gap: Tuple[str, float] = ("", float("-inf"))
-        self._logged: Tuple[str, float] = ("", float("-inf"))
-        self._heard = time.monotonic()
-        self._outage = Outage(CALM_S)
-        self._first = 0.0
-        self._closed = False
         self._dropped_bytes = 0
         self.counts = {"messages": 0, "unreadable": 0, "dropped_messages": 0, "restarts": 0, "time_jumps": 0}
-        self.topic = rospy.resolve_name("audio")
-        self.info_topic = rospy.resolve_name("audio_info")
         self._subscribers = [
             rospy.Subscriber("audio", AudioData, self._on_audio, buff_size=BUFFER_BYTES, tcp_nodelay=True),
             rospy.Subscriber("audio_info", AudioInfo, self._on_info, queue_size=1)]
@@ -93,12 +80,13 @@ class SoundInput:
     def reconfigure(self, settings: VoicesSettings) -> None:
         """Take up the values of the live parameters."""
         self._settings = settings
+        self._senders.timeout = settings.silence_time
 
     def next(self, timeout: float) -> List[SoundBlock]:
         """Return the next blocks of sound. Waits at most `timeout` s; empty when there is no sound."""
         chunk = self._take(timeout)
         if chunk is None:
-            self._log_silence()
+            self._warn_of_silence()
             return []
         if not self._info_is_awaited():
             return self._blocks(chunk)
@@ -110,7 +98,7 @@ class SoundInput:
 
     def status(self) -> Tuple[int, str, Dict[str, object]]:
         """Return level, message and values for diagnostics."""
-        values: Dict[str, object] = {"topic": self.topic, "sender": self._sender}
+        values: Dict[str, object] = {"topic": self.topic, "sender": self._senders.used}
         values.update(self.counts)
         stream = self._stream
         if stream is not None:
@@ -131,7 +119,7 @@ class SoundInput:
 
     def _on_info(self, message: AudioInfo) -> None:
         with self._condition:
-            sender = getattr(message, "_connection_header", {}).get("callerid", "")
+            sender = sender_of(message)
             self._infos[sender] = message
             self._infos.move_to_end(sender)
             while len(self._infos) > _MOST_INFOS:
@@ -147,23 +135,13 @@ class SoundInput:
         # The stamp is taken as the time of the end of the message.
         self._store(message.audio.data, message, message.header.stamp.to_sec() or rospy.get_time())
 
-    def _store(self, data: bytes, message: object, arrival: float) -> None:
-        sender = getattr(message, "_connection_header", {}).get("callerid", "")
+    def _store(self, data: bytes, message: genpy.Message, arrival: float) -> None:
         if not arrival:
             return  # simulated time has not begun
         with self._condition:
-            now = time.monotonic()
-            if sender != self._sender:
-                if self._sender and now - self._heard < self._settings.silence_time:
-                    self._others.pop(sender, None)
-                    self._others[sender] = now
-                    if len(self._others) > _MOST_OTHERS:
-                        del self._others[next(iter(self._others))]
-                    return
-                self._sender = sender
-            self._heard = now
-            self._outage.there(now)
-            self._first = self._first or now
+            if not self._accepts(message):
+                return
+            self._senders.was_read(sender_of(message), True, self._heard)
             self.counts["messages"] += 1
             self._chunks.append(_Chunk(bytes(data), arrival))
             self._waiting_bytes += len(data)
@@ -215,7 +193,7 @@ class SoundInput:
         except SoundError as error:
             self.counts["unreadable"] += 1
             self._bad = ("{}: {}".format(self.topic, error), time.monotonic())
-            self._log_problem(self._bad[0] + "; such sound is skipped")
+            self._tell(self._bad[0] + "; such sound is skipped")
             return []
 
     def _note_gap(self, gap: float, dropped: bool) -> None:
@@ -225,13 +203,13 @@ class SoundInput:
                 self.topic, gap, "were dropped: the processor is too slow; switch features or speech off" if dropped
                 else
                 "are missing: a pause of its sender, or lost on its way"), time.monotonic())
-            rospy.logwarn_throttle(_LOG_PERIOD_S, "%s", self._gap[0])
+            rospy.logwarn_throttle(LOG_PERIOD_S, "%s", self._gap[0])
 
     def _format(self) -> SoundFormat:
         options = self._settings
         with self._condition:
             # The AudioInfo of the node that sends the sound, or of another node if there is none.
-            info = self._infos.get(self._sender) or next(reversed(list(self._infos.values())), None)
+            info = self._infos.get(self._senders.used) or next(reversed(list(self._infos.values())), None)
         if info is not None and options.use_audio_info:
             return SoundFormat(info.channels, info.sample_rate, info.sample_format, info.coding_format)
         return SoundFormat(options.channels, options.sample_rate, options.sample_format)
@@ -264,41 +242,6 @@ class SoundInput:
         if trouble:
             return WARN, "{}: {}".format(self.topic, trouble)
         return (WARN, self._gap[0]) if time.monotonic() - self._gap[1] < _GAP_SHOWN_S else (OK, "")
-
-    def _silence(self) -> str:
-        """Return why there is no sound, empty while there is."""
-        silent = time.monotonic() - self._heard
-        if silent < SILENCE_S or self._closed:
-            return ""
-        if not any(subscriber.get_num_connections() for subscriber in self._subscribers if subscriber.impl):
-            return "no publisher on {} for {:.0f} s; start the microphone's node or remap `audio`".format(
-                self.topic, silent)
-        return "no sound on {} for {:.0f} s, although it has a publisher; is the microphone there?".format(
-            self.topic, silent)
-
-    def _other_sender(self) -> str:
-        """Return a text with the other senders on the topic, which are ignored; empty without any."""
-        with self._condition:
-            recent = sorted(name for name, at in self._others.items() if time.monotonic() - at < SILENCE_S)
-        if not recent:
-            return ""
-        return "{}: {} sends too, only {} is heard; give each microphone its own topic".format(
-            self.topic, ", ".join(recent), self._sender)
-
-    def _log_silence(self) -> None:
-        with self._condition:
-            text = self._silence()
-            is_new = bool(text) and self._outage.is_to_tell()
-        if is_new:
-            rospy.logwarn("%s", text)
-
-    def _log_problem(self, text: str) -> None:
-        """Log a problem: a new one after _NEW_PROBLEM_S, the same one after _LOG_PERIOD_S."""
-        last, at = self._logged
-        if time.monotonic() - at > (_LOG_PERIOD_S if text == last else _NEW_PROBLEM_S):
-            rospy.logerr("%s", text)
-            self._logged = (text, time.monotonic())
-
 
 class RobotVoiceInput:
     """Subscribes to `~robot_speaking`, `~robot_audio` and `~robot_audio_info`, and tells RobotSpeech what they say.
@@ -359,7 +302,7 @@ class RobotVoiceInput:
                 self._robot.play(block.samples.mean(axis=1), block.stamp)
         except SoundError as error:
             self._bad = ("{}: {}".format(rospy.resolve_name("~robot_audio"), error), time.monotonic())
-            rospy.logerr_throttle(_LOG_PERIOD_S, "%s; such sound is skipped", self._bad[0])
+            rospy.logerr_throttle(LOG_PERIOD_S, "%s; such sound is skipped", self._bad[0])
 
     def _on_speaking(self, message: Bool) -> None:
         with self._lock:

@@ -1,14 +1,13 @@
-"""Runs the processors of a vision node on image after image."""
+"""The loop of a node: takes what comes from its input, image after image or sound after sound, and works on it."""
 
 from __future__ import annotations
 
 import math
-import sys
 import threading
 import time
 import traceback
 from collections import deque
-from typing import Deque, Dict, List, Optional, Protocol, Sequence
+from typing import Any, Callable, Deque, Dict, Iterable, List, Optional, Protocol, Sequence, Tuple
 
 import rospy
 
@@ -27,10 +26,9 @@ _REPORT_S = 1.0
 # Without an image for so long, nothing is tracked any more.
 _SILENCE_S = 2.0
 _LOG_PERIOD_S = 10.0
-# What is published waits no longer than so (s) for the thread that computes; the default of Python is 5 ms.
-_SWITCH_S = 0.001
 # The niceness of a node is set so long after its first image, so that it soon finds the people who are there.
 _NICE_AFTER_S = 5.0
+Status = Tuple[int, str, Dict[str, object]]
 
 
 class Processor(Protocol):
@@ -51,62 +49,150 @@ class Processor(Protocol):
         """Give everything back."""
 
 
-class VisionWorker:
-    """Takes images from the input and gives each to all processors in turn, in the thread that calls spin().
+class Worker:
+    """Works on what its input gives, in the thread that calls spin(), until close() is called or ROS shuts down.
 
-    A processor that raises an error loses that image and nothing else. Diagnostics hold the rate, the age of the
-    images, the dropped images and the time of each stage. close() closes input, processors and diagnostics. When no
-    image comes for `silence` s of ROS time, the processors are reset, so that nobody stays tracked; while a bag is
-    paused, ROS time stands still, too. max_rate: Hz, 0 for no limit. nice: see set_niceness(); it is set some seconds
-    after the first image.
+    An error costs what it was raised by, and nothing else; it is logged with its traceback once for each kind. Once a
+    second diagnostics tell of the input, of the loop (`pipeline`) and of each task. A subclass says how to take, to
+    work and to rest.
+
+    Parameters
+    ----------
+    what
+        A word for one item, for the log.
+    source
+        Has status() and close().
+    diagnostics
+        Closed by close(), as the source is.
+    window
+        Items over which times and ages are told.
     """
 
-    def __init__(self, image_input: ImageInput, processors: Sequence[Processor], diagnostics: NodeDiagnostics,
-                 max_rate: float = 0.0, silence: float = _SILENCE_S, nice: int = 0) -> None:
-        sys.setswitchinterval(_SWITCH_S)
-        self._input = image_input
-        self._processors = list(processors)
-        self._diagnostics = diagnostics
-        self._pacer = _pacer(max_rate)
-        self._silence = silence
-        self._nice, self._nice_at = nice, math.inf
-        self._took = 0.0
+    def __init__(self, what: str, source: Any, diagnostics: NodeDiagnostics, window: int = 100) -> None:
+        self._what, self._input, self._diagnostics = what, source, diagnostics
         self._lock = threading.RLock()
-        self._closed = threading.Event()
-        self._wake = threading.Event()
-        self._ended: Deque[float] = deque(maxlen=300)
-        self._ages: Deque[float] = deque(maxlen=100)
+        self._closed, self._wake = threading.Event(), threading.Event()
+        self._ages: Deque[float] = deque(maxlen=window)
         self._errors: Dict[str, int] = {}
         self._last_error = ""
-        self._error_at = float("-inf")
+        self._error_at = self._reported = float("-inf")
         self._kinds = NewErrors()
-        self._reported = float("-inf")
-        self.times = StageTimes()
-        image_input.on_time_jump = self.reset
-        uses = [processor.data_use for processor in self._processors if hasattr(processor, "data_use")]
-        self._privacy = PrivacyTopic(joined(uses)) if uses else None
+        self.times = StageTimes(window)
 
     def spin(self) -> None:
         """Work until ROS shuts down or close() is called."""
         heard, quiet = rospy.get_time(), True
         while not self._closed.is_set() and not rospy.is_shutdown():
-            pacer = self._pacer
-            if pacer is not None and self._wake.wait(pacer.wait(time.monotonic())):
-                self._wake.clear()
-                continue
-            frame = self._next()
-            if frame is not None:
-                if pacer is not None:
-                    pacer.done(time.monotonic())
-                self.process(frame)
-                self._set_niceness(time.monotonic())
+            items: List[Any] = []
+            self._attempt("input", lambda items=items: items.extend(self._take()), locked=False)
+            for item in items:
+                self.process(item)
+            self._after()
+            if items:
                 heard, quiet = rospy.get_time(), False
-            elif not quiet and rospy.get_time() - heard > self._silence:
-                quiet = True
-                self.reset()
+            elif not quiet:
+                heard = min(heard, rospy.get_time())     # simulated time may go back
+                quiet = self._rest(rospy.get_time() - heard)
             if time.monotonic() - self._reported >= _REPORT_S:
                 self._reported = time.monotonic()
-                self._report()
+                self._attempt("report", self._report)
+
+    def close(self) -> None:
+        """Stop spin() and close what belongs to it. Idempotent."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        self._wake.set()
+        for owner in [self._input, *self._owned(), self._diagnostics]:
+            try:
+                owner.close()
+            except Exception:
+                rospy.logerr("%s did not close:\n%s", type(owner).__name__, traceback.format_exc())
+
+    def process(self, item: Any) -> Any:
+        """Work on one item."""
+        raise NotImplementedError
+
+    def _take(self) -> Sequence[Any]:
+        """Return what has come; waits a little for it."""
+        raise NotImplementedError
+
+    def _after(self) -> None:
+        """Do what is to be done whether something has come or not."""
+
+    def _rest(self, seconds: float) -> bool:
+        """Nothing has come for `seconds` of ROS time; return whether that has had all its consequences."""
+        raise NotImplementedError
+
+    def _owned(self) -> Iterable[Any]:
+        """Return what is to be closed between input and diagnostics."""
+        raise NotImplementedError
+
+    def _load(self) -> Status:
+        """Return level, message and values of the loop; ages, times and errors are told besides."""
+        raise NotImplementedError
+
+    def _statuses(self) -> Iterable[Tuple[str, Callable[[], Status]]]:
+        """Yield the tasks, and who tells of each."""
+        raise NotImplementedError
+
+    def _attempt(self, name: str, call: Callable[[], Any], locked: bool = True) -> None:
+        """Run `call`, by default under the lock; count and log an error of the part `name`."""
+        try:
+            if not locked:
+                call()
+                return
+            with self._lock:
+                call()
+        except Exception as error:  # one item never ends the node
+            self._errors[name] = self._errors.get(name, 0) + 1
+            self._last_error = "{}: {}: {}".format(name, type(error).__name__, error)
+            self._error_at = time.monotonic()
+            text = "{}; this {} is skipped".format(self._last_error, self._what)
+            if self._kinds.is_new(error):
+                rospy.logerr("%s\n%s", text, traceback.format_exc())
+            else:
+                rospy.logerr_throttle(_LOG_PERIOD_S, "%s", text)
+
+    def _report(self) -> None:
+        self._diagnostics.set("input", *self._input.status())
+        self._diagnostics.set("pipeline", *self._pipeline())
+        for name, status in self._statuses():
+            self._attempt(name, lambda name=name, status=status: self._diagnostics.set(name, *status()))
+
+    def _pipeline(self) -> Status:
+        level, text, values = self._load()
+        if self._ages:
+            ages = sorted(self._ages)
+            values.update(age_ms_median=1e3 * ages[len(ages) // 2], age_ms_p95=1e3 * ages[int(0.95 * (len(ages) - 1))])
+        values.update(self.times.values())
+        values.update(("errors_" + name, count) for name, count in self._errors.items())
+        if time.monotonic() - self._error_at < _LOG_PERIOD_S:
+            level, text = ERROR, self._last_error
+        return level, text, values
+
+
+class VisionWorker(Worker):
+    """Gives the newest image to all processors in turn.
+
+    Diagnostics hold the rate, the age of the images, the dropped images and the time of each stage. When no image comes
+    for `silence` s of ROS time, the processors are reset, so that nobody stays tracked; while a bag is paused, ROS time
+    stands still, too. max_rate: Hz, 0 for no limit. nice: see set_niceness(); it is set some seconds after the first
+    image.
+    """
+
+    def __init__(self, image_input: ImageInput, processors: Sequence[Processor], diagnostics: NodeDiagnostics,
+                 max_rate: float = 0.0, silence: float = _SILENCE_S, nice: int = 0) -> None:
+        super().__init__("image", image_input, diagnostics)
+        self._processors = list(processors)
+        self._pacer = _pacer(max_rate)
+        self._silence = silence
+        self._nice, self._nice_at = nice, math.inf
+        self._took = 0.0
+        self._ended: Deque[float] = deque(maxlen=300)
+        image_input.on_time_jump = self.reset
+        uses = [processor.data_use for processor in self._processors if hasattr(processor, "data_use")]
+        self._privacy = PrivacyTopic(joined(uses)) if uses else None
 
     def process(self, frame: Frame) -> dict:
         """Give one image to all processors; return the context with their results."""
@@ -116,17 +202,13 @@ class VisionWorker:
             context["age"] = (rospy.Time.now() - frame.header.stamp).to_sec()
         with self._lock, self.times("frame"):
             for processor in self._processors:
-                name = _name(processor)
-                try:
-                    with self.times(name):
-                        processor.process(frame, context)
-                except Exception as error:  # one image never ends the node
-                    self._failed(name, error)
+                self._attempt(_name(processor), lambda processor=processor: self._run(processor, frame, context))
         self._ended.append(time.monotonic())
         self._took = time.monotonic() - began
         now = rospy.Time.now()
         if not now.is_zero():
             self._ages.append((now - frame.header.stamp).to_sec())
+        self._set_niceness(time.monotonic())
         return context
 
     def reset(self) -> None:
@@ -134,10 +216,7 @@ class VisionWorker:
         with self._lock:
             self._ages.clear()
             for processor in self._processors:
-                try:
-                    processor.reset()
-                except Exception as error:
-                    self._failed(_name(processor), error)
+                self._attempt(_name(processor), processor.reset)
 
     def reconfigure(self, settings: CameraSettings) -> None:
         """Apply new values of the live parameters between two images; from any thread."""
@@ -147,19 +226,9 @@ class VisionWorker:
                 processor.reconfigure(settings)
         self._wake.set()
 
-    def close(self) -> None:
-        """Stop spin() and close input, processors (last one first) and diagnostics. Idempotent."""
-        if self._closed.is_set():
-            return
-        self._closed.set()
-        self._wake.set()
-        for owner in [self._input, *self._processors[::-1], self._diagnostics, self._privacy]:
-            if owner is None:
-                continue
-            try:
-                owner.close()
-            except Exception:
-                rospy.logerr("%s did not close:\n%s", type(owner).__name__, traceback.format_exc())
+    def _run(self, processor: Processor, frame: Frame, context: dict) -> None:
+        with self.times(_name(processor)):
+            processor.process(frame, context)
 
     def _set_niceness(self, now: float) -> None:
         if self._nice_at == math.inf:
@@ -168,47 +237,33 @@ class VisionWorker:
             set_niceness(self._nice)
             self._nice = 0
 
-    def _next(self) -> Optional[Frame]:
-        try:
-            return self._input.next(_WAIT_S)
-        except Exception as error:  # whatever came in, the next image may be good
-            self._failed("input", error)
-            return None
+    def _take(self) -> Sequence[Frame]:
+        pacer = self._pacer
+        while pacer is not None and self._wake.wait(pacer.wait(time.monotonic())) and not self._closed.is_set():
+            self._wake.clear()
+            pacer = self._pacer
+        frame = self._input.next(_WAIT_S)
+        if frame is None:
+            return ()
+        if pacer is not None:
+            pacer.done(time.monotonic())
+        return (frame,)
 
-    def _failed(self, name: str, error: Exception) -> None:
-        """Count and log an error; with its traceback once for each kind of error."""
-        self._errors[name] = self._errors.get(name, 0) + 1
-        self._last_error = "{}: {}: {}".format(name, type(error).__name__, error)
-        self._error_at = time.monotonic()
-        if self._kinds.is_new(error):
-            rospy.logerr("%s; this image is skipped\n%s", self._last_error, traceback.format_exc())
-        else:
-            rospy.logerr_throttle(_LOG_PERIOD_S, "%s; this image is skipped", self._last_error)
+    def _rest(self, seconds: float) -> bool:
+        if seconds <= self._silence:
+            return False
+        self.reset()
+        return True
 
-    def _report(self) -> None:
-        self._diagnostics.set("input", *self._input.status())
-        self._diagnostics.set("pipeline", *self._pipeline())
-        for processor in self._processors:
-            if hasattr(processor, "status"):
-                try:
-                    self._diagnostics.set(_name(processor), *processor.status())
-                except Exception as error:
-                    self._failed(_name(processor), error)
+    def _owned(self) -> Iterable[Any]:
+        return [*self._processors[::-1], *([] if self._privacy is None else [self._privacy])]
 
-    def _pipeline(self) -> tuple:
-        rate = self._rate()
-        values: Dict[str, object] = {"rate_hz": rate}
-        if self._ages:
-            ages: List[float] = sorted(self._ages)
-            values["age_ms_median"] = 1e3 * ages[len(ages) // 2]
-            values["age_ms_p95"] = 1e3 * ages[int(0.95 * (len(ages) - 1))]
-        counts = self._input.counts
-        values["dropped_images"] = counts["received"] - counts["taken"]
-        values.update(self.times.values())
-        for name, count in self._errors.items():
-            values["errors_{}".format(name)] = count
-        if time.monotonic() - self._error_at < _LOG_PERIOD_S:
-            return ERROR, self._last_error, values
+    def _statuses(self) -> Iterable[Tuple[str, Callable[[], Status]]]:
+        return [(_name(processor), processor.status) for processor in self._processors if hasattr(processor, "status")]
+
+    def _load(self) -> Status:
+        rate, counts = self._rate(), self._input.counts
+        values: Dict[str, object] = {"rate_hz": rate, "dropped_images": counts["received"] - counts["taken"]}
         if not self._ended:
             return WARN, NO_IMAGE_YET, values
         return OK, "{:.1f} images/s".format(rate), values

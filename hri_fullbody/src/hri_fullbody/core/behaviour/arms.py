@@ -44,6 +44,9 @@ _TO_FACE_MIDDLE = {
 # is taken, as hands reach out when they touch.
 _HAND_LENGTH = 0.075
 _SEEN_HAND_LENGTH = 0.095       # where the direction of the hand is seen, the fingers count
+# Hands that touch the face are guessed up to .17 statures nearer to one camera than it, others are .13 and more beside
+# it: of a distance along the view, half counts where depth is guessed.
+GUESSED_DEPTH = 0.5
 _MIN_LENGTH_M = 1e-6
 _NAN3 = (math.nan, math.nan, math.nan)
 
@@ -112,13 +115,14 @@ def face_middle(rows: Sequence[Vector], axes: Sequence[Vector], stature: float) 
             (sum(rows[index][2] for index in known) + ahead * az + left * bz + high * cz) / len(known))
 
 
-def arm_features(points: np.ndarray, stature: float, up: np.ndarray,
-                 axes: Optional[np.ndarray] = None, hands: Optional[np.ndarray] = None) -> ArmFeatures:
+def arm_features(points: np.ndarray, stature: float, up: np.ndarray, axes: Optional[np.ndarray] = None,
+                 hands: Optional[np.ndarray] = None, depth_counts: float = 1.0) -> ArmFeatures:
     """Measure the arms of a body.
 
-    points: (18, 3) m in any frame, NaN unknown. stature: m, positive. up: (3,) unit vector against gravity in the
-    same frame. axes: trunk_axes of the points, when they are known already.
+    points: (18, 3) m in the sensor's frame, NaN unknown. stature: m, positive. up: (3,) unit vector against gravity in
+    the same frame. axes: trunk_axes of the points, when they are known already.
     hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: none is.
+    depth_counts: part of the distance from hand to face along the view that counts, see GUESSED_DEPTH.
     """
     rows: List[List[float]] = points.tolist()
     trunk = (trunk_axes(points, up) if axes is None else axes).tolist()
@@ -128,34 +132,45 @@ def arm_features(points: np.ndarray, stature: float, up: np.ndarray,
         middle = rows[NECK]
     face = face_middle(rows, trunk, stature)
     knuckles = [_NAN3, _NAN3] if hands is None else hands.tolist()
-    left, right = (_one_arm([*(rows[index] for index in arm[:4]), hand], arm[4], middle, face, trunk, vertical, stature)
+    away = _length(face)
+    lost = math.sqrt(1.0 - depth_counts) / away if away > 0.0 else 0.0
+    left, right = (_one_arm([*(rows[index] for index in arm[:4]), hand], arm[4], middle,
+                            (face, [lost * value for value in face]), trunk, vertical, stature)
                    for arm, hand in zip(_ARMS, knuckles))
     return ArmFeatures(*zip(left, right))
 
 
-def _one_arm(places: Sequence[Vector], sign: float, middle: Vector, face: Vector, trunk: Sequence[Vector], up: Vector,
-             stature: float) -> Tuple[float, ...]:
+def _one_arm(places: Sequence[Vector], sign: float, middle: Vector, face: Tuple[Vector, Vector],
+             trunk: Sequence[Vector], up: Vector, stature: float) -> Tuple[float, ...]:
     """The values of ArmFeatures, in its order, of one arm: shoulder, elbow, wrist, other elbow, wrist to
-    knuckles."""
+    knuckles.
+
+    face: its middle, and the direction of which a vector's part is taken off by its squared length.
+    """
     shoulder, elbow, wrist, other_elbow, knuckles = places
     reach, forearm, from_middle = _minus(wrist, shoulder), _minus(wrist, elbow), _minus(wrist, middle)
     forward, left, high = trunk
+    along, length = (forearm, _HAND_LENGTH) if knuckles[0] != knuckles[0] else (knuckles, _SEEN_HAND_LENGTH)
     return (
         _dot(reach, up) / stature, _dot(reach, high) / stature, _dot(forearm, up) / stature,
-        (_distance_to_hand(face, wrist, forearm, _HAND_LENGTH * stature) if knuckles[0] != knuckles[0] else
-         _distance_to_hand(face, wrist, knuckles, _SEEN_HAND_LENGTH * stature)) / stature,
+        _distance_to_hand(_flat(_minus(face[0], wrist), face[1]), _flat(along, face[1]), length * stature) / stature,
         _dot(from_middle, forward) / stature, sign * _dot(from_middle, left) / stature,
         _dot(from_middle, high) / stature, _angle(_minus(shoulder, elbow), forearm),
         _length(_minus(wrist, other_elbow)) / stature, _dot(forearm, left) / stature, _dot(forearm, forward) / stature)
 
 
-def _distance_to_hand(target: Vector, wrist: Vector, along_hand: Vector, hand: float) -> float:
+def _flat(vector: Vector, lost: Vector) -> Vector:
+    part = _dot(vector, lost)
+    return [value - part * axis for value, axis in zip(vector, lost)]
+
+
+def _distance_to_hand(to_target: Vector, along_hand: Vector, hand: float) -> float:
     """Distance (m) of a point to the line from the wrist to the fingers.
 
-    along_hand: direction of the hand: that of its knuckles, else of the forearm; with neither the wrist alone counts.
-    hand: its length, m.
+    to_target: from the wrist to the point. along_hand: direction of the hand: that of its knuckles, else of the
+    forearm; with neither the wrist alone counts. hand: its length, m.
     """
-    to_target, length = _minus(target, wrist), _length(along_hand)
+    length = _length(along_hand)
     if not length > _MIN_LENGTH_M:
         return _length(to_target)
     along = _dot(to_target, along_hand) / length

@@ -140,10 +140,13 @@ class AttitudeEstimator:
         """Whether the left and the right hand are raised."""
         return self._raised[0].latch.active, self._raised[1].latch.active
 
-    def update(self, features: ArmFeatures, elapsed: float) -> AttitudeClass:
-        """Take the arms `elapsed` s after the last call; return the attitude and keep it with its confidence."""
+    def update(self, features: ArmFeatures, elapsed: float, sure: Tuple[bool, bool] = (True, True)) -> AttitudeClass:
+        """Take the arms `elapsed` s after the last call; return the attitude and keep it with its confidence.
+
+        sure: whether elbow and wrist of the left and right arm are seen: a guessed hand is often put before the face.
+        """
         weight = 1.0 - math.exp(-elapsed / _SMOOTHING_S)
-        near = [face_score(features, side) for side in (0, 1)]
+        near = [face_score(features, side) if sure[side] else _UNKNOWN for side in (0, 1)]
         raised = [self._raised[side].update(_but_not(raised_score(features, side), near_face_score(features, side)),
                                             weight, elapsed) for side in (0, 1)]
         crossed = crossed_score(features, self._speed.update(features, elapsed))
@@ -180,13 +183,18 @@ def raised_score(features: ArmFeatures, side: int) -> float:
 
 
 def face_score(features: ArmFeatures, side: int) -> float:
-    """How near the hand of a side (0 left, 1 right) is to the face."""
-    return soft(features.to_face[side], 0.128, 0.072)
+    """How near the hand of a side (0 left, 1 right) is to the face; a straight arm stretches out before it."""
+    return _lowest(soft(features.to_face[side], 0.128, 0.072), _bent(features, side))
 
 
 def near_face_score(features: ArmFeatures, side: int) -> float:
     """The same in a wider zone, where a hand on its way to the face or just off it is not a raised hand."""
-    return soft(features.to_face[side], 0.135, 0.095)
+    return _lowest(soft(features.to_face[side], 0.135, 0.095), _bent(features, side))
+
+
+def _bent(features: ArmFeatures, side: int) -> float:
+    """How much the elbow is bent, 1 when that is not known."""
+    return _or(soft(features.elbow[side], math.radians(145.0), math.radians(130.0)), 1.0)
 
 
 def crossed_score(features: ArmFeatures, speed: float = 0.0) -> float:

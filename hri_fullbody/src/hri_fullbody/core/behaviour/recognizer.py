@@ -28,7 +28,7 @@ from hri_fullbody.core.keypoints import (
 MAX_GAP_S = 1.0
 _LEG_HOLD_S = 0.2       # a leg that is not seen for longer is hidden
 _MIN_STATURE_M, _MAX_STATURE_M = 0.4, 2.6
-_FEET = 0.3
+_SIGN = 0.3       # least confidence of an ankle or elbow of which there is any sign
 
 
 @dataclass(frozen=True)
@@ -62,16 +62,18 @@ class BehaviourRecognizer:
 
     def update(self, points: np.ndarray, stature: float, stamp: float,
                up: Union[Sequence[float], np.ndarray], up_sd: float = 0.0,
-               confidence: Optional[np.ndarray] = None, hands: Optional[np.ndarray] = None) -> BodyBehaviour:
+               confidence: Optional[np.ndarray] = None, hands: Optional[np.ndarray] = None,
+               depth_counts: float = 1.0) -> BodyBehaviour:
         """Take one frame and return what the body expresses.
 
         points: (18, 3) m in a sensor's frame, key points in the order of hri_msgs/Skeleton2D, NaN or infinite
         unknown. stature: m. stamp: s; the same stamp again changes nothing, and one that is before the last or more
         than 1 s after it starts anew. up: (3,), against gravity in the sensor's frame, any length; up_sd: standard
         deviation of its pitch about the sensor's x axis, rad: a posture is told when it does not hang on it.
-        confidence: (18,) 0 to 1 of the points, None: all are sure; a forearm of less than 0.5 does not wave, and
-        without an ankle of 0.3 nobody is told to sit or crouch.
+        confidence: (18,) 0 to 1 of the points, None: all are sure; a forearm of less than 0.5 does not wave,
+        without an elbow of 0.3 no hand is on the face, without an ankle of 0.3 nobody is told to sit or crouch.
         hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: along the forearms.
+        depth_counts: see arm_features.
         Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
         an `up` without a direction.
         """
@@ -85,24 +87,24 @@ class BehaviourRecognizer:
         self._last = stamp
         points = self._hold.fill(points, stamp)
         axes = trunk_axes(points, upwards)
-        features = arm_features(points, stature, upwards, axes, hands)
-        attitude = self._attitude.update(features, elapsed)
+        features = arm_features(points, stature, upwards, axes, hands, depth_counts)
+        attitude = self._attitude.update(features, elapsed, _sure_forearms(confidence, _SIGN))
         waving = self._waves.update(features, elapsed, _sure_forearms(confidence))
         posture = self._posture.update(
             self._hold.without_old(points, stamp, _LEG_HOLD_S), axes, stature, upwards, elapsed, up_sd,
-            confidence is None or bool(confidence[[LEFT_ANKLE, RIGHT_ANKLE]].max() >= _FEET))
+            confidence is None or bool(confidence[[LEFT_ANKLE, RIGHT_ANKLE]].max() >= _SIGN))
         self._result = BodyBehaviour(
             int(attitude), self._attitude.confidence, int(posture),
             int(gesture_of(attitude, self._attitude.raised, waving)))
         return self._result
 
 
-def _sure_forearms(confidence: Optional[np.ndarray]) -> Tuple[bool, bool]:
-    """Whether elbow and wrist of the left and of the right side are seen well."""
+def _sure_forearms(confidence: Optional[np.ndarray], elbow: float = GUESSED) -> Tuple[bool, bool]:
+    """Whether the wrist of the left and of the right side is seen well, and the elbow with that confidence."""
     if confidence is None:
         return True, True
-    return (bool(confidence[[LEFT_ELBOW, LEFT_WRIST]].min() >= GUESSED),
-            bool(confidence[[RIGHT_ELBOW, RIGHT_WRIST]].min() >= GUESSED))
+    return (bool(confidence[LEFT_ELBOW] >= elbow and confidence[LEFT_WRIST] >= GUESSED),
+            bool(confidence[RIGHT_ELBOW] >= elbow and confidence[RIGHT_WRIST] >= GUESSED))
 
 
 def _checked(points: np.ndarray, stature: float, stamp: float,

@@ -205,6 +205,10 @@ _LARGEST_PX, _LARGEST_M = 1e5, 5.0
 # Of what is smaller (px) no key points can be told: letters and spots resemble people far away.
 _LEAST_PX = 24.0
 _SAME_TRUNK, _SAME_NOSE = 0.09, 0.12
+_HEAD_ASIDE, _HEAD_DOWN, _MOSTLY = 0.3, 0.4, 0.6    # of a person's box, where the head is; of what is seen of a body
+LEAST_SHARE = 0.88
+"""Of the longer side of a person's box: a body reaches at least as far as what is seen of it. Of 36 people .96 and
+more."""
 _SAME_HEAD = 0.065      # three quarters of a head's breadth; two who cross are told from 0.07 on
 
 
@@ -281,8 +285,15 @@ def is_sound(estimate: PoseEstimate, min_score: float) -> bool:
 
 
 def covers(estimate: PoseEstimate, box: np.ndarray, min_iou: float = 0.35) -> bool:
-    """Tell whether a person's box (4,) px is that of this body."""
-    return bool(iou_matrix(estimate.box[None], np.asarray(box)[None])[0, 0] > min_iou)
+    """Tell whether a person's box (4,) px is that of this body: it is seen there, or its head is where that of the box
+    should be and what is seen of it lies in the box."""
+    box = np.asarray(box)
+    if iou_matrix(estimate.box[None], box[None])[0, 0] > min_iou:
+        return True
+    width, height = box[2:] - box[:2]
+    aside, down = np.abs(estimate.nose[0] - 0.5 * (box[0] + box[2])), estimate.nose[1] - box[1]
+    return bool(aside < _HEAD_ASIDE * width and 0.0 <= down < _HEAD_DOWN * height
+                and inside(estimate.box, box) > _MOSTLY and estimate.extent >= LEAST_SHARE * max(width, height))
 
 
 def inside(box: np.ndarray, other: np.ndarray) -> float:

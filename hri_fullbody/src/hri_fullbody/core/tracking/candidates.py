@@ -8,10 +8,10 @@ from typing import Deque, Dict, Optional, Sequence, Tuple
 
 import numpy as np
 
-from hri_fullbody.core.detection.pose_estimator import PoseEstimate, body_size, inside, is_sound
+from hri_fullbody.core.detection.pose_estimator import LEAST_SHARE, PoseEstimate, inside, is_sound
 from hri_fullbody.core.detection.windows import (
     FACE_WINDOW_SIZES,
-    PERSON_BOX_MARGINS,
+    PERSON_BOX_WINDOWS,
     FaceBox,
     Window,
     window_from_face,
@@ -25,25 +25,29 @@ _FACE_HEAD_SHARE = 0.4
 _SAME_BOX = 0.5
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 8.0
 _MOST_FAILED = 20
-# A box that shares less with each other one stands alone.
-_APART = 0.1
+# A box that shares less with each other one stands alone; an unsure one that shares more with one is a part of that.
+_APART, _PART = 0.1, 0.6
 
 
-# A body out of another window than the first one of a box is believed from this score on.
+# A body out of another window than the first one of a box, or of a box that the detector is unsure of, is believed from
+# this score on.
 _SURE_SCORE = 0.9
-_OVERLAP, _LEAST_SHARE = 0.5, 0.4
+# Grown-ups reach over 8 and more sizes of their faces. What is smaller is a figure squeezed into a part of somebody.
+_OVERLAP, _LEAST_FACES = 0.5, 6.0
 
 
 @dataclass
 class BodyCandidate:
     """A face without a body, or a person's box: tried with one window after another, each refined once.
 
-    alone: the box has no neighbour. Among others it has one window only: another one may show a neighbour.
+    alone: the box has no neighbour. Among others it has one window only: another one may show a neighbour. An
+    unsure one, which the detector takes for nobody by itself, has one window, too.
     """
 
     face_id: Optional[str] = None
     box: Optional[np.ndarray] = None
     alone: bool = False
+    unsure: bool = False
     attempt: int = 0
     first: Optional[PoseEstimate] = field(default=None, repr=False)
 
@@ -56,28 +60,34 @@ class BodyCandidate:
         if self.first is not None:
             return self.first.next_window()
         if self.box is not None:
-            return window_from_person_box(self.box, PERSON_BOX_MARGINS[self.attempt])
+            return window_from_person_box(self.box, self.attempt)
         assert face is not None
         return window_from_face(face, FACE_WINDOW_SIZES[self.attempt])
 
     def judge(self, estimate: PoseEstimate, face: Optional[FaceBox], min_score: float) -> "WindowResult":
         """Take the result of `window` and decide: found (the better of two estimates), try again, or give up."""
         fits = face is None or face.distance(estimate.nose) <= NOSE_IN_FACE
-        if self.box is not None and self.attempt:
+        if self.box is not None and (self.attempt or self.unsure):
             min_score = max(min_score, _SURE_SCORE)
-            fits = self.first is None or _shows(estimate, self.box)
         if self.first is None:
-            if fits and is_sound(estimate, _PROMISING):
+            if fits and is_sound(estimate, min_score if self.unsure else _PROMISING):
                 self.first = estimate
                 return WindowResult()
-        elif fits and is_sound(estimate, min_score):
+        elif fits and is_sound(estimate, min_score) and self._is_whole(estimate, face):
             return WindowResult(found=estimate)
-        elif face is not None and is_sound(self.first, min_score):
+        elif face is not None and is_sound(self.first, min_score) and self._is_whole(self.first, face):
             return WindowResult(found=self.first, anchor=self.side())
         self.first = None
         self.attempt += 1
-        windows = len(FACE_WINDOW_SIZES) if self.face_id is not None else len(PERSON_BOX_MARGINS) if self.alone else 1
+        windows = len(FACE_WINDOW_SIZES) if self.face_id is not None else len(PERSON_BOX_WINDOWS) if (
+            self.alone and not self.unsure) else 1
         return WindowResult(failed=self.attempt >= windows)
+
+    def _is_whole(self, estimate: PoseEstimate, face: Optional[FaceBox]) -> bool:
+        """Tell whether a body is as large as its face or box demands, and that of the box."""
+        if self.box is not None:
+            return _shows(estimate, self.box, self.unsure)
+        return face is None or estimate.extent >= _LEAST_FACES * face.size
 
 
 @dataclass(frozen=True)
@@ -115,23 +125,28 @@ class CandidateQueue:
             self._rest_until = {key: value for key, value in self._rest_until.items() if key in present}
 
     def offer_boxes(self, boxes: Sequence[np.ndarray], faces: Sequence[FaceBox], others: Sequence[np.ndarray],
-                    stamp: float) -> None:
+                    stamp: float, unsure: Sequence[np.ndarray] = ()) -> None:
         """Queue persons' boxes (4,) px instead of earlier ones; those with a face at the top are left to the face.
 
-        others: boxes (4,) px of all people in the image, those of `boxes` included.
+        others: boxes (4,) px of all people in the image, those of `boxes` included. unsure: boxes that may be nobody's.
         """
         begun = [item for item in self._queue if item.box is not None and (item.first is not None or item.attempt)]
         self._queue = deque(item for item in self._queue if item.face_id is not None)
         failed = [box for box, until in self._failed if stamp < until]
         offered = []
-        for box in (np.asarray(box) for box in boxes if not any(face_at_top(face, box) for face in faces)):
+        maybe = [box for box in unsure if _at(box, failed) is None and not any(
+            inside(box, other) > _PART for other in others)]
+        for number, box in enumerate(np.asarray(box) for box in (*boxes, *maybe)):
+            if any(face_at_top(face, box) for face in faces):
+                continue
             known = _at(box, [item.box for item in begun if item.box is not None])
-            alone = _at(box, failed) is None and all(
-                max(inside(box, other), inside(other, box)) < _APART for other in others if other is not box)
-            offered.append(BodyCandidate(box=box, alone=alone) if known is None else replace(
-                begun[known], box=box, alone=alone))
+            doubtful = number >= len(boxes)
+            alone = doubtful or (_at(box, failed) is None and all(
+                max(inside(box, other), inside(other, box)) < _APART for other in others if other is not box))
+            offered.append(replace(BodyCandidate() if known is None else begun[known], box=box, alone=alone,
+                                   unsure=doubtful))
         # In slow images there may be one inference between two calls of the detector: what has begun is finished.
-        self._queue.extend(sorted(offered, key=lambda item: item.first is None))
+        self._queue.extend(sorted(offered, key=lambda item: (item.unsure, item.first is None)))
 
     def take(self) -> Optional[BodyCandidate]:
         """Return the next candidate, None when there is none."""
@@ -171,10 +186,12 @@ def _at(box: np.ndarray, boxes: Sequence[np.ndarray]) -> Optional[int]:
     return best if overlap[best] >= _SAME_BOX else None
 
 
-def _shows(estimate: PoseEstimate, box: np.ndarray) -> bool:
-    """Tell whether a body out of a wide window is that of the box (4,) px, no neighbour and no small thing."""
+def _shows(estimate: PoseEstimate, box: np.ndarray, nose: bool) -> bool:
+    """Tell whether a body is that of the box (4,) px, no neighbour and no small thing. nose: it must lie in the box."""
     overlap = max(inside(estimate.box, box), inside(box, estimate.box))
-    return overlap >= _OVERLAP and body_size(estimate) >= _LEAST_SHARE * float(max(box[2:] - box[:2]))
+    x, y = estimate.nose
+    return bool(overlap >= _OVERLAP and estimate.extent >= LEAST_SHARE * max(box[2:] - box[:2])
+                and (not nose or (box[0] <= x <= box[2] and box[1] <= y <= box[3])))
 
 
 def face_at_top(face: FaceBox, box: np.ndarray) -> bool:

@@ -158,8 +158,7 @@ class BodyTracker:
 
     def propose(self, boxes: Sequence[np.ndarray], faces: Sequence[FaceBox], stamp: float,
                 faint: Optional[Sequence[np.ndarray]] = None) -> None:
-        """Note where the person detector sees people: boxes (4,) px. faint: these and less sure ones, which start no
-        body."""
+        """Note where the person detector sees people: boxes (4,) px. faint: these and less sure ones."""
         confirm_by_boxes(self.tracks, boxes if faint is None else faint, stamp,
                          {face.id: face.pose for face in faces if face.pose is not None})
         kept = drop_unconfirmed(self.tracks, boxes, stamp)
@@ -172,7 +171,8 @@ class BodyTracker:
         free = [box for box in boxes if not self._has_track(box, stamp)]
         others = [*boxes, *(track.expected(stamp).box for track in kept if track.visible),
                   *(face.box for face in faces)]
-        self._candidates.offer_boxes(free, faces, others, stamp)
+        unsure = [box for box in faint or () if not self._has_track(box, stamp)]
+        self._candidates.offer_boxes(free, faces, others, stamp, unsure)
 
     def try_new(self, image: np.ndarray, stamp: float, faces: Sequence[FaceBox], max_windows: int) -> None:
         """Run at most `max_windows` inferences for bodies that are not tracked yet."""

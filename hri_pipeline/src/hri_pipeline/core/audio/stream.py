@@ -232,7 +232,6 @@ class SampleClock:
         self._late: Tuple[float, float] = (0.0, 0.0)
         self._is_late = False
         self._begun = 0.0
-        self._counted = 0.0
         self._arrival = 0.0
         self.offset = 0.0
         self.set_back = 0

@@ -240,11 +240,6 @@ def unit_scores(units: ActionUnits) -> Optional[np.ndarray]:
     return _WEIGHTS @ (units.intensity.astype(np.float64) * confidence) + _BIAS * still
 
 
-def tempered(probabilities: np.ndarray, temperature: float) -> np.ndarray:
-    """Probabilities (..., C) flattened by dividing their logarithms (Guo et al. 2017, "On calibration")."""
-    return _softmax(np.log(np.maximum(probabilities, 1e-12)) / temperature)
-
-
 def _softmax(logs: np.ndarray) -> np.ndarray:
     values = np.exp(logs - logs.max(axis=-1, keepdims=True))
     return values / values.sum(axis=-1, keepdims=True)

@@ -141,15 +141,6 @@ def landmarks_from_mesh(
     return points
 
 
-def normalised(landmarks: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Landmarks (70, 3) with x and y as fractions of the image, clipped to [0, 1]."""
-    if width <= 0 or height <= 0:
-        raise ValueError("image size must be positive, got %r x %r" % (width, height))
-    result = np.array(landmarks, dtype=np.float64)
-    result[:, :2] = np.clip(result[:, :2] / (width, height), 0.0, 1.0)
-    return result
-
-
 def bounding_box(points: np.ndarray) -> np.ndarray:
     """x0, y0, x1, y1 (4,) px of points (N, 2 or more)."""
     return np.concatenate([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])

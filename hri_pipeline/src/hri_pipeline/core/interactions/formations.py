@@ -144,15 +144,6 @@ def groups_of(labels: np.ndarray) -> List[List[int]]:
     return [group for group in rows.values() if len(group) > 1]
 
 
-def o_spaces(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: GroupSettings,
-             groups: Sequence[Sequence[int]], position_sds: Optional[np.ndarray] = None) -> np.ndarray:
-    """Return the middles (G, 2) m of the o-spaces of given groups (rows, one at least each).
-
-    The other arguments and the errors are those of votes_of.
-    """
-    return middles_of(votes_of(positions, directions, direction_sds, settings, position_sds), groups)
-
-
 def middles_of(votes: Votes, groups: Sequence[Sequence[int]]) -> np.ndarray:
     """Return the middles (G, 2) m of the o-spaces of given groups (rows, one at least each)."""
     if not len(groups):

@@ -240,11 +240,6 @@ def head_rotation(yaw: float, pitch: float) -> np.ndarray:
     return np.array([[cy * cp, -sy, -cy * sp], [sy * cp, cy, -sy * sp], [sp, 0.0, cp]])
 
 
-def by_name(agents: Sequence[Agent]) -> Dict[str, Agent]:
-    """Agents by the names of their people."""
-    return {agent.script.name: agent for agent in agents}
-
-
 def _towards(value: float, wanted: float, rate: float, time: float, step: float) -> float:
     """First-order approach with a highest rate; angles are not wrapped, so that they stay continuous."""
     error = wrapped(wanted - value)

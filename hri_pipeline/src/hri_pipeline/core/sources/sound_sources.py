@@ -61,7 +61,6 @@ class FileSource(SoundSource):
         self._next = 0
         self._file: Optional[_OpenFile] = None
         self.rate, self.channels = settings.sample_rate, settings.channels
-        self.passes = 0
         self._open_next()
         self.description = "{} ({} Hz, {} channel{})".format(
             paths[0] if len(paths) == 1 else "{} files of {}".format(len(paths), paths[0].parent), self.rate,
@@ -97,10 +96,8 @@ class FileSource(SoundSource):
         while self._paths:
             if self._next >= len(self._paths):
                 if not self._settings.loop:
-                    self.passes = 1
                     return False
                 self._next = 0
-                self.passes += 1
             path = self._paths[self._next]
             try:
                 self._file = _OpenFile(path, self.rate, self.channels, self._settings)

@@ -5,8 +5,8 @@ from collections import Counter
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Reader
+from scene_bag import BASE, write_scene
 
-from benchmarks.recordings import BASE, write_scene
 from hri_pipeline.core.frames import read, scan
 from hri_pipeline.core.simulation.scene_file import parse_scene
 from hri_pipeline.core.simulation.world import World
