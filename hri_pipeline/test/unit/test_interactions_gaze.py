@@ -57,6 +57,21 @@ def test_who_looks_past_everybody_looks_at_nobody():
         "bob": ROBOT}
 
 
+@pytest.mark.parametrize("beside, told", [(6.0, {"ann": ROBOT}), (16.0, {})])
+def test_who_looks_past_the_robot_does_not_look_at_it_even_where_there_is_nobody_else(beside, told):
+    room, turn = Room(), np.radians(beside)
+    x, y, z = towards(room.places["ann"], ROBOT_AT)
+    past = np.array([np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y, z])
+    assert room.look(2.0, [room.person("ann", gaze_direction=past, eyes_closed=0.0)]) == told
+
+
+def test_where_eyes_looked_does_not_count_once_they_are_too_small():
+    room = Room()
+    facing, past = towards(room.places["ann"], ROBOT_AT), np.array([0.0, -1.0, 0.0])
+    assert room.look(1.0, [room.person("ann", gaze_direction=past, eyes_closed=0.0)]) == {}
+    assert room.look(3.0, [room.person("ann", head_direction=facing, eyes_closed=0.0)]) == {"ann": ROBOT}
+
+
 @pytest.mark.parametrize("length", [0.1, 0.2, 0.26])
 def test_a_blink_does_not_end_a_gaze(length):
     room = Room()

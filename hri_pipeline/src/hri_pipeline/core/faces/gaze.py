@@ -62,8 +62,9 @@ _IRIS_PART = 0.08
 """Diameter of an iris over the width of its face, 11.7 of 145 mm: that of the mesh of a tiny face is a guess."""
 _SHAPE_TURN, _SHAPE_UP = np.deg2rad(25.0), np.deg2rad((30.0, 6.0))
 """Turn (rad) of eyes in the head by the blendshapes: to the side per unit; up per unit, and of eyes straight ahead."""
-_SECOND_OPINION = 0.5
-"""Weight of that where the irises have none, beside the head: its error is twice that of the irises."""
+_SECOND_OPINION, _BESIDE_IRISES, _BESIDE_ONE_IRIS = 0.5, 0.2, 0.5
+"""Weight of that where the irises have none, beside the head: its error is twice that of the irises; beside both
+irises, and more of it the less of the far eye is seen: one iris alone, from the side, errs by 10 degrees."""
 MAX_AWAY = np.deg2rad((40.0, 30.0))
 """Largest turn (rad) of eyes in the head, to the sides and up or down (Stahl 1999: people turn the head before)."""
 _AGREE, _DISAGREE = np.deg2rad(8.0), np.deg2rad(25.0)
@@ -248,9 +249,14 @@ def _directions(measures: EyeMeasures, rotations: np.ndarray, distances: np.ndar
     angles = np.stack([np.arctan2(inside[:, 1], inside[:, 0]),
                        np.arctan2(inside[:, 2], np.sqrt(inside[:, 0] ** 2 + inside[:, 1] ** 2))], axis=1)
     # A larger turn than eyes can make is an error; where the irises have no weight, the head is used.
-    angles = weights * np.minimum(np.maximum(angles, -MAX_AWAY), MAX_AWAY)
-    if shapes is not None:
-        angles += _SECOND_OPINION * (large - weights) * _eyes_in_head(shapes)
+    angles = np.minimum(np.maximum(angles, -MAX_AWAY), MAX_AWAY)
+    second = None if shapes is None else _eyes_in_head(shapes)
+    if second is not None:
+        angles += (_BESIDE_IRISES + _BESIDE_ONE_IRIS * (1.0 - measures.visibility.min(axis=1, keepdims=True))) * (
+            second - angles)
+    angles *= weights
+    if second is not None:
+        angles += _SECOND_OPINION * (large - weights) * second
     cosine = np.cos(angles[:, 1])
     turned = np.stack([cosine * np.cos(angles[:, 0]), cosine * np.sin(angles[:, 0]), np.sin(angles[:, 1])], axis=1)
     return (rotations @ turned[..., None])[..., 0], weights[:, 0]

@@ -93,6 +93,7 @@ class GazeTargets:
         shares, begun = self._renewal.update(people, times, dt)
         looked_at = self._filter.update(ids, weights, ratios, shares, closed, dt,
                                         closed & self._blinking(people, closed, stamp), begun & ~closed)
+        looked_at[(looked_at == len(ids)) & self._renewal.past(people, lines.units[:, -1])] = _NOBODY
         names = ids + [ROBOT]
         return [GazeTarget(ids[sender], names[target], self._filter.probability(sender, target))
                 for sender, target in enumerate(looked_at.tolist()) if target >= 0]
@@ -346,6 +347,10 @@ _SACCADE, _AGREEING, _FIXATION_S = 4.0, 1.5, 0.2
 at most from each other; time constant (s) of where they were. (As the velocity threshold of D. D. Salvucci and J. H.
 Goldberg, ETRA 2000, on the noise of cameras: smaller turns are left to the filter.)"""
 
+_PAST = 1.5
+"""Eyes so many standard deviations beside the robot do not look at it, however unlikely anything else is: who looks
+past a camera does so by some 10 degrees, and nothing else to look at is known there."""
+
 
 class ErrorRenewal:
     """Which share of the error of everybody's direction is a new one in each image, 0 to 1.
@@ -398,6 +403,12 @@ class ErrorRenewal:
         moved = np.where(np.isnan(self._fixations), gazes, self._fixations + gain * (gazes - self._fixations))
         self._fixations = np.where(np.isnan(gazes), self._fixations, np.where(begun[:, None], middle, moved))
         return begun
+
+    def past(self, people: PeopleSnapshot, units: np.ndarray) -> np.ndarray:
+        """Return whose eyes go past what lies in these directions (N, 3), (N,); in a blink as before it."""
+        squares = np.minimum(*(((eyes - units) ** 2).sum(axis=1) for eyes in (self._fixations, self._directions)))
+        small = np.isnan(people.gazes[:, 0]) & (people.closed < 0.5)        # open eyes that cannot be measured
+        return ~small & (np.sqrt(squares) > _PAST * people.deviations[:, 2])       # False for NaN
 
     def _follow(self, ids: List[str]) -> None:
         if ids == self._ids:

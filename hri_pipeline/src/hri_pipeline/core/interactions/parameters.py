@@ -94,7 +94,7 @@ class GazeSettings(Settings):
         unit="s", minimum=0.0, maximum=5.0, live=True)
     gaze_on: float = parameter(0.6, "Probability from which a gaze begins.", minimum=0.05, maximum=0.99, live=True)
     gaze_off: float = parameter(
-        0.5, "Probability below which a gaze ends; below gaze_on, so that it does not flicker.", minimum=0.01,
+        0.55, "Probability below which a gaze ends; below gaze_on, so that it does not flicker.", minimum=0.01,
         maximum=0.99, live=True)
     gaze_hold: float = parameter(
         0.3, "A gaze ends this long after its last observation.", unit="s", minimum=0.0, maximum=10.0, live=True)
