@@ -60,6 +60,7 @@ function show(state) {
 // --- the list -----------------------------------------------------------------------------------
 function facts(person, people) {
   const found = ["here " + duration(person.since)];
+  if (!person.face) found.push(person.body ? "face not seen" : "not seen");
   if (person.engagement) found.push(person.engagement === "engaged" ? "engaged with the robot" : person.engagement);
   if (person.posture) found.push(person.posture);
   if (person.looks_at === "") found.push("looks at the robot");
@@ -113,6 +114,8 @@ function showPeople(people) {
     for (const button of element.querySelectorAll("button")) {
       button.setAttribute("aria-label", button.textContent + " " + titleOf(person));
       button.hidden = button.dataset.command === "enrol" ? Boolean(kept && kept.enrolled) : person.anonymous;
+      button.disabled = button.dataset.command === "enrol" && !person.face;
+      button.title = button.disabled ? "the face has to be seen now" : "";
     }
   }
 }

@@ -401,10 +401,20 @@ class WebTest(unittest.TestCase):
         page = self.started("visualization/overlay:=/no/overlay", name="hri_web_missing").wait()
         browser, sees = self.browser()
         browser.open(page.url)
-        sees("no picture on /no/overlay: is the camera on")
-        wait_for(lambda: browser.value("document.querySelectorAll('[data-command=enrol]').length"), WAIT_S,
+        sees("there is no camera: no node works on images, and nothing is on /no/overlay")
+        wait_for(lambda: browser.value("document.querySelectorAll('[data-command=enrol]:enabled').length"), WAIT_S,
                  "somebody to enrol", period=0.1)
-        browser.value("document.querySelector('[data-command=enrol]').click(); "
+        for face, body, fact in ((True, True, ""), (False, True, "face not seen"), (False, False, "not seen")):
+            person = {"id": "eve", "anonymous": True, "since": 1.0, "looks_at": None, "face": face, "body": body}
+            browser.value("showPeople([{}])".format(json.dumps(person)))
+            button, facts = ("document.querySelector('[title=eve] {}')".format(what) for what in
+                             ("[data-command=enrol]", ".words"))
+            self.assertEqual(browser.value("{}.disabled".format(button)), not face)
+            self.assertEqual(browser.value("{}.title".format(button)), "" if face else "the face has to be seen now")
+            self.assertEqual(browser.value("{}.textContent".format(facts)).split(" · ")[1:], [fact] if fact else [])
+        wait_for(lambda: browser.value("document.querySelectorAll('[data-command=enrol]:enabled').length"), WAIT_S,
+                 "somebody to enrol", period=0.1)
+        browser.value("document.querySelector('[data-command=enrol]:enabled').click(); "
                       "document.getElementById('ask-ok').click()")
         sees("the person has to agree to be recognised")
         browser.value("document.getElementById('ask-cancel').click(); document.getElementById('privacy').click()")

@@ -79,9 +79,18 @@ def test_the_table_has_one_line_per_person():
     assert lines[1].split() == ["anonymous_person_abcde", "fabcd", "-", "-", "1.00", "1.00", "-2.50", "0.25", "map",
                                 "63"]
     assert lines[2].split() == ["ann", "-", "-", "-", "-", "-", "-", "-"]
-    assert lines[3] == "faces found in 15.0 images/s, bodies in 7.0 images/s"
+    assert lines[3] == "2 persons; faces found in 15.0 images/s, bodies in 7.0 images/s"
     assert "nobody yet" in format_table([], 0.0, 0.0)
     assert "no images arrive: why" in format_table([], 0.0, 0.0, nobody="no images arrive: why")
+
+
+def test_who_is_only_heard_stands_below_and_is_no_further_person():
+    rows = [PersonRow("aaa", "", "", "vabcd", 1.0, None, "", None), ROW, replace(ROW, id="zzz", face="", body="babcd")]
+    lines = format_table(rows, 15.0, 7.0).split("\n")
+    assert [line.split()[0] for line in lines[1:4]] == [ROW.id, "zzz", "aaa"]
+    assert lines[4].startswith("2 persons, 1 voice; faces found")
+    lost = replace(ROW, face="", body="", voice="")
+    assert format_table([*rows[:1], lost], 0.0, 0.0).split("\n")[3].startswith("1 person, 1 voice; ")
 
 
 def test_columns_are_as_wide_as_their_longest_cell():
@@ -95,7 +104,7 @@ def test_who_has_no_place_yet_has_no_confidence_of_one():
 
 def test_a_note_stands_below_the_table():
     assert format_table([], 0.0, 0.0, "no master").split("\n")[1:] == [
-        "nobody yet", "faces found in 0.0 images/s, bodies in 0.0 images/s", "no master"]
+        "nobody yet", "0 persons; faces found in 0.0 images/s, bodies in 0.0 images/s", "no master"]
 
 
 def drawn(terminal, drawing, people):
@@ -131,7 +140,7 @@ def test_more_people_than_lines_do_not_pile_up():
     for _ in range(3):
         drawn(terminal, drawing, 30)
     assert len(terminal.rows) == 10
-    assert terminal.rows[0].startswith("person ") and terminal.rows[-2].startswith("faces found in 15.0")
+    assert terminal.rows[0].startswith("person ") and "faces found in 15.0" in terminal.rows[-2]
     assert terminal.rows[-3] == "... and 24 lines more"
 
 

@@ -152,6 +152,12 @@ def test_what_is_not_known_is_null() -> None:
     assert told["robot"] is None and told["frame"] == "" and told["camera"] == "no images arrive"
 
 
+@pytest.mark.parametrize("face, body", [(True, True), (True, False), (False, True), (False, False)])
+def test_the_page_is_told_what_is_seen_of_a_person(face: bool, body: bool) -> None:
+    told = page_state([PersonOnPage("ada", face=face, body=body)], [], None, "")["people"][0]
+    assert (told["face"], told["body"]) == (face, body)
+
+
 def test_in_the_frame_of_a_camera_forward_is_its_z() -> None:
     ahead = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]).T, np.array([0.5, 0.0, 3.0]))
     assert from_above("camera_color_optical_frame") @ ahead.translation == pytest.approx([3.0, -0.5])

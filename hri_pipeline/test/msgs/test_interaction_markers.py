@@ -87,7 +87,9 @@ def test_a_member_without_a_place_has_no_line_and_a_group_of_such_no_marker():
 
 def test_the_robot_as_a_member_has_a_line():
     group = Group("duo", ("", "a"), 0.8, np.array([0.5, 0.3]))
-    lines, = by_name(make_markers(PEOPLE, [], [group], HEADER, robot=np.array([2.0, 0.0, 1.1])), "members")
+    array = make_markers(PEOPLE, [], [group], HEADER, robot=np.array([2.0, 0.0, 1.1]))
+    assert by_name(array, "group")[0].text == "duo (1 + robot)"
+    lines, = by_name(array, "members")
     assert len(lines.points) == 4
 
 

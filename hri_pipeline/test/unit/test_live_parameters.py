@@ -162,7 +162,7 @@ def test_the_mark_is_in_yaml_and_markdown():
     assert "# float; 1 to 60; unit Hz; default 15.0; may change while the node runs\nrate: 15.0" in TABLE.to_yaml()
     assert "# string; default \"\"\nfile:" in TABLE.to_yaml()
     lines = TABLE.to_markdown().splitlines()
-    assert lines[0] == r"\* may change [while the node runs](../tuning.md)."
+    assert lines[0] == r"\* can change [at run time](../tuning.md)."
     assert lines[2] == r"- `~rate`\* (`15.0` Hz, 1–60): Rate." and lines[4] == '- `~file` (`""`): File.'
 
 

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from hri_pipeline.core import overlay
 from hri_pipeline.core.feature_history import FeatureHistory
-from hri_pipeline.core.overlay import PersonMark, colour_of, draw_overlay, short_name
+from hri_pipeline.core.overlay import PersonMark, colour_of, counts, draw_overlay, label_lifts, short_name
 
 
 def body(x=200.0, confidence=1.0):
@@ -64,6 +65,46 @@ def test_plates_of_neighbours_do_not_cover_each_other(image):
     picture = draw_overlay(image, faces, {}, marks)
     areas = [pixels_of(picture, colour_of(mark.id)) for mark in marks]
     assert min(areas) > 0.6 * max(areas)
+
+
+@pytest.mark.parametrize("people", [2, 3, 5, 8])
+def test_plates_in_a_crowd_cover_neither_each_other_nor_faces(image, monkeypatch, people):
+    plates = []
+    monkeypatch.setattr(overlay.cv2, "rectangle", lambda canvas, low, high, *_: plates.append((*low, *high)))
+    rng = np.random.default_rng(people)
+    for _ in range(50):
+        faces = {"f%d" % number: face(rng.uniform(220.0, 420.0), rng.uniform(0.0, 160.0)) for number in range(people)}
+        marks = [PersonMark("p%d" % number, name, expression="surprised", looks_at="")
+                 for number, name in enumerate(faces)]
+        plates.clear()
+        draw_overlay(image, faces, {}, marks)
+        assert len(plates) == people + 1
+        for index, (left, top, right, bottom) in enumerate(plates):
+            assert 0 <= left and right < 640 and 0 <= top and bottom <= 480
+            assert not any(left < other[2] and other[0] < right and top < other[3] and other[1] < bottom
+                           for other in plates[:index])
+        for rows in faces.values():
+            x, y = rows[:, :2].mean(axis=0)
+            assert not any(left < x < right and top < y < bottom for left, top, right, bottom in plates)
+
+
+def test_who_is_only_heard_is_no_further_person():
+    seen = [PersonMark("p1", "f1", "b1"), PersonMark("p2", "f2"), PersonMark("p3", body_id="b3", voice_id="v3")]
+    assert counts(2, 2, seen) == "2 faces   2 bodies   3 persons"
+    assert counts(1, 1, seen[:1] + [PersonMark("p4", voice_id="v4")]) == "1 face   1 body   1 person   1 voice"
+    assert counts(0, 0, [PersonMark("lost")]) == "0 faces   0 bodies   1 person"
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_labels_in_space_that_are_near_each_other_stand_above_one_another(turned):
+    places = np.array([(0.0, 0.0, 1.6), (0.3, 0.0, 1.55), (0.5, 0.0, 1.7), (2.0, 0.0, 1.6), (0.0, 0.1, 1.2)])
+    up = (0.0, 0.0, 1.0)
+    if turned:
+        places, up = places[:, [0, 2, 1]] * (1.0, -1.0, 1.0), (0.0, -1.0, 0.0)
+    wide = label_lifts(places, up, [0.55] * 5, 0.2)
+    assert wide == pytest.approx([0.0, 0.25, 0.3, 0.0, 0.0])
+    assert label_lifts(places, up, [0.15] * 5, 0.2) == [0.0] * 5
+    assert label_lifts([], up, [], 0.2) == []
 
 
 def test_what_is_written_about_a_person():

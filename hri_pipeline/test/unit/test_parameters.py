@@ -188,7 +188,7 @@ def test_format(value, text):
 
 def test_markdown():
     lines = TABLE.to_markdown("../x.yaml").splitlines()
-    assert lines[:2] == ["More on each: [x.yaml](../x.yaml).", ""]
+    assert lines[:2] == ["Details: [x.yaml](../x.yaml).", ""]
     assert "- `~birth_delay` (`0.2` s, 0–10): Time before a face is published." in lines
     assert "- `~mode` (`\"video\"`, `\"still\"`): How images come | go." in lines
     assert "- `~providers` (`[\"cpu\"]` of `\"cpu\"`, `\"cuda\"`): Execution providers." in lines
@@ -240,7 +240,7 @@ def test_a_page_without_markers_gets_them_at_its_end(tmp_path):
     page.write_text("# faces\n")
     assert "has no line" in parameter_docs.problems(TABLE, tmp_path / "x.yaml", page)[1]
     parameter_docs.write(TABLE, tmp_path / "x.yaml", page)
-    assert page.read_text().startswith("# faces\n\n## Parameters\n\n<!-- parameters:begin -->\nMore on each")
+    assert page.read_text().startswith("# faces\n\n## Parameters\n\n<!-- parameters:begin -->\nDetails")
 
 
 def test_every_table_of_this_package_is_found_and_has_its_own_node_name():

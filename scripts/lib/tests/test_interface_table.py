@@ -118,7 +118,7 @@ def test_rep155_page_tells_both_types(name: str) -> None:
 
 
 def test_rep155_page_tells_what_only_one_knows() -> None:
-    told = {name: known for names, (_, known) in topics_in("docs/rep155.md") for name in names
+    told = {name: known for names, (*_, known) in topics_in("docs/rep155.md") for name in names
             if PAPER[name] == REP155[name]}
     whose = {"REP-155": "rep155", "neither": "own"}
     of = {row["name"]: row["of"] for row in TABLE["topics"]}

@@ -12,27 +12,25 @@ from hri_pipeline.core.parameters import ParameterTable, Settings, list_timeout_
 class BodyTrackingSettings(Settings):
     """What finding and following bodies needs."""
 
-    person_detector_model: str = parameter(
-        "", "ONNX file of the person detector. Empty: person_centernet.onnx in the models directory.")
+    person_detector_model: str = parameter("", "ONNX file of the person detector. Empty: person_centernet.onnx.")
     pose_model: str = parameter(
         "full", "Pose network: `lite` (about 30 % faster, less exact), `full`, `heavy` (three times the time), or the "
         "path of an ONNX file. Get lite and heavy with `rosrun hri_pipeline fetch_models --models "
         "pose_landmarks_lite` (or `pose_landmarks_heavy`).")
     pose_rate: float = parameter(
-        10.0, "How often the pose network runs on each body at least (see `cpu_share`); in the images between, the "
-        "body moves on by its own motion, with a lower confidence. Each run costs 11 to 15 ms on one core with the "
-        "network `full`. Larger follows fast movements better. 0: every image.", unit="Hz", minimum=0.0,
-        maximum=120.0, live=True)
+        10.0, "Least runs of the pose network on each body (see `cpu_share`); in the images between, the body moves on "
+        "by its own motion, with a lower confidence. Each run costs 11 to 15 ms on one core with the network `full`. "
+        "Larger follows fast movements better. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True)
     pose_budget: int = parameter(
-        3, "Most known bodies per image for the pose network, where `cpu_share` allows no more; what is left (one at "
-        "least, and two in slow images) goes to new ones. With more people than that the fast, the new, and those who "
-        "have waited longest come first. 0: no limit.", minimum=0, maximum=64, live=True)
+        3, "Most known bodies per image for the pose network (see `cpu_share`); what is left (one at least, and two in "
+        "slow images) goes to new ones. With more people than that the fast, the new, and those who have waited "
+        "longest come first. 0: no limit.", minimum=0, maximum=64, live=True)
     max_bodies: int = parameter(
         10, "Most bodies tracked at the same time. Each costs 11 to 15 ms of one core `pose_rate` times a second.",
         minimum=1, maximum=64)
     min_body_score: float = parameter(
-        0.5, "Probability of the pose network below which a body counts as lost. Higher lets go of hidden bodies "
-        "sooner.", minimum=0.05, maximum=0.99, live=True)
+        0.5, "Probability of the pose network below which a body is lost. Higher lets go of hidden bodies sooner.",
+        minimum=0.05, maximum=0.99, live=True)
     min_person_score: float = parameter(
         0.3, "Score from which the person detector's box may start a body; a body below a face needs a box of half of "
         "it. Lower finds fainter people and more things that are none.", minimum=0.05, maximum=0.99, live=True)
@@ -44,20 +42,20 @@ class BodyTrackingSettings(Settings):
         "Smaller finds new people sooner and costs more. 0: every image.", unit="s", minimum=0.0, maximum=10.0,
         live=True)
     new_windows_per_image: int = parameter(
-        3, "Most places per image searched for new bodies, 6 to 15 ms each. Larger finds a group sooner, smaller "
+        3, "Most windows per image searched for new bodies; 6 to 15 ms each. Larger finds a group sooner, smaller "
         "keeps the frame rate even.", minimum=1, maximum=64, live=True)
     body_birth_delay: float = parameter(
-        0.1, "Time for which a body must be seen before it gets its topics. Larger keeps out more flickering false "
-        "bodies.", unit="s", minimum=0.0, maximum=10.0, live=True)
+        0.1, "Time that a body must be seen before it gets topics. Larger keeps out more flickering false bodies.",
+        unit="s", minimum=0.0, maximum=10.0, live=True)
     body_death_time: float = parameter(
-        1.0, "Time after which a body that two searches have not found is dropped with its id. One that waits for its "
-        "look is published for as long, or for one and a half rounds of looks where those take longer; one that "
-        "vanished inside the image, as behind somebody, is waited for three times as long. Larger bridges longer "
-        "occlusions.", unit="s", minimum=0.05, maximum=60.0, live=True)
+        1.0, "Time after which a body that two searches have not found ends. One that waits for its turn is published "
+        "for as long, or for one and a half rounds of turns where those take longer; one that vanished inside the "
+        "image, as behind somebody, ends after three times as long. Larger bridges longer occlusions.", unit="s",
+        minimum=0.05, maximum=60.0, live=True)
     body_memory: float = parameter(
-        10.0, "Time for which a lost body is remembered by clothes, place, stature and face: a new body seen for 1 s "
-        "that is somebody remembered with a likelihood of 0.9 or more is told to be the same person (the id is a new "
-        "one all the same). 0: never.", unit="s", minimum=0.0, maximum=300.0)
+        10.0, "Time for which a lost body can be recognised by clothes, place, stature and face: a new body seen for 1 "
+        "s gets a match of 0.9 or more with its person (and another body id). 0: never.", unit="s", minimum=0.0,
+        maximum=300.0)
 
 
 @dataclass(frozen=True)
@@ -65,32 +63,32 @@ class BodyModelSettings(Settings):
     """What the joints and the model of each body need."""
 
     ik_solver: str = parameter(
-        "gauss_newton", "How the joints are found. gauss_newton: closed form, then a least-squares fit of the whole "
-        "body; the most exact. closed_form: faster, noisier. ikpy: chains read from the URDF, 5 to 60 ms per body; "
-        "for comparison.", choices=("gauss_newton", "closed_form", "ikpy"))
-    segments: str = parameter("", "YAML file of the body's proportions. Empty: the package's own config/segments.yaml.")
+        "gauss_newton", "How the joints are found. gauss_newton: closed form, then least squares over the whole body; "
+        "the most exact. closed_form: faster, noisier. ikpy: 5 to 60 ms per body, from the URDF; for comparison.",
+        choices=("gauss_newton", "closed_form", "ikpy"))
+    segments: str = parameter("", "YAML file of the body's proportions. Empty: config/segments.yaml.")
     limb_lengths: bool = parameter(
-        True, "Estimate the length of each limb. false: only the stature, with the proportions of the table; the fit "
-        "is 2 to 4 mm worse, and the models look alike.")
+        True, "Estimate the length of each limb. false: only the stature; the fit is 2 to 4 mm worse, and the models "
+        "look alike.")
     stature_tolerance: float = parameter(
-        0.03, "Relative change of the stature from which a body's URDF is replaced. For limbs it is the same length "
-        "as for a thigh (12 mm at 0.03). Smaller follows the estimate closer and restarts robot_state_publisher more "
-        "often.", minimum=0.005, maximum=0.5)
+        0.03, "Relative change of the stature from which the URDF is replaced. For limbs it is the same length as for "
+        "a thigh (12 mm at 0.03). Smaller follows the estimate closer and restarts robot_state_publisher more often.",
+        minimum=0.005, maximum=0.5)
     stature_window: float = parameter(
         5.0, "Time over which lengths are measured. Longer is calmer, shorter follows a body sooner whose first "
         "estimate was wrong.", unit="s", minimum=0.5, maximum=120.0)
     model_delay: float = parameter(
-        0.0, "Least time of watching a body before its URDF is made. Longer gives a better first stature, and later "
-        "first frames: robot_state_publisher takes 0.3 s as well.", unit="s", minimum=0.0, maximum=10.0)
+        0.0, "Time of observation before the URDF is made. Longer gives a better first stature, and later first "
+        "frames: robot_state_publisher takes 0.3 s as well.", unit="s", minimum=0.0, maximum=10.0)
     min_keypoint_confidence: float = parameter(
-        0.3, "Confidence from which a key point is used for the model. Lower uses guessed points of hidden limbs.",
-        minimum=0.0, maximum=1.0, live=True)
+        0.3, "Confidence from which a key point is used. Lower uses guessed points of hidden limbs.", minimum=0.0,
+        maximum=1.0, live=True)
     keypoint_agility: float = parameter(
-        1.0, "Factor of the accelerations that the key points' low pass expects: 1 is what was measured of people who "
+        1.0, "Factor of the accelerations that the key points' filter expects: 1 is what was measured of people who "
         "walk, wash, punch and fence. Smaller trembles less and follows sudden motion later.", minimum=0.05,
         maximum=20.0, live=True)
     keypoint_gate: float = parameter(
-        0.10, "Distance from its prediction at which a key point of a resting limb is an outlier. Smaller keeps out "
+        0.10, "Distance from its prediction from which a key point of a resting limb is an outlier. Smaller keeps out "
         "more wrong depths and holds back sudden motion.", unit="m", minimum=0.01, maximum=10.0, live=True)
 
 
@@ -100,15 +98,13 @@ class BodyOutputSettings(Settings):
 
     joint_state_rate: float = parameter(
         15.0, "Most joint states and frames per second and body. Higher moves the skeletons more evenly; "
-        "robot_state_publisher asks the master three times for each: ten bodies at 30 Hz cost the master alone 12 % "
-        "of a core. 0: for every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True)
+        "robot_state_publisher asks the master three times for each: ten bodies at 30 Hz cost the master alone 12 % of "
+        "a core. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True)
     state_publishers: bool = parameter(
-        True, "Set a URDF for each body and run a robot_state_publisher, which publishes the frames of its links. "
-        "false: joint states and body_ID only.")
+        True, "Set a URDF for each body and run a robot_state_publisher. false: joint states and body_ID only.")
     up_frame: str = parameter(
-        "", "TF frame whose z axis points up and whose z = 0 is the floor, such as `map` or `base_footprint`: people "
-        "are placed, and their posture told, with the tilt and height of the camera. Empty: the image is taken for "
-        "upright, and the floor is not used.")
+        "", "TF frame whose z axis points up from the floor, such as `map` or `base_footprint`: gives tilt and height "
+        "of the camera, for places and postures. Empty: none.")
     list_timeout: float = list_timeout_parameter()
 
 
@@ -128,8 +124,7 @@ class BodiesSettings(BodyTrackingSettings, DepthCameraSettings, BodyModelSetting
         "NormalizedRegionOfInterest2D, 20 joints (three in each hip).", choices=("paper", "rep155"))
     nice: int = parameter(
         5, "Priority on a busy processor, as in nice(1); larger is lower. The node `bodies` has a lower one, so that "
-        "faces, and with them persons, come first. 0: like all others; 19: only when nobody else has anything to do.",
-        minimum=0, maximum=19)
+        "faces, and with them persons, come first. 0: like all others; 19: only idle time.", minimum=0, maximum=19)
 
 
 @dataclass(frozen=True)
@@ -144,5 +139,5 @@ class VisionSettings(FacePipelineSettings, BodiesSettings):
     nice: int = parameter_like(BodiesSettings, "nice", default=0)
 
 
-BODIES = ParameterTable("bodies", BodiesSettings)
+BODIES = ParameterTable("bodies", BodiesSettings, includes=(FACES,))
 VISION = ParameterTable("vision", VisionSettings, includes=(FACES, BODIES))

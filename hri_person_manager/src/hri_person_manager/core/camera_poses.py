@@ -3,8 +3,8 @@ of a board.
 
 The first two cameras come from the essential matrix, each other one from the points that are known by then, and all are
 refined together so that the rays of each point meet (bundle adjustment; B. Triggs et al., Vision Algorithms 1999). The
-points are eliminated: for given cameras each is where its rays pass nearest to each other. Images alone tell the scale
-of nothing: that is told by the stature of the person, the squares of the board, or the distance of two cameras.
+points are eliminated: for given cameras each is where its rays pass nearest to each other. Images alone do not give
+the scale: it comes from the stature of the person, the squares of the board, or the distance of two cameras.
 """
 
 from __future__ import annotations

@@ -27,6 +27,11 @@ class PersonRow:
     frame: str
     age_ms: Optional[float]
 
+    @property
+    def is_voice(self) -> bool:
+        """Whether there is nothing but a voice."""
+        return bool(self.voice) and not (self.face or self.body)
+
 
 class RateMeter:
     """Images per second out of their stamps; many features of one image count once."""
@@ -57,13 +62,12 @@ def format_table(rows: Sequence[PersonRow], face_rate: float, body_rate: float, 
                  nobody: str = "nobody yet") -> str:
     """Return the table as plain text, with `note` as its last line, without a newline at the end.
 
-    Without rows it says `nobody`.
-
-    Confidence is that of a place: of who has none (yet) it says nothing.
+    Without rows it says `nobody`. Persons who are only a voice stand below the others and are counted apart. Without a
+    place there is no confidence.
     """
     lines = ["%-22s  %-6s %-6s %-6s %10s  %-22s %-20s %7s" % (
         "person", "face", "body", "voice", "confidence", "position x y z (m)", "frame", "age ms")]
-    for row in rows:
+    for row in sorted(rows, key=lambda row: row.is_voice):
         position = "%6.2f %6.2f %6.2f" % row.position if row.position is not None else "-"
         age = "%7.0f" % row.age_ms if row.age_ms is not None else "      -"
         confidence = "%.2f" % row.confidence if row.position is not None else "-"
@@ -72,12 +76,20 @@ def format_table(rows: Sequence[PersonRow], face_rate: float, body_rate: float, 
             row.frame or "-", age))
     if not rows:
         lines.append(nobody)
-    lines.append("faces found in %.1f images/s, bodies in %.1f images/s" % (face_rate, body_rate))
+    lines.append("%s; faces found in %.1f images/s, bodies in %.1f images/s" % (_counts(rows), face_rate, body_rate))
     return "\n".join(lines + [note] if note else lines)
 
 
+def _counts(rows: Sequence[PersonRow]) -> str:
+    """How many there are, and apart from them how many who are only a voice."""
+    heard = sum(row.is_voice for row in rows)
+    seen = len(rows) - heard
+    text = "%d person%s" % (seen, "" if seen == 1 else "s")
+    return text + (", %d voice%s" % (heard, "" if heard == 1 else "s") if heard else "")
+
+
 class CameraStatus:
-    """Why nobody is there, out of what nodes tell of their cameras: nobody yet, or no images.
+    """Why nobody is there, by what nodes report of their cameras: nobody yet, or no images.
 
     A node that has not reported for `patience` s has ended.
     """
@@ -92,10 +104,17 @@ class CameraStatus:
 
     def text(self, now: float) -> str:
         """Return what to say at `now` (s) while nobody is tracked."""
-        recent = [row for row in self._status.values() if now - row[2] < self._patience]
+        recent = self._recent(now)
         if not recent or any(arrive for arrive, _, _ in recent):
             return "nobody yet"
         return "no images arrive: " + recent[0][1]
+
+    def is_known(self, now: float) -> bool:
+        """Tell whether any node works on images at `now` (s)."""
+        return bool(self._recent(now))
+
+    def _recent(self, now: float) -> List[Tuple[bool, str, float]]:
+        return [row for row in self._status.values() if now - row[2] < self._patience]
 
 
 def format_columns(rows: Sequence[Sequence[str]]) -> str:

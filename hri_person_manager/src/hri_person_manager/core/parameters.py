@@ -19,78 +19,73 @@ class PersonManagerSettings(Settings):
     reference_frame: str = parameter(
         "map", "Parent of the frames person_ID. Where no transform leads to it, the frame of the sensor takes its "
         "place, with one warning.", shared="/humans/reference_frame")
-    anonymous_persons: bool = parameter(
-        True, "Unidentified features become persons. False: a person exists only once a recogniser has named it.")
-    features_from_matches: bool = parameter(
-        True, "A feature that a match names exists before its list says so. False: it has to be listed first.")
+    anonymous_persons: bool = parameter(True, "People who are not recognised are persons. False: not.")
+    features_from_matches: bool = parameter(True, "A feature in a match exists before it is listed. False: not.")
     new_person_delay: float = parameter(
-        0.5, "Time that a feature waits for a match before it becomes an anonymous person. Longer: fewer short-lived "
+        0.5, "Time that a feature waits for a match until it is an anonymous person. Longer: fewer short-lived "
         "persons, later frames.", unit="s", minimum=0.0, maximum=60.0, live=True)
     voice_person_delay: float = parameter(
-        2.0, "Time that a voice waits for a match before it becomes an unseen person: mouth and voice have to be "
-        "compared for about a second. Shorter: unseen speakers are persons earlier, and speakers in view get a person "
-        "for a moment that then is an alias. Counts where it is longer than new_person_delay.", unit="s", minimum=0.0,
+        2.0, "Time that a voice waits for a match until it is an unseen person: mouth and voice have to be compared "
+        "for about a second. Shorter: unseen speakers are persons earlier, and speakers in view get a person for a "
+        "moment that then is an alias. Counts where it is longer than new_person_delay.", unit="s", minimum=0.0,
         maximum=60.0, live=True)
     decay: str = parameter(
-        "exponential", "How the location confidence falls once no feature has told a place for 1 s (or three image "
-        "periods). exponential: half after each half_life. linear: 0 after two. step: 0.5 at once, 0 after two.",
+        "exponential", "How the location confidence falls after 1 s (or three image periods) without a place. "
+        "exponential: half after each half_life. linear: 0 after two. step: 0.5 at once, 0 after two.",
         choices=DECAY_KINDS, live=True)
     half_life: float = parameter(
-        5.0, "Time in which the confidence of a place that is no longer current halves. Longer: frames stay longer at "
-        "the last place.", unit="s", minimum=0.01, maximum=3600.0, live=True)
+        5.0, "Time in which the confidence of an old place halves. Longer: frames stay longer at the last place.",
+        unit="s", minimum=0.01, maximum=3600.0, live=True)
     confidence_floor: float = parameter(
-        0.05, "Exponential decay: below this the confidence is 0, the frame stops, and an anonymous person is "
-        "forgotten.", minimum=0.001, maximum=0.9, live=True)
+        0.05, "Exponential decay: a confidence below this is 0.", minimum=0.001, maximum=0.9, live=True)
     coast_time: float = parameter(
-        0.0, "Time for which the frame of a lost person goes on with the last velocity, slowing down. 0: it stays at "
-        "the last place.", unit="s", minimum=0.0, maximum=10.0)
+        0.0, "Time that the frame of a lost person goes on with the last velocity, slowing down. 0: it stays at the "
+        "last place.", unit="s", minimum=0.0, maximum=10.0)
     robot_frame: str = parameter(
-        "", "Frame from which the horizontal distances for the lists in_*_space are measured, such as base_link. "
-        "Empty: the sensor that sees them.")
+        "", "Frame from which distances for the lists in_*_space are measured, such as base_link. Empty: the sensor.")
     personal_distance: float = parameter(
         1.2, "Outer border of the personal space.", unit="m", minimum=0.1, maximum=10.0, live=True)
     social_distance: float = parameter(
         3.6, "Outer border of the social space; what is farther away is public.", unit="m", minimum=0.2, maximum=50.0,
         live=True)
     cross_camera: bool = parameter(
-        True, "Join persons whom several cameras see at one place, and keep the id of somebody who walks from one "
-        "view to another. Nothing happens with one camera, or without transforms to the reference frame.")
+        True, "Join persons whom several cameras see at one place, and follow people from view to view. Nothing "
+        "happens with one camera, or without transforms to the reference frame.")
     cross_camera_distance: float = parameter(
-        0.5, "How exact the cameras' poses are, times ten: rays that pass each other by a tenth of it (and by 2 % of "
-        "the distance) are one person. Larger: for an inexact calibration; people who stand close together may be "
-        "taken for one.", unit="m", minimum=0.05, maximum=3.0, live=True)
+        0.5, "Ten times the error of the cameras' poses: rays that pass each other by a tenth of it (and by 2 % of the "
+        "distance) are one person. Larger: for an inexact calibration; people who stand close together may be taken "
+        "for one.", unit="m", minimum=0.05, maximum=3.0, live=True)
     cross_camera_time: float = parameter(
-        1.0, "Time for which the rays of two cameras agree before the persons are joined, three times as long where "
-        "they agree less well; after twice as long apart they are parted.", unit="s", minimum=0.1, maximum=30.0,
-        live=True)
+        1.0, "Time that the rays of two cameras agree before persons are joined; three times as long where they agree "
+        "less well; after twice as long apart they are parted.", unit="s", minimum=0.1, maximum=30.0, live=True)
     distance_error: float = parameter(
-        0.12, "Error of the distance of a face or a body along the ray of its camera (standard deviation), as a share "
-        "of the distance: 0.12 without depth, about 0.03 with a depth image.", minimum=0.005, maximum=1.0, live=True)
+        0.12, "Standard deviation of distances from a camera, as a share of the distance: 0.12 without depth, about "
+        "0.03 with a depth image.", minimum=0.005, maximum=1.0, live=True)
     distance_errors: Sequence[str] = parameter(
-        [], "The same for single cameras, as FRAME=SHARE with the optical frame, such as "
-        "camera_depth_optical_frame=0.03; distance_error holds for the others.")
+        [], "The same for single cameras, by optical frame, such as camera_depth_optical_frame=0.03; distance_error "
+        "holds for the others.")
     cross_camera_handover: float = parameter(
-        4.0, "Time in which somebody who left one view may appear in another, where the last velocity leads, as the "
-        "same person. 0: never.", unit="s", minimum=0.0, maximum=60.0, live=True)
+        4.0, "Time in which somebody who left one view may appear in another as the same person, where the last "
+        "velocity leads. 0: never.", unit="s", minimum=0.0, maximum=60.0, live=True)
     people_msgs: bool = parameter(
         False, "Publish /people (people_msgs/People) for navigation: positions, velocities, and as tags group, "
         "engagement, posture.")
     source_timeout: float = parameter(
-        0.5, "Silence of the face frame after which the body places the person, and of all frames after which the "
-        "last place is sent again. Where face and body were seen together, the body goes on after 0.25 s, or three "
-        "images of the face. A body whose stamps lag goes on when the face has told nothing for 1 s (three image "
-        "periods) at the latest.", unit="s", minimum=0.02, maximum=10.0)
+        0.5, "Time without the face frame until the body places the person, and without all frames until the last "
+        "place is sent again. Where face and body were seen together, the body goes on after 0.25 s, or three images "
+        "of the face. A body whose stamps lag goes on when the face has told nothing for 1 s (three image periods) at "
+        "the latest.", unit="s", minimum=0.02, maximum=10.0)
     store: str = parameter(
         "", "File (SQLite) in which permanent persons are kept across runs: ids, names, languages, demographics, "
         "times; the recognisers keep their templates in the same file. Empty: in memory only.")
     store_key: str = parameter(
-        "", "File with the key that names, languages, demographics and times in `store` are encrypted with: that of "
-        "the recognisers (their `gallery_key`); make one with `people make-key FILE`. Empty: not encrypted.")
+        "", "File with the key that encrypts names, languages, demographics and times in `store`: that of the "
+        "recognisers (their `gallery_key`); make one with `people make-key FILE`. Empty: not encrypted.")
     store_read_only: Sequence[str] = parameter(
-        [], "More stores, whose people are known by name, too, but never changed: plain ones, or with the same key.")
+        [], "More stores to know people from, never changed: plain ones, or with the same key.")
     store_max_age: float = parameter(
-        0.0, "Persons not seen for longer are removed from the store without a trace. 0: never.", unit="days",
-        minimum=0.0, maximum=36500.0)
+        0.0, "Persons not seen for longer are removed from the store. 0: never.", unit="days", minimum=0.0,
+        maximum=36500.0)
     store_max_persons: int = parameter(
         1000, "Most persons in the store; those unseen for longest are removed. 0: no limit.", minimum=0,
         maximum=1000000)

@@ -41,11 +41,11 @@ class WebSettings(Settings):
         "needs the token.")
     port: int = parameter(8080, "TCP port. 0: any free one, which is printed.", minimum=0, maximum=65535)
     token_file: str = parameter(
-        "", "File whose first line is the token that browsers need, 16 characters at least. Empty: none for an address "
-        "of this machine only, else a new one at each start, which is printed.")
+        "", "File whose first line is the token that browsers need, 16 characters at least. Empty: none for this "
+        "machine only, else a new one is printed at each start.")
     host_names: Sequence[str] = parameter(
-        [], "Names, besides that of the machine, under which browsers reach this page, such as robot.example.org; "
-        "requests for other names are refused.")
+        [], "More names of this machine in addresses of the page, such as robot.example.org; requests for other names "
+        "are refused.")
     actions: bool = parameter(True, "Let browsers name, enrol, export and forget people. False: look only.")
     person_manager: str = parameter("/hri_person_manager", "Name of the node whose services do that.")
     robot_frame: str = parameter(
@@ -185,8 +185,9 @@ def action_of(body: bytes) -> Action:
 class PersonOnPage:
     """One person who is there.
 
-    since: s for which. speaking, posture, looks_at: None, or empty text, where not known; looks_at: a person id, empty
-    for the robot. pose: in `frame`, with the covariance (3, 3) m^2 of its position where that is known.
+    since: s for which. face, body: whether they are seen now. speaking, posture, looks_at: None, or empty text, where
+    not known; looks_at: a person id, empty for the robot. pose: in `frame`, with the covariance (3, 3) m^2 of its
+    position where that is known.
     """
 
     id: str
@@ -201,6 +202,8 @@ class PersonOnPage:
     frame: str = ""
     pose: Optional[Pose] = None
     covariance: Optional[np.ndarray] = None
+    face: bool = False
+    body: bool = False
 
 
 def page_state(people: Sequence[PersonOnPage], groups: Sequence[Sequence[str]],
@@ -235,7 +238,7 @@ def _person_data(person: PersonOnPage, frame: str) -> Dict[str, Any]:
     data = {"id": person.id, "name": person.name, "anonymous": person.anonymous, "since": round(person.since, 1),
             "colour": "#{:02x}{:02x}{:02x}".format(red, green, blue), "engagement": person.engagement,
             "speaking": person.speaking, "posture": person.posture, "looks_at": person.looks_at,
-            "confidence": round(person.confidence, 2), "place": None}
+            "confidence": round(person.confidence, 2), "face": person.face, "body": person.body, "place": None}
     if person.pose is not None and person.frame == frame:
         data["place"] = _place(person.pose, frame, person.covariance)
     return data

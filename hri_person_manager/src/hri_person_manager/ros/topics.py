@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Callable, Dict, List, Optional, Set, Tuple
 
 import genpy
+import numpy as np
 import rospy
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Quaternion
 from geometry_msgs.msg import Pose as PoseMsg
@@ -28,6 +29,7 @@ from hri_person_manager.ros.inputs import TfInput
 from hri_person_manager.ros.navigation import position_to_msg
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.overlay import label_lifts
 from hri_pipeline.ros.conversions import to_time
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
 from hri_pipeline.ros.rospy_compat import release
@@ -316,6 +318,7 @@ class PersonSpaces:
 
 RADIUS = 0.06           # m
 TEXT_HEIGHT = 0.12      # m
+LETTER_WIDTH = 0.11     # m; letters have about 0.06, seen from the side two labels come nearer to each other
 TEXT_ABOVE = 0.55       # m, above the two lines that the body's own label has there
 LIFETIME_S = 0.5
 THICKNESS = 0.01        # m, of an ellipse
@@ -333,15 +336,15 @@ class PersonMarkers:
         if not self._publisher.get_num_connections():
             return
         markers: List[Marker] = []
-        for number, state in enumerate(snapshot.persons):
-            if state.place is None or state.confidence <= 0.0:
-                continue
-            position = Point(*(float(value) for value in state.place.pose.translation))
-            above = Point(position.x, position.y, position.z)
-            if is_optical(state.place.frame):
-                above.y -= TEXT_ABOVE        # y of an optical frame points down
-            else:
-                above.z += TEXT_ABOVE
+        shown = [(number, state, state.place) for number, state in enumerate(snapshot.persons)
+                 if state.place is not None and state.confidence > 0.0]
+        # y of an optical frame points down. All places are mostly in one frame.
+        ups = [np.array([0.0, -1.0, 0.0] if is_optical(place.frame) else [0.0, 0.0, 1.0]) for _, _, place in shown]
+        lifts = label_lifts([place.pose.translation for _, _, place in shown], ups[0] if ups else (0.0, 0.0, 1.0),
+                            [LETTER_WIDTH * len(_label(state.id)) for _, state, _ in shown], 1.4 * TEXT_HEIGHT)
+        for (number, state, place), up, lift in zip(shown, ups, lifts):
+            position = Point(*place.pose.translation.tolist())
+            above = Point(*(place.pose.translation + (TEXT_ABOVE + lift) * up).tolist())
             colour = ColorRGBA(0.1, 0.7, 1.0, 0.3 + 0.7 * state.confidence)
             for kind, where, size in ((Marker.SPHERE, position, 2.0 * RADIUS),
                                       (Marker.TEXT_VIEW_FACING, above, TEXT_HEIGHT)):
@@ -349,10 +352,10 @@ class PersonMarkers:
                                 pose=PoseMsg(where, Quaternion(0.0, 0.0, 0.0, 1.0)),
                                 text=_label(state.id) if kind == Marker.TEXT_VIEW_FACING else "",
                                 lifetime=rospy.Duration(LIFETIME_S))
-                marker.header.frame_id = state.place.frame
+                marker.header.frame_id = place.frame
                 marker.scale.x = marker.scale.y = marker.scale.z = size
                 markers.append(marker)
-            markers += _ellipse(number, state.place)
+            markers += _ellipse(number, place)
         self._publisher.publish(MarkerArray(markers))
 
     def close(self) -> None:

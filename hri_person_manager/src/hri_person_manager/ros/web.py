@@ -96,6 +96,11 @@ class Pictures:
         """Whether pictures are wanted and have not come for some time."""
         return time.monotonic() - max(self.heard, self.since) > PICTURE_SILENCE_S
 
+    @property
+    def published(self) -> bool:
+        """Whether any node publishes them."""
+        return self._subscriber is not None and self._subscriber.get_num_connections() > 0
+
     def _take(self, message: Image) -> None:
         now = time.monotonic()
         self.heard, self.frame = now, message.header.frame_id
@@ -164,7 +169,8 @@ class PeopleView:
             "" if level == Engagement.UNKNOWN else level.name.lower(),
             voice.is_speaking if voice is not None else None,
             "" if posture in (None, Posture.OTHER) else posture.name.lower(), person.looks_at, confidence,
-            location.frame if there else "", location.pose if there else None, location.covariance if there else None)
+            location.frame if there else "", location.pose if there else None, location.covariance if there else None,
+            person.face is not None, body is not None)
 
     def _place_of_robot(self, frame: str) -> Optional[Tuple[str, Pose, bool]]:
         """Return frame and pose of the robot, and whether it looks along z."""
@@ -178,10 +184,12 @@ class PeopleView:
         """Return why there is no picture, empty while there is one."""
         if not self._pictures.missing:
             return ""
-        text = self._cameras.text(time.monotonic())
+        text, topic = self._cameras.text(time.monotonic()), rospy.resolve_name(OVERLAY)
         if text.startswith("no images"):
             return text
-        return "no picture on {}: is the camera on, and overlay:=true?".format(rospy.resolve_name(OVERLAY))
+        if not self._cameras.is_known(time.monotonic()) and not self._pictures.published:
+            return "there is no camera: no node works on images, and nothing is on " + topic
+        return "no picture on {}: is the camera on, and overlay:=true?".format(topic)
 
     def _on_tracked(self, ids: List[str]) -> None:
         now = time.monotonic()

@@ -1,4 +1,4 @@
-"""Puts features back on the image they came from.
+"""Which faces and bodies belong to which image, by their stamps.
 
 Faces and bodies are found in images of some milliseconds ago, by processes that each take the newest image
 when they are ready: their results come late, and not always for the same images.

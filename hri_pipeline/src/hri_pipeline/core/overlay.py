@@ -21,11 +21,11 @@ class OverlaySettings(Settings):
         "raw", "Which topic to take the image from: `image`, or `image/compressed`.", choices=("raw", "compressed"))
     max_rate: float = parameter(10.0, "Most images per second.", unit="Hz", minimum=0.1, maximum=120.0, live=True)
     history: int = parameter(
-        30, "How many of the latest images are kept until their faces and bodies arrive. Each takes width x height x "
-        "3 bytes.", minimum=2, maximum=300)
+        30, "Latest images that are kept until their faces and bodies arrive. Each takes width x height x 3 bytes.",
+        minimum=2, maximum=300)
     pair_tolerance: float = parameter(
-        0.15, "Largest difference between the stamps of an image and of a feature drawn on it, where none has the "
-        "image's stamp.", unit="s", minimum=0.0, maximum=2.0, live=True)
+        0.15, "Largest difference between the stamps of an image and of what is drawn on it.", unit="s", minimum=0.0,
+        maximum=2.0, live=True)
     min_confidence: float = parameter(
         0.3, "Key points and landmarks below this confidence are left out.", minimum=0.0, maximum=1.0, live=True)
     names: bool = parameter(True, "Write the names of persons who have one; false: their ids.")
@@ -59,7 +59,7 @@ _LONGEST = 24       # letters of a name; the fonts of OpenCV have no letters but
 
 @dataclass(frozen=True)
 class PersonMark:
-    """What is written about a person: id, the ids of face and body (empty: none), confidence 0 to 1.
+    """What is written about a person: id, the ids of face, body and voice (empty: none), confidence 0 to 1.
 
     looks_at: id of the person who is looked at, "" for the robot, None for nobody.
     """
@@ -71,6 +71,7 @@ class PersonMark:
     name: str = ""
     expression: str = ""
     looks_at: Optional[str] = None
+    voice_id: str = ""
 
     @property
     def label(self) -> str:
@@ -117,14 +118,42 @@ def draw_overlay(image: np.ndarray, faces: Mapping[str, np.ndarray], bodies: Map
         start, end = heads[mark.id], heads.get(mark.looks_at or "")
         if start is not None and end is not None:
             _draw_gaze(canvas, start, end, colour_of(mark.id), unit)
-    taken: List[Tuple[int, int, int, int]] = []
+    boxes = [_box(points, _good(points, min_confidence)) for points in faces.values()]
+    shown = np.array([box for box in boxes if box is not None]).reshape(-1, 4)
+    taken: List[Sequence[float]] = []
+    text = counts(len(faces), len(bodies), persons)
+    _draw_label(canvas, text, (0.0, float(image.shape[0])), NOBODY, taken, shown, unit)
     for mark in persons:
         anchor = _anchor(faces.get(mark.face_id), bodies.get(mark.body_id), min_confidence)
         if anchor is not None:
-            _draw_label(canvas, mark.label, anchor, colour_of(mark.id), taken, unit)
-    counts = "{} faces   {} bodies   {} persons".format(len(faces), len(bodies), len(persons))
-    _draw_label(canvas, counts, (0.0, float(image.shape[0])), NOBODY, taken, unit)
+            _draw_label(canvas, mark.label, anchor, colour_of(mark.id), taken, shown, unit)
     return canvas
+
+
+def counts(faces: int, bodies: int, persons: Sequence[PersonMark]) -> str:
+    """Return how many there are of each; persons who are only a voice are counted apart."""
+    heard = sum(bool(mark.voice_id) and not (mark.face_id or mark.body_id) for mark in persons)
+    words = [(faces, "face", "faces"), (bodies, "body", "bodies"), (len(persons) - heard, "person", "persons")]
+    words += [(heard, "voice", "voices")] if heard else []
+    return "   ".join("{} {}".format(number, one if number == 1 else more) for number, one, more in words)
+
+
+def label_lifts(places: Sequence[Sequence[float]], up: Sequence[float], widths: Sequence[float],
+                height: float) -> List[float]:
+    """Return how far (m) to lift each label in space, so that labels near each other stand above one another.
+
+    places: (3,) m each; up: (3,), of length 1; widths, height: m, of the labels. Near is less than half of both widths.
+    """
+    levels: List[float] = []
+    own = [float(np.dot(place, up)) for place in places]
+    for index, (place, level) in enumerate(zip(places, own)):
+        way = [np.subtract(place, places[other]) for other in range(index)]
+        near = [levels[other] for other, step in enumerate(way)
+                if np.linalg.norm(step - np.dot(step, up) * np.array(up)) < 0.5 * (widths[index] + widths[other])]
+        for taken in sorted(near):
+            level = taken + height if abs(level - taken) < height else level
+        levels.append(level)
+    return [level - start for level, start in zip(levels, own)]
 
 
 def _good(points: np.ndarray, min_confidence: float) -> np.ndarray:
@@ -227,21 +256,36 @@ def _draw_gaze(canvas: np.ndarray, start: np.ndarray, end: np.ndarray, colour: C
 
 
 def _draw_label(canvas: np.ndarray, text: str, anchor: Tuple[float, float], colour: Colour,
-                taken: List[Tuple[int, int, int, int]], unit: float) -> None:
-    """Write on a plate whose lower middle is `anchor` (px), inside the image and clear of plates in `taken`."""
+                taken: List[Sequence[float]], faces: np.ndarray, unit: float) -> None:
+    """Write on a plate whose lower middle is `anchor` (px), inside the image, clear of plates in `taken` and, where
+    there is room, of the boxes of `faces` (N, 4)."""
     (width, height), baseline = cv2.getTextSize(text, FONT, 0.55 * unit, max(1, int(round(unit))))
     pad = int(round(5 * unit))
-    plate_width, plate_height = width + 2 * pad, height + baseline + pad
-    left = int(np.clip(anchor[0] - plate_width / 2, 0, max(0, canvas.shape[1] - plate_width)))
-    top = int(np.clip(anchor[1] - plate_height - pad, 0, max(0, canvas.shape[0] - plate_height)))
-    for _ in range(len(taken)):
-        clash = [plate for plate in taken if left < plate[2] and plate[0] < left + plate_width
-                 and top < plate[3] and plate[1] < top + plate_height]
-        if not clash:
-            break
-        above = min(plate[1] for plate in clash) - plate_height - 1
-        top = above if above >= 0 else max(plate[3] for plate in clash) + 1
-    taken.append((left, top, left + plate_width, top + plate_height))
-    cv2.rectangle(canvas, (left, top), (left + plate_width, top + plate_height), colour, -1)
-    cv2.putText(canvas, text, (left + pad, top + plate_height - baseline), FONT, 0.55 * unit, DARK,
+    size = np.array([width + 2 * pad, height + baseline + pad])
+    room = np.maximum(np.array([canvas.shape[1], canvas.shape[0]]) - 1 - size, 0)
+    wanted = np.clip([anchor[0] - size[0] / 2, anchor[1] - size[1] - pad], 0, room).astype(int)
+    plates = np.array(taken).reshape(-1, 4)
+    left, top = (int(value) for value in _free_place(wanted, size, room, plates, faces))
+    plate = (left, top, left + int(size[0]), top + int(size[1]))
+    taken.append(plate)
+    cv2.rectangle(canvas, plate[:2], plate[2:], colour, -1)
+    cv2.putText(canvas, text, (left + pad, plate[3] - baseline), FONT, 0.55 * unit, DARK,
                 max(1, int(round(unit))), cv2.LINE_AA)
+
+
+def _free_place(wanted: np.ndarray, size: np.ndarray, room: np.ndarray, plates: np.ndarray,
+                faces: np.ndarray) -> np.ndarray:
+    """Return the place (2,) px next to `wanted` where a plate of `size` covers no plate and no face; without such a
+    place no plate, and without that `wanted` itself. room: (2,), the largest place."""
+    for boxes in (np.concatenate([plates, faces]), plates):
+        low, high = np.floor(boxes[:, :2]) - size - 1, np.ceil(boxes[:, 2:]) + 1
+        tried = np.clip(np.concatenate([[wanted], low, high]), 0, room)
+        # (tried, boxes, 2): whether they meet in x, in y.
+        meet = (tried[:, None] <= boxes[:, 2:]) & (boxes[:, :2] <= tried[:, None] + size)
+        blocked = meet[:, :, 0].astype(int) @ meet[:, :, 1].astype(int).T
+        way = np.abs(tried - wanted)
+        cost = np.where(blocked, np.inf, way[:, None, 0] + way[None, :, 1])
+        column, line = np.unravel_index(int(np.argmin(cost)), cost.shape)
+        if np.isfinite(cost[column, line]):
+            return np.array([tried[column, 0], tried[line, 1]])
+    return wanted

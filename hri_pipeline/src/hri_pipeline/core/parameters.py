@@ -195,7 +195,7 @@ def parameter_like(settings: Type[Settings], name: str, more: str = "", **change
 def list_timeout_parameter() -> float:
     """Return the field `list_timeout`, which every node has that listens to a list of ids."""
     return parameter(
-        0.0, "Silence after which a list of ids counts as empty. 0: never; a list then ends with its publisher, and "
+        0.0, "Silence after which a list of ids is empty. 0: never; a list then ends with its publisher, and "
         "one that is said once holds. The nodes of this stack repeat theirs once a second.", unit="s", minimum=0.0,
         maximum=3600.0)
 
@@ -318,8 +318,8 @@ class ParameterTable(Generic[S]):
         more : str
             Link to the YAML file; empty: no link.
         """
-        lines = ["More on each: [{}]({}).".format(more.rsplit("/", 1)[-1], more)] if more else []
-        lines += ["\\* may change [while the node runs](../tuning.md)."] if self.live else []
+        lines = ["Details: [{}]({}).".format(more.rsplit("/", 1)[-1], more)] if more else []
+        lines += ["\\* can change [at run time](../tuning.md)."] if self.live else []
         lines = [" ".join(lines), ""] if lines else []
         lines += ["- `~{}`{} ({}): {}".format(parameter.name, "\\*" if parameter.live else "",
                                              _default_and_range(parameter), _meaning(parameter))

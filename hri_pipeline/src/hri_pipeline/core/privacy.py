@@ -1,4 +1,4 @@
-"""What a node computes and keeps of people: the notice that it owes them, as data and as text."""
+"""What a node computes and keeps of people: its privacy notice, as data and as text."""
 
 from __future__ import annotations
 

@@ -84,24 +84,21 @@ class CheckSettings(Settings):
     """Looks at the running graph and says in words why nobody appears."""
 
     nodes: Sequence[str] = parameter(
-        ["hri_faces", "hri_bodies", "hri_face_body_matcher", "hri_person_manager"], "Names of the nodes that have to "
-        "run, without a slash; hri_vision stands for hri_faces and hri_bodies. Leave out those whose branch is "
-        "switched off.")
+        ["hri_faces", "hri_bodies", "hri_face_body_matcher", "hri_person_manager"], "Nodes that have to run, without a "
+        "slash; hri_vision stands for hri_faces and hri_bodies. Leave out those that are switched off.")
     watch_time: float = parameter(
-        6.0, "How long the graph is listened to before it is judged. Longer: slower, but finds what comes rarely.",
-        unit="s", minimum=1.0, maximum=120.0)
+        6.0, "Time of observation. Longer: slower, but finds what comes rarely.", unit="s", minimum=1.0, maximum=120.0)
     camera_frame: str = parameter("", "Frame of the camera; empty: the frame_id of its images.")
     min_rate: float = parameter(
         3.0, "Images per second below which people cannot be followed.", unit="Hz", minimum=0.1, maximum=60.0)
     max_age: float = parameter(
-        1.0, "Images whose stamp is further than this from now are reported: the clocks differ, or the network is too "
-        "slow.", unit="s", minimum=0.05, maximum=60.0)
+        1.0, "Images whose stamp differs more from now are reported: the clocks differ, or the network is too slow.",
+        unit="s", minimum=0.05, maximum=60.0)
     master: str = parameter(
         "", "Address of the master that was there before the check; check.launch asks for it, so that roslaunch ends "
         "where there is none instead of starting one. Nothing is done with it here.")
     min_brightness: float = parameter(
-        25.0, "Mean of the pixels (0 to 255) below which a picture is too dark to find people.", minimum=0.0,
-        maximum=255.0)
+        25.0, "Mean of the pixels (0 to 255) below which a picture is too dark.", minimum=0.0, maximum=255.0)
     min_contrast: float = parameter(
         6.0, "Standard deviation of the pixels (0 to 255) below which a picture shows nothing: a covered lens, or a "
         "test picture of one colour.", minimum=0.0, maximum=128.0)

@@ -1,4 +1,4 @@
-"""Getting the models into a directory: nothing, or everything, is put in place.
+"""Getting the models into a directory: all of them, or none after an error.
 
 All work happens in a hidden directory inside the target; finished and checked files are moved into place
 one by one with os.replace, the manifest last.  A lock on the target keeps two runs apart.

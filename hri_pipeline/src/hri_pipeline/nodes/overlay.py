@@ -36,7 +36,7 @@ from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.subscriptions import IdSubscribers
 
 AnyImage = Union[Image, CompressedImage]
-PERSON_TOPICS = {"face_id": String, "body_id": String, "location_confidence": Float32}
+PERSON_TOPICS = {"face_id": String, "body_id": String, "voice_id": String, "location_confidence": Float32}
 # Gazes are told all the time while they last; older ones are of a node that has gone.
 _GAZE_S = 1.0
 
@@ -135,7 +135,8 @@ class OverlayInputs:
         told, gazes = self._gazes
         return PersonMark(name, face, str(known.get("body_id", "")), float(known.get("location_confidence", 0.0)),
                           str(known.get("name", "")), self._expressions.get(face, ""),
-                          gazes.get(name) if time.monotonic() - told < _GAZE_S else None)
+                          gazes.get(name) if time.monotonic() - told < _GAZE_S else None,
+                          str(known.get("voice_id", "")))
 
     def close(self) -> None:
         """End all subscriptions. May be called again."""

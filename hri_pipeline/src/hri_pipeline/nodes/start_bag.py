@@ -1,4 +1,4 @@
-"""Lets a paused `rosbag play` go as soon as everybody who has to hear it is connected to it; waits for its end."""
+"""Starts a paused `rosbag play` as soon as all listed nodes are connected to it; waits for its end."""
 
 from __future__ import annotations
 

@@ -147,7 +147,8 @@ def _one_group(group: Group, middle: np.ndarray, heads: Sequence[np.ndarray], nu
     text = _marker(header, "group", number, Marker.TEXT_VIEW_FACING, (1.0, 1.0, 1.0), 1.0)
     text.pose.position = _point(middle + (0.0, 0.0, _TEXT_ABOVE_M))
     text.scale.z = _TEXT_M
-    text.text = "{} ({})".format(group.id, len(group.members))
+    people = sum(name != ROBOT for name in group.members)
+    text.text = "{} ({}{})".format(group.id, people, " + robot" if ROBOT in group.members else "")
     return [disc, lines, feet, poles, text]
 
 

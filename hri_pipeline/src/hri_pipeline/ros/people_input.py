@@ -1,4 +1,4 @@
-"""The people as the graph gives them, the frame in which they are compared, and where the robot is in it."""
+"""The people of the ROS graph, the frame in which they are compared, and where the robot is in it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `rosrun ros4hri report`: a bag as one HTML page with plots, for a look at an evening in a minute.
+"""The command `rosrun ros4hri report`: a bag as one HTML page with plots.
 
 The page holds everything itself (SVG, no scripts, nothing from the network). It is personal data like the bag.
 """

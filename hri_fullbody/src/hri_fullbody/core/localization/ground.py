@@ -1,10 +1,10 @@
-"""The ground plane of a camera whose mounting nobody told: which way is up, and how high it stands, from the people.
+"""The ground plane of a camera whose mounting is not known: which way is up, and how high it stands, from the people.
 
-A person who stands is an almost vertical line, an upright trunk and a face are so roughly, and the feet of people who
-stand are at one height. These give pitch and roll of the camera as the weighted least squares of small angles, with
+A person who stands is an almost vertical line, an upright trunk and a face are roughly vertical, and the feet of people
+who stand are at one height. These give pitch and roll of the camera as the weighted least squares of small angles, with
 weights that fall for outliers (P. J. Huber, "Robust Estimation of a Location Parameter", 1964). The height follows from
-the average person: with the people at one place it is known better than the size of each of them, so that the
-neighbours tell how tall one is (A. Criminisi, I. Reid, A. Zisserman, "Single View Metrology", IJCV 2000).
+the average person: with the people at one place it is known better than the size of each of them, so that neighbours
+show how tall somebody is (A. Criminisi, I. Reid, A. Zisserman, "Single View Metrology", IJCV 2000).
 """
 
 from __future__ import annotations

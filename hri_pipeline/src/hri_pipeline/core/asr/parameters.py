@@ -22,34 +22,33 @@ class SpeechSettings(Settings):
         "lie in the models directory as `moonshine_es` or `pocketsphinx_de`, with the files of speech_model. Without "
         "one nobody is understood, and diagnostics say so.")
     speech_engine: str = parameter(
-        "auto", "Recogniser. `auto`: `moonshine` for free speech, which `fetch_models` brings; `pocketsphinx` with a "
-        "grammar, or where Moonshine's model is not there. Empty: no recognition.", choices=ENGINES)
+        "auto", "Recogniser. `auto`: `moonshine` for free speech; `pocketsphinx` with a grammar, or without "
+        "Moonshine's model. Empty: no recognition.", choices=ENGINES)
     speech_model: str = parameter(
         "", "Directory of the recogniser's model. Empty: that of the language. moonshine: encoder_model.onnx, "
         "decoder_model_merged.onnx, tokenizer.json; pocketsphinx: an acoustic model (mdef, means, ...), one *.dict "
         "and, for dictation, one *.lm or *.lm.bin.")
     speech_grammar: str = parameter(
-        "", "Sentences that are possible: a JSGF grammar as text (begins with `#JSGF`), the path of a file with one, "
-        "or the name of a grammar of this package (`commands`, `digits`). Empty: free speech. moonshine knows free "
-        "speech only.")
+        "", "Possible sentences: a JSGF grammar as text (begins with `#JSGF`), a file with one, or one of this package "
+        "(`commands`, `digits`). Empty: free speech. Needs pocketsphinx.")
     speech_text: str = parameter(
-        "plain", "`plain`: words in lower case without punctuation. `written`: as the recogniser writes it; moonshine "
-        "knows capitals and punctuation.", choices=("plain", "written"))
+        "plain", "`plain`: lower case without punctuation. `written`: as the recogniser writes it; moonshine knows "
+        "capitals and punctuation.", choices=("plain", "written"))
     speech_language: str = parameter("en-US", "Language where `language` is empty, an IETF tag.")
     speech_max_speakers: int = parameter(
-        2, "Voices that are recognised at the same time. Each has a process of its own (moonshine 230 MB, "
-        "pocketsphinx 65 MB with a grammar and 130 MB without); the second starts when it is first needed. Further "
-        "voices wait, and lose sound when they wait longer than `speech_queue`.", minimum=1, maximum=8)
+        2, "Most voices recognised at a time. Each has a process of its own (moonshine 230 MB, pocketsphinx 65 MB with "
+        "a grammar and 130 MB without); the second starts when it is first needed. Further voices wait, and lose sound "
+        "when they wait longer than `speech_queue`.", minimum=1, maximum=8)
     speech_partial_rate: float = parameter(
-        3.0, "Texts so far per second of speech, at most. 0: none, only whole sentences. moonshine gives fewer: it "
-        "hears the whole sentence again for each, in 8 % of the time.", unit="Hz", minimum=0.0, maximum=10.0)
+        3.0, "Most partial texts per second of speech. 0: none. Each costs moonshine the whole sentence so far, in 8 % "
+        "of its time, so that it gives fewer.", unit="Hz", minimum=0.0, maximum=10.0)
     speech_min_confidence: float = parameter(
         0.05, "Sentences of less confidence are not published. Higher: fewer commands are heard where none was "
         "spoken, more that were spoken are missed. The numbers of different recognisers do not compare.", minimum=0.0,
         maximum=1.0, live=True)
     speech_queue: float = parameter(
-        20.0, "Sound of one voice that may wait for the recogniser; what does not fit is dropped, and told in "
-        "diagnostics.", unit="s", minimum=1.0, maximum=120.0)
+        20.0, "Sound of one voice that may wait for the recogniser; more is dropped, and diagnostics say so.", unit="s",
+        minimum=1.0, maximum=120.0)
     speech_nice: int = parameter(
-        10, "How far the recogniser's processes stand back behind all others, as in nice(1). 19: they run when "
-        "nothing else wants to, and texts come late on a busy machine.", minimum=0, maximum=19)
+        10, "Priority of the recogniser's processes, as in nice(1); larger is lower. 19: only idle time, texts come "
+        "late on a busy machine.", minimum=0, maximum=19)

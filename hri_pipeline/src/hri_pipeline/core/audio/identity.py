@@ -1,9 +1,9 @@
-"""Whose voice this is: voices against those of people who have agreed to be known by theirs (`VoiceIdentity`).
+"""Whose voice this is: compared with the voices of people who have agreed (`VoiceIdentity`).
 
 The mean embedding (core/audio/speakers.py) of at least 3.2 s of speech is compared with the templates of everybody who
 is enrolled. Products of embeddings depend on the length of the sound and on the room, and speakers who are alike come
-near to one speaker in two rooms: only a product above LEAST_PRODUCT is told, and nothing below. The threshold was
-chosen on the tuning speakers of scripts/benchmarks/voice_identity.py, so that strangers are not told.
+near to one speaker in two rooms: only a match with a product above LEAST_PRODUCT is published. The threshold was
+chosen on the tuning speakers of scripts/benchmarks/voice_identity.py, so that strangers get no match.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""The robot's own voice: while the robot speaks, nobody is heard but who is louder and comes from elsewhere.
+"""The robot's own voice: while the robot speaks, only people are heard who are louder and in another direction.
 
-`RobotSpeech` knows when the robot speaks: from its word for it, and from the sound that it plays. `BargeInFilter`
-stands between the separation and the voices: it learns from where the robot is heard, drops all sources while the robot
-speaks, and lets those through that are louder than the robot and away from it. Without an array, sound is not heard
-meanwhile. All times are seconds of the stamps of sound.
+`RobotSpeech` knows when the robot speaks: from messages that say so, and from the sound that it plays. `BargeInFilter`
+stands between the separation and the voices: it learns in which direction the robot is heard, drops all sources while
+the robot speaks, and keeps those that are louder than the robot and in another direction. Without an array, all sound
+is ignored meanwhile. All times are seconds of the stamps of sound.
 """
 
 from __future__ import annotations

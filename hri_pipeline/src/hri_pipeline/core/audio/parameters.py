@@ -15,15 +15,14 @@ class SoundInputSettings(Settings):
     """Of the input of sound (core/audio/stream.py, ros/sound_input.py)."""
 
     use_audio_info: bool = parameter(
-        True, "Use the format in `audio_info` where somebody publishes it: its channels, rate and format go before "
-        "the three parameters below.")
-    channels: int = parameter(
-        1, "Interleaved channels of the sound while there is no AudioInfo.", minimum=1, maximum=32)
+        True, "Use the format in `audio_info` where published: its channels, rate and format go before the three "
+        "parameters below.")
+    channels: int = parameter(1, "Interleaved channels of the sound without AudioInfo.", minimum=1, maximum=32)
     sample_rate: int = parameter(
-        16000, "Sample rate of the sound while there is no AudioInfo. It is resampled to 16 kHz once; lower rates "
-        "lose the voice's overtones.", unit="Hz", minimum=4000, maximum=384000)
+        16000, "Sample rate of the sound without AudioInfo. It is resampled to 16 kHz once; lower rates lose the "
+        "voice's overtones.", unit="Hz", minimum=4000, maximum=384000)
     sample_format: str = parameter(
-        "S16LE", "Layout of one sample while there is no AudioInfo, as GStreamer names it.", choices=SAMPLE_FORMATS)
+        "S16LE", "Layout of one sample without AudioInfo, in GStreamer's words.", choices=SAMPLE_FORMATS)
     input_latency: float = parameter(
         0.0, "Least time between a sound and the message with it: buffers of the sound card and its driver. It is "
         "taken from every stamp; a wrong value shifts voices against faces.", unit="s", minimum=0.0, maximum=2.0)
@@ -31,11 +30,10 @@ class SoundInputSettings(Settings):
         "HQ", "Quality of the resampler. HQ keeps sound up to 7.3 kHz and holds it back for 37 ms at 48 kHz; LQ up to "
         "5.8 kHz and 20 ms. A microphone of 16 kHz is not resampled.", choices=("HQ", "MQ", "LQ"))
     gap_tolerance: float = parameter(
-        0.08, "Sound that stays missing for more than this is called a gap: stamps go on behind it. Smaller notices "
-        "shorter gaps and takes slow deliveries for gaps.", unit="s", minimum=0.02, maximum=1.0)
+        0.08, "Missing sound of more than this is a gap: stamps go on behind it. Smaller notices shorter gaps and "
+        "takes slow deliveries for gaps.", unit="s", minimum=0.02, maximum=1.0)
     silence_time: float = parameter(
-        2.0, "Time without any message after which all voices are let go.", unit="s", minimum=0.2, maximum=60.0,
-        live=True)
+        2.0, "Time without any message after which all voices end.", unit="s", minimum=0.2, maximum=60.0, live=True)
     frame_id: str = parameter(
         "microphone_link", "TF frame of the microphone or the array: x forward, y left, z up. The parent of the "
         "frames of voices; goes into headers.")
@@ -45,61 +43,58 @@ class SoundInputSettings(Settings):
 class VoiceActivitySettings(Settings):
     """Of voice activity detection, turns and voices (core/audio/vad.py, core/audio/turns.py)."""
 
-    vad_model: str = parameter(
-        "", "ONNX file of the voice activity network. Empty: silero_vad.onnx in the models directory.")
+    vad_model: str = parameter("", "ONNX file of the voice activity network. Empty: silero_vad.onnx.")
     birth_threshold: float = parameter(
-        0.4, "Probability of speech from which somebody begins to speak, in noise. Higher: fewer false voices, later "
-        "and fewer soft ones.", minimum=0.05, maximum=0.99, live=True)
+        0.4, "Probability of speech from which a voice begins, in noise. Higher: fewer false voices, later and fewer "
+        "soft ones.", minimum=0.05, maximum=0.99, live=True)
     clear_birth_threshold: float = parameter(
-        0.3, "The same where the sound stands out of the noise by `clear_snr`: there the network errs little, and "
+        0.3, "The same where the sound is louder than the noise by `clear_snr`: there the network errs little, and "
         "consonants at the begin of a word get 0.3 to 0.4. Between, it is interpolated. Not above birth_threshold.",
         minimum=0.05, maximum=0.99, live=True)
     clear_snr: float = parameter(
         20.0, "Level above the noise floor from which clear_birth_threshold counts.", unit="dB", minimum=8.5,
         maximum=60.0, live=True)
     keep_threshold: float = parameter(
-        0.2, "Probability from which somebody who speaks goes on speaking. Lower bridges softer speech and keeps "
-        "`is_speaking` longer behind it. Not above clear_birth_threshold.", minimum=0.01, maximum=0.99, live=True)
+        0.2, "Probability from which a voice goes on. Lower bridges softer speech and keeps `is_speaking` longer "
+        "behind it. Not above clear_birth_threshold.", minimum=0.01, maximum=0.99, live=True)
     noise_margin: float = parameter(
-        0.2, "Sound that exceeds the noise floor by less than this is a pause, whatever the network says: it goes on "
-        "for some 0.1 s behind a word.", unit="dB", minimum=0.0, maximum=20.0, live=True)
+        0.2, "Sound that exceeds the noise floor by less than this is a pause: the network goes on for some 0.1 s "
+        "behind a word.", unit="dB", minimum=0.0, maximum=20.0, live=True)
     level_drop: float = parameter(
-        22.0, "Sound this much below the loudest of the last words is a pause, too (reverberation, breath). Larger "
-        "keeps more of soft endings.", unit="dB", minimum=6.0, maximum=90.0, live=True)
+        22.0, "Sound this much below the loudest of the last words is a pause (reverberation, breath). Larger keeps "
+        "more of soft endings.", unit="dB", minimum=6.0, maximum=90.0, live=True)
     onset_time: float = parameter(
         0.032, "Time above the threshold after which somebody speaks; rounded up to frames of 32 ms. Longer: fewer "
         "false voices, `is_speaking` so much later.", unit="s", minimum=0.0, maximum=1.0, live=True)
     speaking_hangover: float = parameter(
-        0.032, "`is_speaking` lasts this long behind the last sound of speech. Longer bridges more of the pauses "
-        "between words, and says more often that somebody speaks who does not.", unit="s", minimum=0.0, maximum=5.0,
-        live=True)
+        0.032, "`is_speaking` ends this long after the last sound of speech. Longer bridges more of the pauses between "
+        "words, and says more often that somebody speaks who does not.", unit="s", minimum=0.0, maximum=5.0, live=True)
     hangover_time: float = parameter(
         0.6, "A pause longer than this ends a turn: the sentence goes to the recogniser's final result. Longer keeps "
         "slow speakers in one piece, and answers later.", unit="s", minimum=0.05, maximum=10.0, live=True)
     speaker_changes: bool = parameter(
-        True, "Without an array, a turn ends where another speaker goes on, too: a new voice begins, 1 to 2 s later, "
-        "with all its sound from the change on. The text of the first voice ends there. Needs speaker_embedding.onnx.")
+        True, "Without an array, end a turn where another speaker goes on: a new voice begins, 1 to 2 s later, with "
+        "all its sound from the change on. The text of the first voice ends there. Needs speaker_embedding.onnx.")
     min_speech: float = parameter(
-        0.1, "A turn with less speech than this was a noise: its voice is let go at once.", unit="s", minimum=0.0,
-        maximum=2.0, live=True)
-    look_back: float = parameter(
-        0.2, "Sound from before the onset that `audio` and recognition get with it: the onset is noticed when the "
-        "first consonant is over.", unit="s", minimum=0.0, maximum=1.0)
-    voice_timeout: float = parameter(
-        3.0, "Time after its last word for which a voice stays tracked.", unit="s", minimum=0.1, maximum=600.0,
+        0.1, "A turn with less speech than this was noise: its voice ends at once.", unit="s", minimum=0.0, maximum=2.0,
         live=True)
+    look_back: float = parameter(
+        0.2, "Sound before the onset that `audio` and recognition get: the onset is noticed when the first consonant "
+        "is over.", unit="s", minimum=0.0, maximum=1.0)
+    voice_timeout: float = parameter(
+        3.0, "Time after its last word until a voice ends.", unit="s", minimum=0.1, maximum=600.0, live=True)
     resume_time: float = parameter(
-        0.0, "Without an array, speech within this time after the last word of a tracked voice continues that voice. "
-        "Up to hangover_time, every turn is a new voice: one microphone cannot tell who answers, and a voice that "
-        "goes on for somebody else is matched with the wrong face. Longer suits a robot with one user. With an array "
-        "the direction decides, for as long as the voice is tracked.", unit="s", minimum=0.0, maximum=600.0, live=True)
+        0.0, "Without an array, speech within this time after the last word continues the voice. Up to hangover_time, "
+        "every turn is a new voice: one microphone cannot tell who answers, and a voice that goes on for somebody else "
+        "is matched with the wrong face. Longer suits a robot with one user. With an array the direction decides, for "
+        "as long as the voice is tracked.", unit="s", minimum=0.0, maximum=600.0, live=True)
     direction_grace: float = parameter(
-        0.05, "With an array, how long speech still counts for the voice of a direction after the last sound from "
-        "there. Speech behind that is somebody else's, which the separation lets through. Longer loses less where "
-        "several speak at once, and hears more of others.", unit="s", minimum=0.0, maximum=5.0)
+        0.05, "With an array, time that speech counts for a direction after the last sound from there. Speech behind "
+        "that is somebody else's, which the separation lets through. Longer loses less where several speak at once, "
+        "and hears more of others.", unit="s", minimum=0.0, maximum=5.0)
     resume_angle: float = parameter(
-        0.35, "With an array, a source this close to a silent tracked voice is this voice again.", unit="rad",
-        minimum=0.0, maximum=3.2, live=True)
+        0.35, "With an array, a source this near to a silent voice is this voice.", unit="rad", minimum=0.0,
+        maximum=3.2, live=True)
 
 
 @dataclass(frozen=True)
@@ -107,11 +102,11 @@ class DirectionSettings(Settings):
     """Of the frames of voices."""
 
     direction: bool = parameter(
-        True, "Find the directions of voices and separate them, with two or more microphones at known positions. Off: "
-        "all channels are mixed to one.")
+        True, "Find and separate directions, with two or more microphones at known positions. Off: all channels are "
+        "mixed.")
     direction_distance: float = parameter(
-        1.0, "Distance from the microphone at which the frame voice_ID is put: an array knows the direction only.",
-        unit="m", minimum=0.1, maximum=20.0, live=True)
+        1.0, "Distance of the frame voice_ID from the microphone: an array knows the direction only.", unit="m",
+        minimum=0.1, maximum=20.0, live=True)
 
 
 @dataclass(frozen=True)
@@ -119,30 +114,28 @@ class ArraySettings(Settings):
     """Of the microphone array (core/audio/array.py), localisation and separation."""
 
     microphone_positions: Sequence[str] = parameter(
-        [], "Positions of the microphones, one text \"x y z\" per channel, in the microphone frame: [\"0.04 0.04 0\", "
-        "\"-0.04 0.04 0\", \"-0.04 -0.04 0\", \"0.04 -0.04 0\"]. Errors of some millimetres cost some degrees. Empty: "
-        "there is no array, the channels are mixed to one.", unit="m")
+        [], "A text \"x y z\" per microphone, in the microphone frame: [\"0.04 0.04 0\", \"-0.04 0.04 0\", \"-0.04 "
+        "-0.04 0\", \"0.04 -0.04 0\"]. Errors of some millimetres cost some degrees. Empty: no array, the channels are "
+        "mixed.", unit="m")
     microphone_channels: Sequence[int] = parameter(
-        [-1], "Channels of the sound that are used, counted from 0: the channel of each of microphone_positions, in "
-        "their order. A ReSpeaker v2 sends six, of which 1 to 4 are microphones: [1, 2, 3, 4]. [-1]: all.", minimum=-1,
-        maximum=31)
+        [-1], "Channels that are used, from 0: the channel of each of microphone_positions, in their order. A "
+        "ReSpeaker v2 sends six, of which 1 to 4 are microphones: [1, 2, 3, 4]. [-1]: all.", minimum=-1, maximum=31)
     line_front: bool = parameter(
-        True, "Microphones on one line (as any two) tell only the angle against the line. True: voices are taken to "
-        "be in front of it. False: their direction is not told; they are separated all the same.")
+        True, "Microphones on one line (as any two) measure only the angle to the line. True: voices are in front of "
+        "it. False: no direction is published; they are separated all the same.")
     max_sources: int = parameter(
-        4, "Directions that are listened to at a time, at most. Each costs as much as the first search for directions.",
-        minimum=1, maximum=8)
+        4, "Most directions at a time. Each costs as much as the first search for directions.", minimum=1, maximum=8)
     source_birth_time: float = parameter(
-        0.1, "Time over which a new direction must sound before it is listened to. Its voice is not cut: what was "
-        "said meanwhile is kept. Longer: fewer echoes and slammed doors.", unit="s", minimum=0.0, maximum=1.0)
+        0.1, "Time that a new direction must sound before it is used. Its voice is not cut: what was said meanwhile is "
+        "kept. Longer: fewer echoes and slammed doors.", unit="s", minimum=0.0, maximum=1.0)
     source_look_back: float = parameter(
-        0.3, "What is kept of the sound before a direction is listened to.", unit="s", minimum=0.0, maximum=1.0)
+        0.3, "Sound kept from before a direction is used.", unit="s", minimum=0.0, maximum=1.0)
     source_hold_time: float = parameter(
-        1.0, "Time for which a direction that has fallen silent is still listened to. It must be longer than the "
-        "pause that ends a turn (hangover_time).", unit="s", minimum=0.1, maximum=10.0, live=True)
+        1.0, "Time that a silent direction is still used. It must be longer than the pause that ends a turn "
+        "(hangover_time).", unit="s", minimum=0.1, maximum=10.0, live=True)
     source_memory: float = parameter(
-        10.0, "Time for which a silent direction is remembered. A voice from there is the same as before, later it is "
-        "a new one.", unit="s", minimum=0.5, maximum=600.0)
+        10.0, "Time that a silent direction is remembered. A voice from there is the same as before, later it is a new "
+        "one.", unit="s", minimum=0.5, maximum=600.0)
 
 
 @dataclass(frozen=True)
@@ -150,17 +143,17 @@ class OwnVoiceSettings(Settings):
     """Of the robot's own voice (core/audio/own_voice.py)."""
 
     robot_speaking_timeout: float = parameter(
-        30.0, "A `robot_speaking` that stays true is believed for so long after the last message. Robots that say more "
-        "at a time repeat it.", unit="s", minimum=1.0, maximum=600.0, live=True)
+        30.0, "A `robot_speaking` that stays true counts this long after the last message. Robots that say more at a "
+        "time repeat it.", unit="s", minimum=1.0, maximum=600.0, live=True)
     robot_tail: float = parameter(
-        0.4, "The robot is still heard for so long after it said that it has ended, or after its sound: buffers of its "
-        "sound card, and echoes of the room.", unit="s", minimum=0.0, maximum=5.0, live=True)
+        0.4, "Time that the robot is still heard after the end of its speech: buffers of its sound card, and echoes of "
+        "the room.", unit="s", minimum=0.0, maximum=5.0, live=True)
     barge_in_angle: float = parameter(
-        0.5, "With an array, somebody who speaks while the robot does is heard from this far beside the directions of "
-        "the robot's voice, which are learnt.", unit="rad", minimum=0.1, maximum=3.2, live=True)
+        0.5, "With an array, least angle between the robot's voice and somebody who is heard meanwhile. The directions "
+        "of the robot's voice are learnt.", unit="rad", minimum=0.1, maximum=3.2, live=True)
     barge_in_margin: float = parameter(
-        0.0, "How much louder than the robot that must be, at the microphones. Lower hears more people, and words of "
-        "the robot with them.", unit="dB", minimum=-20.0, maximum=40.0, live=True)
+        0.0, "How much louder than the robot that person must be, at the microphones. Lower hears more people, and "
+        "words of the robot with them.", unit="dB", minimum=-20.0, maximum=40.0, live=True)
 
 
 @dataclass(frozen=True)
@@ -168,13 +161,13 @@ class AudioFeatureSettings(Settings):
     """Of the descriptors (core/audio/features.py)."""
 
     features: bool = parameter(
-        True, "Publish the 16 descriptors of each voice (`features`), while somebody listens. They are personal data, "
-        "and what emotion recognition is made of.")
+        True, "Publish the 16 descriptors of each voice (`features`). They are personal data, and what emotion "
+        "recognition is made of.")
     features_rate: float = parameter(
-        25.0, "Frames of `features` per second and voice, to a whole number of the 10 ms steps of the definition; "
-        "nothing is computed while nobody listens. 25 is every fourth frame, enough to follow pitch and loudness; 100 "
-        "is every frame, what emotion recognition needs. Processor time grows in proportion, here and in every "
-        "subscriber.", unit="Hz", minimum=1.0, maximum=100.0, live=True)
+        25.0, "Frames of `features` per second and voice, rounded to steps of 10 ms; nothing is computed while nobody "
+        "listens. 25 is every fourth frame, enough to follow pitch and loudness; 100 is every frame, what emotion "
+        "recognition needs. Processor time grows in proportion, here and in every subscriber.", unit="Hz", minimum=1.0,
+        maximum=100.0, live=True)
 
 
 @dataclass(frozen=True)
@@ -185,10 +178,9 @@ class VoiceIdentitySettings(Settings):
         False, "Recognise the voices of people who have agreed: templates of voices are computed, and kept of those "
         "who were enrolled while they spoke. They are biometric data. Needs speaker_embedding.onnx.")
     gallery: str = parameter(
-        "", "File of the store of people, ending in .sqlite, in which the templates of voices are kept beyond the run; "
-        "shared with the person manager (parameter `store`) and recognisers of faces. Empty: in memory only.")
-    gallery_key: str = parameter(
-        "", "File with the key that templates in `gallery` are encrypted with; that of the other nodes.")
+        "", "Store of people (.sqlite) that keeps the templates of voices beyond the run; shared with the person "
+        "manager (parameter `store`) and recognisers of faces. Empty: in memory only.")
+    gallery_key: str = parameter("", "File with the key that encrypts `gallery`; that of the other nodes.")
 
 
 @dataclass(frozen=True)
@@ -198,11 +190,11 @@ class VoicesSettings(SoundInputSettings, VoiceActivitySettings, DirectionSetting
     them."""
 
     audio_backlog: float = parameter(
-        1.0, "The first who subscribes to the `audio` of a voice is given so much of its turn from before, since the "
-        "voice must speak before its topic can be known. In memory only.", unit="s", minimum=0.0, maximum=10.0)
+        1.0, "Part of the turn so far that the first subscriber of `audio` gets: the voice must speak before its topic "
+        "can be known. In memory only.", unit="s", minimum=0.0, maximum=10.0)
     interface: str = parameter(
-        "paper", "Type of `speech`: `paper` is std_msgs/String, the text so far and then the whole sentence; `rep155` "
-        "is hri_msgs/LiveSpeech, which tells the two apart.", choices=("paper", "rep155"))
+        "paper", "Type of `speech`: `paper` is std_msgs/String, `rep155` hri_msgs/LiveSpeech, which tells partial and "
+        "final texts apart.", choices=("paper", "rep155"))
 
 
 VOICES = ParameterTable("voices", VoicesSettings)

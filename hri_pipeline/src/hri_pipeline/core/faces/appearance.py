@@ -1,14 +1,14 @@
-"""What a face looks like, and whether a track that goes on is still of the same face.
+"""What a face looks like, and whether a track is still of the same face.
 
-Two things are compared. A small grey picture of each look, brought to the mean face and normalised: its correlation
-with the one before is cheap, and tells that something has changed, such as the face, the pose or an occlusion. Then
-the templates of the recognition network, where there is one, tell whether it is somebody else. A blink, a turn or the
-light changes the first one and not the second one.
+Two things are compared. First a small grey picture of the face in each inference, warped to the mean face and
+normalised: its correlation with the one before is cheap, and shows that something has changed, such as the face, the
+pose or an occlusion. Then the templates of the recognition network, where there is one, show whether it is somebody
+else. A blink, a turn or the light changes the first one and not the second one.
 
-Consecutive looks (0.12 s) of five films of talking, grimacing and weeping people correlate by 0.84 (1 % of them) to
-1.0, looks 1.2 s apart by 0.45 and more; different people on photographs by 0.32 (median), 0.73 (95 %) and 0.88 (most).
-Distances of dlib's templates in one film: up to 0.25 within 0.12 s, 0.38 within 0.4 s, 0.42 within 4 s (99 %: 0.40, of
-a woman who covers her face; the other films: 0.30); of different people 0.36 and more (1 %: 0.38).
+Consecutive pictures (0.12 s) of five films of talking, grimacing and weeping people correlate by 0.84 (1 % of them) to
+1.0, pictures 1.2 s apart by 0.45 and more; different people on photographs by 0.32 (median), 0.73 (95 %) and 0.88
+(most). Distances of dlib's templates in one film: up to 0.25 within 0.12 s, 0.38 within 0.4 s, 0.42 within 4 s (99 %:
+0.40, of a woman who covers her face; the other films: 0.30); of different people 0.36 and more (1 %: 0.38).
 """
 
 from __future__ import annotations

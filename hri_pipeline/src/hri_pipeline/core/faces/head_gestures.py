@@ -1,4 +1,4 @@
-"""Nods and shakes of one head, out of its pose over time.
+"""Nods and shakes of one head, from its pose over time.
 
 A nod turns the head down and up again and again, a shake to one side and the other. Both are told by their swings: the
 ways between the turning points of pitch and of yaw. Swings of a gesture come one directly after the other, are about

@@ -14,14 +14,11 @@ class FaceTrackingSettings(Settings):
     """What finding and following faces needs."""
 
     face_detector_model: str = parameter(
-        "", "ONNX file of the face detector. Empty: face_detection_full_range.onnx in the models directory.")
-    face_mesh_model: str = parameter(
-        "", "ONNX file of the face mesh with attention. Empty: face_landmarks_attention.onnx in the models directory.")
-    face_blendshapes_model: str = parameter(
-        "", "ONNX file of the movements of the face (eyelids, eyes, brows, mouth). Empty: face_blendshapes.onnx in "
-        "the models directory.")
-    canonical_face: str = parameter(
-        "", "The mean face used for head poses. Empty: canonical_face.npz in the models directory.")
+        "", "ONNX file of the face detector. Empty: face_detection_full_range.onnx in the models directory, as for the "
+        "files below.")
+    face_mesh_model: str = parameter("", "ONNX file of the face mesh. Empty: face_landmarks_attention.onnx.")
+    face_blendshapes_model: str = parameter("", "ONNX file of the movements of the face. Empty: face_blendshapes.onnx.")
+    canonical_face: str = parameter("", "The mean face, for head poses. Empty: canonical_face.npz.")
     max_faces: int = parameter(
         10, "Most faces tracked at the same time: of more, the large and central ones. A run on one costs 2 to 5 ms "
         "on one core.", minimum=1, maximum=64, live=True)
@@ -29,37 +26,35 @@ class FaceTrackingSettings(Settings):
         0.6, "Score from which a detection may start a track. Lower finds fainter faces and more things that are none.",
         minimum=0.05, maximum=0.99, live=True)
     min_face_presence: float = parameter(
-        0.5, "Probability of the mesh network below which a face counts as lost. Higher lets go of hidden faces "
-        "sooner.", minimum=0.05, maximum=0.99, live=True)
+        0.5, "Probability of the mesh network below which a face is lost. Higher lets go of hidden faces sooner.",
+        minimum=0.05, maximum=0.99, live=True)
     face_detection_period: float = parameter(
-        0.3, "Time between two runs of the detector on the whole image; twice this while every face is known. Smaller "
-        "finds new faces sooner and costs more. 0: every image.", unit="s", minimum=0.0, maximum=10.0, live=True)
+        0.3, "Time between two searches of the whole image; twice this while every face is known. Smaller finds new "
+        "faces sooner and costs more. 0: every image.", unit="s", minimum=0.0, maximum=10.0, live=True)
     face_detection_tiles: int = parameter(
-        3, "Small faces are searched in tiles x tiles parts of the image, one part between two runs on the whole: a "
-        "part in which something has changed, or where a face waits for its confirmation. 1: no tiles.", minimum=1,
-        maximum=4)
+        3, "Small faces are searched in tiles x tiles parts of the image, one between two runs on the whole: a part in "
+        "which something has changed, or where a face waits for its confirmation. 1: no tiles.", minimum=1, maximum=4)
     face_mesh_rate: float = parameter(
-        10.0, "How often the mesh network runs on each face at least (see `cpu_share`); in the images between, the "
-        "face goes where its picture goes (optical flow), with a confidence that says so. Higher follows quick heads "
-        "better, and costs more. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True)
+        10.0, "Least runs of the mesh network on each face (see `cpu_share`); in the images between, the face goes "
+        "where its picture goes (optical flow), with a confidence that says so. Higher follows quick heads better, and "
+        "costs more. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True)
     face_budget: float = parameter(
-        10.0, "Processor time per image for the mesh network, where `cpu_share` allows no more. With more faces than "
-        "it allows, they take turns. On a faster machine the same budget means more runs. The networks behind it "
-        "(expression, age and gender, recognition) take three quarters of it at most, over time, and 0.3 s at once for "
-        "who has just come.",
+        10.0, "Processor time per image for the mesh network (see `cpu_share`). With more faces than it allows, they "
+        "take turns. On a faster machine the same budget means more runs. The networks behind it (expression, age and "
+        "gender, recognition) take three quarters of it at most, over time, and 0.3 s at once for who has just come.",
         unit="ms", minimum=1.0, maximum=1000.0, live=True)
     face_birth_delay: float = parameter(
-        0.1, "Time for which a face must be seen before it gets its topics. Larger keeps out more flickering false "
-        "faces.", unit="s", minimum=0.0, maximum=10.0, live=True)
+        0.1, "Time that a face must be seen before it gets topics. Larger keeps out more flickering false faces.",
+        unit="s", minimum=0.0, maximum=10.0, live=True)
     face_death_time: float = parameter(
-        1.0, "Time after which a lost face is dropped with its id. Larger bridges longer occlusions.", unit="s",
-        minimum=0.05, maximum=60.0, live=True)
+        1.0, "Time after which a lost face ends. Larger bridges longer occlusions.", unit="s", minimum=0.05,
+        maximum=60.0, live=True)
     face_min_detections: int = parameter(
-        2, "Runs of the detector that must have seen a face before it gets its topics. 1 finds faces one detection "
-        "period sooner, and takes a badge or a pattern for a face more often.", minimum=1, maximum=20, live=True)
+        2, "Detections before a face gets topics. 1 finds faces one detection period sooner, and takes a badge or a "
+        "pattern for a face more often.", minimum=1, maximum=20, live=True)
     face_support_time: float = parameter(
-        4.0, "Time after which a face that the detector no longer confirms is dropped: it is a pattern that looked "
-        "like a face for a moment.", unit="s", minimum=0.5, maximum=600.0, live=True)
+        4.0, "Time after which a face that the detector no longer finds ends: it was a pattern that looked like a face "
+        "for a moment.", unit="s", minimum=0.5, maximum=600.0, live=True)
 
 
 @dataclass(frozen=True)
@@ -75,19 +70,18 @@ class FaceAnalysisSettings(Settings):
     recognition: bool = parameter(
         True, "Recognise persons by their faces and say so on /humans/candidate_matches. Templates of faces are kept "
         "in memory; on disk only with `gallery`.")
-    expression_model: str = parameter(
-        "", "ONNX file of the expression network. Empty: face_expression.onnx in the models directory.")
+    expression_model: str = parameter("", "ONNX file of the expression network. Empty: face_expression.onnx.")
     age_gender_model: str = parameter(
-        "", "ONNX file of the age and gender network. Empty: age_gender.onnx in the models directory. One with the "
-        "inputs and outputs of age-gender-recognition-retail-0013 is known by them.")
+        "", "ONNX file of the age and gender network. Empty: age_gender.onnx. One with the inputs and outputs of "
+        "age-gender-recognition-retail-0013 is known by them.")
     recognition_model: str = parameter(
         "", "Recognition network: `face_recognition`, `mobilefacenet`, `faceres`, or an ONNX file of one of them; "
         "empty: face_recognition. `mobilefacenet` tells alike people better; its licence stands in docs/models.md, "
         "and `fetch_models --models mobilefacenet` gets it. Each has templates of its own in `gallery`: who was "
         "learnt with one is not known to another, and is kept.")
     recognition_policy: str = parameter(
-        "learn", "`learn`: an unknown face that is seen well becomes a new person; `enrolled`: only people who were "
-        "enrolled by service are recognised.", choices=("learn", "enrolled"))
+        "learn", "`learn`: an unknown face that is seen well becomes a new person; `enrolled`: only enrolled people "
+        "are recognised.", choices=("learn", "enrolled"))
     recognition_learn_delay: float = parameter(
         1.5, "Time until an unknown face becomes a new person. Larger makes fewer persons of passers-by.", unit="s",
         minimum=0.0, maximum=600.0, live=True)
@@ -97,11 +91,10 @@ class FaceAnalysisSettings(Settings):
         "`store`) and other recognisers. NAME.npz, a gallery of earlier versions: its people are moved to "
         "NAME.sqlite. Empty: in memory only.")
     gallery_key: str = parameter(
-        "", "File with the key that templates, names and times in `gallery` are encrypted with; make one with `rosrun "
-        "hri_person_manager people make-key FILE`. Empty: not encrypted.")
+        "", "File with the key that encrypts `gallery`; make one with `rosrun hri_person_manager people make-key "
+        "FILE`. Empty: not encrypted.")
     gallery_read_only: Sequence[str] = parameter(
-        [], "More stores, whose people are recognised, too, but never changed: plain ones, or with the key of "
-        "`gallery_key`.")
+        [], "More stores to recognise people from, never changed: plain ones, or with the key of `gallery_key`.")
 
 
 @dataclass(frozen=True)
@@ -109,25 +102,23 @@ class CameraSettings(Settings):
     """What every node that works on the camera's images needs."""
 
     providers: Sequence[str] = parameter(
-        ["cpu"], "Execution providers for the networks, in order of preference; one that is not available is told "
-        "once and skipped.", choices=tuple(PROVIDERS))
+        ["cpu"], "Execution providers of the networks, by preference; one that is not available is told once and "
+        "skipped.", choices=tuple(PROVIDERS))
     image_transport: str = parameter(
-        "raw", "Transport of the input: `raw` subscribes to `image`, `compressed` to `image/compressed`.",
-        choices=("raw", "compressed"))
+        "raw", "`raw`: subscribe to `image`; `compressed`: to `image/compressed`.", choices=("raw", "compressed"))
     fallback_fov: float = parameter(
-        1.0472, "Horizontal field of view of a camera without calibration (camera_info missing, or K all zero). "
-        "Distances scale with it.", unit="rad", minimum=0.1, maximum=3.0)
+        1.0472, "Horizontal field of view of a camera without calibration. Distances scale with it.", unit="rad",
+        minimum=0.1, maximum=3.0)
     max_rate: float = parameter(
         30.0, "Most images processed per second; the others are skipped, which leaves more of the processor to "
         "others. 0: as fast as they come.", unit="Hz", minimum=0.0, maximum=1000.0, live=True)
     cpu_share: float = parameter(
-        0.75, "Share of the time of all cores, used by whatever process, up to which people are looked at more often "
-        "than the rates and budgets say: up to every image, who moves, speaks, is near or uncertain before others. "
-        "When others need the processor, it is given back within a second. 0: never more often.", minimum=0.0,
-        maximum=1.0, live=True)
+        0.75, "Load of all cores (0 to 1, all processes) up to which people get more inferences than the rates and "
+        "budgets say: up to every image, who moves, speaks, is near or uncertain before others. When others need the "
+        "processor, it is given back within a second. 0: never.", minimum=0.0, maximum=1.0, live=True)
     max_age: float = parameter(
-        0.1, "Age of an image, when the work on it ends, that is not exceeded by looking at more people; each is "
-        "looked at twice a second all the same.", unit="s", minimum=0.01, maximum=10.0, live=True)
+        0.1, "Age of an image up to which more people get an inference; each gets two per second all the same.",
+        unit="s", minimum=0.01, maximum=10.0, live=True)
     interface: str = parameter(
         "paper", "Type of `roi`: `paper` is sensor_msgs/RegionOfInterest in pixels, `rep155` is "
         "hri_msgs/NormalizedRegionOfInterest2D. With `rep155` gaze_ID goes on while the eyes are closed, with the "
@@ -142,8 +133,8 @@ class DepthCameraSettings(CameraSettings):
         False, "Place people by `depth`, a depth image registered to the colour image. Without depth for an image, a "
         "face stands where its size and its irises put it, a body where face, floor and size do.")
     depth_slop: float = parameter(
-        0.03, "Largest difference of the stamps of an image and its depth image. Larger takes more pairs of cameras "
-        "that are not synchronised, and puts moving people where they were.", unit="s", minimum=0.0, maximum=1.0)
+        0.03, "Largest difference between the stamps of image and depth image. Larger takes more pairs of cameras that "
+        "are not synchronised, and puts moving people where they were.", unit="s", minimum=0.0, maximum=1.0)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Who stands together over time: groups with stable ids, out of the F-formations of each moment (formations.py).
+"""Who stands together over time: groups with stable ids, from the F-formations of each moment (formations.py).
 
 `GroupTracker` joins people who were in one formation for most of the last seconds, and keeps the ids of groups.
 """

@@ -12,25 +12,25 @@ class FaceBodyMatcherSettings(Settings):
     """Finds out which face belongs to which body, from their positions in the image."""
 
     distance_scale: float = parameter(
-        0.6, "Distance between the points of face and skeleton at which the likelihood has fallen to 0.61. Higher: "
-        "more tolerant of inexact skeletons, less certain among faces close together.", unit="face sizes", minimum=0.05,
-        maximum=2.0, live=True)
+        0.6, "Distance between the points of face and skeleton with a likelihood of 0.61. Higher: more tolerant of "
+        "inexact skeletons, less certain among faces close together.", unit="face sizes", minimum=0.05, maximum=2.0,
+        live=True)
     min_likelihood: float = parameter(
-        0.3, "A face and a body of less likelihood are not matched.", minimum=0.01, maximum=1.0, live=True)
+        0.3, "Pairs of less likelihood are not matched.", minimum=0.01, maximum=1.0, live=True)
     min_point_confidence: float = parameter(
-        0.3, "Points of the face or the skeleton of less confidence are not used.", minimum=0.0, maximum=1.0, live=True)
+        0.3, "Points of less confidence are not used.", minimum=0.0, maximum=1.0, live=True)
     smoothing_time: float = parameter(
         0.3, "Time constant of the likelihood of a pair. Longer: fewer changes, later corrections.", unit="s",
         minimum=0.0, maximum=10.0, live=True)
     stay_bonus: float = parameter(
-        0.1, "Likelihood by which another body must be better before a face changes to it.", minimum=0.0, maximum=0.5,
+        0.1, "How much more likely another body must be to replace the matched one.", minimum=0.0, maximum=0.5,
         live=True)
     max_stamp_difference: float = parameter(
         0.15, "Largest difference between the stamps of face and skeleton.", unit="s", minimum=0.0, maximum=1.0,
         live=True)
     hold_time: float = parameter(
-        10.0, "A pair of which one side is not seen for this long is withdrawn. Long enough for a node that hangs for "
-        "a moment: its faces stay listed.", unit="s", minimum=0.1, maximum=30.0, live=True)
+        10.0, "A pair ends when one side is not seen for this long. Long enough for a node that hangs for a moment: "
+        "its faces stay listed.", unit="s", minimum=0.1, maximum=30.0, live=True)
     list_timeout: float = list_timeout_parameter()
 
 
@@ -39,17 +39,17 @@ class VoiceMatcherSettings(Settings):
     """Finds out whose voice it is, from the motion of the mouths and from the direction."""
 
     min_likelihood: float = parameter(
-        0.6, "Likelihood from which on a voice is matched with a face or a person; it stays matched down to 0.5. "
-        "Higher: fewer wrong matches, later ones.", minimum=0.5, maximum=0.99, live=True)
+        0.6, "Likelihood from which a voice is matched; it stays matched down to 0.5. Higher: fewer wrong matches, "
+        "later ones.", minimum=0.5, maximum=0.99, live=True)
     stay_bonus: float = parameter(
-        0.7, "Advantage of the face that a voice is matched with, as a logarithm of odds. Higher: fewer changes, "
-        "later corrections.", minimum=0.0, maximum=5.0, live=True)
+        0.7, "Advantage of the matched face, as a logarithm of odds. Higher: fewer changes, later corrections.",
+        minimum=0.0, maximum=5.0, live=True)
     unseen_weight: float = parameter(
-        1.0, "Prior odds that a voice comes from somebody out of view (or a loudspeaker), against one face. Higher: "
-        "fewer matches, and surer ones.", minimum=0.01, maximum=100.0, live=True)
+        1.0, "Prior odds of somebody out of view (or a loudspeaker) against one face. Higher: fewer matches, and surer "
+        "ones.", minimum=0.01, maximum=100.0, live=True)
     still_motion: float = parameter(
-        0.05, "Motion of a mouth (standard deviation of its opening, 0 to 1) at which it is as likely still as "
-        "moving. Higher: for noisy action units; quiet speakers are missed.", minimum=0.005, maximum=0.5, live=True)
+        0.05, "Motion of a mouth (standard deviation of its opening, 0 to 1) that is as likely still as speaking. "
+        "Higher: for noisy action units; quiet speakers are missed.", minimum=0.005, maximum=0.5, live=True)
     direction_sd: float = parameter(
         0.17, "Standard deviation of the direction of voice_ID. Larger: for coarse arrays and echoes.", unit="rad",
         minimum=0.02, maximum=1.5, live=True)
@@ -57,13 +57,13 @@ class VoiceMatcherSettings(Settings):
         8.0, "Motion and speech are compared over this time. Longer: surer, later corrections, more computing.",
         unit="s", minimum=2.0, maximum=15.0, live=True)
     onset_delay: float = parameter(
-        0.06, "Time from the first sound of a voice to is_speaking.", unit="s", minimum=0.0, maximum=1.0)
+        0.06, "Time from a voice's first sound to is_speaking.", unit="s", minimum=0.0, maximum=1.0)
     hangover: float = parameter(
-        0.08, "Time from the last sound of a voice to the end of is_speaking.", unit="s", minimum=0.0, maximum=2.0)
+        0.08, "Time from a voice's last sound to the end of is_speaking.", unit="s", minimum=0.0, maximum=2.0)
     period: float = parameter(
         0.25, "Time between two comparisons while somebody speaks.", unit="s", minimum=0.05, maximum=1.0, live=True)
     linger_time: float = parameter(
-        10.0, "How long after the last voice the node still subscribes to faces and transforms: what a mouth did "
+        10.0, "Time after the last voice until faces and transforms are no longer subscribed to: what a mouth did "
         "before a voice began helps to tell whose it is.", unit="s", minimum=0.0, maximum=3600.0, live=True)
     list_timeout: float = list_timeout_parameter()
     interface: str = parameter(
