@@ -368,8 +368,7 @@ class VoiceSource:
         self.clock = stamp + FRAME_TIME
         self.probability, self.energy = probability, level_dbfs(frame)
         if stamp > self.last_heard + self._grace or stamp + 0.5 * FRAME_TIME < self._heard_from:
-            # Speech from another direction, which the beamformer did not suppress completely: neither a hangover nor the
-            # sound is this voice's.
+            # Speech from another direction, which the beamformer did not suppress completely: no hangover, no sound.
             self.probability = 0.0
             self.turns.activity.stop()
             frame[:] = 0.0
