@@ -143,10 +143,12 @@ def _talk(bank: Sequence[np.ndarray], count: int, random: np.random.RandomState)
 
 
 class HeardVoice(NamedTuple):
-    """One voice in one frame. samples: its sound."""
+    """One voice in one frame. speaking: the sound counts as its speech; told: and this was said at the time (not the
+    look-back of an onset)."""
 
     id: str
     speaking: bool
+    told: bool
     direction: Optional[np.ndarray]
 
 
@@ -159,10 +161,11 @@ def listen(scene: RoomScene, **changes: object) -> List[List[HeardVoice]]:
         for seen in pipeline.update(block):
             if not seen.turn:
                 continue
-            for frame in range(int(round(seen.stamp * RATE / FRAME)),
-                               int(round((seen.stamp * RATE + max(len(seen.samples), 1)) / FRAME + 0.49))):
+            begin, end = seen.stamp * RATE / FRAME, (seen.stamp * RATE + max(len(seen.samples), 1)) / FRAME
+            for frame in range(int(round(begin)), int(round(end + 0.49))):
                 if 0 <= frame < len(frames):
-                    frames[frame].append(HeardVoice(seen.id, seen.speaking, seen.direction))
+                    told = seen.speaking and frame >= int(round(end - 1.0))
+                    frames[frame].append(HeardVoice(seen.id, seen.speaking, told, seen.direction))
     return frames
 
 
@@ -204,7 +207,7 @@ def measure(scene: RoomScene, frames: Sequence[Sequence[HeardVoice]]) -> RoomFig
         own[1] += len(talkers)
         late = scene.labels[:, max(0, frame - _ECHO_FRAMES):frame + 1].any(axis=1)
         for voice in voices:
-            if voice.speaking:
+            if voice.told:
                 angles = azimuth_errors(scene.directions[:, frame], voice.direction)
                 stray += (not (late & (angles <= RIGHT)).any(), 1)
         if len(talkers) == len(scene.labels):

@@ -34,13 +34,13 @@ class LoudIsSpeech:
 class Script:
     """A separator that follows a script: {call: [(key, samples, offset, degrees)]}."""
 
-    def __init__(self, script, active=lambda call, key: True):
-        self.script, self.active, self.calls, self.resets = script, active, 0, 0
+    def __init__(self, script, active=lambda call, key: True, before=0):
+        self.script, self.active, self.before, self.calls, self.resets = script, active, before, 0, 0
 
     def process(self, samples):
         self.calls += 1
         return [SimpleNamespace(key=key, samples=sound, offset=offset, direction=towards(degrees), direction_sd=0.1,
-                                active=self.active(self.calls - 1, key))
+                                active=self.active(self.calls - 1, key), before=self.before)
                 for key, sound, offset, degrees in self.script(self.calls - 1, samples)]
 
     def reset(self):
@@ -270,6 +270,22 @@ def test_what_comes_from_elsewhere_is_not_this_voice():
     assert START + 20 * FRAME / RATE <= last <= START + 20 * FRAME / RATE + 0.1
     assert [seen for seen in found if seen.id == first and seen.end]
     assert [seen.speaking for seen in found if seen.id == second] == [True] * 20
+
+
+def test_who_falls_silent_while_others_speak_has_no_hangover():
+    loud = np.full(FRAME, 0.3, np.float32)
+    pipeline = make(Script(lambda call, samples: [(1, loud, 0, 0.0)], active=lambda call, key: call < 20),
+                    direction_grace=0.0, speaking_hangover=0.2)
+    found = feed(pipeline, np.zeros((FRAME * 26, 2), np.float32))
+    assert [seen.speaking for seen in found] == [True] * 21 + [False] * 5
+
+
+def test_sound_from_before_a_source_was_heard_is_somebody_elses():
+    """Six frames come at once, of which the first three are what the filter lets through of others."""
+    sound = np.repeat(np.float32([0.05, 0.3]), 3 * FRAME)
+    array = Script(lambda call, samples: [(7, sound, -5 * FRAME, 0.0)] * (call == 5), before=3 * FRAME)
+    found = feed(make(array, look_back=0.0), np.zeros((FRAME * 6, 2), np.float32))
+    assert [seen.stamp for seen in found] == pytest.approx([START + frame * FRAME / RATE for frame in (3, 4, 5)])
 
 
 def test_a_speaker_whom_the_separator_loses_and_finds_is_one_voice():

@@ -36,6 +36,8 @@ MEMORY_TIME = 0.15
 """Time constant (s) of the sum of responses over frames."""
 MIN_SEPARATION = np.radians(25.0)
 """Smallest angle between two peaks: an array of the size of a head does not resolve closer ones."""
+NEAR = np.radians(10.0)
+"""Within this angle the height of the response belongs to a source."""
 MIN_STRENGTH = 0.03
 """Smallest height of a peak. In rooms with a reverberation time of 0.3 s the direct sound of one or two speakers mostly
 reaches 0.09 to 0.2, an echo or a random peak 0.04 to 0.06; without echoes a single speaker reaches 0.5."""
@@ -135,10 +137,20 @@ class DirectionFinder:
         self._maps += both - both.mean(axis=1, keepdims=True)
         self._weight += float(weights.sum())
 
+    def height(self, direction: np.ndarray) -> float:
+        """Return the height of the response near a direction ((3,) unit): above 0 when more of the sound than on
+        average comes from there, a peak or not."""
+        near = self._array.directions @ direction > np.cos(NEAR)
+        return float(self._heights()[near].max()) if near.any() else 0.0
+
+    def _heights(self) -> np.ndarray:
+        # A frame with few bins must not count as much as one with many: add the weight of 4 bins.
+        heights: np.ndarray = self._maps[0] / (self._weight + 4.0 / (1.0 - self._keep))
+        return heights
+
     def peaks(self) -> List[Peak]:
         """Return the directions that stand out, strongest first."""
-        # A frame with few bins must not count as much as one with many: add the weight of 4 bins.
-        heights = self._maps[0] / (self._weight + 4.0 / (1.0 - self._keep))
+        heights = self._heights()
         left = heights.copy()
         found: List[Peak] = []
         while len(found) < self._max_peaks:
@@ -228,15 +240,21 @@ class TrackedSource:
         rad, standard deviation of the direction.
     active : bool
         Whether it was heard within the last ACTIVE_TIME, or OVERLAP_TIME while several are heard.
+    together : bool
+        Whether several sources are heard at the same time.
     heard_at : float
         s, when it was last heard.
+    heard_since : float
+        s, when it was first heard after a pause of CANDIDATE_TIME.
     """
 
     key: int
     direction: np.ndarray
     sd: float
     active: bool
+    together: bool
     heard_at: float
+    heard_since: float
 
 
 class _Track:
@@ -247,7 +265,7 @@ class _Track:
         self.direction = peak.direction
         self.velocity = np.zeros(3)
         self.variance = _variance(peak)
-        self.born, self.seen, self.heard = stamp, stamp, stamp
+        self.born, self.since, self.seen, self.heard = stamp, stamp, stamp, stamp
         self.score = 0.0
         self._raise_score(peak)
 
@@ -276,6 +294,7 @@ class _Track:
             velocity = self.velocity + min(VELOCITY_GAIN, gain * gain / (2.0 - gain)) / step * away
             self.velocity = velocity * min(1.0, MAX_SPEED / max(1e-9, math.sqrt(float(velocity @ velocity))))
         self.variance *= 1.0 - gain
+        self.since = stamp if stamp - self.seen > CANDIDATE_TIME else self.since
         self.seen = stamp
         if peak.strength >= HEARD_STRENGTH:
             self.heard = stamp
@@ -332,7 +351,7 @@ class DirectionTracker:
         together = sum(stamp - track.heard < TOGETHER_TIME for track in sources) >= 2
         lasting = OVERLAP_TIME if together else ACTIVE_TIME
         return [TrackedSource(track.key, track.direction, math.sqrt(track.variance + BIAS_SD ** 2),
-                              stamp - track.heard <= lasting, track.heard)
+                              stamp - track.heard <= lasting, together, track.heard, track.since)
                 for track in sources if track.key is not None]
 
     def _forgotten(self, track: _Track, stamp: float) -> bool:

@@ -18,7 +18,7 @@ from hri_pipeline.core.audio.parameters import VoiceActivitySettings
 from hri_pipeline.core.audio.speakers import SpeakerChange, SpeakerEmbedder
 from hri_pipeline.core.audio.stream import RATE, SoundBlock
 from hri_pipeline.core.audio.turns import TurnStep, VoiceSource, VoiceTrack, VoiceTracks, angle_between
-from hri_pipeline.core.audio.vad import FRAME_TIME, ActivityModel
+from hri_pipeline.core.audio.vad import FRAME_TIME, ActivityModel, band_levels
 from hri_pipeline.core.ids import IdGenerator
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ class VoicePipeline:
         while ready:
             for source, probability in zip(ready, self._speech_probabilities(ready)):
                 frame, frame_stamp = source.take(probability)
-                step = source.turns.update(source.probability, source.energy, FRAME_TIME)
+                step = source.turns.update(source.probability, source.energy, FRAME_TIME, band_levels(frame))
                 found += self._observe(source, step, frame, frame_stamp)
             ready = self._ready_sources()
         self._expire(self._end - (_LATE if self._array is not None else 0.0))
@@ -199,7 +199,7 @@ class VoicePipeline:
             active.add(signal.key)
             source.direction, source.direction_sd = signal.direction, signal.direction_sd
             missed = source.add(np.asarray(signal.samples, np.float32), stamp + signal.offset / RATE,
-                                signal.active)
+                                signal.active, signal.before)
             found += self._pause(source, source.turns.skip(missed), source.clock)
         absent = [source for key, source in self._sources.items() if key not in active]
         return found + self._silence(absent, self._end - _ABSENT)

@@ -19,7 +19,7 @@ from hri_pipeline.core.audio.level import SILENT_DBFS, level_dbfs
 from hri_pipeline.core.audio.parameters import VoiceActivitySettings
 from hri_pipeline.core.audio.speakers import SpeakerChange
 from hri_pipeline.core.audio.stream import RATE
-from hri_pipeline.core.audio.vad import FRAME, FRAME_TIME, ActivityState, SpeechActivity
+from hri_pipeline.core.audio.vad import FRAME, FRAME_TIME, ActivityState, Bands, SpeechActivity
 from hri_pipeline.core.ids import IdGenerator
 
 _TOLERANCE = 1e-6
@@ -84,7 +84,7 @@ class TurnDetector:
         self._pause = 0.0
         self._speech = 0.0
 
-    def update(self, probability: float, energy: float, duration: float) -> TurnStep:
+    def update(self, probability: float, energy: float, duration: float, bands: Optional[Bands] = None) -> TurnStep:
         """Add a frame.
 
         Parameters
@@ -95,6 +95,8 @@ class TurnDetector:
             dBFS.
         duration : float
             s.
+        bands : (float, float), optional
+            Of band_levels(), to tell background talk.
 
         Raises
         ------
@@ -104,7 +106,7 @@ class TurnDetector:
         if not (math.isfinite(probability) and math.isfinite(energy) and duration > 0.0):
             raise ValueError("frame of probability {}, energy {} dBFS and length {} s".format(
                 probability, energy, duration))
-        return self._step(self.activity.update(probability, energy, duration), duration)
+        return self._step(self.activity.update(probability, energy, duration, bands), duration)
 
     def skip(self, duration: float) -> TurnStep:
         """Count time (s) without sound as a pause. A duration of 0 or less changes nothing."""
@@ -303,12 +305,13 @@ class VoiceSource:
         self.clock = math.nan
         self.last_sound = -math.inf
         self.last_heard = -math.inf
+        self._heard_from = -math.inf
         self._rest = np.zeros(0, np.float32)
         self._look_back = int(round(settings.look_back * RATE))
         self._grace = settings.direction_grace
         self._kept: Deque[np.ndarray] = deque(maxlen=-(-self._look_back // FRAME))
 
-    def add(self, samples: np.ndarray, stamp: float, heard: bool = True) -> float:
+    def add(self, samples: np.ndarray, stamp: float, heard: bool = True, before: int = 0) -> float:
         """Add samples.
 
         An incomplete frame before missing sound is dropped. After a long gap the network is reset.
@@ -321,6 +324,8 @@ class VoiceSource:
             s, of the first sample.
         heard : bool
             Whether they came from the direction of the source.
+        before : int
+            Number of the first samples that are from before the source was heard.
 
         Returns
         -------
@@ -339,6 +344,8 @@ class VoiceSource:
         missed = max(stamp - self.clock, 0.0) if missing > 0.0 else 0.0
         self.clock = stamp - len(self._rest) / RATE
         self._rest = np.concatenate((self._rest, samples))
+        if before:
+            self._heard_from = stamp + before / RATE
         self.last_sound = self._end()
         if heard:
             self.last_heard = self.last_sound
@@ -360,9 +367,11 @@ class VoiceSource:
         self._rest = self._rest[FRAME:]
         self.clock = stamp + FRAME_TIME
         self.probability, self.energy = probability, level_dbfs(frame)
-        if stamp > self.last_heard + self._grace:
-            # Speech from another direction, which the beamformer did not suppress completely.
+        if stamp > self.last_heard + self._grace or stamp + 0.5 * FRAME_TIME < self._heard_from:
+            # Speech from another direction, which the beamformer did not suppress completely: no hangover, no sound.
             self.probability = 0.0
+            self.turns.activity.stop()
+            frame[:] = 0.0
         return frame, stamp
 
     def keep(self, frame: np.ndarray) -> None:

@@ -12,10 +12,12 @@ the noise floor, or far below the level of the last words, speech has ended.
 from __future__ import annotations
 
 import math
+from collections import deque
 from pathlib import Path
-from typing import Callable, List, Optional, Sequence, Union
+from typing import Callable, Deque, Optional, Sequence, Tuple, Union
 
 import numpy as np
+import scipy.fft
 
 from hri_pipeline.core.audio.level import SILENT_DBFS
 from hri_pipeline.core.audio.parameters import VoiceActivitySettings
@@ -27,6 +29,7 @@ FRAME = 512
 FRAME_TIME = FRAME / RATE
 """Length of a frame in seconds, 0.032."""
 
+_WINDOW = np.hanning(FRAME).astype(np.float32)
 _CONTEXT = 64
 _STATE = (2, 128)
 _FLOOR_LEAST = -90.0        # dBFS
@@ -36,11 +39,12 @@ _NO_SPEECH = 0.2            # probability
 _DOUBT = 0.5                # probability
 _LEARN = 0.096              # s
 _DRIFT = 0.3                # dB/s
-_BREATH = 0.064             # s
-_UNBROKEN = 12.0            # s
-_BABBLE_PAUSE = 0.3         # s
-_BABBLE_RANGE = 11.0        # dB
-_ABOVE_BABBLE = 6.0         # dB
+_BABBLE_FRAMES, _EVERY = 250, 31    # 8 s, 1 s
+_BABBLE_SPEECH = 0.3        # share of frames
+_BABBLE_RANGE = 9.0         # dB
+_ABOVE_BABBLE, _BELOW_BABBLE = 2.0, 2.0     # dB: to begin, to go on
+_LEAST_BABBLE = 0.3         # share of frames
+_LOW_BAND, _HIGH_BAND = slice(5, 20), slice(86, 208)    # 150 to 600 Hz, 2.7 to 6.5 kHz
 _NOISY_SNR = 8.0            # dB
 _PEAK_DECAY = 6.0           # dB/s
 _TOLERANCE = 1e-6           # s
@@ -118,6 +122,17 @@ class ActivityModel:
         return found["output"][:, 0].astype(np.float64)
 
 
+Bands = Tuple[float, float]
+
+
+def band_levels(frame: np.ndarray) -> Bands:
+    """Return the levels (dB) of a frame (FRAME,) at 150 to 600 Hz and at 2.7 to 6.5 kHz."""
+    spectrum = scipy.fft.rfft(np.asarray(frame, np.float32) * _WINDOW)
+    power = spectrum.real ** 2 + spectrum.imag ** 2
+    low, high = 10.0 * np.log10(np.array([power[_LOW_BAND].sum(), power[_HIGH_BAND].sum()]) + 1e-9)
+    return float(low), float(high)
+
+
 class NoiseLevel:
     """Level of the background noise of one source, in dBFS.
 
@@ -125,9 +140,9 @@ class NoiseLevel:
     most 0.3 dB/s, so that it recovers when noise grows during speech. A source may begin in the middle of a word: the
     level is unknown (`known` is False) until 0.1 s without speech has been heard.
 
-    People in the background are noise as well. One speaker breathes and changes in level; several at once do neither:
-    after 12 s of speech without a pause and within 11 dB the level is that of the loudest tenth of it, until there is
-    a pause of 0.3 s.
+    People in the background are noise as well. The level of one speaker changes by more than 9 dB at low frequencies,
+    even in noise, which is steady at high ones; that of several at once changes by less, and by more at high
+    frequencies. While that is so in the last 8 s, without what is louder, the level is that of their loudest tenth.
 
     Attributes
     ----------
@@ -141,19 +156,28 @@ class NoiseLevel:
         self.level = math.nan
         self.is_babble = False
         self._quiet = 0.0
-        self._low = 0.0
-        self._unbroken = 0.0
-        self._energies: List[float] = []
+        self._smooth: Optional[np.ndarray] = None
+        self._recent: Deque[np.ndarray] = deque(maxlen=_BABBLE_FRAMES)
+        self._frames = 0
 
     @property
     def known(self) -> bool:
         """Whether there was enough sound without speech."""
         return self._quiet >= _LEARN - _TOLERANCE
 
-    def update(self, energy: float, probability: float, duration: float) -> float:
-        """Add a frame with this energy (dBFS), probability of speech and duration (s); return the level (dBFS)."""
+    @property
+    def is_above_babble(self) -> bool:
+        """Whether the last 0.1 s is louder than the background talk."""
+        return self._smooth is not None and float(self._smooth[0]) >= self.level + _ABOVE_BABBLE
+
+    def update(self, energy: float, probability: float, duration: float, bands: Optional[Bands] = None) -> float:
+        """Add a frame with this energy (dBFS), probability of speech and duration (s); return the level (dBFS).
+
+        bands: levels (dB) at low and at high frequencies; without them there is no background talk.
+        """
         energy = max(energy, _FLOOR_LEAST)
-        self._follow_babble(energy, probability, duration)
+        if bands is not None:
+            self._follow_babble(np.array([energy, *bands, probability]))
         if self.is_babble:
             return self.level
         if probability < _NO_SPEECH and not self.known:
@@ -168,19 +192,27 @@ class NoiseLevel:
             self.level += min(energy - self.level, _DRIFT * duration)
         return self.level
 
-    def _follow_babble(self, energy: float, probability: float, duration: float) -> None:
-        self._low = self._low + duration if probability < _NO_SPEECH else 0.0
-        self.is_babble = self.is_babble and self._low < _BABBLE_PAUSE - _TOLERANCE
-        if self._low >= _BREATH - _TOLERANCE:
-            self._unbroken, self._energies = 0.0, []
+    def _follow_babble(self, frame: np.ndarray) -> None:
+        """frame: energy, levels of the bands, probability of speech."""
+        self._smooth = frame if self._smooth is None else self._smooth + (frame - self._smooth) / 3.0
+        self._recent.append(np.append(self._smooth[:3], frame[3]))
+        self._frames += 1
+        if self._frames % _EVERY or len(self._recent) < _BABBLE_FRAMES:
             return
-        self._unbroken += duration
-        self._energies.append(energy)
-        if self._unbroken >= _UNBROKEN - _TOLERANCE:
-            low, high = np.percentile(self._energies, (10.0, 90.0))
-            if high - low < _BABBLE_RANGE:
-                self.level, self.is_babble = float(high), True
-            self._unbroken, self._energies = 0.0, []
+        recent = np.array(self._recent)
+        is_talk = float((recent[:, 3] >= _NO_SPEECH).mean()) >= _BABBLE_SPEECH
+        if not (is_talk and self._take_babble(recent)) and self.is_babble:
+            rest = recent[recent[:, 0] < self.level + _ABOVE_BABBLE]
+            self.is_babble = len(rest) >= _LEAST_BABBLE * len(recent) and self._take_babble(rest)
+
+    def _take_babble(self, recent: np.ndarray) -> bool:
+        """Tell whether these frames are several speakers at once, and take their level if so."""
+        least, most = np.percentile(recent[:, :3], (10.0, 90.0), axis=0)
+        low, high = (most - least)[1:]
+        if not (low < _BABBLE_RANGE and low < high):
+            return False
+        self.level, self.is_babble = float(most[0]), True
+        return True
 
 
 def check_thresholds(settings: VoiceActivitySettings) -> None:
@@ -225,9 +257,10 @@ class SpeechActivity:
         """Take up the values of the live parameters."""
         self._settings = settings
 
-    def update(self, probability: float, energy: float, duration: float) -> bool:
-        """Add a frame with this probability, energy (dBFS) and duration (s); return whether somebody speaks."""
-        floor = self.noise.update(energy, probability, duration)
+    def update(self, probability: float, energy: float, duration: float, bands: Optional[Bands] = None) -> bool:
+        """Add a frame with this probability, energy (dBFS) and duration (s), and the levels (dB) of band_levels();
+        return whether somebody speaks."""
+        floor = self.noise.update(energy, probability, duration, bands)
         if not self.speaking:
             self._try_to_begin(probability, energy, duration,
                                self.birth_threshold(energy - floor if self.noise.known else 0.0))
@@ -256,7 +289,7 @@ class SpeechActivity:
         return noisy + share * (clear - noisy)
 
     def _try_to_begin(self, probability: float, energy: float, duration: float, threshold: float) -> None:
-        if self.noise.is_babble and energy < self.noise.level + _ABOVE_BABBLE:
+        if self.noise.is_babble and not self.noise.is_above_babble:
             probability = 0.0
         self._above = self._above + duration if probability >= threshold else 0.0
         if self._above > 0.0 and self._above >= self._settings.onset_time - _TOLERANCE:
@@ -268,7 +301,8 @@ class SpeechActivity:
         self._peak = max(self._peak - _PEAK_DECAY * duration, energy)
         least = self._peak - self._settings.level_drop
         if self.noise.known or self.noise.is_babble:
-            least = max(least, floor + self._settings.noise_margin)
+            below = _BELOW_BABBLE if self.noise.is_babble else 0.0
+            least = max(least, floor - below + self._settings.noise_margin)
         return probability >= self._settings.keep_threshold and energy >= least
 
     def stop(self) -> None:
