@@ -88,7 +88,7 @@ class InteractionsTest(unittest.TestCase):
         self.assertTrue({"ann", "bob"} <= set(two.members), two)
         self.assertEqual(two.group_id, three.group_id)
         self.assertLess((two.header.stamp - left).to_sec(), 0.8, "before who is not seen for a moment leaves")
-        text = "{} ({})".format(two.group_id, len(two.members))
+        text = "{} (2 + robot)".format(two.group_id)
         wait_for(lambda: [marker.text for marker in self.markers[-1].markers if marker.text] == [text], WAIT_S, text)
 
     def test_2_engagement_is_latched_and_ends_unknown(self):
