@@ -106,3 +106,14 @@ def test_what_has_begun_goes_on_when_the_detector_finds_the_box_again():
     queue.put_back(candidate)
     queue.offer_boxes([BOX + 5.0], [], [], 1.0)
     assert queue.take().attempt == 1
+
+
+@pytest.mark.parametrize("face, expected", [
+    pytest.param((130, 110, 170, 160), True, id="of somebody who stands"),
+    pytest.param((110, 190, 190, 300), True, id="of somebody near, cut by the rim, with hair above it"),
+    pytest.param((110, 260, 190, 340), False, id="of a child before somebody"),
+    pytest.param((170, 190, 199, 300), False, id="of a neighbour")])
+def test_a_face_is_that_of_the_box_where_the_head_of_the_box_is(face, expected):
+    queue = CandidateQueue()
+    queue.offer_boxes([BOX], [FaceBox("abcde", np.array(face, float))], [BOX], 0.0)
+    assert (len(queue) == 0) == expected

@@ -90,8 +90,6 @@ class CheckTest(unittest.TestCase):
         victim.kill()
         victim.wait(10)
         self.names("victim is registered, but does not answer", *self.camera("mourning"), nodes="[victim]")
-        subprocess.run(["rosnode", "cleanup"], input="y\n", universal_newlines=True, check=True,
-                       stdout=subprocess.DEVNULL)
 
     def test_a_node_that_has_ended(self):
         """Who asks for a parameter and its changes stays known to the master."""

@@ -21,7 +21,7 @@ from hri_fullbody.core.tracking.association import NOSE_IN_FACE
 from hri_pipeline.core.geometry import iou_matrix
 
 _PROMISING = 0.2
-_FACE_HEAD_SHARE = 0.4
+_FACE_HEAD_SHARE, _FACE_ASIDE = 0.4, 0.25
 _SAME_BOX = 0.5
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 8.0
 _MOST_FAILED = 20
@@ -195,6 +195,11 @@ def _shows(estimate: PoseEstimate, box: np.ndarray, nose: bool) -> bool:
 
 
 def face_at_top(face: FaceBox, box: np.ndarray) -> bool:
-    """Tell whether the middle of a face lies in the upper 40 % of a person's box (4,) px."""
+    """Tell whether a face is that of a person's box (4,) px: its middle lies in the upper 40 %, or, since somebody near
+    the camera is cut by the rim of the image, below the middle of the top edge by hair at most."""
     x, y = face.centre
-    return bool(box[0] < x < box[2] and box[1] < y < box[1] + _FACE_HEAD_SHARE * (box[3] - box[1]))
+    if not (box[0] < x < box[2] and box[1] < y < box[3]):
+        return False
+    hair = face.box[1] - box[1] < face.box[3] - face.box[1]
+    return bool(y < box[1] + _FACE_HEAD_SHARE * (box[3] - box[1])
+                or (hair and abs(x - 0.5 * (box[0] + box[2])) < _FACE_ASIDE * (box[2] - box[0])))
