@@ -74,11 +74,34 @@ def test_nobody_is_waited_for_behind_a_cut_of_the_picture():
     scene = Scene([(600, 400)])
     tracker = make(scene)
     stamp = run(tracker, 0.0, 30, boxes=[box_of(600, 400)])
-    other = np.random.default_rng(1).integers(0, 255, (9, 16, 3)).astype(np.uint8).repeat(80, 0).repeat(80, 1)
-    stamp = run(tracker, stamp, 2, image=other)         # somebody else stands at the same place
+    stamp = run(tracker, stamp, 2, image=NOISE)         # somebody else stands at the same place
     assert tracker.published(stamp) == []
     scene.people = []
-    run(tracker, stamp, 12, image=other)
+    run(tracker, stamp, 12, image=NOISE)
+    assert tracker.tracks == []
+
+
+NOISE = np.random.default_rng(1).integers(0, 255, (9, 16, 3)).astype(np.uint8).repeat(80, 0).repeat(80, 1)
+
+
+def test_after_a_cut_a_face_that_is_told_late_holds_no_body_and_begins_none():
+    """A face of the picture before lies by chance where another thing of the new picture resembles a body."""
+    scene, face = Scene([(600, 400)]), face_of(standing_at(600, 400), "f0")
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, faces=[face], boxes=[box_of(600, 400)])
+    assert [track.face_id for track in tracker.tracks] == ["f0"]
+    run(tracker, stamp, 6, faces=[face], image=NOISE)
+    assert tracker.published(stamp + 6 * STEP) == []
+
+
+def test_who_comes_back_after_a_cut_must_be_confirmed_anew():
+    scene = Scene([(600, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(600, 400)])
+    tracker.tracks[0].cut_off(stamp)
+    tracker.tracks[0].update(tracker.tracks[0].detection, stamp + STEP, False)
+    assert tracker.awaits_detector
+    run(tracker, stamp + 2 * STEP, 50)
     assert tracker.tracks == []
 
 

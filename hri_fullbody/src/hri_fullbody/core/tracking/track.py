@@ -286,6 +286,8 @@ class BodyTrack:
         self.detection, self.stamp, self._expected = detection, stamp, None
         self._face_when_seen = self._face_centre if self._face_stamp == stamp else None
         self.described_at = self.described_at if detection.appearance is None else stamp
+        if self.cut:
+            self.box_confirmed, self.born_at = None, stamp
         self.visible, self.hidden, self.cut, self.inferred_at, self.misses = True, False, False, stamp, 0
         self.motion.update(detection.estimate.centre, detection.estimate.extent, detection.root, stamp,
                            1.0 if unhidden else _OCCLUDED_NOISE)
@@ -320,8 +322,9 @@ class BodyTrack:
 
     def cut_off(self, stamp: float) -> None:
         """Note that the image shows something else than the one before: the body is neither there nor hidden, until
-        somebody with its clothes is."""
+        somebody with its clothes is; its face was that of the picture before."""
         self.cut = True
+        self.face_id = None
         self.missed(stamp)
 
     def missed(self, stamp: float) -> None:

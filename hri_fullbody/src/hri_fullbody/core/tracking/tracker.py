@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple, cast
 
 import numpy as np
@@ -46,6 +47,7 @@ _LEAST_INSIDE = 0.25    # of the box of the landmarks that are seen: what lies o
 _FAST = 1.0             # body sizes per second from which a body counts as fast
 _NEWBORN_WEIGHT, _HIDDEN_WEIGHT = 3.0, 0.4
 _UNCERTAIN = 0.9        # score below which a body is uncertain
+_STALE_S = 0.5          # after a cut of the picture, faces of before it may still be told for so long
 _OVERDUE = 1.5      # times as long as others lately waited for their inference
 
 
@@ -80,6 +82,9 @@ class BodyTracker:
         self._candidates = CandidateQueue()
         self._prepared: Dict[str, Tuple[Window, PoseEstimate]] = {}
         self._cuts = PictureCuts()
+        self._shown_faces: Set[str] = set()
+        self._stale_faces: Set[str] = set()
+        self._stale_until = -math.inf
         self._locate: Locate = lambda estimate: None
         self.tracks: List[BodyTrack] = []
         self.windows = 0
@@ -99,6 +104,7 @@ class BodyTracker:
         self.tracks = []
         self._candidates.clear()
         self._cuts.reset()
+        self._stale_until = -math.inf
         self.schedule.reset()
 
     def published(self, stamp: float) -> List[BodyTrack]:
@@ -119,6 +125,9 @@ class BodyTracker:
         if self._cuts.update(image):
             for track in self.tracks:
                 track.cut_off(stamp)
+            self._stale_faces, self._stale_until = self._shown_faces, stamp + _STALE_S
+        self._shown_faces = {face.id for face in faces}
+        faces = self._fresh(faces, stamp)
         own = {track.id: self._own_face(track, faces, stamp) for track in self.tracks}
         chosen = self._choose(stamp, min(for_new, len(self._candidates)))
         self._retries = self._max_retries
@@ -159,6 +168,7 @@ class BodyTracker:
     def propose(self, boxes: Sequence[np.ndarray], faces: Sequence[FaceBox], stamp: float,
                 faint: Optional[Sequence[np.ndarray]] = None) -> None:
         """Note where the person detector sees people: boxes (4,) px. faint: these and less sure ones."""
+        faces = self._fresh(faces, stamp)
         confirm_by_boxes(self.tracks, boxes if faint is None else faint, stamp,
                          {face.id: face.pose for face in faces if face.pose is not None})
         kept = drop_unconfirmed(self.tracks, boxes, stamp)
@@ -178,6 +188,7 @@ class BodyTracker:
         """Run at most `max_windows` inferences for bodies that are not tracked yet."""
         if len(self.tracks) >= self._max_bodies and all(track.visible for track in self.tracks):
             return
+        faces = self._fresh(faces, stamp)
         alone = [face for face in faces if self._owner(face) is None]
         self._candidates.offer_faces(alone, stamp)
         by_id = {face.id: face for face in alone}
@@ -191,6 +202,10 @@ class BodyTracker:
             if not self._guard.attempt("place of a new body", self._try_candidate, candidate, image, stamp, face,
                                        faces):
                 self._candidates.give_up(candidate.face_id, stamp)
+
+    def _fresh(self, faces: Sequence[FaceBox], stamp: float) -> Sequence[FaceBox]:
+        """The faces without those that may be of the picture before a cut."""
+        return faces if stamp >= self._stale_until else [face for face in faces if face.id not in self._stale_faces]
 
     def _has_track(self, box: np.ndarray, stamp: float) -> bool:
         return any(track.visible and covers(track.expected(stamp), box) for track in self.tracks)
