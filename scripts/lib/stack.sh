@@ -113,11 +113,11 @@ tell_page() { # where the web page is, with its token, once the node has said so
     local _
     for _ in $(seq 60); do
         if grep -q 'the page is at http:' "$R4H_LOGS/roslaunch.log" 2>/dev/null; then
-            sleep 0.5       # the line with the token comes next
+            sleep 0.5 || return 0       # the line with the token comes next; or everything ends
             note "web page: $(grep -oE '(page is at|token:) http:[^ ]*' "$R4H_LOGS/roslaunch.log" | tail -n 1 | sed 's/.* //')"
             return 0
         fi
-        sleep 0.5
+        sleep 0.5 || return 0
     done
 }
 

@@ -318,7 +318,7 @@ class PersonSpaces:
 
 RADIUS = 0.06           # m
 TEXT_HEIGHT = 0.12      # m
-LETTER_WIDTH = 0.11     # m; letters have about 0.06, seen from the side two labels come nearer to each other
+LETTER_WIDTH = 0.07     # m; letters have about 0.06
 TEXT_ABOVE = 0.55       # m, above the two lines that the body's own label has there
 LIFETIME_S = 0.5
 THICKNESS = 0.01        # m, of an ellipse
@@ -341,7 +341,7 @@ class PersonMarkers:
         # y of an optical frame points down. All places are mostly in one frame.
         ups = [np.array([0.0, -1.0, 0.0] if is_optical(place.frame) else [0.0, 0.0, 1.0]) for _, _, place in shown]
         lifts = label_lifts([place.pose.translation for _, _, place in shown], ups[0] if ups else (0.0, 0.0, 1.0),
-                            [LETTER_WIDTH * len(_label(state.id)) for _, state, _ in shown], 1.4 * TEXT_HEIGHT)
+                            [LETTER_WIDTH * len(_label(state.id)) for _, state, _ in shown], 1.15 * TEXT_HEIGHT)
         for (number, state, place), up, lift in zip(shown, ups, lifts):
             position = Point(*place.pose.translation.tolist())
             above = Point(*(place.pose.translation + (TEXT_ABOVE + lift) * up).tolist())
