@@ -179,6 +179,16 @@ class RunNodeTest(unittest.TestCase):
         self.launch_wrongly("<param name='size' value='11'/>", 1)
         self.launch_wrongly("<param name='model' value='/nowhere/x.onnx'/>", 2)
 
+    def test_nor_does_a_roslaunch_with_a_master_of_its_own(self):
+        with tempfile.NamedTemporaryFile("w", suffix=".launch") as launch:
+            launch.write(LAUNCH.format("<param name='size' value='11'/>"))
+            launch.flush()
+            port = str(free_port())
+            roslaunch = self.start(["roslaunch", "-p", port, launch.name], ROS_MASTER_URI="http://localhost:" + port)
+            roslaunch.says("waits for its parameters to change")
+            self.assertEqual("".join(roslaunch.lines).count("process[small_node-"), 1)
+            self.assertEqual(roslaunch.end(), 0)
+
     def launch_wrongly(self, parameter, starts):
         """The error is on /diagnostics, the node is not started much more often than `starts`, and then it is well."""
         with tempfile.NamedTemporaryFile("w", suffix=".launch") as launch:

@@ -11,7 +11,7 @@ import threading
 import time
 import traceback
 from types import FrameType
-from typing import Callable, Dict, NoReturn, Optional, Protocol, Tuple
+from typing import Any, Callable, Dict, NoReturn, Optional, Protocol, Tuple
 
 import rosgraph
 import rospy
@@ -209,15 +209,21 @@ def _given(name: str) -> Tuple[object, object]:
 def _restarts() -> Optional[int]:
     """Return how often roslaunch has started this process again; None where it does not do so."""
     for uri in rospy.get_param("/roslaunch/uris", {}).values():
-        try:
-            with node_at(uri) as launch:
-                for process, _ in launch.list_processes()[2][0]:
-                    known = launch.process_info(process)[2]
-                    if known.get("pid") == os.getpid():
-                        return int(known["spawn_count"]) - 1 if known["respawn"] else None
-        except Exception as error:      # a launch that has ended leaves its address; anything may answer there
-            rospy.logdebug("%s does not say what it has started: %s", uri, error)
+        for process in _ask_launch(uri, lambda launch: [name for name, _ in launch.list_processes()[2][0]]) or ():
+            # One at a time: of the master that it has started itself, roslaunch cannot tell.
+            known = _ask_launch(uri, lambda launch, process=process: launch.process_info(process)[2]) or {}
+            if known.get("pid") == os.getpid():
+                return int(known["spawn_count"]) - 1 if known["respawn"] else None
     return None
+
+
+def _ask_launch(uri: str, question: Callable[[Any], Any]) -> Any:
+    try:
+        with node_at(uri) as launch:
+            return question(launch)
+    except Exception as error:      # a launch that has ended leaves its address; anything may answer there
+        rospy.logdebug("%s does not say what it has started: %s", uri, error)
+        return None
 
 
 def _close(owner: Optional[_Closable]) -> int:
