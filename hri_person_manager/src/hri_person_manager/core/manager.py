@@ -32,7 +32,6 @@ from hri_pipeline.core.tracks import assign
 _ORIGIN = np.zeros(3)
 MATCH_WAIT_S = 5.0            # for which a body at the place of a face that has none, or a face, waits for their match
 MATCH_GATE = 9.0              # squared Mahalanobis distance up to which they are at one place
-PRESUMED_GATE = 3.0           # the same for two who are persons already, and are told as one until their match comes
 MAX_UNSEEN_PERSONS = 32       # permanent persons kept with their topics although nobody sees them
 _KIND_OF_SOURCE = {PlaceSource.FACE: Kind.FACE, PlaceSource.HEAD: Kind.BODY, PlaceSource.BODY: Kind.BODY,
                    PlaceSource.VOICE: Kind.VOICE}
@@ -64,8 +63,6 @@ class PersonManager:
         self._published = PublishedPersons(self._table, self._merges, self._decay)
         self._association = Association(self._threshold, self._is_present, self._make_permanent)
         self._cameras = CrossCamera(*_camera_limits(self._settings))
-        self._appeared: Dict[MatchNode, float] = {}             # those who may still wait for a match, and since when
-        self._presumed: Dict[Tuple[MatchNode, MatchNode], float] = {}       # matches by place alone, and since when
 
     def reconfigure(self, settings: PersonManagerSettings, now: float) -> None:
         """Take up the values of the live parameters at `now` (s): persons and matches stay, who belongs together is
@@ -118,8 +115,6 @@ class PersonManager:
         gone, new, inferred = self._tracked.update(kind, ids)
         if not gone and not new:
             return
-        self._appeared.update(dict.fromkeys(new, now))
-        self._withdraw_presumed([pair for pair in self._presumed if set(pair) & set(gone)])
         kept = self._association.matches_of(inferred)
         touched = [node for gone_node in gone for node in self._association.remove(gone_node)]
         for match in kept:
@@ -136,18 +131,15 @@ class PersonManager:
                 if node.kind == Kind.PERSON and not node.id.startswith(ANONYMOUS_PREFIX):
                     self._remember(node.id)
         self._association.refute(match, now)
-        if self._presumed and 0.0 < match.likelihood < self._threshold and {nodes, nodes[::-1]} & self._presumed.keys():
-            return False        # it is still growing
         if nodes[0].kind == nodes[1].kind == Kind.PERSON:
             changed = self._merges.set(nodes[0].id, nodes[1].id, match.likelihood)
             return self._update_merges(now) and changed
         for feature, person in (nodes, nodes[::-1]):
             if person.kind == Kind.PERSON and person.id.startswith(ANONYMOUS_PREFIX):
                 return self._match_anonymous(feature, person.id, match.likelihood, now)
-        parted = self._end_presumed(match)
         arrived = self._begin_inferred(nodes, now) if match.likelihood > 0.0 else []
-        worth = self._association.add(match) or bool(parted)
-        changed = self._association.solve((*nodes, *parted)) if worth or arrived else False
+        worth = self._association.add(match)
+        changed = self._association.solve(nodes) if worth or arrived else False
         if self._end_inferred(nodes) or arrived or changed or (worth and Kind.VOICE in {node.kind for node in nodes}):
             self._associate(now)
             return True
@@ -156,8 +148,7 @@ class PersonManager:
     @property
     def matches(self) -> List[Tuple[MatchNode, MatchNode, float]]:
         """All candidate matches that are kept between features and persons."""
-        presumed = {frozenset(pair) for pair in self._presumed}
-        return [edge for edge in self._association.matches if frozenset(edge[:2]) not in presumed]
+        return self._association.matches
 
     @property
     def merges(self) -> Tuple[Tuple[str, str, float], ...]:
@@ -398,12 +389,10 @@ class PersonManager:
     def _waiting_for_matches(self, now: float) -> Set[MatchNode]:
         """Features without a person at the place of a face, or body, of one camera that lacks them.
 
-        On a loaded machine their match comes seconds later; until then they are not told as somebody else. Where a new
-        one and that face, or body, are persons already, they are presumed to be one.
+        On a loaded machine their match comes seconds later; until then they are not told as somebody else.
         """
-        waiting = {node for node, since in self._table.unassigned.items() if now - since <= MATCH_WAIT_S}
-        self._appeared = {node: since for node, since in self._appeared.items() if now - since <= MATCH_WAIT_S}
-        if not (waiting or self._appeared or self._presumed):
+        waiting = {node: since for node, since in self._table.unassigned.items() if now - since <= MATCH_WAIT_S}
+        if not waiting:
             return set()
         halves: Dict[Kind, List[MatchNode]] = {Kind.FACE: [], Kind.BODY: []}
         for group in self._association.groups:
@@ -414,44 +403,10 @@ class PersonManager:
         costs = np.full((len(faces), len(bodies)), math.inf)
         for row, face in enumerate(faces):
             for column, body in enumerate(bodies):
-                if not self._association.is_refuted(face, body):
+                if (face in waiting or body in waiting) and not self._association.is_refuted(face, body):
                     costs[row, column] = self._places.squared_distance(face, body)
-        near = costs <= PRESUMED_GATE
-        near &= np.add.outer(near.sum(axis=1), near.sum(axis=0)) == 2       # nobody else is
-        self._presume([(faces[row], bodies[column]) for row, column in np.argwhere(near)], now)
-        lacks = np.logical_or.outer([face in waiting for face in faces], [body in waiting for body in bodies])
-        pairs = [(faces[row], bodies[column]) for row, column in assign(np.where(lacks, costs, math.inf), MATCH_GATE)]
+        pairs = [(faces[row], bodies[column]) for row, column in assign(costs, MATCH_GATE)]
         return {body if body in waiting else face for face, body in pairs}
-
-    def _presume(self, pairs: Iterable[Tuple[MatchNode, MatchNode]], now: float) -> None:
-        """Take a face and a body, one of them new, for one human where both are persons, one of them anonymous, until a
-        match tells or MATCH_WAIT_S is over."""
-        over = [pair for pair, since in self._presumed.items() if now - since > MATCH_WAIT_S]
-        self._withdraw_presumed(over)
-        owners = {pair: [owner for owner in map(self._table.owner, pair) if owner is not None] for pair in pairs}
-        new = [pair for pair, owned in owners.items() if pair not in over and set(pair) & self._appeared.keys()
-               and len(owned) == 2 and any(owner.anonymous for owner in owned)]
-        for face, body in new:
-            self._presumed[face, body] = now
-            self._association.add(CandidateMatch(face, body, self._threshold))
-        changed = {node for pair in over + new for node in pair}
-        if changed:
-            self._association.solve(changed)
-            self._associate(now)
-
-    def _end_presumed(self, match: CandidateMatch) -> Set[MatchNode]:
-        """Let a face's match with a body take the place of what was presumed of them; returns whom that concerns."""
-        nodes = frozenset((match.first, match.second))
-        same = [pair for pair in self._presumed if nodes == set(pair)]
-        counts = match.likelihood >= self._threshold and {node.kind for node in nodes} == {Kind.FACE, Kind.BODY}
-        over = [pair for pair in self._presumed if nodes & set(pair)] if counts else same
-        self._withdraw_presumed(over)
-        return {node for pair in over for node in pair}
-
-    def _withdraw_presumed(self, pairs: Iterable[Tuple[MatchNode, MatchNode]]) -> None:
-        for face, body in pairs:
-            del self._presumed[face, body]
-            self._association.add(CandidateMatch(face, body, 0.0))
 
     def _owner_id(self, feature: MatchNode) -> str:
         owner = self._table.owner(feature)
