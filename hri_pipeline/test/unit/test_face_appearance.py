@@ -7,7 +7,8 @@ import pytest
 
 from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook, Verdict, asymmetry, correlation
 from hri_pipeline.core.faces.mesh import MESH_POINTS
-from hri_pipeline.core.faces.tracker import FaceMeasurement, FaceTracker
+from hri_pipeline.core.faces.track import FaceMeasurement
+from hri_pipeline.core.faces.tracker import FaceTracker
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.images import PictureCuts
 

@@ -8,14 +8,8 @@ import pytest
 from hri_pipeline.core.faces import flow as flow_module
 from hri_pipeline.core.faces.flow import FaceFlow
 from hri_pipeline.core.faces.mesh import MESH_POINTS
-from hri_pipeline.core.faces.tracker import (
-    FaceMeasurement,
-    FaceTracker,
-    explains,
-    face_colours,
-    same_face,
-    without_duplicates,
-)
+from hri_pipeline.core.faces.track import FaceMeasurement, face_colours
+from hri_pipeline.core.faces.tracker import FaceTracker, explains, same_face, without_duplicates
 from hri_pipeline.core.ids import IdGenerator
 
 STEP = 1.0 / 15.0

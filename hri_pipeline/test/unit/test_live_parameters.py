@@ -15,7 +15,8 @@ from hri_pipeline.core.audio.separation import SoundSeparator
 from hri_pipeline.core.audio.stream import SoundBlock
 from hri_pipeline.core.audio.vad import check_thresholds
 from hri_pipeline.core.faces.scheduler import DetectionScheduler
-from hri_pipeline.core.faces.tracker import FaceMeasurement, FaceTracker
+from hri_pipeline.core.faces.track import FaceMeasurement
+from hri_pipeline.core.faces.tracker import FaceTracker
 from hri_pipeline.core.interactions.engagement import EngagementEstimator, check_levels
 from hri_pipeline.core.interactions.gaze import GazeTargets
 from hri_pipeline.core.interactions.groups import GroupTracker

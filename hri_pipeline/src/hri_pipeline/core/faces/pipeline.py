@@ -36,16 +36,14 @@ from hri_pipeline.core.faces.mesh import (
 )
 from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.faces.scheduler import DetectionScheduler
-from hri_pipeline.core.faces.tracker import (
+from hri_pipeline.core.faces.track import (
     LEAST_VERIFICATION,
     VERIFIED,
     FaceMeasurement,
     FaceTrack,
-    FaceTracker,
-    explains,
     face_colours,
-    is_same_or_part,
 )
+from hri_pipeline.core.faces.tracker import FaceTracker, explains, is_same_or_part
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.images import PictureCuts
 from hri_pipeline.core.observations import FaceObservation
