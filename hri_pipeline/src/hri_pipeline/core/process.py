@@ -17,8 +17,10 @@ import threadpoolctl
 _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
-# Larger than any image, or the tensor made of it.
-_KEEP_BYTES = 2 ** 28
+# Larger than most images. Older C libraries refuse more (mallopt(3): DEFAULT_MMAP_THRESHOLD_MAX), and then map each
+# image anew.
+_KEEP_BYTES = 2 ** 25
+_FREE_BYTES = 2 ** 28
 _VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 FIRST_WAIT_S = 0.5
 LONGEST_WAIT_S = 30.0
@@ -93,8 +95,7 @@ def keep_large_blocks() -> bool:
     except (OSError, AttributeError):
         return False
     mallopt.argtypes = (ctypes.c_int, ctypes.c_int)
-    kept = [mallopt(name, _KEEP_BYTES) for name in (_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD)]
-    return all(kept)
+    return bool(mallopt(_M_MMAP_THRESHOLD, _KEEP_BYTES) and mallopt(_M_TRIM_THRESHOLD, _FREE_BYTES))
 
 
 def one_thread_each() -> None:
