@@ -146,7 +146,7 @@ space."""
 _LEAST_VISIBLE = 0.02
 _HEAD_BESIDE_EYES = 0.4
 """How much the head's direction counts beside that of the eyes: its error stays the same as long as somebody looks at
-one target. Of .3 to .9, the best precision and recall together in the tuning seeds of benchmarks/gaze_independent.py."""
+one target. Chosen of 0.3 to 0.9 on the tuning seeds of benchmarks/gaze_independent.py."""
 _FADE_S = 0.7
 """Time constant (s) with which what an error that lasts has said is forgotten: looks last 1 to 3 s (Argyle and Cook,
 Gaze and mutual gaze, 1976)."""
