@@ -1,4 +1,4 @@
-"""Frames of humans, kept while they are tracked, and the frames of the robot that matter."""
+"""Frames of humans, kept while they are tracked."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 from hri_person_manager.core.features import Kind
 from hri_person_manager.core.human_frames import MAX_LINKS, FrameLink, HumanFrames
 from hri_person_manager.core.location import PlaceSource
-from hri_pipeline.core.frames import FrameTree
 from hri_pipeline.core.geometry import Pose
 
 
@@ -182,36 +181,3 @@ def test_a_fixed_link_may_come_before_the_list():
     frames.keep_static("head_abcde", link("body_abcde", 0.6, float("inf")))
     frames.set_tracked(Kind.BODY, ["abcde"])
     assert put(frames, "body_abcde", "camera", 3.0).source == PlaceSource.HEAD
-
-
-def test_only_what_lies_above_a_followed_frame_is_relevant():
-    tree = FrameTree()
-    assert tree.follow("map") == []
-    assert tree.put("camera", "base", "camera->base", True) == []
-    assert tree.put("base", "odom", "base->odom", False) == []
-    assert tree.put("wheel", "base", "wheel->base", False) == []
-    assert tree.follow("camera") == ["camera->base", "base->odom"]
-    assert tree.put("odom", "map", "odom->map", False) == ["odom->map"]
-    assert tree.put("base", "odom", "newer", False) == ["newer"]
-    assert tree.relevant == {"map", "camera", "base", "odom"}
-    assert tree.forget_moving() == ["camera->base"]
-    assert tree.latest("base") is None
-
-
-def test_the_tree_is_bounded_and_keeps_what_is_relevant():
-    tree = FrameTree(max_frames=10)
-    tree.follow("camera")
-    tree.put("camera", "map", "camera->map", True)
-    for number in range(100):
-        tree.put("stray%d" % number, "map", number, True)
-    assert len(tree) == 10 and tree.latest("camera") == "camera->map"
-
-
-def test_fixed_frames_outlive_moving_ones_of_which_nobody_knows_the_use():
-    tree = FrameTree(max_frames=10)
-    tree.put("camera", "base", "camera->base", True)      # comes once
-    for number in range(100):
-        tree.put("limb%d" % number, "body", number, False)
-    assert len(tree) == 10
-    assert tree.follow("camera") == ["camera->base"]
-    assert tree.latest("limb99") == 99 and tree.latest("limb1") is None

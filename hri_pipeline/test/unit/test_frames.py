@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hri_pipeline.core.frames import HumanTf, RawTransform, axis, read, read_stamp, scan, turned
+from hri_pipeline.core.frames import FrameHistory, HumanTf, RawTransform, read, read_stamp, scan
+from hri_pipeline.core.geometry import axis, turned
 
 
 def packed(*transforms):
@@ -142,3 +143,44 @@ def test_vectors_are_turned_as_scipy_turns_them():
     np.testing.assert_allclose(turned(quaternion, (1.0, -2.0, 0.5)), turn.apply((1.0, -2.0, 0.5)), atol=1e-12)
     np.testing.assert_allclose(axis(quaternion, along_z=False), turn.apply((1.0, 0.0, 0.0)), atol=1e-12)
     np.testing.assert_allclose(axis(quaternion, along_z=True), turn.apply((0.0, 0.0, 1.0)), atol=1e-12)
+
+
+def heights(history, frame, *stamps):
+    return [pose if pose is None else pose.translation[2] for pose in (
+        history.between("map", frame, stamp) for stamp in stamps)]
+
+
+def test_only_the_history_of_what_lies_above_a_followed_frame_is_kept():
+    history = FrameHistory(10.0)
+    history.follow("map")
+    history.put(link("base", "camera", position=(0.0, 0.0, 1.0)), True)
+    history.put(link("odom", "base", stamp=1.0), False)
+    history.put(link("base", "wheel"), False)
+    history.follow("camera")
+    history.put(link("map", "odom", stamp=1.0, position=(0.0, 0.0, 0.0)), False)
+    history.put(link("map", "odom", stamp=2.0, position=(0.0, 0.0, 0.0)), False)
+    history.put(link("odom", "base", stamp=2.0, position=(0.0, 0.0, 3.0)), False)
+    history.put(link("base", "wheel", stamp=2.0), False)
+    assert history.followed == {"map", "camera", "base", "odom"}
+    assert heights(history, "camera", 1.0, 1.5, 2.0) == [3.0, 3.5, 4.0] and len(history) == 4
+    assert heights(history, "wheel", 1.0, 2.0) == [None, 5.0]
+    history.forget_moving()
+    assert history.newest_stamp("base") is None and history.newest_stamp("camera") == 1.0
+
+
+def test_the_history_is_bounded_and_keeps_what_is_followed():
+    history = FrameHistory(10.0, max_frames=10)
+    history.follow("camera")
+    history.put(link("map", "camera"), True)
+    for number in range(100):
+        history.put(link("map", "stray%d" % number), True)
+    assert len(history) == 10 and heights(history, "camera", None) == [2.0]
+
+
+def test_fixed_frames_outlive_moving_ones_of_which_nobody_knows_the_use():
+    history = FrameHistory(10.0, max_frames=10)
+    history.put(link("map", "camera"), True)      # comes once
+    for number in range(100):
+        history.put(link("body", "limb%d" % number), False)
+    assert len(history) == 10 and heights(history, "camera", None) == [2.0]
+    assert history.newest_stamp("limb99") == 1.0 and history.newest_stamp("limb1") is None

@@ -10,7 +10,8 @@ from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tu
 import numpy as np
 
 from hri_pipeline.core.feature_history import FeatureHistory
-from hri_pipeline.core.frames import HumanTf, Timed, Vector, turned
+from hri_pipeline.core.frames import HumanTf, Timed
+from hri_pipeline.core.geometry import Vector, turned
 from hri_pipeline.core.matching.parameters import FaceBodyMatcherSettings
 from hri_pipeline.core.tracks import assign
 
