@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hri_pipeline.core.frames import FrameHistory, HumanTf, RawTransform, read, read_stamp, scan
+from hri_pipeline.core.frames import FrameHistory, HumanTf, RawTransform, Timed, read, read_stamp, scan
 from hri_pipeline.core.geometry import axis, turned
 
 
@@ -93,7 +93,7 @@ def test_frames_of_strangers_are_not_wanted_and_a_face_is_below_its_camera():
     assert tf.wants(b"face_f1") and tf.wants(b"head_b1")
     assert not tf.wants(b"face_b1") and not tf.wants(b"l_arm_b1") and not tf.wants(b"map")
     assert tf.put(link("camera", "face_f1"), False) == "f1"
-    assert tf.chain("face_f1") == [(link("camera", "face_f1"), 1.0)]
+    assert tf.chain("face_f1") == [Timed(link("camera", "face_f1"), 1.0, arrived=math.nan)]
     assert tf.put(link("camera", "face_f2"), False) is None
     assert tf.get("face_f2") is None and tf.chain("face_f2") == [] and len(tf) == 1
 

@@ -20,7 +20,8 @@ from std_msgs.msg import Bool, ColorRGBA, Float32, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from hri_msgs.msg import AgeAndGender
-from hri_person_manager.core.location import Place, PlaceSource, Proxemics, Space, horizontal_distance
+from hri_person_manager.core.features import PlaceSource
+from hri_person_manager.core.location import Place, Proxemics, Space, horizontal_distance
 from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_person_manager.core.register import DemographicsEstimate, PersonRegister

@@ -322,14 +322,27 @@ def _slerp(first: Quaternion, second: Quaternion, part: float) -> Quaternion:
 MAX_LINKS = 64
 """Most links between a frame of a human and the frame of the sensor: a loop ends there."""
 MAX_UNCLAIMED = 2000
+MAX_WANTED = 10000
 _MAX_LIMBS = 5000
 
 
 class Timed(NamedTuple):
-    """A transform; a fixed one is as new as the newest (stamp infinite)."""
+    """A transform; a fixed one is as new as the newest (stamp infinite). arrived: s; NaN where that is not known."""
 
     transform: RawTransform
     stamp: float
+    arrived: float = math.nan
+
+
+def composed(chain: Sequence[Timed]) -> Pose:
+    """Return the pose of the lowest frame of a chain of transforms, one at least, in the one above all of them."""
+    link = chain[0].transform
+    rotation, position = link.rotation, link.translation
+    for timed in chain[1:]:
+        link = timed.transform
+        (x, y, z), (i, j, k) = link.translation, turned(link.rotation, position)
+        rotation, position = product(link.rotation, rotation), (x + i, y + j, z + k)
+    return Pose.from_quaternion(rotation, position)
 
 
 class HumanTf:
@@ -362,9 +375,14 @@ class HumanTf:
         """Return the ids that are followed, by kind."""
         return self._ids
 
-    def follow(self, **ids: Iterable[str]) -> None:
+    def follow(self, **followed: Iterable[str]) -> None:
         """Follow the frames <kind>_<id> of these ids, by kind; those of other ids of the same kinds are freed."""
-        self._ids.update((kind, list(names)) for kind, names in ids.items())
+        ids = {kind: list(names) for kind, names in followed.items()}
+        gone = tuple("_" + identity for kind, names in ids.items() for identity in self._ids.get(kind, ())
+                     if identity not in names)
+        if gone and self._unclaimed:
+            self._unclaimed = OrderedDict(item for item in self._unclaimed.items() if not item[0].endswith(gone))
+        self._ids.update(ids)
         wanted = {"{}_{}".format(kind, identity): identity for kind, names in self._ids.items() for identity in names}
         self._wanted = {frame.encode(): identity for frame, identity in wanted.items()}
         self._limb_suffixes = tuple(("_" + identity).encode() for identity in self._ids.get("head", ()))
@@ -389,19 +407,20 @@ class HumanTf:
             self._limbs.add(child)
         return True
 
-    def put(self, transform: RawTransform, fixed: bool) -> Optional[str]:
-        """Keep a transform; return the id of its human.
+    def put(self, transform: RawTransform, fixed: bool, now: float = math.nan) -> Optional[str]:
+        """Keep a transform that arrives at `now` (s); return the id of its human.
 
-        None for one that is not wanted, whose numbers are not finite, or that has a quaternion of zeros.
+        None for one that is not wanted, that leads to itself or to nothing, whose numbers are not finite, or that has a
+        quaternion of zeros.
         """
         identity = self._wanted.get(transform.child.encode())
         if identity is None:
             return None
-        if not transform.is_pose:
+        parent, child, secs, nsecs, _, _ = transform
+        if not transform.is_pose or parent in ("", child):
             self.refused += 1
             return None
-        parent, child, secs, nsecs, _, _ = transform
-        self._frames[child] = Timed(transform, math.inf if fixed else secs + 1e-9 * nsecs)
+        self._frames[child] = Timed(transform, math.inf if fixed else secs + 1e-9 * nsecs, now)
         if parent.endswith(identity) and parent.encode() not in self._wanted:
             self._want_above(child, identity)
         return identity
@@ -410,8 +429,9 @@ class HumanTf:
         """Keep a moving transform as it is in a message; it is read when it is asked for, and most never are."""
         self._unread[child] = (data, offset)
 
-    def put_message(self, data: bytes, frames: Sequence[Tuple[bytes, int]], fixed: bool) -> List[Tuple[str, str]]:
-        """Keep the wanted transforms of a message, see scan(); return frame and id of each.
+    def put_message(self, data: bytes, frames: Sequence[Tuple[bytes, int]], fixed: bool,
+                    now: float = math.nan) -> List[Tuple[str, str]]:
+        """Keep the wanted transforms of a message, see scan(), that arrives at `now` (s); return frame and id of each.
 
         A link makes the one above it wanted, too, which may stand earlier in the same message. Raises ValueError for a
         stamp that is none.
@@ -426,7 +446,7 @@ class HumanTf:
                     continue
                 seen.add(offset)
                 transform = read(data, offset)
-                identity = self.put(transform, fixed)
+                identity = self.put(transform, fixed, now)
                 if identity is not None:
                     put.append((transform.child, identity))
         return put
@@ -482,7 +502,7 @@ class HumanTf:
         """Want the links above a frame that belong to the same human, as far as they are known."""
         for _ in range(MAX_LINKS):
             timed = self._frames.get(frame)
-            if timed is None or not timed.transform.parent.endswith("_" + identity):
+            if timed is None or not timed.transform.parent.endswith("_" + identity) or len(self._wanted) >= MAX_WANTED:
                 return
             frame = timed.transform.parent
             self._wanted[frame.encode()] = identity

@@ -264,8 +264,8 @@ def head_place(chain: Sequence[Timed]) -> Optional[HeadPlace]:
     if not stamps or max(stamps) - min(stamps) > MAX_APART_S:
         return None
     position: Vector = (0.0, 0.0, 0.0)
-    for transform, _ in chain:
-        (x, y, z), (i, j, k) = transform.translation, turned(transform.rotation, position)
+    for timed in chain:
+        (x, y, z), (i, j, k) = timed.transform.translation, turned(timed.transform.rotation, position)
         position = (x + i, y + j, z + k)
     return HeadPlace(chain[-1].transform.parent, position, min(stamps)) if math.isfinite(sum(position)) else None
 
