@@ -116,6 +116,28 @@ def test_the_links_from_the_head_to_the_camera_are_found_in_any_order(order, who
     assert tf.chain("head_b1", oldest=1.5) == []
 
 
+def other(tf, transform, fixed):
+    data = packed(transform)
+    ((child, offset),) = scan(data)
+    return tf.take_other(child, data, offset, fixed)
+
+
+def test_a_fixed_link_of_a_skeleton_may_come_before_those_that_move():
+    tf = followed()
+    assert other(tf, link("torso_b1", "neck_b1", position=(0.0, 0.0, 0.3)), fixed=True) is None
+    tf.put(link("neck_b1", "head_b1"), False)
+    tf.put(link("camera", "torso_b1"), False)
+    assert [timed.transform.child for timed in tf.chain("head_b1")] == ["head_b1", "neck_b1", "torso_b1"]
+
+
+def test_what_is_not_of_humans_may_be_of_the_robot():
+    tf = followed()
+    moving, fixed = link("map", "base"), link("base", "face_plate_link")
+    assert other(tf, moving, fixed=False) == moving and other(tf, fixed, fixed=True) == fixed
+    assert other(tf, link("camera", "face_f9"), fixed=False) is None
+    assert other(tf, link("arm_b1", "hand_b1"), fixed=False) is None and len(tf) == 1
+
+
 def test_a_loop_ends_and_who_has_gone_is_forgotten():
     tf = followed()
     tf.put(link("neck_b1", "head_b1"), False)

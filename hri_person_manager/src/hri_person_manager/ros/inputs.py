@@ -12,7 +12,6 @@ import rospy
 
 from hri_person_manager.core.features import FeaturePose, FeatureTf, Kind
 from hri_person_manager.core.location import Place
-from hri_pipeline.core.frames import is_of_human, read
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.tf import Frames, RobotTf, TfSubscriber
 
@@ -79,19 +78,11 @@ class TfInput:
                 rospy.logwarn_throttle(_LOG_PERIOD_S, "/tf: a transform of somebody has numbers that are no pose")
             for child, offset in frames:
                 child = child.lstrip(b"/")
-                if not self._humans.wants(child) and not is_of_human(child, fixed):
-                    self._take_other(child, data, offset, fixed)
+                other = None if self._humans.wants(child) else self._humans.take_other(child, data, offset, fixed)
+                if other is not None:
+                    self._robot.put(other, fixed)
         if found:
             self._on_poses(found)
-
-    def _take_other(self, child: bytes, data: bytes, offset: int, fixed: bool) -> None:
-        """Take a transform of the robot, or of a limb: of moving limbs only the name is read."""
-        is_limb = self._humans.is_limb(child)
-        if fixed:
-            # It comes only once, and may lead to a head of which the tracked list tells later.
-            self._humans.keep_fixed(read(data, offset))
-        if not is_limb:
-            self._robot.put(read(data, offset), fixed)
 
 
 class ReferenceFrame:

@@ -375,15 +375,14 @@ class HumanTf:
         """Return the ids that are followed, by kind."""
         return self._ids
 
-    def follow(self, **followed: Iterable[str]) -> None:
+    def follow(self, **ids: Iterable[str]) -> None:
         """Follow the frames <kind>_<id> of these ids, by kind; those of other ids of the same kinds are freed."""
-        ids = {kind: list(names) for kind, names in followed.items()}
-        gone = tuple("_" + identity for kind, names in ids.items() for identity in self._ids.get(kind, ())
-                     if identity not in names)
+        before = set(self._wanted.values())
+        self._ids.update((kind, list(names)) for kind, names in ids.items())
+        wanted = {"{}_{}".format(kind, identity): identity for kind, names in self._ids.items() for identity in names}
+        gone = tuple("_" + identity for identity in before.difference(wanted.values()))
         if gone and self._unclaimed:
             self._unclaimed = OrderedDict(item for item in self._unclaimed.items() if not item[0].endswith(gone))
-        self._ids.update(ids)
-        wanted = {"{}_{}".format(kind, identity): identity for kind, names in self._ids.items() for identity in names}
         self._wanted = {frame.encode(): identity for frame, identity in wanted.items()}
         self._limb_suffixes = tuple(("_" + identity).encode() for identity in self._ids.get("head", ()))
         self._limbs.clear()
@@ -417,7 +416,7 @@ class HumanTf:
         if identity is None:
             return None
         parent, child, secs, nsecs, _, _ = transform
-        if not transform.is_pose or parent in ("", child):
+        if not transform.is_pose or not parent or parent == child:
             self.refused += 1
             return None
         self._frames[child] = Timed(transform, math.inf if fixed else secs + 1e-9 * nsecs, now)
@@ -450,6 +449,20 @@ class HumanTf:
                 if identity is not None:
                     put.append((transform.child, identity))
         return put
+
+    def take_other(self, child: bytes, data: bytes, offset: int, fixed: bool) -> Optional[RawTransform]:
+        """Look at a transform of a message that is not wanted; return it where it may be one of the robot's.
+
+        A fixed one is kept, as it may turn out to belong to somebody. Of moving ones of humans only the name is looked
+        at. Raises ValueError for a stamp that is none.
+        """
+        is_limb = self.is_limb(child)
+        if not fixed and (is_limb or is_of_human(child, fixed)):
+            return None
+        transform = read(data, offset)
+        if fixed:
+            self.keep_fixed(transform)
+        return None if is_limb else transform
 
     def keep_fixed(self, transform: RawTransform) -> None:
         """Keep a fixed transform that may turn out to belong to somebody: it never comes again."""
