@@ -31,6 +31,8 @@ JUMP_S = 1.0
 INFO_GRACE_S = 1.0
 # Images of other publishers are ignored until the one that is used has sent nothing for so long.
 SENDER_S = 1.0
+# Longer than JUMP_S: images that only came late, and a stamp that went back a little, pass.
+_STANDSTILL_S = 2.0
 _CAMERA_LOG_PERIOD_S = 30.0
 # Aspect ratios that differ by more are not the same view.
 _ASPECT_TOLERANCE = 0.02
@@ -106,6 +108,7 @@ class ImageInput(SensorInput):
         self._decode = image_to_bgr if transport == "raw" else compressed_to_bgr
         self._message: Optional[ImageMessage] = None
         self._last_stamp: Optional[float] = None
+        self._taken_at = 0.0
         self._problem: Tuple[int, str] = (OK, "")
         self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0}
         self._camera = CameraInfoInput(fallback_hfov, fov_parameter)
@@ -189,6 +192,7 @@ class ImageInput(SensorInput):
         self._problem = (OK, "")
         camera = self._camera.model(bgr.shape[1], bgr.shape[0])
         self._last_stamp = stamp = header.stamp.to_sec()
+        self._taken_at = time.monotonic()
         self.counts["taken"] += 1
         depth = self._depth.match(stamp, bgr.shape[1], bgr.shape[0]) if self._depth is not None else None
         return Frame(bgr, camera, stamp, header, depth)
@@ -214,8 +218,13 @@ class ImageInput(SensorInput):
             return header
         if step <= 0.0:
             self.counts["late"] += 1
+            if time.monotonic() - self._taken_at > _STANDSTILL_S:
+                self._problem = (ERROR, "{}: no image has a newer stamp than the last one; let the camera driver set "
+                                 "header.stamp".format(self.topic))
+                self._tell(self._problem[1])
             return None
         return header
+
 
 def image_input_of(settings: DepthCameraSettings) -> ImageInput:
     """Return the image input of a node."""
