@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 from hri_pipeline.core.error_log import Outage
 from hri_pipeline.core.faces.parameters import DepthCameraSettings
-from hri_pipeline.core.images import ImageError, depth_from_raw
+from hri_pipeline.core.images import DEPTH_RANGE, ImageError, depth_from_raw
 from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
 from hri_pipeline.ros.rospy_compat import release, sender_of
@@ -468,6 +468,9 @@ class DepthInput:
             if abs(ratio - 1.0) > _ASPECT_TOLERANCE:
                 raise ImageError("{}x{} px is another shape than that of the images, {}x{}: use the topic that is"
                                  " registered to colour".format(message.width, message.height, width, height))
+            if not np.isfinite(depth).any():
+                raise ImageError("no pixel of {} is a distance of {:g} to {:g} m; 16UC1 is in mm, 32FC1 in m".format(
+                    message.encoding, *DEPTH_RANGE))
         except ImageError as error:
             self.counts["depth_unreadable"] += 1
             self._unusable = "{}: {}".format(self.topic, error)
