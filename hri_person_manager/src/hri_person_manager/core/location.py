@@ -373,7 +373,7 @@ class Location:
         worth, own = other._active[0], self._active[0]
         if worth < own if worth != own and abs(newer_by) <= self._source_timeout else newer_by > 0.0:
             self.place, self._active = other.place, other._active
-            self.updated = other.updated
+            self.updated = max(self.updated, other.updated)
         self._seen = max(self._seen, other._seen)
 
     def is_silent(self, now: float) -> bool:
