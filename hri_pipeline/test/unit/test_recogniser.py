@@ -422,6 +422,14 @@ def test_forget_withdraws_and_is_not_learnt_again_while_in_view():
     assert scene.recogniser.enrol("f1") in scene.gallery, "but when asked to"
 
 
+def test_to_forget_nobody_keeps_no_newcomer_from_being_learnt():
+    scene = Scene()
+    scene.show({"f1": (1, 0.2)}, 0.3)
+    assert not scene.recogniser.forget(""), "a face that is nobody yet has the person ''"
+    scene.show({"f1": (1, 0.2)}, 10.0)
+    assert scene.person("f1") in scene.gallery
+
+
 @pytest.mark.parametrize("forget", [lambda one, person: one.forget(person), lambda one, person: one.forget_all(),
                                     lambda one, person: one.merge(person, "anna")])
 def test_images_do_not_wait_for_a_disk(tmp_path, forget):

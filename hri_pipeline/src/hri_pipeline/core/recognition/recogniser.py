@@ -232,6 +232,8 @@ class Recogniser:
 
         On the disk the person is forgotten with the next flush() of the gallery.
         """
+        if not person_id:  # a face of nobody yet has this person
+            return False
         with self._lock:
             for face in self._faces.values():
                 if person_id in face.published or face.person == person_id:
