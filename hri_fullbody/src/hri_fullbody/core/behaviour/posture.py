@@ -27,6 +27,7 @@ _TRUNK = [LEFT_SHOULDER, RIGHT_SHOULDER, LEFT_HIP, RIGHT_HIP]
 # Angles in degrees from the vertical, lengths in statures.
 _UPRIGHT, _LYING = 50.0, 60.0
 _STRAIGHT_THIGH, _STRAIGHT_KNEE = 38.0, 50.0
+_STEP = 0.12    # between the feet of who stands; who walks lifts an ankle by .08, .15 is a wrong leg of who sits
 _HANGING_THIGH = 22.0
 # A seat bears the hips at the height of the knees. Estimated hips lie up to a tenth of the leg too high on people who
 # sit, so that their thighs seem to slope.
@@ -47,6 +48,7 @@ _UNKNOWN_S = 1.0
 _EXACT = math.radians(2.0)
 _PITCHES = ((-1.8, 0.07), (-1.2, 0.14), (-0.6, 0.20), (0.0, 0.18), (0.6, 0.20), (1.2, 0.14), (1.8, 0.07))
 _AGREEING, _LEAST_VOTES = 0.9, 0.25
+_STANDS = 0.75      # of all votes: who perches on a stool stands under one half of the directions only
 # A half squat is a seated body that is turned forward by some 25 degrees. Direction from the feet to the middle of the
 # trunk, degrees forward of the vertical, of both, with its standard deviation between people; and how often people
 # crouch for each time that they sit, where the vertical is less certain than _BALANCE: then nobody has stood.
@@ -144,6 +146,8 @@ def likely_posture(points: np.ndarray, axes: np.ndarray, stature: float, up: np.
         votes[seen] = votes.get(seen, 0.0) + weight
     named = {posture: weight for posture, weight in votes.items() if posture}
     agreed = _agreed(named)
+    if agreed == PostureClass.STANDING and named[agreed] < _STANDS:
+        return None
     if up_sd <= _BALANCE and agreed is not None:
         return agreed
     vague = up_sd > _BALANCE and _has_bent_legs(points, stature, up)
@@ -248,7 +252,7 @@ def _bent_or_lying(tilt: float, axes: np.ndarray, up: np.ndarray, legs: list) ->
 
 
 def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stature: float,
-             up: np.ndarray) -> PostureClass:
+             up: np.ndarray) -> Optional[PostureClass]:
     whole = [leg for leg in legs if leg.height == leg.height]
     if not whole:
         if all(leg.thigh < _HANGING_THIGH for leg in legs):
@@ -260,7 +264,8 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
     low = max(leg.height for leg in whole) < _CROUCH_HEIGHT
     if not low and any(leg.thigh < _STRAIGHT_THIGH and leg.knee < _STRAIGHT_KNEE and leg.shank < _CROUCH_SHANK
                        for leg in whole):
-        return PostureClass.STANDING
+        heights = [leg.height for leg in whole]
+        return PostureClass.STANDING if max(heights) - min(heights) < _STEP else None
     if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
         return PostureClass.OTHER
     thighs = [leg.thigh for leg in whole]
