@@ -148,7 +148,7 @@ def likely_posture(points: np.ndarray, axes: np.ndarray, stature: float, up: np.
     agreed = _agreed(named)
     vague = up_sd > _BALANCE and _has_bent_legs(points, stature, up)
     if agreed == PostureClass.STANDING and named[agreed] < _STANDS and not vague:
-        return None
+        return PostureClass.OTHER
     if up_sd <= _BALANCE and agreed is not None:
         return agreed
     if not named and not vague:
@@ -252,7 +252,7 @@ def _bent_or_lying(tilt: float, axes: np.ndarray, up: np.ndarray, legs: list) ->
 
 
 def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stature: float,
-             up: np.ndarray) -> Optional[PostureClass]:
+             up: np.ndarray) -> PostureClass:
     whole = [leg for leg in legs if leg.height == leg.height]
     if not whole:
         if all(leg.thigh < _HANGING_THIGH for leg in legs):
@@ -266,7 +266,7 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
                        for leg in whole):
         longest = max(leg.height for leg in whole)
         stepping = any(leg.height < longest - _STEP and leg.thigh > _STEP_THIGH for leg in whole)
-        return None if stepping else PostureClass.STANDING
+        return PostureClass.OTHER if stepping else PostureClass.STANDING
     if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
         return PostureClass.OTHER
     thighs = [leg.thigh for leg in whole]
