@@ -44,9 +44,12 @@ class Pose:
 
     def legs(self, knee: Place, ankle: Place) -> Pose:
         """Put the knees and ankles at (forward, outward, up) from their hips, m."""
-        for hip, sign in ((kp.LEFT_HIP, 1.0), (kp.RIGHT_HIP, -1.0)):
-            for joint, place in ((1, knee), (2, ankle)):
-                self.points[hip + joint] = self.points[hip] + np.array(place) * (1.0, sign, 1.0)
+        return self.leg(knee, ankle).mirrored().leg(knee, ankle).mirrored()
+
+    def leg(self, knee: Place, ankle: Place) -> Pose:
+        """Put the left knee and ankle there."""
+        for joint, place in ((1, knee), (2, ankle)):
+            self.points[kp.LEFT_HIP + joint] = self.points[kp.LEFT_HIP] + np.array(place)
         return self
 
     def lean(self, degrees: float, whole: bool = False) -> Pose:

@@ -209,7 +209,9 @@ def test_without_a_sign_of_feet_nobody_is_told_to_sit():
 
 POSTURES = [
     ("standing", people.standing(), PostureClass.STANDING),
-    ("one leg lifted", people.standing().lean(10.0), PostureClass.STANDING),
+    ("leaning forward", people.standing().lean(10.0), PostureClass.STANDING),
+    ("a foot lifted in walking", people.standing().leg((0.16, 0.0, -0.38), (-0.20, 0.0, -0.57)), PostureClass.STANDING),
+    ("a foot that stands higher", people.standing().leg((0.24, 0.0, -0.33), (-0.05, 0.0, -0.46)), PostureClass.OTHER),
     ("seated", people.seated(), PostureClass.SITTING),
     ("seated, leaning back", people.seated(-20.0), PostureClass.SITTING),
     ("seated on the ground", people.standing().legs((0.39, 0.1, 0.08), (0.75, 0.1, -0.08)), PostureClass.SITTING),
@@ -268,7 +270,7 @@ def test_a_hand_is_where_its_knuckles_are(ahead, knuckles, on_face):
 @pytest.mark.parametrize("elbow, wrist, depth_counts, sure, attitude", [
     ((0.20, 0.05, -0.19), (0.33, -0.10, 0.06), 1.0, 0.9, AttitudeClass.OTHER),
     ((0.20, 0.05, -0.19), (0.33, -0.10, 0.06), GUESSED_DEPTH, 0.9, AttitudeClass.HANDS_ON_FACE),
-    ((0.20, 0.05, -0.19), (0.33, -0.10, 0.06), GUESSED_DEPTH, 0.2, AttitudeClass.OTHER),
+    ((0.20, 0.05, -0.19), (0.33, -0.10, 0.06), GUESSED_DEPTH, 0.4, AttitudeClass.OTHER),
     ((0.27, -0.05, 0.03), (0.53, -0.13, 0.10), GUESSED_DEPTH, 0.9, AttitudeClass.OTHER)],
     ids=["measured before the face", "guessed", "its elbow is not seen", "stretched out towards the camera"])
 def test_one_camera_puts_hands_before_the_face(elbow, wrist, depth_counts, sure, attitude):
@@ -298,6 +300,15 @@ def test_who_sits_is_told_under_a_camera_of_unknown_tilt(up_sd, error):
         points, body = people.seated().seen(heading), BehaviourRecognizer()
         told = [body.update(points, STATURE, index / 15.0, up, up_sd) for index in range(20)]
         assert told[-1].posture == PostureClass.SITTING
+
+
+def test_on_a_stool_with_one_leg_seen_nobody_stands():
+    slope, hidden = ((0.234, 0.0, -0.334), (0.30, 0.0, -0.735)), (kp.RIGHT_KNEE, kp.RIGHT_ANKLE)
+    for pose, posture in ((people.standing(), PostureClass.STANDING),
+                          (people.standing().legs(*slope), PostureClass.OTHER)):
+        points, body = pose.without(*hidden).seen(), BehaviourRecognizer()
+        told = [body.update(points, STATURE, index / 15.0, UP, math.radians(7.5)).posture for index in range(20)]
+        assert told[-1] == posture
 
 
 def test_a_crouch_is_told_with_a_sure_vertical_and_not_with_a_vague_one():

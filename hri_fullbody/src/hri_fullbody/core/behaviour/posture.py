@@ -27,6 +27,7 @@ _TRUNK = [LEFT_SHOULDER, RIGHT_SHOULDER, LEFT_HIP, RIGHT_HIP]
 # Angles in degrees from the vertical, lengths in statures.
 _UPRIGHT, _LYING = 50.0, 60.0
 _STRAIGHT_THIGH, _STRAIGHT_KNEE = 38.0, 50.0
+_STEP, _STEP_THIGH = 0.12, 30.0     # foot of a wrong leg of who sits: .15 higher, thigh 35; of who walks: .15 and 23
 _HANGING_THIGH = 22.0
 # A seat bears the hips at the height of the knees. Estimated hips lie up to a tenth of the leg too high on people who
 # sit, so that their thighs seem to slope.
@@ -47,6 +48,7 @@ _UNKNOWN_S = 1.0
 _EXACT = math.radians(2.0)
 _PITCHES = ((-1.8, 0.07), (-1.2, 0.14), (-0.6, 0.20), (0.0, 0.18), (0.6, 0.20), (1.2, 0.14), (1.8, 0.07))
 _AGREEING, _LEAST_VOTES = 0.9, 0.25
+_STANDS = 0.8       # of all votes: of somebody on a stool with one leg seen .59 to .79 stand
 # A half squat is a seated body that is turned forward by some 25 degrees. Direction from the feet to the middle of the
 # trunk, degrees forward of the vertical, of both, with its standard deviation between people; and how often people
 # crouch for each time that they sit, where the vertical is less certain than _BALANCE: then nobody has stood.
@@ -144,9 +146,11 @@ def likely_posture(points: np.ndarray, axes: np.ndarray, stature: float, up: np.
         votes[seen] = votes.get(seen, 0.0) + weight
     named = {posture: weight for posture, weight in votes.items() if posture}
     agreed = _agreed(named)
+    vague = up_sd > _BALANCE and _has_bent_legs(points, stature, up)
+    if agreed == PostureClass.STANDING and named[agreed] < _STANDS and not vague:
+        return PostureClass.OTHER
     if up_sd <= _BALANCE and agreed is not None:
         return agreed
-    vague = up_sd > _BALANCE and _has_bent_legs(points, stature, up)
     if not named and not vague:
         return PostureClass.OTHER if votes.get(PostureClass.OTHER, 0.0) > 0.5 else None
     sitting = named.pop(PostureClass.SITTING, 0.0)
@@ -260,7 +264,9 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
     low = max(leg.height for leg in whole) < _CROUCH_HEIGHT
     if not low and any(leg.thigh < _STRAIGHT_THIGH and leg.knee < _STRAIGHT_KNEE and leg.shank < _CROUCH_SHANK
                        for leg in whole):
-        return PostureClass.STANDING
+        longest = max(leg.height for leg in whole)
+        stepping = any(leg.height < longest - _STEP and leg.thigh > _STEP_THIGH for leg in whole)
+        return PostureClass.OTHER if stepping else PostureClass.STANDING
     if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
         return PostureClass.OTHER
     thighs = [leg.thigh for leg in whole]

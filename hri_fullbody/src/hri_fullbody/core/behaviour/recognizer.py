@@ -28,7 +28,7 @@ from hri_fullbody.core.keypoints import (
 MAX_GAP_S = 1.0
 _LEG_HOLD_S = 0.2       # a leg that is not seen for longer is hidden
 _MIN_STATURE_M, _MAX_STATURE_M = 0.4, 2.6
-_SIGN = 0.3       # least confidence of an ankle or elbow of which there is any sign
+_SIGN = 0.3       # least confidence of an ankle of which there is any sign
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ class BehaviourRecognizer:
         unknown. stature: m. stamp: s; the same stamp again changes nothing, and one that is before the last or more
         than 1 s after it starts anew. up: (3,), against gravity in the sensor's frame, any length; up_sd: standard
         deviation of its pitch about the sensor's x axis, rad: a posture is told when it does not hang on it.
-        confidence: (18,) 0 to 1 of the points, None: all are sure; a forearm of less than 0.5 does not wave,
-        without an elbow of 0.3 no hand is on the face, without an ankle of 0.3 nobody is told to sit or crouch.
+        confidence: (18,) 0 to 1 of the points, None: all are sure; a forearm of less than 0.5 does not wave and has
+        no hand on the face; without an ankle of 0.3 nobody is told to sit or crouch.
         hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: along the forearms.
         depth_counts: see arm_features.
         Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
@@ -88,8 +88,9 @@ class BehaviourRecognizer:
         points = self._hold.fill(points, stamp)
         axes = trunk_axes(points, upwards)
         features = arm_features(points, stature, upwards, axes, hands, depth_counts)
-        attitude = self._attitude.update(features, elapsed, _sure_forearms(confidence, _SIGN))
-        waving = self._waves.update(features, elapsed, _sure_forearms(confidence))
+        sure = _sure_forearms(confidence)
+        attitude = self._attitude.update(features, elapsed, sure)
+        waving = self._waves.update(features, elapsed, sure)
         posture = self._posture.update(
             self._hold.without_old(points, stamp, _LEG_HOLD_S), axes, stature, upwards, elapsed, up_sd,
             confidence is None or bool(confidence[[LEFT_ANKLE, RIGHT_ANKLE]].max() >= _SIGN))
@@ -99,12 +100,15 @@ class BehaviourRecognizer:
         return self._result
 
 
-def _sure_forearms(confidence: Optional[np.ndarray], elbow: float = GUESSED) -> Tuple[bool, bool]:
-    """Whether the wrist of the left and of the right side is seen well, and the elbow with that confidence."""
+def _sure_forearms(confidence: Optional[np.ndarray]) -> Tuple[bool, bool]:
+    """Whether elbow and wrist of the left and of the right side are seen.
+
+    On three photographs of a hand on a face its elbow has .8 and more, one that is guessed there .1 to .5.
+    """
     if confidence is None:
         return True, True
-    return (bool(confidence[LEFT_ELBOW] >= elbow and confidence[LEFT_WRIST] >= GUESSED),
-            bool(confidence[RIGHT_ELBOW] >= elbow and confidence[RIGHT_WRIST] >= GUESSED))
+    return (bool(confidence[[LEFT_ELBOW, LEFT_WRIST]].min() >= GUESSED),
+            bool(confidence[[RIGHT_ELBOW, RIGHT_WRIST]].min() >= GUESSED))
 
 
 def _checked(points: np.ndarray, stature: float, stamp: float,
