@@ -305,6 +305,12 @@ class SpeechActivity:
             least = max(least, floor - below + self._settings.noise_margin)
         return probability >= self._settings.keep_threshold and energy >= least
 
+    def mute(self, probability: float, energy: float) -> None:
+        """End the speech now, at a frame of somebody else's sound: the noise is what is no speech (probability) in
+        it."""
+        self.noise.update(energy, probability, FRAME_TIME)
+        self.stop()
+
     def stop(self) -> None:
         """End the speech now; the noise level stays."""
         self.speaking = False
