@@ -213,9 +213,7 @@ MAX_SPEED = math.radians(120.0)
 HEARD_STRENGTH = 0.03
 """A peak of this strength shows that the source is active; weaker ones may be random, and only continue a source. In
 rooms with a reverberation time of 0.5 s half of the peaks of one of three speakers are below 0.08."""
-CHANCE_STRENGTH = 0.035
-"""Weaker peaks are no candidates. 20 rooms with three speakers (RT60 0.5 and 0.8 s): 0.04 finds them later, from 0.03
-on there are more sources where nobody is."""
+CHANCE_STRENGTH = 0.04
 BIRTH_SCORE, CROWDED_SCORE, CROWDED = 0.15, 0.3, math.radians(40.0)
 """Score from which a candidate is a source: the sum of its peaks' strengths above CHANCE_STRENGTH. The larger score
 holds within the angle CROWDED (rad) of another source: between two speakers there are sometimes false peaks."""
