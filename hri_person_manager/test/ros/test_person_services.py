@@ -115,11 +115,13 @@ class TestPersonServices(unittest.TestCase):
                 (self.call("merge", Merge, "bea", "a b;c"), "no person"),
                 (self.call("split", Split, "bea"), "joined with nobody"),
                 (self.call("forget", Forget, "nobody"), "nobody"),
+                (self.call("forget", Forget, ""), "no known person"),
                 (self.call("export", Export, "nobody"), "nobody"),
                 (self.call("enrol", Enrol, "bea", ""), "no recogniser"),
                 (self.call("enrol", Enrol, "nobody", ""), "no face")):
             self.assertFalse(answer.success)
             self.assertIn(words, answer.message)
+        self.assertIn("bea", self.known().ids)
 
     def test_merged_persons_are_one_until_they_are_split(self):
         self.show("faces", self.face)

@@ -181,6 +181,7 @@ def test_the_face_of_two_who_are_one_goes_on_beside_the_body_of_the_other():
     body.offer(PlaceSource.BODY, place(1.0, 11.1), 11.1, "b")
     body.inherit(face)
     assert body.place.pose.translation[0] == 2.0
+    assert not body.is_silent(11.55), "the body was seen at 11.1"
     assert not body.offer(PlaceSource.BODY, place(1.0, 11.2), 11.2, "b")
     body.inherit(Location(0.5))
     assert body.place.pose.translation[0] == 2.0

@@ -207,6 +207,15 @@ def test_a_tracked_person_whose_sources_are_silent_stays_at_the_last_place():
     assert people(manager, 2.0)[A1][3] == 1.0
 
 
+def test_the_frame_of_somebody_seen_just_now_is_not_sent_again_when_the_feature_leaves():
+    manager = make(new_person_delay=0.0)
+    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager.on_place(PlaceSource.FACE, "f1", place(1.5, 0.9), 1.0)
+    manager.on_tracked(Kind.FACE, [], 1.05)
+    assert manager.silent(1.1) == []
+    assert [ident for ident, _ in manager.silent(1.6)] == [A1]
+
+
 def watch(manager, source, feature, begin, end, period=0.05, age=0.0, frame="map", tick=True):
     """Tell places x = time of a feature every `period` s, `age` s old; return those of them that moved a person."""
     moved = []

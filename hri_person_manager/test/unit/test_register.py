@@ -109,6 +109,13 @@ def test_forgetting_takes_aliases_along_and_leaves_the_others():
     assert not shelf.records
 
 
+def test_nobody_is_an_alias_of_the_empty_id():
+    book, _ = register()
+    book.seen(["ann", "bob"], 6.0)
+    assert not book.forget("")
+    assert "ann" in book and "bob" in book
+
+
 def test_who_is_forgotten_and_met_again_before_it_is_written_is_somebody_new():
     book, shelf = register()
     book.set_name("ann", "Ann")

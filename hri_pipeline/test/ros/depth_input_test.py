@@ -100,14 +100,14 @@ class DepthInputTest(unittest.TestCase):
         depth = self.depth_input()
         for stamp, changes, text in ((1.0, {"encoding": "rgb8"}, "rgb8"), (1.1, {"step": 3}, "step is 3"),
                                      (1.2, {"width": 24, "step": 128}, "another shape"),
-                                     (1.3, {"data": b""}, "too short")):
+                                     (1.25, {"data": bytes(6144)}, "no pixel"), (1.3, {"data": b""}, "too short")):
             self.send(depth, depth_message(stamp, 1000, **changes))
             self.assertIsNone(depth.match(stamp, 64, 48))
             self.assertIn(text, depth.status()[1])
         self.send(depth, depth_message(1.4, 1500))
         self.assertAlmostEqual(float(depth.match(1.4, 64, 48)[3, 3]), 1.5, places=5)
         self.assertEqual(depth.status()[0], OK)
-        self.assertEqual(depth.counts["depth_unreadable"], 4)
+        self.assertEqual(depth.counts["depth_unreadable"], 5)
 
     def test_the_queue_is_bounded_and_close_is_idempotent(self):
         depth = self.depth_input()

@@ -257,6 +257,22 @@ class ImageInputTest(InputCase):
         self.assertEqual(len(jumps), 1)
         self.assertEqual((image_input.counts["late"], image_input.counts["time_jumps"]), (2, 1))
 
+    def test_a_camera_whose_stamp_stands_still_is_told(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        stamp = rospy.get_time()
+        self.send(image_input, picture(stamp))
+        self.assertIsNotNone(image_input.next(5))
+
+        def told():
+            self.send(image_input, picture(stamp))
+            image_input.next(0.05)
+            return image_input.status()[0] == ERROR and "newer stamp" in image_input.status()[1]
+        wait_for(told, 10, "the stamp is told")
+        self.send(image_input, picture(stamp + 1.0))
+        self.assertIsNotNone(image_input.next(5))
+        self.assertEqual(image_input.status()[0], OK)
+
     def test_images_without_stamp_get_the_time_of_arrival(self):
         image_input = self.image_input()
         self.calibrate(image_input, info())

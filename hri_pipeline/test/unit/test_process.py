@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from hri_pipeline.core import process
 from hri_pipeline.core.process import GarbageCollector, ends_with_parent, set_niceness
 
 SCRIPT = """
@@ -41,6 +42,21 @@ def faults(mode):
 
 def test_large_blocks_are_used_again():
     assert 3 * faults("keep") < faults("default")
+
+
+def test_large_blocks_are_kept_by_a_c_library_that_refuses_a_threshold_above_its_limit(monkeypatch):
+    class OldLibrary:
+        settings = {}
+
+        @staticmethod
+        def mallopt(name, value):
+            accepted = name != -3 or value <= 32 * 2 ** 20      # M_MMAP_THRESHOLD; see mallopt(3)
+            OldLibrary.settings.update({name: value} if accepted else {})
+            return int(accepted)
+
+    monkeypatch.setattr(process.ctypes, "CDLL", lambda name: OldLibrary)
+    assert process.keep_large_blocks()
+    assert set(OldLibrary.settings) == {-1, -3}
 
 
 def test_free_memory_goes_back_to_the_system():

@@ -332,7 +332,7 @@ class PublishedPersons:
     def silent(self, now: float) -> List[Tuple[str, Place]]:
         """Return id and place of the persons that have a frame although no source is active now."""
         silent = [(person.id, person.location.expected(now)) for person in self.placed(now)
-                  if not self.features(person) or person.location.is_silent(now)]
+                  if person.location.is_silent(now)]
         return [(person_id, place) for person_id, place in silent if place is not None]
 
     def snapshot(self, known: Iterable[str], now: float) -> Snapshot:

@@ -222,6 +222,8 @@ class PersonServices:
 
     def _one_human(self, person_id: str) -> List[str]:
         """The id and its aliases, those of the store and those that recognisers have found; not the anonymous ones."""
+        if not person_id:       # which is the alias of whoever has none
+            raise RegisterError("there is no known person ''")
         aliases = {record.id for record in self._register.records if record.alias == person_id}
         aliases |= {state.id for state in self._manager.snapshot(rospy.get_time()).persons
                     if state.alias == person_id and not state.anonymous}

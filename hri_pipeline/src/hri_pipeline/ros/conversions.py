@@ -166,8 +166,9 @@ def action_units_to_msg(intensity: np.ndarray, confidence: np.ndarray, header: H
     values = [np.asarray(array, dtype=np.float64).reshape(-1) for array in (intensity, confidence)]
     if any(len(array) != ACTION_UNITS for array in values):
         raise ValueError("{} action units are needed, not {}".format(ACTION_UNITS, [len(array) for array in values]))
-    known = np.isfinite(values[0]) & np.isfinite(values[1])
-    intensity, confidence = (np.where(known, np.clip(array, 0.0, 1.0), 0.0).tolist() for array in values)
+    both = np.array(values)
+    both[:, ~np.isfinite(both).all(axis=0)] = 0.0
+    intensity, confidence = np.minimum(np.maximum(both, 0.0), 1.0).tolist()
     return FacialActionUnits(header=header, intensity=intensity, confidence=confidence)
 
 

@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 from hri_pipeline.core.error_log import Outage
 from hri_pipeline.core.faces.parameters import DepthCameraSettings
-from hri_pipeline.core.images import ImageError, depth_from_raw
+from hri_pipeline.core.images import DEPTH_RANGE, ImageError, depth_from_raw
 from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
 from hri_pipeline.ros.rospy_compat import release, sender_of
@@ -31,6 +31,8 @@ JUMP_S = 1.0
 INFO_GRACE_S = 1.0
 # Images of other publishers are ignored until the one that is used has sent nothing for so long.
 SENDER_S = 1.0
+# Longer than JUMP_S: images that only came late, and a stamp that went back a little, pass.
+_STANDSTILL_S = 2.0
 _CAMERA_LOG_PERIOD_S = 30.0
 # Aspect ratios that differ by more are not the same view.
 _ASPECT_TOLERANCE = 0.02
@@ -106,6 +108,7 @@ class ImageInput(SensorInput):
         self._decode = image_to_bgr if transport == "raw" else compressed_to_bgr
         self._message: Optional[ImageMessage] = None
         self._last_stamp: Optional[float] = None
+        self._taken_at = 0.0
         self._problem: Tuple[int, str] = (OK, "")
         self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0}
         self._camera = CameraInfoInput(fallback_hfov, fov_parameter)
@@ -189,6 +192,7 @@ class ImageInput(SensorInput):
         self._problem = (OK, "")
         camera = self._camera.model(bgr.shape[1], bgr.shape[0])
         self._last_stamp = stamp = header.stamp.to_sec()
+        self._taken_at = time.monotonic()
         self.counts["taken"] += 1
         depth = self._depth.match(stamp, bgr.shape[1], bgr.shape[0]) if self._depth is not None else None
         return Frame(bgr, camera, stamp, header, depth)
@@ -214,8 +218,13 @@ class ImageInput(SensorInput):
             return header
         if step <= 0.0:
             self.counts["late"] += 1
+            if time.monotonic() - self._taken_at > _STANDSTILL_S:
+                self._problem = (ERROR, "{}: no image has a newer stamp than the last one; let the camera driver set "
+                                 "header.stamp".format(self.topic))
+                self._tell(self._problem[1])
             return None
         return header
+
 
 def image_input_of(settings: DepthCameraSettings) -> ImageInput:
     """Return the image input of a node."""
@@ -459,6 +468,9 @@ class DepthInput:
             if abs(ratio - 1.0) > _ASPECT_TOLERANCE:
                 raise ImageError("{}x{} px is another shape than that of the images, {}x{}: use the topic that is"
                                  " registered to colour".format(message.width, message.height, width, height))
+            if not np.isfinite(depth).any():
+                raise ImageError("no pixel of {} is a distance of {:g} to {:g} m; 16UC1 is in mm, 32FC1 in m".format(
+                    message.encoding, *DEPTH_RANGE))
         except ImageError as error:
             self.counts["depth_unreadable"] += 1
             self._unusable = "{}: {}".format(self.topic, error)

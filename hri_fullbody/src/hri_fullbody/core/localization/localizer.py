@@ -349,4 +349,4 @@ def visible_box(points: np.ndarray, confidence: np.ndarray, width: int, height: 
     points = points[seen] if seen.sum() >= 4 else points
     low, high = points.min(axis=0), points.max(axis=0)
     margin = _BOX_MARGIN * float((high - low).max())
-    return np.clip(np.concatenate([low - margin, high + margin]), 0.0, [width, height, width, height])
+    return np.minimum(np.maximum(np.concatenate([low - margin, high + margin]), 0.0), [width, height, width, height])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Optional, Tuple
 
 import cv2
@@ -13,7 +14,7 @@ from hri_fullbody.core.keypoints import (
     BLAZE_RIGHT_HIP,
     BLAZE_RIGHT_SHOULDER,
 )
-from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.geometry import Pose, median_of_few
 
 LEAST_POINTS = 6
 DEPTH_RANGE = (0.25, 25.0)
@@ -21,6 +22,7 @@ _LARGEST_TURN = np.radians(35.0)
 _LEAST_OUTLIER = 0.04
 _ROUNDS = 3
 _NO_LENS = np.eye(3)
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 
 
 def place(rays: np.ndarray, world: np.ndarray, seen: np.ndarray) -> Optional[np.ndarray]:
@@ -38,7 +40,7 @@ def place(rays: np.ndarray, world: np.ndarray, seen: np.ndarray) -> Optional[np.
     if first is None:
         return None
     error = _lateral_error(rays[use], world[use] @ first[0].T + first[1])
-    bad = error > max(_LEAST_OUTLIER, 3.5 * 1.4826 * float(np.median(error)))
+    bad = error > max(_LEAST_OUTLIER, 3.5 * 1.4826 * median_of_few(error))
     if bad.any() and (~bad).sum() >= LEAST_POINTS:
         good = np.flatnonzero(use)[~bad]
         first = _solve(rays[good], world[good]) or first
@@ -84,7 +86,7 @@ def translation_only(rays: np.ndarray, points: np.ndarray) -> np.ndarray:
         both = np.repeat(weights, 2)
         shift = np.linalg.lstsq(left * both[:, None], right * both, rcond=None)[0]
         error = _lateral_error(rays, points + shift)
-        limit = max(_LEAST_OUTLIER, 1.5 * float(np.median(error)))
+        limit = max(_LEAST_OUTLIER, 1.5 * median_of_few(error))
         depth = np.maximum(points[:, 2] + shift[2], 0.3)
         weights = np.sqrt(np.minimum(1.0, limit / np.maximum(error, 1e-9))) / depth
     return shift
@@ -93,8 +95,8 @@ def translation_only(rays: np.ndarray, points: np.ndarray) -> np.ndarray:
 def rotation_to_ray(ray: np.ndarray) -> np.ndarray:
     """Smallest rotation (3, 3) that takes the optical axis to the direction (x/z, y/z)."""
     direction = np.array([ray[0], ray[1], 1.0]) / np.sqrt(ray[0] ** 2 + ray[1] ** 2 + 1.0)
-    axis = np.cross([0.0, 0.0, 1.0], direction)
-    sine = float(np.linalg.norm(axis))
+    axis = np.array([-direction[1], direction[0], 0.0])     # optical axis x direction
+    sine = math.hypot(axis[0], axis[1])
     return np.eye(3) if sine < 1e-9 else cv2.Rodrigues(axis / sine * np.arctan2(sine, direction[2]))[0]
 
 
@@ -122,13 +124,14 @@ def _axes(up: np.ndarray, left: np.ndarray) -> Optional[np.ndarray]:
     if not np.isfinite(length) or length < 1e-6:
         return None
     left = left / length
-    return np.stack([np.cross(left, up), left, up], axis=1)
+    forward = left[_NEXT] * up[_LAST] - left[_LAST] * up[_NEXT]     # numpy.cross takes 0.03 ms
+    return np.array([forward, left, up]).T.copy()
 
 
 def _plausible(points: np.ndarray) -> bool:
     depth = points[:, 2]
     return bool(np.all(np.isfinite(points)) and depth.min() > 0.05
-                and DEPTH_RANGE[0] < float(np.median(depth)) < DEPTH_RANGE[1])
+                and DEPTH_RANGE[0] < median_of_few(depth) < DEPTH_RANGE[1])
 
 
 def _lateral_error(rays: np.ndarray, points: np.ndarray) -> np.ndarray:

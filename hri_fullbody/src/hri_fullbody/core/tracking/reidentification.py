@@ -114,36 +114,42 @@ def _histograms(image: np.ndarray, parts: Sequence[Optional[np.ndarray]]) -> np.
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     inside &= (np.bincount(owners[inside], minlength=len(parts)) >= _LEAST_SAMPLES)[owners]
     if inside.any():
-        pixels = image[y[inside], x[inside]]
-        lightness, first, second = cv2.cvtColor(pixels[None], cv2.COLOR_BGR2LAB)[0].T.astype(np.float64)
-        shown, number = np.unique(owners[inside], return_inverse=True)
-        rows[shown] = _rows(number, len(shown), lightness, first - 128.0, second - 128.0)
+        rows = _rows(owners[inside], len(parts), cv2.cvtColor(image[y[inside], x[inside]][None], cv2.COLOR_BGR2LAB)[0])
     return rows
 
 
 def histogram_of_colours(lightness: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Histogram (21,), sum 1, of pixels (N,): their lightness (0 to 255), and where they lie on both axes of colour."""
-    return _rows(np.zeros(len(lightness), np.int64), 1, lightness, first, second)[0]
+    """Histogram (21,), sum 1, of pixels (N,): their lightness (0 to 255), and where they lie on both axes of colour
+    (-128 to 127), rounded."""
+    pixels = np.clip(np.rint([lightness, first + 128.0, second + 128.0]), 0.0, 255.0).astype(np.uint8).T
+    return _rows(np.zeros(len(pixels), np.int64), 1, pixels)[0]
 
 
-def _rows(owners: np.ndarray, count: int, lightness: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Histograms (count, 21) of pixels (N,), each of which belongs to the row `owners` (N,)."""
-    light = _counts(owners, count, lightness, _LIGHTNESS)
+def _rows(owners: np.ndarray, count: int, pixels: np.ndarray) -> np.ndarray:
+    """Histograms (count, 21) of pixels (N, 3) uint8 L*a*b*, each of which belongs to the row `owners` (N,)."""
+    values = (768 * owners)[:, None] + pixels + [0, 256, 512]
+    counts = np.bincount(values.ravel(), minlength=768 * count).reshape(count, 768) @ _SHARES
+    return np.asarray(counts / np.maximum(counts.sum(axis=1, keepdims=True), 1e-9))
+
+
+def _shares() -> np.ndarray:
+    """How much (768, 21) each value, 256 of lightness and of both axes of colour, counts for each bin."""
+    light, colour = _near_bins(np.arange(256.0), _LIGHTNESS), _near_bins(np.arange(-128.0, 128.0), _COLOUR)
     # A little more or less light is forgiven.
-    edged = np.concatenate([light[:, :1], light, light[:, -1:]], axis=1)
-    light = 0.25 * edged[:, :-2] + 0.5 * light + 0.25 * edged[:, 2:]
-    return np.concatenate([light / light.sum(axis=1, keepdims=True), _counts(owners, count, first, _COLOUR),
-                           _counts(owners, count, second, _COLOUR)], axis=1) / 3.0
+    edged = np.pad(light, ((0, 0), (1, 1)), "edge")
+    shares = np.zeros((3, 256, 3, len(_COLOUR)))
+    shares[0, :, 0] = 0.25 * edged[:, :-2] + 0.5 * light + 0.25 * edged[:, 2:]
+    shares[1, :, 1] = shares[2, :, 2] = colour
+    return shares.reshape(768, BINS)
 
 
-def _counts(owners: np.ndarray, count: int, values: np.ndarray, middles: np.ndarray) -> np.ndarray:
-    """Histograms (count, B), sum 1 each, in which a value counts for the bins on both sides of it, the nearer more."""
+def _near_bins(values: np.ndarray, middles: np.ndarray) -> np.ndarray:
+    """Shares (N, B) of values (N,): each counts for the bins on both sides of it, the nearer more."""
     place = np.interp(values, middles, np.arange(len(middles)))
-    left = np.minimum(place.astype(np.int64), len(middles) - 2)
-    share, cell = place - left, owners * len(middles) + left
-    size = count * len(middles)
-    counts = (np.bincount(cell, 1.0 - share, size) + np.bincount(cell + 1, share, size)).reshape(count, len(middles))
-    return np.asarray(counts / counts.sum(axis=1, keepdims=True))
+    return np.asarray(np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(len(middles)))))
+
+
+_SHARES = _shares()
 
 
 LEAST_LIKELIHOOD = 0.9
