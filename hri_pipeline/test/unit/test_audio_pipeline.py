@@ -272,6 +272,19 @@ def test_what_comes_from_elsewhere_is_not_this_voice():
     assert [seen.speaking for seen in found if seen.id == second] == [True] * 20
 
 
+@pytest.mark.parametrize("amplitude, floor", [(0.2, -60.0), (0.01, -40.0)])
+def test_speech_of_others_is_no_noise_and_a_pause(amplitude, floor):
+    """Source 1 falls silent after noise and speech; then its filter lets through speech of another, or noise."""
+    array = Script(lambda call, samples: [
+        (1, np.full(FRAME, 1e-3 if call < 10 else 0.3 if call < 20 else amplitude, np.float32), 0, 0.0)],
+                   active=lambda call, key: call < 20)
+    pipeline = make(array, direction_grace=0.0)
+    found = feed(pipeline, np.zeros((FRAME * 120, 2), np.float32))
+    noise = pipeline._sources[1].turns.activity.noise
+    assert noise.level == pytest.approx(floor, abs=2.0)
+    assert found[-1].energy == -120.0 and not found[-1].speaking
+
+
 def test_who_falls_silent_while_others_speak_has_no_hangover():
     loud = np.full(FRAME, 0.3, np.float32)
     pipeline = make(Script(lambda call, samples: [(1, loud, 0, 0.0)], active=lambda call, key: call < 20),

@@ -356,6 +356,16 @@ def test_one_speaker_in_silence_or_in_noise_is_no_background(low, high):
     assert not activity.noise.is_babble
 
 
+@pytest.mark.parametrize("above, is_babble", [(1.0, True), (5.0, False)])
+def test_who_speaks_in_front_of_background_talk_is_not_taken_for_it(above, is_babble):
+    """The network does not take the background for speech, or some of it that is hardly louder."""
+    activity = SpeechActivity(settings())
+    for index, (_, energy, duration, bands) in enumerate(sounds(20.0, 6.0, 10.0)):
+        is_speech = index % 60 < 30
+        activity.update(0.9 if is_speech else 0.05, energy + is_speech * above, duration, bands)
+    assert activity.noise.is_babble == is_babble
+
+
 def test_background_talk_that_ends_is_forgotten():
     activity = SpeechActivity(settings())
     for frame in babble(20.0):

@@ -219,7 +219,7 @@ BIRTH_SCORE, CROWDED_SCORE, CROWDED = 0.15, 0.3, math.radians(40.0)
 holds within the angle CROWDED (rad) of another source: between two speakers there are sometimes false peaks."""
 CANDIDATE_TIME = 0.3
 """A candidate without a peak for this time (s) is dropped."""
-ACTIVE_TIME, OVERLAP_TIME = 0.1, 0.8
+ACTIVE_TIME, OVERLAP_TIME = 0.1, 1.1
 """A source is active for so long (s) after its last peak: alone, and while somebody else is heard as well. Who talks at
 the same time covers a peak for 0.3 to 0.5 s; where one speaker takes over from another, only one of them has peaks."""
 TOGETHER_TIME = 0.3

@@ -131,7 +131,7 @@ class ArraySettings(Settings):
     source_look_back: float = parameter(
         0.3, "Sound kept from before a direction is used.", unit="s", minimum=0.0, maximum=1.0)
     source_hold_time: float = parameter(
-        1.0, "Time that a silent direction is still used. It must be longer than the pause that ends a turn "
+        2.0, "Time that a silent direction is still used. It must be longer than the pause that ends a turn "
         "(hangover_time).", unit="s", minimum=0.1, maximum=10.0, live=True)
     source_memory: float = parameter(
         10.0, "Time that a silent direction is remembered. A voice from there is the same as before, later it is a new "

@@ -140,7 +140,8 @@ class VoicePipeline:
         while ready:
             for source, probability in zip(ready, self._speech_probabilities(ready)):
                 frame, frame_stamp = source.take(probability)
-                step = source.turns.update(source.probability, source.energy, FRAME_TIME, band_levels(frame))
+                step = source.turns.skip(FRAME_TIME) if source.muted else source.turns.update(
+                    source.probability, source.energy, FRAME_TIME, band_levels(frame))
                 found += self._observe(source, step, frame, frame_stamp)
             ready = self._ready_sources()
         self._expire(self._end - (_LATE if self._array is not None else 0.0))

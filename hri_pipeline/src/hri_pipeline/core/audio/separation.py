@@ -42,7 +42,7 @@ TRACK_EVERY = 2
 """Frames between two updates of the directions (32 ms)."""
 ONSET_TIME = 0.1
 """A source is heard this long (s) before its direction stands out."""
-LEVEL_WEIGHT, SHARE_WEIGHT, LEAST_EVIDENCE = 0.004, 0.025, -0.085
+LEVEL_WEIGHT, SHARE_WEIGHT, LEAST_EVIDENCE = 0.004, 0.025, -0.08
 """While another source is heard: a source is heard itself where the height of the response in its direction, its level
 below its loudest (dB), and the logarithm of its share of the bins, weighted so, exceed LEAST_EVIDENCE. The weights are
 those of a logistic regression on simulated rooms with other recordings and seeds than the benchmark's."""

@@ -290,6 +290,8 @@ class VoiceSource:
         s, end of its last sound.
     last_heard : float
         s, end of the last sound that came from its direction.
+    muted : bool
+        The last frame is somebody else's sound, hence a pause of this source.
     """
 
     def __init__(self, key: int, settings: VoiceActivitySettings, speakers: Optional[SpeakerChange] = None) -> None:
@@ -305,6 +307,7 @@ class VoiceSource:
         self.clock = math.nan
         self.last_sound = -math.inf
         self.last_heard = -math.inf
+        self.muted = False
         self._heard_from = -math.inf
         self._rest = np.zeros(0, np.float32)
         self._look_back = int(round(settings.look_back * RATE))
@@ -366,11 +369,11 @@ class VoiceSource:
         frame, stamp = self._rest[:FRAME].copy(), self.clock
         self._rest = self._rest[FRAME:]
         self.clock = stamp + FRAME_TIME
-        self.probability, self.energy = probability, level_dbfs(frame)
+        self.probability, self.energy, self.muted = probability, level_dbfs(frame), False
         if stamp > self.last_heard + self._grace or stamp + 0.5 * FRAME_TIME < self._heard_from:
             # Speech from another direction, which the beamformer did not suppress completely: no hangover, no sound.
-            self.probability = 0.0
-            self.turns.activity.stop()
+            self.turns.activity.mute(probability, self.energy)
+            self.probability, self.energy, self.muted = 0.0, SILENT_DBFS, True
             frame[:] = 0.0
         return frame, stamp
 

@@ -44,6 +44,8 @@ _BABBLE_SPEECH = 0.3        # share of frames
 _BABBLE_RANGE = 9.0         # dB
 _ABOVE_BABBLE, _BELOW_BABBLE = 2.0, 2.0     # dB: to begin, to go on
 _LEAST_BABBLE = 0.3         # share of frames
+_IN_FRONT = 3.0             # dB
+_LEAST_PAUSE = 0.1          # share of frames
 _LOW_BAND, _HIGH_BAND = slice(5, 20), slice(86, 208)    # 150 to 600 Hz, 2.7 to 6.5 kHz
 _NOISY_SNR = 8.0            # dB
 _PEAK_DECAY = 6.0           # dB/s
@@ -143,6 +145,7 @@ class NoiseLevel:
     People in the background are noise as well. The level of one speaker changes by more than 9 dB at low frequencies,
     even in noise, which is steady at high ones; that of several at once changes by less, and by more at high
     frequencies. While that is so in the last 8 s, without what is louder, the level is that of their loudest tenth.
+    Sound that is louder where it is taken for speech is somebody in front of the others.
 
     Attributes
     ----------
@@ -209,10 +212,19 @@ class NoiseLevel:
         """Tell whether these frames are several speakers at once, and take their level if so."""
         least, most = np.percentile(recent[:, :3], (10.0, 90.0), axis=0)
         low, high = (most - least)[1:]
-        if not (low < _BABBLE_RANGE and low < high):
+        if not (low < _BABBLE_RANGE and low < high) or _is_somebody_in_front(recent):
             return False
         self.level, self.is_babble = float(most[0]), True
         return True
+
+
+def _is_somebody_in_front(recent: np.ndarray) -> bool:
+    """Tell whether the frames (N, 4) of energy, bands and probability are louder where they are taken for speech:
+    frames of talk that only sometimes sounds like a voice are about equally loud."""
+    is_speech = recent[:, 3] >= _NO_SPEECH
+    if not _LEAST_PAUSE <= 1.0 - float(is_speech.mean()) < 1.0:
+        return False
+    return float(recent[is_speech, 0].mean() - recent[~is_speech, 0].mean()) >= _IN_FRONT
 
 
 def check_thresholds(settings: VoiceActivitySettings) -> None:
@@ -304,6 +316,12 @@ class SpeechActivity:
             below = _BELOW_BABBLE if self.noise.is_babble else 0.0
             least = max(least, floor - below + self._settings.noise_margin)
         return probability >= self._settings.keep_threshold and energy >= least
+
+    def mute(self, probability: float, energy: float) -> None:
+        """End the speech now, at a frame of somebody else's sound: the noise is what is no speech (probability) in
+        it."""
+        self.noise.update(energy, probability, FRAME_TIME)
+        self.stop()
 
     def stop(self) -> None:
         """End the speech now; the noise level stays."""
