@@ -163,7 +163,8 @@ LEAST_ANGLE = np.radians(45.0)
 """Two speakers are at least so far apart, seen from the array."""
 LEAD = 1.0
 """Seconds of noise before anybody speaks: a robot has listened before somebody comes."""
-_LEVEL = 0.05
+LEVEL = 0.05
+"""Loudness (root mean square) of each speaker."""
 _READER = "librivox"
 _WINDOW, _RANGE_DB, _BRIDGE = 400, 26.0, 0.2
 
@@ -205,12 +206,12 @@ def make_scene(seed: int, speakers: int, seconds: float = 7.0, tuning: bool = Fa
     images: List[np.ndarray] = []
     speaking = np.zeros((speakers, int(LEAD * RATE) + count), dtype=bool)
     for index, place in enumerate(places):
-        voice = _talk(banks[(index + (seed % 2 if speakers == 1 else 0)) % 2], count, random)
+        voice = talk(banks[(index + (seed % 2 if speakers == 1 else 0)) % 2], count, random)
         if taking_turns:
             voice = voice * ((np.arange(count) // (2 * RATE)) % speakers == index)
         voice = np.concatenate([np.zeros(int(LEAD * RATE)), voice])
         image = images_at(room.responses(place, positions + centre), voice)
-        images.append(image * (_LEVEL / loudness(image.mean(axis=1))))
+        images.append(image * (LEVEL / loudness(image.mean(axis=1))))
         speaking[index] = speaking_samples(voice)
     directions = (places - centre) / np.linalg.norm(places - centre, axis=1, keepdims=True)
     return ArrayScene(positions, directions, tuple(images), with_noise(images, SNR_DB, random), speaking)
@@ -251,13 +252,13 @@ def _banks(tuning: bool) -> Tuple[List[np.ndarray], List[np.ndarray]]:
             [sound for name, sound in speech.items() if _READER not in name])
 
 
-def _talk(bank: Sequence[np.ndarray], count: int, random: np.random.RandomState) -> np.ndarray:
+def talk(bank: Sequence[np.ndarray], count: int, random: np.random.RandomState) -> np.ndarray:
     """Recordings one after the other, equally loud, with pauses of 0.2 s: (count,)."""
     parts: List[np.ndarray] = []
     while sum(len(part) for part in parts) < count:
         for index in random.permutation(len(bank)):
             sound = bank[index] - bank[index].mean()
-            parts += [sound * (_LEVEL / loudness(sound)), np.zeros(int(0.2 * RATE))]
+            parts += [sound * (LEVEL / loudness(sound)), np.zeros(int(0.2 * RATE))]
     return np.concatenate(parts)[:count]
 
 

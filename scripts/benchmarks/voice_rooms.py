@@ -14,7 +14,7 @@ from typing import Dict, List, NamedTuple, Optional, Sequence
 import numpy as np
 from scipy.signal import fftconvolve
 
-from benchmarks.microphone_array import azimuth_errors, circle, loudness, speaking_samples
+from benchmarks.microphone_array import LEVEL, azimuth_errors, circle, loudness, speaking_samples, talk
 from benchmarks.room import with_noise
 from benchmarks.speech_files import HELD_OUT_FILES, TUNING_FILES, read_speech
 from benchmarks.voice_figures import activity_model, blocks
@@ -35,7 +35,6 @@ _LEAST_ANGLE = np.radians(45.0)
 _MOST_REFLECTIONS = 36
 _STEP_S = 0.1
 _WALK_SPEED = 0.8
-_LEVEL = 0.05
 
 
 class RoomScene(NamedTuple):
@@ -65,13 +64,13 @@ def make_scene(seed: int, speakers: int, rt60: float, walking: bool = False, tun
     images, labels, ways = [], [], []
     for index, place in enumerate(_places(random, size, centre, speakers)):
         voice = np.zeros(count)
-        talk = _talk(_banks(tuning)[(index + seed) % 3], int(_SECONDS * RATE), random)
-        voice[int(_LEAD * RATE):][:len(talk)] = talk
+        speech = talk(_banks(tuning)[(index + seed) % 3], int(_SECONDS * RATE), random)
+        voice[int(_LEAD * RATE):][:len(speech)] = speech
         if taking_turns:
             voice *= (np.arange(count) - int(_LEAD * RATE)) // int(_TURN_S * RATE) % speakers == index
         way = _way(place - centre, count, walking and index == 0, random)
         image = _image(size, rt60, way + centre, positions + centre, voice, seed)
-        images.append(image * (_LEVEL / loudness(image.mean(axis=1))))
+        images.append(image * (LEVEL / loudness(image.mean(axis=1))))
         labels.append(speaking_samples(voice).reshape(-1, FRAME).mean(axis=1) > 0.5)
         ways.append(way / np.linalg.norm(way, axis=1, keepdims=True))
     times = np.minimum(np.arange(count // FRAME) * FRAME / RATE / _STEP_S, len(ways[0]) - 1).astype(int)
@@ -131,15 +130,6 @@ def _banks(tuning: bool) -> List[List[np.ndarray]]:
     for name, sound in speech.items():
         groups[0 if "librivox" in name else 1 if "cards" in name else 2].append(sound)
     return groups
-
-
-def _talk(bank: Sequence[np.ndarray], count: int, random: np.random.RandomState) -> np.ndarray:
-    parts: List[np.ndarray] = []
-    while sum(len(part) for part in parts) < count:
-        for index in random.permutation(len(bank)):
-            sound = bank[index] - bank[index].mean()
-            parts += [sound * (_LEVEL / loudness(sound)), np.zeros(int(0.2 * RATE))]
-    return np.concatenate(parts)[:count]
 
 
 class HeardVoice(NamedTuple):

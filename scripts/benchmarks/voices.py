@@ -1,15 +1,12 @@
 """`scripts/benchmark voices`: activity, speech, delay, processor, direction, separation, features and endurance of
-voices.
-
-Of one process, and through the real node on a ROS graph of its own.
-"""
+voices, in one process; the endurance is that of the real node."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
 import os
-from typing import Callable, Dict, List, Sequence
+from typing import Callable, Dict, Sequence
 
 from benchmarks.report import Keys, Subject, each_most, least, most, told
 
@@ -50,8 +47,6 @@ KEYS: Keys = (
     ("doa_error_deg_1", "<= 5", most(5.0)), ("doa_error_deg_2", "<= 10", most(10.0)),
     ("kept_apart", ">= 0.9", least(0.9)), ("si_sdr_gain_db", ">= 5", least(5.0)),
     ("f0_error_percent", "<= 3", most(3.0)), ("hnr_error_db", "<= 1", most(1.0)),
-    ("onset_p95_ms_node", "<= 150", most(150.0)), ("cpu_percent_1ch_node", "<= 5", most(5.0)),
-    ("cpu_percent_4ch_node", "<= 15", most(15.0)),
     ("turns", "flat over 1000", each_most(GROWTH)), ("whose_voice", "(told)", told))
 
 PARTS: Dict[str, Sequence[str]] = {
@@ -61,8 +56,7 @@ PARTS: Dict[str, Sequence[str]] = {
     "onset": ("onset_p95_ms", "off_p95_ms"), "rooms": ("own_voice", "right_number_3"),
     "cpu_1ch": ("cpu_percent_1ch",), "cpu_4ch": ("cpu_percent_4ch",),
     "direction": ("doa_error_deg_1", "doa_error_deg_2", "kept_apart", "si_sdr_gain_db"),
-    "features": ("f0_error_percent", "hnr_error_db"), "node_1ch": ("onset_p95_ms_node", "cpu_percent_1ch_node"),
-    "node_4ch": ("cpu_percent_4ch_node",), "turns": ("turns",),
+    "features": ("f0_error_percent", "hnr_error_db"), "turns": ("turns",),
     "dialogues": ("turns_mixed",), "identity": ("speaker",), "whose_voice": ("whose_voice",)}
 MODULES = {"speech": "speech", "speech_live": "speech_live", "respeaker": "respeaker", "rooms": "voice_rooms",
            "direction": "microphone_array", "features": "voice_features", "dialogues": "voice_turns",
@@ -90,9 +84,7 @@ SUBJECT = Subject("voices", "activity, speech, direction, features and processor
     "onset": "from the first labelled sample behind 0.3 s without speech to is_speaking: algorithm, wait for the "
              "block of 32 ms, processing",
     "cpu": "of the process over the length of the sound; intake, activity, features, and with 4 channels direction "
-           "and separation, two people who talk across each other; least of 3 runs",
-    "node": "the same through the node and its topics in real time, features listened to, recognition of speech "
-            "off"})
+           "and separation, two people who talk across each other; least of 3 runs"})
 
 
 def register(commands: argparse._SubParsersAction) -> None:
@@ -116,8 +108,7 @@ def _measure(part: str, turns: int) -> Dict[str, object]:
         return dict(importlib.import_module("benchmarks." + MODULES[part]).figures())
     measure: Dict[str, Callable[[], Dict[str, object]]] = {
         "vad": _vad, "onset": _onset, "cpu_1ch": lambda: _cpu(1), "cpu_4ch": lambda: _cpu(4),
-        "node_1ch": lambda: _node(1), "node_4ch": lambda: _node(4), "turns": lambda: _turns(turns),
-        "whose_voice": _whose_voice}
+        "turns": lambda: _turns(turns), "whose_voice": _whose_voice}
     return measure[part]()
 
 
@@ -156,37 +147,7 @@ def _cpu(channels: int) -> Dict[str, object]:
     return {"cpu_percent_{}ch".format(channels): found["cpu_percent"], "cpu_{}ch".format(channels): found}
 
 
-def _node(channels: int) -> Dict[str, object]:
-    found = node_figures(channels)
-    figures = {"cpu_percent_{}ch_node".format(channels): found["cpu_percent"], "node_{}ch".format(channels): found}
-    return dict(figures, onset_p95_ms_node=found["p95"]) if channels == 1 else figures
-
-
 def _turns(count: int) -> Dict[str, object]:
     from benchmarks import voices_soak
     found = dict(voices_soak.turns(count))
     return {"turns": {name: found[name] for name in GROWTH}, "details": {"turns": found}}
-
-
-PATIENCE_S = 240.0
-
-
-def node_figures(channels: int) -> Dict[str, object]:
-    """Play a minute of sound of 1 or 4 channels to the node, without recognition of speech, and return what the probe
-    found.
-
-    {"cpu_percent": of one core, "seconds", "voices", "feature_messages"}, with one channel also {"onsets", "p50",
-    "p95", "worst"}: ms from the first labelled sample of speech to the arrival of is_speaking. Raises StackRunError,
-    with the reason and the place of the logs, when there is no figure.
-    """
-    from benchmarks.stack_run import measure_alone
-    return measure_alone("probe", "voices_probe", channels, patience=PATIENCE_S,
-                         launch=["hri_pipeline", "voices.launch", "speech:=false", *_array(channels)])
-
-
-def _array(channels: int) -> List[str]:
-    if channels == 1:
-        return []
-    from benchmarks.voice_figures import SQUARE
-    return ["microphone_positions:=[{}]".format(", ".join(
-        "'{}'".format(" ".join("{:g}".format(value) for value in place)) for place in SQUARE))]

@@ -6,7 +6,7 @@ import pytest
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
-from hri_fullbody.ros.topics import SkeletonMarkers, skeleton_markers
+from hri_fullbody.ros.topics import skeleton_markers
 from hri_pipeline.core.observations import BodyObservation
 
 HEADER = Header(stamp=genpy.Time(12, 345), frame_id="camera")
@@ -25,7 +25,7 @@ def standing():
 
 
 def test_markers_join_known_points_only_and_expire():
-    markers = skeleton_markers([body(standing())], HEADER).markers
+    markers = skeleton_markers([body(standing())], HEADER)
     kinds = [marker.type for marker in markers]
     assert sorted(kinds) == sorted([Marker.LINE_LIST, Marker.SPHERE_LIST, Marker.LINE_LIST, Marker.SPHERE_LIST,
                                     Marker.SPHERE, Marker.TEXT_VIEW_FACING])
@@ -41,7 +41,7 @@ def test_markers_join_known_points_only_and_expire():
 
 
 def test_left_limbs_are_red_and_right_ones_green():
-    lines = skeleton_markers([body(standing())], HEADER).markers[0]
+    lines = skeleton_markers([body(standing())], HEADER)[0]
     assert lines.type == Marker.LINE_LIST
     colours = {round(point.x, 2): colour for point, colour in zip(lines.points, lines.colors) if point.x}
     right, left = colours[-0.2], colours[0.2]
@@ -51,30 +51,14 @@ def test_left_limbs_are_red_and_right_ones_green():
 @pytest.mark.parametrize("labels, text", [(None, "abcde"), ({}, "abcde"), ({"other": "1.80 m"}, "abcde"),
                                           ({"abcde": "1.70 m, arms crossed"}, "abcde\n1.70 m, arms crossed")])
 def test_a_text_stands_above_the_head(labels, text):
-    marker = next(marker for marker in skeleton_markers([body(standing())], HEADER, labels).markers
+    marker = next(marker for marker in skeleton_markers([body(standing())], HEADER, labels)
                   if marker.type == Marker.TEXT_VIEW_FACING)
     assert marker.text == text
     assert marker.pose.position.y < -0.85 and marker.pose.position.z == pytest.approx(3.0)
 
 
-def test_markers_of_who_left_or_lost_points_are_deleted_once():
-    markers = SkeletonMarkers()
-    first = markers.update([body(standing()), body(standing(), name="fghij")], HEADER).markers
-    assert all(marker.action == Marker.ADD for marker in first)
-    second = markers.update([body(standing())], HEADER).markers
-    deleted = {(marker.ns, marker.id) for marker in second if marker.action == Marker.DELETE}
-    assert deleted == {(marker.ns, marker.id) for marker in first if marker.ns == "fghij"}
-    faceless = standing()
-    faceless[[0, 14, 15, 16, 17]] = np.nan
-    third = markers.update([body(faceless)], HEADER).markers
-    assert 0 < sum(marker.action == Marker.DELETE for marker in third) < len(first) / 2
-    cleared = markers.clear(HEADER).markers
-    assert cleared and all(marker.action == Marker.DELETE for marker in cleared)
-    assert markers.clear(HEADER).markers == []
-
-
 def test_colour_hangs_on_the_id_and_unknown_bodies_have_no_markers():
-    first, again, other = (skeleton_markers([body(standing(), name=name)], HEADER).markers[4].color
+    first, again, other = (skeleton_markers([body(standing(), name=name)], HEADER)[4].color
                            for name in ("abcde", "abcde", "fghij"))
     assert first == again != other
-    assert skeleton_markers([body(np.full((18, 3), np.nan))], HEADER).markers == []
+    assert skeleton_markers([body(np.full((18, 3), np.nan))], HEADER) == []

@@ -19,8 +19,8 @@ from hri_fullbody.core.model.anthropometry import (
     default_segments_file,
     robust_lengths,
 )
-from hri_fullbody.core.model.dimensions import DimensionSettings, PersonDimensions
 from hri_fullbody.core.model.human import PAPER, Dimensions
+from hri_fullbody.core.modeller import DimensionSettings, PersonDimensions
 
 
 @pytest.fixture(scope="module")

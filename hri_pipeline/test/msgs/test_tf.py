@@ -13,8 +13,7 @@ import rospy
 import tf2_py
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 
-from hri_pipeline.core.frame_history import FrameHistory
-from hri_pipeline.core.frames import RawTransform
+from hri_pipeline.core.frames import FrameHistory, RawTransform
 from hri_pipeline.ros.conversions import pose_from_transform
 from hri_pipeline.ros.tf import HISTORY_S, RobotTf
 from hri_pipeline.testing import held_by
@@ -118,6 +117,8 @@ def test_the_history_says_what_tf2_says(seed):
     names = ["map"] + ["frame{}".format(number) for number in range(6)]
     parents = {child: names[int(rng.integers(number + 1))] for number, child in enumerate(names[1:])}
     history, buffer = FrameHistory(HISTORY_S), tf2_py.BufferCore(rospy.Duration(HISTORY_S))
+    for name in names:
+        history.follow(name)
     for number in range(14):
         for child in names[1:]:
             fixed = child == "frame2"

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hri_pipeline.core.frames import HumanTf, RawTransform, axis, read, read_stamp, scan, turned
+from hri_pipeline.core.frames import FrameHistory, HumanTf, RawTransform, Timed, read, read_stamp, scan
+from hri_pipeline.core.geometry import axis, turned
 
 
 def packed(*transforms):
@@ -92,7 +93,7 @@ def test_frames_of_strangers_are_not_wanted_and_a_face_is_below_its_camera():
     assert tf.wants(b"face_f1") and tf.wants(b"head_b1")
     assert not tf.wants(b"face_b1") and not tf.wants(b"l_arm_b1") and not tf.wants(b"map")
     assert tf.put(link("camera", "face_f1"), False) == "f1"
-    assert tf.chain("face_f1") == [(link("camera", "face_f1"), 1.0)]
+    assert tf.chain("face_f1") == [Timed(link("camera", "face_f1"), 1.0, arrived=math.nan)]
     assert tf.put(link("camera", "face_f2"), False) is None
     assert tf.get("face_f2") is None and tf.chain("face_f2") == [] and len(tf) == 1
 
@@ -113,6 +114,28 @@ def test_the_links_from_the_head_to_the_camera_are_found_in_any_order(order, who
                     tf.put(chain[index], False)
     assert [timed.transform for timed in tf.chain("head_b1")] == chain
     assert tf.chain("head_b1", oldest=1.5) == []
+
+
+def other(tf, transform, fixed):
+    data = packed(transform)
+    ((child, offset),) = scan(data)
+    return tf.take_other(child, data, offset, fixed)
+
+
+def test_a_fixed_link_of_a_skeleton_may_come_before_those_that_move():
+    tf = followed()
+    assert other(tf, link("torso_b1", "neck_b1", position=(0.0, 0.0, 0.3)), fixed=True) is None
+    tf.put(link("neck_b1", "head_b1"), False)
+    tf.put(link("camera", "torso_b1"), False)
+    assert [timed.transform.child for timed in tf.chain("head_b1")] == ["head_b1", "neck_b1", "torso_b1"]
+
+
+def test_what_is_not_of_humans_may_be_of_the_robot():
+    tf = followed()
+    moving, fixed = link("map", "base"), link("base", "face_plate_link")
+    assert other(tf, moving, fixed=False) == moving and other(tf, fixed, fixed=True) == fixed
+    assert other(tf, link("camera", "face_f9"), fixed=False) is None
+    assert other(tf, link("arm_b1", "hand_b1"), fixed=False) is None and len(tf) == 1
 
 
 def test_a_loop_ends_and_who_has_gone_is_forgotten():
@@ -142,3 +165,44 @@ def test_vectors_are_turned_as_scipy_turns_them():
     np.testing.assert_allclose(turned(quaternion, (1.0, -2.0, 0.5)), turn.apply((1.0, -2.0, 0.5)), atol=1e-12)
     np.testing.assert_allclose(axis(quaternion, along_z=False), turn.apply((1.0, 0.0, 0.0)), atol=1e-12)
     np.testing.assert_allclose(axis(quaternion, along_z=True), turn.apply((0.0, 0.0, 1.0)), atol=1e-12)
+
+
+def heights(history, frame, *stamps):
+    return [pose if pose is None else pose.translation[2] for pose in (
+        history.between("map", frame, stamp) for stamp in stamps)]
+
+
+def test_only_the_history_of_what_lies_above_a_followed_frame_is_kept():
+    history = FrameHistory(10.0)
+    history.follow("map")
+    history.put(link("base", "camera", position=(0.0, 0.0, 1.0)), True)
+    history.put(link("odom", "base", stamp=1.0), False)
+    history.put(link("base", "wheel"), False)
+    history.follow("camera")
+    history.put(link("map", "odom", stamp=1.0, position=(0.0, 0.0, 0.0)), False)
+    history.put(link("map", "odom", stamp=2.0, position=(0.0, 0.0, 0.0)), False)
+    history.put(link("odom", "base", stamp=2.0, position=(0.0, 0.0, 3.0)), False)
+    history.put(link("base", "wheel", stamp=2.0), False)
+    assert history.followed == {"map", "camera", "base", "odom"}
+    assert heights(history, "camera", 1.0, 1.5, 2.0) == [3.0, 3.5, 4.0] and len(history) == 4
+    assert heights(history, "wheel", 1.0, 2.0) == [None, 5.0]
+    history.forget_moving()
+    assert history.newest_stamp("base") is None and history.newest_stamp("camera") == 1.0
+
+
+def test_the_history_is_bounded_and_keeps_what_is_followed():
+    history = FrameHistory(10.0, max_frames=10)
+    history.follow("camera")
+    history.put(link("map", "camera"), True)
+    for number in range(100):
+        history.put(link("map", "stray%d" % number), True)
+    assert len(history) == 10 and heights(history, "camera", None) == [2.0]
+
+
+def test_fixed_frames_outlive_moving_ones_of_which_nobody_knows_the_use():
+    history = FrameHistory(10.0, max_frames=10)
+    history.put(link("map", "camera"), True)      # comes once
+    for number in range(100):
+        history.put(link("body", "limb%d" % number), False)
+    assert len(history) == 10 and heights(history, "camera", None) == [2.0]
+    assert history.newest_stamp("limb99") == 1.0 and history.newest_stamp("limb1") is None

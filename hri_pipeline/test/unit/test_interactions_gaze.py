@@ -237,7 +237,8 @@ def test_errors_that_last_do_not_add_up_to_certainty_and_those_that_tremble_do()
     nearer = towards(room.places["ann"], 0.4 * room.places["bob"] + 0.6 * room.places["cho"])
 
     def confidence(sd, seconds=10.0):
-        targets, random = GazeTargets(INTERACTION_PARAMETERS.resolve({})), np.random.RandomState(1)
+        settings = INTERACTION_PARAMETERS.resolve({"nobody_prior": 0.4})
+        targets, random = GazeTargets(settings), np.random.RandomState(1)
         for index in range(int(seconds * RATE)):
             gaze = nearer + np.append(random.normal(0.0, sd, 2), 0.0)
             people = [room.person("ann", gaze_direction=gaze / np.linalg.norm(gaze), eyes_closed=0.0),

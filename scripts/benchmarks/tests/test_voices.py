@@ -16,8 +16,7 @@ ASKED = {
     "vad", "wer_grammar", "wer_dictation", "wer_far", "hallucinated_words", "text_p95_s", "first_partial_s",
     "cpu_percent_speaking", "cpu_percent_idle", "onset_p95_ms", "cpu_percent_1ch", "cpu_percent_4ch", "doa_error_deg_1",
     "robot_words", "doa_error_deg_six_channels", "own_voice", "right_number_3", "turns_mixed", "off_p95_ms", "speaker",
-    "doa_error_deg_2", "kept_apart", "si_sdr_gain_db", "f0_error_percent", "hnr_error_db", "turns", "whose_voice",
-    "onset_p95_ms_node", "cpu_percent_1ch_node", "cpu_percent_4ch_node"}
+    "doa_error_deg_2", "kept_apart", "si_sdr_gain_db", "f0_error_percent", "hnr_error_db", "turns", "whose_voice"}
 MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3], "versions": {}}
 GOOD_VAD = {"clean": {"tpr": 0.97, "fpr": 0.07}, "10": {"tpr": 0.94, "fpr": 0.1}, "0": {"tpr": 0.8, "fpr": 0.05}}
 FLAT = {"fds_growth": 0, "threads_growth": 0, "rss_mb_growth": 1.5}
@@ -28,8 +27,7 @@ GOOD = {"vad": GOOD_VAD, "wer_grammar": 0.02, "wer_dictation": 0.12, "wer_far": 
         "speaker": {"precision": 0.98, "recall": 0.5}, "onset_p95_ms": 150.0, "cpu_percent_1ch": 5.0,
         "cpu_percent_4ch": 15.0, "doa_error_deg_1": 5.0, "doa_error_deg_2": 10.0, "kept_apart": 0.9,
         "si_sdr_gain_db": 5.0,
-        "f0_error_percent": 3.0, "hnr_error_db": 1.0, "turns": FLAT, "onset_p95_ms_node": 150.0,
-        "cpu_percent_1ch_node": 5.0, "cpu_percent_4ch_node": 15.0}
+        "f0_error_percent": 3.0, "hnr_error_db": 1.0, "turns": FLAT}
 BAD = {"vad": dict(GOOD_VAD, clean={"tpr": 0.99, "fpr": 0.11}), "wer_grammar": 0.03,
        "wer_dictation": 0.13, "wer_far": 0.46, "hallucinated_words": 6, "text_p95_s": 0.9, "first_partial_s": 1.1,
        "cpu_percent_speaking": 15.1, "cpu_percent_idle": 2.1, "robot_words": 1, "doa_error_deg_six_channels": 3.1,
@@ -37,8 +35,7 @@ BAD = {"vad": dict(GOOD_VAD, clean={"tpr": 0.99, "fpr": 0.11}), "wer_grammar": 0
        "speaker": {"precision": 0.97, "recall": 0.5}, "onset_p95_ms": 151.0,
        "cpu_percent_1ch": 5.1, "cpu_percent_4ch": 16.0, "doa_error_deg_1": 5.1, "doa_error_deg_2": 11.0,
        "kept_apart": 0.89,
-       "si_sdr_gain_db": 4.9, "f0_error_percent": 3.1, "hnr_error_db": -1.1, "turns": dict(FLAT, threads_growth=1),
-       "onset_p95_ms_node": 151.0, "cpu_percent_1ch_node": 5.1, "cpu_percent_4ch_node": 15.1}
+       "si_sdr_gain_db": 4.9, "f0_error_percent": 3.1, "hnr_error_db": -1.1, "turns": dict(FLAT, threads_growth=1)}
 
 
 def test_every_figure_is_measured_by_one_part() -> None:

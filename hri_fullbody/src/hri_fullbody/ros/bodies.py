@@ -25,7 +25,7 @@ from hri_fullbody.core.parameters import BodiesSettings
 from hri_fullbody.core.pipeline import BodyPipeline
 from hri_fullbody.core.tracking.reidentification import Reidentification
 from hri_fullbody.ros.state_publishers import StatePublishers
-from hri_fullbody.ros.topics import NAMESPACE, BodyTopics, SkeletonMarkers, pointing_message
+from hri_fullbody.ros.topics import NAMESPACE, BodyTopics, pointing_message, skeleton_markers
 from hri_msgs.msg import IdsMatch, PointingStamped
 from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.geometry import Pose
@@ -43,6 +43,7 @@ from hri_pipeline.ros.conversions import (
 )
 from hri_pipeline.ros.diagnostics import OK, WARN
 from hri_pipeline.ros.inputs import Frame
+from hri_pipeline.ros.markers import ShownMarkers
 from hri_pipeline.ros.publishers import TrackedList
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.subscriptions import IdSubscribers
@@ -80,7 +81,7 @@ class BodyProcessor:
         self._transforms = TfPublisher()
         self._markers = rospy.Publisher("visualization/skeletons", MarkerArray, queue_size=1)
         self._pointing = rospy.Publisher("/humans/interactions/pointing", PointingStamped, queue_size=1)
-        self._drawing = SkeletonMarkers()
+        self._shown = ShownMarkers()
         self._up = UpFrame(settings.up_frame)
         self._matches = ReidentificationMatches(settings.list_timeout) if settings.body_memory > 0.0 else None
         self._faces = FaceInput(settings.list_timeout) if listen_for_faces else None
@@ -207,9 +208,9 @@ class BodyProcessor:
 
     def _draw(self, bodies: Sequence[BodyObservation], frame: Frame, up: np.ndarray) -> None:
         labels = {body.id: self._pipeline.label(body.id) for body in bodies}
-        self._markers.publish(self._drawing.update(
+        self._markers.publish(self._shown.update(skeleton_markers(
             [drawn(body, self._pipeline.model(body)) for body in bodies], frame.header, labels, up,
-            self._pipeline.pointing))
+            self._pipeline.pointing), frame.header))
 
     def _publish_joints(self, models: Sequence[ModelledBody], frame: Frame) -> None:
         """Joint states and roots go out together, so that the frames of a stamp make whole skeletons."""

@@ -17,9 +17,8 @@ import roslib.packages
 import rospkg
 import rospy
 
-from hri_fullbody.core.processes import ChildProcess, identity_of, is_alive
 from hri_pipeline.core.ids import ID_PATTERN, is_valid_id
-from hri_pipeline.core.process import RestartPolicy
+from hri_pipeline.core.process import ChildProcess, RestartPolicy, identity_of, is_alive
 from hri_pipeline.ros.diagnostics import OK, WARN
 from hri_pipeline.ros.master import node_at
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Iterable, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
-import rospy
 from geometry_msgs.msg import Point, PointStamped, TwistStamped, Vector3
 from sensor_msgs.msg import Image, JointState
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker, MarkerArray
+from std_msgs.msg import Header
+from visualization_msgs.msg import Marker
 
 from hri_fullbody.core import keypoints as kp
 from hri_fullbody.core.behaviour.pointing import Pointing
@@ -22,6 +21,7 @@ from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.overlay import colour_of
 from hri_pipeline.ros.conversions import bgr_to_image, matrix_to_image, roi_message, roi_type, skeleton_to_msg
 from hri_pipeline.ros.inputs import Frame
+from hri_pipeline.ros.markers import make_marker, point, rgba
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec
 
 NAMESPACE = "/humans/bodies"
@@ -130,7 +130,6 @@ def pointing_message(found: Mapping[str, Pointing], header: Header) -> PointingS
         for body_id, one in found.items()])
 
 
-_LIFETIME_S = 1.0
 _LIMB_WIDTH_M = 0.035
 _FACE_WIDTH_M = 0.012
 _JOINT_SIZE_M = 0.06
@@ -150,15 +149,15 @@ _LIMBS = tuple(edge for edge in EDGES if edge[0] not in _FACE and edge[1] not in
 _FACE_LINES = tuple(edge for edge in EDGES if edge not in _LIMBS and kp.NECK not in edge)
 
 
-def skeleton_markers(bodies: Sequence[BodyObservation], header: Header,
-                     labels: Optional[Mapping[str, str]] = None,
-                     up: Sequence[float] = (0.0, -1.0, 0.0)) -> MarkerArray:
-    """Lines, joints, head and text of all bodies in the frame of `header`; what is not known in space is left out.
+def skeleton_markers(bodies: Sequence[BodyObservation], header: Header, labels: Optional[Mapping[str, str]] = None,
+                     up: Sequence[float] = (0.0, -1.0, 0.0),
+                     pointing: Optional[Mapping[str, Pointing]] = None) -> List[Marker]:
+    """Lines, joints, head and text of all bodies in the frame of `header`, and an arrow for each that points; what is
+    not known in space is left out.
 
     Limbs of the left are red, those of the right green; joints, head and trunk have a colour that hangs on the id
     alone. labels: body id -> text under the id above the head, such as stature and attitude. up: (3,) against gravity
-    in the frame of `header`, to which heads and texts keep. Every marker disappears by itself a second after the last
-    image; SkeletonMarkers takes those of bodies that left away at once.
+    in the frame of `header`, to which heads and texts keep.
     """
     direction = np.asarray(up, dtype=np.float64)
     length = float(np.linalg.norm(direction))
@@ -166,32 +165,7 @@ def skeleton_markers(bodies: Sequence[BodyObservation], header: Header,
     markers: List[Marker] = []
     for body in bodies:
         markers += _body_markers(body, header, (labels or {}).get(body.id, ""), direction)
-    return MarkerArray(markers=markers)
-
-
-class SkeletonMarkers:
-    """Makes the markers of one image after the other, and deletes those that the last one had and this one has not."""
-
-    def __init__(self) -> None:
-        self._shown: List[Tuple[str, int]] = []
-
-    def update(self, bodies: Sequence[BodyObservation], header: Header, labels: Optional[Mapping[str, str]] = None,
-               up: Sequence[float] = (0.0, -1.0, 0.0),
-               pointing: Optional[Mapping[str, Pointing]] = None) -> MarkerArray:
-        """Return the markers of the bodies, see skeleton_markers, and an arrow for each that points, after the DELETE
-        of all that is no longer there."""
-        array = skeleton_markers(bodies, header, labels, up)
-        array.markers += [_arrow(header, body_id, one) for body_id, one in (pointing or {}).items()]
-        present = [(marker.ns, marker.id) for marker in array.markers]
-        gone = [Marker(header=header, ns=name, id=number, action=Marker.DELETE)
-                for name, number in self._shown if (name, number) not in set(present)]
-        self._shown = present
-        array.markers = gone + array.markers
-        return array
-
-    def clear(self, header: Header) -> MarkerArray:
-        """Return the DELETE of every marker that is shown."""
-        return self.update([], header)
+    return markers + [_arrow(header, body_id, one) for body_id, one in (pointing or {}).items()]
 
 
 def _body_markers(body: BodyObservation, header: Header, label: str, up: np.ndarray) -> List[Marker]:
@@ -245,10 +219,9 @@ def _white(colour: np.ndarray) -> np.ndarray:
 
 def _arrow(header: Header, name: str, pointing: Pointing) -> Marker:
     """From the eyes to the place that is pointed at, else 3 m long."""
-    marker = _marker(header, name, "pointing", Marker.ARROW, _ARROW_M)
+    marker = make_marker(header, name, _NUMBER["pointing"], Marker.ARROW, _ARROW_M, (1.0, 0.75, 0.1), 0.8)
     end = pointing.origin + _RAY_M * pointing.direction if pointing.place is None else pointing.place
-    marker.points = [Point(*pointing.origin.tolist()), Point(*end.tolist())]
-    marker.color = _rgba(np.array([1.0, 0.75, 0.1]), 0.8)
+    marker.points = [point(pointing.origin), point(end)]
     return marker
 
 
@@ -257,45 +230,28 @@ def _many(header: Header, name: str, part: str, kind: int, size: Sequence[float]
     """A marker of many points with a colour each; None without points."""
     if not places:
         return None
-    marker = _marker(header, name, part, kind, size)
-    marker.points = [Point(*place.tolist()) for place, _ in places]
-    marker.colors = [_rgba(colour) for _, colour in places]
-    marker.color = _rgba(places[0][1])
+    marker = make_marker(header, name, _NUMBER[part], kind, size, places[0][1])
+    marker.points = [point(place) for place, _ in places]
+    marker.colors = [rgba(colour) for _, colour in places]
     return marker
 
 
 def _head(header: Header, name: str, middle: np.ndarray, up: np.ndarray, colour: np.ndarray) -> Marker:
-    marker = _marker(header, name, "head", Marker.SPHERE, _HEAD_SIZE_M)
-    marker.pose.position = Point(*middle.tolist())
+    marker = make_marker(header, name, _NUMBER["head"], Marker.SPHERE, _HEAD_SIZE_M, colour, 0.45, middle)
     # The shortest turn that brings z to `up`.
     x, y, z, w = -up[1], up[0], 0.0, 1.0 + up[2]
     norm = float(np.sqrt(x * x + y * y + w * w))
     x, y, w = (x / norm, y / norm, w / norm) if norm > 1e-6 else (1.0, 0.0, 0.0)
     orientation = marker.pose.orientation
     orientation.x, orientation.y, orientation.z, orientation.w = float(x), float(y), z, float(w)
-    marker.color = _rgba(colour, 0.45)
     return marker
 
 
 def _text(header: Header, name: str, label: str, places: np.ndarray, middle: Optional[np.ndarray],
           up: np.ndarray) -> Marker:
     """The id and, in a second line, the label, above the head or above the highest point."""
-    marker = _marker(header, name, "text", Marker.TEXT_VIEW_FACING, (0.0, 0.0, _TEXT_HEIGHT_M))
     base = middle if middle is not None else places[int(np.argmax(places @ up))]
-    marker.pose.position = Point(*(base + (_TEXT_ABOVE_HEAD_M + _TEXT_HEIGHT_M * bool(label) / 2.0) * up).tolist())
+    marker = make_marker(header, name, _NUMBER["text"], Marker.TEXT_VIEW_FACING, (0.0, 0.0, _TEXT_HEIGHT_M),
+                         place=base + (_TEXT_ABOVE_HEAD_M + _TEXT_HEIGHT_M * bool(label) / 2.0) * up)
     marker.text = "{}\n{}".format(name, label) if label else name
-    marker.color = _rgba(np.ones(3))
     return marker
-
-
-def _marker(header: Header, name: str, part: str, kind: int, size: Sequence[float]) -> Marker:
-    marker = Marker(header=header, ns=name, id=_NUMBER[part], type=kind, action=Marker.ADD,
-                    lifetime=rospy.Duration.from_sec(_LIFETIME_S))
-    marker.scale.x, marker.scale.y, marker.scale.z = size
-    marker.pose.orientation.w = 1.0
-    return marker
-
-
-def _rgba(colour: np.ndarray, alpha: float = 1.0) -> ColorRGBA:
-    red, green, blue = colour.tolist()
-    return ColorRGBA(r=red, g=green, b=blue, a=alpha)

@@ -1,5 +1,5 @@
-"""Faces, bodies and voices that are tracked now: those in the tracked lists, and those that a match names before its
-list does.
+"""Faces, bodies and voices that are tracked now, those in the tracked lists and those that a match names before its
+list does; and where they are, by their frames.
 
 A feature is tracked when the latest list of its kind contains its id. A feature that only candidate matches name is
 *inferred*: it counts as tracked until its list arrives, or until no match has named it for 10 s.
@@ -7,10 +7,13 @@ A feature is tracked when the latest list of its kind contains its id. A feature
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from enum import IntEnum
-from typing import Dict, FrozenSet, Iterable, List, NamedTuple, Set
+from typing import Container, Dict, FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
+from hri_pipeline.core.frames import HumanTf, Timed, composed
+from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
 
 MAX_FEATURES = 200            # per kind; a longer list is cut, and that is reported
@@ -112,3 +115,109 @@ class TrackedFeatures:
         """Drop an inferred feature that no match names any more."""
         self._inferred.pop(node, None)
         self._tracked[node.kind].discard(node.id)
+
+
+class PlaceSource(IntEnum):
+    """Frames that can place a person, the best one first."""
+
+    FACE = 0
+    HEAD = 1
+    BODY = 2
+    VOICE = 3
+
+
+class FeaturePose(NamedTuple):
+    """A feature placed in the frame of its sensor: `pose` maps its coordinates to `sensor` (m).
+
+    secs, nsecs: the stamp, as exact as in the message.
+    """
+
+    source: PlaceSource
+    id: str
+    sensor: str
+    pose: Pose
+    secs: int
+    nsecs: int
+
+
+_FRAMES = {Kind.FACE: ("face",), Kind.BODY: ("body", "head"), Kind.VOICE: ("voice",)}
+
+
+class FeatureTf(HumanTf):
+    """Where the tracked features are: by the frames face_ID, voice_ID and, for bodies, all from head_ID to body_ID or a
+    sensor."""
+
+    def __init__(self, source_timeout: float) -> None:
+        """A head that is by more than `source_timeout` s older, and came so much earlier, than its body is not used."""
+        super().__init__()
+        self._source_timeout = source_timeout
+        self._tops: Dict[str, str] = {}
+
+    def set_tracked(self, kind: Kind, ids: Sequence[str]) -> List[FeaturePose]:
+        """Follow these identifiers of one kind; what was kept of the others is freed.
+
+        Returns where fixed frames that came before their feature was listed place it.
+        """
+        names = _FRAMES[kind]
+        before = set(self.followed.get(names[0], ()))
+        if before != set(ids):
+            self.follow(**dict.fromkeys(names, ids))
+            if kind == Kind.BODY:
+                self._tops = {identity: top for identity, top in self._tops.items() if identity in ids}
+        return self._placed([(name + "_" + identity, identity) for identity in ids if identity not in before
+                             for name in names])
+
+    def take(self, data: bytes, frames: Sequence[Tuple[bytes, int]], fixed: bool, now: float) -> List[FeaturePose]:
+        """Keep the wanted transforms of a message that arrives at `now` (s), as put_message(); return where they place
+        features."""
+        return self._placed(self.put_message(data, frames, fixed, now))
+
+    def clear_moving(self) -> None:
+        """Forget what moves, as after a time jump."""
+        super().clear_moving()
+        self._tops.clear()
+
+    def _placed(self, moved: Iterable[Tuple[str, str]]) -> List[FeaturePose]:
+        """Where the frames that have moved, each with its id, place their features."""
+        found: List[Optional[FeaturePose]] = []
+        bodies: Dict[str, List[str]] = {}
+        for frame, identity in moved:
+            if frame in ("face_" + identity, "voice_" + identity):
+                source = PlaceSource.FACE if frame.startswith("f") else PlaceSource.VOICE
+                found.append(self._pose(source, identity, frame))
+            else:
+                bodies.setdefault(identity, []).append(frame)
+        for identity, names in bodies.items():
+            pose = self._by_head(identity, names)
+            if pose is None and "body_" + identity in names:
+                pose = self._pose(PlaceSource.BODY, identity, "body_" + identity)
+            found.append(pose)
+        return [pose for pose in found if pose is not None]
+
+    def _pose(self, source: PlaceSource, identity: str, frame: str) -> Optional[FeaturePose]:
+        timed = self.get(frame)
+        return None if timed is None else _feature_pose(source, identity, [timed], timed)
+
+    def _by_head(self, identity: str, moved: Container[str]) -> Optional[FeaturePose]:
+        """Place a body by its head when the highest frame that moves has done so, once per image.
+
+        None while the way to a sensor is not known, or when one of its links is old.
+        """
+        chain = self.chain("head_" + identity)
+        if not chain:
+            self._tops.pop(identity, None)
+            return None
+        newest = next((timed for timed in reversed(chain) if not math.isinf(timed.stamp)), chain[0])
+        top = newest.transform.child
+        if top not in moved and self._tops.get(identity) == top:
+            return None
+        self._tops[identity] = top
+        if any(newest.stamp - timed.stamp > self._source_timeout and not (
+                newest.arrived - timed.arrived <= self._source_timeout) for timed in chain):
+            return None
+        return _feature_pose(PlaceSource.HEAD, identity, chain, newest)
+
+
+def _feature_pose(source: PlaceSource, identity: str, chain: Sequence[Timed], newest: Timed) -> FeaturePose:
+    _, _, secs, nsecs, _, _ = newest.transform
+    return FeaturePose(source, identity, chain[-1].transform.parent, composed(chain), secs, nsecs)

@@ -17,12 +17,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
-from enum import Enum, IntEnum
+from enum import Enum
 from typing import Callable, Container, Deque, Dict, Hashable, Iterable, List, Mapping, NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from hri_person_manager.core.features import MatchNode
+from hri_person_manager.core.features import MatchNode, PlaceSource
 from hri_person_manager.core.triangulation import aged
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
@@ -99,15 +99,6 @@ class FaceBodyTransition:
         """Forget everything."""
         self._faces.clear()
         self._period = self._step = None
-
-
-class PlaceSource(IntEnum):
-    """Frames that can place a person, the best one first."""
-
-    FACE = 0
-    HEAD = 1
-    BODY = 2
-    VOICE = 3
 
 
 _OF_BODY = (PlaceSource.HEAD, PlaceSource.BODY)

@@ -11,8 +11,8 @@ from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional,
 import numpy as np
 
 from hri_person_manager.core.cross_camera import CrossCamera
-from hri_person_manager.core.features import Kind, MatchNode, TrackedFeatures
-from hri_person_manager.core.location import Decay, FeaturePlaces, Location, Place, PlaceSource
+from hri_person_manager.core.features import Kind, MatchNode, PlaceSource, TrackedFeatures
+from hri_person_manager.core.location import Decay, FeaturePlaces, Location, Place
 from hri_person_manager.core.match_graph import Association, CandidateMatch
 from hri_person_manager.core.merges import Merges
 from hri_person_manager.core.parameters import PersonManagerSettings, sensor_errors

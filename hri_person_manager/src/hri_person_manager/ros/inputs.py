@@ -5,29 +5,19 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Callable, Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
+from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple
 
 import genpy
 import rospy
 
-from hri_person_manager.core.features import Kind
-from hri_person_manager.core.human_frames import FeaturePose, FrameLink, HumanFrames
+from hri_person_manager.core.features import FeaturePose, FeatureTf, Kind
 from hri_person_manager.core.location import Place
-from hri_pipeline.core.frames import RawTransform, is_of_human, read
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.tf import Frames, RobotTf, TfSubscriber
 
 _LOG_PERIOD_S = 10.0
-_MAX_LIMBS = 5000
 GRACE_S = 2.0       # wall time in which the transforms may still be on their way when everything starts
 _REMEMBERED_SENSORS = 50
-
-
-class StampedFeaturePose(NamedTuple):
-    """A feature pose with the exact stamp of its transform (seconds in a float lose the nanoseconds)."""
-
-    feature_pose: FeaturePose
-    stamp: genpy.Time
 
 
 class TfInput:
@@ -39,27 +29,21 @@ class TfInput:
     """
 
     def __init__(self, reference_frame: str, source_timeout: float,
-                 on_poses: Callable[[List[StampedFeaturePose]], None]) -> None:
+                 on_poses: Callable[[List[FeaturePose]], None]) -> None:
         self._on_poses = on_poses
         self._lock = threading.Lock()
-        self._humans = HumanFrames(source_timeout)
+        self._humans = FeatureTf(source_timeout)
         self._robot = RobotTf(reference_frame)
-        self._limbs: Set[str] = set()
-        self._stamp = genpy.Time()
-        self._now = 0.0
-        self.refused = 0
         self._subscriber = TfSubscriber(self._on_frames)
 
-    def set_tracked(self, kind: Kind, ids: Iterable[str]) -> None:
+    def set_tracked(self, kind: Kind, ids: Sequence[str]) -> None:
         """Follow the frames of these features; those of others of the kind are freed."""
         with self._lock:
             found = self._humans.set_tracked(kind, ids)
-            self._limbs.clear()
         if found:
             # Of fixed frames, which are true at all times.
             now = rospy.Time.now()
-            self._on_poses([StampedFeaturePose(feature_pose._replace(stamp=now.to_sec()), now)
-                            for feature_pose in found])
+            self._on_poses([pose._replace(secs=now.secs, nsecs=now.nsecs) for pose in found])
 
     def lookup(self, sensor: str, stamp: genpy.Time) -> Optional[Pose]:
         """Return the pose of a sensor frame in the reference frame at `stamp`, else the latest; None without any."""
@@ -72,14 +56,14 @@ class TfInput:
     def reset(self) -> None:
         """Forget all moving transforms, as after a time jump."""
         with self._lock:
-            self._humans.clear()
+            self._humans.clear_moving()
         self._robot.reset()
 
     def status(self) -> dict:
         """Return how much is kept, for diagnostics."""
         with self._lock:
             return {"human frames": len(self._humans), "robot frames": self._robot.known,
-                    "frames with history": len(self._robot.relevant), "transforms refused": self.refused,
+                    "frames with history": len(self._robot.relevant), "transforms refused": self._humans.refused,
                     "messages refused": self._subscriber.refused}
 
     def close(self) -> None:
@@ -87,65 +71,18 @@ class TfInput:
         self._subscriber.close()
 
     def _on_frames(self, data: bytes, frames: Frames, fixed: bool) -> None:
-        found: List[StampedFeaturePose] = []
         with self._lock:
-            self._now = rospy.get_time()
-            # A link of a head tells which link above it is wanted too; that may stand earlier in the same message.
-            wanted = -1
-            while frames and wanted != self._humans.wanted_frames:
-                wanted = self._humans.wanted_frames
-                frames = [entry for entry in frames if not self._take(data, entry, fixed, found)]
+            refused = self._humans.refused
+            found = self._humans.take(data, frames, fixed, rospy.get_time())
+            if self._humans.refused > refused:
+                rospy.logwarn_throttle(_LOG_PERIOD_S, "/tf: a transform of somebody has numbers that are no pose")
+            for child, offset in frames:
+                child = child.lstrip(b"/")
+                other = None if self._humans.wants(child) else self._humans.take_other(child, data, offset, fixed)
+                if other is not None:
+                    self._robot.put(other, fixed)
         if found:
             self._on_poses(found)
-
-    def _take(self, data: bytes, entry: Tuple[bytes, int], fixed: bool, found: List[StampedFeaturePose]) -> bool:
-        """Take one transform of a message; False for one of a human that places nobody: only its name has been read."""
-        child, offset = entry
-        name = child.decode("utf-8", "replace").lstrip("/")
-        owner = self._humans.wanted(name)
-        if owner is None and (is_of_human(child, fixed) or not fixed and self._is_limb(name)):
-            return False        # a limb, or of somebody who is not tracked (any more)
-        try:
-            transform = read(data, offset)
-            feature_pose = self._use(name, owner, transform, fixed)
-        except ValueError as error:
-            self.refused += 1
-            rospy.logwarn_throttle(_LOG_PERIOD_S, "/tf: frame %r not used: %s", name[:80], error)
-            return True
-        if feature_pose is not None:
-            found.append(StampedFeaturePose(feature_pose, self._time(transform)))
-        return True
-
-    def _time(self, transform: RawTransform) -> genpy.Time:
-        """Return the stamp; all frames of one image have the same, and to make one takes genpy long."""
-        if (transform.secs, transform.nsecs) != (self._stamp.secs, self._stamp.nsecs):
-            self._stamp = genpy.Time(transform.secs, transform.nsecs)
-        return self._stamp
-
-    def _is_limb(self, name: str) -> bool:
-        if name in self._limbs:
-            return True
-        if self._humans.owner(name) is None:
-            return False
-        if len(self._limbs) < _MAX_LIMBS:
-            self._limbs.add(name)
-        return True
-
-    def _use(self, name: str, owner: Optional[Tuple[Kind, str]], transform: RawTransform,
-             fixed: bool) -> Optional[FeaturePose]:
-        if not name or not transform.parent or name == transform.parent:
-            raise ValueError("a transform needs two different frames")
-        link = FrameLink(transform.parent, transform.translation, transform.rotation,
-                    float("inf") if fixed else transform.stamp, self._now)
-        # A fixed link comes only once, so that all of them are kept.
-        owner = self._humans.owner(name) if owner is None and fixed else owner
-        if owner is not None:
-            feature_pose = self._humans.put(owner, name, link)
-            return feature_pose._replace(stamp=transform.stamp) if feature_pose is not None and fixed else feature_pose
-        if fixed:
-            self._humans.keep_static(name, link)
-        self._robot.put(transform, fixed)
-        return None
 
 
 class ReferenceFrame:
@@ -169,21 +106,21 @@ class ReferenceFrame:
         """Return the name of the reference frame."""
         return self._frame
 
-    def place(self, stamped: StampedFeaturePose) -> Place:
-        """Return the place of a feature pose in the reference frame, else in the frame of its sensor."""
-        feature_pose = stamped.feature_pose
-        if self._last[0] != feature_pose.sensor or self._last[1] != stamped.stamp:
+    def place(self, pose: FeaturePose) -> Place:
+        """Return the place of a feature in the reference frame, else in the frame of its sensor."""
+        last, stamp, sensor = self._last
+        if last != pose.sensor or (stamp.secs, stamp.nsecs) != (pose.secs, pose.nsecs):
             # All features of one image have its stamp: one look-up for all of them.
-            self._last = (feature_pose.sensor, stamped.stamp, self._tf_input.lookup(feature_pose.sensor, stamped.stamp))
-            if self._last[2] is None:
-                self._miss(feature_pose.sensor)
+            stamp = genpy.Time(pose.secs, pose.nsecs)
+            sensor = self._tf_input.lookup(pose.sensor, stamp)
+            self._last = pose.sensor, stamp, sensor
+            if sensor is None:
+                self._miss(pose.sensor)
             else:
-                self._missing_since.pop(feature_pose.sensor, None)
-        sensor = self._last[2]
+                self._missing_since.pop(pose.sensor, None)
         if sensor is None:
-            return Place(feature_pose.sensor, feature_pose.pose, feature_pose.stamp, stamped.stamp)
-        return Place(self._frame, sensor.compose(feature_pose.pose), feature_pose.stamp, stamped.stamp,
-                     sensor.translation)
+            return Place(pose.sensor, pose.pose, stamp.to_sec(), stamp)
+        return Place(self._frame, sensor.compose(pose.pose), stamp.to_sec(), stamp, sensor.translation)
 
     def _miss(self, sensor: str) -> None:
         if sensor not in self._missing_since:

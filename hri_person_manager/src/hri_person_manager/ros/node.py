@@ -17,13 +17,13 @@ from std_srvs.srv import Empty, EmptyRequest, EmptyResponse
 
 from hri_msgs.msg import IdsMatch, SoftBiometrics
 from hri_person_manager.core.display import graph_text
-from hri_person_manager.core.features import FEATURES, MAX_FEATURES, Kind, MatchNode
+from hri_person_manager.core.features import FEATURES, MAX_FEATURES, FeaturePose, Kind, MatchNode
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import ANONYMOUS_PREFIX, Snapshot
 from hri_person_manager.core.register import PersonRecord, PersonRegister, SqliteRecordStore, record_of
-from hri_person_manager.ros.inputs import ReferenceFrame, StampedFeaturePose, TfInput
+from hri_person_manager.ros.inputs import ReferenceFrame, TfInput
 from hri_person_manager.ros.navigation import PeopleTopic
 from hri_person_manager.ros.services import PersonServices
 from hri_person_manager.ros.topics import GraphTopic, PersonMarkers, PersonSpaces, PersonTopics
@@ -360,23 +360,22 @@ class PersonManagerNode:
             if match is not None and self._manager.on_match(match, rospy.get_time()):
                 self._publish_state()
 
-    def _on_poses(self, poses: List[StampedFeaturePose]) -> None:
+    def _on_poses(self, poses: List[FeaturePose]) -> None:
         with self._lock:
             if self._stop.is_set():
                 return
             now = rospy.get_time()
             moved: Dict[str, object] = {}
-            for stamped in poses:
-                self._note_stamp(stamped.stamp)
-                place = self._reference.place(stamped)
-                person_id = self._manager.on_place(stamped.feature_pose.source, stamped.feature_pose.id, place, now,
-                                                   stamped.feature_pose.sensor)
+            for pose in poses:
+                place = self._reference.place(pose)
+                stamp = place.exact_stamp
+                self._note_stamp(stamp)
+                person_id = self._manager.on_place(pose.source, pose.id, place, now, pose.sensor)
                 if person_id is not None:
                     place = self._manager.place(person_id)
-                    self._spaces.note_sensor(person_id, stamped.feature_pose.sensor, stamped.feature_pose.source)
-                    moved[person_id] = transform_to_msg(place.pose, stamped.stamp, place.frame,
-                                                        "person_" + person_id)
-                    self._topics.publish_position(person_id, place, stamped.stamp)
+                    self._spaces.note_sensor(person_id, pose.sensor, pose.source)
+                    moved[person_id] = transform_to_msg(place.pose, stamp, place.frame, "person_" + person_id)
+                    self._topics.publish_position(person_id, place, stamp)
             self._tf.send(list(moved.values()))
             if moved and self._people is not None and self._people.is_wanted:
                 self._people.update(self._manager.snapshot(now), self._sensed)

@@ -13,14 +13,14 @@ from typing import Callable, Dict, List, Optional, Set, Tuple
 import genpy
 import numpy as np
 import rospy
-from geometry_msgs.msg import Point, PoseWithCovarianceStamped, Quaternion
-from geometry_msgs.msg import Pose as PoseMsg
+from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion
 from scipy.spatial.transform import Rotation
-from std_msgs.msg import Bool, ColorRGBA, Float32, Header, String
+from std_msgs.msg import Bool, Float32, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from hri_msgs.msg import AgeAndGender
-from hri_person_manager.core.location import Place, PlaceSource, Proxemics, Space, horizontal_distance
+from hri_person_manager.core.features import PlaceSource
+from hri_person_manager.core.location import Place, Proxemics, Space, horizontal_distance
 from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_person_manager.core.register import DemographicsEstimate, PersonRegister
@@ -31,6 +31,7 @@ from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.overlay import label_lifts
 from hri_pipeline.ros.conversions import to_time
+from hri_pipeline.ros.markers import make_marker
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
 from hri_pipeline.ros.rospy_compat import release
 
@@ -321,6 +322,7 @@ TEXT_HEIGHT = 0.12      # m
 LETTER_WIDTH = 0.07     # m; letters have about 0.06
 TEXT_ABOVE = 0.55       # m, above the two lines that the body's own label has there
 LIFETIME_S = 0.5
+COLOUR = (0.1, 0.7, 1.0)
 THICKNESS = 0.01        # m, of an ellipse
 GRAPH_PERIOD_S = 0.2
 
@@ -343,18 +345,12 @@ class PersonMarkers:
         lifts = label_lifts([place.pose.translation for _, _, place in shown], ups[0] if ups else (0.0, 0.0, 1.0),
                             [LETTER_WIDTH * len(_label(state.id)) for _, state, _ in shown], 1.15 * TEXT_HEIGHT)
         for (number, state, place), up, lift in zip(shown, ups, lifts):
-            position = Point(*place.pose.translation.tolist())
-            above = Point(*(place.pose.translation + (TEXT_ABOVE + lift) * up).tolist())
-            colour = ColorRGBA(0.1, 0.7, 1.0, 0.3 + 0.7 * state.confidence)
-            for kind, where, size in ((Marker.SPHERE, position, 2.0 * RADIUS),
-                                      (Marker.TEXT_VIEW_FACING, above, TEXT_HEIGHT)):
-                marker = Marker(ns="persons", id=2 * number + (kind != Marker.SPHERE), type=kind, color=colour,
-                                pose=PoseMsg(where, Quaternion(0.0, 0.0, 0.0, 1.0)),
-                                text=_label(state.id) if kind == Marker.TEXT_VIEW_FACING else "",
-                                lifetime=rospy.Duration(LIFETIME_S))
-                marker.header.frame_id = place.frame
-                marker.scale.x = marker.scale.y = marker.scale.z = size
-                markers.append(marker)
+            header, middle, alpha = Header(frame_id=place.frame), place.pose.translation, 0.3 + 0.7 * state.confidence
+            text = make_marker(header, "persons", 2 * number + 1, Marker.TEXT_VIEW_FACING, (TEXT_HEIGHT,) * 3, COLOUR,
+                               alpha, middle + (TEXT_ABOVE + lift) * up, LIFETIME_S)
+            text.text = _label(state.id)
+            markers += [make_marker(header, "persons", 2 * number, Marker.SPHERE, (2.0 * RADIUS,) * 3, COLOUR, alpha,
+                                    middle, LIFETIME_S), text]
             markers += _ellipse(number, place)
         self._publisher.publish(MarkerArray(markers))
 
@@ -371,11 +367,9 @@ def _ellipse(number: int, place: Place) -> List[Marker]:
     major, minor, turn = ellipse(covariance)
     # The disc lies in x and y, in x and z of an optical frame; it is turned within its plane.
     rotation = Rotation.from_euler("XZ", [0.5 * math.pi if is_optical(place.frame) else 0.0, turn]).as_quat()
-    marker = Marker(ns="uncertainty", id=number, type=Marker.CYLINDER, color=ColorRGBA(0.1, 0.7, 1.0, 0.15),
-                    pose=PoseMsg(Point(*place.pose.translation.tolist()), Quaternion(*rotation.tolist())),
-                    lifetime=rospy.Duration(LIFETIME_S))
-    marker.header.frame_id = place.frame
-    marker.scale.x, marker.scale.y, marker.scale.z = 2.0 * major, 2.0 * minor, THICKNESS
+    marker = make_marker(Header(frame_id=place.frame), "uncertainty", number, Marker.CYLINDER,
+                         (2.0 * major, 2.0 * minor, THICKNESS), COLOUR, 0.15, place.pose.translation, LIFETIME_S)
+    marker.pose.orientation = Quaternion(*rotation.tolist())
     return [marker]
 
 

@@ -27,7 +27,7 @@ from hri_msgs.msg import (
 )
 from hri_msgs.msg import Expression as ExpressionMessage
 from hri_msgs.msg import Gesture as GestureMessage
-from hri_pipeline.core.frames import HumanTf, Timed, read
+from hri_pipeline.core.frames import HumanTf, composed, read
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import image_to_bgr, landmarks_from_msg, skeleton_from_msg
 from hri_pipeline.ros.rospy_compat import release
@@ -349,7 +349,7 @@ class HumanPoses:
             robot = self._robot(target) if target else None
         if not chain:
             return None
-        pose, link = _composed(chain), chain[-1].transform
+        pose, link = composed(chain), chain[-1].transform
         if robot is None or link.parent == target:
             return pose, link.parent, link.stamp
         outer = robot.lookup(link.parent, genpy.Time(link.secs, link.nsecs))
@@ -391,11 +391,3 @@ class HumanPoses:
                 for child, offset in frames:
                     if not self._tf.wants(child.lstrip(b"/")):
                         self._tf.keep_fixed(read(data, offset))
-
-
-def _composed(chain: List[Timed]) -> Pose:
-    """Return the pose of the lowest frame of a chain of transforms in the one above all of them."""
-    pose = Pose.identity()
-    for transform, _ in chain:
-        pose = Pose.from_quaternion(transform.rotation, transform.translation).compose(pose)
-    return pose

@@ -1,5 +1,5 @@
-"""Frames of /tf: reading serialised messages, the frames of humans, and which frames lead from the sensors to a
-reference frame.
+"""Frames of /tf: reading serialised messages, where the frames of the robot were in the last seconds, and the frames
+of humans.
 
 Ten skeletons are some 3000 transforms per second; to make message objects of all of them costs more than 10 % of a core
 in each Python process that listens, to look at the names alone about 1 % (measured).
@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import math
 import struct
+from bisect import bisect_left
 from collections import OrderedDict
 from functools import lru_cache
-from typing import Dict, Generic, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple, TypeVar
+from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+
+from hri_pipeline.core.geometry import Pose, Quaternion, Vector, product, turned, unit
 
 # geometry_msgs/TransformStamped as roscpp and rospy serialise it: seq, secs, nsecs, parent, child, 7 numbers.
 _LENGTH = struct.Struct("<I")
@@ -33,8 +36,8 @@ class RawTransform(NamedTuple):
     child: str
     secs: int
     nsecs: int
-    translation: Tuple[float, float, float]
-    rotation: Tuple[float, float, float, float]
+    translation: Vector
+    rotation: Quaternion
 
     @property
     def stamp(self) -> float:
@@ -118,13 +121,12 @@ def _names(data: bytes) -> Tuple[str, str]:
 _known_names = lru_cache(maxsize=_REMEMBERED)(_names)
 
 
-T = TypeVar("T")
-
 # Frames of humans come and go by the thousand, and no way of the robot leads over one. Not body_ and head_: robots have
 # links of such names (head_1_link, head_pan_link, body_link) on the way to their cameras.
 _OF_HUMANS = (b"face_", b"gaze_", b"voice_", b"person_")
 MAX_FRAMES = 1000       # frames whose latest transform is remembered, in case they become relevant; 1 kB each
-MAX_RELEVANT = 500
+MAX_FOLLOWED = 500
+_LONGEST_WAY = 200      # links from a frame to its root; a loop has more
 
 
 def is_of_human(child: bytes, fixed: bool) -> bool:
@@ -140,91 +142,207 @@ def is_optical(frame: str) -> bool:
     return "optical" in frame
 
 
-class FrameTree(Generic[T]):
-    """Remembers the latest transform of every frame (bounded) and knows which are relevant.
+class _Link(NamedTuple):
+    """Where a frame was in its parent: stamp s, quaternion x, y, z, w, position m."""
 
-    `T` is the transform as the caller keeps it. When there are too many, moving ones that nobody needs go first: a
-    fixed one never comes again.
+    stamp: float
+    parent: str
+    rotation: Quaternion
+    translation: Vector
+
+
+class FrameHistory:
+    """Where the frames of the robot were in the last seconds: as tf2's buffer, but bounded. Not thread-safe.
+
+    Of a frame that nobody follows only the latest transform is kept, in case it becomes relevant; when there are
+    too many of these, moving ones go first: a fixed one never comes again. tf2 never forgets the name of a frame, nor a
+    fixed one, and the memory of a buffer is never given back.
     """
 
-    def __init__(self, max_frames: int = MAX_FRAMES, max_relevant: int = MAX_RELEVANT) -> None:
-        """Remember at most `max_frames` frames and follow at most `max_relevant`."""
+    def __init__(self, span: float, max_frames: int = MAX_FRAMES) -> None:
+        """Remember at most `max_frames` frames, and the transforms of the last `span` s of those that are followed."""
+        self._span = span
         self._max_frames = max_frames
-        self._max_relevant = max_relevant
-        self._moving: "OrderedDict[str, Tuple[str, T]]" = OrderedDict()
-        self._fixed: "OrderedDict[str, Tuple[str, T]]" = OrderedDict()
-        self._relevant: Set[str] = set()
+        self._moving: "OrderedDict[str, List[_Link]]" = OrderedDict()
+        self._fixed: "OrderedDict[str, _Link]" = OrderedDict()
+        self._followed: Set[str] = set()
 
     def __len__(self) -> int:
         """Return the number of frames remembered."""
         return len(self._moving) + len(self._fixed)
 
     @property
-    def relevant(self) -> Set[str]:
-        """Return the frames that are followed."""
-        return set(self._relevant)
+    def followed(self) -> Set[str]:
+        """Return the frames whose history is kept."""
+        return set(self._followed)
 
-    def latest(self, frame: str) -> Optional[T]:
-        """Return the latest transform of a frame, None if it is unknown."""
-        known = self._find(frame)
-        return None if known is None else known[1]
+    def newest_stamp(self, frame: str) -> Optional[float]:
+        """Return the stamp (s) of the latest transform of a frame, None if it is unknown."""
+        link = self._newest(frame)
+        return None if link is None else link.stamp
 
-    def put(self, child: str, parent: str, transform: T, fixed: bool) -> List[T]:
-        """Take a transform; return those that have to be kept now (itself, and older ones above it)."""
-        kept, other = (self._fixed, self._moving) if fixed else (self._moving, self._fixed)
-        other.pop(child, None)
-        kept[child] = (parent, transform)
-        kept.move_to_end(child)
+    def put(self, transform: RawTransform, fixed: bool) -> None:
+        """Take a transform; one of a stamp that is known takes the place of that one."""
+        parent, child, _, _, translation, rotation = transform
+        link = _Link(transform.stamp, parent, rotation, translation)
+        if fixed:
+            self._moving.pop(child, None)
+            self._fixed[child] = link
+            self._fixed.move_to_end(child)
+        else:
+            self._fixed.pop(child, None)
+            links = self._moving.setdefault(child, [])
+            self._moving.move_to_end(child)
+            if child in self._followed:
+                place = bisect_left(links, (link.stamp,))
+                links[place:place + (place < len(links) and links[place].stamp == link.stamp)] = [link]
+                while links[0].stamp < links[-1].stamp - self._span:
+                    del links[0]
+            else:
+                links[:] = [link]
         if len(self) > self._max_frames:
             self._drop_oldest()
-        if child not in self._relevant:
-            return []
-        return [transform] + self.follow(parent)
+        if child in self._followed:
+            self.follow(parent)
 
-    def follow(self, frame: str) -> List[T]:
-        """Make a frame and all above it relevant; return the transforms known of the new ones."""
-        found: List[T] = []
-        while frame not in self._relevant and len(self._relevant) < self._max_relevant:
-            self._relevant.add(frame)
-            known = self._find(frame)
-            if known is None:
-                break
-            frame, transform = known
-            found.append(transform)
-        return found
+    def follow(self, frame: str) -> None:
+        """Keep the history of a frame and of all above it from now on."""
+        while frame not in self._followed and len(self._followed) < MAX_FOLLOWED:
+            self._followed.add(frame)
+            link = self._newest(frame)
+            if link is None:
+                return
+            frame = link.parent
 
-    def forget_moving(self) -> List[T]:
-        """Forget the moving frames, as after a time jump; return the fixed ones that are relevant."""
+    def forget_moving(self) -> None:
+        """Forget the moving frames, as after a time jump."""
         self._moving.clear()
-        return [transform for child, (_, transform) in self._fixed.items() if child in self._relevant]
 
-    def _find(self, frame: str) -> Optional[Tuple[str, T]]:
-        return self._moving.get(frame) or self._fixed.get(frame)
+    def between(self, target: str, frame: str, stamp: Optional[float]) -> Optional[Pose]:
+        """Return the pose of a frame in another one at a time (s), interpolated.
+
+        stamp None: the latest time that all links on the way know. None where no way leads from one to the other at
+        that time.
+        """
+        if stamp is None:
+            stamp = self._latest_common(target, frame)
+            if stamp is None:
+                return None
+        below, above = self._way(frame, stamp), self._way(target, stamp)
+        common = next((ancestor for ancestor in above if ancestor in below), None)
+        if common is None:
+            return None
+        (rotation, (a, b, c)), ((x, y, z, w), (d, e, f)) = below[common], above[common]
+        back = (-x, -y, -z, w)
+        return Pose.from_quaternion(product(back, rotation), turned(back, (a - d, b - e, c - f)))
+
+    def _latest_common(self, target: str, frame: str) -> Optional[float]:
+        """Latest time (s) at which all moving links of the way are known; infinity where it has none, None without a
+        way."""
+        below, above = self._known_until(frame), self._known_until(target)
+        return next((min(latest, below[ancestor]) for ancestor, latest in above.items() if ancestor in below), None)
+
+    def _known_until(self, frame: str) -> Dict[str, float]:
+        """The frame and its ancestors, with the latest time (s) at which all moving links up to each are known."""
+        times: Dict[str, float] = {}
+        latest = math.inf
+        while frame not in times and len(times) < _LONGEST_WAY:
+            times[frame] = latest
+            link = self._newest(frame)
+            if link is None:
+                break
+            if frame in self._moving:
+                latest = min(latest, link.stamp)
+            frame = link.parent
+        return times
+
+    def _newest(self, frame: str) -> Optional[_Link]:
+        links = self._moving.get(frame)
+        return links[-1] if links else self._fixed.get(frame)
+
+    def _way(self, frame: str, stamp: float) -> Dict[str, Tuple[Quaternion, Vector]]:
+        """The frame and its ancestors, as far as the links are known at `stamp`: the pose of the frame in each."""
+        rotation, position = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+        poses: Dict[str, Tuple[Quaternion, Vector]] = {}
+        while frame not in poses and len(poses) < _LONGEST_WAY:
+            poses[frame] = rotation, position
+            link = self._at(frame, stamp)
+            if link is None:
+                break
+            own, (a, b, c) = unit(link.rotation), link.translation
+            x, y, z = turned(own, position)
+            frame, rotation, position = link.parent, product(own, rotation), (a + x, b + y, c + z)
+        return poses
+
+    def _at(self, frame: str, stamp: float) -> Optional[_Link]:
+        """The link of a frame at a time, None outside what is known."""
+        links = self._moving.get(frame)
+        if not links:
+            return self._fixed.get(frame)
+        place = bisect_left(links, (stamp,))
+        if place < len(links) and links[place].stamp == stamp:
+            return links[place]
+        if place in (0, len(links)):
+            return None
+        return _interpolated(links[place - 1], links[place], stamp)
 
     def _drop_oldest(self) -> None:
-        """Drop the oldest frame nobody needs, a moving one if there is one; else the oldest of all."""
+        """Drop the oldest frame nobody follows, a moving one if there is one; else the oldest of all."""
         for frames in (self._moving, self._fixed):
-            oldest = next((child for child in frames if child not in self._relevant), None)
+            oldest = next((child for child in frames if child not in self._followed), None)
             if oldest is not None:
                 del frames[oldest]
                 return
         (self._moving or self._fixed).popitem(last=False)
 
 
+def _interpolated(before: _Link, after: _Link, stamp: float) -> _Link:
+    """Between two links of one parent; where the parent has changed, the earlier one."""
+    if before.parent != after.parent:
+        return before
+    part = (stamp - before.stamp) / (after.stamp - before.stamp)
+    x, y, z = (a + part * (b - a) for a, b in zip(before.translation, after.translation))
+    return _Link(stamp, before.parent, _slerp(before.rotation, after.rotation, part), (x, y, z))
+
+
+def _slerp(first: Quaternion, second: Quaternion, part: float) -> Quaternion:
+    """Rotation between two, along the shorter arc (Shoemake 1985)."""
+    first, second = unit(first), unit(second)
+    cosine = sum(a * b for a, b in zip(first, second))
+    sign = 1.0 if cosine >= 0.0 else -1.0
+    angle = math.acos(min(1.0, abs(cosine)))
+    if angle < 1e-6:
+        weights = 1.0 - part, sign * part
+    else:
+        weights = math.sin((1.0 - part) * angle) / math.sin(angle), sign * math.sin(part * angle) / math.sin(angle)
+    x, y, z, w = (weights[0] * a + weights[1] * b for a, b in zip(first, second))
+    return x, y, z, w
+
+
 MAX_LINKS = 64
 """Most links between a frame of a human and the frame of the sensor: a loop ends there."""
 MAX_UNCLAIMED = 2000
+MAX_WANTED = 10000
 _MAX_LIMBS = 5000
-
-Vector = Tuple[float, float, float]
-Quaternion = Tuple[float, float, float, float]
 
 
 class Timed(NamedTuple):
-    """A transform; a fixed one is as new as the newest (stamp infinite)."""
+    """A transform; a fixed one is as new as the newest (stamp infinite). arrived: s; NaN where that is not known."""
 
     transform: RawTransform
     stamp: float
+    arrived: float = math.nan
+
+
+def composed(chain: Sequence[Timed]) -> Pose:
+    """Return the pose of the lowest frame of a chain of transforms, one at least, in the one above all of them."""
+    link = chain[0].transform
+    rotation, position = link.rotation, link.translation
+    for timed in chain[1:]:
+        link = timed.transform
+        (x, y, z), (i, j, k) = link.translation, turned(link.rotation, position)
+        rotation, position = product(link.rotation, rotation), (x + i, y + j, z + k)
+    return Pose.from_quaternion(rotation, position)
 
 
 class HumanTf:
@@ -259,8 +377,12 @@ class HumanTf:
 
     def follow(self, **ids: Iterable[str]) -> None:
         """Follow the frames <kind>_<id> of these ids, by kind; those of other ids of the same kinds are freed."""
+        before = set(self._wanted.values())
         self._ids.update((kind, list(names)) for kind, names in ids.items())
         wanted = {"{}_{}".format(kind, identity): identity for kind, names in self._ids.items() for identity in names}
+        gone = tuple("_" + identity for identity in before.difference(wanted.values()))
+        if gone and self._unclaimed:
+            self._unclaimed = OrderedDict(item for item in self._unclaimed.items() if not item[0].endswith(gone))
         self._wanted = {frame.encode(): identity for frame, identity in wanted.items()}
         self._limb_suffixes = tuple(("_" + identity).encode() for identity in self._ids.get("head", ()))
         self._limbs.clear()
@@ -284,19 +406,20 @@ class HumanTf:
             self._limbs.add(child)
         return True
 
-    def put(self, transform: RawTransform, fixed: bool) -> Optional[str]:
-        """Keep a transform; return the id of its human.
+    def put(self, transform: RawTransform, fixed: bool, now: float = math.nan) -> Optional[str]:
+        """Keep a transform that arrives at `now` (s); return the id of its human.
 
-        None for one that is not wanted, whose numbers are not finite, or that has a quaternion of zeros.
+        None for one that is not wanted, that leads to itself or to nothing, whose numbers are not finite, or that has a
+        quaternion of zeros.
         """
         identity = self._wanted.get(transform.child.encode())
         if identity is None:
             return None
-        if not transform.is_pose:
+        parent, child, secs, nsecs, _, _ = transform
+        if not transform.is_pose or not parent or parent == child:
             self.refused += 1
             return None
-        parent, child, secs, nsecs, _, _ = transform
-        self._frames[child] = Timed(transform, math.inf if fixed else secs + 1e-9 * nsecs)
+        self._frames[child] = Timed(transform, math.inf if fixed else secs + 1e-9 * nsecs, now)
         if parent.endswith(identity) and parent.encode() not in self._wanted:
             self._want_above(child, identity)
         return identity
@@ -305,8 +428,9 @@ class HumanTf:
         """Keep a moving transform as it is in a message; it is read when it is asked for, and most never are."""
         self._unread[child] = (data, offset)
 
-    def put_message(self, data: bytes, frames: Sequence[Tuple[bytes, int]], fixed: bool) -> List[Tuple[str, str]]:
-        """Keep the wanted transforms of a message, see scan(); return frame and id of each.
+    def put_message(self, data: bytes, frames: Sequence[Tuple[bytes, int]], fixed: bool,
+                    now: float = math.nan) -> List[Tuple[str, str]]:
+        """Keep the wanted transforms of a message, see scan(), that arrives at `now` (s); return frame and id of each.
 
         A link makes the one above it wanted, too, which may stand earlier in the same message. Raises ValueError for a
         stamp that is none.
@@ -321,10 +445,24 @@ class HumanTf:
                     continue
                 seen.add(offset)
                 transform = read(data, offset)
-                identity = self.put(transform, fixed)
+                identity = self.put(transform, fixed, now)
                 if identity is not None:
                     put.append((transform.child, identity))
         return put
+
+    def take_other(self, child: bytes, data: bytes, offset: int, fixed: bool) -> Optional[RawTransform]:
+        """Look at a transform of a message that is not wanted; return it where it may be one of the robot's.
+
+        A fixed one is kept, as it may turn out to belong to somebody. Of moving ones of humans only the name is looked
+        at. Raises ValueError for a stamp that is none.
+        """
+        is_limb = self.is_limb(child)
+        if not fixed and (is_limb or is_of_human(child, fixed)):
+            return None
+        transform = read(data, offset)
+        if fixed:
+            self.keep_fixed(transform)
+        return None if is_limb else transform
 
     def keep_fixed(self, transform: RawTransform) -> None:
         """Keep a fixed transform that may turn out to belong to somebody: it never comes again."""
@@ -377,29 +515,9 @@ class HumanTf:
         """Want the links above a frame that belong to the same human, as far as they are known."""
         for _ in range(MAX_LINKS):
             timed = self._frames.get(frame)
-            if timed is None or not timed.transform.parent.endswith("_" + identity):
+            if timed is None or not timed.transform.parent.endswith("_" + identity) or len(self._wanted) >= MAX_WANTED:
                 return
             frame = timed.transform.parent
             self._wanted[frame.encode()] = identity
             self._limbs.discard(frame.encode())
             self._claim(frame)
-
-
-def axis(quaternion: Quaternion, along_z: bool) -> Vector:
-    """Return the x axis, or the z axis, that a quaternion x, y, z, w turns to; it need not be of unit length."""
-    x, y, z, w = quaternion
-    scale = 2.0 / (x * x + y * y + z * z + w * w)
-    if along_z:
-        return scale * (x * z + y * w), scale * (y * z - x * w), 1.0 - scale * (x * x + y * y)
-    return 1.0 - scale * (y * y + z * z), scale * (x * y + z * w), scale * (x * z - y * w)
-
-
-def turned(quaternion: Quaternion, vector: Vector) -> Vector:
-    """Return a vector turned by a quaternion x, y, z, w, which need not be of unit length.
-
-    v + w t + q x t with t = 2 / |q|^2 (q x v).
-    """
-    (x, y, z, w), (u, v, n) = quaternion, vector
-    scale = 2.0 / (x * x + y * y + z * z + w * w)
-    i, j, k = scale * (y * n - z * v), scale * (z * u - x * n), scale * (x * v - y * u)
-    return u + w * i + y * k - z * j, v + w * j + z * i - x * k, n + w * k + x * j - y * i

@@ -1,4 +1,4 @@
-"""Rigid transforms, boxes and rotated crops."""
+"""Rigid transforms, quaternions, boxes and rotated crops."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 
 Numbers = Union[Sequence[float], np.ndarray]
+Vector = Tuple[float, float, float]
+Quaternion = Tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,40 @@ def _quaternion(matrix: List[List[float]]) -> Tuple[float, float, float, float]:
         x, y, z, w = h - f, c - g, d - b, 1.0 + a + e + i
     norm = math.sqrt(x * x + y * y + z * z + w * w)
     return x / norm, y / norm, z / norm, w / norm
+
+
+def unit(quaternion: Quaternion) -> Quaternion:
+    """Return a quaternion x, y, z, w of length 1."""
+    x, y, z, w = quaternion
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    return x / length, y / length, z / length, w / length
+
+
+def product(first: Quaternion, second: Quaternion) -> Quaternion:
+    """Return the rotation by `second`, then by `first`; quaternions x, y, z, w of any length."""
+    (ax, ay, az, aw), (bx, by, bz, bw) = first, second
+    return (aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw, aw * bw - ax * bx - ay * by - az * bz)
+
+
+def axis(quaternion: Quaternion, along_z: bool) -> Vector:
+    """Return the x axis, or the z axis, that a quaternion x, y, z, w turns to; it need not be of unit length."""
+    x, y, z, w = quaternion
+    scale = 2.0 / (x * x + y * y + z * z + w * w)
+    if along_z:
+        return scale * (x * z + y * w), scale * (y * z - x * w), 1.0 - scale * (x * x + y * y)
+    return 1.0 - scale * (y * y + z * z), scale * (x * y + z * w), scale * (x * z - y * w)
+
+
+def turned(quaternion: Quaternion, vector: Vector) -> Vector:
+    """Return a vector turned by a quaternion x, y, z, w, which need not be of unit length.
+
+    v + w t + q x t with t = 2 / |q|^2 (q x v).
+    """
+    (x, y, z, w), (u, v, n) = quaternion, vector
+    scale = 2.0 / (x * x + y * y + z * z + w * w)
+    i, j, k = scale * (y * n - z * v), scale * (z * u - x * n), scale * (x * v - y * u)
+    return u + w * i + y * k - z * j, v + w * j + z * i - x * k, n + w * k + x * j - y * i
 
 
 def iou_matrix(a: np.ndarray, b: np.ndarray) -> np.ndarray:

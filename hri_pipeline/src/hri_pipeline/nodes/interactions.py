@@ -41,7 +41,7 @@ from hri_pipeline.ros.conversions import (
     make_header,
 )
 from hri_pipeline.ros.diagnostics import OK, WARN, NodeDiagnostics
-from hri_pipeline.ros.interaction_markers import InteractionMarkers
+from hri_pipeline.ros.markers import ShownMarkers, interaction_markers, without_stamp
 from hri_pipeline.ros.people_input import LEVEL, InteractionFrame, PeopleInput, RobotPose
 from hri_pipeline.ros.privacy import PrivacyTopic
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec
@@ -87,7 +87,7 @@ class InteractionsNode:
         self._latest_gazes: List[GazeTarget] = []
         self._published_groups: Optional[Sequence[Group]] = None
         self._times = StageTimes()
-        self._markers = InteractionMarkers()
+        self._markers = ShownMarkers()
         self._marker_topic = rospy.Publisher("visualization/interactions", MarkerArray, queue_size=_QUEUE)
         self._topics = InteractionTopics(settings.interface, settings.engagement)
         self._privacy = PrivacyTopic(DataUse(("who looks at whom", "groups",
@@ -193,8 +193,9 @@ class InteractionsNode:
         self._report.count(len(people), gazes, groups, levels)
         if self._marker_topic.get_num_connections():
             robot = self._frame.robot
-            markers = self._markers.make(people.observers(), gazes, groups, header,
-                                         robot.position if robot is not None else None)
+            markers = self._markers.update(interaction_markers(
+                people.observers(), gazes, groups, header, robot.position if robot is not None else None),
+                without_stamp(header))
             self._marker_topic.publish(moved_markers(markers, LEVEL.inverse()) if self._frame.is_level else markers)
 
     def _group(self, people: PeopleSnapshot, robot: Optional[RobotPose], seconds: float) -> List[Group]:

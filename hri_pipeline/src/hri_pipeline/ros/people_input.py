@@ -13,7 +13,7 @@ import rospy
 from std_msgs.msg import Bool, String
 
 from hri_msgs.msg import FacialActionUnits
-from hri_pipeline.core.frames import is_of_human, is_optical, read, read_stamp
+from hri_pipeline.core.frames import is_optical, read, read_stamp
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.interactions.parameters import InteractionSettings
@@ -170,7 +170,7 @@ class PeopleInput:
             for child, offset in frames:
                 child = child.lstrip(b"/")
                 if not kept.wants(child):
-                    if not kept.is_limb(child):
+                    if fixed or not kept.is_limb(child):
                         self._take_other(child, data, offset, fixed)
                     continue
                 if fixed:
@@ -189,13 +189,10 @@ class PeopleInput:
         return time.monotonic() - self._measured_at < self._settings.frame_timeout
 
     def _take_other(self, child: bytes, data: bytes, offset: int, fixed: bool) -> None:
-        if is_of_human(child, fixed):
-            return
         try:
-            transform = read(data, offset)
-            if fixed:
-                self._tf.keep_fixed(transform)
-            self._robot.put(transform, fixed)
+            transform = self._tf.take_other(child, data, offset, fixed)
+            if transform is not None:
+                self._robot.put(transform, fixed)
         except ValueError:
             self.refused += 1
 

@@ -13,8 +13,7 @@ import rospy
 from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
-from hri_pipeline.core.frame_history import FrameHistory
-from hri_pipeline.core.frames import FrameTree, RawTransform, check_stamp, is_of_human, is_stamp, read, scan
+from hri_pipeline.core.frames import FrameHistory, RawTransform, check_stamp, is_of_human, is_stamp, read, scan
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.rospy_compat import release
 
@@ -88,9 +87,8 @@ class RobotTf:
     def __init__(self, reference: str) -> None:
         self._reference = reference
         self._lock = threading.Lock()
-        self._tree: FrameTree[Tuple[RawTransform, bool]] = FrameTree()
-        self._tree.follow(reference)
         self._history: Optional[FrameHistory] = FrameHistory(HISTORY_S)
+        self._history.follow(reference)
 
     def put(self, transform: RawTransform, fixed: bool) -> None:
         """Take a transform.
@@ -105,14 +103,13 @@ class RobotTf:
         with self._lock:
             if self._history is None:
                 return
-            known = self._tree.latest(transform.child)
-            if not fixed and known is not None and known[0][2:4] == transform[2:4]:
+            known = None if fixed else self._history.newest_stamp(transform.child)
+            if known == transform.stamp:
                 return
-            if not fixed and known is not None and transform.stamp < known[0].stamp - HISTORY_S:
+            if known is not None and transform.stamp < known - HISTORY_S:
                 # that stamp was of the future: no other one would count before that time comes again
-                self._forget()
-            for needed in self._tree.put(transform.child, transform.parent, (transform, fixed), fixed):
-                self._history.put(*needed)
+                self._history.forget_moving()
+            self._history.put(transform, fixed)
 
     def lookup(self, frame: str, stamp: genpy.Time) -> Optional[Pose]:
         """Return the pose of a frame in the reference frame at `stamp`.
@@ -129,8 +126,8 @@ class RobotTf:
         with self._lock:
             if self._history is None:
                 return None
-            for transform, fixed in self._tree.follow(target) + self._tree.follow(frame):
-                self._history.put(transform, fixed)
+            self._history.follow(target)
+            self._history.follow(frame)
             pose = self._history.between(target, frame, stamp.to_sec()) if is_stamp(stamp.secs, stamp.nsecs) else None
             return pose if pose is not None else self._history.between(target, frame, None)
 
@@ -138,7 +135,7 @@ class RobotTf:
         """Forget all moving transforms, as after a time jump."""
         with self._lock:
             if self._history is not None:
-                self._forget()
+                self._history.forget_moving()
 
     def close(self) -> None:
         """Forget everything; nothing is known from now on. Idempotent."""
@@ -149,19 +146,13 @@ class RobotTf:
     def known(self) -> int:
         """Number of frames whose latest transform is kept."""
         with self._lock:
-            return len(self._tree)
+            return len(self._history or ())
 
     @property
     def relevant(self) -> Set[str]:
         """Frames whose history is kept."""
         with self._lock:
-            return self._tree.relevant
-
-    def _forget(self) -> None:
-        assert self._history is not None
-        self._history.clear()
-        for transform, fixed in self._tree.forget_moving():
-            self._history.put(transform, fixed)
+            return self._history.followed if self._history is not None else set()
 
 
 class RobotTfListener(RobotTf):

@@ -68,7 +68,7 @@ class GazeSettings(Settings):
         0.7, "Part of the turn from trunk to target that the head does; the eyes do the rest. Used where both "
         "directions are known.", minimum=0.3, maximum=1.0, live=True)
     eyes_in_head_sd: float = parameter(
-        0.21, "Standard deviation of the eyes' direction in the head, where the trunk is not known. Larger: the head "
+        0.28, "Standard deviation of the eyes' direction in the head, where the trunk is not known. Larger: the head "
         "alone says less.", unit="rad", minimum=0.02, maximum=1.0, live=True)
     trunk_target_sd: float = parameter(
         0.6, "Standard deviation of the angle from the trunk to what somebody looks at. Larger: people of whom only "
@@ -80,7 +80,7 @@ class GazeSettings(Settings):
     max_distance: float = parameter(
         8.0, "Greatest distance of what is looked at.", unit="m", minimum=0.5, maximum=100.0, live=True)
     nobody_prior: float = parameter(
-        0.4, "Part of the time in which people look at nobody. Higher: fewer gazes, surer ones.", minimum=0.01,
+        0.3, "Part of the time in which people look at nobody. Higher: fewer gazes, surer ones.", minimum=0.01,
         maximum=0.99, live=True)
     nobody_field: float = parameter(
         2.0, "Solid angle over which gazes at nobody are spread. Smaller: fewer gazes, surer ones.", unit="sr",

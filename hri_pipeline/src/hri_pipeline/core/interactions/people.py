@@ -13,8 +13,8 @@ from typing import Counter as CounterOf
 
 import numpy as np
 
-from hri_pipeline.core.frames import HumanTf, RawTransform, Timed, Vector, axis, turned
-from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.frames import HumanTf, RawTransform, Timed
+from hri_pipeline.core.geometry import Pose, Vector, axis, turned
 from hri_pipeline.core.interactions.parameters import InteractionSettings
 
 ROBOT = ""

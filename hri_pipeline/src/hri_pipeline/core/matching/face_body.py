@@ -10,7 +10,8 @@ from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tu
 import numpy as np
 
 from hri_pipeline.core.feature_history import FeatureHistory
-from hri_pipeline.core.frames import HumanTf, Timed, Vector, turned
+from hri_pipeline.core.frames import HumanTf, Timed
+from hri_pipeline.core.geometry import Vector, turned
 from hri_pipeline.core.matching.parameters import FaceBodyMatcherSettings
 from hri_pipeline.core.tracks import assign
 
@@ -263,8 +264,8 @@ def head_place(chain: Sequence[Timed]) -> Optional[HeadPlace]:
     if not stamps or max(stamps) - min(stamps) > MAX_APART_S:
         return None
     position: Vector = (0.0, 0.0, 0.0)
-    for transform, _ in chain:
-        (x, y, z), (i, j, k) = transform.translation, turned(transform.rotation, position)
+    for timed in chain:
+        (x, y, z), (i, j, k) = timed.transform.translation, turned(timed.transform.rotation, position)
         position = (x + i, y + j, z + k)
     return HeadPlace(chain[-1].transform.parent, position, min(stamps)) if math.isfinite(sum(position)) else None
 

@@ -20,6 +20,7 @@ from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.recognition.gallery import MAX_TEMPLATES
+from hri_pipeline.core.recognition.likelihood import template_distances
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
@@ -79,7 +80,7 @@ def templates_of(paths: Sequence[Path], model: str = "") -> PhotographTemplates:
     if not templates:
         raise EnrolmentError("no photograph can be used: {}".format("; ".join(left_out)))
     stack = np.stack(templates).astype(np.float32)
-    apart = np.sqrt(np.maximum(0.0, 2.0 - 2.0 * stack @ stack.T))
+    apart = template_distances(stack @ stack.T)
     first, second = np.unravel_index(int(apart.argmax()), apart.shape)
     if apart[first, second] > embedder.calibration.fair_midpoint:
         raise EnrolmentError("{} and {} do not show the same person (distance {:.2f}, {:.2f} at most)".format(
@@ -123,7 +124,7 @@ def enrol(store: PersonStore, name: str, found: PhotographTemplates, now: float)
 def _enrol(store: PersonStore, name: str, found: PhotographTemplates, now: float) -> str:
     known = store.load_templates(found.model, found.templates.shape[1])
     for person in known:
-        distance = float(np.sqrt(np.maximum(0.0, 2.0 - 2.0 * (person.templates @ found.templates.T).max())))
+        distance = float(template_distances((person.templates @ found.templates.T).max()))
         if distance < found.alike:
             raise EnrolmentError("{} is in the store already and looks the same (distance {:.2f}); `people forget` or "
                                  "`people name` them".format(person.id, distance))

@@ -22,6 +22,7 @@ from hri_pipeline.core.recognition.likelihood import (
     PersonCandidate,
     TemplateCalibration,
     join_alike,
+    template_distances,
 )
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, read_store
 
@@ -163,7 +164,7 @@ class MemoryGallery:
             row = self._row.get(person_id)
             if row is None:
                 return None
-            return _distance(float((self._templates[row, :self._count[row]] @ template).max()))
+            return float(template_distances((self._templates[row, :self._count[row]] @ template).max()))
 
     def alike(self, template: np.ndarray, below: float, except_for: str = "") -> List[PersonCandidate]:
         """Return who has a template nearer than `below` to this one (D,), nearest first, but for those who are known
@@ -188,7 +189,7 @@ class MemoryGallery:
             # Not by BLAS: its threads would wait for each other, and spin, for less than 0.2 ms of work.
             products = np.einsum("nd,md->nm", templates, kept.reshape(-1, self.dimension))
             nearest = products.reshape(len(templates), len(rows), self._max_templates).max(axis=2)
-            distances = np.sqrt(np.maximum(0.0, 2.0 - 2.0 * nearest.astype(np.float64)))
+            distances = template_distances(nearest)
             names = [self._ids[row] for row in rows] if enrolled_only else list(self._ids)
         worth = [1.0] * len(templates) if views is None else views
         return [self._result(line, names, most, one) for line, one in zip(distances, worth)]
@@ -203,7 +204,7 @@ class MemoryGallery:
             if self._enrolled[rows[0]] and self._enrolled[rows[1]] or self.are_apart(first, second):
                 return None
             views = [self._templates[row, :self._count[row]] for row in rows]
-            return _distance(float((views[0] @ views[1].T).max()))
+            return float(template_distances((views[0] @ views[1].T).max()))
 
     def remove(self, person_id: str) -> bool:
         """Forget a person; return whether the person was known."""
@@ -321,11 +322,6 @@ class MemoryGallery:
         candidates = tuple(PersonCandidate(names[i], float(distances[i]), float(likelihoods[i])) for i in order)
         place = {name: number for number, name in enumerate(names)}
         return join_alike(MatchResult(candidates, len(names)), self.distance, place.__getitem__, self.calibration)
-
-
-def _distance(product: float) -> float:
-    """Distance of two unit vectors by their scalar product."""
-    return float(np.sqrt(max(0.0, 2.0 - 2.0 * product)))
 
 
 class StoredGallery(MemoryGallery):

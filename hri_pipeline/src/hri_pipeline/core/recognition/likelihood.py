@@ -44,6 +44,11 @@ _KIN_BELOW, _KIN_WIDER = 3.0, 1.2
 times the other."""
 
 
+def template_distances(products: np.ndarray) -> np.ndarray:
+    """Return the distances of templates, which are unit vectors, of their products, of any shape."""
+    return np.sqrt(np.maximum(0.0, 2.0 - 2.0 * np.asarray(products, dtype=np.float64)))
+
+
 @dataclass(frozen=True)
 class TemplateCalibration:
     """Odds of "same : different" of templates at a distance d. All distances are those of unit vectors (0 to 2).

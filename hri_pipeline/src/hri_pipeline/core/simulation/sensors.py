@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import random
 from dataclasses import dataclass
-from typing import Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Callable, Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple, TypeVar
 
 import numpy as np
 
@@ -207,6 +207,9 @@ class _Faults:
         self.lids = Alternation(settings.sense_lid_errors, 0.1, rng)
 
 
+Feature = TypeVar("Feature", SensedFace, SensedBody)
+
+
 class Senses:
     """Sees and hears one scene over time; `sense` takes truths whose stamps do not go back, else it begins anew.
 
@@ -247,9 +250,10 @@ class Senses:
         fresh = frozenset(kind for kind in self._due if self._is_due(kind, now))
         faces, bodies = sight.faces(), sight.bodies()
         if FACES in fresh:
-            self._faces = tuple(self._see_faces(truth, sight, faces, passed))
+            seen = self._see(FACES, self._faces, self._face, truth, sight, faces)
+            self._faces = tuple(seen + self._ghosts(sight, truth.stamp, passed))
         if BODIES in fresh:
-            self._bodies = tuple(self._see_bodies(truth, sight, bodies))
+            self._bodies = tuple(self._see(BODIES, self._bodies, self._body, truth, sight, bodies))
         if VOICES in fresh and self._settings.sense_voices:
             self._voices = tuple(self._hear(truth, sight))
         return Sensed(now, sight.camera, self._faces, self._bodies, self._voices, fresh, frozenset(faces | bodies))
@@ -278,17 +282,19 @@ class Senses:
     def _found(self, kind: str, seen: Set[str], now: float) -> Set[str]:
         return {person for person in seen if not self._of(kind, person).gap.update(now)}
 
-    def _see_faces(self, truth: SceneTruth, sight: CameraSight, seen: Set[str], passed: float) -> List[SensedFace]:
-        found = self._found(FACES, seen, truth.stamp)
-        before = {face.id: face for face in self._faces}
+    def _see(self, kind: str, before: Sequence[Feature], sense: Callable[..., Feature], truth: SceneTruth,
+             sight: CameraSight, seen: Set[str]) -> List[Feature]:
+        """Faces or bodies: `sense` makes those that are found; the other tracks stay as they were `before`."""
+        found = self._found(kind, seen, truth.stamp)
+        last = {feature.id: feature for feature in before}
         people = {person.id: person for person in truth.people}
-        faces = []
-        for person, identity in self._tracks[FACES].update(found, truth.stamp):
+        features = []
+        for person, identity in self._tracks[kind].update(found, truth.stamp):
             if person in found:
-                faces.append(self._face(identity, people[person], sight, truth.stamp))
-            elif identity in before:
-                faces.append(_stale(before[identity], measured=False))
-        return faces + self._ghosts(sight, truth.stamp, passed)
+                features.append(sense(identity, people[person], sight, truth.stamp))
+            elif identity in last:
+                features.append(_stale(last[identity], measured=False))
+        return features
 
     def _face(self, identity: str, person: PersonTruth, sight: CameraSight, now: float) -> SensedFace:
         faults, settings = self._of(FACES, person.id), self._settings
@@ -302,18 +308,6 @@ class Senses:
             noise = math.radians(settings.sense_gaze_noise)
             gaze = _swayed(sight.camera.rotation.T @ person.gaze, noise * turns[2], noise * turns[3])
         return SensedFace(identity, person.id, pose, gaze, 0.95 if looks_closed else 0.05, person.speaking, True)
-
-    def _see_bodies(self, truth: SceneTruth, sight: CameraSight, seen: Set[str]) -> List[SensedBody]:
-        found = self._found(BODIES, seen, truth.stamp)
-        before = {body.id: body for body in self._bodies}
-        people = {person.id: person for person in truth.people}
-        bodies = []
-        for person, identity in self._tracks[BODIES].update(found, truth.stamp):
-            if person in found:
-                bodies.append(self._body(identity, people[person], sight, truth.stamp))
-            elif identity in before:
-                bodies.append(_stale(before[identity], measured=False))
-        return bodies
 
     def _body(self, identity: str, person: PersonTruth, sight: CameraSight, now: float) -> SensedBody:
         faults, settings = self._of(BODIES, person.id), self._settings

@@ -11,10 +11,17 @@ from pathlib import Path
 
 import pytest
 
-from hri_fullbody.core.processes import ChildProcess, identity_of, is_alive
-from hri_pipeline.core.process import LONGEST_WAIT_S, PROVEN_S, RestartPolicy, ends_with_parent
+from hri_pipeline.core.process import (
+    LONGEST_WAIT_S,
+    PROVEN_S,
+    ChildProcess,
+    RestartPolicy,
+    ends_with_parent,
+    identity_of,
+    is_alive,
+)
 
-SOURCES = [str(Path(__file__).resolve().parents[3] / package / "src") for package in ("hri_fullbody", "hri_pipeline")]
+SOURCES = [str(Path(__file__).resolve().parents[2] / "src")]
 
 
 def until(condition, seconds=10.0):
@@ -85,7 +92,7 @@ def test_a_child_has_its_own_session(start):
 
 @pytest.mark.skipif(len(ends_with_parent(["x"])) == 1, reason="setpriv is not installed")
 def test_a_child_ends_when_its_parent_is_killed():
-    code = ("import sys, time; sys.path[:0] = {!r}; from hri_fullbody.core.processes import ChildProcess; "
+    code = ("import sys, time; sys.path[:0] = {!r}; from hri_pipeline.core.process import ChildProcess; "
             "print(ChildProcess(['/bin/sleep', '60']).pid, flush=True); time.sleep(60)").format(SOURCES)
     parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
     try:
