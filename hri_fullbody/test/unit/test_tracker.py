@@ -94,16 +94,6 @@ def test_after_a_cut_a_face_that_is_told_late_holds_no_body_and_begins_none():
     assert tracker.published(stamp + 6 * STEP) == []
 
 
-def test_after_a_cut_the_person_detector_is_asked_at_once():
-    tracker = make(Scene([]))
-    run(tracker, 0.0, 2)
-    assert not tracker.awaits_detector
-    tracker.follow(NOISE, 2 * STEP)
-    assert tracker.awaits_detector
-    tracker.follow(NOISE, 3 * STEP)
-    assert not tracker.awaits_detector
-
-
 @pytest.mark.parametrize("scale, face, told", [(1, False, 0), (4, False, 1), (1, True, 1)])
 def test_a_faint_box_that_is_large_in_the_image_is_nobody_without_a_face(scale, face, told):
     image = np.zeros((720 * scale, 1280 * scale, 3), np.uint8)
