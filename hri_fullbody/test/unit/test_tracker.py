@@ -94,17 +94,6 @@ def test_after_a_cut_a_face_that_is_told_late_holds_no_body_and_begins_none():
     assert tracker.published(stamp + 6 * STEP) == []
 
 
-@pytest.mark.parametrize("scale, face, told", [(1, False, 0), (4, False, 1), (1, True, 1)])
-def test_a_faint_box_that_is_large_in_the_image_is_nobody_without_a_face(scale, face, told):
-    image = np.zeros((720 * scale, 1280 * scale, 3), np.uint8)
-    tracker, faces = make(Scene([(600, 400)])), [face_of(standing_at(600, 400), "f0")] * face
-    for index in range(8):
-        tracker.follow(image, index * STEP, faces)
-        tracker.propose([], faces, index * STEP, [box_of(600, 400)])
-        tracker.try_new(image, index * STEP, faces, 4)
-    assert len(tracker.published(7 * STEP)) == told
-
-
 def test_who_comes_back_after_a_cut_must_be_confirmed_anew():
     scene = Scene([(600, 400)])
     tracker = make(scene)

@@ -203,8 +203,7 @@ class BodyPipeline:
             self._last_detection = stamp
             with self.times("person detector"):
                 boxes, scores = self._detector.detect(bgr)
-            sure = scores >= self._settings.min_person_score
-            self._tracker.propose(list(boxes[sure]), faces, stamp, list(boxes[~sure]))
+            self._tracker.propose(list(boxes[scores >= self._settings.min_person_score]), faces, stamp, list(boxes))
             if not detected_before and not slow:
                 return
         windows, budget = self._settings.new_windows_per_image, self._settings.pose_budget

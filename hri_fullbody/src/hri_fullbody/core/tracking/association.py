@@ -151,23 +151,21 @@ def nearest_face(detection: PoseDetection, faces: Sequence[FaceBox]) -> Optional
 
 
 def confirm_by_boxes(tracks: Sequence[BodyTrack], boxes: Sequence[np.ndarray], stamp: float,
-                     poses: Optional[Dict[str, Pose]] = None, faceless: Optional[Sequence[np.ndarray]] = None) -> None:
+                     poses: Optional[Dict[str, Pose]] = None) -> None:
     """Set `box_confirmed` of the tracks by the boxes (4,) px of the person detector at `stamp`, also those of low
-    score; of tracks without a face by those of `faceless` (None: all).
+    score.
 
     A track is confirmed when its nose lies in a box that is not far larger than the body: true for all of 205 people in
     photographs (whole, small, half hidden), and for 2 of 30 bodies that the network made below patterns. poses: those
     of the faces by id, in the optical frame. A body whose face is at quite another distance needs a box of its own.
     """
-    outlines = [np.asarray(those, dtype=np.float64).reshape(-1, 4)
-                for those in (boxes if faceless is None else faceless, boxes)]
-    own = [_own_boxes(tracks, those, stamp) for those in outlines]
+    outlines = np.asarray(boxes, dtype=np.float64).reshape(-1, 4)
+    own = _own_boxes(tracks, outlines, stamp)
     for row, track in enumerate(tracks):
-        faced = track.face_id is not None
         pose = (poses or {}).get(track.face_id or "")
         points = track.detection.points
         contradicted = pose is not None and points is not None and face_cue(points, pose) is None
-        seen = row in own[faced] or (not contradicted and any(_is_at(track, box, stamp) for box in outlines[faced]))
+        seen = row in own or (not contradicted and any(_is_at(track, box, stamp) for box in outlines))
         track.box_confirmed = bool(track.box_confirmed) or seen
 
 
