@@ -303,7 +303,9 @@ class PersonRegister:
         """
         if person_id in self._borrowed:
             raise RegisterError(_BORROWED.format(person_id))
-        gone = [key for key, record in self._records.items() if person_id in (key, record.alias or key)]
+        # The empty id is the alias of whoever has none, and nobody's.
+        gone = [key for key, record in self._records.items()
+                if person_id and person_id in (key, record.alias)]
         with self._lock:
             is_known = bool(gone) or self._change.everybody or person_id in self._change.removed
             for key in gone:

@@ -14,7 +14,7 @@ from collections import OrderedDict
 from functools import lru_cache
 from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-from hri_pipeline.core.geometry import Pose, Quaternion, Vector, product, turned, unit
+from hri_pipeline.core.geometry import Pose, Quaternion, Vector, product, slerp, turned, unit
 
 # geometry_msgs/TransformStamped as roscpp and rospy serialise it: seq, secs, nsecs, parent, child, 7 numbers.
 _LENGTH = struct.Struct("<I")
@@ -302,21 +302,7 @@ def _interpolated(before: _Link, after: _Link, stamp: float) -> _Link:
         return before
     part = (stamp - before.stamp) / (after.stamp - before.stamp)
     x, y, z = (a + part * (b - a) for a, b in zip(before.translation, after.translation))
-    return _Link(stamp, before.parent, _slerp(before.rotation, after.rotation, part), (x, y, z))
-
-
-def _slerp(first: Quaternion, second: Quaternion, part: float) -> Quaternion:
-    """Rotation between two, along the shorter arc (Shoemake 1985)."""
-    first, second = unit(first), unit(second)
-    cosine = sum(a * b for a, b in zip(first, second))
-    sign = 1.0 if cosine >= 0.0 else -1.0
-    angle = math.acos(min(1.0, abs(cosine)))
-    if angle < 1e-6:
-        weights = 1.0 - part, sign * part
-    else:
-        weights = math.sin((1.0 - part) * angle) / math.sin(angle), sign * math.sin(part * angle) / math.sin(angle)
-    x, y, z, w = (weights[0] * a + weights[1] * b for a, b in zip(first, second))
-    return x, y, z, w
+    return _Link(stamp, before.parent, slerp(before.rotation, after.rotation, part), (x, y, z))
 
 
 MAX_LINKS = 64

@@ -127,6 +127,21 @@ def product(first: Quaternion, second: Quaternion) -> Quaternion:
             aw * bz + ax * by - ay * bx + az * bw, aw * bw - ax * bx - ay * by - az * bz)
 
 
+def slerp(first: Quaternion, second: Quaternion, part: float) -> Quaternion:
+    """Return the rotation between two quaternions, along the shorter arc; part: 0 the first, 1 the second (Shoemake
+    1985)."""
+    first, second = unit(first), unit(second)
+    cosine = sum(a * b for a, b in zip(first, second))
+    sign = 1.0 if cosine >= 0.0 else -1.0
+    angle = math.acos(min(1.0, abs(cosine)))
+    if angle < 1e-6:
+        weights = 1.0 - part, sign * part
+    else:
+        weights = math.sin((1.0 - part) * angle) / math.sin(angle), sign * math.sin(part * angle) / math.sin(angle)
+    x, y, z, w = (weights[0] * a + weights[1] * b for a, b in zip(first, second))
+    return x, y, z, w
+
+
 def axis(quaternion: Quaternion, along_z: bool) -> Vector:
     """Return the x axis, or the z axis, that a quaternion x, y, z, w turns to; it need not be of unit length."""
     x, y, z, w = quaternion

@@ -35,13 +35,13 @@ class ShownMarkers:
     """Remembers the markers that rviz shows, so that those that are no longer needed go away at once."""
 
     def __init__(self) -> None:
-        self._shown: List[Tuple[str, int]] = []
+        self._shown: Dict[Tuple[str, int], None] = {}
 
     def update(self, markers: Sequence[Marker], header: Header) -> MarkerArray:
         """Return these markers after the DELETE, in the frame of `header`, of all that is no longer there."""
-        present = [(marker.ns, marker.id) for marker in markers]
+        present = dict.fromkeys((marker.ns, marker.id) for marker in markers)
         gone = [Marker(header=header, ns=name, id=number, action=Marker.DELETE)
-                for name, number in self._shown if (name, number) not in set(present)]
+                for name, number in self._shown if (name, number) not in present]
         self._shown = present
         return MarkerArray(markers=gone + list(markers))
 
