@@ -99,10 +99,12 @@ def test_depthwise_convolution() -> None:
     np.testing.assert_allclose(run(convert_graph(graph, "m"), {"in0": image})[0], expected, atol=1e-5)
 
 
-def test_prelu_is_written_as_depthwise_convolutions() -> None:
-    slope, image = random(1, 1, 3), random(2, 4, 5, 3)
+def test_prelu_is_written_as_two_depthwise_convolutions() -> None:
+    """Into the first the rectifier is fused, into the second the sum: two passes over the image, whatever the slope."""
+    slope, image = np.float32([[[-0.5, 0.25, 1.75]]]), random(2, 4, 5, 3)
     model = convert_graph(single("PRELU", [[1, 4, 5, 3], slope], [1, 4, 5, 3]), "m")
-    assert "PRelu" not in [node.op_type for node in model.graph.node]
+    kinds = [node.op_type for node in model.graph.node if node.op_type not in ("Transpose", "Identity")]
+    assert kinds == ["Conv", "Relu", "Conv", "Add"]
     np.testing.assert_allclose(
         run(model, {"in0": image})[0], np.where(image > 0, image, image * slope), atol=1e-6
     )
@@ -354,6 +356,23 @@ def test_transform_tensor_bilinear_is_zero_outside() -> None:
         )
     assert 0 < outside < 60
     np.testing.assert_allclose(result, expected, atol=1e-4)
+
+
+def test_transform_tensor_bilinear_is_zero_where_the_matrix_is_no_number() -> None:
+    matrix = np.tile(np.eye(4), (3, 1, 1))
+    matrix[0, 0], matrix[1, 1] = np.nan, np.inf
+    graph = single("TransformTensorBilinear", [[1, 9, 11, 3], [1, 4, 4]], [1, 5, 6, 3], {})
+    result = run(convert_graph(graph, "m"), {"in0": 1.0 + random(3, 9, 11, 3) ** 2, "in1": matrix})[0]
+    assert not result[:2].any() and result[2].all()
+
+
+def test_more_channels_are_added_by_a_convolution() -> None:
+    """As it stands before a sum in the face mesh: so it stays in the blocked memory layout."""
+    image = random(2, 4, 6, 8)
+    graph = single("PAD", [[1, 4, 6, 8], np.array([[0, 0], [0, 0], [0, 0], [0, 3]])], [1, 4, 6, 11])
+    model = convert_graph(graph, "m")
+    assert "Pad" not in [node.op_type for node in model.graph.node]
+    np.testing.assert_array_equal(run(model, {"in0": image})[0], np.pad(image, ((0, 0), (0, 0), (0, 0), (0, 3))))
 
 
 def test_transform_landmarks() -> None:

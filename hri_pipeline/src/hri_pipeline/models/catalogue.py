@@ -8,7 +8,7 @@ from typing import Any, Dict, List, Mapping, Sequence, Tuple
 
 import yaml
 
-CONVERTER_REVISION = 1  # raised when a converter's results change: the next fetch then renews the files
+CONVERTER_REVISION = 2  # raised when a converter's results change: the next fetch then renews the files
 EVALUATION_DIRECTORY = "evaluation/"
 """Where pictures and films for the benchmark and the tests go, below the models directory."""
 _DEMO_DIRECTORY = "demo/"

@@ -67,6 +67,7 @@ def _tfjs(product: Product, contents: Mapping[str, bytes]) -> bytes:
             options["outputs"],
             options.get("inputs"),
             options.get("dynamic_size", False),
+            options.get("first_channels"),
         )
     )
 

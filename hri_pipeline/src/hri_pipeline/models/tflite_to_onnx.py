@@ -259,10 +259,16 @@ def _pool(conversion: "TfliteConversion", operator: Operator) -> str:
 
 def _pad(conversion: "TfliteConversion", operator: Operator) -> str:
     amounts = conversion.weights(operator.inputs[1])  # rank x (before, after)
+    source = conversion.value(operator.inputs[0])
     if len(amounts) == 4:
+        more, channels = int(amounts[3, 1]), conversion.shape(operator.inputs[0])[3]
+        if int(amounts.sum()) == more and not conversion.pointwise:
+            # As a convolution it stays in the blocked memory layout, and the sum that follows is fused into it.
+            return conversion.builder.node("Conv", [source, conversion.builder.floats(
+                np.eye(channels + more, channels)[:, :, None, None])], kernel_shape=[1, 1])
         amounts = amounts[[0, 3, 1, 2]]
     pads = conversion.builder.integers(amounts.T.reshape(-1))
-    return conversion.builder.node("Pad", [conversion.value(operator.inputs[0]), pads])
+    return conversion.builder.node("Pad", [source, pads])
 
 
 def _elementwise(conversion: "TfliteConversion", operator: Operator) -> str:
@@ -506,28 +512,46 @@ def _transform_tensor_bilinear(conversion: "TfliteConversion", operator: Operato
     centre.
     """
     build = conversion.builder
-    _, source_height, source_width, _ = conversion.shape(operator.inputs[0])
+    _, source_height, source_width, channels = conversion.shape(operator.inputs[0])
     _, height, width, _ = conversion.shape(operator.outputs[0])
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    centres = np.stack([x.ravel(), y.ravel(), np.zeros(x.size), np.ones(x.size)])  # 4, h * w
+    centres = np.stack([x.ravel(), y.ravel(), np.zeros(x.size), np.ones(x.size)])  # 4, P = h * w
     matrix = build.node(
         "Slice",
         [conversion.value(operator.inputs[1]), build.integers([0]), build.integers([2]), build.integers([1])],
     )  # N, 2, 4
     position = build.node("Sub", [build.node("MatMul", [matrix, build.floats(centres)]), build.floats(0.5)])
-    to_unit = build.floats([[[2 / (source_width - 1)], [2 / (source_height - 1)]]])
-    unit = build.node("Sub", [build.node("Mul", [position, to_unit]), build.floats(1)])  # inside: -1..1
-    farthest = build.node("ReduceMax", [build.node("Abs", [unit])], axes=[1], keepdims=1)
-    inside = build.node("Cast", [build.node("LessOrEqual", [farthest, build.floats(1)])], to=1)
-    grid = build.reshape(build.node("Transpose", [unit], perm=[0, 2, 1]), [0, height, width, 2])
-    sampled = build.node(
-        "GridSample",
-        [conversion.value(operator.inputs[0]), grid],
-        align_corners=1,
-        mode="bilinear",
-        padding_mode="border",
-    )
-    return build.node("Mul", [sampled, build.reshape(inside, [0, 1, height, width])])
+    half = build.floats([[[(source_width - 1) / 2], [(source_height - 1) / 2]]])
+    offset = build.node("Abs", [build.node("Sub", [position, half])])
+    legal = build.node("Cast", [build.node("LessOrEqual", [offset, half])], to=1)  # 0 also for what is no number
+    inside = build.node("ReduceMin", [legal], axes=[1], keepdims=1)  # N, 1, P
+    position = build.node("Where", [build.node("Cast", [inside], to=9), position, build.floats(0)])
+    samples = _bilinear_samples(conversion, operator.inputs[0], position, inside)
+    return conversion.from_natural(build.reshape(samples, [0, height, width, channels]), operator.outputs[0])
+
+
+def _bilinear_samples(conversion: "TfliteConversion", source: int, position: str, inside: str) -> str:
+    """Values (N, P * C) of a feature map at positions (N, 2, P) px in it, times `inside` (N, 1, P), 0 or 1.
+
+    The four neighbours are gathered with all channels at once: onnxruntime's GridSample takes several times as long.
+    """
+    build = conversion.builder
+    _, height, width, channels = conversion.shape(source)
+    corner = build.node("Min", [build.node("Floor", [position]), build.floats([[[width - 2], [height - 2]]])])
+    part = build.node("Sub", [position, corner])
+    weights = inside
+    for axis, factors in ((0, [-1, 1, -1, 1]), (1, [-1, -1, 1, 1])):
+        along = build.node("Gather", [part, build.integers([axis])], axis=1)  # N, 1, P
+        factor = build.floats(np.reshape(factors, (1, 4, 1)))
+        rest = build.floats(np.reshape(factors, (1, 4, 1)) < 0)
+        weights = build.node("Mul", [weights, build.node("Add", [build.node("Mul", [along, factor]), rest])])
+    first = build.node("MatMul", [build.floats([[[1, width]]]), corner])
+    index = build.node("Add", [first, build.floats([[[0], [1], [width], [width + 1]]])])  # N, 4, P
+    index = build.reshape(build.node("Cast", [index], to=7), [0, -1, 1])
+    pixels = build.reshape(conversion.natural(source), [0, height * width, channels])
+    neighbours = build.node("GatherND", [pixels, index], batch_dims=1)  # N, 4 * P, C
+    weighted = build.node("Mul", [neighbours, build.reshape(weights, [0, -1, 1])])
+    return build.node("ReduceSum", [build.reshape(weighted, [0, 4, -1]), build.integers([1])], keepdims=0)
 
 
 def _transform_landmarks(conversion: "TfliteConversion", operator: Operator) -> str:
