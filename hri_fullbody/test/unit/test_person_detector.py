@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from hri_fullbody.core.detection.person_detector import decode_centres, network_size
+from hri_fullbody.core.detection import person_detector
+from hri_fullbody.core.detection.person_detector import CenterNetDetector, decode_centres, network_size
 
 
 @pytest.mark.parametrize("image, wanted", [
@@ -37,3 +38,27 @@ def test_nobody_gives_empty_arrays():
     boxes, scores = decode_centres(*heat_with([]), threshold=0.3, max_overlap=0.6)
     assert boxes.shape == (0, 4)
     assert scores.shape == (0,)
+
+
+BEAR, SOFA = 77, 57
+
+
+@pytest.mark.parametrize("rival, score, reach, people", [
+    (BEAR, 0.7, 20.0, 0), (BEAR, 0.5, 20.0, 1), (SOFA, 0.9, 26.0, 1)],
+    ids=["a likelier bear", "a less likely bear", "a sofa around somebody"])
+def test_a_box_that_another_class_claims_with_more_right_is_no_person(monkeypatch, rival, score, reach, people):
+    heat, extents = np.zeros((1, 32, 32, 80), np.float32), np.full((1, 32, 32, 4), 20.0, np.float32)
+    heat[0, 16, 16, 0] = 0.6
+    heat[0, 16, 17, rival] = score
+    extents[0, 16, 17] = reach
+
+    class Network:
+        def __init__(self, *args, **kwargs):
+            pass
+
+        def run(self, inputs):
+            return {"heat": heat, "ltrb": extents}
+
+    monkeypatch.setattr(person_detector, "OnnxModel", Network)
+    boxes, scores = CenterNetDetector("network.onnx", long_side=128).detect(np.zeros((128, 128, 3), np.uint8))
+    assert len(boxes) == len(scores) == people

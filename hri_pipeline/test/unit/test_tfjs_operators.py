@@ -53,8 +53,7 @@ class GraphModel:
         self.nodes.append({"name": name, "op": kind, "input": list(inputs), "attr": attributes})
         return name
 
-    def convert(self, outputs: Dict[str, str], dynamic_size: bool = False,
-                first_channels: Optional[Dict[str, int]] = None) -> Any:
+    def convert(self, outputs: Dict[str, str], dynamic_size: bool = False) -> Any:
         document = {
             "modelTopology": {"node": self.nodes},
             "weightsManifest": [{"paths": ["shard.bin"], "weights": self.entries}],
@@ -66,7 +65,6 @@ class GraphModel:
             outputs,
             {"image": "images"},
             dynamic_size,
-            first_channels,
         )
 
 
@@ -156,17 +154,6 @@ def test_elementwise_concatenation_reshape_and_pad() -> None:
     joined = np.concatenate([image * factor, image - image * factor], 3)
     np.testing.assert_allclose(flat, joined.reshape(2, -1), atol=1e-6)
     np.testing.assert_allclose(padded, np.pad(image, ((0, 0), (1, 0), (0, 2), (0, 0))))
-
-
-def test_only_the_first_channels_of_a_layer() -> None:
-    weights, bias, image = random(3, 3, 2, 5), random(5), random(2, 6, 8, 2)
-    graph = GraphModel(6, 8, 2)
-    inputs = ["image", graph.constant("w", weights), graph.constant("b", bias)]
-    graph.node("conv", "_FusedConv2D", inputs, **convolution_attributes(1, "BiasAdd"))
-    every, first = (run(graph.convert({"conv": "out"}, first_channels=kept), image)[0]
-                    for kept in (None, {"w": 1, "b": 1}))
-    assert every.shape[-1] == 5 and first.shape[-1] == 1
-    np.testing.assert_allclose(first, every[..., :1], atol=1e-6)
 
 
 def test_free_image_size() -> None:

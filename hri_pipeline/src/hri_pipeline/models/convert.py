@@ -67,7 +67,6 @@ def _tfjs(product: Product, contents: Mapping[str, bytes]) -> bytes:
             options["outputs"],
             options.get("inputs"),
             options.get("dynamic_size", False),
-            options.get("first_channels"),
         )
     )
 

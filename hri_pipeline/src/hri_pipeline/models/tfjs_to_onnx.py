@@ -114,20 +114,16 @@ def convert_tfjs(
     outputs: Mapping[str, str],
     inputs: Optional[Mapping[str, str]] = None,
     dynamic_size: bool = False,
-    first_channels: Optional[Mapping[str, int]] = None,
 ) -> Any:
     """Convert a graph model to an ONNX model.
 
     `outputs` maps nodes to the output names that they get, `inputs` placeholders to input names (their own
     when None).  With `dynamic_size` the image height and width are free (multiples of the network's total
-    stride). `first_channels` tells how many output channels of a layer's weights, by their name, are kept.
-    ConversionError names the operator and the model when something is not known.
+    stride). ConversionError names the operator and the model when something is not known.
     """
     document = json.loads(model_json.decode("utf-8"))
     nodes = {entry["name"]: Node(entry) for entry in document["modelTopology"]["node"]}
     weights = read_weights(document["weightsManifest"], read_shard, model_name)
-    for name, count in (first_channels or {}).items():
-        weights[name] = weights[name][..., :count]
     conversion = TfjsConversion(nodes, weights, model_name, dynamic_size)
     conversion.input_names.update(inputs or {})
     for node_name, output_name in outputs.items():
