@@ -119,7 +119,22 @@ def test_room_for_more_persons_is_empty_room(gallery):
 
 def test_any_template_of_a_person_will_do(gallery):
     gallery.add_person("anna", np.stack([face(1), face(1, 0.38, 1)]))
-    assert gallery.match(face(1, 0.38, 1)[None])[0].candidates[0].distance < 0.01
+    candidate = gallery.match(face(1, 0.38, 1)[None])[0].candidates[0]
+    assert candidate.distance < 0.2 and candidate.likelihood > 0.95
+    gallery.add_person("bert", np.stack([face(2), face(3)]))
+    assert gallery.match(face(3)[None])[0].candidates[0].distance < 0.01, "views too far apart to be averaged"
+
+
+def test_who_is_near_to_one_view_only_is_farther_than_who_is_near_to_all(gallery):
+    views = np.stack([face(1), face(1, 0.3, 1), face(1, 0.3, 2)])
+    gallery.add_person("anna", views)
+    middle = views.sum(axis=0) / np.linalg.norm(views.sum(axis=0))
+    by_one = views[1] + 0.25 * (views[1] - middle)
+    by_one /= np.linalg.norm(by_one)
+    near, far = gallery.match(np.stack([middle, by_one]))
+    assert gallery.nearest("anna", middle) > gallery.nearest("anna", by_one)
+    assert near.candidates[0].distance < far.candidates[0].distance
+    assert gallery.alike(by_one, 2.0)[0].distance == pytest.approx(gallery.nearest("anna", by_one), abs=1e-6)
 
 
 def test_only_what_differs_is_kept_and_the_cap_holds(gallery):

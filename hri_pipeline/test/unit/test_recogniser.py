@@ -226,8 +226,10 @@ def test_who_is_plainly_somebody_gets_the_name_back_from_who_is_only_like_that_p
     scene = with_anna()
     scene.show({"f1": (template(1, 0.285, view=99), 0.05)}, 4.0)
     assert scene.person("f1") == "anna"
+    assert scene.gallery.nearest("anna", template(1, 0.285, view=99)) < 0.1, "the case: learnt as a view of anna"
     scene.show({"f1": (template(1, 0.285, view=99), 0.05), "f2": (1, 0.1)}, 4.0)
     assert scene.known("f1") == {} and scene.person("f2") == "anna"
+    assert scene.gallery.nearest("anna", template(1, 0.285, view=99)) > 0.2, "and forgotten again"
 
 
 def test_one_strange_crop_changes_nothing():

@@ -31,6 +31,9 @@ CHANGE = 0.05
 """Least change of a likelihood that is published."""
 HOLD = 1.0
 """A face takes a person over from another face only when the logarithm of its odds is larger by this much."""
+CONTEST = 3.0
+"""Largest part of the first template in the logarithm of odds where several faces may be one person: what was learnt
+later may be of the wrong one of them. So it decides between likelihoods of .75 and .99, and not alone."""
 FIRST_INTERVAL, NAMED_INTERVAL, LONGEST_INTERVAL = 0.25, 1.0, 5.0
 """Time (s) between two crops of a face at first or in doubt, and after many of one that has a name, or has none: a name
 that is wrong must be noticed soon."""
@@ -326,15 +329,27 @@ def _assigned(faces: Sequence[FaceIdentity], taken: AbstractSet[str]) -> List[Op
     if not columns:
         return [None] * len(faces)
     worth, least = np.zeros((len(faces), len(columns))), _log_odds(LEAST_PUBLISHED)
+    firsts = _best_firsts(options)
     for row, (face, option) in enumerate(zip(faces, options)):
         for name, one in option.items():
             # The sum of logarithms of odds: the assignment that is likeliest as a whole.
-            worth[row, columns[name]] = _log_odds(one.likelihood) - least + HOLD * (name == face.person)
+            worth[row, columns[name]] = (_log_odds(one.likelihood) - least + HOLD * (name == face.person)
+                                         - min(CONTEST, max(0.0, firsts.get(name, one.first) - one.first)))
     names = list(columns)
     chosen: List[Optional[PersonCandidate]] = [None] * len(faces)
     for row, column in zip(*linear_sum_assignment(worth, maximize=True)):
         chosen[row] = options[row].get(names[column])
     return chosen
+
+
+def _best_firsts(options: Sequence[Mapping[str, PersonCandidate]]) -> Dict[str, float]:
+    """Return by person the largest odds by the first template of those faces that are rather that person than not."""
+    result: Dict[str, float] = {}
+    for option in options:
+        for name, one in option.items():
+            if one.likelihood >= RELEASE:
+                result[name] = max(one.first, result.get(name, -math.inf))
+    return result
 
 
 def _log_odds(likelihood: float) -> float:
@@ -366,7 +381,7 @@ def note_beside(faces: Sequence[FaceIdentity], newest: float, different: float) 
         for other in there[:index]:
             since = face.beside.setdefault(other.id, newest)
             other.beside[face.id] = since
-            if newest - since < BESIDE or not _are_different(face, other, different):
+            if newest - since < BESIDE or not are_different(face, other, different):
                 continue
             for one, two in ((face, other), (other, face)):
                 if one.is_certain and one.person != two.person:
@@ -376,7 +391,8 @@ def note_beside(faces: Sequence[FaceIdentity], newest: float, different: float) 
     return pairs
 
 
-def _are_different(face: FaceIdentity, other: FaceIdentity, limit: float) -> bool:
+def are_different(face: FaceIdentity, other: FaceIdentity, limit: float) -> bool:
+    """Return whether the templates of two faces are at least `limit` apart."""
     first, second = face.evidence.mean(), other.evidence.mean()
     return first is not None and second is not None and float(np.linalg.norm(first - second)) >= limit
 

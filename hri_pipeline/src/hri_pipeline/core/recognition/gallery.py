@@ -29,6 +29,9 @@ from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, read_s
 SHARED_ENDINGS = (".sqlite", ".sqlite3", ".db")
 """How the file of a store of people ends, which recognisers and the person manager share."""
 MAX_TEMPLATES, MAX_PERSONS = 5, 10000
+NEAREST_SHARE = 0.5
+"""What the nearest template of a person counts in a comparison; the rest is the mean of those that are like it.
+Somebody else may be near to one of five by chance, but hardly to all of them."""
 
 
 class GalleryError(ValueError):
@@ -168,16 +171,17 @@ class MemoryGallery:
 
     def alike(self, template: np.ndarray, below: float, except_for: str = "") -> List[PersonCandidate]:
         """Return who has a template nearer than `below` to this one (D,), nearest first, but for those who are known
-        to be another person than `except_for`."""
-        result, = self.match(np.asarray(template)[None], most=len(self) or 1)
+        to be another person than `except_for`. Their distances are those of the nearest template."""
+        result, = self.match(np.asarray(template)[None], most=len(self) or 1, nearest_only=True)
         return [one for one in result.candidates if one.distance < below and one.person_id != except_for
                 and not self.are_apart(one.person_id, except_for)]
 
     def match(self, templates: np.ndarray, most: int = 5, enrolled_only: bool = False,
-              views: Optional[Sequence[float]] = None) -> List[MatchResult]:
+              views: Optional[Sequence[float]] = None, nearest_only: bool = False) -> List[MatchResult]:
         """Compare templates (N, D) with everybody, or with those who are enrolled.
 
-        views: how many independent views (1 or more) each template is the mean of; 1 by default.
+        views: how many independent views (1 or more) each template is the mean of; 1 by default. nearest_only: only
+        the nearest template of a person counts, not those that are like it.
         """
         templates = self._checked(templates)
         with self._lock:
@@ -188,11 +192,12 @@ class MemoryGallery:
             kept = self._templates[rows] if enrolled_only else self._templates[:count]
             # Not by BLAS: its threads would wait for each other, and spin, for less than 0.2 ms of work.
             products = np.einsum("nd,md->nm", templates, kept.reshape(-1, self.dimension))
-            nearest = products.reshape(len(templates), len(rows), self._max_templates).max(axis=2)
-            distances = template_distances(nearest)
+            products = products.reshape(len(templates), len(rows), self._max_templates)
+            distances = self._distances(products, rows, nearest_only)
             names = [self._ids[row] for row in rows] if enrolled_only else list(self._ids)
         worth = [1.0] * len(templates) if views is None else views
-        return [self._result(line, names, most, one) for line, one in zip(distances, worth)]
+        firsts = self.calibration.alike_log_odds(template_distances(products[:, :, 0]))
+        return [self._result(line, first, names, most, one) for line, first, one in zip(distances, firsts, worth)]
 
     def distance(self, first: str, second: str) -> Optional[float]:
         """Return the distance of the nearest templates of two persons; None for two who are two people for certain, or
@@ -316,10 +321,29 @@ class MemoryGallery:
         self._templates[row, redundant] = template
         return True
 
-    def _result(self, distances: np.ndarray, names: List[str], most: int, views: float) -> MatchResult:
+    def _distances(self, products: np.ndarray, rows: np.ndarray, nearest_only: bool) -> np.ndarray:
+        """Return the distances (N, M) of templates from the persons in `rows` (M,), of the products (N, M, T) with
+        their templates. Where the nearest one cannot be of the person anyhow, the others are not asked."""
+        nearest = products.argmax(axis=2)
+        distances = template_distances(products.max(axis=2))
+        if nearest_only:
+            return distances
+        limit = 1.0 - self.calibration.fair_midpoint ** 2 / 2.0
+        for line, column in zip(*np.nonzero(distances < self.calibration.fair_midpoint)):
+            own, best = products[line, column], nearest[line, column]
+            kept = self._templates[rows[column], :self._count[rows[column]]]
+            # Views of a person that are far from each other (a beard, years between them) are not averaged.
+            alike = own[:len(kept)][kept @ kept[best] >= limit]
+            distances[line, column] = template_distances(
+                NEAREST_SHARE * own[best] + (1.0 - NEAREST_SHARE) * alike.mean())
+        return distances
+
+    def _result(self, distances: np.ndarray, firsts: np.ndarray, names: List[str], most: int,
+                views: float) -> MatchResult:
         likelihoods = self.calibration.likelihoods(distances, len(names), views)
         order = np.argsort(distances)[:most]
-        candidates = tuple(PersonCandidate(names[i], float(distances[i]), float(likelihoods[i])) for i in order)
+        candidates = tuple(PersonCandidate(names[i], float(distances[i]), float(likelihoods[i]), float(firsts[i]))
+                           for i in order)
         place = {name: number for number, name in enumerate(names)}
         return join_alike(MatchResult(candidates, len(names)), self.distance, place.__getitem__, self.calibration)
 

@@ -112,6 +112,10 @@ class TemplateCalibration:
             (np.asarray(distances, dtype=np.float64) - self.fair_midpoint) / self.scale)
         return -np.log(against)
 
+    def alike_log_odds(self, distances: np.ndarray) -> np.ndarray:
+        """Logarithm (...,) of the odds "this person : somebody alike", of a single view at the distances (...,)."""
+        return (self.kin_midpoint - np.asarray(distances, dtype=np.float64)) / self.kin_scale
+
     def known(self, distances: np.ndarray, population: int) -> np.ndarray:
         """Likelihood (...,), without caution, that it is any of the persons at the distances (..., N)."""
         ratios = self._exponential((self.fair_midpoint - np.asarray(distances, dtype=np.float64)) / self.scale)
@@ -144,11 +148,13 @@ class TemplateCalibration:
 
 @dataclass(frozen=True)
 class PersonCandidate:
-    """Somebody that a face may be: distance of the nearest template of that person, calibrated likelihood."""
+    """Somebody that a face may be: distance from the templates of that person (MemoryGallery.match), calibrated
+    likelihood, and by the person's first template alone the logarithm of the odds against somebody alike."""
 
     person_id: str
     distance: float
     likelihood: float
+    first: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,14 @@ from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.private_file import TemplateCipher
 from hri_pipeline.core.recognition.embedding import FaceEmbedder, load_face_embedder
 from hri_pipeline.core.recognition.face_identity import (
+    ACCEPT,
     NAMING_CROPS,
     FaceEvidence,
     FaceIdentity,
     FaceTemplate,
     PersonMatch,
     SamePersons,
+    are_different,
     assign_persons,
     note_beside,
 )
@@ -40,8 +42,6 @@ NEW_BELOW = 0.4
 """Likelihood, without caution, of being anybody known, below which a face is somebody new."""
 LEARN_CROPS, LEARN_QUALITY = 4, 0.5
 """How many crops of which quality show a face well enough to make a person of it."""
-SURE = 0.95
-"""Likelihood from which a new view of a known person is learnt."""
 SAME = 0.95
 """Likelihood that is published of two known persons who are the same by their templates."""
 ASK_PERIOD = 0.2
@@ -125,7 +125,7 @@ class Recogniser:
         """Decide, and return the matches that have changed since the last time; cheap when nothing has."""
         with self._lock:
             self._compare()
-            assign_persons(list(self._faces.values()), self._newest)
+            self._assign()
             self._note_beside()
             self._learn()
             taken = {face.person for face in self._faces.values() if face.person}
@@ -299,6 +299,20 @@ class Recogniser:
                 face.result = result
                 self._same.update(result.same)
 
+    def _assign(self) -> None:
+        """Decide who each face is. What was learnt of a face that had to give its name to one beside it is dropped."""
+        before = {face.id: face.person for face in self._faces.values()}
+        assign_persons(list(self._faces.values()), self._newest)
+        limit = self.gallery.calibration.one_human
+        there = [face for face in self._faces.values() if face.is_there(self._newest)]
+        for face in there:
+            if not face.person or face.person == before[face.id] or face.person not in self.gallery:
+                continue
+            for other in there:
+                mean = other.evidence.mean()
+                if mean is not None and face.person in other.refuted and are_different(face, other, limit):
+                    self.gallery.drop_views(face.person, mean, limit)
+
     def _note_beside(self) -> None:
         pairs = note_beside(list(self._faces.values()), self._newest, self.gallery.calibration.one_human)
         for first, second in pairs:
@@ -321,7 +335,7 @@ class Recogniser:
     def _learn_view(self, face: FaceIdentity, mean: np.ndarray) -> None:
         first = face.candidates[0]
         near = self.gallery.calibration.midpoint - 4.0 * self.gallery.calibration.scale
-        if first.person_id == face.person and first.likelihood >= SURE and first.distance <= near:
+        if first.person_id == face.person and first.likelihood >= ACCEPT and first.distance <= near:
             try:
                 self.gallery.add_template(face.person, mean)
             except GalleryError:
@@ -358,7 +372,7 @@ class Recogniser:
             return
         self._learnt += 1
         self._compare()
-        assign_persons(list(self._faces.values()), self._newest)
+        self._assign()
 
     def _new_id(self) -> str:
         while True:
