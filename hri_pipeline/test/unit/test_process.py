@@ -119,13 +119,15 @@ def test_what_lies_in_cycles_is_found_and_what_was_there_before_is_left_alone():
 # In a process of its own: other tests have limited the libraries of this one, perhaps.
 THREADS_SCRIPT = """
 import json
-import cv2, numpy
+import cv2, numpy, threadpoolctl
 numpy.ones((4, 4)) @ numpy.ones((4, 4))
-from hri_pipeline.core.process import one_thread_each, threads_of_libraries
-before = threads_of_libraries()
+from hri_pipeline.core.process import one_thread_each
+def threads():
+    return [one["num_threads"] for one in threadpoolctl.threadpool_info() if one["user_api"] == "blas"]
+before = threads()
 one_thread_each()
 import scipy.linalg
-print(json.dumps([before, threads_of_libraries(), cv2.getNumThreads()]))
+print(json.dumps([before, threads(), cv2.getNumThreads()]))
 """
 
 

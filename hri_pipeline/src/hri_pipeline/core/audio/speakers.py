@@ -12,7 +12,7 @@ import threading
 from collections import deque
 from functools import lru_cache
 from pathlib import Path
-from typing import Callable, Deque, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Callable, Deque, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
 import numpy as np
 import scipy.fft
@@ -70,7 +70,7 @@ class SpeakerEmbedder:
     ----------
     path : str or Path
         speaker_embedding.onnx.
-    threads, providers, notify
+    notify
         See OnnxModel.
 
     Raises
@@ -79,9 +79,8 @@ class SpeakerEmbedder:
         When the file is missing, damaged, or another model.
     """
 
-    def __init__(self, path: Union[str, Path], threads: int = 1, providers: Sequence[str] = ("cpu",),
-                 notify: Optional[Callable[[str], None]] = None) -> None:
-        self._model = OnnxModel(path, providers, threads, ("mel",), ("embedding",), notify)
+    def __init__(self, path: Union[str, Path], notify: Optional[Callable[[str], None]] = None) -> None:
+        self._model = OnnxModel(path, inputs=("mel",), outputs=("embedding",), notify=notify)
 
     def embed(self, sounds: np.ndarray) -> np.ndarray:
         """Return the embeddings (N, DIMENSION), unit vectors with no negative part, of sounds (N, n) of speech: samples
