@@ -212,13 +212,12 @@ class StackRun:
 
 
 def measure_alone(name: str, module: str, *arguments: object, patience: Optional[float] = None,
-                  paths: Sequence[Path] = (),
                   launch: Sequence[str] = ()) -> dict:
     """Run a module of the benchmarks on a master of its own, beside what `launch` (arguments of roslaunch) starts.
 
     Returns what it has found. Raises StackRunError when there is nothing; then the logs stay, else they are removed.
     """
-    with StackRun(paths=paths) as run:
+    with StackRun() as run:
         run.start_master()
         if launch:
             run.start("roslaunch", ["roslaunch", "--wait", *launch])
