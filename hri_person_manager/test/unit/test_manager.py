@@ -18,7 +18,6 @@ from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.register import PersonRegister
 from hri_pipeline.core.geometry import Pose
 
-
 LISTS = {"faces": Kind.FACE, "bodies": Kind.BODY, "voices": Kind.VOICE}
 
 
