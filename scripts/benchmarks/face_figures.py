@@ -73,14 +73,13 @@ def cpu_ms(scene: np.ndarray, people: int, seconds: float = 10.0) -> float:
     return 1e3 * float(np.mean(spent))
 
 
-def pose_errors(count: int = 300, noise_px: float = 1.0, face: Optional[CanonicalFace] = None
-                ) -> Tuple[float, float, float, float]:
+def pose_errors(count: int = 300, noise_px: float = 1.0) -> Tuple[float, float, float, float]:
     """Return the mean absolute errors of yaw, pitch and roll (degrees) and of the position (% of the distance).
 
     The canonical face at yaw within 60, pitch within 30, roll within 45 degrees and 0.5 to 2 m, projected into a
     1280x720 image with normal noise of noise_px on every coordinate.
     """
-    face = face or load_canonical_face(models_directory() / "canonical_face.npz")
+    face = load_canonical_face(models_directory() / "canonical_face.npz")
     camera = CameraModel.from_fov(WIDTH, HEIGHT, 1.0)
     random = np.random.RandomState(3)
     truths = head_poses(count, random)
