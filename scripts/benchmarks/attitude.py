@@ -417,10 +417,10 @@ def _sway(count: int, rate: float, random: np.random.Generator) -> np.ndarray:
 def pointing_figures(people: int = 60, seed: int = 23, level: Level = 10) -> Dict[str, object]:
     """Return how well rays of pointing arms are told on recordings with noise of `level`, and how often wrongly.
 
-    error_deg: mean angle from the true direction, of the arms that are told; recall: part of the people who are; the
-    other people only do what the recording has: false_per_minute. One arm of a recorded person moves so that eye, hand
-    and a random place 1.5 to 6 m away are in line, within 60 degrees of straight ahead and from 35 degrees down to 15
-    up, is held for 1.5 s and sways by about 1 cm. The hand is bent by some 8 degrees.
+    pointing_error_deg: mean angle from the true direction, of the arms that are told; recall: part of the people who
+    are; the other people only do what the recording has: false_per_minute. One arm of a recorded person moves so that
+    eye, hand and a random place 1.5 to 6 m away are in line, within 60 degrees of straight ahead and from 35 degrees
+    down to 15 up, is held for 1.5 s and sways by about 1 cm. The hand is bent by some 8 degrees.
     """
     crowd, errors, told = virtual_people(people, seed, SegmentTable.load()), [], 0
     for number, person in enumerate(crowd):
@@ -436,8 +436,9 @@ def pointing_figures(people: int = 60, seed: int = 23, level: Level = 10) -> Dic
     quiet = natural_clips(ALL, 2, seed)
     false = sum(len(runs(np.array([ray is not None for ray in _rays(clip.motion, level, n)]), clip.motion.stamps))
                 for n, clip in enumerate(quiet))
-    return {"error_deg": round(float(np.mean(errors)), 2), "p90_deg": round(float(np.percentile(errors, 90)), 2),
-            "recall": round(told / people, 3), "false_per_minute": round(false / _minutes(quiet), 2)}
+    return {"pointing_error_deg": round(float(np.mean(errors)), 2),
+            "p90_deg": round(float(np.percentile(errors, 90)), 2), "recall": round(told / people, 3),
+            "false_per_minute": round(false / _minutes(quiet), 2)}
 
 
 def _apart_degrees(ray: np.ndarray, truth: np.ndarray) -> float:

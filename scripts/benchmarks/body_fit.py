@@ -1,10 +1,10 @@
-"""Figures of the fitting chain (gate, filter, stature, joints): errors on motion capture, headings, lag, stature, time.
+"""Figures of the fitting chain (gate, filter, stature, joints): errors on motion capture, lag, stature, time.
 
 Motions: all recordings at hand, cut to 20 s, each of a virtual person before a camera at a random place (seeded).
 Errors are over the twelve joints of shoulders, elbows, wrists, hips, knees and ankles and all images from the first
 settled model on. Raises FileNotFoundError with the reason where the recordings are absent.
 
-Time of inverse kinematics, of the batched solver and of ikpy on the same images: processor time of the thread, and
+Time of inverse kinematics: processor time of the thread, and
 wall-clock beside it; medians over blocks of 38 images, of which the quickest block counts, since other programs on the
 machine slow both down.
 """
@@ -35,14 +35,12 @@ from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS
 from hri_fullbody.core.detection.windows import FaceBox
 from hri_fullbody.core.filtering import KeypointFilter
 from hri_fullbody.core.keypoints import BLAZE_INNER_EYES, BLAZE_LEFT_ANKLE, BLAZE_RIGHT_ANKLE
-from hri_fullbody.core.kinematics.forward import TARGET_POINTS, compute_frames, forward
-from hri_fullbody.core.kinematics.ikpy_backend import LIMBS, LimbChains
+from hri_fullbody.core.kinematics.forward import forward
 from hri_fullbody.core.kinematics.solver import JointSolver
 from hri_fullbody.core.localization.ground import GroundPlane
 from hri_fullbody.core.localization.localizer import BodyScale, face_cue, floor_ratio
 from hri_fullbody.core.model.anthropometry import MONOCULAR, SegmentTable, StatureEstimator
-from hri_fullbody.core.model.human import PAPER, Dimensions, stack_dimensions
-from hri_fullbody.core.model.urdf import make_urdf
+from hri_fullbody.core.model.human import PAPER, Dimensions
 from hri_fullbody.core.modeller import BodyInput, BodyModeller
 from hri_fullbody.core.parameters import VISION
 from hri_fullbody.core.pipeline import BodyPipeline
@@ -54,7 +52,6 @@ from hri_pipeline.core.observations import FaceObservation
 TUNED_ON = "02"
 """Subject on whose recordings filter, gate and weights were tuned; the others were in view when models were
 compared."""
-HEADINGS_DEG = tuple(range(0, 360, 45))
 _LONGEST = 600
 _LEGS = [kp.LEFT_KNEE, kp.LEFT_ANKLE, kp.RIGHT_KNEE, kp.RIGHT_ANKLE]
 _ANKLE_ABOVE_FLOOR = 0.07
@@ -76,24 +73,6 @@ def fit_errors(chosen: Sequence[RecordedMotion], table: SegmentTable, limb_lengt
     """Mean joint error, mm, by level of noise, of the whole chain."""
     modeller = BodyModeller(interface=interface, table=table, limb_lengths=limb_lengths)
     return {str(level): round(mpjpe_mm(track(modeller, chosen, level, seed)), 2) for level in levels}
-
-
-def heading_errors(table: SegmentTable, level: Level, seed: int = 5) -> Dict[int, float]:
-    """Mean joint error, mm, by heading in degrees (0 faces the camera), 5 s of each recording at 2.5 m."""
-    names = trial_names()
-    people = virtual_people(len(names), seed, table)
-    worlds = [load_motion(name, person).cut(0, 150) for name, person in zip(names, people)]
-    modeller, errors = BodyModeller(table=table), {}
-    for heading in HEADINGS_DEG:
-        seen = [before_camera(world, seed, np.radians(heading), 2.5) for world in worlds]
-        errors[heading] = round(mpjpe_mm(track(modeller, seen, level, 7)), 2)
-    return errors
-
-
-def worst_heading_ratio(table: SegmentTable, level: Level = 10) -> Tuple[float, Dict[int, float]]:
-    """Return the worst heading's error as a part of the best one's, and all errors."""
-    errors = heading_errors(table, level)
-    return round(max(errors.values()) / min(errors.values()), 3), errors
 
 
 def wave(table: SegmentTable, level: Level = 10, people: int = 10) -> Tuple[float, float]:
@@ -316,36 +295,6 @@ def modeller_ms(table: SegmentTable, count: int, frames: int = 200) -> Tuple[flo
     return _medians(one, frames)
 
 
-def ikpy_ms(table: SegmentTable, frames: int = 20) -> Dict[str, float]:
-    """Return ikpy's processor time (ms) per body, its four limbs: cold (from zero), warm (from the image before) and
-    seeded (from the closed form, with the distal segment's orientation)."""
-    points, dimensions = _bodies(table, 1, frames)
-    solver = JointSolver(method="closed_form")
-    chains = LimbChains(make_urdf(dimensions[0], "body", PAPER, visuals=False), "body", PAPER)
-    stacked, state = stack_dimensions(dimensions), [None]
-    before = {limb: np.zeros(4) for limb in LIMBS}
-    times: Dict[str, List[float]] = {"cold": [], "warm": [], "seeded": []}
-    for frame in range(frames):
-        solution = solver.solve(points[:, frame], dimensions, state, 1.0 / 30.0)
-        state = solution.states
-        slots = PAPER.to_slots(solution.q)
-        poses = compute_frames(solution.rotation, solution.position, slots, stacked, PAPER)
-        spent = dict.fromkeys(times, 0.0)
-        for n, limb in enumerate(LIMBS):
-            base = poses.torso[0] if n < 2 else solution.rotation[0]
-            origin = poses.neck[0] if n < 2 else solution.position[0]
-            end = base.T @ (points[0, frame, TARGET_POINTS[8 + n]] - origin)
-            closed = slots[0, 1 + 4 * limb:5 + 4 * limb]
-            spent["cold"] += _clocked(lambda: chains.solve(limb, np.zeros(4), end))[0]  # noqa: B023 (called at once)
-            seconds, before[limb] = _clocked(lambda: chains.solve(limb, before[limb], end))  # noqa: B023
-            spent["warm"] += seconds
-            turned = base.T @ poses.chain[0, limb, 3]
-            spent["seeded"] += _clocked(lambda: chains.solve(limb, closed, end, turned))[0]  # noqa: B023
-        for name, seconds in spent.items():
-            times[name].append(seconds)
-    return {name: round(1e3 * float(np.median(values)), 2) for name, values in times.items()}
-
-
 def _bodies(table: SegmentTable, count: int, frames: int) -> Tuple[np.ndarray, List[Dimensions]]:
     """Noisy key points (count, frames, 18, 3) m of recordings, and the people's true dimensions."""
     chosen = [motion for motion in motions(table) if len(motion.points) >= 60]
@@ -358,12 +307,6 @@ def _bodies(table: SegmentTable, count: int, frames: int) -> Tuple[np.ndarray, L
         lengths = {name: value for name, value in vars(person).items() if name != "stature"}
         dimensions.append(Dimensions.from_segments(person.stature, lengths, table))
     return np.stack(points), dimensions
-
-
-def _clocked(work: Callable[[], np.ndarray]) -> Tuple[float, np.ndarray]:
-    began = time.thread_time()
-    result = work()
-    return time.thread_time() - began, result
 
 
 def _medians(one: Callable[[int], None], frames: int) -> Tuple[float, float]:

@@ -47,14 +47,15 @@ class BodyAnswer:
     attitude: Optional[str] = None
 
 
-def labelled_bodies(path: Path = TABLE) -> List[LabelledBody]:
+def labelled_bodies() -> List[LabelledBody]:
     """Read the labels. Raises ValueError naming the file and what stands there."""
     found = []
-    for face in read_labels(path):
+    for face in read_labels(TABLE):
         words = face.label.split()
         if len(words) != 3 or words[0] not in POSTURES or words[1] not in ("legs", "hidden") or (
                 words[2] not in (*ATTITUDES, "other", "unknown")):
-            raise ValueError("{}: {!r} of {} is not `posture legs|hidden attitude`".format(path, face.label, face.file))
+            raise ValueError("{}: {!r} of {} is not `posture legs|hidden attitude`".format(
+                TABLE, face.label, face.file))
         found.append(LabelledBody(face, words[0], words[1] == "legs", None if words[2] == "unknown" else words[2]))
     return found
 

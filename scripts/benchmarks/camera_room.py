@@ -170,9 +170,9 @@ class Room:
     """
 
     def __init__(self, cameras: Sequence[Camera], people: Sequence[Walker], rng: np.random.Generator,
-                 gaps: float = 10.0, faces: bool = True, hidden: bool = False, dark: float = DARK) -> None:
+                 gaps: float = 10.0, hidden: bool = False) -> None:
         self.cameras, self.people, self._rng, self._gaps = cameras, list(people), rng, gaps
-        self._faces, self._hidden = faces, hidden
+        self._hidden = hidden
         self.now = 0.0
         self._ids = itertools.count()
         self._of_person = [{"face": OF_PERSON * rng.normal(), "body": OF_PERSON * rng.normal()} for _ in people]
@@ -184,7 +184,7 @@ class Room:
         self.present: Callable[[int], bool] = lambda number: True
         # Of their own, so that they change nothing else.
         self._dress = np.random.default_rng(int(1e6 * people[0].stature) + len(cameras))
-        self._clothes = [human(self._dress, dark=dark) for _ in people]
+        self._clothes = [human(self._dress, dark=DARK) for _ in people]
         self._tints = {camera.name: np.append(CAMERA_LIGHT * self._dress.normal(), CAMERA_TINT * self._dress.normal(
             size=2)) for camera in cameras}
         self._sides: Dict[Tuple[str, int], np.ndarray] = {}
@@ -237,7 +237,7 @@ class Room:
                 continue
             bearing = math.atan2(camera.position[1] - head[1], camera.position[0] - head[0])
             turned = abs(math.remainder(bearing - walker.heading, 2.0 * math.pi))
-            for kind in ("body", "face") if self._faces and turned < FACE_TURN else ("body",):
+            for kind in ("body", "face") if turned < FACE_TURN else ("body",):
                 sighting = self._find(camera, number, kind, head)
                 if sighting is not None:
                     found.append(sighting)

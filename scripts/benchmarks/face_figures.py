@@ -5,8 +5,6 @@ Poses are measured on heads of known pose: the canonical face, projected with no
 
 from __future__ import annotations
 
-import os
-import threading
 import time
 from pathlib import Path
 from typing import Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence, Tuple
@@ -41,17 +39,8 @@ WARM_UP_S = 10.0
 WIDTH, HEIGHT = 1280, 720
 EXPRESSIONS = Path(__file__).with_name("expressions.txt")
 PHOTOGRAPH_HFOV = np.deg2rad(53.0)
-GROUP = "demo/sample5.jpg"
 GEOMETRY_ONLY = {"action_units": False, "expression": False, "age_gender": False, "recognition": False}
 """Settings of a face stage that only finds faces."""
-FRONTAL = np.deg2rad(22.0)
-PORTRAITS = tuple("demo/sample%d.jpg" % number for number in range(1, 7)) + tuple(
-    "evaluation/portrait_%02d.jpg" % number for number in (1, 2, 3, 4, 5, 6, 7, 9)) + tuple(
-    "evaluation/posed_%s.jpg" % name for name in ("angry", "disgusted", "happy", "surprised")) + (
-    "evaluation/group.jpg", "evaluation/laugh.jpg", "evaluation/recognition/one_1.jpg",
-    "evaluation/recognition/other_1.jpg")
-"""Photographs of different people; left out: a close-up of a mouth (portrait_10) and more pictures of the same
-people."""
 
 
 def pan(still: np.ndarray, seconds: float) -> Iterator[Tuple[float, np.ndarray]]:
@@ -84,14 +73,13 @@ def cpu_ms(scene: np.ndarray, people: int, seconds: float = 10.0) -> float:
     return 1e3 * float(np.mean(spent))
 
 
-def pose_errors(count: int = 300, noise_px: float = 1.0, face: Optional[CanonicalFace] = None
-                ) -> Tuple[float, float, float, float]:
+def pose_errors(count: int = 300, noise_px: float = 1.0) -> Tuple[float, float, float, float]:
     """Return the mean absolute errors of yaw, pitch and roll (degrees) and of the position (% of the distance).
 
     The canonical face at yaw within 60, pitch within 30, roll within 45 degrees and 0.5 to 2 m, projected into a
     1280x720 image with normal noise of noise_px on every coordinate.
     """
-    face = face or load_canonical_face(models_directory() / "canonical_face.npz")
+    face = load_canonical_face(models_directory() / "canonical_face.npz")
     camera = CameraModel.from_fov(WIDTH, HEIGHT, 1.0)
     random = np.random.RandomState(3)
     truths = head_poses(count, random)
@@ -106,26 +94,6 @@ def pose_errors(count: int = 300, noise_px: float = 1.0, face: Optional[Canonica
         places.append(np.linalg.norm(found.translation - truth.translation) / np.linalg.norm(truth.translation))
     yaw, pitch, roll = np.degrees(np.mean(angles, axis=0)).tolist()
     return yaw, pitch, roll, 100.0 * float(np.mean(places))
-
-
-def portrait_pitches(models: Path) -> np.ndarray:
-    """Return the pitch (degrees) against the line of sight of the open-eyed faces of PORTRAITS that look ahead."""
-    stage = FacePipeline(FACES.resolve(GEOMETRY_ONLY))
-    pitches: List[float] = []
-    for name in PORTRAITS:
-        for face in _faces_of(stage, models / name):
-            if face.pose is None or face.gaze is None or face.gaze.eyes_closed > 0.5:
-                continue
-            yaw, pitch, _ = yaw_pitch_roll(face.pose)
-            x, y, z = face.pose.translation
-            if abs(yaw + np.arctan2(x, z)) < FRONTAL:
-                pitches.append(float(np.degrees(pitch - np.arctan2(y, np.hypot(x, z)))))
-    return np.array(pitches)
-
-
-def portrait_pitch_median_deg(models: Path) -> float:
-    """Return the median of the absolute pitch (degrees) of frontal portraits, heads not held level included."""
-    return float(np.median(np.abs(portrait_pitches(models))))
 
 
 def eyes_closed(models: Path) -> Dict[str, int]:
@@ -266,65 +234,6 @@ def _told(labels: Sequence[LabelledFace], told: Mapping[LabelledFace, Optional[s
     right = sum(answer == label for answer, label in answers)
     return {"precision": right / max(1, len(answers)), "told": len(answers) / max(1, len(labels)),
             "right": right, "faces": len(labels)}
-
-
-def ids(models: Path, seconds: float) -> int:
-    """Return how many face ids the slow pan over a group of five people gives in this time (s)."""
-    still = read_image(models / GROUP)
-    scale = WIDTH / still.shape[1]
-    still = cv2.resize(still, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    top = (still.shape[0] - HEIGHT) // 2
-    stage = FacePipeline(FACES.resolve(GEOMETRY_ONLY))
-    camera = CameraModel.from_fov(WIDTH, HEIGHT, 1.0)
-    seen = set()
-    for stamp, image in pan(still[top:top + HEIGHT], seconds):
-        stage.update(image, camera, stamp)
-        seen |= set(stage.tracked_ids)
-    return len(seen)
-
-
-def churn(count: int, models: Optional[Path] = None) -> Dict[str, float]:
-    """Return what `count` faces that come and go leave behind: growth of fds, threads, rss_mb, after a tenth of
-    them."""
-    still = read_image((models or models_directory()) / GROUP)
-    bright = cv2.resize(still, (640, 640 * still.shape[0] // still.shape[1]), interpolation=cv2.INTER_AREA)
-    dark = np.zeros_like(bright)
-    stage = FacePipeline(FACES.resolve({"face_birth_delay": 0.0, "face_min_detections": 1, "face_death_time": 0.05,
-                                     "face_detection_tiles": 1, "recognition_learn_delay": 600.0}))
-    camera = CameraModel.from_fov(bright.shape[1], bright.shape[0], 1.0)
-    gone, stamp, start = 0, 1000.0, None
-    while gone < count:
-        stage.update(bright, camera, stamp)
-        faces = stage.update(bright, camera, stamp + 0.04, None, FaceDemand.everything(stage.tracked_ids))
-        gone += len(faces)
-        # Long enough in the dark that the detector looks again at once when the light comes back.
-        stage.update(dark, camera, stamp + 1.0)
-        stage.update(dark, camera, stamp + 2.0)
-        if stage.tracked_ids or not faces:
-            raise RuntimeError("{} faces came, {} stayed in the dark".format(len(faces), len(stage.tracked_ids)))
-        stamp += 3.0
-        if start is None and gone >= count / 10:
-            start = _resources()
-    end = _resources()
-    stage.close()
-    return {name: round(end[name] - start[name], 1) for name in end}
-
-
-def _resources() -> Dict[str, float]:
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return {"fds": len(os.listdir("/proc/self/fd")), "threads": threading.active_count(),
-            "rss_mb": pages * os.sysconf("SC_PAGE_SIZE") / 2.0 ** 20}
-
-
-def _faces_of(stage: FacePipeline, path: Path) -> List[FaceObservation]:
-    """Faces of a photograph, looked at as a film of a second."""
-    image = read_image(path)
-    camera = CameraModel.from_fov(image.shape[1], image.shape[0], PHOTOGRAPH_HFOV)
-    stage.reset()
-    faces: List[FaceObservation] = []
-    for index in range(10):
-        faces = stage.update(image, camera, 1000.0 + 0.12 * index)
-    return faces
 
 
 def read_image(path: Path) -> np.ndarray:

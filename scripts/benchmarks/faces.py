@@ -1,4 +1,4 @@
-"""`scripts/benchmark faces`: processor time, poses, eyes, recognition and endurance of the face stage."""
+"""`scripts/benchmark faces`: processor time, poses, eyes, expressions and recognition of faces."""
 
 from __future__ import annotations
 
@@ -7,12 +7,7 @@ import sys
 from pathlib import Path
 from typing import Callable, Dict, Sequence
 
-from benchmarks.report import Keys, Subject, each_most, models_directory, most, told
-
-CHURN_FACES = 2000
-IDS_SECONDS = 60.0
-GROWTH = {"fds": 0, "threads": 0, "rss_mb": 10}
-"""Most that 2,000 faces may leave behind and still count as flat; the memory of a process breathes by some MB."""
+from benchmarks.report import Keys, Subject, models_directory, most, told
 
 
 def _all_most(limit: float) -> Callable[[object], bool]:
@@ -28,22 +23,18 @@ KEYS: Keys = (
     ("cpu_ms_1", "<= 10 ms", most(10.0)), ("cpu_ms_3", "<= 16 ms", most(16.0)),
     ("cpu_ms_10", "<= 35 ms", most(35.0)),
     ("pose_mae_deg", "<= 2 deg each", _all_most(2.0)), ("pose_position_percent", "<= 3 %", most(3.0)),
-    ("portrait_pitch_median_deg", "<= 4 deg", most(4.0)),
     ("face_body_depth_ratio_median", "0.85 .. 1.15",
      lambda value: isinstance(value, float) and 0.85 <= value <= 1.15),
     ("eyes_closed", "(told)", told),
     ("expression", "precision >= 0.8", lambda value: isinstance(value, dict) and value["precision"] >= 0.8),
-    ("recognition", "wrong 0, unknown 0", _no_error("wrong", "unknown")),
-    ("ids_60s", "5", lambda value: value == 5), ("gallery_1000_ms", "(told)", told),
-    ("churn_2000", "flat", each_most(GROWTH)))
+    ("recognition", "wrong 0, unknown 0", _no_error("wrong", "unknown")))
 
 PARTS: Dict[str, Sequence[str]] = {
     "cpu": ("cpu_ms_1", "cpu_ms_3", "cpu_ms_10"), "pose": ("pose_mae_deg", "pose_position_percent"),
-    "portraits": ("portrait_pitch_median_deg",), "depth": ("face_body_depth_ratio_median",),
+    "depth": ("face_body_depth_ratio_median",),
     "eyes": ("eyes_closed",), "expression": ("expression",),
-    "recognition": ("recognition",), "ids": ("ids_60s",), "gallery": ("gallery_1000_ms",),
-    "churn": ("churn_2000",)}
-SUBJECT = Subject("faces", "processor time, poses, eyes, recognition and endurance of faces", KEYS, PARTS, {
+    "recognition": ("recognition",)}
+SUBJECT = Subject("faces", "processor time, poses, eyes, expressions and recognition of faces", KEYS, PARTS, {
     "images": "1280x720", "pictures": "groups demo and evaluation of fetch_models", "threads": "1 per network",
     "recognition": "each picture as a film of 8 s at 5 Hz, in two runs", "models": models_directory().name})
 
@@ -63,9 +54,6 @@ def _measure(part: str) -> Dict[str, object]:
     models = models_directory()
     if part == "recognition":
         return {"recognition": _recognition(models)}
-    if part == "gallery":
-        from benchmarks.recognition import gallery_ms
-        return {"gallery_1000_ms": round(gallery_ms(1000, 5), 3)}
     from benchmarks import face_figures
     if part == "cpu":
         from benchmarks.scenes import make_scene
@@ -78,16 +66,10 @@ def _measure(part: str) -> Dict[str, object]:
     if part == "depth":
         from benchmarks.body_fit import face_body_depth_ratio_median
         return {"face_body_depth_ratio_median": face_body_depth_ratio_median(models)}
-    if part == "churn":
-        return {"churn_2000": face_figures.churn(CHURN_FACES, models)}
     if part == "expression":
         figures = face_figures.expressions(models)
         return {"expression": dict(figures["expression"], tuned=figures["tuned"])}
-    if part == "ids":
-        return {"ids_60s": face_figures.ids(models, IDS_SECONDS)}
-    key = PARTS[part][0]
-    measure = {"portraits": "portrait_pitch_median_deg", "eyes": "eyes_closed"}
-    return {key: getattr(face_figures, measure[part])(models)}
+    return {"eyes_closed": face_figures.eyes_closed(models)}
 
 
 def _recognition(models: Path) -> Dict[str, int]:

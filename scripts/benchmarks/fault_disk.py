@@ -42,10 +42,10 @@ class SmallDisk(Protocol):
 class Tmpfs:
     """A file system in memory; only root may make one."""
 
-    def __init__(self, size: int = SIZE) -> None:
+    def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="ros4hri-full-"))
-        self.how = "tmpfs of {:.0f} MiB, filled to the last byte".format(size / 2 ** 20)
-        options = ["mount", "-t", "tmpfs", "-o", "size={},mode=0700".format(size), "ros4hri", str(self.path)]
+        self.how = "tmpfs of {:.0f} MiB, filled to the last byte".format(SIZE / 2 ** 20)
+        options = ["mount", "-t", "tmpfs", "-o", "size={},mode=0700".format(SIZE), "ros4hri", str(self.path)]
         if subprocess.run(options, stderr=subprocess.DEVNULL, check=False).returncode:
             self.path.rmdir()
             raise PermissionError("no tmpfs can be mounted")

@@ -107,9 +107,9 @@ class FaultStack(StackRun):
         self._output.flush()
         return Path("/proc/self/fd/{}".format(self._output.fileno())).read_text(encoding="utf-8", errors="replace")
 
-    def last_lines(self, count: int = 12) -> str:
+    def last_lines(self) -> str:
         """The last lines of said(), in one."""
-        return " | ".join(self.said().strip().splitlines()[-count:])
+        return " | ".join(self.said().strip().splitlines()[-12:])
 
     def close(self) -> None:
         """End everything. Idempotent."""

@@ -58,18 +58,16 @@ def noisy_f1(scenes: Sequence[GroupScene], position_sd: float = NOISE_POSITION, 
     return two_thirds, same
 
 
-def group_figures(directory: Optional[Path] = None) -> Dict[str, Dict[str, float]]:
+def group_figures() -> Dict[str, Dict[str, float]]:
     """Return F1 with one setting for all scenes: `f1` (T = 2/3), `f1_same_members` (T = 1), and at T = 2/3 the others.
 
     The setting was chosen on CoffeeBreak/Seq1 (`f1_chosen_on`, with and without noise), every second moment of Synth,
     and other simulated scenes; `f1_held_out` is on what took no part in that. Of CoffeeBreak the sequence chosen on is
-    much the harder one for every method. directory: of the test data. Raises FileNotFoundError where the public scenes
-    are absent.
+    much the harder one for every method. Raises FileNotFoundError where the public scenes are absent.
     """
     names = ("CoffeeBreak", "Synth", "CoffeeBreak_noisy", "simulated", "radii")
-    synth = public_scenes("Synth", directory)
-    coffee, first, second = (public_scenes(name, directory)
-                             for name in ("CoffeeBreak", "CoffeeBreak/Seq1", "CoffeeBreak/Seq2"))
+    synth = public_scenes("Synth")
+    coffee, first, second = (public_scenes(name) for name in ("CoffeeBreak", "CoffeeBreak/Seq1", "CoffeeBreak/Seq2"))
     both = dict(zip(names, (f1(coffee), f1(synth), noisy_f1(coffee), f1(simulated_scenes(100, seed=2)),
                             f1(circles_of_any_size(100, seed=9), direction_sd=CIRCLES_DIRECTION))))
     return {

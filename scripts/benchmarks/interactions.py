@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Dict, List, Optional, Sequence
 
@@ -12,8 +11,6 @@ from benchmarks.report import Keys, Subject, models_directory, most, rounded, sh
 GAZE_SECONDS = 60.0
 RATE_HZ = 15.0
 GROUPS_WANTED = {"CoffeeBreak": 0.87, "Synth": 0.93, "CoffeeBreak_noisy": 0.78, "radii": 0.93, "walkers": 0.88}
-CROWD_GROWTH_MB = 10.0
-"""Most by which the memory may grow in an hour and still count as flat; that of a process breathes by some MB."""
 
 
 def _gaze(value: object) -> bool:
@@ -37,10 +34,6 @@ def _engagement(value: object) -> bool:
     return isinstance(value, dict) and value["illegal"] == 0 and not value.get("missing")
 
 
-def _crowd(value: object) -> bool:
-    return isinstance(value, dict) and value["rss_mb"] <= CROWD_GROWTH_MB and value["new_ids"] == 0
-
-
 def _gesture(value: object) -> bool:
     return isinstance(value, dict) and min(value["precision"], value["recall"]) >= 0.90
 
@@ -59,29 +52,25 @@ KEYS: Keys = (
      and value["shut_told_open"] <= 0.05),
     ("groups_f1", ">= 0.87, 0.93, 0.78, 0.93, 0.88", _groups), ("engagement", "illegal 0, each level", _engagement),
     ("cpu_percent_10", "<= 3 %", most(3.0)), ("cpu_percent_30", "<= 10 %", most(10.0)),
-    ("nod", "both >= 0.9", _gesture), ("shake", "both >= 0.9", _gesture), ("crowd", "flat, stable ids", _crowd))
+    ("nod", "both >= 0.9", _gesture), ("shake", "both >= 0.9", _gesture))
 
 PARTS: Dict[str, Sequence[str]] = {
     "gaze": ("gaze_3", "gaze_6", "gaze_without_closed_eyes_rule"), "photographs": ("photographs", "gaze_real"),
     "eyes": ("eyes",), "independent": ("gaze_independent", "gaze_no_face", "robot_groups"),
     "groups": ("groups_f1",), "engagement": ("engagement",), "cpu": ("cpu_percent_10", "cpu_percent_30"),
-    "nods": ("nod", "shake"), "crowd": ("crowd",)}
+    "nods": ("nod", "shake")}
 
 
 def register(commands: argparse._SubParsersAction) -> None:
     """Add the command line of this benchmark."""
     parser = SUBJECT.register(commands)
-    parser.add_argument("--hours", type=float, default=1.0, help="simulated time of the crowd (default: 1)")
     parser.add_argument("--overlay", default="", help="file for the photographs with what was found in them")
 
 
 def run(options: argparse.Namespace) -> int:
     """Measure and print; 1 when something could not be measured."""
-    if not options.hours > 0.0:
-        print("scripts/benchmark interactions: --hours must be above 0", file=sys.stderr)
-        return 2
     overlay = Path(options.overlay) if options.overlay else None
-    return SUBJECT.run(options, lambda part: _measure(part, options.hours, overlay))
+    return SUBJECT.run(options, lambda part: _measure(part, overlay))
 
 
 def _words(report: dict) -> Dict[str, str]:
@@ -102,7 +91,7 @@ def _confusion(table: Dict[str, Dict[str, int]]) -> List[str]:
                     for truth, row in table.items()]
 
 
-SUBJECT = Subject("interactions", "gazes, groups, engagement, their cost, and an hour in a crowd", KEYS, PARTS, {
+SUBJECT = Subject("interactions", "gazes, groups, engagement and their cost", KEYS, PARTS, {
     "gaze": "people 1 to 4 m away, gaze noise 8 deg, head noise 5 deg, 10 % dropouts, eyes closed 10 % of the "
             "time, {:g} s for each seed".format(GAZE_SECONDS),
     "pictures": "those of fetch_models (demo, evaluation), labels in gazes.txt, each as a film of 2 s",
@@ -110,7 +99,7 @@ SUBJECT = Subject("interactions", "gazes, groups, engagement, their cost, and an
     "cpu": "{:g} Hz".format(RATE_HZ)}, _words)
 
 
-def _measure(part: str, hours: float, overlay: Optional[Path]) -> Dict[str, object]:
+def _measure(part: str, overlay: Optional[Path]) -> Dict[str, object]:
     """Figures of one part."""
     if part == "groups":
         return _measure_groups()
@@ -133,9 +122,6 @@ def _measure(part: str, hours: float, overlay: Optional[Path]) -> Dict[str, obje
     if part == "nods":
         from benchmarks.nods import nod_figures
         return {name: rounded(scores) for name, scores in nod_figures().items()}
-    if part == "crowd":
-        from benchmarks.crowd import crowd
-        return {"crowd": rounded(crowd(hours), 2)}
     if part == "gaze":
         return _measure_gaze()
     if part == "cpu":

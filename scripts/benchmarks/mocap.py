@@ -63,22 +63,21 @@ class RecordedMotion:
         return np.arange(len(self.points)) / self.rate
 
 
-def trial_names(directory: Optional[Path] = None) -> List[str]:
-    """Return the names of all recordings, as 02_01, sorted. directory: see load_motion."""
-    return sorted(path.stem for path in _cmu(directory).glob("*/*.amc"))
+def trial_names() -> List[str]:
+    """Return the names of all recordings, as 02_01, sorted."""
+    return sorted(path.stem for path in _cmu().glob("*/*.amc"))
 
 
-def load_motion(name: str, person: Optional[VirtualPerson] = None, rate: float = 30.0,
-                directory: Optional[Path] = None) -> RecordedMotion:
+def load_motion(name: str, person: Optional[VirtualPerson] = None, rate: float = 30.0) -> RecordedMotion:
     """Load the recording SUBJECT_TRIAL of the CMU database, in the world.
 
-    person: give the actor this person's dimensions. rate: Hz, a divisor of 120. directory: of the test data,
-    None: data_directory(). Raises FileNotFoundError, ValueError naming what is wrong.
+    person: give the actor this person's dimensions. rate: Hz, a divisor of 120. Raises
+    FileNotFoundError, ValueError naming what is wrong.
     """
     step = int(round(RECORDED_HZ / rate))
     if step < 1 or abs(RECORDED_HZ / step - rate) > 1e-6:
         raise ValueError("the rate {} Hz is no whole part of {:g} Hz".format(rate, RECORDED_HZ))
-    folder = _cmu(directory) / name.split("_")[0]
+    folder = _cmu() / name.split("_")[0]
     skeleton = read_skeleton(folder / (folder.name + ".asf"))
     motion = read_motion(folder / (name + ".amc"), step)
     scale = None if person is None else _scale(skeleton, motion, person)
@@ -94,12 +93,12 @@ def load_motion(name: str, person: Optional[VirtualPerson] = None, rate: float =
     return RecordedMotion(name, points, head_rotation, np.array([0.0, 1.0, 0.0]), rate, stature, person)
 
 
-def before_camera(motion: RecordedMotion, seed: int, heading: Optional[float] = None, distance: Optional[float] = None,
-                  height: float = 1.2) -> RecordedMotion:
+def before_camera(motion: RecordedMotion, seed: int, heading: Optional[float] = None, distance: Optional[float] = None
+                  ) -> RecordedMotion:
     """Put a motion of the world before a camera that follows the person; result in its optical frame.
 
     heading: rad, the camera's direction seen from the person, on average: 0 is before his face, pi/2 at his
-    left; None: random, up to 75 degrees. distance: m, None: random, 1.8 to 4 m. height: m above the floor.
+    left; None: random, up to 75 degrees. distance: m, None: random, 1.8 to 4 m. The camera is 1.2 m above the floor.
     """
     random = np.random.default_rng(seed)
     drawn = random.uniform(1.8, 4.0), random.uniform(-75.0, 75.0)
@@ -111,7 +110,7 @@ def before_camera(motion: RecordedMotion, seed: int, heading: Optional[float] = 
     centre[:, 1] = np.percentile(ankles, 2) - _ANKLE_ABOVE_FLOOR
     forward = motion.head_rotation[:, :, 0].mean(axis=0)
     angle = np.arctan2(forward[0], forward[2]) + heading
-    camera = np.array([np.sin(angle) * distance, height, np.cos(angle) * distance])
+    camera = np.array([np.sin(angle) * distance, 1.2, np.cos(angle) * distance])
     z = _unit(np.array([0.0, 0.95, 0.0]) - camera)
     x = _unit(np.cross(z, motion.up))
     turn = np.stack([x, np.cross(z, x), z])
@@ -119,11 +118,11 @@ def before_camera(motion: RecordedMotion, seed: int, heading: Optional[float] = 
                    head_rotation=turn @ motion.head_rotation, up=turn @ motion.up)
 
 
-def _cmu(directory: Optional[Path]) -> Path:
-    directory = data_directory() if directory is None else directory
+def _cmu() -> Path:
+    directory = data_directory()
     if directory is None:
         raise FileNotFoundError(ABSENT)
-    found = Path(directory) / "mocap" / "cmu"
+    found = directory / "mocap" / "cmu"
     if not found.is_dir():
         raise FileNotFoundError("{} holds no motion capture: there is no {}".format(directory, found))
     return found

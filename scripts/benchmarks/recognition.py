@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-import time
 from contextlib import closing
 from pathlib import Path
 from typing import Callable, Dict, List, Sequence, Tuple
@@ -16,8 +15,6 @@ from hri_pipeline.core.faces.analysis import FaceDemand
 from hri_pipeline.core.faces.parameters import FACES
 from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.observations import FaceObservation
-from hri_pipeline.core.recognition.embedding import KINDS
-from hri_pipeline.core.recognition.gallery import MemoryGallery
 
 TABLE = Path(__file__).with_name("identities.txt")
 ASKED = ("demo/", "evaluation/recognition/")
@@ -126,27 +123,6 @@ def _show_all(encounters: Encounters, wanted: Sequence[LabelledFace], models: Pa
     for of_image, image in images(wanted, models):
         say(of_image[0].file)
         encounters.show(of_image, image)
-
-
-def gallery_ms(persons: int = 1000, templates: int = 5, repeats: int = 200) -> float:
-    """Return the median processor time (ms), all of it of one thread, to compare one face with random people."""
-    kind = KINDS["face_recognition"]
-    random = np.random.RandomState(0)
-    vectors = random.randn(persons, templates, kind.dimension)
-    vectors /= np.linalg.norm(vectors, axis=2, keepdims=True)
-    gallery = MemoryGallery(kind.name, kind.dimension, kind.calibration, templates, persons)
-    for number, group in enumerate(vectors):
-        gallery.add_person("p{}".format(number), group)
-    return _median_ms(lambda: gallery.match(vectors[random.randint(persons), :1]), repeats)
-
-
-def _median_ms(action: Callable[[], object], repeats: int) -> float:
-    times = []
-    for _ in range(repeats):
-        begin = time.thread_time()
-        action()
-        times.append(time.thread_time() - begin)
-    return 1e3 * float(np.median(times))
 
 
 SIZE = 128

@@ -1,4 +1,4 @@
-"""`scripts/benchmark robot`: what the rest of the robot gets: navigation, presets, the way to ROS 2, and gestures."""
+"""`scripts/benchmark robot`: what the rest of the robot gets: navigation, presets, the way to ROS 2, and pointing."""
 
 from __future__ import annotations
 
@@ -15,33 +15,26 @@ def _within(value: object) -> bool:
     return isinstance(value, dict) and all(0.90 <= share <= 0.99 for share in value.values())
 
 
-def _both(value: object) -> bool:
-    return isinstance(value, dict) and min(value["precision"], value["recall"]) >= 0.9
-
-
 # Figure, what is asked, and whether a value is that.
 KEYS: Keys = (
     ("covariance_95", ".90 to .99 each", _within), ("people_msgs_hz", ">= 10", least(10.0)),
     ("presets_failed", "0", most(0)), ("bridge_fields_failed", "0", most(0)),
-    ("respeaker6_doa_error_deg", "<= 3", most(3.0)), ("calibration_error_m", "<= 0.05", most(0.05)),
+    ("calibration_error_m", "<= 0.05", most(0.05)),
     ("calibration_error_deg", "<= 1", most(1.0)), ("web_first_picture_s", "<= 2", most(2.0)),
-    ("nod", "both >= .9", _both), ("shake", "both >= .9", _both), ("pointing_error_deg", "<= 8", most(8.0)))
+    ("pointing_error_deg", "<= 8", most(8.0)))
 
 PARTS: Dict[str, Sequence[str]] = {
     "covariance": ("covariance_95",), "people": ("people_msgs_hz",), "presets": ("presets_failed",),
-    "bridge": ("bridge_fields_failed",), "respeaker": ("respeaker6_doa_error_deg",),
+    "bridge": ("bridge_fields_failed",),
     "calibration": ("calibration_error_m", "calibration_error_deg"), "web": ("web_first_picture_s",),
-    "nod": ("nod", "shake"), "pointing": ("pointing_error_deg",)}
+    "pointing": ("pointing_error_deg",)}
 SOURCES: Dict[str, Tuple[str, str]] = {
     "covariance": ("covariance", "figures"), "people": ("robot", "people_figures"),
     "presets": ("sensor_presets", "figures"), "bridge": ("ros2_bridge", "figures"),
-    "respeaker": ("respeaker", "figures"), "calibration": ("calibration", "calibration_figures"),
-    "web": ("web_page", "web_figures"), "nod": ("nods", "nod_figures"),
-    "pointing": ("attitude", "pointing_figures")}
+    "calibration": ("calibration", "calibration_figures"),
+    "web": ("web_page", "web_figures"), "pointing": ("attitude", "pointing_figures")}
 """Module of the benchmarks and function that measures each part; it returns the keys of the part and more."""
-RENAMED = {"doa_error_deg_six_channels": "respeaker6_doa_error_deg", "error_deg": "pointing_error_deg"}
-"""Keys that have another name where they are measured."""
-SUBJECT = Subject("robot", "navigation, sensor presets, ROS 2, calibration, nods and pointing", KEYS, PARTS, {
+SUBJECT = Subject("robot", "navigation, sensor presets, ROS 2, calibration and pointing", KEYS, PARTS, {
     "covariance": "simulated people, seeds that no constant was chosen on; ellipses in the plane",
     "people": "ten people, places at 15 Hz", "presets": "a bag of each driver's topics through bag.launch",
     "bridge": "hri_msgs 2.3.2"})
@@ -54,7 +47,7 @@ def register(commands: argparse._SubParsersAction) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Measure and print; 1 when something could not be measured."""
-    return SUBJECT.run(options, lambda part: {RENAMED.get(key, key): value for key, value in source_of(part)().items()})
+    return SUBJECT.run(options, lambda part: source_of(part)())
 
 
 def source_of(part: str) -> Callable[[], Dict[str, object]]:

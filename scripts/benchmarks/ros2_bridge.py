@@ -22,10 +22,10 @@ OWN = {"AgeAndGender", "BodyAttitude", "GazeSenderReceiver", "GazesStamped", "Gr
 Fields = Dict[str, str]
 
 
-def definitions(directory: Path = ROOT / "msg") -> Dict[str, Fields]:
-    """Return {message: {field: type}} of a directory of .msg files, without constants."""
+def definitions() -> Dict[str, Fields]:
+    """Return {message: {field: type}} of the .msg files, without constants."""
     found: Dict[str, Fields] = {}
-    for path in sorted(directory.glob("*.msg")):
+    for path in sorted((ROOT / "msg").glob("*.msg")):
         lines = [line.split("#")[0].split() for line in path.read_text(encoding="utf-8").splitlines()]
         found[path.stem] = {line[1]: line[0] for line in lines if len(line) == 2 and "=" not in line[1]}
     return found
@@ -41,9 +41,9 @@ def table(path: Path = TABLE) -> Dict[str, Fields]:
     return found
 
 
-def rules(path: Path = RULES) -> Dict[str, Fields]:
+def rules() -> Dict[str, Fields]:
     """Return {message: {field here: field there}} of the mapping rules."""
-    return {rule["ros1_message_name"]: rule["fields_1_to_2"] for rule in yaml.safe_load(path.read_text())}
+    return {rule["ros1_message_name"]: rule["fields_1_to_2"] for rule in yaml.safe_load(RULES.read_text())}
 
 
 def problems(ours: Mapping[str, Fields], theirs: Mapping[str, Fields],

@@ -28,8 +28,8 @@ from hri_pipeline.core.asr.engines import (
     read_grammar,
 )
 from hri_pipeline.core.asr.moonshine import plain_words
-from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.asr.recognition import PAUSE_S
+from hri_pipeline.core.audio.parameters import SpeechSettings
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
 from hri_pipeline.core.audio.stream import encode_s16
 from hri_pipeline.score.metrics import word_errors

@@ -100,21 +100,19 @@ class StackRun:
     the programs.
     """
 
-    def __init__(self, folder: Optional[Path] = None, paths: Sequence[Path] = ()) -> None:
+    def __init__(self, folder: Optional[Path] = None) -> None:
         """Start nothing yet.
 
         Parameters
         ----------
         folder
             Of the logs. None: a new one, which `remove_logs` removes.
-        paths
-            More directories for the programs' PYTHONPATH, besides scripts/.
         """
         self._owned = folder is None
         self.folder = Path(tempfile.mkdtemp(prefix="ros4hri-benchmark-")) if folder is None else folder
         self.mark, self.port = "benchmark-" + uuid.uuid4().hex, processes.free_port()
         self.uri = "http://127.0.0.1:{}".format(self.port)
-        places = [str(SCRIPTS), *(str(path) for path in paths), os.environ.get("PYTHONPATH", "")]
+        places = [str(SCRIPTS), os.environ.get("PYTHONPATH", "")]
         self.environment = dict(os.environ, ROS_MASTER_URI=self.uri, ROS_IP="127.0.0.1",
                                 ROS_LOG_DIR=str(self.folder / "ros"),
                                 PYTHONPATH=os.pathsep.join(place for place in places if place))
@@ -212,13 +210,12 @@ class StackRun:
 
 
 def measure_alone(name: str, module: str, *arguments: object, patience: Optional[float] = None,
-                  paths: Sequence[Path] = (),
                   launch: Sequence[str] = ()) -> dict:
     """Run a module of the benchmarks on a master of its own, beside what `launch` (arguments of roslaunch) starts.
 
     Returns what it has found. Raises StackRunError when there is nothing; then the logs stay, else they are removed.
     """
-    with StackRun(paths=paths) as run:
+    with StackRun() as run:
         run.start_master()
         if launch:
             run.start("roslaunch", ["roslaunch", "--wait", *launch])

@@ -15,8 +15,14 @@ import numpy as np
 from benchmarks.room import Room, images_at, with_noise
 from benchmarks.speech_files import RATE, read_announcements, read_speech
 from benchmarks.voice_figures import energy_labels, speaker_embedder
-from hri_pipeline.core.audio.identity import CALIBRATION, LEAST_PRODUCT, MODEL, VoiceIdentity
-from hri_pipeline.core.audio.speakers import DIMENSION, SpeakerEmbedder
+from hri_pipeline.core.audio.speakers import (
+    CALIBRATION,
+    DIMENSION,
+    LEAST_PRODUCT,
+    MODEL,
+    SpeakerEmbedder,
+    VoiceIdentity,
+)
 from hri_pipeline.core.recognition.gallery import MemoryGallery
 
 FIRST_SEED = 1000

@@ -125,9 +125,9 @@ def unknown_keys(found: List[Package], known: Set[str]) -> List[str]:
             for key in sorted(package.any_of(package.declared) - known)]
 
 
-def known_keys(path: Path = KEYS_FILE) -> Set[str]:
+def known_keys() -> Set[str]:
     """The keys that stand in the file."""
-    return {line for line in path.read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")}
+    return {line for line in KEYS_FILE.read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")}
 
 
 def problems_of(root: Path) -> List[str]:

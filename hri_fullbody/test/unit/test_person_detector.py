@@ -22,20 +22,20 @@ def test_a_peak_becomes_a_box_around_its_cell():
     heat, extents = heat_with([(10, 20, 0.8)])
     heat[10, 21] = 0.7
     extents[10, 20] = (8.0, 16.0, 12.0, 24.0)
-    boxes, scores = decode_centres(heat, extents, 0.3, 0.6)
+    boxes, scores = decode_centres(heat, extents, 0.3)
     assert boxes == pytest.approx(np.array([[72.0, 24.0, 92.0, 64.0]]))
     assert scores == pytest.approx([0.8])
 
 
 def test_boxes_come_best_first_without_overlap_and_without_faint_ones():
     heat, extents = heat_with([(10, 10, 0.5), (10, 12, 0.6), (10, 40, 0.9), (30, 30, 0.29)])
-    boxes, scores = decode_centres(heat, extents, 0.3, 0.6)
+    boxes, scores = decode_centres(heat, extents, 0.3)
     assert scores == pytest.approx([0.9, 0.6])
     assert boxes.shape == (2, 4)
 
 
 def test_nobody_gives_empty_arrays():
-    boxes, scores = decode_centres(*heat_with([]), threshold=0.3, max_overlap=0.6)
+    boxes, scores = decode_centres(*heat_with([]), threshold=0.3)
     assert boxes.shape == (0, 4)
     assert scores.shape == (0,)
 

@@ -18,10 +18,16 @@ from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.register import PersonRegister
 from hri_pipeline.core.geometry import Pose
 
+LISTS = {"faces": Kind.FACE, "bodies": Kind.BODY, "voices": Kind.VOICE}
+
 
 def make(**given):
-    numbers = itertools.count(1)
-    return PersonManager(PERSON_MANAGER_PARAMETERS.resolve(given), new_id=lambda: "a%04d" % next(numbers))
+    """A manager with these parameters; `faces`, `bodies`, `voices`: who is tracked at 0 s."""
+    numbers, tracked = itertools.count(1), {name: given.pop(name) for name in list(given) if name in LISTS}
+    manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve(given), new_id=lambda: "a%04d" % next(numbers))
+    for name, ids in tracked.items():
+        manager.on_tracked(LISTS[name], ids, 0.0)
+    return manager
 
 
 def place(x, stamp):
@@ -46,8 +52,7 @@ A1, A2 = "anonymous_person_a0001", "anonymous_person_a0002"
 # -- Table I, one test per row. Its ids such as 24ac start with a digit; ours have to start with a letter.
 
 def test_row_1_a_face_alone_has_no_person_until_the_delay_is_over():
-    manager = make()
-    manager.on_tracked(Kind.FACE, ["f24ac"], 0.0)
+    manager = make(faces=["f24ac"])
     manager.tick(0.4)
     assert people(manager, 0.4) == {}
     manager.tick(0.5)
@@ -55,8 +60,7 @@ def test_row_1_a_face_alone_has_no_person_until_the_delay_is_over():
 
 
 def test_row_1_strictly_no_person_before_identification():
-    manager = make(anonymous_persons=False)
-    manager.on_tracked(Kind.FACE, ["f24ac"], 0.0)
+    manager = make(anonymous_persons=False, faces=["f24ac"])
     manager.tick(100.0)
     assert people(manager, 100.0) == {}
     assert manager.on_place(PlaceSource.FACE, "f24ac", place(1.0, 100.0), 100.0) is None
@@ -64,31 +68,26 @@ def test_row_1_strictly_no_person_before_identification():
 
 
 def test_row_2_a_redetected_face_is_a_new_face():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f24ac"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f24ac"])
     manager.on_tracked(Kind.FACE, [], 1.0)
     manager.on_tracked(Kind.FACE, ["d73b"], 2.0)
     assert manager.snapshot(2.0).tracked == (A2,)
 
 
 def test_row_3_a_body_alone():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.BODY, ["b37ef"], 0.0)
+    manager = make(new_person_delay=0.0, bodies=["b37ef"])
     assert people(manager, 0.0) == {A1: ("", "b37ef", "", 0.0)}
 
 
 def test_row_4_a_face_and_a_body_associated_without_a_person():
-    manager = make(anonymous_persons=False)
-    manager.on_tracked(Kind.FACE, ["d73b"], 0.0)
-    manager.on_tracked(Kind.BODY, ["b37ef"], 0.0)
+    manager = make(anonymous_persons=False, faces=["d73b"], bodies=["b37ef"])
     assert match(manager, "f:d73b", "b:b37ef", 0.8, 0.1)
     assert manager.groups == (frozenset([MatchNode(Kind.FACE, "d73b"), MatchNode(Kind.BODY, "b37ef")]),)
     assert people(manager, 1.0) == {}
 
 
 def test_row_5_a_known_person_without_any_feature():
-    manager = make()
-    manager.on_tracked(Kind.FACE, ["d73b"], 0.0)
+    manager = make(faces=["d73b"])
     match(manager, "f:d73b", "p:p9d8a", 0.9, 0.1)
     manager.on_tracked(Kind.FACE, [], 1.0)
     manager.tick(1.0)
@@ -98,16 +97,14 @@ def test_row_5_a_known_person_without_any_feature():
 
 
 def test_row_6_a_recognised_face():
-    manager = make()
-    manager.on_tracked(Kind.FACE, ["d73b"], 0.0)
+    manager = make(faces=["d73b"])
     match(manager, "f:d73b", "p:p9d8a", 0.9, 0.1)
     state = manager.snapshot(0.1).persons[0]
     assert (state.id, state.face, state.anonymous) == ("p9d8a", "d73b", False)
 
 
 def test_row_7_another_face_of_the_same_person():
-    manager = make()
-    manager.on_tracked(Kind.FACE, ["d73b"], 0.0)
+    manager = make(faces=["d73b"])
     match(manager, "f:d73b", "p:p9d8a", 0.9, 0.1)
     manager.on_tracked(Kind.FACE, ["f96f1"], 1.0)
     match(manager, "f:f96f1", "p:p9d8a", 0.9, 1.1)
@@ -116,17 +113,14 @@ def test_row_7_another_face_of_the_same_person():
 
 
 def test_row_8_a_fully_tracked_person():
-    manager = make()
-    manager.on_tracked(Kind.FACE, ["f96f1"], 0.0)
-    manager.on_tracked(Kind.BODY, ["b37ef"], 0.0)
+    manager = make(faces=["f96f1"], bodies=["b37ef"])
     match(manager, "f:f96f1", "p:p9d8a", 0.9, 0.1)
     match(manager, "f:f96f1", "b:b37ef", 0.9, 0.1)
     assert people(manager, 0.1) == {"p9d8a": ("f96f1", "b37ef", "", 0.0)}
 
 
 def test_row_9_a_voice_and_a_person():
-    manager = make()
-    manager.on_tracked(Kind.VOICE, ["ab7f"], 0.0)
+    manager = make(voices=["ab7f"])
     match(manager, "v:ab7f", "p:baf0", 0.9, 0.1)
     assert people(manager, 0.1) == {"baf0": ("", "", "ab7f", 0.0)}
 
@@ -142,17 +136,13 @@ def test_row_10_nothing_at_all_is_no_person():
 # -- the four rules of the person frame
 
 def test_rule_1_no_frame_without_a_person():
-    manager = make()
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(faces=["f1"])
     assert manager.on_place(PlaceSource.FACE, "f1", place(1.0, 0.1), 0.1) is None
     assert manager.silent(0.2) == []
 
 
 def test_rule_2_face_then_body_then_voice():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
-    manager.on_tracked(Kind.VOICE, ["v1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1"], bodies=["b1"], voices=["v1"])
     match(manager, "f:f1", "b:b1", 0.9, 0.0)
     match(manager, "v:v1", "b:b1", 0.9, 0.0)
     ident = manager.snapshot(0.0).tracked[0]
@@ -168,8 +158,7 @@ def test_rule_2_face_then_body_then_voice():
 
 
 def test_rule_3_the_frame_stays_and_the_confidence_decays_to_zero():
-    manager = make(new_person_delay=0.0, half_life=2.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(new_person_delay=0.0, half_life=2.0, faces=["f1"])
     manager.on_place(PlaceSource.FACE, "f1", place(1.5, 1.0), 1.0)
     assert manager.silent(1.1) == []
     manager.on_tracked(Kind.FACE, [], 1.0)
@@ -182,8 +171,7 @@ def test_rule_3_the_frame_stays_and_the_confidence_decays_to_zero():
 
 
 def test_rule_3_a_permanent_person_stays_known_when_the_place_is_forgotten():
-    manager = make(half_life=2.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(half_life=2.0, faces=["f1"])
     match(manager, "f:f1", "p:ann", 1.0, 0.0)
     manager.on_place(PlaceSource.FACE, "f1", place(1.5, 1.0), 1.0)
     manager.on_tracked(Kind.FACE, [], 1.0)
@@ -193,23 +181,20 @@ def test_rule_3_a_permanent_person_stays_known_when_the_place_is_forgotten():
 
 
 def test_rule_4_a_voice_without_a_direction_gives_no_frame():
-    manager = make(new_person_delay=0.0, voice_person_delay=0.0)
-    manager.on_tracked(Kind.VOICE, ["v1"], 0.0)
+    manager = make(new_person_delay=0.0, voice_person_delay=0.0, voices=["v1"])
     assert people(manager, 1.0)[A1][3] == 0.0
     assert manager.silent(1.0) == []
 
 
 def test_a_tracked_person_whose_sources_are_silent_stays_at_the_last_place():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1"])
     manager.on_place(PlaceSource.FACE, "f1", place(1.5, 1.0), 1.0)
     assert [ident for ident, _ in manager.silent(2.0)] == [A1]
     assert people(manager, 2.0)[A1][3] == 1.0
 
 
 def test_the_frame_of_somebody_seen_just_now_is_not_sent_again_when_the_feature_leaves():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1"])
     manager.on_place(PlaceSource.FACE, "f1", place(1.5, 0.9), 1.0)
     manager.on_tracked(Kind.FACE, [], 1.05)
     assert manager.silent(1.1) == []
@@ -233,8 +218,7 @@ def confidences(manager, *times):
 
 
 def test_the_confidence_falls_when_a_feature_that_is_listed_tells_no_place_any_more():
-    manager = make(new_person_delay=0.0, half_life=2.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(new_person_delay=0.0, half_life=2.0, faces=["f1"])
     watch(manager, PlaceSource.FACE, "f1", 0.0, 5.0)
     assert confidences(manager, 5.0, 5.9, 8.0, 10.0) == [1.0, 1.0, pytest.approx(0.5), pytest.approx(0.25)]
     assert [ident for ident, _ in manager.silent(10.0)] == [A1]
@@ -247,8 +231,7 @@ def test_the_confidence_falls_when_a_feature_that_is_listed_tells_no_place_any_m
 
 
 def test_the_place_of_a_slow_camera_counts_for_three_images():
-    manager = make(new_person_delay=0.0, half_life=2.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(new_person_delay=0.0, half_life=2.0, faces=["f1"])
     watch(manager, PlaceSource.FACE, "f1", 0.0, 6.0, period=2.0)
     assert confidences(manager, 6.0, 11.9, 14.0) == [1.0, 1.0, pytest.approx(0.5)]
     # An image in which the face was not found is no period; nor is the time in which nothing came.
@@ -258,16 +241,13 @@ def test_the_place_of_a_slow_camera_counts_for_three_images():
 
 
 def test_the_age_of_images_is_no_loss_of_confidence():
-    manager = make(new_person_delay=0.0, half_life=2.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(new_person_delay=0.0, half_life=2.0, faces=["f1"])
     watch(manager, PlaceSource.FACE, "f1", 10.0, 15.0, age=3.0)
     assert confidences(manager, 15.9)[0] == 1.0
 
 
 def test_a_voice_without_a_direction_does_not_keep_the_place():
-    manager = make(new_person_delay=0.0, voice_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
-    manager.on_tracked(Kind.VOICE, ["v1"], 0.0)
+    manager = make(new_person_delay=0.0, voice_person_delay=0.0, faces=["f1"], voices=["v1"])
     match(manager, "f:f1", "v:v1", 0.9, 0.0)
     watch(manager, PlaceSource.FACE, "f1", 0.0, 5.0)
     manager.on_tracked(Kind.FACE, [], 5.0)
@@ -279,8 +259,7 @@ def test_a_voice_without_a_direction_does_not_keep_the_place():
 
 
 def test_any_feature_of_the_persons_that_are_one_keeps_the_confidence():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1", "g1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1", "g1"])
     manager.merge(A1, A2, 0.0)
     watch(manager, PlaceSource.FACE, "f1", 0.0, 5.0)
     watch(manager, PlaceSource.FACE, "g1", 5.0, 10.0)
@@ -296,8 +275,7 @@ def test_any_feature_of_the_persons_that_are_one_keeps_the_confidence():
 @pytest.mark.parametrize("age", [-0.65, 0.0, 0.65, 2.0])
 @pytest.mark.parametrize("merged", [False, True])
 def test_a_face_that_is_there_places_the_person_however_old_other_messages_are(kind, feature, source, age, merged):
-    manager = make(new_person_delay=0.0, voice_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(new_person_delay=0.0, voice_person_delay=0.0, faces=["f1"])
     manager.on_tracked(kind, [feature], 0.0)
     if merged:
         manager.merge(A1, A2, 0.0)
@@ -314,9 +292,7 @@ def test_a_face_that_is_there_places_the_person_however_old_other_messages_are(k
 
 
 def test_the_body_of_somebody_just_recognised_does_not_place_it_beside_the_face():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1"], bodies=["b1"])
     match(manager, "f:f1", "b:b1", 0.9, 0.0)
     watch(manager, PlaceSource.FACE, "f1", 0.0, 2.0)
     match(manager, "f:f1", "p:ann", 0.9, 2.0)
@@ -326,9 +302,7 @@ def test_the_body_of_somebody_just_recognised_does_not_place_it_beside_the_face(
 # -- places told before there is a person
 
 def test_a_place_told_before_the_person_exists_places_it():
-    manager = make(new_person_delay=0.5)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(new_person_delay=0.5, faces=["f1"], bodies=["b1"])
     match(manager, "f:f1", "b:b1", 0.9, 0.0)
     assert manager.on_place(PlaceSource.FACE, "f1", place(1.0, 0.40), 0.40) is None
     assert manager.on_place(PlaceSource.BODY, "b1", place(2.0, 0.41), 0.41) is None
@@ -341,8 +315,7 @@ def test_a_place_told_before_the_person_exists_places_it():
 
 
 def test_an_old_place_told_before_the_person_exists_is_not_that_of_now():
-    manager = make(anonymous_persons=False, half_life=2.0)
-    manager.on_tracked(Kind.FACE, ["f1", "f2"], 0.0)
+    manager = make(anonymous_persons=False, half_life=2.0, faces=["f1", "f2"])
     manager.on_place(PlaceSource.FACE, "f1", place(1.0, 0.0), 0.0)
     manager.on_place(PlaceSource.FACE, "f2", place(2.0, 0.0), 0.0)
     match(manager, "f:f1", "p:ann", 0.9, 3.0)
@@ -354,9 +327,7 @@ def test_an_old_place_told_before_the_person_exists_is_not_that_of_now():
 
 
 def test_who_is_recognised_has_a_frame_at_once_and_so_has_who_was_parted():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1"], bodies=["b1"])
     match(manager, "f:f1", "b:b1", 0.9, 0.0)
     watch(manager, PlaceSource.FACE, "f1", 0.0, 2.0)
     watch(manager, PlaceSource.BODY, "b1", 2.0, 2.1)
@@ -369,8 +340,7 @@ def test_who_is_recognised_has_a_frame_at_once_and_so_has_who_was_parted():
 
 
 def test_of_a_feature_that_has_left_no_place_is_kept():
-    manager = make(anonymous_persons=False)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(anonymous_persons=False, faces=["f1"])
     manager.on_place(PlaceSource.FACE, "f1", place(1.0, 0.1), 0.1)
     manager.on_place(PlaceSource.FACE, "nobody", place(1.0, 0.1), 0.1)
     manager.on_tracked(Kind.FACE, [], 0.2)
@@ -383,9 +353,7 @@ def test_of_a_feature_that_has_left_no_place_is_kept():
 # -- existence, merging, withdrawal
 
 def test_a_person_keeps_its_id_while_any_feature_lives():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1"], bodies=["b1"])
     match(manager, "f:f1", "b:b1", 0.9, 0.1)
     manager.on_tracked(Kind.FACE, ["f2"], 1.0)
     match(manager, "f:f2", "b:b1", 0.9, 1.1)
@@ -394,8 +362,7 @@ def test_a_person_keeps_its_id_while_any_feature_lives():
 
 
 def test_the_older_id_stays_and_the_other_becomes_an_alias_and_returns():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(new_person_delay=0.0, bodies=["b1"])
     manager.on_tracked(Kind.FACE, ["f1"], 1.0)
     assert set(people(manager, 1.0)) == {A1, A2}
     match(manager, "f:f1", "b:b1", 0.9, 2.0)
@@ -408,8 +375,7 @@ def test_the_older_id_stays_and_the_other_becomes_an_alias_and_returns():
 
 
 def test_an_anonymous_person_turns_into_the_recognised_one_and_brings_its_place():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1"])
     manager.on_place(PlaceSource.FACE, "f1", place(1.5, 1.0), 1.0)
     match(manager, "f:f1", "p:ann", 0.9, 1.1)
     states = {state.id: state for state in manager.snapshot(1.1).persons}
@@ -421,17 +387,14 @@ def test_an_anonymous_person_turns_into_the_recognised_one_and_brings_its_place(
 
 
 def test_a_withdrawn_recognition_gives_the_face_back():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1"])
     match(manager, "f:f1", "p:ann", 0.9, 1.0)
     match(manager, "f:f1", "p:ann", 0.0, 2.0)
     assert people(manager, 2.0) == {"ann": ("", "", "", 0.0), A1: ("f1", "", "", 0.0)}
 
 
 def test_a_person_keeps_its_face_when_the_body_in_between_leaves():
-    manager = make()
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(faces=["f1"], bodies=["b1"])
     match(manager, "f:f1", "b:b1", 0.6, 0.1)
     match(manager, "b:b1", "p:ann", 0.7, 0.1)
     manager.on_tracked(Kind.BODY, [], 1.0)
@@ -446,9 +409,7 @@ def test_a_match_may_come_before_the_tracked_list():
 
 
 def test_a_match_below_the_threshold_is_kept_and_may_rise():
-    manager = make()
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(faces=["f1"], bodies=["b1"])
     assert not match(manager, "f:f1", "b:b1", 0.4, 0.1)
     assert match(manager, "f:f1", "b:b1", 0.6, 0.2)
     assert not match(manager, "f:f1", "b:b1", 0.7, 0.3)
@@ -505,8 +466,7 @@ def test_a_feature_named_in_a_match_is_present_until_its_list_says_otherwise():
 
 
 def test_a_late_match_does_not_bring_back_a_feature_that_has_left():
-    manager = make()
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(faces=["f1"])
     manager.on_tracked(Kind.FACE, [], 1.0)
     assert not match(manager, "f:f1", "p:ann", 0.9, 1.1)
     assert people(manager, 1.1) == {}
@@ -528,9 +488,7 @@ def test_a_presumed_feature_goes_with_the_match_that_named_it_or_when_nobody_spe
 # -- persons that are one human
 
 def test_a_match_between_persons_joins_them_and_can_be_undone():
-    manager = make()
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(faces=["f1"], bodies=["b1"])
     match(manager, "f:f1", "p:ann", 0.9, 0.0)
     match(manager, "b:b1", "p:bob", 0.9, 0.0)
     assert match(manager, "p:ann", "p:bob", 0.8, 0.1)
@@ -548,8 +506,7 @@ def test_a_match_between_persons_joins_them_and_can_be_undone():
 
 
 def test_a_person_seen_by_two_cameras_keeps_id_and_place_when_one_loses_it():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1"])
     manager.on_tracked(Kind.FACE, ["f1", "g1"], 1.0)
     assert manager.merge(A1, A2, 1.0) == (A1, A2)
     assert manager.on_place(PlaceSource.FACE, "f1", place(1.0, 1.0), 1.0) == A1
@@ -565,8 +522,7 @@ def test_a_person_seen_by_two_cameras_keeps_id_and_place_when_one_loses_it():
 
 
 def test_an_anonymous_person_joined_with_a_permanent_one_is_its_alias():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1"])
     match(manager, "b:b1", "p:ann", 0.9, 1.0)
     manager.merge(A1, "ann", 1.0)
     assert people(manager, 1.0) == {"ann": ("f1", "b1", "", 0.0)}
@@ -593,8 +549,7 @@ def test_persons_joined_again_though_one_was_not_seen_for_long():
 # -- forgetting
 
 def test_a_forgotten_person_is_a_stranger_again():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1"])
     match(manager, "f:f1", "p:ann", 0.9, 0.1)
     match(manager, "p:ann", "p:bob", 0.9, 0.1)
     manager.on_place(PlaceSource.FACE, "f1", place(1.0, 0.2), 0.2)
@@ -657,8 +612,7 @@ def test_permanent_persons_are_themselves_at_once_after_a_restart():
 # -- hostile input and bounds
 
 def test_hostile_ids_are_left_out_and_counted():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1", "", "a b", "a/b", "1abc", "x" * 33, "a'b", "f2\n"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1", "", "a b", "a/b", "1abc", "x" * 33, "a'b", "f2\n"])
     assert [state.face for state in manager.snapshot(0.0).persons] == ["f1"]
     assert manager.refused_ids == 7
 
@@ -684,8 +638,7 @@ def test_state_is_bounded_over_thousands_of_ids():
 # -- Matches with an anonymous person, as of a body that comes back in the same clothes.
 
 def test_a_lost_anonymous_person_goes_on_with_a_feature_that_a_match_gives_it():
-    manager = make()
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(bodies=["b1"])
     manager.tick(1.0)
     manager.on_tracked(Kind.BODY, [], 1.0)
     manager.on_tracked(Kind.BODY, ["b2"], 3.0)
@@ -696,8 +649,7 @@ def test_a_lost_anonymous_person_goes_on_with_a_feature_that_a_match_gives_it():
 
 
 def test_a_feature_that_is_a_person_already_is_joined_with_the_anonymous_one_and_can_be_parted():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(new_person_delay=0.0, bodies=["b1"])
     manager.on_tracked(Kind.BODY, [], 1.0)
     manager.on_tracked(Kind.BODY, ["b2"], 3.0)
     assert manager.snapshot(3.0).tracked == (A2,)
@@ -708,8 +660,7 @@ def test_a_feature_that_is_a_person_already_is_joined_with_the_anonymous_one_and
 
 
 def test_an_anonymous_person_that_is_seen_is_joined_with_the_new_feature():
-    manager = make()
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager = make(faces=["f1"])
     manager.tick(1.0)
     manager.on_tracked(Kind.BODY, ["b2"], 1.0)
     match(manager, "b:b2", "p:" + A1, 0.7, 1.1)
@@ -718,8 +669,7 @@ def test_an_anonymous_person_that_is_seen_is_joined_with_the_new_feature():
 
 @pytest.mark.parametrize("likelihood, person", [(0.4, A1), (0.9, "anonymous_person_zzzzz")])
 def test_a_claim_that_is_unlikely_or_of_somebody_who_never_was_changes_nothing(likelihood, person):
-    manager = make()
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(bodies=["b1"])
     manager.tick(1.0)
     manager.on_tracked(Kind.BODY, [], 1.0)
     manager.on_tracked(Kind.BODY, ["b2"], 3.0)
@@ -729,8 +679,7 @@ def test_a_claim_that_is_unlikely_or_of_somebody_who_never_was_changes_nothing(l
 
 
 def test_a_claim_brings_nobody_back_who_is_forgotten():
-    manager = make(half_life=0.1)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(half_life=0.1, bodies=["b1"])
     manager.tick(1.0)
     manager.on_tracked(Kind.BODY, [], 1.0)
     manager.tick(5.0)
@@ -743,9 +692,7 @@ def test_a_claim_brings_nobody_back_who_is_forgotten():
 
 @pytest.mark.parametrize("body_first", [False, True])
 def test_a_link_that_is_told_again_has_the_new_likelihood(body_first):
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1", "f2"], 0.0)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1", "f2"], bodies=["b1"])
     if body_first:
         match(manager, "f:f1", "b:b1", 0.9, 0.0)
     match(manager, "f:f1", "p:ann", 0.9, 0.0)
@@ -763,9 +710,7 @@ def test_a_link_that_is_told_again_has_the_new_likelihood(body_first):
 
 
 def test_a_voice_of_an_anonymous_person_that_is_told_again_has_the_new_likelihood():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
-    manager.on_tracked(Kind.VOICE, ["v1"], 0.0)
+    manager = make(new_person_delay=0.0, bodies=["b1"], voices=["v1"])
     match(manager, "v:v1", "p:" + A1, 0.9, 0.1)
     assert people(manager, 0.1)[A1][:3] == ("", "b1", "v1")
     manager.on_tracked(Kind.FACE, ["f1"], 0.2)
@@ -903,9 +848,7 @@ def test_what_is_split_is_the_same_after_a_restart(parted):
 
 
 def test_a_merge_with_what_features_have_made_an_alias_goes_to_its_target():
-    manager = make(new_person_delay=0.0)
-    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
-    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    manager = make(new_person_delay=0.0, faces=["f1"], bodies=["b1"])
     match(manager, "f:f1", "b:b1", 0.9, 1.0)
     assert {state.id: state.alias for state in manager.snapshot(1.0).persons} == {A1: "", A2: A1}
     manager.know(["ann"])

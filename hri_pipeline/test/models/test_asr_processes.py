@@ -15,8 +15,8 @@ import pytest
 
 from benchmarks.speech_files import ABSENT, SPEECH_DIRECTORY, available, read_speech
 from hri_pipeline.core.asr import recognition
-from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.asr.recognition import ERROR, OK, WARN, SpeechRecognition
+from hri_pipeline.core.audio.parameters import SpeechSettings
 from hri_pipeline.core.parameters import ParameterError
 
 pytest.importorskip("pocketsphinx")
@@ -317,7 +317,7 @@ def test_processes_stand_back_behind_others(recognise):
 def test_the_process_dies_with_its_owner(stopped):
     owner = subprocess.Popen([sys.executable, "-c", textwrap.dedent("""
         import sys, time
-        from hri_pipeline.core.asr.parameters import SpeechSettings
+        from hri_pipeline.core.audio.parameters import SpeechSettings
         from hri_pipeline.core.asr.recognition import SpeechRecognition
         speech = SpeechRecognition(SpeechSettings(speech_grammar=sys.argv[1]))
         while not speech.status()[2]["speech_ready"]:

@@ -25,11 +25,11 @@ from hri_pipeline.core.asr.engines import (
     one_file,
     read_grammar,
 )
-from hri_pipeline.core.asr.parameters import ENGINES as ENGINE_NAMES
-from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.asr.pool import QueuedUtterance
 from hri_pipeline.core.asr.recognition import SpeechRecognition
 from hri_pipeline.core.asr.worker import MessageReader, PipeError, SpeechMessage, SpeechWorker
+from hri_pipeline.core.audio.parameters import ENGINES as ENGINE_NAMES
+from hri_pipeline.core.audio.parameters import SpeechSettings
 from hri_pipeline.core.parameters import ParameterError
 
 JSGF = "#JSGF V1.0; grammar g; public <g> = yes | no;"

@@ -11,7 +11,6 @@ from hri_pipeline.core.faces.head_pose import (
     HeadScale,
     PoseSmoother,
     scale_from_depth,
-    scale_from_stature,
     yaw_pitch_roll,
 )
 from hri_pipeline.core.faces.mesh import PITCH_BIAS, SELLION, CanonicalFace, load_canonical_face
@@ -244,12 +243,6 @@ def test_nonsense_is_ignored(value):
 def test_an_unknown_source_is_an_error_of_the_program():
     with pytest.raises(KeyError):
         HeadScale().add("horoscope", 1.0)
-
-
-def test_stature():
-    assert scale_from_stature(1.70) == pytest.approx(1.0)
-    assert 0.91 < scale_from_stature(1.10) < 0.95
-    assert scale_from_stature(1.95) > 1.0
 
 
 def depth_case(depth):

@@ -42,8 +42,12 @@ def human(x, y=0.3, size=0.1):
     return landmarks, skeleton
 
 
-def make(**given):
-    return FaceBodyMatcher(MATCHER_PARAMETERS.resolve(given))
+def make(faces=(), bodies=(), **given):
+    """A matcher with these parameters, and who is tracked."""
+    matcher = FaceBodyMatcher(MATCHER_PARAMETERS.resolve(given))
+    matcher.set_tracked("faces", faces)
+    matcher.set_tracked("bodies", bodies)
+    return matcher
 
 
 def feed(matcher, stamp, faces, bodies):
@@ -128,9 +132,7 @@ def test_a_match_does_not_stick_to_the_wrong_body():
 
 
 def test_images_too_far_apart_are_not_compared():
-    matcher = make()
-    matcher.set_tracked("faces", ["f1"])
-    matcher.set_tracked("bodies", ["b1"])
+    matcher = make(["f1"], ["b1"])
     matcher.add_face("f1", 1.0, human(0.5)[0], ASPECT)
     matcher.add_body("b1", 1.3, human(0.5)[1])
     assert matcher.matches() == []
@@ -139,9 +141,7 @@ def test_images_too_far_apart_are_not_compared():
 
 
 def test_a_slow_skeleton_is_compared_with_the_face_of_its_time():
-    matcher = make()
-    matcher.set_tracked("faces", ["f1"])
-    matcher.set_tracked("bodies", ["b1"])
+    matcher = make(["f1"], ["b1"])
     for step in range(10):
         matcher.add_face("f1", 1.0 + step / 30.0, human(0.3 + 0.02 * step)[0], ASPECT)
     matcher.add_body("b1", 1.0, human(0.3)[1])
@@ -224,9 +224,7 @@ def test_places_alone_count_where_the_image_tells_nothing_and_the_image_where_th
 
 
 def test_of_two_heads_behind_each_other_the_one_at_the_distance_of_the_face_is_its_own():
-    matcher = make()
-    matcher.set_tracked("faces", ["face"])
-    matcher.set_tracked("bodies", ["near", "away"])
+    matcher = make(["face"], ["near", "away"])
     matcher.add_face("face", 1.0, human(0.5)[0], ASPECT, "camera")
     matcher.add_place("faces", "face", 1.0, (0.0, 0.0, 2.0), "camera")
     for name, shift, depth in (("near", 0.01, 2.2), ("away", 0.0, 5.0)):
@@ -236,9 +234,7 @@ def test_of_two_heads_behind_each_other_the_one_at_the_distance_of_the_face_is_i
 
 
 def test_a_body_of_which_the_image_shows_no_face_is_found_by_its_head():
-    matcher = make()
-    matcher.set_tracked("faces", ["face"])
-    matcher.set_tracked("bodies", ["body"])
+    matcher = make(["face"], ["body"])
     landmarks, skeleton = human(0.5)
     skeleton[[0, 14, 15], 2] = 0.0
     matcher.add_face("face", 1.0, landmarks, ASPECT, "camera")
@@ -252,9 +248,7 @@ def test_a_body_of_which_the_image_shows_no_face_is_found_by_its_head():
 
 
 def test_images_of_different_cameras_are_not_compared():
-    matcher = make()
-    matcher.set_tracked("faces", ["face"])
-    matcher.set_tracked("bodies", ["here", "there"])
+    matcher = make(["face"], ["here", "there"])
     matcher.add_face("face", 1.0, human(0.5)[0], ASPECT, "left")
     matcher.add_body("there", 1.0, human(0.5)[1], "right")
     assert matcher.matches() == []
@@ -290,9 +284,7 @@ def test_bodies_that_come_late_are_compared_with_the_faces_of_their_image(late):
 
 
 def test_bodies_of_one_image_that_come_one_by_one_are_all_compared():
-    matcher = make()
-    matcher.set_tracked("faces", ["f1", "f2"])
-    matcher.set_tracked("bodies", ["b1", "b2"])
+    matcher = make(["f1", "f2"], ["b1", "b2"])
     for name, x in (("f1", 0.2), ("f2", 0.8)):
         matcher.add_face(name, 1.0, human(x)[0], ASPECT)
     for name, x in (("b1", 0.2), ("b2", 0.8)):
@@ -304,9 +296,7 @@ def test_bodies_of_one_image_that_come_one_by_one_are_all_compared():
 @pytest.mark.parametrize("frame", ["camera", "", "garbage"])
 @pytest.mark.parametrize("stamp", [4e9, 1.0])
 def test_a_message_of_another_time_or_camera_costs_a_moment(frame, stamp):
-    matcher = make()
-    matcher.set_tracked("faces", ["f1"])
-    matcher.set_tracked("bodies", ["b1"])
+    matcher = make(["f1"], ["b1"])
     for step in range(30):
         now = 100.0 + 0.1 * step
         matcher.add_face("f1", now, human(0.5)[0], ASPECT, "camera")
@@ -323,9 +313,7 @@ def test_a_message_of_another_time_or_camera_costs_a_moment(frame, stamp):
 @pytest.mark.parametrize("rate", [15.0, 20.0, 40.0, 60.0])
 def test_a_face_that_looks_away_at_any_rate(rate, begin):
     """The last stamp of the face then lies on the very rim of what is compared."""
-    matcher = make()
-    matcher.set_tracked("faces", ["f1"])
-    matcher.set_tracked("bodies", ["b1"])
+    matcher = make(["f1"], ["b1"])
     for step in range(200):
         stamp = begin + step / rate
         if step % 50 < 40:
@@ -336,9 +324,7 @@ def test_a_face_that_looks_away_at_any_rate(rate, begin):
 
 @pytest.mark.parametrize("ahead", [1000.0, -5.0, 5.0])
 def test_two_cameras_whose_clocks_differ(ahead):
-    matcher = make()
-    matcher.set_tracked("faces", ["fa", "fb"])
-    matcher.set_tracked("bodies", ["ba", "bb"])
+    matcher = make(["fa", "fb"], ["ba", "bb"])
     for step in range(60):
         for name, x, stamp, camera in (("a", 0.5, 2000.0 + 0.1 * step, "A"),
                                        ("b", 0.8, 2000.0 + ahead + 0.1 * step, "B")):
@@ -352,9 +338,7 @@ def test_two_cameras_whose_clocks_differ(ahead):
 @pytest.mark.parametrize("camera", ["A", "B"])
 def test_another_face_before_the_own_one_costs_nothing(camera):
     """At 5 images a second none but those of the same image are near enough, and each comes by itself."""
-    matcher = make()
-    matcher.set_tracked("faces", ["other", "own"])
-    matcher.set_tracked("bodies", ["b1"])
+    matcher = make(["other", "own"], ["b1"])
     for step in range(20):
         stamp = 100.0 + step / 5.0
         matcher.add_face("other", stamp, human(0.2)[0], ASPECT, camera)
@@ -366,9 +350,7 @@ def test_another_face_before_the_own_one_costs_nothing(camera):
 
 
 def test_the_place_of_a_head_may_come_after_its_skeleton():
-    matcher = make()
-    matcher.set_tracked("faces", ["f1"])
-    matcher.set_tracked("bodies", ["b1"])
+    matcher = make(["f1"], ["b1"])
     landmarks, skeleton = human(0.5)
     skeleton[:, 2] = 0.0
     for step in range(10):
@@ -395,9 +377,7 @@ def test_a_bag_that_loops_with_bodies_that_come_late():
 
 
 def test_who_is_not_tracked_moves_no_clock():
-    matcher = make()
-    matcher.set_tracked("faces", ["f1"])
-    matcher.set_tracked("bodies", ["b1"])
+    matcher = make(["f1"], ["b1"])
     for step in range(20):
         stamp = 100.0 + 0.1 * step
         for name, when in (("f1", stamp), ("stranger", stamp - 1.0)):
@@ -410,9 +390,7 @@ def test_who_is_not_tracked_moves_no_clock():
 def test_the_shape_of_the_image_of_one_face_is_no_matter_of_the_others(aspect):
     """A damaged message, or a second camera with images of another shape."""
     expected = feed(make(), 1.0, {"fa": 0.3, "fb": 0.7}, {"ba": 0.31, "bb": 0.69})
-    matcher = make()
-    matcher.set_tracked("faces", ["fa", "fb", "other"])
-    matcher.set_tracked("bodies", ["ba", "bb"])
+    matcher = make(["fa", "fb", "other"], ["ba", "bb"])
     for name, x in (("fa", 0.3), ("fb", 0.7)):
         matcher.add_face(name, 1.0, human(x)[0], ASPECT)
     matcher.add_face("other", 1.0, human(0.1)[0], aspect)

@@ -93,11 +93,6 @@ def test_order_of_providers():
         choose_providers(["gpu"], available)
 
 
-def test_threads(doubler):
-    with pytest.raises(ModelError, match="legal range 1"):
-        OnnxModel(doubler, threads=0)
-
-
 def test_models_directory(monkeypatch, tmp_path):
     monkeypatch.delenv("ROS4HRI_MODELS", raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))

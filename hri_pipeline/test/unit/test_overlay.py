@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core import overlay
-from hri_pipeline.core.feature_history import FeatureHistory
+from hri_pipeline.core.observations import FeatureHistory
 from hri_pipeline.core.overlay import PersonMark, colour_of, counts, draw_overlay, label_lifts, short_name
 
 

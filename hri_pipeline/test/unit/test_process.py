@@ -6,7 +6,7 @@ from __future__ import annotations
 import gc
 import json
 import os
-import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -17,7 +17,17 @@ from pathlib import Path
 import pytest
 
 from hri_pipeline.core import process
-from hri_pipeline.core.process import GarbageCollector, ends_with_parent, set_niceness
+from hri_pipeline.core.process import (
+    LONGEST_WAIT_S,
+    PROVEN_S,
+    ChildProcess,
+    GarbageCollector,
+    RestartPolicy,
+    ends_with_parent,
+    identity_of,
+    is_alive,
+    set_niceness,
+)
 
 SCRIPT = """
 import resource, sys
@@ -119,13 +129,15 @@ def test_what_lies_in_cycles_is_found_and_what_was_there_before_is_left_alone():
 # In a process of its own: other tests have limited the libraries of this one, perhaps.
 THREADS_SCRIPT = """
 import json
-import cv2, numpy
+import cv2, numpy, threadpoolctl
 numpy.ones((4, 4)) @ numpy.ones((4, 4))
-from hri_pipeline.core.process import one_thread_each, threads_of_libraries
-before = threads_of_libraries()
+from hri_pipeline.core.process import one_thread_each
+def threads():
+    return [one["num_threads"] for one in threadpoolctl.threadpool_info() if one["user_api"] == "blas"]
+before = threads()
 one_thread_each()
 import scipy.linalg
-print(json.dumps([before, threads_of_libraries(), cv2.getNumThreads()]))
+print(json.dumps([before, threads(), cv2.getNumThreads()]))
 """
 
 
@@ -213,35 +225,117 @@ def test_without_setpriv_it_is_the_command_itself(monkeypatch, tmp_path):
     assert ends_with_parent(("/bin/sleep", "1")) == ["/bin/sleep", "1"]
 
 
-@pytest.mark.skipif(shutil.which("setpriv") is None, reason="setpriv is not installed")
-def test_the_command_ends_when_its_parent_is_killed():
-    code = (
-        "import subprocess, sys, time; sys.path.insert(0, {!r});"
-        "from hri_pipeline.core.process import ends_with_parent;"
-        "print(subprocess.Popen(ends_with_parent(['/bin/sleep', '60'])).pid, flush=True); time.sleep(60)"
-    ).format(str(SOURCE))
-    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
-    try:
-        child = Path("/proc/{}".format(int(parent.stdout.readline())))
-        # setpriv asks for the signal, then becomes the command.
-        wait_until(lambda: (child / "cmdline").read_bytes().startswith(b"/bin/sleep"))
-    finally:
-        parent.kill()
-        parent.wait()
-        parent.stdout.close()
-    wait_until(lambda: has_ended(child))
-
-
-def has_ended(process):
-    """Gone, or a zombie that nobody has waited for."""
-    try:
-        return (process / "stat").read_bytes().rsplit(b")", 1)[1].split()[0] in (b"Z", b"X")
-    except OSError:
-        return not os.path.exists(str(process))
-
-
-def wait_until(condition, seconds=10.0):
+def until(condition, seconds=10.0):
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.005)
+
+
+@pytest.fixture
+def start():
+    children = []
+
+    def make(*arguments):
+        children.append(ChildProcess(arguments))
+        return children[-1]
+
+    yield make
+    for child in children:
+        child.close()
+
+
+def test_the_last_line_without_colours(start):
+    child = start("/bin/sh", "-c", "echo one; printf '\\033[31mtwo\\033[0m\\n\\n' >&2; exit 3")
+    assert child.wait(10.0) == 3
+    assert child.drain() and child.last_line == "two"
+
+
+def test_a_talkative_child_is_never_stopped_by_its_pipe(start):
+    child = start("/bin/sh", "-c", "i=0; while [ $i -lt 5000 ]; do echo 0123456789012345678901234567890123456789; "
+                                   "i=$((i+1)); done; echo done")
+    until(lambda: child.drain())
+    assert child.wait(10.0) == 0 and child.last_line == "done"
+
+
+def test_no_shell_sees_the_arguments(start):
+    child = start("/bin/echo", "$(id); `id` <a> & b")
+    assert child.wait(10.0) == 0
+    child.drain()
+    assert child.last_line == "$(id); `id` <a> & b"
+
+
+def test_signals_and_codes(start):
+    child = start("/bin/sleep", "60")
+    assert child.poll() is None and child.wait(0.01) is None
+    child.send(signal.SIGINT)
+    assert child.wait(10.0) == -signal.SIGINT
+    child.send(signal.SIGINT)
+    child.close()
+    child.close()
+
+
+def test_what_cannot_be_started_says_so():
+    with pytest.raises(OSError):
+        subprocess.Popen(["/nowhere/robot_state_publisher"])
+    child = ChildProcess(["/nowhere/robot_state_publisher"]) if len(ends_with_parent(["x"])) > 1 else None
+    if child is not None:       # setpriv starts, and says that the command is not there
+        assert child.wait(10.0) == 127
+        child.drain()
+        assert "/nowhere/robot_state_publisher" in child.last_line
+        child.close()
+
+
+def test_a_child_has_its_own_session(start):
+    child = start("/bin/sleep", "60")
+    assert os.getsid(child.pid) == child.pid != os.getsid(0)
+
+
+@pytest.mark.skipif(len(ends_with_parent(["x"])) == 1, reason="setpriv is not installed")
+def test_a_child_ends_when_its_parent_is_killed():
+    code = ("import sys, time; sys.path[:0] = {!r}; from hri_pipeline.core.process import ChildProcess; "
+            "print(ChildProcess(['/bin/sleep', '60']).pid, flush=True); time.sleep(60)").format([str(SOURCE)])
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    try:
+        child = int(parent.stdout.readline())
+        identity = identity_of(child)
+        assert is_alive(identity)
+        # setpriv asks for the signal, then becomes the command.
+        until(lambda: Path("/proc/{}/cmdline".format(child)).read_bytes().startswith(b"/bin/sleep"))
+    finally:
+        parent.kill()
+        parent.wait()
+        parent.stdout.close()
+    until(lambda: not is_alive(identity))
+
+
+def test_a_process_is_known_again():
+    own = identity_of()
+    assert is_alive(own) is True and all(isinstance(value, str) for value in own.values())
+    assert is_alive(dict(own, start="1")) is False            # another process with the same number
+    assert is_alive(dict(own, host="elsewhere")) is None
+    assert is_alive(dict(own, space="another container")) is None
+    for hostile in ({}, {"pid": "../1"}, {"pid": None}, dict(own, pid="x")):
+        assert is_alive(hostile) is False
+    gone = subprocess.Popen(["/bin/true"])
+    identity = identity_of(gone.pid)
+    gone.wait()
+    assert is_alive(identity) is False
+
+
+def test_descriptors_are_given_back():
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(20):
+        child = ChildProcess(["/bin/true"])
+        until(lambda child=child: child.poll() is not None)
+        child.close()
+        assert child.drain()
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_waits_grow_and_end_after_a_good_run():
+    policy = RestartPolicy()
+    waits = [policy.ended(0.3) for _ in range(12)]
+    assert waits[:4] == [0.0, 0.5, 1.0, 2.0] and waits[-1] == LONGEST_WAIT_S
+    assert policy.ended(PROVEN_S) == 0.0
+    assert policy.ended(0.3) == 0.5

@@ -6,14 +6,6 @@ from typing import Tuple
 
 import numpy as np
 
-POINT_NAMES: Tuple[str, ...] = (
-    "nose", "neck",
-    "right_shoulder", "right_elbow", "right_wrist",
-    "left_shoulder", "left_elbow", "left_wrist",
-    "right_hip", "right_knee", "right_ankle",
-    "left_hip", "left_knee", "left_ankle",
-    "left_eye", "right_eye", "left_ear", "right_ear",
-)
 (NOSE, NECK, RIGHT_SHOULDER, RIGHT_ELBOW, RIGHT_WRIST, LEFT_SHOULDER, LEFT_ELBOW, LEFT_WRIST,
  RIGHT_HIP, RIGHT_KNEE, RIGHT_ANKLE, LEFT_HIP, LEFT_KNEE, LEFT_ANKLE,
  LEFT_EYE, RIGHT_EYE, LEFT_EAR, RIGHT_EAR) = range(18)

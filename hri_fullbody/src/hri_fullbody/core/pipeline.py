@@ -25,8 +25,7 @@ from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, BlazePose
 from hri_fullbody.core.detection.windows import FaceBox
 from hri_fullbody.core.keypoints import confidence_18, to_18_points
 from hri_fullbody.core.localization.ground import GroundPlane
-from hri_fullbody.core.localization.localizer import BodyLocalizer, SceneContext
-from hri_fullbody.core.localization.pnp import place
+from hri_fullbody.core.localization.localizer import BodyLocalizer, SceneContext, place
 from hri_fullbody.core.model.anthropometry import MONOCULAR
 from hri_fullbody.core.model.human import Layout
 from hri_fullbody.core.modeller import BodyInput, BodyModeller, ModelledBody

@@ -64,7 +64,7 @@ class Walk(NamedTuple):
     shared: np.ndarray
 
 
-def ray_covariance(position: np.ndarray, origin: np.ndarray, along: float = ALONG, across: float = ACROSS,
+def ray_covariance(position: np.ndarray, origin: np.ndarray, along: float = ALONG,
                    exactness: float = 0.0) -> np.ndarray:
     """Return the covariance (3, 3) m^2 of a place that a camera tells.
 
@@ -72,15 +72,15 @@ def ray_covariance(position: np.ndarray, origin: np.ndarray, along: float = ALON
     ----------
     position, origin : numpy.ndarray, shape (3,)
         The place and the optical centre, m, in one frame.
-    along, across : float
-        Standard deviations along the ray and across, as shares of the distance.
+    along : float
+        Standard deviation along the ray, as a share of the distance; ACROSS is that to the sides.
     exactness : float
         Standard deviation of the camera's own pose, m, in all directions.
     """
     ray = position - origin
     square = float(ray @ ray)
-    side = across * across * square + exactness * exactness
-    covariance: np.ndarray = ((along * along - across * across) * ray)[:, None] * ray
+    side = ACROSS * ACROSS * square + exactness * exactness
+    covariance: np.ndarray = ((along * along - ACROSS * ACROSS) * ray)[:, None] * ray
     covariance.flat[::4] += side
     return covariance
 
@@ -126,10 +126,11 @@ def aged(covariance: np.ndarray, elapsed: float) -> np.ndarray:
     return covariance + spread * np.eye(3)
 
 
-def ellipse(covariance: np.ndarray, gate: float = CHI_SQUARE_95) -> Tuple[float, float, float]:
-    """Return half axes (m, the longer one first) of the ellipse of a covariance (2, 2) m^2, and its turn (rad)."""
+def ellipse(covariance: np.ndarray) -> Tuple[float, float, float]:
+    """Return half axes (m, the longer one first) and turn (rad) of the ellipse that holds 95 % of a covariance (2, 2)
+    m^2."""
     values, vectors = np.linalg.eigh(covariance)
-    minor, major = np.sqrt(gate * np.maximum(values, 0.0)).tolist()
+    minor, major = np.sqrt(CHI_SQUARE_95 * np.maximum(values, 0.0)).tolist()
     return major, minor, math.atan2(float(vectors[1, 1]), float(vectors[0, 1]))
 
 

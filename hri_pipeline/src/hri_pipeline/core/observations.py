@@ -1,9 +1,10 @@
-"""What is measured of one person in one image: the value types at the boundary to ROS."""
+"""What is measured of one person in one image: the value types at the boundary to ROS; and which faces and bodies
+belong to which image, by their stamps (`FeatureHistory`)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Optional
+from typing import Any, Dict, Iterable, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -92,3 +93,93 @@ class BodyObservation:
     measured: bool = True
     by_depth: bool = False
     hands: Optional[np.ndarray] = None
+
+
+# An image with both faces and bodies is preferred to newer ones with one kind up to this age (s).
+PREFER_COMPLETE = 1.0
+
+
+class FeatureHistory:
+    """Features of the last `keep` seconds by kind, id and image stamp (s).
+
+    Faces and bodies are found in images of some milliseconds ago, by processes that each take the newest image when
+    they are ready: their results come late, and not always for the same images.
+    """
+
+    def __init__(self, keep: float = 2.0) -> None:
+        if not keep > 0.0:
+            raise ValueError("keep is {} s, it must be above 0".format(keep))
+        self._keep = keep
+        self._features: Dict[Tuple[str, str], Dict[float, np.ndarray]] = {}
+        self._chosen_from, self._lag = -np.inf, 0.0
+
+    def add(self, kind: str, name: str, stamp: float, feature: np.ndarray) -> None:
+        """Keep a feature of face or body `name` for the image of time `stamp`."""
+        kept = self._features.setdefault((kind, name), {})
+        newest = max(kept, default=stamp)
+        if stamp < newest - self._keep:
+            kept.clear()        # time has jumped back
+            self._chosen_from, self._lag, newest = -np.inf, 0.0, stamp
+        kept[stamp] = feature
+        for old in [moment for moment in kept if moment < max(newest, stamp) - self._keep]:
+            del kept[old]
+
+    def keep_only(self, kind: str, names: Iterable[str]) -> None:
+        """Forget the features of all ids of `kind` that are not in `names`."""
+        wanted = set(names)
+        for key in [key for key in self._features if key[0] == kind and key[1] not in wanted]:
+            del self._features[key]
+
+    def clear(self) -> None:
+        """Forget all, for example when time has jumped back."""
+        self._features.clear()
+        self._chosen_from = -np.inf
+        self._lag = 0.0
+
+    def stamps(self, kind: str) -> Set[float]:
+        """Return the stamps of all images in which something of `kind` is known."""
+        return {stamp for (one, _), kept in self._features.items() if one == kind for stamp in kept}
+
+    def stamps_of(self, kind: str, name: str) -> Set[float]:
+        """Return the stamps of all images in which face or body `name` is known."""
+        return set(self._features.get((kind, name), ()))
+
+    def at(self, kind: str, stamp: float, tolerance: float) -> Dict[str, np.ndarray]:
+        """Return the feature of each id whose stamp is nearest to `stamp`, at most `tolerance` s away."""
+        found = {}
+        for (one, name), kept in self._features.items():
+            if one == kind and kept:
+                nearest = min(kept, key=lambda moment: abs(moment - stamp))
+                if abs(nearest - stamp) <= tolerance:
+                    found[name] = kept[nearest]
+        return found
+
+    def choose(self, images: Sequence[float], tolerance: float) -> Optional[float]:
+        """Return the stamp of the image to draw on, out of the stamps of the images at hand.
+
+        The newest image for which both faces and bodies are known within `tolerance` s; where one kind is
+        missing or lags too far behind, the newest image with any; the newest image when nothing has been
+        seen lately, apart from the time by which features came late before. None without images.
+        """
+        if not images:
+            return None
+        newest = max(images)
+        at_hand = set(images)
+        faces, bodies = self.stamps("faces") & at_hand, self.stamps("bodies") & at_hand
+        if not faces | bodies:
+            return newest
+        latest = max(faces | bodies)
+        if latest > self._chosen_from:
+            # On a slow machine features of old images keep coming; the first ones may be left from before.
+            self._lag = newest - latest if np.isfinite(self._chosen_from) else 0.0
+            self._chosen_from = latest
+        if newest - latest > tolerance + PREFER_COMPLETE + self._lag:
+            return newest
+        complete = max((stamp for stamp in faces | bodies
+                        if _near(stamp, faces, tolerance) and _near(stamp, bodies, tolerance)), default=-np.inf)
+        return complete if complete >= latest - PREFER_COMPLETE else latest
+
+
+def _near(stamp: float, others: Set[float], tolerance: float) -> bool:
+    """Tell whether one of `others` is at most `tolerance` from `stamp`."""
+    return any(abs(stamp - other) <= tolerance for other in others)

@@ -139,8 +139,6 @@ class OnnxModel:
     providers : sequence of str
         Keys of PROVIDERS, best first. Those that are not available are reported through `notify` and skipped; the CPU
         is always tried last.
-    threads : int
-        Threads of the session; they do not spin while they wait.
     inputs, outputs : sequence of str
         Names that the model must have; `run` returns `outputs` only, or all outputs when none are named.
     notify : callable, optional
@@ -156,16 +154,13 @@ class OnnxModel:
         self,
         path: Union[str, Path],
         providers: Sequence[str] = ("cpu",),
-        threads: int = 1,
         inputs: Sequence[str] = (),
         outputs: Sequence[str] = (),
         notify: Optional[Callable[[str], None]] = None,
     ) -> None:
-        if threads < 1:
-            raise ModelError("threads of a model session is {}, legal range 1 and more".format(threads))
         self._path = Path(path)
         self._notify = notify or (lambda text: None)
-        self._session = self._load(providers, threads)
+        self._session = self._load(providers)
         self.name = self._path.stem
         self.provider = _short_name(self._session.get_providers()[0])
         self.input_names = [tensor.name for tensor in self._session.get_inputs()]
@@ -176,7 +171,7 @@ class OnnxModel:
         self._wanted = list(outputs) or self.output_names
         self._batched: Dict[int, onnxruntime.InferenceSession] = {}
         if self.provider in ("cuda", "tensorrt") and self._takes_batches():
-            self._warm_up(threads)
+            self._warm_up()
         self._log = notify if isinstance(notify, ModelLog) else None
         if self._log is not None:
             self._log.providers[self.name], self._log.inferences[self.name] = self.provider, 0
@@ -231,18 +226,18 @@ class OnnxModel:
         return all(len(tensor.shape) > 0 and not isinstance(tensor.shape[0], int)
                    and all(isinstance(length, int) for length in tensor.shape[1:]) for tensor in tensors)
 
-    def _warm_up(self, threads: int) -> None:
+    def _warm_up(self) -> None:
         """Make a session for each size and run it once."""
         usable = self._session.get_providers()
         for size in BATCH_SIZES:
             self._notify("{}: {} prepares batches of {}".format(self._path.name, self.provider, size))
-            session = self._session if size == 1 else self._session_on(usable, threads)
+            session = self._session if size == 1 else self._session_on(usable)
             session.run(self._wanted, {
                 tensor.name: np.zeros([size] + list(tensor.shape[1:]), _TYPES.get(tensor.type, np.float32))
                 for tensor in session.get_inputs()})
             self._batched[size] = session
 
-    def _load(self, providers: Sequence[str], threads: int) -> onnxruntime.InferenceSession:
+    def _load(self, providers: Sequence[str]) -> onnxruntime.InferenceSession:
         if not self._path.is_file():
             raise ModelError("model file {} does not exist; {}".format(self._path, FETCH_HINT))
         usable, missing = choose_providers(providers, onnxruntime.get_available_providers())
@@ -253,7 +248,7 @@ class OnnxModel:
                              " or ".join(sorted({WHEELS[name] for name in missing if name in WHEELS}))
                              or "another wheel"))
         try:
-            session = self._session_on(usable, threads)
+            session = self._session_on(usable)
             self._check_provider(usable[0], session.get_providers()[0])
             return session
         except Exception as error:
@@ -262,7 +257,7 @@ class OnnxModel:
             self._notify("{} does not start on {} ({}); it runs on the CPU".format(
                 self._path.name, _short_name(usable[0]), first_line(error)))
         try:
-            return self._session_on([PROVIDERS["cpu"]], threads)
+            return self._session_on([PROVIDERS["cpu"]])
         except Exception as error:
             raise self._damaged(error) from error
 
@@ -277,9 +272,9 @@ class OnnxModel:
             "its libraries are there, so their versions do not fit this onnxruntime ({}) or the driver".format(
                 onnxruntime.__version__)))
 
-    def _session_on(self, providers: List[str], threads: int) -> onnxruntime.InferenceSession:
+    def _session_on(self, providers: List[str]) -> onnxruntime.InferenceSession:
         options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
+        options.intra_op_num_threads = 1
         options.inter_op_num_threads = 1
         # Waiting threads that spin take a core from the other nodes of the robot.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")

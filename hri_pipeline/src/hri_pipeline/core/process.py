@@ -120,11 +120,6 @@ def one_thread_each() -> None:
         threadpoolctl.threadpool_limits(limits=1, user_api="blas")
 
 
-def threads_of_libraries() -> List[int]:
-    """Return the number of threads of each linear algebra library that is loaded."""
-    return [library["num_threads"] for library in threadpoolctl.threadpool_info() if library["user_api"] == "blas"]
-
-
 def idle_time() -> Tuple[float, int]:
     """Return how long (s) the cores that this process may use have been idle since the start of the system, and their
     number.

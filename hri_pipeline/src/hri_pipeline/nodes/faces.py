@@ -4,7 +4,7 @@ frames."""
 from __future__ import annotations
 
 import time
-from typing import Dict, Iterable, List, Optional, Sequence, Set, Tuple
+from typing import Dict, Iterable, List, Sequence, Set, Tuple
 
 import rospy
 from geometry_msgs.msg import TransformStamped
@@ -67,8 +67,6 @@ class FaceProcessor:
     ----------
     settings
         The values of core.faces.parameters.FACES.
-    transforms
-        A TF publisher that is shared with other processors; its owner closes it. None: one of its own.
 
     Raises
     ------
@@ -80,7 +78,7 @@ class FaceProcessor:
 
     name = "faces"
 
-    def __init__(self, settings: FacePipelineSettings, transforms: Optional[TfPublisher] = None) -> None:
+    def __init__(self, settings: FacePipelineSettings) -> None:
         is_kept = settings.recognition and settings.gallery
         (rospy.logwarn if is_kept else rospy.loginfo)("%s", privacy_line(settings))
         self.data_use = data_use(settings)
@@ -93,8 +91,7 @@ class FaceProcessor:
         self._guard = ItemGuard(rospy.logerr)
         self._topics = FaceTopics(settings)
         self._tracked = TrackedList(NAMESPACE + "/tracked")
-        self._owns_transforms = transforms is None
-        self._transforms = TfPublisher() if transforms is None else transforms
+        self._transforms = TfPublisher()
         recognition = self._pipeline.recognition
         self._gallery = (
             GalleryService(recognition.recogniser, recognition.flush) if recognition is not None else None)
@@ -148,8 +145,7 @@ class FaceProcessor:
             self._gallery.close()
         self._tracked.close()
         self._topics.close()
-        if self._owns_transforms:
-            self._transforms.close()
+        self._transforms.close()
         self._pipeline.close()
 
     def _publish_places(self, faces: Sequence[FaceObservation], frame: Frame) -> None:

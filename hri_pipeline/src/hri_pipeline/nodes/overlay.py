@@ -18,8 +18,8 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Float32, String
 
 from hri_msgs.msg import Expression, GazesStamped
-from hri_pipeline.core.feature_history import FeatureHistory
 from hri_pipeline.core.images import ImageError
+from hri_pipeline.core.observations import FeatureHistory
 from hri_pipeline.core.overlay import OverlaySettings, PersonMark, draw_overlay
 from hri_pipeline.core.timing import Pacer
 from hri_pipeline.ros.conversions import (

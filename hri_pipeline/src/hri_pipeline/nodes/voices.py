@@ -19,12 +19,11 @@ from hri_msgs.msg import IdsMatch
 from hri_pipeline.core.asr.engines import LanguageError
 from hri_pipeline.core.asr.recognition import SpeechRecognition
 from hri_pipeline.core.audio.array import parse_positions
-from hri_pipeline.core.audio.identity import CALIBRATION, MODEL, VoiceIdentity
 from hri_pipeline.core.audio.own_voice import BargeInFilter, RobotSpeech, hear_humans
 from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
 from hri_pipeline.core.audio.separation import SoundSeparator
-from hri_pipeline.core.audio.speakers import DIMENSION, MODEL_FILE, SpeakerEmbedder
+from hri_pipeline.core.audio.speakers import CALIBRATION, DIMENSION, MODEL, MODEL_FILE, SpeakerEmbedder, VoiceIdentity
 from hri_pipeline.core.audio.stream import RATE, STALL_S, SoundBlock
 from hri_pipeline.core.audio.vad import ActivityModel, check_thresholds
 from hri_pipeline.core.geometry import Pose

@@ -14,7 +14,7 @@ from hri_pipeline.core.recognition.store import StoreWriter
 from hri_pipeline.srv import Gallery, GalleryRequest, GalleryResponse
 
 if TYPE_CHECKING:
-    from hri_pipeline.core.audio.identity import VoiceIdentity
+    from hri_pipeline.core.audio.speakers import VoiceIdentity
     from hri_pipeline.core.recognition.recogniser import Recogniser
 
 _REMINDER_S = 30.0

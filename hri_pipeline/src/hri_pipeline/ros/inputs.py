@@ -337,8 +337,6 @@ class DepthInput:
     ----------
     slop : float
         Largest difference of the stamps, s.
-    image_topic, slop_parameter : str
-        Names for texts.
 
     Raises
     ------
@@ -346,12 +344,12 @@ class DepthInput:
         For a slop out of 0 to 10 s.
     """
 
-    def __init__(self, slop: float, image_topic: str = "image", slop_parameter: str = "~depth_slop") -> None:
+    def __init__(self, slop: float) -> None:
         if not 0.0 <= slop < 10.0:
-            raise ValueError("{} is {} s, legal range 0 to 10".format(slop_parameter, slop))
+            raise ValueError("~depth_slop is {} s, legal range 0 to 10".format(slop))
         self._slop = slop
-        self._slop_parameter = rospy.resolve_name(slop_parameter)
-        self._image_topic = rospy.resolve_name(image_topic)
+        self._slop_parameter = rospy.resolve_name("~depth_slop")
+        self._image_topic = rospy.resolve_name("image")
         self.topic = rospy.resolve_name("depth")
         self._condition = threading.Condition()
         self._messages: Deque[Image] = deque(maxlen=_QUEUE)

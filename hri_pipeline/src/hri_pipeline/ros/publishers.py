@@ -23,6 +23,7 @@ from hri_pipeline.ros.rospy_compat import (
 _CHANGES = 10
 # What a subscriber needs to read the last list before its connection is closed.
 _FAREWELL_S = 0.1
+_REPEAT_S = 1.0
 
 
 class TopicSpec(NamedTuple):
@@ -149,14 +150,12 @@ class IdPublishers:
 
 
 class TrackedList:
-    """Publishes an IdsList on every change and every `period` seconds; the empty list at the end.
+    """Publishes an IdsList on every change and every second; the empty list at the end.
 
-    The period is wall time: the list stays alive while the simulated clock stands still.
+    A second is wall time: the list stays alive while the simulated clock stands still.
     """
 
-    def __init__(self, topic: str, period: float = 1.0) -> None:
-        if not period > 0.0:
-            raise ValueError("period of {} is {} s, legal range more than 0".format(topic, period))
+    def __init__(self, topic: str) -> None:
         self._publisher = rospy.Publisher(topic, IdsList, latch=True, queue_size=10)
         self._topic = topic
         self._ids: List[str] = []
@@ -164,7 +163,7 @@ class TrackedList:
         self._lock = threading.Lock()
         self._closed = threading.Event()
         self._publish()
-        self._thread = threading.Thread(target=self._repeat, args=(period,), name="tracked list", daemon=True)
+        self._thread = threading.Thread(target=self._repeat, name="tracked list", daemon=True)
         self._thread.start()
 
     def set(self, ids: Sequence[str], stamp: Union[genpy.Time, float]) -> None:
@@ -208,8 +207,8 @@ class TrackedList:
             threading.Event().wait(_FAREWELL_S)
         release(self._publisher)
 
-    def _repeat(self, period: float) -> None:
-        while not self._closed.wait(period):
+    def _repeat(self) -> None:
+        while not self._closed.wait(_REPEAT_S):
             with self._lock:
                 if not self._closed.is_set():
                     self._publish()

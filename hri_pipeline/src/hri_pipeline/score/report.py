@@ -241,8 +241,8 @@ def _grid(low: np.ndarray, high: np.ndarray, scale: float) -> str:
         for mark in along[1])
 
 
-def _thinned(points: np.ndarray, most: int = 2000) -> np.ndarray:
-    return points[::max(1, len(points) // most)]
+def _thinned(points: np.ndarray) -> np.ndarray:
+    return points[::max(1, len(points) // 2000)]
 
 
 def _gaze_table(record: Record, persons: Sequence[str]) -> str:

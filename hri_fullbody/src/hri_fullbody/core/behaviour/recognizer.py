@@ -26,6 +26,7 @@ from hri_fullbody.core.keypoints import (
 
 # After a longer silence everything starts anew.
 MAX_GAP_S = 1.0
+_POINT_HOLD_S = 0.7
 _LEG_HOLD_S = 0.2       # a leg that is not seen for longer is hidden
 _MIN_STATURE_M, _MAX_STATURE_M = 0.4, 2.6
 _SIGN = 0.3       # least confidence of an ankle of which there is any sign
@@ -130,10 +131,9 @@ def _checked(points: np.ndarray, stature: float, stamp: float,
 
 
 class KeypointHold:
-    """Fills missing key points of one body for `hold` s with their last place relative to the neck."""
+    """Fills missing key points of one body for 0.7 s with their last place relative to the neck."""
 
-    def __init__(self, hold: float = 0.7) -> None:
-        self._hold = hold
+    def __init__(self) -> None:
         self._origin = np.full(3, np.nan)
         self._origin_seen = -math.inf
         self._offsets = np.full((18, 3), np.nan)
@@ -142,19 +142,19 @@ class KeypointHold:
     def fill(self, points: np.ndarray, stamp: float) -> np.ndarray:
         """Return the points (18, 3) m, NaN unknown, of time `stamp` (s), with remembered ones filled in.
 
-        Without a neck it is the middle of the shoulders, and for `hold` s where it was. Stamps must not go back.
+        Without a neck it is the middle of the shoulders, and for 0.7 s where it was. Stamps must not go back.
         """
         known = np.isfinite(points[:, 0])
         origin = points[NECK] if known[NECK] else 0.5 * (points[LEFT_SHOULDER] + points[RIGHT_SHOULDER])
         if math.isfinite(origin[0]):
             self._origin, self._origin_seen = origin.copy(), stamp
-        elif stamp - self._origin_seen <= self._hold:
+        elif stamp - self._origin_seen <= _POINT_HOLD_S:
             origin = self._origin
         else:
             return points
         self._offsets[known] = points[known] - origin
         self._seen[known] = stamp
-        missing = ~known & (self._seen >= stamp - self._hold)
+        missing = ~known & (self._seen >= stamp - _POINT_HOLD_S)
         missing[NECK] = not known[NECK]
         self._offsets[NECK] = 0.0
         return np.where(missing[:, None], origin + self._offsets, points)

@@ -14,6 +14,7 @@ from hri_pipeline.core.onnx import OnnxModel
 _STEP = 32
 _STRIDE = 4
 _PERSON_CLASS = 0
+_MAX_OVERLAP = 0.6
 # Boxes of one thing overlap by so much; those of a rider and a horse, or of a chair and who sits on it, by less.
 _SAME_THING = 0.8
 
@@ -35,13 +36,11 @@ def network_size(width: int, height: int, long_side: int) -> Tuple[int, int]:
     return steps[0] * _STEP, steps[1] * _STEP
 
 
-def decode_centres(
-    heat: np.ndarray, extents: np.ndarray, threshold: float, max_overlap: float,
-) -> Tuple[np.ndarray, np.ndarray]:
+def decode_centres(heat: np.ndarray, extents: np.ndarray, threshold: float) -> Tuple[np.ndarray, np.ndarray]:
     """Boxes (N, 4) in px of the network's input and scores (N,), best first.
 
     heat: (h, w) 0 to 1, one peak for each person. extents: (h, w, 4) distances left, top, right, bottom in px from the
-    peak to the sides. A peak is the largest of its 3 x 3 cells. max_overlap: IoU above which the worse box is dropped.
+    peak to the sides. A peak is the largest of its 3 x 3 cells; of boxes that overlap by more than 0.6 the best stays.
     X. Zhou et al., "Objects as Points", 2019.
     """
     peaks = (heat >= threshold) & (heat >= cv2.dilate(heat, np.ones((3, 3), np.uint8)))
@@ -55,7 +54,7 @@ def decode_centres(
     overlap = iou_matrix(boxes, boxes)
     kept: List[int] = []
     for index in range(len(boxes)):
-        if all(overlap[index, other] <= max_overlap for other in kept):
+        if all(overlap[index, other] <= _MAX_OVERLAP for other in kept):
             kept.append(index)
     return boxes[kept], scores[kept]
 
@@ -73,20 +72,17 @@ class CenterNetDetector:
         self,
         path: Union[str, Path],
         providers: Sequence[str] = ("cpu",),
-        threads: int = 1,
         notify: Optional[Callable[[str], None]] = None,
         threshold: float = 0.3,
-        max_overlap: float = 0.6,
         long_side: int = 512,
     ) -> None:
-        """threshold, max_overlap: 0 to 1. long_side: px of the network's input. Raises ValueError outside of these."""
-        if not 0.0 < threshold < 1.0 or not 0.0 < max_overlap <= 1.0:
-            raise ValueError("threshold {} and max_overlap {} must lie between 0 and 1".format(threshold, max_overlap))
+        """threshold: 0 to 1. long_side: px of the network's input. Raises ValueError outside of these."""
+        if not 0.0 < threshold < 1.0:
+            raise ValueError("threshold {} must lie between 0 and 1".format(threshold))
         if long_side < _STEP:
             raise ValueError("long_side is {} px, legal range {} and more".format(long_side, _STEP))
-        self._model = OnnxModel(path, providers, threads, inputs=("images",), outputs=("heat", "ltrb"), notify=notify)
+        self._model = OnnxModel(path, providers, inputs=("images",), outputs=("heat", "ltrb"), notify=notify)
         self.threshold = threshold
-        self._max_overlap = max_overlap
         self._long_side = long_side
 
     def detect(self, image: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
@@ -98,10 +94,10 @@ class CenterNetDetector:
         output = self._model.run({"images": feed[None]})
         heat, extents = output["heat"][0], output["ltrb"][0]
         boxes, scores = decode_centres(
-            np.ascontiguousarray(heat[:, :, _PERSON_CLASS]), extents, self.threshold, self._max_overlap)
+            np.ascontiguousarray(heat[:, :, _PERSON_CLASS]), extents, self.threshold)
         if len(boxes):
             others = heat[:, :, _PERSON_CLASS + 1:].max(axis=2)
-            kept = ~outdone(boxes, scores, *decode_centres(others, extents, self.threshold, self._max_overlap))
+            kept = ~outdone(boxes, scores, *decode_centres(others, extents, self.threshold))
             boxes, scores = boxes[kept], scores[kept]
         boxes = boxes * np.array([width / size[0], height / size[1]] * 2)
         boxes = np.clip(boxes, 0.0, [width, height, width, height])

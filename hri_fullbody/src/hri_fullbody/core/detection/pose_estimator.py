@@ -139,10 +139,9 @@ class BlazePose:
         self,
         path: Union[str, Path],
         providers: Sequence[str] = ("cpu",),
-        threads: int = 1,
         notify: Optional[Callable[[str], None]] = None,
     ) -> None:
-        self._model = OnnxModel(path, providers, threads, inputs=("input_1",),
+        self._model = OnnxModel(path, providers, inputs=("input_1",),
                                 outputs=(_LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT), notify=notify)
         self._feed = np.empty((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)
         self.takes_batches = self._model.provider in ("cuda", "tensorrt")
@@ -204,7 +203,7 @@ _FAR = 0.6
 _LARGEST_PX, _LARGEST_M = 1e5, 5.0
 # Of what is smaller (px) no key points can be told: letters and spots resemble people far away.
 _LEAST_PX = 24.0
-_SAME_TRUNK, _SAME_NOSE = 0.09, 0.12
+_SAME_TRUNK, _SAME_NOSE, _SAME_IOU = 0.09, 0.12, 0.35
 _HEAD_ASIDE, _HEAD_DOWN, _MOSTLY = 0.3, 0.4, 0.6    # of a person's box, where the head is; of what is seen of a body
 LEAST_SHARE = 0.88
 """Of the longer side of a person's box: a body reaches at least as far as what is seen of it. Of 36 people .96 and
@@ -282,11 +281,11 @@ def is_sound(estimate: PoseEstimate, min_score: float) -> bool:
             and int((estimate.confidence[:BODY_LANDMARKS] > _KNOWN).sum()) >= 4)
 
 
-def covers(estimate: PoseEstimate, box: np.ndarray, min_iou: float = 0.35) -> bool:
+def covers(estimate: PoseEstimate, box: np.ndarray) -> bool:
     """Tell whether a person's box (4,) px is that of this body: it is seen there, or its head is where that of the box
     should be and what is seen of it lies in the box."""
     box = np.asarray(box)
-    if iou_matrix(estimate.box[None], box[None])[0, 0] > min_iou:
+    if iou_matrix(estimate.box[None], box[None])[0, 0] > _SAME_IOU:
         return True
     width, height = box[2:] - box[:2]
     aside, down = np.abs(estimate.nose[0] - 0.5 * (box[0] + box[2])), estimate.nose[1] - box[1]

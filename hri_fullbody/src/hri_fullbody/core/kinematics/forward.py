@@ -25,7 +25,7 @@ CROSS[0, 1, 2] = CROSS[1, 2, 0] = CROSS[2, 0, 1] = -1.0
 CROSS[0, 2, 1] = CROSS[1, 0, 2] = CROSS[2, 1, 0] = 1.0
 _CROSS_FLAT = CROSS.reshape(3, 9)
 _IDENTITY = np.eye(3)
-_NEXT, _AFTER_NEXT = np.array([1, 2, 0]), np.array([2, 0, 1])
+_NEXT = np.array([1, 2, 0])
 _SUM = np.ones((3, 1))
 
 

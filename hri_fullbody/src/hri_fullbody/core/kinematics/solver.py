@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from hri_fullbody.core.keypoints import NECK
-from hri_fullbody.core.kinematics.closed_form import ClosedFormSolution, head_angles, solve_closed_form
+from hri_fullbody.core.kinematics.closed_form import ClosedFormSolution, Observation, head_angles, solve_closed_form
 from hri_fullbody.core.kinematics.forward import (
     HEAD_TARGETS,
     SELLION_TARGET,
@@ -24,7 +24,6 @@ from hri_fullbody.core.kinematics.forward import (
     compute_frames,
 )
 from hri_fullbody.core.kinematics.gauss_newton import WeightedTargets, refine
-from hri_fullbody.core.kinematics.trunk import Observation
 from hri_fullbody.core.kinematics.warm_start import WarmStart
 from hri_fullbody.core.model.human import HEAD, PAPER, WAIST_SLOT, BodyDimensions, Dimensions, Layout, stack_dimensions
 from hri_fullbody.core.model.urdf import make_urdf

@@ -10,13 +10,15 @@ import importlib.util
 import math
 import re
 from pathlib import Path
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Protocol, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 import numpy as np
 
-from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.onnx import ModelError, model_path, models_directory
 from hri_pipeline.core.parameters import ParameterError
+
+if TYPE_CHECKING:
+    from hri_pipeline.core.audio.parameters import SpeechSettings  # the recogniser needs none of its libraries
 
 RATE = 16000
 """Sample rate (Hz) of all sound that is recognised."""

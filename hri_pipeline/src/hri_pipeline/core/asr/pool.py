@@ -17,8 +17,8 @@ from typing import Callable, Deque, Dict, List, Optional, Tuple
 
 from hri_pipeline.core.asr import worker
 from hri_pipeline.core.asr.engines import RATE, EngineChoice
-from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.asr.worker import MessageReader, PipeError, SpeechMessage
+from hri_pipeline.core.audio.parameters import SpeechSettings
 from hri_pipeline.core.process import RestartPolicy
 
 _CHUNK = 1 << 16

@@ -14,8 +14,8 @@ from typing import Dict, List, Optional, Tuple
 import numpy as np
 
 from hri_pipeline.core.asr.engines import AUTO, RATE, check_choice, engine_choice
-from hri_pipeline.core.asr.parameters import SpeechSettings
 from hri_pipeline.core.asr.pool import HANG_S, QueuedUtterance, SpeechPool
+from hri_pipeline.core.audio.parameters import SpeechSettings
 from hri_pipeline.core.audio.stream import encode_s16
 from hri_pipeline.core.onnx import FETCH_HINT
 

@@ -97,11 +97,11 @@ class SoundFormat:
             self.sample_rate, self.channels, "" if self.channels == 1 else "s", self.sample_format)
 
 
-def nearest_rate(rate: float, within: float = 0.02) -> Tuple[int, bool]:
-    """Return the standard sample rate nearest to `rate` (Hz), and whether they differ by at most the share `within`."""
+def nearest_rate(rate: float) -> Tuple[int, bool]:
+    """Return the standard sample rate nearest to `rate` (Hz), and whether they differ by at most 2 %."""
     usual = (8000, 11025, 16000, 22050, 24000, 32000, 44100, 48000, 88200, 96000, 176400, 192000)
     best = min(usual, key=lambda value: abs(value - rate))
-    return best, abs(best - rate) <= within * best
+    return best, abs(best - rate) <= 0.02 * best
 
 
 def decode(data: bytes, form: SoundFormat) -> np.ndarray:

@@ -72,9 +72,7 @@ class ActivityModel:
     ----------
     path : str or Path
         silero_vad.onnx.
-    threads : int
-        Of the session; they do not spin.
-    providers, notify
+    notify
         See OnnxModel.
 
     Raises
@@ -83,9 +81,8 @@ class ActivityModel:
         When the file is missing, damaged, or another model. The text names the file and how to correct it.
     """
 
-    def __init__(self, path: Union[str, Path], threads: int = 1, providers: Sequence[str] = ("cpu",),
-                 notify: Optional[Callable[[str], None]] = None) -> None:
-        self._model = OnnxModel(path, providers, threads, ("input", "state", "sr"), ("output", "stateN"), notify)
+    def __init__(self, path: Union[str, Path], notify: Optional[Callable[[str], None]] = None) -> None:
+        self._model = OnnxModel(path, inputs=("input", "state", "sr"), outputs=("output", "stateN"), notify=notify)
         self._rate = np.array(RATE, np.int64)
         # A network of another release fails here, instead of at the first sound.
         self.probabilities(np.zeros((1, FRAME), np.float32), [ActivityState()])

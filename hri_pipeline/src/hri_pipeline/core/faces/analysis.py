@@ -97,8 +97,6 @@ class FaceAnalysis:
         Where the time of each analysis is noted.
     notify
         Called with one line of text for each execution provider that is skipped.
-    clock
-        Processor time in s, used for the time budget.
 
     Raises
     ------
@@ -107,7 +105,7 @@ class FaceAnalysis:
     """
 
     def __init__(self, settings: FacePipelineSettings, canonical: CanonicalFace, times: StageTimes,
-                 notify: Optional[Callable[[str], None]] = None, clock: Callable[[], float] = time.thread_time) -> None:
+                 notify: Optional[Callable[[str], None]] = None) -> None:
         self.enabled = [name for name in STAGES if getattr(settings, name)]
         needs_units = settings.action_units or settings.expression
         self._measures = FaceMeasures(canonical) if needs_units else None
@@ -118,7 +116,6 @@ class FaceAnalysis:
         self.recognition = FaceRecognition(settings, notify) if settings.recognition else None
         self._qualities = CropQualities()
         self._times = times
-        self._clock = clock
         self._time_budget = TimeBudget(1e-3 * _SHARE * settings.face_budget, _SAVED_S)
         self._images = self._waits = 0
         self._last, self._stamp = "", -np.inf
@@ -242,11 +239,11 @@ class FaceAnalysis:
         elif not paid:
             self._waits += 1
             name = ""
-        began = self._clock()
+        began = time.thread_time()
         self.matches = self._run_network(name, bgr, measured, qualities, stamp, demand)
         if name:
             self._last = name
-            self._time_budget.spent(self._clock() - began)
+            self._time_budget.spent(time.thread_time() - began)
 
     def _run_network(self, name: str, bgr: np.ndarray, faces: Sequence[FaceObservation], qualities: Mapping[str, float],
                      stamp: float, demand: FaceDemand) -> List[PersonMatch]:

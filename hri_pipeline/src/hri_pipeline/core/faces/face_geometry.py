@@ -1,7 +1,7 @@
 """Where the head of every tracked face is, how large it is, and where its eyes look, over time.
 
-All faces of an image are solved together: head pose (`head_pose`), gaze (`gaze`), and the size of the head from irises,
-depth image and stature.
+All faces of an image are solved together: head pose (`head_pose`), gaze (`gaze`), and the size of the head from irises
+and depth image.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from hri_pipeline.core.faces.head_pose import (
     PoseSmoother,
     scale_from_depth,
     scale_from_iris,
-    scale_from_stature,
 )
 from hri_pipeline.core.faces.mesh import Blendshapes, CanonicalFace, landmarks_from_mesh
 from hri_pipeline.core.geometry import Pose
@@ -67,11 +66,6 @@ class FaceGeometry:
     def reset(self) -> None:
         """Forget all faces."""
         self._faces = {}
-
-    def set_stature(self, face_id: str, stature: float) -> None:
-        """Set the stature (m) of a face's person; an unknown face or an impossible value is ignored."""
-        if face_id in self._faces and np.isfinite(stature) and 0.4 < stature < 2.6:
-            self._faces[face_id].scale.add("stature", scale_from_stature(stature))
 
     def observe(self, tracked: Sequence[TrackedFace], camera: CameraModel, stamp: float,
                 depth: Optional[np.ndarray] = None) -> List[FaceObservation]:

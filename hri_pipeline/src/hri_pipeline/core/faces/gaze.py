@@ -272,9 +272,8 @@ def _eyes_in_head(shapes: np.ndarray) -> np.ndarray:
 class GazeSmoother:
     """Smooths the gaze of one face and withholds it while the eyes are closed."""
 
-    def __init__(self, min_cutoff: float = 2.0, beta: float = 6.0) -> None:
-        """min_cutoff: Hz at rest; beta: Hz per (rad/s)."""
-        self._direction = OneEuro(min_cutoff, beta)
+    def __init__(self) -> None:
+        self._direction = OneEuro(2.0, 6.0)     # Hz at rest, Hz per (rad/s)
         self._eyes = OpenEyes()
         self._closed: Optional[float] = None
         self._stamp = 0.0

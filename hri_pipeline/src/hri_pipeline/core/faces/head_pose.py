@@ -1,4 +1,4 @@
-"""Head pose and head size: perspective-n-point on the canonical face, and the scale from iris, depth and stature.
+"""Head pose and head size: perspective-n-point on the canonical face, and the scale from iris and depth.
 
 Points: the upper vertices of the canonical face. Brow, eyes, nose and temples hold still when the mouth moves; the jaw
 does not. The far side of a turned head is guessed by the network: its points have less weight, and so have outliers. A
@@ -12,7 +12,7 @@ the pose in the last image. The residuals are weighted by Huber's function, so t
 of the mouth, the guessed far cheek) have little influence.
 
 Size: a pose from points alone fixes the direction of a head and the ratio of its size to its distance, not the
-distance. Each source (prior, iris, depth image, stature) gives a size over the canonical one, with an error that stays
+distance. Each source (prior, iris, depth image) gives a size over the canonical one, with an error that stays
 with the person however often it is measured, and a noise that averages out. All errors are Gaussian in the logarithm of
 the size.
 """
@@ -60,7 +60,6 @@ iris lies outside the visible one."""
 LEAST_IRIS = 8.0
 """Diameter (px) of the iris from which it is used for the size."""
 MAX_IRIS_TURN = math.radians(40.0)
-SOURCES = ("iris", "depth", "stature")
 _LEAST, _MOST = 0.75, 1.25
 _WINDOW = 60.0
 """Number of measurements after which old ones lose weight."""
@@ -170,10 +169,9 @@ class HeadPoseEstimator:
 class PoseSmoother:
     """One-euro filter on a pose: steady at rest, without visible lag in motion."""
 
-    def __init__(self, min_cutoff: float = 3.0, beta: float = 20.0) -> None:
-        """min_cutoff: Hz at rest; beta: Hz per (m/s) and per (unit quaternion/s)."""
-        self._translation = OneEuro(min_cutoff, beta)
-        self._rotation = OneEuro(min_cutoff, beta)
+    def __init__(self) -> None:
+        # Hz at rest, Hz per (m/s) and per (unit quaternion/s).
+        self._translation, self._rotation = OneEuro(3.0, 20.0), OneEuro(3.0, 20.0)
         self._last: Optional[np.ndarray] = None
 
     def __call__(self, pose: Pose, stamp: float) -> Pose:
@@ -306,8 +304,6 @@ _ERRORS = {
     "iris": _Error(0.05, 0.05),
     # Depth camera: 1 to 2 % of the distance, and the difference between the surface and the model's.
     "depth": _Error(0.015, 0.03),
-    # Stature explains little of the size of adults' heads, more of children's.
-    "stature": _Error(0.045, 0.0),
 }
 
 
@@ -322,7 +318,7 @@ class HeadScale:
     def add(self, source: str, scale: float) -> None:
         """Add a measured size over the canonical one; one that is not finite or impossible for a head is ignored.
 
-        source: one of SOURCES; raises KeyError for another.
+        source: "iris" or "depth"; raises KeyError for another.
         """
         _ERRORS[source]
         if not (math.isfinite(scale) and _LEAST <= scale <= _MOST):
@@ -381,12 +377,3 @@ def scale_from_depth(mesh: np.ndarray, canonical_depths: np.ndarray, indices: np
         return None
     ratios = seen[known] / canonical_depths[inside][known]
     return float(np.median(ratios))
-
-
-def scale_from_stature(stature: float) -> float:
-    """Return the mean size of a head over the canonical one for a stature (m).
-
-    Heads grow little after early childhood: the breadth of a head of 1.1 m (5 years) is 0.93 of that of 1.70 m
-    (Farkas 1994), a power of 0.17.
-    """
-    return (stature / 1.70) ** 0.17

@@ -185,10 +185,6 @@ class FacePipeline:
         """Note, before update, the age (s) of the image, and the time (s) that the last one took in all."""
         self._tracking.scheduler.note_timing(age, took)
 
-    def set_stature(self, face_id: str, stature: float) -> None:
-        """Set the stature (m) of a face's person, known from its body: it helps to estimate the size of the head."""
-        self._geometry.set_stature(face_id, stature)
-
     def reconfigure(self, settings: FacePipelineSettings) -> None:
         """Apply the values of the live parameters; the faces stay."""
         self._tracking.reconfigure(settings)

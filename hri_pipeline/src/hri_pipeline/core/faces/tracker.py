@@ -424,11 +424,9 @@ def association_costs(tracks: Sequence[FaceTrack], measurements: Sequence[FaceMe
     compared = np.outer([track.memory is not None for track in tracks], [m.look is not None for m in measurements])
     cost[np.where(compared, cost, cost + colours) > gate] = np.inf
     # A track may hold on to a part of a face that the detector is as sure of.
-    parts = are_parts(np.array([track.predicted_box(stamp) for track in tracks]),
-                      np.array([measurement.box for measurement in measurements]))
-    surer = np.array([[track.visible and one.score >= track.score - SCORE_MARGIN for one in measurements]
-                      for track in tracks])
-    cost[parts & surer] = PART_COST
+    boxes = [track.predicted_box(stamp) for track in tracks]
+    cost[np.array([[track.visible and one.score >= track.score - SCORE_MARGIN and is_part(box, one.box)
+                    for one in measurements] for track, box in zip(tracks, boxes)])] = PART_COST
     return cost + colours
 
 
@@ -439,12 +437,3 @@ def is_part(box: np.ndarray, other: np.ndarray) -> bool:
         return False
     inner = max(0.0, min(ax1, bx1) - max(ax0, bx0)) * max(0.0, min(ay1, by1) - max(ay0, by0))
     return inner > PART_INSIDE * (ax1 - ax0) * (ay1 - ay0)
-
-
-def are_parts(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Whether (T, N) boxes (T, 4) px are parts of others (N, 4) px, see `is_part`."""
-    sides = boxes[:, 2:] - boxes[:, :2]
-    inner = np.clip(np.minimum(boxes[:, None, 2:], others[:, 2:]) - np.maximum(boxes[:, None, :2], others[:, :2]),
-                    0.0, None)
-    is_small = sides.sum(axis=1)[:, None] < PART_SIZE * (others[:, 2:] - others[:, :2]).sum(axis=1)
-    return is_small & (inner[..., 0] * inner[..., 1] > PART_INSIDE * (sides[:, 0] * sides[:, 1])[:, None])

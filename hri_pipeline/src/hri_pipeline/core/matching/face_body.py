@@ -9,10 +9,10 @@ from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tu
 
 import numpy as np
 
-from hri_pipeline.core.feature_history import FeatureHistory
 from hri_pipeline.core.frames import HumanTf, Timed
 from hri_pipeline.core.geometry import Vector, turned
 from hri_pipeline.core.matching.parameters import FaceBodyMatcherSettings
+from hri_pipeline.core.observations import FeatureHistory
 from hri_pipeline.core.tracks import assign
 
 _HISTORY_S = 4.0        # bodies of an image have come 1 to 2 s after its faces, on two cores with ten people and rviz

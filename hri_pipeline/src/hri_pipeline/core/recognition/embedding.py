@@ -98,7 +98,7 @@ class FaceEmbedder:
     Parameters
     ----------
     path : the ONNX file.
-    providers, threads, notify : see OnnxModel.
+    providers, notify : see OnnxModel.
 
     Raises
     ------
@@ -106,9 +106,9 @@ class FaceEmbedder:
         The file is missing, damaged or another model.
     """
 
-    def __init__(self, path: Union[str, Path], providers: Sequence[str] = ("cpu",), threads: int = 1,
+    def __init__(self, path: Union[str, Path], providers: Sequence[str] = ("cpu",),
                  notify: Optional[Callable[[str], None]] = None) -> None:
-        model = OnnxModel(path, providers, threads, notify=notify)
+        model = OnnxModel(path, providers, notify=notify)
         self._kind = _kind_of(model, path)
         self._model = model
         self.kind = self._kind.name

@@ -36,7 +36,7 @@ class DamagedStore(StoreError):
 
 
 def import_gallery(path: Path, store: PersonStore, model: str, dimension: int, cipher: Optional[TemplateCipher] = None,
-                   notify: Callable[[str], None] = lambda text: None, clock: Callable[[], float] = time.time) -> None:
+                   notify: Callable[[str], None] = lambda text: None) -> None:
     """Move the people of a gallery file to the store; nothing is done where there is no such file.
 
     The file is overwritten and removed as soon as its people are in the store: otherwise it would keep those who are
@@ -50,7 +50,6 @@ def import_gallery(path: Path, store: PersonStore, model: str, dimension: int, c
     model, dimension : network that the templates must be of, and how many numbers a template has.
     cipher : of the templates, in the file and in the store; None where they are not.
     notify : called with one line about what was done.
-    clock : s of wall time, when the people are first seen in the store.
 
     Raises
     ------
@@ -63,7 +62,7 @@ def import_gallery(path: Path, store: PersonStore, model: str, dimension: int, c
     try:
         for leftover in _beside(path, _LEFTOVER):
             wipe(leftover)
-        _move_people(path, store, model, dimension, cipher, notify, clock)
+        _move_people(path, store, model, dimension, cipher, notify)
         for damaged in _beside(path, DAMAGED):
             os.replace(str(damaged), str(_beside_store(damaged, path, store)))
     except OSError as error:
@@ -74,7 +73,7 @@ def import_gallery(path: Path, store: PersonStore, model: str, dimension: int, c
 
 
 def _move_people(path: Path, store: PersonStore, model: str, dimension: int, cipher: Optional[TemplateCipher],
-                 notify: Callable[[str], None], clock: Callable[[], float]) -> None:
+                 notify: Callable[[str], None]) -> None:
     try:
         data = read_private(path)
     except FileNotFoundError:
@@ -82,7 +81,7 @@ def _move_people(path: Path, store: PersonStore, model: str, dimension: int, cip
     try:
         persons = read_persons(data, model, dimension, cipher)
     except DamagedStore as error:
-        target = set_aside(path, clock())
+        target = set_aside(path, time.time())
         notify("the gallery of faces {} is damaged ({}); it is kept as {}, and nobody of it is known".format(
             path, error, _beside_store(target, path, store)))
         return
@@ -91,7 +90,7 @@ def _move_people(path: Path, store: PersonStore, model: str, dimension: int, cip
     with store.change():
         # Killed between the change and the removal of the file: who is forgotten meanwhile must not come back.
         if store.note_once("imported " + hashlib.sha256(data).hexdigest()):
-            _add(persons, store, model, dimension, clock())
+            _add(persons, store, model, dimension, time.time())
     # Renamed first: a file that is overwritten in part would be taken for a damaged one.
     leftover = path.with_name(path.name + _LEFTOVER + "imported")
     os.replace(str(path), str(leftover))

@@ -36,6 +36,8 @@ UNSEEN = -1
 """Speaker who is not in view, such as a television set."""
 _FINE_S = 0.02
 _DELAY = (0.03, 0.11)
+_TIMEOUT_S = 3.0
+"""What the voices node waits before a voice ends."""
 
 
 class Turn(NamedTuple):
@@ -57,8 +59,7 @@ class Mouths:
     confidence: np.ndarray
 
 
-def make_turns(random: np.random.Generator, people: int, length: float, unseen_share: float,
-               gaps: Tuple[float, float] = (0.1, 2.5)) -> List[Turn]:
+def make_turns(random: np.random.Generator, people: int, length: float, unseen_share: float) -> List[Turn]:
     """Turns of a conversation of `length` s: one speaks at a time, a share of the turns comes from somebody unseen."""
     turns: List[Turn] = []
     now, last = 1.5, None
@@ -74,7 +75,7 @@ def make_turns(random: np.random.Generator, people: int, length: float, unseen_s
             phrases.append((start, stop))
             start = stop + random.uniform(0.1, 0.4)
         turns.append(Turn(speaker, now, phrases[-1][1], tuple(phrases)))
-        now = phrases[-1][1] + random.uniform(*gaps)
+        now = phrases[-1][1] + random.uniform(0.1, 2.5)
     return turns
 
 
@@ -149,8 +150,7 @@ class Heard(NamedTuple):
     voice_of_turn: List[str]
 
 
-def hear(random: np.random.Generator, turns: Sequence[Turn], array: bool, resume_time: float = 0.0,
-         timeout: float = 3.0) -> Heard:
+def hear(random: np.random.Generator, turns: Sequence[Turn], array: bool, resume_time: float = 0.0) -> Heard:
     """What the voices node says: without an array a voice goes on for whoever speaks within `resume_time` s of its end.
 
     is_speaking comes 0.03 to 0.11 s after the first sound, and ends as much after the last one, as measured of that
@@ -164,14 +164,14 @@ def hear(random: np.random.Generator, turns: Sequence[Turn], array: bool, resume
         if array:
             known = [entry for entry in tracked if entry[3] == turn.speaker and entry[1] > onset]
         else:
-            known = [entry for entry in tracked[-1:] if entry[1] - timeout + resume_time > onset]
+            known = [entry for entry in tracked[-1:] if entry[1] - _TIMEOUT_S + resume_time > onset]
         if known:
             entry = known[0]
         else:
             entry = [onset, 0.0, "v%d" % len(tracked), turn.speaker]
             tracked.append(entry)
         voices.append(entry[2])
-        entry[1] = turn.end + 0.15 + timeout
+        entry[1] = turn.end + 0.15 + _TIMEOUT_S
         for start, end in turn.phrases:
             messages += [(start + random.uniform(*_DELAY), entry[2], True),
                          (end + random.uniform(*_DELAY), entry[2], False)]
