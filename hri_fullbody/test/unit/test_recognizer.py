@@ -203,8 +203,20 @@ def test_without_a_sign_of_feet_nobody_is_told_to_sit():
 
     seated = people.seated().without(kp.LEFT_ANKLE, kp.RIGHT_ANKLE).seen()
     assert told(seated, (0.1, 0.4)) == PostureClass.SITTING and told(seated, (0.1, 0.2)) == PostureClass.OTHER
+    assert told(seated, (0.1, np.nan)) == PostureClass.SITTING, "a foot below the image may be there"
     standing = people.standing().without(kp.LEFT_ANKLE, kp.RIGHT_ANKLE).seen()
     assert told(standing, (0.1, 0.2)) == PostureClass.STANDING
+
+
+@pytest.mark.parametrize("knee, posture", [(0.8, PostureClass.OTHER), (0.95, PostureClass.SITTING)])
+def test_a_guessed_knee_that_jumps_about_is_no_sign_of_sitting(knee, posture):
+    body, confidence, random = BehaviourRecognizer(), np.full(18, 0.95), np.random.default_rng(2)
+    confidence[kp.LEFT_KNEE], told = knee, []
+    for stamp in (np.arange(30) / 10.0).tolist():
+        points = people.seated().without(kp.RIGHT_KNEE, kp.RIGHT_ANKLE).seen()
+        points[[kp.LEFT_KNEE, kp.LEFT_ANKLE]] += random.normal(0.0, 0.1 * STATURE, 3) * (1.0, 0.3, 1.0)
+        told.append(body.update(points, STATURE, stamp, UP, 0.0, confidence).posture)
+    assert max(set(told[10:]), key=told[10:].count) == posture
 
 
 POSTURES = [
