@@ -9,8 +9,8 @@ import pytest
 from posed_people import STATURE, UP
 
 from hri_fullbody.core import keypoints as kp
-from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH, trunk_axes
-from hri_fullbody.core.behaviour.attitude import AttitudeClass, Latch, Rule
+from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH, arm_features, trunk_axes
+from hri_fullbody.core.behaviour.attitude import AttitudeClass, AttitudeEstimator, Latch, Rule
 from hri_fullbody.core.behaviour.gesture import GestureClass, turns
 from hri_fullbody.core.behaviour.posture import PostureClass, PostureEstimator, without_guessed_limbs
 from hri_fullbody.core.behaviour.recognizer import BehaviourRecognizer, BodyBehaviour
@@ -217,6 +217,13 @@ def test_a_guessed_knee_that_jumps_about_is_no_sign_of_sitting(knee, posture):
         points[[kp.LEFT_KNEE, kp.LEFT_ANKLE]] += random.normal(0.0, 0.1 * STATURE, 3) * (1.0, 0.3, 1.0)
         told.append(body.update(points, STATURE, stamp, UP, 0.0, confidence).posture)
     assert max(set(told[10:]), key=told[10:].count) == posture
+
+
+def test_an_attitude_that_is_about_to_end_does_not_begin_as_another_one_ends():
+    both, neither = (arm_features(pose.seen(), STATURE, UP) for pose in (people.crossed(), people.standing()))
+    both, arms = both._replace(to_face=(0.05, both.to_face[1])), AttitudeEstimator()
+    told = [arms.update(both if index < 30 else neither, 1.0 / 30.0) for index in range(75)]
+    assert AttitudeClass.HANDS_ON_FACE in told and AttitudeClass.ARMS_CROSSED not in told[30:]
 
 
 POSTURES = [
