@@ -9,8 +9,8 @@ import pytest
 from posed_people import STATURE, UP
 
 from hri_fullbody.core import keypoints as kp
-from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH, trunk_axes
-from hri_fullbody.core.behaviour.attitude import AttitudeClass, Latch, Rule
+from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH, arm_features, trunk_axes
+from hri_fullbody.core.behaviour.attitude import AttitudeClass, AttitudeEstimator, Latch, Rule
 from hri_fullbody.core.behaviour.gesture import GestureClass, turns
 from hri_fullbody.core.behaviour.posture import PostureClass, PostureEstimator, without_guessed_limbs
 from hri_fullbody.core.behaviour.recognizer import BehaviourRecognizer, BodyBehaviour
@@ -203,8 +203,27 @@ def test_without_a_sign_of_feet_nobody_is_told_to_sit():
 
     seated = people.seated().without(kp.LEFT_ANKLE, kp.RIGHT_ANKLE).seen()
     assert told(seated, (0.1, 0.4)) == PostureClass.SITTING and told(seated, (0.1, 0.2)) == PostureClass.OTHER
+    assert told(seated, (0.1, np.nan)) == PostureClass.SITTING, "a foot below the image may be there"
     standing = people.standing().without(kp.LEFT_ANKLE, kp.RIGHT_ANKLE).seen()
     assert told(standing, (0.1, 0.2)) == PostureClass.STANDING
+
+
+@pytest.mark.parametrize("knee, posture", [(0.8, PostureClass.OTHER), (0.95, PostureClass.SITTING)])
+def test_a_guessed_knee_that_jumps_about_is_no_sign_of_sitting(knee, posture):
+    body, confidence, random = BehaviourRecognizer(), np.full(18, 0.95), np.random.default_rng(2)
+    confidence[kp.LEFT_KNEE], told = knee, []
+    for stamp in (np.arange(30) / 10.0).tolist():
+        points = people.seated().without(kp.RIGHT_KNEE, kp.RIGHT_ANKLE).seen()
+        points[[kp.LEFT_KNEE, kp.LEFT_ANKLE]] += random.normal(0.0, 0.1 * STATURE, 3) * (1.0, 0.3, 1.0)
+        told.append(body.update(points, STATURE, stamp, UP, 0.0, confidence).posture)
+    assert max(set(told[10:]), key=told[10:].count) == posture
+
+
+def test_an_attitude_that_is_about_to_end_does_not_begin_as_another_one_ends():
+    both, neither = (arm_features(pose.seen(), STATURE, UP) for pose in (people.crossed(), people.standing()))
+    both, arms = both._replace(to_face=(0.05, both.to_face[1])), AttitudeEstimator()
+    told = [arms.update(both if index < 30 else neither, 1.0 / 30.0) for index in range(75)]
+    assert AttitudeClass.HANDS_ON_FACE in told and AttitudeClass.ARMS_CROSSED not in told[30:]
 
 
 POSTURES = [

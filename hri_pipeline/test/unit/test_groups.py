@@ -89,6 +89,16 @@ def test_circles_of_any_size_are_one_group(radius: float) -> None:
     assert formations(people) == [[0, 1, 2, 3, 4]]
 
 
+@pytest.mark.parametrize("errors", ((40, -35, 35, -40, 30, -30), (40, 40, -40, -40, 20, 0)))
+def test_a_wide_circle_is_one_group_although_headings_err(errors: Sequence[int]) -> None:
+    angles = np.arange(6) * math.pi / 3.0
+    people = [[1.1 * math.cos(angle), 1.1 * math.sin(angle), angle + math.pi + math.radians(error)]
+              for angle, error in zip(angles, errors)]
+    assert formations(people, math.radians(30.0)) == [[0, 1, 2, 3, 4, 5]]
+    inside = people + [[0.3, 0.2, 0.5]]
+    assert list(range(7)) not in formations(inside, math.radians(30.0)), "the space of a circle is empty"
+
+
 def test_who_stands_behind_a_member_is_none() -> None:
     people = standing("abc", radius=0.6)
     positions = np.array([person.position for person in people] + [people[0].position * 2.4])
@@ -167,7 +177,7 @@ def test_one_setting_reaches_the_figures_on_all_scenes() -> None:
     assert found["Synth"] >= 0.90
     assert found["CoffeeBreak_noisy"] >= 0.78
     assert found["simulated"] >= 0.95
-    assert found["radii"] >= 0.89
+    assert found["radii"] >= 0.93
     assert found["walkers"] >= 0.88
 
 

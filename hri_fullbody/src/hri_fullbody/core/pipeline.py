@@ -18,7 +18,7 @@ import numpy as np
 from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH
 from hri_fullbody.core.behaviour.gesture import GestureClass
 from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
-from hri_fullbody.core.behaviour.posture import PostureClass, without_guessed_limbs
+from hri_fullbody.core.behaviour.posture import PostureClass, without_feet_outside, without_guessed_limbs
 from hri_fullbody.core.behaviour.recognizer import MAX_GAP_S, BehaviourRecognizer, BodyBehaviour
 from hri_fullbody.core.detection.person_detector import CenterNetDetector, PersonDetector
 from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, BlazePose, PoseEstimate, PoseEstimator
@@ -274,11 +274,12 @@ class BodyPipeline:
                  size: Tuple[int, int], up_sd: float) -> None:
         """Keep the model of a detected body, and recognise its attitude, posture and gesture."""
         points = without_guessed_limbs(model.points, body.keypoints, *size)
+        confidence = without_feet_outside(body.keypoints, *size)
         recognizer = self._recognizers.setdefault(model.id, BehaviourRecognizer())
         behaviour = self._guard.each(
             "behaviour of a body",
             lambda one: recognizer.update(
-                points, one.stature, stamp, up, up_sd, body.keypoints[:, 2], body.hands,
+                points, one.stature, stamp, up, up_sd, confidence, body.hands,
                 1.0 if body.by_depth else GUESSED_DEPTH), [model])
         self._last_models[model.id] = _LastModel(
             stamp, model, None if body.pose is None else body.pose.translation, behaviour[0] if behaviour else None)

@@ -49,6 +49,8 @@ class Rule:
 RAISED_RULE = Rule(on=0.7, off=0.3, on_time=0.15, off_time=0.3)
 FACE_RULE = Rule(on=0.6, off=0.2, on_time=0.2, off_time=0.4)
 CROSSED_RULE = Rule(on=0.35, off=0.1, on_time=0.3, off_time=0.5)
+_RULES = {AttitudeClass.HANDS_ON_FACE: FACE_RULE, AttitudeClass.ARMS_CROSSED: CROSSED_RULE,
+          AttitudeClass.HANDS_RAISED: RAISED_RULE}
 
 
 class Latch:
@@ -158,10 +160,12 @@ class AttitudeEstimator:
         return self.attitude
 
     def _choose(self, candidates: List[AttitudeClass]) -> None:
-        """Of several active attitudes the surest counts; the present one stays unless another is surer by 0.2."""
+        """Of several active attitudes the surest counts; the present one stays unless another is surer by 0.2, and one
+        that is about to end does not begin."""
         sure = {
             AttitudeClass.HANDS_ON_FACE: self._face.score, AttitudeClass.ARMS_CROSSED: self._crossed.score,
             AttitudeClass.HANDS_RAISED: _highest(*(arm.score for arm in self._raised))}
+        candidates = [name for name in candidates if name == self.attitude or not sure[name] < _RULES[name].on]
         if candidates:
             self.attitude = max(candidates, key=lambda name: _or(sure[name], 0.0) + 0.2 * (name == self.attitude))
             self.confidence = _or(sure[self.attitude], 0.0)
@@ -213,15 +217,15 @@ def crossed_score(features: ArmFeatures, speed: float = 0.0) -> float:
     folded = _lowest(
         soft(ahead, 0.19, 0.16),
         soft(outward, 0.05, 0.02), soft(inward, 0.05, 0.07),
-        _or(soft(_between_forearms(features), 75.0, 95.0), soft(across, -0.02, 0.005)),
-        soft(near, 0.175, 0.14), soft(speed, _CLAPPING, _HELD))
+        _or(soft(_between_forearms(features), 78.0, 98.0), soft(across, -0.02, 0.005)),
+        soft(near, 0.182, 0.147), soft(speed, _CLAPPING, _HELD))
     beyond = _lowest(
         soft(ahead, 0.22, 0.185),
         soft(outward, -0.02, -0.045), soft(inward, 0.035, 0.055), soft(across, -0.08, -0.055),
         soft(near, 0.215, 0.18), soft(speed, _SWINGING, _SHOWN))
     return _lowest(
         _highest(folded, beyond) if folded == folded or beyond == beyond else _UNKNOWN,
-        soft(_highest(*features.to_other_elbow), 0.205, 0.17),
+        soft(_highest(*features.to_other_elbow), 0.212, 0.177),
         soft(_both(max, features.outward), 0.13, 0.09),
         soft(_mean(features.elbow), math.radians(145.0), math.radians(130.0)),
         soft(ahead, 0.0, 0.03),

@@ -15,11 +15,13 @@ from hri_fullbody.core.behaviour.posture import GUESSED, PostureEstimator
 from hri_fullbody.core.keypoints import (
     LEFT_ANKLE,
     LEFT_ELBOW,
+    LEFT_KNEE,
     LEFT_SHOULDER,
     LEFT_WRIST,
     NECK,
     RIGHT_ANKLE,
     RIGHT_ELBOW,
+    RIGHT_KNEE,
     RIGHT_SHOULDER,
     RIGHT_WRIST,
 )
@@ -30,6 +32,7 @@ _POINT_HOLD_S = 0.7
 _LEG_HOLD_S = 0.2       # a leg that is not seen for longer is hidden
 _MIN_STATURE_M, _MAX_STATURE_M = 0.4, 2.6
 _SIGN = 0.3       # least confidence of an ankle of which there is any sign
+_SURE = 0.9       # of a knee that is not guessed; a guessed one has up to .88
 
 
 @dataclass(frozen=True)
@@ -71,8 +74,9 @@ class BehaviourRecognizer:
         unknown. stature: m. stamp: s; the same stamp again changes nothing, and one that is before the last or more
         than 1 s after it starts anew. up: (3,), against gravity in the sensor's frame, any length; up_sd: standard
         deviation of its pitch about the sensor's x axis, rad: a posture is told when it does not hang on it.
-        confidence: (18,) 0 to 1 of the points, None: all are sure; a forearm of less than 0.5 does not wave and has
-        no hand on the face; without an ankle of 0.3 nobody is told to sit or crouch.
+        confidence: (18,) 0 to 1 of the points, NaN for ankles outside the image, None: all are sure; a forearm of less
+        than 0.5 does not wave and has no hand on the face; nobody is told to sit or crouch whose ankles are in the
+        image with less than 0.3, nor to sit with a knee of less than 0.9 that jumps about.
         hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: along the forearms.
         depth_counts: see arm_features.
         Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
@@ -94,7 +98,7 @@ class BehaviourRecognizer:
         waving = self._waves.update(features, elapsed, sure)
         posture = self._posture.update(
             self._hold.without_old(points, stamp, _LEG_HOLD_S), axes, stature, upwards, elapsed, up_sd,
-            confidence is None or bool(confidence[[LEFT_ANKLE, RIGHT_ANKLE]].max() >= _SIGN))
+            *_signs_of_legs(confidence))
         self._result = BodyBehaviour(
             int(attitude), self._attitude.confidence, int(posture),
             int(gesture_of(attitude, self._attitude.raised, waving)))
@@ -110,6 +114,14 @@ def _sure_forearms(confidence: Optional[np.ndarray]) -> Tuple[bool, bool]:
         return True, True
     return (bool(confidence[[LEFT_ELBOW, LEFT_WRIST]].min() >= GUESSED),
             bool(confidence[[RIGHT_ELBOW, RIGHT_WRIST]].min() >= GUESSED))
+
+
+def _signs_of_legs(confidence: Optional[np.ndarray]) -> Tuple[bool, Sequence[bool]]:
+    """Whether there may be an ankle, in the image or below it, and whether left and right knee may be guessed."""
+    if confidence is None:
+        return True, (False, False)
+    return (not bool((confidence[[LEFT_ANKLE, RIGHT_ANKLE]] < _SIGN).all()),
+            (confidence[[LEFT_KNEE, RIGHT_KNEE]] < _SURE).tolist())
 
 
 def _checked(points: np.ndarray, stature: float, stamp: float,

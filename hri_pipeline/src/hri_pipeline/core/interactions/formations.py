@@ -13,6 +13,9 @@ vote for where its middle is; a group is a set of people whose votes agree bette
   metres.
 - A group has a size, too: its members have the middle at the same distance ahead, more or less. So circles of any size
   are found without taking strangers for members of small ones.
+- A heading errs by the more metres the farther ahead the middle is, so that wide circles would fall apart. All vote a
+  second time, for a middle farther ahead: four and more people around an empty space are one circle where that costs
+  less than the groups which they are otherwise in.
 - Who has somebody of the group between himself and the middle is no member: the space is shared by those who see it
   (the visibility constraint of GCFF).
 - It is minimised by joining the two groups that gain most (J. H. Ward, "Hierarchical grouping to optimize an objective
@@ -22,6 +25,7 @@ vote for where its middle is; a group is a set of people whose votes agree bette
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
@@ -38,6 +42,12 @@ _LEAST_SD = 0.02
 _HIDDEN_ANGLE, _HIDDEN_DEPTH = 0.3, 0.6
 """A member hides the middle of the group from who is in the same direction from it (rad; half of the shoulders, at
 0.75 m) and so much farther away (m): more than places err."""
+_WIDE_STRIDE, _WIDE_SIZE_SD, _WIDE_PEOPLE = 0.4, 0.2, 4
+"""Wide circles: how much farther ahead their middle is than that of others, with its standard deviation (m), and the
+least people: two and three are found anyhow."""
+_OPEN = 0.8
+"""The o-space of a wide circle is empty: nobody is nearer to its middle than this part of the mean distance. Of true
+ones mostly .8 to .99, of others .3 to .8."""
 
 
 class FFormation(NamedTuple):
@@ -52,18 +62,21 @@ class FFormation(NamedTuple):
 class Votes(NamedTuple):
     """Votes of everybody for the middle and the size of the group: table (12, N) as above, relative to `middle` (2,) m.
 
-    size: information about the size of any group beforehand, 1 / m^2; places: (N, 2) m of the people, relative to
-    `middle`.
+    stride: distance (m) ahead at which the middle is expected; size: information about the size of any group
+    beforehand, 1 / m^2; places: (N, 2) m of the people, relative to `middle`; wide: the votes for wide circles.
     """
 
     table: np.ndarray
     middle: np.ndarray
+    stride: float
     size: float
     places: np.ndarray
+    wide: Optional[Votes] = None
 
     def of(self, rows: Sequence[int]) -> Votes:
         """Return those of some of the people, in this order."""
-        return Votes(self.table[:, list(rows)], self.middle, self.size, self.places[list(rows)])
+        return self._replace(table=self.table[:, list(rows)], places=self.places[list(rows)],
+                             wide=self.wide and self.wide.of(rows))
 
 
 def votes_of(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: GroupSettings,
@@ -90,8 +103,12 @@ def votes_of(positions: np.ndarray, directions: np.ndarray, direction_sds: np.nd
     """
     positions, directions, angles, places = _checked(positions, directions, direction_sds, position_sds)
     middle = positions.mean(axis=0) if len(positions) else np.zeros(2)
-    return Votes(_votes(positions - middle, directions, angles, places, settings), middle,
-                 1.0 / max(settings.group_size_sd, _LEAST_SD) ** 2, positions - middle)
+    votes = Votes(_votes(positions - middle, directions, angles, places, settings), middle, settings.group_stride,
+                  1.0 / max(settings.group_size_sd, _LEAST_SD) ** 2, positions - middle)
+    farther = replace(settings, group_stride=settings.group_stride + _WIDE_STRIDE)
+    return votes._replace(wide=votes._replace(
+        table=_votes(votes.places, directions, angles, places, farther), stride=farther.group_stride,
+        size=_WIDE_SIZE_SD ** -2))
 
 
 def find_formations(positions: np.ndarray, directions: np.ndarray, direction_sds: np.ndarray, settings: GroupSettings,
@@ -105,18 +122,58 @@ def find_formations(positions: np.ndarray, directions: np.ndarray, direction_sds
 
 def formations_of(votes: Votes, settings: GroupSettings) -> List[FFormation]:
     """Return the groups of two and more people. settings: `group_room` (m^2) of the interactions node."""
+    per_person = math.log(2.0 * math.pi / settings.group_room)
+    rows, circles = list(range(votes.table.shape[1])), []
+    groups, cost = _partition(votes, rows, per_person)
+    if votes.wide is not None and len(rows) >= _WIDE_PEOPLE:
+        for circle in _partition(votes.wide, rows, per_person)[0]:
+            if len(circle) < _WIDE_PEOPLE or not _is_open(votes.places[circle]):
+                continue
+            left = [row for row in rows if row not in circle]
+            others, cost_without = _partition(votes, left, per_person)
+            if float(_costs_of(votes.wide, [circle], per_person)[0]) + cost_without < cost:
+                circles.append(circle)
+                rows, groups, cost = left, others, cost_without
+    found = _formations(votes, groups, per_person)
+    if votes.wide is not None:
+        found += _formations(votes.wide, circles, per_person)
+    return sorted(found, key=lambda formation: formation.members)
+
+
+def _partition(votes: Votes, rows: Sequence[int], per_person: float) -> Tuple[List[List[int]], float]:
+    """Return the groups of some of the people, as rows of all, and what they cost together.
+
+    per_person: log of 2 pi by `group_room`.
+    """
+    if len(rows) < 2:
+        return [], 0.0
+    prior, table = _Prior(per_person, votes.stride, votes.size), _summable(votes, per_person)[:, list(rows)]
+    groups = [[rows[row] for row in group] for group in groups_of(_moved(table, _joined(table, prior), prior))]
+    return groups, float(_costs_of(votes, groups, per_person).sum())
+
+
+def _summable(votes: Votes, per_person: float) -> np.ndarray:
+    """Return the table (10, N): what adds up to the cost without further ado is one row."""
     table = votes.table
-    if table.shape[1] < 2:
-        return []
-    prior = _Prior(math.log(2.0 * math.pi / settings.group_room), settings.group_stride, votes.size)
-    # What adds up to the cost without further ado is one row.
-    table = np.concatenate([table[:9], (table[9] + table[10] + 2.0 * prior.per_person * table[11])[None]])
-    groups = groups_of(_moved(table, _joined(table, prior), prior))
-    groups = _in_view(groups, votes.places, _centres(table @ membership(groups, table.shape[1]), prior.size))
-    if not groups:
-        return []
-    totals = table @ membership(groups, table.shape[1])
-    found = zip(groups, _centres(totals, prior.size) + votes.middle, _cost(totals, prior).tolist())
+    return np.concatenate([table[:9], (table[9] + table[10] + 2.0 * per_person * table[11])[None]])
+
+
+def _costs_of(votes: Votes, groups: Sequence[Sequence[int]], per_person: float) -> np.ndarray:
+    """Return the cost (G,) of groups, rows of the votes."""
+    totals = _summable(votes, per_person) @ membership(groups, votes.table.shape[1])
+    return _cost(totals, _Prior(per_person, votes.stride, votes.size))
+
+
+def _is_open(places: np.ndarray) -> bool:
+    """Whether the people at `places` (N, 2) m leave the space between them empty."""
+    distances = np.linalg.norm(places - places.mean(axis=0), axis=1)
+    return bool(distances.min() > _OPEN * distances.mean())
+
+
+def _formations(votes: Votes, groups: Sequence[List[int]], per_person: float) -> List[FFormation]:
+    """Return the groups (rows of the votes) of those who see the middle, with their middles and confidences."""
+    groups = _in_view(groups, votes.places, middles_of(votes, groups) - votes.middle)
+    found = zip(groups, middles_of(votes, groups), _costs_of(votes, groups, per_person).tolist())
     return [FFormation(members, centre, 1.0 / (1.0 + math.exp(-min(-cost / (len(members) - 1), 50.0))))
             for members, centre, cost in found]
 
