@@ -86,6 +86,16 @@ class BagLaunchTest(unittest.TestCase):
         self.assertNotEqual(process.returncode, 0)
         wait_for(lambda: "there is no recording %s" % self.bag in "".join(self.lines), "the word")
 
+    def test_a_wrong_choice_is_named_with_the_legal_ones(self):
+        for file, wrong, legal in (("ros4hri.launch", "quality:=good", "fast, balanced, best"),
+                                   ("ros4hri.launch", "microphones:=kinect", "respeaker_v2, respeaker_core"),
+                                   ("ros4hri.launch", "sensor:=kinect", "realsense_d400, azure_kinect"),
+                                   ("bag.launch", "sensor:=kinect", "realsense_d400, azure_kinect")):
+            done = subprocess.run(["roslaunch", "--nodes", "ros4hri", file, wrong], stdout=subprocess.PIPE,
+                                  stderr=subprocess.STDOUT, universal_newlines=True, timeout=30, check=False)
+            self.assertEqual(done.returncode, 1)
+            self.assertIn("{}; legal: {}".format(wrong, legal), done.stdout)
+
     def test_a_wrong_transport_is_named(self):
         self.launch()
         wait_for(lambda: any("image_transport:=compressed" in line for line in list(self.lines)), "the warning", 60.0)

@@ -19,7 +19,18 @@ from tf2_msgs.msg import TFMessage
 from trackers import Trackers
 
 from hri_msgs.msg import AgeAndGender, IdsList, IdsMatch, SoftBiometrics
-from hri_person_manager.srv import Enrol, Export, Forget, ListKnown, Merge, SetName, SetNativeLanguage, Split
+from hri_person_manager.srv import (
+    Enrol,
+    Export,
+    Forget,
+    ListKnown,
+    ListKnownResponse,
+    Merge,
+    SetName,
+    SetNameResponse,
+    SetNativeLanguage,
+    Split,
+)
 from hri_pipeline.srv import Gallery, GalleryResponse
 from hri_pipeline.testing import Latest, transform, wait_for
 
@@ -280,6 +291,30 @@ class TestPersonServices(unittest.TestCase):
         self.assertEqual((refused.returncode, b"no known person nobody" in refused.stdout), (1, True))
         self.assertEqual(people("forget-all").returncode, 2)
         self.assertIn(b"Is the person manager running?", people("--node", "/none", "reset").stdout)
+        unknown = people("export", "nobody").stdout
+        self.assertIn(b"no known person nobody", unknown)
+        self.assertNotIn(b"named", unknown)
+
+    def test_the_person_manager_of_a_namespace_is_found(self):
+        def people():
+            done = subprocess.run(["rosrun", "hri_person_manager", "people", "list"], stdout=subprocess.PIPE,
+                                  stderr=subprocess.STDOUT, timeout=30, check=False, universal_newlines=True,
+                                  env=dict(os.environ, ROS_NAMESPACE="robot1"))
+            return done.returncode, done.stdout
+        self.someone(self.face, "ida")
+        self.assertRegex(people()[1], "ida ")           # the only one on this master
+        others = [rospy.Service("/robot%d/hri_person_manager/%s" % (number, name), kind, answer)
+                  for number in (1, 2) for name, kind, answer in (
+                      ("list_known", ListKnown, lambda request: ListKnownResponse()),
+                      ("set_name", SetName, lambda request: SetNameResponse()))]
+        self.assertEqual(people(), (0, "nobody is known\n"))
+        for service in others[:2]:
+            service.shutdown()
+        code, text = people()
+        self.assertEqual(code, 1)
+        self.assertIn("/hri_person_manager, /robot2/hri_person_manager", text)
+        for service in others[2:]:
+            service.shutdown()
 
     def test_the_same_people_after_the_manager_was_killed(self):
         self.show("faces", "x1", "x2")

@@ -14,6 +14,7 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import CompressedImage
 
+from hri_msgs.msg import IdsList
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.testing import Camera, wait_for
 
@@ -174,6 +175,38 @@ class CheckTest(unittest.TestCase):
         self.assertEqual([line for line in self.faults(text) if "image" in line],
                          ["FAULT  nobody publishes /none/image"], text)
         self.assertIn("hence  hri_faces: input: no publisher on /none/image for 9 s", text)
+
+    def test_a_robot_in_a_namespace(self):
+        told = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1, latch=True)
+        self.addCleanup(release, told)
+        told.publish(DiagnosticArray(status=[DiagnosticStatus(
+            level=DiagnosticStatus.WARN, name="robot1/matcher: input", message="slow",
+            values=[KeyValue("topic", "/theirs/image"), KeyValue("camera_info", "/theirs/camera_info")])]))
+        topics = self.camera("theirs")
+        matcher = subprocess.Popen(["rosrun", "hri_pipeline", "face_body_matcher", "__name:=matcher"],
+                                   env=dict(os.environ, ROS_NAMESPACE="robot1"))
+        self.addCleanup(matcher.wait)
+        self.addCleanup(matcher.kill)
+        wait_for(lambda: any("/robot1/matcher" in nodes for _, nodes in rospy.get_master().getSystemState()[2][0]), 20,
+                 "it publishes")
+        text = self.check(nodes="[matcher]", code=0, ROS_NAMESPACE="robot1")
+        self.assertIn("robot1/matcher: input: slow", text)
+        self.assertIn("ok     /theirs/image: 160x120", text)
+        self.names("matcher does not run here, but /robot1/matcher", *topics, nodes="[matcher]")
+        self.names("nobody publishes /mine/image", "image:=/mine/image", topics[1], nodes="[matcher]",
+                   ROS_NAMESPACE="robot1")
+
+    def test_two_person_managers(self):
+        listing = rospy.Publisher("/humans/persons/tracked", IdsList, queue_size=1)
+        self.addCleanup(release, listing)
+        second = subprocess.Popen(["python3", "-c", "import rospy; from hri_msgs.msg import IdsList; "
+                                   "rospy.init_node('second'); rospy.Publisher('/humans/persons/tracked', IdsList, "
+                                   "queue_size=1); rospy.spin()"])
+        self.addCleanup(second.wait)
+        self.addCleanup(second.kill)
+        wait_for(lambda: any("/second" in nodes for _, nodes in rospy.get_master().getSystemState()[2][0]), 20,
+                 "the second one publishes")
+        self.names("2 person managers share /humans", *self.camera("doubled"))
 
     def test_wrong_parameter(self):
         self.assertIn("watch_time", self.check("_watch_time:=fast", code=2))

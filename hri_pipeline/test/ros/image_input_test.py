@@ -281,6 +281,9 @@ class ImageInputTest(InputCase):
             self.send(image_input, picture(0.0))
             stamps.append(image_input.next(5).stamp)
         self.assertTrue(0 < stamps[0] < stamps[1] < stamps[2])
+        level, text, _ = image_input.status()
+        self.assertEqual(level, WARN)
+        self.assertIn(image_input.topic + ": images have no stamp", text)
 
     def test_close(self):
         before = held_by(os.getpid()).descriptors

@@ -65,6 +65,10 @@ def test_nobody_in_view_is_no_fault():
     (replace(WELL, sim_time=True), ["nobody publishes /clock", "--clock"]),
     (replace(WELL, models_missing=("pose.onnx", )), ["pose.onnx", "fetch_models"]),
     (replace(WELL, nodes={"hri_faces": "absent"}), ["hri_faces does not run"]),
+    (replace(WELL, nodes={"hri_faces": "absent"}, publishing=("/robot1/hri_faces", "/robot1/hri_bodies")),
+     ["does not run here, but /robot1/hri_faces", "ROS_NAMESPACE=/robot1 rosrun"]),
+    (replace(WELL, managers=("/hri_person_manager", "/robot1/hri_person_manager")),
+     ["2 person managers", "/robot1/hri_person_manager", "persons:=false"]),
     (replace(WELL, nodes={"hri_faces": "dead"}), ["hri_faces is registered, but does not answer", "rosnode cleanup"]),
     (replace(WELL, statuses={"hri_faces: faces": (2, "everything is broken")}),
      ["hri_faces: faces: everything is broken"]),
@@ -162,7 +166,8 @@ def test_what_will_be_in_the_way_of_a_stack_that_does_not_run_is_told():
 def test_other_nodes_of_the_stack_are_something():
     findings = check(replace(NOTHING, publishing=("/robot/hri_faces", )), SETTINGS)
     assert [finding.what for finding in findings if "does not run" in finding.what] == [
-        "the node {} does not run".format(name) for name in SETTINGS.nodes]
+        "the node {} does not run{}".format(name, " here, but /robot/hri_faces" if name == "hri_faces" else "")
+        for name in SETTINGS.nodes]
 
 
 def test_a_node_that_is_meant_to_be_off_is_left_out_by_a_command():

@@ -327,15 +327,15 @@ class PersonRegister:
 
     def export(self, person_id: str = "") -> List[dict]:
         """Everything about one person, or about all, as data for JSON. RegisterError for an unknown id."""
-        records = [self._known(person_id)] if person_id else self.records
+        records = [self._known(person_id, "of who is anonymous nothing is kept")] if person_id else self.records
         return [asdict(record) for record in records]
 
-    def _known(self, person_id: str) -> PersonRecord:
+    def _known(self, person_id: str, others: str = "who is anonymous cannot be named") -> PersonRecord:
         record = self._records.get(person_id)
         if record is None:
             shown = person_id if is_valid_id(person_id) else repr(person_id)[:40]
-            raise RegisterError("there is no known person {}; `people list` shows them; who is anonymous cannot be "
-                                "named".format(shown))
+            raise RegisterError("there is no known person {}; `people list` shows them; {}".format(
+                shown, others))
         return record
 
     def _drop(self, person_id: str) -> None:

@@ -47,7 +47,7 @@ class WebSettings(Settings):
         [], "More names of this machine in addresses of the page, such as robot.example.org; requests for other names "
         "are refused.")
     actions: bool = parameter(True, "Let browsers name, enrol, export and forget people. False: look only.")
-    person_manager: str = parameter("/hri_person_manager", "Name of the node whose services do that.")
+    person_manager: str = parameter("hri_person_manager", "Name of the node whose services do that, else the only one.")
     robot_frame: str = parameter(
         "", "Frame of the robot on the map. Empty: the camera of the overlay.", shared="/humans/robot_reference_frame")
     max_rate: float = parameter(10.0, "Most pictures per second and browser.", unit="Hz", minimum=0.5, maximum=60.0)

@@ -35,7 +35,7 @@ from hri_person_manager.core.display import (
 )
 from hri_person_manager.core.features import MAX_FEATURES
 from hri_person_manager.core.register import is_storable
-from hri_person_manager.ros.services import COMMANDS, carry_out, service
+from hri_person_manager.ros.services import COMMANDS, carry_out, find_manager, service
 from hri_person_manager.srv import ListKnown, ListKnownResponse
 from hri_pipeline.core.frames import RawTransform, read
 from hri_pipeline.core.onnx import ModelError
@@ -77,12 +77,13 @@ def run_people(arguments: Optional[Sequence[str]] = None) -> int:
         return 1
     rospy.init_node("people", anonymous=True, disable_signals=True)
     try:
+        options.node = options.node or find_manager()
         return _carry_out(options)
     except KeyboardInterrupt:
         return 130
     except (rospy.ROSException, rospy.ServiceException) as error:
         print("people: {}: {}. Is the person manager running? Its name is given by --node".format(
-            options.node, error), file=sys.stderr)
+            options.node or "hri_person_manager", error), file=sys.stderr)
         return 1
     finally:
         rospy.signal_shutdown("people has ended")
@@ -91,7 +92,8 @@ def run_people(arguments: Optional[Sequence[str]] = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="people", description="Who is known to the robot, and what of them. Without a"
                                      " command: the live table of who is there (options: people watch --help).")
-    parser.add_argument("--node", default="/hri_person_manager", help="name of the person manager")
+    parser.add_argument("--node", default="", help="name of the person manager; default: hri_person_manager here, "
+                        "else the only one that runs")
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("list", help="list everybody who is known")
     commands.add_parser("privacy", help="what is computed and kept of people, by the nodes themselves")

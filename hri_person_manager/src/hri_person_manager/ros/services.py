@@ -67,6 +67,25 @@ COMMANDS: Dict[str, Tuple[str, type, Tuple[str, ...], str]] = {
 """Commands for people: service, its type, the fields of its request, and what it does."""
 
 
+def find_manager(name: str = "hri_person_manager") -> str:
+    """Return the resolved name of the person manager: of this name, or where it is relative, the only one there is.
+
+    Raises rospy.ROSException when there are several others, or no master.
+    """
+    try:
+        offered = [service for service, _ in rosgraph.Master(rospy.get_name()).getSystemState()[2]]
+    except (rosgraph.MasterException, OSError) as error:
+        raise rospy.ROSException("no ROS master: {}".format(error)) from error
+    managers = [node for node, _, last in (service.rpartition("/") for service in offered)
+                if last == "list_known" and node + "/set_name" in offered]
+    here = rospy.resolve_name(name)
+    if here in managers or not managers or name.startswith("/"):
+        return here
+    if len(managers) > 1:
+        raise rospy.ROSException("several run: {}".format(", ".join(sorted(managers))))
+    return managers[0]
+
+
 def service(node: str, name: str, kind: type) -> Callable:
     """Return the service of a person manager as a function.
 

@@ -43,7 +43,7 @@ from hri_person_manager.core.web import (
     known_data,
     page_state,
 )
-from hri_person_manager.ros.services import carry_out, service
+from hri_person_manager.ros.services import carry_out, find_manager, service
 from hri_person_manager.srv import ListKnown
 from hri_pipeline.client import Humans
 from hri_pipeline.client.humans import Person
@@ -268,7 +268,7 @@ class WebNode:
             raise RequestError(403, "this page is for looking only (~actions is false)")
         name = self.settings.person_manager
         try:
-            return await self._in_thread(lambda: _ask(name, action))
+            return await self._in_thread(lambda: _ask(find_manager(name), action))
         except (rospy.ROSException, rospy.ServiceException) as error:
             raise RequestError(503, "{} does not answer: {}".format(name, error)) from error
         except asyncio.TimeoutError as error:

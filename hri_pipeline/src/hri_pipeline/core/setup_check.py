@@ -60,10 +60,12 @@ class Facts:
     nodes: {name: "running", "dead" (registered, but does not answer) or "absent"}. statuses: {name of the task: (level,
     text)} of /diagnostics. tracked: {kind: ids in the last list, -1 without a list}. tf_reaches: whether transforms
     lead from camera_frame to reference_frame. publishing: nodes, whatever their names, that publish below /humans.
+    managers: those that publish the list of persons.
     """
 
     nodes: Dict[str, str] = field(default_factory=dict)
     publishing: Tuple[str, ...] = ()
+    managers: Tuple[str, ...] = ()
     image: Optional[Stream] = None
     info: Optional[Stream] = None
     picture: Optional[Picture] = None
@@ -200,12 +202,30 @@ def _nodes(facts: Facts, settings: CheckSettings) -> List[Finding]:
             found.append(Finding(FAULT, "the node {} is registered, but does not answer: it has crashed, or its "
                                  "machine cannot be reached".format(name),
                                  "rosnode cleanup; look at its log in ~/.ros/log/latest; set ROS_IP on each machine"))
+        elif state == "absent" and _namesakes(name, facts):
+            namesakes = _namesakes(name, facts)
+            found.append(Finding(FAULT, "the node {} does not run here, but {}".format(name, ", ".join(namesakes)),
+                                 "look there: ROS_NAMESPACE={} rosrun hri_pipeline check; or give the names that run "
+                                 "in _nodes".format(namesakes[0].rpartition("/")[0] or "/")))
         elif state == "absent":
             found.append(Finding(FAULT, "the node {} does not run".format(name),
                                  "roslaunch ros4hri ros4hri.launch; its messages there say why it ended. If its branch "
                                  "is meant to be off: rosrun hri_pipeline check _nodes:=\"[{}]\"".format(
                                      ", ".join(other for other in facts.nodes if other != name))))
     return found
+
+
+def _namesakes(name: str, facts: Facts) -> List[str]:
+    """Return the nodes of the same name in other namespaces."""
+    return [other for other in facts.publishing if other.rpartition("/")[2] == name.rpartition("/")[2]]
+
+
+def _managers(facts: Facts, settings: CheckSettings) -> List[Finding]:
+    if len(facts.managers) < 2:
+        return []
+    return [Finding(FAULT, "{} person managers share /humans ({}): each person is there more than once".format(
+        len(facts.managers), ", ".join(facts.managers)),
+        "keep one, and start the others' ros4hri.launch with persons:=false")]
 
 
 def _models(facts: Facts, settings: CheckSettings) -> List[Finding]:
@@ -341,4 +361,4 @@ def _people(facts: Facts, settings: CheckSettings) -> List[Finding]:
     return [] if _nothing_runs(facts) else [Finding(OK, "nobody is tracked now")]
 
 
-_RULES: Tuple[Rule, ...] = (_nothing, _clock, _models, _nodes, _image, _picture, _calibration, _transforms)
+_RULES: Tuple[Rule, ...] = (_nothing, _clock, _models, _nodes, _managers, _image, _picture, _calibration, _transforms)

@@ -15,6 +15,7 @@ import rosgraph
 import roslib.message
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
+from rosgraph.names import ns_join
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo
 
@@ -158,9 +159,12 @@ class GraphProbe:
         self._wait(self._settings.watch_time)
         picture = self._picture(image)
         camera = self._settings.camera_frame or self._counters[image].frame
+        publishing = self._publishing()
         with self._lock:
             return Facts(
-                nodes={name: self._node(name) for name in self._wanted_nodes()}, publishing=self._publishing(),
+                nodes={_shown(name): self._node(name) for name in self._wanted_nodes()},
+                publishing=tuple(sorted({name for names in publishing.values() for name in names})),
+                managers=tuple(sorted(publishing.get("/humans/persons/tracked", ()))),
                 image=self._stream(image, self._image_type(image)), info=self._stream(info, "sensor_msgs/CameraInfo"),
                 picture=picture, calibration=self._calibration(info),
                 sim_time=bool(rospy.get_param("/use_sim_time", False)), clock_messages=self._clock,
@@ -181,9 +185,9 @@ class GraphProbe:
 
     def _reference_frame(self) -> str:
         """Return the reference frame of the nodes that run: their own parameter, else that of the whole stack."""
-        for name in _PLACERS:
-            if self._node(name) == "running" and rospy.has_param("/{}/reference_frame".format(name)):
-                return str(rospy.get_param("/{}/reference_frame".format(name)))
+        for name in map(rospy.resolve_name, _PLACERS):
+            if self._node(name) == "running" and rospy.has_param(name + "/reference_frame"):
+                return str(rospy.get_param(name + "/reference_frame"))
         return str(rospy.get_param("/humans/reference_frame", "map"))
 
     def _wait(self, seconds: float) -> None:
@@ -194,35 +198,36 @@ class GraphProbe:
 
     def _topic(self, name: str) -> str:
         resolved = rospy.resolve_name(name)
+        is_remapped = resolved not in ("/" + name, ns_join(rospy.get_namespace(), name))
         with self._lock:
-            return self._inputs.get(name, resolved) if resolved == rospy.resolve_name("/" + name) else resolved
+            return resolved if is_remapped else self._inputs.get(name, resolved)
 
     def _count(self, *topics: str) -> None:
         for topic in topics:
             self._counters[topic] = _Counter(topic)
 
     def _wanted_nodes(self) -> List[str]:
-        names = [name.strip("/") for name in self._settings.nodes]
-        if self._node("hri_vision") == "running":
-            names = ["hri_vision"] + [name for name in names if name not in ("hri_faces", "hri_bodies")]
+        vision, *parts = map(rospy.resolve_name, ("hri_vision", "hri_faces", "hri_bodies"))
+        names = [rospy.resolve_name(name) for name in self._settings.nodes]
+        if self._node(vision) == "running":
+            names = [vision] + [name for name in names if name not in parts]
         return names
 
-    def _publishing(self) -> Tuple[str, ...]:
-        """Return who publishes below /humans, under whatever name."""
-        publishers, _, _ = self._master.getSystemState()
-        return tuple(sorted({name for topic, names in publishers if topic.startswith("/humans/") for name in names}))
+    def _publishing(self) -> Dict[str, List[str]]:
+        """Return who publishes what below /humans, under whatever name."""
+        return {topic: names for topic, names in self._master.getSystemState()[0] if topic.startswith("/humans/")}
 
     def _node(self, name: str) -> str:
-        """State of a node: running, dead or absent."""
+        """State of the node of this resolved name: running, dead or absent."""
         try:
-            address = self._master.lookupNode("/" + name)
+            address = self._master.lookupNode(name)
         except rosgraph.MasterException:
             return "absent"
         if is_alive(address, _ANSWER_S):
             return "running"
         # The master keeps the address of a node that has asked for a parameter, after it has ended, too.
         registered = {node for kind in self._master.getSystemState() for _, nodes in kind for node in nodes}
-        return "dead" if "/" + name in registered else "absent"
+        return "dead" if name in registered else "absent"
 
     def _image_type(self, topic: str) -> str:
         return _IMAGE_TYPES["compressed" if topic.endswith("/compressed") else "raw"]
@@ -232,7 +237,7 @@ class GraphProbe:
         publishers, _, _ = self._master.getSystemState()
         names = [name for found, nodes in publishers if found == topic for name in nodes]
         types = [kind for found, kind in self._master.getTopicTypes() if found == topic and names]
-        unreachable = [name for name in names if self._node(name.strip("/")) != "running"]
+        unreachable = [name for name in names if self._node(name) != "running"]
         return Stream(topic, wanted, tuple(types), tuple(sorted(names)), tuple(unreachable), counter.messages,
                       counter.rate, counter.age, counter.frame)
 
@@ -256,7 +261,7 @@ class GraphProbe:
         return CalibrationFacts(message.width, message.height, message.K[0])
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        ours = {name.strip("/") for name in self._settings.nodes} | {"hri_vision"}
+        ours = {rospy.resolve_name(name).strip("/") for name in [*self._settings.nodes, "hri_vision"]}
         with self._lock:
             for status in message.status:
                 if status.name.split(":")[0] in ours:
@@ -270,6 +275,11 @@ class GraphProbe:
 
     def _on_tracked(self, message: IdsList, kind: str) -> None:
         self._tracked[kind] = len(message.ids)
+
+
+def _shown(name: str) -> str:
+    """Return a resolved name as the parameter `nodes` takes it, without a slash where it needs none."""
+    return name if "/" in name[1:] else name[1:]
 
 
 class _Counter:

@@ -110,6 +110,7 @@ class ImageInput(SensorInput):
         self._last_stamp: Optional[float] = None
         self._taken_at = 0.0
         self._problem: Tuple[int, str] = (OK, "")
+        self._no_stamp = ""
         self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0}
         self._camera = CameraInfoInput(fallback_hfov, fov_parameter)
         self._subscribers = [rospy.Subscriber(name, kind, self._store, queue_size=1, buff_size=BUFFER_BYTES)]
@@ -138,7 +139,7 @@ class ImageInput(SensorInput):
             return ERROR, silent, values
         level, text = self._problem
         if level == OK:
-            other = self._other_sender()
+            other = self._other_sender() or self._no_stamp
             level, text = (WARN, other) if other else self._camera.problem
         if self._depth is not None:
             depth_level, depth_text, depth_values = self._depth.status()
@@ -174,6 +175,7 @@ class ImageInput(SensorInput):
             return message
 
     def _frame(self, message: ImageMessage) -> Optional[Frame]:
+        self._no_stamp = ""
         header = self._stamped(message.header)
         if header is None:
             return None
@@ -200,8 +202,9 @@ class ImageInput(SensorInput):
     def _stamped(self, header: Header) -> Optional[Header]:
         """Return the header with a stamp, or None for an image that is not newer than the last one."""
         if header.stamp.is_zero():
-            rospy.logwarn_throttle(LOG_PERIOD_S, "%s: images have no stamp; the time of arrival is used instead. "
-                                   "Let the camera driver set header.stamp", self.topic)
+            self._no_stamp = ("{}: images have no stamp; the time of arrival is used instead. Let the camera driver "
+                              "set header.stamp".format(self.topic))
+            rospy.logwarn_throttle(LOG_PERIOD_S, "%s", self._no_stamp)
             now = rospy.Time.now()
             header.stamp = rospy.Time.from_sec(time.time()) if now.is_zero() else now
         if self._last_stamp is None:
