@@ -1,10 +1,10 @@
-"""The presets of the launch files are what the drivers document."""
+"""The presets of the launch files are what the drivers document; what is none is refused with the legal ones."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Dict
+from typing import Dict, Sequence
 from xml.etree import ElementTree
 
 import pytest
@@ -42,3 +42,32 @@ def test_without_a_sensor_the_topics_are_as_ever() -> None:
 def test_the_page_names_every_sensor() -> None:
     page = (ROOT / "docs" / "sensors.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)) == {"sensor", *DRIVERS}
+
+
+class Refused(Exception):
+    """roslaunch ends with the text of an argument that does not exist."""
+
+
+def refuse(text: str) -> None:
+    raise Refused(text)
+
+
+@pytest.mark.parametrize("launch_file, name, legal", [
+    *(("launch/{}.launch".format(file), "sensor", sorted(DRIVERS)) for file in ("ros4hri", "bag", "two_machines")),
+    ("hri_pipeline/launch/voices.launch", "microphones",
+     sorted(path.stem for path in (ROOT / "hri_pipeline" / "config" / "microphones").glob("*.yaml"))),
+    *((file, "quality", ["balanced", "best", "fast"]) for file in (
+        "hri_pipeline/launch/faces.launch", "hri_fullbody/launch/bodies.launch", "hri_fullbody/launch/vision.launch")),
+], ids=lambda value: Path(value).stem if isinstance(value, str) else "values")
+def test_a_value_that_is_not_legal_is_refused_with_those_that_are(launch_file: str, name: str,
+                                                                  legal: Sequence[str]) -> None:
+    tags = ElementTree.parse(str(ROOT / launch_file)).getroot().findall("arg")
+    checks = [tag.get("value", "") for tag in tags if "{}:=".format(name) in tag.get("value", "")]
+    assert len(checks) == 1
+    names = {"arg": refuse, "__builtins__": {}}
+    for value in ("", *legal):
+        assert eval(checks[0][len("$(eval "):-1], names, {name: value}) is True
+    with pytest.raises(Refused) as refused:
+        eval(checks[0][len("$(eval "):-1], names, {name: "kinect"})
+    given, _, told = str(refused.value).partition("; legal: ")
+    assert given == name + ":=kinect" and sorted(told.split(", ")) == sorted([*legal, "or nothing"])
