@@ -270,6 +270,22 @@ def test_what_looks_like_a_face_now_and_then_is_none(stage):
     assert len(known) == 3
 
 
+@pytest.mark.parametrize("width, rate", [(640, 10.0), (1280, 15.0)])
+def test_a_profile_keeps_its_place_and_its_id(stage, width, rate):
+    """The mesh of a profile, cropped round itself again and again, ran away: half as far again within 2 s."""
+    motion = PictureMotion(photograph("sample2"), width, 9 * width // 16, pan=0.03, period=12.0)
+    stage.reset()
+    camera = CameraModel.from_fov(width, 9 * width // 16, HFOV)
+    depths = {}
+    for index in range(int(10.0 * rate)):
+        for face in stage.update(motion.view(index / rate), camera, 1000.0 + index / rate):
+            if face.box[0] < 0.35 * width:
+                depths.setdefault(face.id, []).append(face.pose.translation[2])
+    assert len(depths) == 1, "she has one id"
+    low, high = np.percentile(list(depths.values())[0], [1.0, 99.0])
+    assert high < 1.25 * low
+
+
 def dial(seed):
     """A round thing with letters on it, such as hang on walls; in one of ten of them the mesh network is sure of a
     face."""

@@ -1,14 +1,16 @@
 """Face tracks: births, deaths, crossings and duplicates, with faces made of numbers; optical flow in pictures made of
 noise."""
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
 
 from hri_pipeline.core.faces import flow as flow_module
 from hri_pipeline.core.faces.flow import FaceFlow
-from hri_pipeline.core.faces.mesh import MESH_POINTS
-from hri_pipeline.core.faces.track import FaceMeasurement, face_colours
+from hri_pipeline.core.faces.mesh import MESH_POINTS, FaceRoi
+from hri_pipeline.core.faces.track import CropAnchor, FaceMeasurement, face_colours
 from hri_pipeline.core.faces.tracker import FaceTracker, explains, same_face, without_duplicates
 from hri_pipeline.core.ids import IdGenerator
 
@@ -423,6 +425,48 @@ def test_a_face_that_waits_for_its_turn_outlives_slow_images():
     assert [track.id for track in faces.expected(1.3)] == only
     faces.update([face(100.0)], 1.3)
     assert faces.ids == only
+
+
+FRONTAL, PROFILE = 0.52, 0.35
+"""Share of the eyes of a face seen from the front, and from the side."""
+
+
+def crop(size, degrees):
+    return FaceRoi(np.array([300.0, 200.0]), size, np.radians(degrees))
+
+
+@pytest.mark.parametrize("asked, share, held", [
+    (crop(100.0, 5.0), FRONTAL, crop(100.0, 5.0)),    # where the detector has it: as it is
+    (crop(80.0, 5.0), FRONTAL, crop(97.0, 5.0)),    # shrunk
+    (crop(60.0, 5.0), FRONTAL, crop(81.0, 5.0)),    # a detection of something larger adds 35 % at most
+    (crop(150.0, 5.0), FRONTAL, crop(150.0, 5.0)),    # somebody who comes near
+    (crop(100.0, 40.0), FRONTAL, crop(100.0, 40.0)),    # a head that tilts
+    (crop(100.0, 40.0), PROFILE, crop(100.0, 8.0)),
+    (crop(100.0, -179.0), PROFILE, crop(100.0, -8.0)),
+], ids=["held", "shrunk", "far_smaller", "nearer", "tilted", "profile_turned", "profile_turned_over"])
+def test_a_crop_is_held_by_the_detection(asked, share, held):
+    anchor = CropAnchor(crop(200.0, 20.0), crop(100.0, 0.0))
+    roi = anchor.hold(asked, share)
+    assert roi.size == pytest.approx(held.size)
+    assert roi.angle == pytest.approx(held.angle, abs=1e-9)
+    assert roi.centre is asked.centre
+
+
+def test_an_anchor_follows_the_detections_of_its_face():
+    anchor = CropAnchor(crop(200.0, 20.0), crop(100.0, 0.0))
+    for _ in range(20):
+        anchor.see(crop(100.0, -150.0))
+    assert anchor.hold(crop(48.0, -100.0), PROFILE).size == pytest.approx(48.5, rel=1e-3)
+    assert anchor.hold(crop(48.0, -100.0), PROFILE).angle == pytest.approx(np.radians(-162.0), rel=1e-3)
+
+
+def test_an_old_detection_holds_no_crop():
+    tracked = tracker()
+    small = dataclasses.replace(face(300.0), crops=(crop(400.0, 0.0), crop(250.0, 0.0)))
+    tracked.update([small], 1.0)
+    track = tracked.tracks[0]
+    free = tracked.tracks[0].roi(9.0).size
+    assert track.roi(1.0).size == pytest.approx(min(0.97 * 250.0, 1.35 * free)) and track.roi(1.0).size > free
 
 
 def test_colours_of_a_face():

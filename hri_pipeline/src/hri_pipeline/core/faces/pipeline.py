@@ -7,6 +7,7 @@ head), and analysis (`FaceAnalysis`: action units, expression, age and gender, r
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from typing import Any, Callable, Dict, List, Optional, Sequence, Set
@@ -349,11 +350,11 @@ class FaceTrackingPipeline:
             return []
         with self._times("face_mesh"):
             with self._mesh_scheduler.measure(self._clock) as count:
-                rois = [roi_from_mesh(track.measurement.mesh, track.shift(stamp)) for track in tracks]
+                rois = [track.roi(stamp) for track in tracks]
                 results = self._mesh.run(bgr, rois)
                 count(len(rois))
         height, width = bgr.shape[:2]
-        return [self._measurement(bgr, result, False, score=track.score) for track, result in zip(tracks, results)
+        return [self._measurement(bgr, result, track.score) for track, result in zip(tracks, results)
                 if is_face(result, width, height, self._least_presence(track))]
 
     def _least_presence(self, track: FaceTrack) -> float:
@@ -377,7 +378,8 @@ class FaceTrackingPipeline:
             detections = self._detector.detect(bgr, regions)
         hits = self._tracker.add_detections([detection.box for detection in detections], stamp,
                                             [self._hit_weight(detection) for detection in detections],
-                                            [detection.score for detection in detections])
+                                            [detection.score for detection in detections],
+                                            [roi_from_detection(detection) for detection in detections])
         self._verify(bgr, [track for track in hits if self._needs_verification(track)], stamp)
         new = [detection for detection in self._without_known(detections, measured, skipped, stamp)
                if self._is_wanted(detection, bgr, stamp)]
@@ -411,7 +413,7 @@ class FaceTrackingPipeline:
     def _verify(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> None:
         """Verify tracks that the detector sees in this image, the best verified first."""
         chosen = sorted(tracks, key=lambda track: -track.verification)[:_VERIFIED_PER_IMAGE]
-        rois = [roi_from_mesh(track.measurement.mesh, track.shift(stamp)) for track in chosen]
+        rois = [track.roi(stamp) for track in chosen]
         straight = self._mesh.run(bgr, rois)
         for track, score in zip(chosen, self._verified(bgr, rois, straight, [track.score for track in chosen])):
             track.add_verification(score)
@@ -432,23 +434,24 @@ class FaceTrackingPipeline:
     def _measure_detections(self, bgr: np.ndarray, detections: Sequence[FaceDetection]) -> List[FaceMeasurement]:
         """Run the mesh network twice at detections: their box gives a coarse crop, the first mesh gives a good one."""
         height, width = bgr.shape[:2]
-        first = self._mesh.run(bgr, [roi_from_detection(detection) for detection in detections])
-        sound = [(detection, result) for detection, result in zip(detections, first) if is_sound(result)]
-        rois = [roi_from_mesh(result.points) for _, result in sound]
+        asked = [roi_from_detection(detection) for detection in detections]
+        sound = [(detection, crop, roi_from_mesh(result.points)) for detection, crop, result
+                 in zip(detections, asked, self._mesh.run(bgr, asked)) if is_sound(result)]
+        rois = [roi for _, _, roi in sound]
         results = self._mesh.run(bgr, rois)
-        verified = self._verified(bgr, rois, results, [detection.score for detection, _ in sound])
-        return [self._measurement(bgr, result, detection.score >= self._min_score or result.presence >= CERTAIN,
-                                  self._hit_weight(detection), detection.score, score)
-                for (detection, _), result, score in zip(sound, results, verified)
+        verified = self._verified(bgr, rois, results, [detection.score for detection, _, _ in sound])
+        return [dataclasses.replace(
+                    self._measurement(bgr, result, detection.score),
+                    may_start=detection.score >= self._min_score or result.presence >= CERTAIN,
+                    hit_weight=self._hit_weight(detection), verification=score, crops=(crop, roi))
+                for (detection, crop, roi), result, score in zip(sound, results, verified)
                 if is_face(result, width, height, self._min_presence)]
 
     @staticmethod
-    def _measurement(bgr: np.ndarray, result: FaceMeshResult, may_start: bool, hit_weight: float = 0.0,
-                     score: float = 0.0,
-                     verification: float = 0.0) -> FaceMeasurement:
-        return FaceMeasurement(result.points, result.presence, may_start,
-                               face_colours(bgr, bounding_box(result.points)), hit_weight, score, verification,
-                               FaceLook(bgr, result.points))
+    def _measurement(bgr: np.ndarray, result: FaceMeshResult, score: float) -> FaceMeasurement:
+        """What is measured of a face that is known already; score: that of its detection or track, 0 to 1."""
+        return FaceMeasurement(result.points, result.presence, False, face_colours(bgr, bounding_box(result.points)),
+                               0.0, score, 0.0, FaceLook(bgr, result.points))
 
     def _unconfirmed(self, stamp: float) -> List[np.ndarray]:
         """Centres (2,) px of the faces that are not confirmed yet, or were not detected for long."""

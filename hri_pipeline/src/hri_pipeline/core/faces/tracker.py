@@ -17,6 +17,7 @@ from typing import Collection, List, Optional, Sequence, Set, Tuple
 import numpy as np
 
 from hri_pipeline.core.faces.appearance import LOOKED_AWAY, AppearanceJudge, Verdict
+from hri_pipeline.core.faces.mesh import FaceRoi
 from hri_pipeline.core.faces.track import (
     SIZE_WEIGHT,
     SURE_FACE,
@@ -140,7 +141,8 @@ class FaceTracker:
                 and (track.visible or stamp - track.life.last_seen <= COAST_TIME)]
 
     def add_detections(self, boxes: Sequence[np.ndarray], stamp: float, weights: Optional[Sequence[float]] = None,
-                       scores: Optional[Sequence[float]] = None) -> List[FaceTrack]:
+                       scores: Optional[Sequence[float]] = None,
+                       crops: Sequence[FaceRoi] = ()) -> List[FaceTrack]:
         """Count the detections at `stamp` (s) for the tracks they belong to; returns the tracks that are detected.
 
         A false detection is tracked by the mesh as long as its picture stays, but is detected in few images only, with
@@ -156,17 +158,21 @@ class FaceTracker:
             What each detection adds to the hit count, 0 to 1; 1 by default.
         scores
             Detection scores, 0 to 1; 0 by default.
+        crops
+            What each detection asks for as a crop; none by default.
         """
         weights = [1.0] * len(boxes) if weights is None else weights
         scores = [0.0] * len(boxes) if scores is None else scores
         detected = []
         for track in self._tracks:
             expected = track.predicted_box(stamp)
-            candidates = [(weight, score, is_part(expected, box) or is_part(box, expected))
-                          for box, weight, score in zip(boxes, weights, scores) if is_same_or_part(box, expected)]
-            same = [(weight, score) for weight, score, is_other_size in candidates if not is_other_size]
+            candidates = [(weight, score, index) for index, (weight, score) in enumerate(zip(weights, scores))
+                          if is_same_or_part(boxes[index], expected)]
+            same = [candidate for candidate in candidates
+                    if not (is_part(expected, boxes[candidate[2]]) or is_part(boxes[candidate[2]], expected))]
             if same:
-                track.add_detection(stamp, *max(same))
+                weight, score, index = max(same)
+                track.add_detection(stamp, weight, score, crops[index] if len(crops) else None)
                 detected.append(track)
             elif any(score > track.score - SCORE_MARGIN for _, score, _ in candidates):
                 track.add_conflict()
