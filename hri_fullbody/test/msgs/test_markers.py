@@ -50,11 +50,21 @@ def test_left_limbs_are_red_and_right_ones_green():
 
 @pytest.mark.parametrize("labels, text", [(None, "abcde"), ({}, "abcde"), ({"other": "1.80 m"}, "abcde"),
                                           ({"abcde": "1.70 m, arms crossed"}, "abcde\n1.70 m, arms crossed")])
-def test_a_text_stands_above_the_head(labels, text):
+def test_a_text_stands_below_the_body(labels, text):
     marker = next(marker for marker in skeleton_markers([body(standing())], HEADER, labels)
                   if marker.type == Marker.TEXT_VIEW_FACING)
     assert marker.text == text
-    assert marker.pose.position.y < -0.85 and marker.pose.position.z == pytest.approx(3.0)
+    assert marker.pose.position.y > -0.5 + 0.05 and marker.pose.position.z == pytest.approx(2.95, abs=0.1)
+
+
+@pytest.mark.parametrize("apart, overlaps", [(0.3, True), (2.0, False)])
+def test_texts_of_neighbours_stand_below_one_another(apart, overlaps):
+    bodies = [body(standing(), name="abcde"), body(standing() + (apart, 0.02, 0.0), name="fghij")]
+    labels = {name: "1.70 m, sitting" for name in ("abcde", "fghij")}
+    heights = [marker.pose.position.y for marker in skeleton_markers(bodies, HEADER, labels)
+               if marker.type == Marker.TEXT_VIEW_FACING]
+    two_lines = 0.2
+    assert (abs(heights[0] - heights[1]) > two_lines) == overlaps
 
 
 def test_colour_hangs_on_the_id_and_unknown_bodies_have_no_markers():

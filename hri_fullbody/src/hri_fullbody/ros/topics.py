@@ -18,7 +18,7 @@ from hri_fullbody.core.modeller import ModelledBody
 from hri_msgs.msg import BodyAttitude, BodyPosture, Gesture, PointingStamped, Skeleton2D
 from hri_msgs.msg import Pointing as PointingMessage
 from hri_pipeline.core.observations import BodyObservation
-from hri_pipeline.core.overlay import colour_of
+from hri_pipeline.core.overlay import colour_of, label_lifts
 from hri_pipeline.ros.conversions import bgr_to_image, matrix_to_image, roi_message, roi_type, skeleton_to_msg
 from hri_pipeline.ros.inputs import Frame
 from hri_pipeline.ros.markers import make_marker, point, rgba
@@ -137,7 +137,8 @@ _FACE_POINT_SIZE_M = 0.025
 _HEAD_SIZE_M = (0.19, 0.19, 0.25)
 _TEXT_HEIGHT_M = 0.10
 _ARROW_M, _RAY_M = (0.02, 0.06, 0.1), 3.0       # diameter of shaft and head, length of the head; of a ray into nothing
-_TEXT_ABOVE_HEAD_M = 0.25
+_LETTER_WIDTH_M = 0.055
+_TEXT_BELOW_M = 0.15
 _NUMBER = {"limbs": 0, "joints": 1, "face": 2, "face points": 3, "head": 4, "text": 5, "pointing": 6}
 _FACE = (kp.NOSE, kp.LEFT_EYE, kp.RIGHT_EYE, kp.LEFT_EAR, kp.RIGHT_EAR)
 _LEFT = (kp.LEFT_SHOULDER, kp.LEFT_ELBOW, kp.LEFT_WRIST, kp.LEFT_HIP, kp.LEFT_KNEE, kp.LEFT_ANKLE)
@@ -156,19 +157,20 @@ def skeleton_markers(bodies: Sequence[BodyObservation], header: Header, labels: 
     not known in space is left out.
 
     Limbs of the left are red, those of the right green; joints, head and trunk have a colour that hangs on the id
-    alone. labels: body id -> text under the id above the head, such as stature and attitude. up: (3,) against gravity
-    in the frame of `header`, to which heads and texts keep.
+    alone. labels: body id -> text under the id, such as stature and attitude; both stand below the body, those of
+    neighbours below one another. up: (3,) against gravity in the frame of `header`, to which heads and texts keep.
     """
     direction = np.asarray(up, dtype=np.float64)
     length = float(np.linalg.norm(direction))
     direction = direction / length if np.isfinite(length) and length > 1e-9 else _UP
     markers: List[Marker] = []
     for body in bodies:
-        markers += _body_markers(body, header, (labels or {}).get(body.id, ""), direction)
+        markers += _body_markers(body, header, direction)
+    markers += _texts(bodies, header, labels or {}, direction)
     return markers + [_arrow(header, body_id, one) for body_id, one in (pointing or {}).items()]
 
 
-def _body_markers(body: BodyObservation, header: Header, label: str, up: np.ndarray) -> List[Marker]:
+def _body_markers(body: BodyObservation, header: Header, up: np.ndarray) -> List[Marker]:
     places = np.asarray(body.keypoints_3d, dtype=np.float64)
     known = np.isfinite(places).all(axis=1)
     if not known.any():
@@ -189,7 +191,6 @@ def _body_markers(body: BodyObservation, header: Header, label: str, up: np.ndar
         _many(header, body.id, "face points", Marker.SPHERE_LIST, (_FACE_POINT_SIZE_M,) * 3, face)]
     if middle is not None:
         markers.append(_head(header, body.id, middle, up, colour))
-    markers.append(_text(header, body.id, label, places[known], middle, up))
     return [marker for marker in markers if marker is not None]
 
 
@@ -247,11 +248,25 @@ def _head(header: Header, name: str, middle: np.ndarray, up: np.ndarray, colour:
     return marker
 
 
-def _text(header: Header, name: str, label: str, places: np.ndarray, middle: Optional[np.ndarray],
-          up: np.ndarray) -> Marker:
-    """The id and, in a second line, the label, above the head or above the highest point."""
-    base = middle if middle is not None else places[int(np.argmax(places @ up))]
-    marker = make_marker(header, name, _NUMBER["text"], Marker.TEXT_VIEW_FACING, (0.0, 0.0, _TEXT_HEIGHT_M),
-                         place=base + (_TEXT_ABOVE_HEAD_M + _TEXT_HEIGHT_M * bool(label) / 2.0) * up)
-    marker.text = "{}\n{}".format(name, label) if label else name
-    return marker
+def _texts(bodies: Sequence[BodyObservation], header: Header, labels: Mapping[str, str],
+           up: np.ndarray) -> List[Marker]:
+    """Of each body the id and, in a second line, the label, below its lowest point: above are those of persons."""
+    texts, feet = [], []
+    for body in bodies:
+        places = np.asarray(body.keypoints_3d, dtype=np.float64)
+        places = places[np.isfinite(places).all(axis=1)]
+        if len(places):
+            label = labels.get(body.id, "")
+            texts.append((body.id, "{}\n{}".format(body.id, label) if label else body.id))
+            # Below the middle of the trunk: feet that swing would swing the text.
+            feet.append(places.mean(axis=0) + ((places @ up).min() - places.mean(axis=0) @ up) * up)
+    widths = [_LETTER_WIDTH_M * max(map(len, text.split("\n"))) for _, text in texts]
+    drops = label_lifts(feet, -up, widths, 2.3 * _TEXT_HEIGHT_M)
+    markers = []
+    for (name, text), place, drop in zip(texts, feet, drops):
+        below = _TEXT_BELOW_M + _TEXT_HEIGHT_M * text.count("\n") / 2.0 + drop
+        marker = make_marker(header, name, _NUMBER["text"], Marker.TEXT_VIEW_FACING, (0.0, 0.0, _TEXT_HEIGHT_M),
+                             place=place - below * up)
+        marker.text = text
+        markers.append(marker)
+    return markers

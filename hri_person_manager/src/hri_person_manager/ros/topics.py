@@ -320,7 +320,7 @@ class PersonSpaces:
 RADIUS = 0.06           # m
 TEXT_HEIGHT = 0.12      # m
 LETTER_WIDTH = 0.07     # m; letters have about 0.06
-TEXT_ABOVE = 0.55       # m, above the two lines that the body's own label has there
+TEXT_ABOVE = 0.3        # m, above the face; the body's own label stands below the body
 LIFETIME_S = 0.5
 COLOUR = (0.1, 0.7, 1.0)
 THICKNESS = 0.01        # m, of an ellipse

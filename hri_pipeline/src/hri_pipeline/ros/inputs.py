@@ -27,6 +27,10 @@ from hri_pipeline.ros.sensor_input import CALM_S, LOG_PERIOD_S, SensorInput
 BUFFER_BYTES = 2 ** 24
 # Stamps that go back further than this are a new run of a bag; less is an image that came late.
 JUMP_S = 1.0
+# An image whose stamp differs by more from the time of its arrival comes from another clock, or over a slow network.
+MOST_AGE_S = 2.0
+_CLOCKS = ("{}: images are {:.1f} s {}, so that rviz and tf do not show people where they are now; set the clocks of "
+           "camera and robot by NTP, or play bags with --clock and /use_sim_time")
 # How long the first image waits for its camera_info.
 INFO_GRACE_S = 1.0
 # Images of other publishers are ignored until the one that is used has sent nothing for so long.
@@ -110,7 +114,8 @@ class ImageInput(SensorInput):
         self._last_stamp: Optional[float] = None
         self._taken_at = 0.0
         self._problem: Tuple[int, str] = (OK, "")
-        self._no_stamp = ""
+        self._clock_problem = ""
+        self._age = 0.0
         self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0}
         self._camera = CameraInfoInput(fallback_hfov, fov_parameter)
         self._subscribers = [rospy.Subscriber(name, kind, self._store, queue_size=1, buff_size=BUFFER_BYTES)]
@@ -139,8 +144,8 @@ class ImageInput(SensorInput):
             return ERROR, silent, values
         level, text = self._problem
         if level == OK:
-            other = self._other_sender() or self._no_stamp
-            level, text = (WARN, other) if other else self._camera.problem
+            text = self._other_sender() or self._camera.problem[1] or self._clock_problem
+            level = WARN if text else OK
         if self._depth is not None:
             depth_level, depth_text, depth_values = self._depth.status()
             values.update(depth_values)
@@ -166,6 +171,8 @@ class ImageInput(SensorInput):
                 return
             self.counts["received"] += 1
             self._message = message
+            now = rospy.get_time()
+            self._age = now - message.header.stamp.to_sec() if now > 0.0 else 0.0
             self._condition.notify()
 
     def _take(self, timeout: float) -> Optional[ImageMessage]:
@@ -175,7 +182,6 @@ class ImageInput(SensorInput):
             return message
 
     def _frame(self, message: ImageMessage) -> Optional[Frame]:
-        self._no_stamp = ""
         header = self._stamped(message.header)
         if header is None:
             return None
@@ -201,12 +207,17 @@ class ImageInput(SensorInput):
 
     def _stamped(self, header: Header) -> Optional[Header]:
         """Return the header with a stamp, or None for an image that is not newer than the last one."""
+        self._clock_problem = ""
         if header.stamp.is_zero():
-            self._no_stamp = ("{}: images have no stamp; the time of arrival is used instead. Let the camera driver "
-                              "set header.stamp".format(self.topic))
-            rospy.logwarn_throttle(LOG_PERIOD_S, "%s", self._no_stamp)
+            self._clock_problem = ("{}: images have no stamp; the time of arrival is used instead. Let the camera "
+                                   "driver set header.stamp".format(self.topic))
             now = rospy.Time.now()
             header.stamp = rospy.Time.from_sec(time.time()) if now.is_zero() else now
+        elif abs(self._age) > MOST_AGE_S:
+            self._clock_problem = _CLOCKS.format(
+                self.topic, abs(self._age), "old when they arrive" if self._age > 0.0 else "in the future")
+        if self._clock_problem:
+            rospy.logwarn_throttle(LOG_PERIOD_S, "%s", self._clock_problem)
         if self._last_stamp is None:
             return header
         step = header.stamp.to_sec() - self._last_stamp
