@@ -27,7 +27,8 @@ _NOT_ASKED = "not asked for (--start)"
 FACE_NETWORK, BODY_NETWORK = "face_landmarks_attention", "pose_landmarks"
 """Beginnings of the names of the networks that look at one face or body."""
 NOT_STACK = ("benchmark_probe", "image_source", "moving_people", "load")
-ERRORS = {"landmark": "landmark_error", "face_direction": "face_direction_error_deg", "skeleton": "skeleton_error"}
+ERRORS = {"landmark": "landmark_error", "landmark_px": "landmark_error_px",
+          "face_direction": "face_direction_error_deg", "skeleton": "skeleton_error"}
 """What the probe measures, and the keys of its median in JSON; `moving_` before them is that while people move."""
 NO_GPU = "not measured: the networks were asked to run on {}"
 LOAD = "while True: pass"

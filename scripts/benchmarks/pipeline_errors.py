@@ -62,9 +62,9 @@ class Truth:
         self._reference, self._focal = reference, focal
         self._centre = np.array(scene.shape[1::-1]) / 2.0
         landmarks, skeletons = reference["landmarks"][:, :, :2], reference["skeletons"][:, :, :2]
-        self._sizes = {"faces": np.sqrt(np.prod(np.ptp(landmarks, axis=1), axis=1)),
-                       "bodies": np.linalg.norm(skeletons[:, TRUNK[:2]].mean(axis=1)
-                                                - skeletons[:, TRUNK[2:]].mean(axis=1), axis=1)}
+        self.sizes = {"faces": np.sqrt(np.prod(np.ptp(landmarks, axis=1), axis=1)),
+                      "bodies": np.linalg.norm(skeletons[:, TRUNK[:2]].mean(axis=1)
+                                               - skeletons[:, TRUNK[2:]].mean(axis=1), axis=1)}
         self._points = {"faces": reference["landmarks"], "bodies": reference["skeletons"]}
         self._cache: Dict[Tuple[str, float, bool], np.ndarray] = {}
 
@@ -77,7 +77,7 @@ class Truth:
                 known[:, :, :2].reshape(-1, 2), stamp, moving).reshape(known.shape[:2] + (2,))
         seen = known[:, :, 2] > (SEEN if kind == "bodies" else -1.0)
         apart = np.linalg.norm(self._cache[key] - points, axis=2)
-        mean = (apart * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1) / self._sizes[kind]
+        mean = (apart * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1) / self.sizes[kind]
         best = int(np.argmin(mean))
         return (best, float(mean[best])) if mean[best] < _NEAR else (None, math.nan)
 
@@ -101,11 +101,11 @@ class Truth:
 
 def errors(truth: Truth, data: Sequence[Tuple[str, bytes]], faces: Mapping[str, Mapping[float, Pose]], moving: bool,
            size: Tuple[int, int]) -> Errors:
-    """Errors `landmark`, `skeleton` (shares) and `face_direction` (degrees) of all that was published.
+    """Errors `landmark`, `skeleton` (shares), `landmark_px` and `face_direction` (degrees) of all that was published.
 
     data: see Recorder.take; faces: poses of the frames by name and stamp (s); size: of the images, px.
     """
-    found: Errors = {"landmark": [], "skeleton": [], "face_direction": []}
+    found: Errors = {"landmark": [], "landmark_px": [], "skeleton": [], "face_direction": []}
     owners: Dict[Tuple[float, int], Tuple[int, np.ndarray]] = {}
     for kind, buffer in data:
         message = (LandmarkArray() if kind == "faces" else SkeletonArray()).deserialize(buffer)
@@ -117,6 +117,7 @@ def errors(truth: Truth, data: Sequence[Tuple[str, bytes]], faces: Mapping[str, 
         if person is not None:
             found["landmark" if kind == "faces" else "skeleton"].append(error)
             if kind == "faces":
+                found["landmark_px"].append(error * float(truth.sizes["faces"][person]))
                 owners[stamp, person] = (person, places.mean(axis=0))
     focal, centre = truth._focal, np.array(size) / 2.0
     for frames in faces.values():

@@ -89,12 +89,14 @@ def test_inferences_are_told_per_person_and_second() -> None:
 
 
 def test_errors_of_what_is_published_have_their_keys() -> None:
-    errors = {prefix: {"landmark": [0.01] * 19 + [0.5], "skeleton": [], "face_direction": [1.0, 3.0]}
+    errors = {prefix: {"landmark": [0.01] * 19 + [0.5], "landmark_px": [0.7], "skeleton": [],
+                       "face_direction": [1.0, 3.0]}
               for prefix in ("", "moving_")}
     seen = dict(SEEN, errors=errors, loaded={"ages": [0.1, 0.2], "found": {"persons": 3}})
     result = pipeline.as_json([pipeline.figures(3, seen)], MACHINE, {})
     assert result["landmark_error_3"] == result["moving_landmark_error_3"] == 0.01
     assert 0.01 < result["landmark_error_3_p95"] < 0.1
+    assert result["landmark_error_px_3"] == 0.7
     assert result["face_direction_error_deg_3"] == 2.0 and result["skeleton_error_3"] is None
     assert result["loaded"]["age_p95_ms_3"] == 195.0 and result["gpu"]["ms_per_image_10"] is None
     assert "landmark_error" in pipeline.as_table([pipeline.figures(3, seen)], MACHINE, {})
