@@ -133,6 +133,26 @@ def test_the_network_runs_seldom_on_a_face_that_goes_on():
     assert 1 <= network.runs <= 6
 
 
+@pytest.mark.parametrize("followed", [True, False])
+def test_a_face_that_waited_for_its_turn_is_checked_only_where_the_flow_lost_it(followed):
+    """On a slow machine each face of a crowd waits for half a second: a template each time would make it slower."""
+    network = Network()
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceJudge(network, 150, 0.8))
+    name = show(faces, (scene((1, 200)), [200]))[0][200]
+    for step in range(1, 16):
+        for track in faces.tracks:
+            track.move(np.zeros(2) if followed else None, 0.12 * step)
+        if step % 5:
+            faces.update([], 0.12 * step, [name])
+        else:
+            faces.update([measurement(scene((1, 200)), 200)], 0.12 * step)
+    assert [track.id for track in faces.tracks] == [name]
+    assert (network.runs == 0) == followed
+    for track in faces.tracks:
+        track.move(np.zeros(2), 1.9)
+    assert name not in [track.id for track in faces.update([measurement(scene((2, 200)), 200)], 1.9) if track.visible]
+
+
 def test_a_verdict_that_is_not_clear_is_no_change_of_face():
     judge = AppearanceJudge(lambda crops: np.tile(np.float32([1.0, 0.0]), (len(crops), 1)), 150, 0.4)
     memory = judge.begin(look(scene((1, 200)), 200), 0.0)

@@ -154,6 +154,11 @@ class FaceTrack:
         return self._stamp
 
     @property
+    def is_followed(self) -> bool:
+        """Whether the optical flow has followed it in every image since the last measurement."""
+        return self._followed
+
+    @property
     def size(self) -> float:
         """Size of the face, px."""
         return self._size

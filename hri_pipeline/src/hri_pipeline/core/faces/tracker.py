@@ -345,7 +345,8 @@ class FaceTracker:
         moment."""
         if track.memory is None or measurement.look is None:
             return True
-        doubtful = cut or track.replaced or stamp - track.life.last_seen > COAST_TIME
+        lost = stamp - track.life.last_seen > COAST_TIME and not (track.visible and track.is_followed)
+        doubtful = cut or track.replaced or lost
         if not (doubtful or track.is_unusual(measurement, stamp)):
             return True
         verdict = self._judge.verdict(track.memory, measurement.look, stamp, doubtful)
