@@ -109,6 +109,12 @@ def test_the_settings_make_a_choice():
     assert engine_choice(settings) == EngineChoice("pocketsphinx", os.path.abspath("models/x"), JSGF, "en-GB", True)
 
 
+@pytest.mark.parametrize("given, tag", [
+    ("en_GB.UTF-8", "en-GB"), ("pt_BR", "pt-BR"), ("de-DE", "de-DE"), (" es ", "es")])
+def test_a_locale_is_taken_for_its_language_tag(given, tag):
+    assert engine_choice(SpeechSettings(language=given)).language == tag
+
+
 def test_free_speech_goes_to_moonshine_where_its_model_is_there(monkeypatch, tmp_path):
     def chosen(**changes):
         return engine_choice(SpeechSettings(**changes)).engine

@@ -286,6 +286,8 @@ def test_levels():
 
 @pytest.mark.parametrize("sound, words", [
     (np.zeros((3 * RATE, 1)), "dead silence"), (tone(3.0, amplitude=3.0), "clipped: .* gain"),
+    (0.4 * np.clip(tone(3.0, amplitude=3.0), -1.0, 1.0), "channel 0 of 1 is clipped at 40 %.* gain"),
+    (tone(3.0, frequency=1000.0), "^$"), (tone(3.0, frequency=50.0), "^$"),
     (tone(3.0) * [1.0, 0.0], "channel 1 of 2 is dead"), (tone(3.0) + 0.2, "offset of 20 %"),
     (tone(1.0) * 0.0, ""),
 ])
@@ -322,6 +324,8 @@ def problem_of(sound, **options):
     (lambda sound: sound * [1, 1, 0.01, 1, 1, 1], "channel 2 of 6 is silent: .*~microphone_channels"),
     (lambda sound: sound[:, [0, 1, 2, 1, 4, 5]] * [1, 1, 1, 0.7, 1, 1], "channels 1, 3 of 6 are copies.*no directions"),
     (lambda sound: sound * [1, 1, 1, 1, 60, 1], r"clipped: .*\(channel 4 of 6\)"),
+    (lambda sound: np.clip(sound, [-1, -1, -1, -1, -0.05, -1], [1, 1, 1, 1, 0.05, 1]),
+     "channel 4 of 6 is clipped at 5 % of full scale"),
     (lambda sound: sound * [1, 1, 1, 0, 1, 1], "channel 3 of 6 is dead"),
     (lambda sound: sound[:, :2], "names channel 2, and the sound has 2 channels"),
     (lambda sound: 1e-3 * sound * [1, 1, 0.3, 1, 1, 1], "^$")])

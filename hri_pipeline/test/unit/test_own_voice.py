@@ -55,6 +55,25 @@ def test_a_publisher_that_dies_ends_it(robot):
     assert robot.problem == ""
 
 
+def test_a_word_that_is_repeated_for_ever_is_told(robot):
+    for stamp in np.arange(100.0, 219.0, 0.1):
+        robot.tell(True, stamp)
+    robot.update(219.0, connected=True)
+    assert robot.long_speech(219.0) == "" and robot.problem == ""
+    for stamp in np.arange(219.0, 230.0, 0.1):
+        robot.tell(True, stamp)
+    assert "for 130 s without a pause" in robot.long_speech(230.0)
+    robot.tell(False, 230.0)
+    assert robot.long_speech(230.5) == ""
+
+
+def test_sound_that_is_played_without_a_pause_is_told(robot):
+    for number in range(1300):
+        robot.play(0.1 * np.ones(RATE // 10, np.float32), 100.0 + 0.1 * number)
+    assert robot.long_speech(210.0) == "" and "for 130 s" in robot.long_speech(230.0)
+    assert robot.long_speech(231.0) == ""
+
+
 def test_time_that_goes_back_begins_anew(robot):
     robot.tell(True, 100.0)
     robot.tell(False, 50.0)

@@ -287,6 +287,9 @@ class RobotVoiceInput:
                                                                self._robot.problem), values
         if time.monotonic() - self._bad[1] < _BAD_S:
             return WARN, self._bad[0], values
+        long_speech = self._robot.long_speech(now)
+        if long_speech:
+            return WARN, long_speech, values
         return OK, "the robot speaks" if values["robot_speaks"] else "the robot is silent", values
 
     def close(self) -> None:

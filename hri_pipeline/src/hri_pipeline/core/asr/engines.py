@@ -284,6 +284,11 @@ def primary_language(tag: str) -> str:
     return tag.replace("_", "-").split("-")[0].lower()
 
 
+def language_tag(text: str) -> str:
+    """Return the IETF tag that is meant by a text, which may be a locale: "pt-BR" for "pt_BR.UTF-8"."""
+    return text.split(".")[0].strip().replace("_", "-")
+
+
 def is_english(tag: str) -> bool:
     """Tell whether an IETF tag is one of English."""
     return primary_language(tag) == "en"
@@ -368,7 +373,7 @@ def engine_choice(settings: SpeechSettings) -> EngineChoice:
     Without speech_model, that of English is the one that comes with the engine, and that of another language lies in
     its `language_directory`. Raises ParameterError for a grammar that is not there.
     """
-    language = settings.language or settings.speech_language
+    language = language_tag(settings.language or settings.speech_language)
     given = settings.speech_model and str(Path(settings.speech_model).expanduser().absolute())
     grammar = read_grammar(settings.speech_grammar, grammar_directory())
     engine = settings.speech_engine

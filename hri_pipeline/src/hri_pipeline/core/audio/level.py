@@ -17,6 +17,9 @@ _LEVEL_PIECES = 10
 _LIMIT = 0.999
 """Samples of this size or more are at the limit of their format."""
 _CLIPPED_SHARE = 1e-3
+# Sound that was clipped and then made softer has many samples in a row at its own peak: in the last 0.2 % of it, _FLAT
+# times as many as in the 0.8 % below (a low sine wave has 0.8 times as many, speech fewer).
+_TOP, _BELOW_TOP, _FLAT, _FLAT_PIECES, _LEAST_FLAT = 0.998, 0.99, 4.0, 3, 0.02
 _OFFSET = 0.05
 _CONSTANT_S = 2.0
 # Microphones of one array differ by some dB; one that is covered or broken lies below the median by more than this.
@@ -56,6 +59,11 @@ class _Piece:
         at_limit = np.abs(samples) >= _LIMIT if self.peak >= _LIMIT else np.zeros((0, len(self.sums)), bool)
         self.clipped_of = at_limit.sum(axis=0)
         self.clipped = int(at_limit.any(axis=1).sum())
+        size = np.abs(samples)
+        self.largest = size.max(axis=0)
+        top = size >= _TOP * self.largest
+        self.below_peak = (size >= _BELOW_TOP * self.largest).sum(axis=0) - top.sum(axis=0)
+        self.at_peak = (top[1:-1] & top[:-2] & top[2:]).sum(axis=0)
 
 
 class SoundLevel:
@@ -139,6 +147,11 @@ class SoundLevel:
         if share > _CLIPPED_SHARE:
             return "the sound is clipped: {:.1f} % of its samples are at the limit{}; turn the microphone's gain " \
                    "down".format(100.0 * share, self._clipped_channels(pieces))
+        flat = [index for index in self._flattened(pieces) if index not in constant]
+        if flat:
+            return "{} clipped at {:.0f} % of full scale, before the sound comes here; turn the gain down at the " \
+                   "microphone".format(self._named(flat), 100.0 * max(float(piece.largest[flat].max())
+                                                                      for piece in pieces))
         if constant:
             return "{} dead: one and the same value; check the microphone".format(self._named(constant))
         silent, copies = self._silent(pieces), self._copies(pieces)
@@ -171,6 +184,18 @@ class SoundLevel:
         if len(clipped) == self._channels:
             return ""
         return " (channel {} of {})".format(", ".join(str(self._numbers[index]) for index in clipped), self._total)
+
+    def _flattened(self, pieces: List[_Piece]) -> Tuple[int, ...]:
+        """Return the indices of the channels whose peaks are cut off below the limit of the format."""
+        if not pieces:
+            return ()
+        largest = np.array([piece.largest for piece in pieces])
+        reach = (largest >= _TOP * largest.max(axis=0)) & (largest >= _LEAST_FLAT)
+        tops = np.sum(reach * np.array([piece.at_peak for piece in pieces]), axis=0)
+        below = np.sum(reach * np.array([piece.below_peak for piece in pieces]), axis=0)
+        count = sum(piece.count for piece in pieces)
+        flat = (tops > _CLIPPED_SHARE * count) & (tops > _FLAT * below) & (reach.sum(axis=0) >= _FLAT_PIECES)
+        return tuple(int(index) for index in np.flatnonzero(flat))
 
     def _constant(self, pieces: List[_Piece]) -> Tuple[int, ...]:
         """Return the indices of the channels whose samples have not changed for _CONSTANT_S."""

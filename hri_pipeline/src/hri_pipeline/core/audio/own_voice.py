@@ -23,7 +23,11 @@ from hri_pipeline.core.audio.stream import RATE, SoundBlock
 
 QUIET_DBFS = -60.0
 """Played sound below this is a pause of the robot."""
+LONG_SPEECH_S = 120.0
+"""No robot says so much at a time: a program that repeats "I speak" for ever, or plays music, makes it deaf."""
 _HISTORY_S = 30.0
+# Stamps of successive pieces err by so much (s).
+_OVERLAP_S = 0.05
 # A source that was louder than the robot for _LOUDER_S of the last _HELD_S is somebody, and this sound is kept.
 _LOUDER_S, _HELD_S = 0.2, 0.5
 # Own directions are those in which sound is heard for half of the time in which the robot speaks. Seconds of the
@@ -74,7 +78,7 @@ class RobotSpeech:
         """Note that the robot plays samples (n,), -1 to 1 at 16 kHz, from `stamp` (s) on."""
         if level_dbfs(samples) <= QUIET_DBFS:
             return
-        if self._spans and 0.0 <= stamp - self._spans[-1][1] <= self._settings.robot_tail:
+        if self._spans and -_OVERLAP_S <= stamp - self._spans[-1][1] <= self._settings.robot_tail:
             stamp, end = self._spans.pop()[0], stamp + len(samples) / RATE
         else:
             end = stamp + len(samples) / RATE
@@ -97,6 +101,17 @@ class RobotSpeech:
         if self._since is not None and end >= self._since:
             return True
         return any(begin <= until + self._settings.robot_tail and end >= since for since, until in self._spans)
+
+    def long_speech(self, now: float) -> str:
+        """Return what is suspicious about a robot that speaks for LONG_SPEECH_S without a pause until `now` (s), empty
+        where it does not."""
+        since = self._since
+        if since is None and self._spans and now <= self._spans[-1][1] + self._settings.robot_tail:
+            since = self._spans[-1][0]
+        if since is None or now - since <= LONG_SPEECH_S:
+            return ""
+        return "the robot speaks for {:.0f} s without a pause, and people are hardly heard meanwhile; say false at " \
+               "the end, and play no music on ~robot_audio".format(now - since)
 
     def reset(self) -> None:
         """Forget everything, when time has gone back."""
