@@ -12,6 +12,7 @@ from typing import Dict, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
+from hri_pipeline.core.interactions.depth_factors import DepthFactors
 from hri_pipeline.core.interactions.parameters import GazeSettings
 from hri_pipeline.core.interactions.people import ROBOT, UNKNOWN, GazeTarget, Observer, PeopleSnapshot
 
@@ -42,6 +43,7 @@ class GazeTargets:
         self._settings = settings
         self._filter = GazeTargetFilter(settings)
         self._renewal = ErrorRenewal()
+        self._depths = DepthFactors()
         self._stamp: Optional[float] = None
         self._closed_at: Dict[str, float] = {}
         self._open_at: Dict[str, float] = {}
@@ -58,6 +60,7 @@ class GazeTargets:
         """Forget everything, as after a time jump."""
         self._filter.reset()
         self._renewal.reset()
+        self._depths.reset()
         self._closed_at.clear()
         self._open_at.clear()
         self._weighed = []
@@ -81,7 +84,7 @@ class GazeTargets:
         # The first image counts in full.
         dt = self._settings.evidence_time if self._stamp is None else stamp - self._stamp
         self._stamp = stamp
-        people = PeopleSnapshot.of(people)
+        people = self._depths.corrected(PeopleSnapshot.of(people))
         if not people.ids:
             self._filter.reset()
             return []
@@ -93,6 +96,7 @@ class GazeTargets:
         shares, begun = self._renewal.update(people, times, dt)
         looked_at = self._filter.update(ids, weights, ratios, shares, closed, dt,
                                         closed & self._blinking(people, closed, stamp), begun & ~closed)
+        self._depths.learn(people, lines, self._filter.beliefs()[:, :len(ids)], np.where(closed, 0.0, shares), dt)
         looked_at[(looked_at == len(ids)) & self._renewal.past(people, lines.units[:, -1])] = _NOBODY
         names = ids + [ROBOT]
         return [GazeTarget(ids[sender], names[target], self._filter.probability(sender, target))
@@ -492,6 +496,10 @@ class GazeTargetFilter:
             # How likely each one looks at the observer.
             factors[:, :-1] *= 1.0 + (GazePriors.MUTUAL - 1.0) * self._probabilities[:, :len(ids)].T
         return factors
+
+    def beliefs(self) -> np.ndarray:
+        """Return how likely everybody looks at each target (N, T + 1), nobody last."""
+        return self._probabilities
 
     def probability(self, person: int, target: int) -> float:
         """Return how likely a person (index of the last update) looks at a target."""

@@ -64,19 +64,19 @@ class PeopleSnapshot:
 
     heads: (N, 3) m; gazes, faces, trunks: (N, 3) unit vectors; deviations: (N, 4) of head's place (m), face, gaze and
     trunk (rad); closed: (N,) closedness of the eyes, 0 to 1; depths: (N, 3) direction in which the head's place is
-    least certain times its standard deviation (m) there, zeros unknown; faceless: (N,) bool, whose face is not seen;
-    speaking: (N,) bool, who is heard, None when nobody listens; groups: (N,) number of the group in which somebody
-    stands, -1 in none, None when groups are not known.
+    least certain times its standard deviation (m) there, zeros unknown; rays: (N, 3) m, from the sensor to the head,
+    zeros unknown; faceless: (N,) bool, whose face is not seen; speaking: (N,) bool, who is heard, None when nobody
+    listens; groups: (N,) number of the group in which somebody stands, -1 in none, None when groups are not known.
     """
 
     __slots__ = ("closed", "depths", "deviations", "faceless", "faces", "gazes", "groups", "heads", "ids",
-                 "speaking", "trunks")
+                 "rays", "speaking", "trunks")
 
     def __init__(self, ids: List[str], heads: np.ndarray, gazes: np.ndarray, faces: np.ndarray, trunks: np.ndarray,
                  deviations: np.ndarray, closed: np.ndarray) -> None:
         self.ids, self.heads, self.gazes, self.faces, self.trunks = ids, heads, gazes, faces, trunks
         self.deviations, self.closed = deviations, closed
-        self.depths = np.zeros((len(ids), 3))
+        self.depths, self.rays = np.zeros((len(ids), 3)), np.zeros((len(ids), 3))
         self.faceless = (faces[:, 0] != faces[:, 0]) & (gazes[:, 0] != gazes[:, 0])
         self.speaking: Optional[np.ndarray] = None
         self.groups: Optional[np.ndarray] = None
@@ -206,7 +206,7 @@ _LEAST_LEVEL = 0.3
 _HEADS_OWN = 1e-3
 """Angle (rad) from the head's direction up to which that of a gaze was made of it: of faces too small for their eyes,
 and of detectors that measure none."""
-_PLACE_SD, _DEPTH_PART, _FALLBACK_SD = 0.03, 0.045, 0.15
+_PLACE_SD, DEPTH_PART, _FALLBACK_SD = 0.03, 0.045, 0.15
 """Standard deviations (m) of heads: across the ray of the camera, along it for each metre of distance (heads differ by
 5.5 %, irises tell a part of it), and from anything but a face."""
 _GOOD_TURN, _TURN_SLOPE, _TURN_MOST = math.radians(30.0), 0.35, math.radians(20.0)
@@ -302,9 +302,9 @@ def gather(frames: PeopleTf, places: Places, newest: float, settings: Interactio
     snapshot = _snapshot(people, _placed(rows, poses), settings)
     for row, person in enumerate(people):
         snapshot.faceless[row] = person.source not in ("face", "person")
+        snapshot.rays[row] = snapshot.heads[row] - poses[rows.sensors[person.place]].translation
         if person.source == "face":
-            ray = snapshot.heads[row] - poses[rows.sensors[person.place]].translation
-            snapshot.depths[row] = _DEPTH_PART * ray
+            snapshot.depths[row] = DEPTH_PART * snapshot.rays[row]
     return snapshot
 
 
