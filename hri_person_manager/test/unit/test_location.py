@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hri_person_manager.core.location import Decay, Location, Place, PlaceSource
+from hri_person_manager.core.location import Decay, PersonLocation, Place, PlaceSource
 from hri_pipeline.core.geometry import Pose
 
 
@@ -41,7 +41,7 @@ def test_confidence_is_below_one_at_once_and_only_falls(kind):
 def test_face_over_head_over_body_over_voice():
     for better in PlaceSource:
         for worse in PlaceSource:
-            location = Location(0.5)
+            location = PersonLocation(0.5)
             assert location.offer(better, place(1.0, 10.0), 10.0)
             taken = location.offer(worse, place(2.0, 10.1), 10.1)
             assert taken == (worse <= better)
@@ -49,7 +49,7 @@ def test_face_over_head_over_body_over_voice():
 
 
 def test_a_worse_source_speaks_once_the_better_one_is_silent_or_gone():
-    location = Location(0.5)
+    location = PersonLocation(0.5)
     location.offer(PlaceSource.FACE, place(1.0, 10.0), 10.0)
     assert not location.offer(PlaceSource.BODY, place(2.0, 10.4), 10.4)
     assert location.offer(PlaceSource.BODY, place(2.0, 10.6), 10.6)
@@ -62,7 +62,7 @@ def test_a_worse_source_speaks_once_the_better_one_is_silent_or_gone():
     (PlaceSource.HEAD, "b"), (PlaceSource.BODY, "b"), (PlaceSource.VOICE, "v"), (PlaceSource.FACE, "g")])
 @pytest.mark.parametrize("age", [-5.0, -0.65, 0.0, 0.3, 0.65, 5.0])
 def test_no_message_wins_by_its_age(worse, other, age):
-    location = Location(0.5)
+    location = PersonLocation(0.5)
     for number in range(60):
         now = 100.0 + 0.05 * number
         assert location.offer(PlaceSource.FACE, place(1.0, now), now, "f")
@@ -72,7 +72,7 @@ def test_no_message_wins_by_its_age(worse, other, age):
 
 @pytest.mark.parametrize("age", [-0.65, 0.0, 0.65, 5.0])
 def test_who_lags_takes_over_when_the_better_source_is_silent(age):
-    location = Location(0.5)
+    location = PersonLocation(0.5)
     for number in range(20):
         location.offer(PlaceSource.FACE, place(1.0, 0.05 * number), 0.05 * number, "f")
     taken = [number for number in range(60)
@@ -81,7 +81,7 @@ def test_who_lags_takes_over_when_the_better_source_is_silent(age):
 
 
 def test_stamps_that_jump_back_do_not_silence_anybody():
-    location = Location(0.5)
+    location = PersonLocation(0.5)
     location.offer(PlaceSource.FACE, place(1.0, 1000.0), 10.0, "f")
     location.offer(PlaceSource.BODY, place(1.0, 1000.0), 10.0, "b")
     assert location.offer(PlaceSource.FACE, place(2.0, 3.0), 10.1, "f")          # a bag begins anew, the clock goes on
@@ -95,7 +95,7 @@ def test_stamps_that_jump_back_do_not_silence_anybody():
 
 def turning_away(face_error=0.3, speed=0.5, face_rate=15.0, until=2.0, then=4.0):
     """Stamps and places (x, m) of the frame of a person who walks, and turns the face away after `until` s."""
-    location, way = Location(0.5), []
+    location, way = PersonLocation(0.5), []
     for number in range(int(then * 30.0)):
         stamp = number / 30.0
         sources = [(PlaceSource.HEAD, speed * stamp)]
@@ -129,7 +129,7 @@ def test_a_body_too_far_from_the_face_is_taken_as_it_is():
 
 
 def test_a_body_in_another_frame_is_taken_as_it_is():
-    location = Location(0.5)
+    location = PersonLocation(0.5)
     for number in range(10):
         location.offer(PlaceSource.FACE, place(1.0, 0.1 * number), 0.1 * number)
         location.offer(PlaceSource.HEAD, place(1.2, 0.1 * number), 0.1 * number)
@@ -138,7 +138,7 @@ def test_a_body_in_another_frame_is_taken_as_it_is():
 
 
 def test_where_somebody_was_seen_is_better_than_the_direction_of_a_voice_for_a_while():
-    location = Location(0.5)
+    location = PersonLocation(0.5)
     location.offer(PlaceSource.BODY, place(2.3, 10.0), 10.0)
     assert not location.offer(PlaceSource.VOICE, place(1.0, 11.0), 11.0)
     location.retain((), 11.0)
@@ -150,7 +150,7 @@ def test_where_somebody_was_seen_is_better_than_the_direction_of_a_voice_for_a_w
 
 
 def test_a_voice_that_lags_does_not_move_who_was_seen_shortly_before():
-    location = Location(0.5)
+    location = PersonLocation(0.5)
     location.offer(PlaceSource.BODY, place(2.3, 10.0), 10.0, "b")
     location.retain(("v",), 10.1)
     assert not location.offer(PlaceSource.VOICE, place(1.0, 9.8), 10.5, "v")
@@ -158,7 +158,7 @@ def test_a_voice_that_lags_does_not_move_who_was_seen_shortly_before():
 
 
 def test_silence():
-    location = Location(0.5)
+    location = PersonLocation(0.5)
     assert location.is_silent(0.0)
     location.offer(PlaceSource.FACE, place(1.0, 10.0), 10.1)
     assert not location.is_silent(10.5)
@@ -166,7 +166,7 @@ def test_silence():
 
 
 def test_the_newer_place_is_inherited():
-    older, newer = Location(0.5), Location(0.5)
+    older, newer = PersonLocation(0.5), PersonLocation(0.5)
     older.offer(PlaceSource.BODY, place(1.0, 10.0), 10.0)
     newer.offer(PlaceSource.FACE, place(2.0, 11.0), 11.0)
     newer.inherit(older)
@@ -176,19 +176,19 @@ def test_the_newer_place_is_inherited():
 
 
 def test_the_face_of_two_who_are_one_goes_on_beside_the_body_of_the_other():
-    body, face = Location(0.5), Location(0.5)
+    body, face = PersonLocation(0.5), PersonLocation(0.5)
     face.offer(PlaceSource.FACE, place(2.0, 11.0), 11.0, "f")
     body.offer(PlaceSource.BODY, place(1.0, 11.1), 11.1, "b")
     body.inherit(face)
     assert body.place.pose.translation[0] == 2.0
     assert not body.is_silent(11.55), "the body was seen at 11.1"
     assert not body.offer(PlaceSource.BODY, place(1.0, 11.2), 11.2, "b")
-    body.inherit(Location(0.5))
+    body.inherit(PersonLocation(0.5))
     assert body.place.pose.translation[0] == 2.0
 
 
 def moving(coast_time, velocity=1.0, steps=20, step=0.1):
-    location = Location(0.5, coast_time)
+    location = PersonLocation(0.5, coast_time)
     for number in range(steps):
         stamp = number * step
         location.offer(PlaceSource.FACE, Place("map", Pose(np.eye(3), np.array([velocity * stamp, 0.0, 2.0])), stamp),
@@ -217,11 +217,11 @@ def test_a_jump_of_the_measurement_is_no_velocity():
 
 def test_negative_coasting_is_refused():
     with pytest.raises(ValueError):
-        Location(0.5, -1.0)
+        PersonLocation(0.5, -1.0)
 
 
 def test_nobody_knows_how_exact_a_place_is_for_long():
-    location = Location(0.5)
+    location = PersonLocation(0.5)
     place = Place("map", Pose(np.eye(3), np.array([2.0, 0.0, 1.6])), 0.0, covariance=np.diag([0.04, 0.01, 0.01]))
     location.offer(PlaceSource.FACE, place, 0.0)
     assert location.expected(0.4) is place, "as long as its source is not silent"

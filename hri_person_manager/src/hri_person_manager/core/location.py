@@ -282,7 +282,7 @@ class _LastReport(NamedTuple):
     fresh: float
 
 
-class Location:
+class PersonLocation:
     """Last known place of one person, fed by transforms of its face, head, body and voice frames."""
 
     def __init__(self, source_timeout: float, coast_time: float = 0.0) -> None:
@@ -361,7 +361,7 @@ class Location:
             report = self._reports.pop(key)
             self._fresh_until = max(self._fresh_until, min(now, report.arrived + report.fresh))
 
-    def inherit(self, other: "Location") -> None:
+    def inherit(self, other: "PersonLocation") -> None:
         """Take over the sources of a person that turned out to be the same, and its place, if that is the better."""
         for key, report in other._reports.items():
             known = self._reports.get(key)

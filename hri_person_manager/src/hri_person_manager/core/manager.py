@@ -12,7 +12,7 @@ import numpy as np
 
 from hri_person_manager.core.cross_camera import CrossCamera
 from hri_person_manager.core.features import Kind, MatchNode, PlaceSource, TrackedFeatures
-from hri_person_manager.core.location import Decay, FeaturePlaces, Location, Place
+from hri_person_manager.core.location import Decay, FeaturePlaces, PersonLocation, Place
 from hri_person_manager.core.match_graph import Association, CandidateMatch
 from hri_person_manager.core.merges import Merges
 from hri_person_manager.core.parameters import PersonManagerSettings, sensor_errors
@@ -57,7 +57,7 @@ class PersonManager:
         self._places = FeaturePlaces()
         self._framed: Set[str] = set()      # persons whose frame was published
         self._table = PersonTable(self._new_id,
-                                  lambda: Location(self._settings.source_timeout, self._settings.coast_time),
+                                  lambda: PersonLocation(self._settings.source_timeout, self._settings.coast_time),
                                 self._settings.new_person_delay, self._settings.anonymous_persons,
                                 self._settings.voice_person_delay)
         self._published = PublishedPersons(self._table, self._merges, self._decay)

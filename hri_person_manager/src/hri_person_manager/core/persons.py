@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Tuple
 
 from hri_person_manager.core.features import FEATURES, Kind, MatchNode
-from hri_person_manager.core.location import Decay, Location, Place
+from hri_person_manager.core.location import Decay, PersonLocation, Place
 from hri_person_manager.core.merges import Merges
 
 ANONYMOUS_PREFIX = "anonymous_person_"
@@ -31,7 +31,7 @@ class PersonEntry:
     id: str
     number: int
     anonymous: bool
-    location: Location
+    location: PersonLocation
     features: Dict[MatchNode, float] = field(default_factory=dict)
     lost_at: Optional[float] = None
 
@@ -51,7 +51,7 @@ class Alias:
 class PersonTable:
     """All persons that exist, and what has become of merged ones."""
 
-    def __init__(self, new_id: Callable[[], str], new_location: Callable[[], Location],
+    def __init__(self, new_id: Callable[[], str], new_location: Callable[[], PersonLocation],
                  new_person_delay: float, anonymous_persons: bool, voice_person_delay: float = 0.0) -> None:
         """Make ids with `new_id` (5 characters); a feature waits `new_person_delay` seconds for an assignment.
 
