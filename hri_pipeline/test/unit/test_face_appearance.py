@@ -11,6 +11,7 @@ from hri_pipeline.core.faces.track import FaceMeasurement
 from hri_pipeline.core.faces.tracker import FaceTracker
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.images import PictureCuts
+from hri_pipeline.core.recognition.embedding import face_chip
 
 STEP = 0.1
 SIZE = 100.0
@@ -131,6 +132,48 @@ def test_the_network_runs_seldom_on_a_face_that_goes_on():
     faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceJudge(network, 150, 0.8))
     show(faces, *[(scene((1, 200)), [200])] * 100)
     assert 1 <= network.runs <= 6
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_templates_that_recognition_has_made_replace_the_checks(given):
+    """Ten faces were asked of the network five times a second beside recognition, which had just asked it."""
+    network, other = Network(), Network()
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceJudge(network, 150, 0.8))
+    image = scene((1, 200))
+    for step in range(300):
+        stamp = step * STEP
+        name = faces.update([measurement(image, 200)], stamp)[0].id
+        if given and step % 15 == 14:
+            faces.take_templates({name: other([face_chip(image, mesh(200), 150)])[0]}, stamp)
+    checks = 300 * STEP / 2.0
+    assert network.runs == 1 if given else network.runs >= checks - 2, "one template to compare with"
+
+
+def test_a_template_of_somebody_else_neither_is_a_check_nor_becomes_a_view():
+    network = Network()
+    judge = AppearanceJudge(network, 150, 0.8)
+    image = scene((1, 200))
+    memory = judge.begin(look(image, 200), 0.0)
+    judge.verdict(memory, look(image, 200), 0.0)
+    judge.remember(memory, look(image, 200), 1.0)
+    judge.take_template(memory, network([face_chip(scene((2, 200)), mesh(200), 150)])[0], 1.0)
+    assert memory.checked == 0.0 and memory.last.template is None
+    judge.take_template(memory, network([face_chip(image, mesh(200), 150)])[0], 0.5)
+    assert memory.checked == 0.0, "of another image"
+    judge.take_template(memory, network([face_chip(image, mesh(200), 150)])[0], 1.0)
+    assert memory.checked == 1.0 and memory.views[-1] is memory.last
+
+
+def test_crops_are_aligned_as_the_network_wants_them():
+    seen, image = [], scene((1, 200))
+
+    def embed(crops):
+        seen.extend(crops)
+        return np.tile(np.float32([1.0, 0.0]), (len(crops), 1))
+    judge = AppearanceJudge(embed, 112, 1.08, "arcface")
+    judge.distance(judge.begin(look(image, 200), 0.0), look(image, 200))
+    wanted = face_chip(image, mesh(200), 112, alignment="arcface")
+    assert len(seen) == 2 and all(np.array_equal(crop, wanted) for crop in seen)
 
 
 @pytest.mark.parametrize("followed", [True, False])

@@ -82,10 +82,11 @@ class FaceLook:
         self.crop: Optional[np.ndarray] = None
         self.template: Optional[np.ndarray] = None
 
-    def keep_crop(self, size: int) -> None:
-        """Make the crop (size, size, 3) for the recognition network, where the face is large enough."""
+    def keep_crop(self, size: int, alignment: str = "dlib") -> None:
+        """Make the crop (size, size, 3) for the recognition network, where the face is large enough; alignment: see
+        `face_chip`."""
         if self.crop is None and self._bgr is not None and self.eyes >= LEAST_EYES:
-            self.crop = face_chip(self._bgr, self._mesh, size)
+            self.crop = face_chip(self._bgr, self._mesh, size, alignment=alignment)
 
     def release(self) -> None:
         """Let go of the image."""
@@ -139,6 +140,12 @@ class FaceMemory:
         self._viewed = stamp
         return True
 
+    def make_view(self, stamp: float) -> None:
+        """Keep the last look, of `stamp` (s), as a view."""
+        if self.views[-1] is not self.last:
+            self.views.append(self.last)
+        self._viewed = stamp
+
     def has_changed(self, look: FaceLook, stamp: float) -> bool:
         """Whether a look differs from the ones before, or it is time to check."""
         if stamp - self.checked >= CHECK_PERIOD or correlation(self.last, look) < SUDDEN:
@@ -158,10 +165,13 @@ class AppearanceJudge:
         Side of the crops, px.
     equal
         Distance of templates at which the same and another face are equally likely.
+    alignment
+        Of the crops, see `recognition.embedding.face_chip`.
     """
 
-    def __init__(self, embed: Optional[Embed] = None, size: int = 150, equal: float = 0.4) -> None:
-        self._embed, self._size, self._equal = embed, size, equal
+    def __init__(self, embed: Optional[Embed] = None, size: int = 150, equal: float = 0.4,
+                 alignment: str = "dlib") -> None:
+        self._embed, self._size, self._equal, self._alignment = embed, size, equal, alignment
 
     def begin(self, look: FaceLook, stamp: float) -> FaceMemory:
         """Return the memory of a face that is seen for the first time."""
@@ -175,7 +185,7 @@ class AppearanceJudge:
 
     def _keep(self, look: FaceLook) -> None:
         if self._embed is not None:
-            look.keep_crop(self._size)
+            look.keep_crop(self._size, self._alignment)
         look.release()
 
     def verdict(self, memory: FaceMemory, look: FaceLook, stamp: float, doubtful: bool = False) -> Verdict:
@@ -198,6 +208,23 @@ class AppearanceJudge:
             return Verdict.SAME if turned else Verdict.UNSURE
         return Verdict.OTHER if distance >= (AWAY_PART if turned else OTHER_PART) * self._equal else Verdict.UNSURE
 
+    def take_template(self, memory: FaceMemory, template: np.ndarray, stamp: float) -> None:
+        """Take a template (D,) that recognition has made of the last look, at `stamp` (s): where it is near the known
+        ones, no other one is needed for a check."""
+        known = [view.template for view in memory.views if view.template is not None]
+        if self._embed is None or not known or memory.last_stamp != stamp or memory.last.template is not None:
+            return
+        look = memory.last
+        look.keep_crop(self._size, self._alignment)
+        if look.crop is None:
+            return
+        look.template = template
+        if self._from_mean(look, known) <= SAME_PART * self._equal:
+            memory.checked = stamp
+            memory.make_view(stamp)
+        else:
+            look.template = None
+
     def is_found(self, memory: FaceMemory, look: FaceLook) -> bool:
         """Return whether a look anywhere in the picture shows the face that is remembered for certain."""
         distance = self.distance(memory, look)
@@ -207,7 +234,7 @@ class AppearanceJudge:
         """Return the distance between a look and the mean of the views, None without templates."""
         if self._embed is None:
             return None
-        look.keep_crop(self._size)
+        look.keep_crop(self._size, self._alignment)
         views = [view for view in memory.views if view.crop is not None]
         if look.crop is None or not views:
             return None
@@ -219,7 +246,7 @@ class AppearanceJudge:
         known = [view.template for view in memory.views if view.template is not None]
         if self._embed is None or not known:
             return False
-        look.keep_crop(self._size)
+        look.keep_crop(self._size, self._alignment)
         if look.crop is None:
             return False
         self._fill([look])
@@ -233,7 +260,7 @@ class AppearanceJudge:
 
     def _between(self, one: FaceLook, other: FaceLook) -> float:
         """Return the distance between two looks, infinite without templates."""
-        one.keep_crop(self._size)
+        one.keep_crop(self._size, self._alignment)
         if one.crop is None or other.crop is None:
             return float("inf")
         self._fill([one, other])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from typing import Any, Callable, Dict, List, Optional, Sequence, Set
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set
 
 import numpy as np
 
@@ -162,14 +162,17 @@ class FacePipeline:
         self._count(faces)
         if placed is not None:
             placed(faces)
-        return self._analysis.update(bgr, faces, stamp, demand, self._tracking.detected)
+        faces = self._analysis.update(bgr, faces, stamp, demand, self._tracking.detected)
+        if self.recognition is not None:
+            self._tracking.take_templates(self.recognition.made, stamp)
+        return faces
 
     def _judge(self) -> AppearanceJudge:
         """Return what compares the looks of faces, by templates where persons are recognised."""
         if self._analysis.recognition is None:
             return AppearanceJudge()
         embedder = self._analysis.recognition.embedder
-        return AppearanceJudge(embedder.embed, embedder.size, embedder.calibration.fair_midpoint)
+        return AppearanceJudge(embedder.embed, embedder.size, embedder.calibration.fair_midpoint, embedder.alignment)
 
     def _forget_dropped(self) -> None:
         """Drop the state of faces that are not tracked any more."""
@@ -310,6 +313,10 @@ class FaceTrackingPipeline:
         if self._tracker.replaced:
             self._search_anew(stamp)
         return [self._tracked_face(track, stamp) for track in seen]
+
+    def take_templates(self, templates: Mapping[str, np.ndarray], stamp: float) -> None:
+        """Take templates (D,) by id, which recognition has made of faces in the image of `stamp` (s)."""
+        self._tracker.take_templates(templates, stamp)
 
     def reset(self) -> None:
         """Drop every face, as after a jump in time; ids are not used again."""

@@ -12,7 +12,7 @@ what is the same by appearance (`appearance.AppearanceJudge`). Another face at i
 from __future__ import annotations
 
 import math
-from typing import Collection, List, Optional, Sequence, Set, Tuple
+from typing import Collection, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -221,6 +221,12 @@ class FaceTracker:
         self._reunite(stamp)
         self._keep_best(view)
         return [track for track in self._tracks if track.visible]
+
+    def take_templates(self, templates: Mapping[str, np.ndarray], stamp: float) -> None:
+        """Take templates (D,) by id, which recognition has made of the faces measured in the image of `stamp` (s)."""
+        for track in self._tracks:
+            if track.id in templates and track.memory is not None and track.doubtful_since is None:
+                self._judge.take_template(track.memory, templates[track.id], stamp)
 
     def _begin(self, measurements: Sequence[FaceMeasurement], stamp: float, view: Optional[Tuple[int, int]],
                strangers: Collection[int] = ()) -> None:

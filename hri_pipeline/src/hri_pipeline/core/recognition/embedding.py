@@ -115,6 +115,7 @@ class FaceEmbedder:
         self.dimension = self._kind.dimension
         self.calibration = self._kind.calibration
         self.size = self._kind.size
+        self.alignment = self._kind.alignment
         trial = self._run(np.zeros((1, self.size, self.size, 3), np.float32))
         if trial.size != self.dimension:
             raise ModelError("model file {} gives {} numbers instead of {}; it is another model: {}".format(
@@ -126,7 +127,7 @@ class FaceEmbedder:
         bgr: (H, W, 3) uint8; mesh: (468 or 478, 2 or more) px. Raises ValueError for points that are not finite or
         in one place.
         """
-        return face_chip(bgr, mesh, self.size, alignment=self._kind.alignment)
+        return face_chip(bgr, mesh, self.size, alignment=self.alignment)
 
     def embed(self, crops: Sequence[np.ndarray]) -> np.ndarray:
         """Return (N, dimension) float32 unit vectors of crops (N, size, size, 3) uint8 BGR; (0, dimension) for none.

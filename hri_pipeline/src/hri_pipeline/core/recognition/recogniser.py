@@ -409,6 +409,8 @@ class FaceRecognition:
         self._due: List[str] = []
         self._asked = -np.inf
         self._qualities: Mapping[str, float] = {}
+        self.made: Dict[str, np.ndarray] = {}
+        """Templates (D,) of the last image by id of their face."""
 
     @property
     def embedder(self) -> FaceEmbedder:
@@ -420,7 +422,7 @@ class FaceRecognition:
 
         limit: how many templates look() may make.
         """
-        self._qualities = qualities
+        self._qualities, self.made = qualities, {}
         self._due = self.recogniser.seen(qualities, stamp, limit)
         return bool(self._due)
 
@@ -431,6 +433,7 @@ class FaceRecognition:
         if not chosen:
             return self.recogniser.changes()
         templates = self._embedder.embed([self._embedder.crop(bgr, face.mesh) for face in chosen])
+        self.made = {face.id: template for face, template in zip(chosen, templates)}
         return self.recogniser.update([face.id for face in chosen], templates,
                                       [self._qualities[face.id] for face in chosen], stamp)
 
@@ -451,7 +454,7 @@ class FaceRecognition:
     def reset(self) -> None:
         """Forget all faces; the persons stay."""
         self.recogniser.reset()
-        self._due = []
+        self._due, self.made = [], {}
         self._asked = -np.inf
 
     def flush(self) -> None:
