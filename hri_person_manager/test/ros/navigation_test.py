@@ -107,6 +107,9 @@ class TestNavigation(unittest.TestCase):
         self.assertAlmostEqual(seen[0, 0] ** 0.5, 0.24, delta=0.03)
         self.assertAlmostEqual(seen[2, 2] ** 0.5, 0.07, delta=0.03)
         markers = Latest("/visualization/persons", MarkerArray)
+        deleted = []
+        watch = rospy.Subscriber("/visualization/persons", MarkerArray, lambda array: deleted.extend(
+            marker.ns for marker in array.markers if marker.action == Marker.DELETE))
         wait_for(lambda: markers.value is not None and any(
             marker.ns == "uncertainty" and marker.type == Marker.CYLINDER and marker.scale.x > 2.0 * marker.scale.y
             for marker in markers.value.markers), WAIT_S, "an ellipse")
@@ -116,6 +119,8 @@ class TestNavigation(unittest.TestCase):
         gone = wait_for(lambda: next((item for item in people.value.people if item.name == name
                                       and item.reliability < 0.9), None), WAIT_S, "less reliability")
         self.assertEqual((gone.velocity.x, gone.velocity.y), (0.0, 0.0))
+        wait_for(lambda: {"persons", "uncertainty"} <= set(deleted), 2.0 * WAIT_S, "markers that are taken back")
+        watch.unregister()
         for topic in (people, position, markers):
             topic.close()
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.audio.array import SPEED_OF_SOUND, MicrophoneArray, parse_positions
+from hri_pipeline.core.audio.array import SPEED_OF_SOUND, MicrophoneArray, check_channels, parse_positions
 from hri_pipeline.core.parameters import ParameterError
 
 SQUARE = [[0.04, 0.04, 0.0], [-0.04, 0.04, 0.0], [-0.04, -0.04, 0.0], [0.04, -0.04, 0.0]]
@@ -75,3 +75,14 @@ def test_diffuse_sound_is_alike_at_one_place_and_not_far_away():
     np.testing.assert_allclose(coherence[0], 1.0)
     np.testing.assert_allclose(np.diag(coherence[1]), 1.0)
     assert abs(coherence[1, 0, 1]) < 0.05
+
+
+@pytest.mark.parametrize("channels", [[-1], [], [0], [1, 2, 3, 4], [3, 1]])
+def test_channels_are_all_or_each_once(channels):
+    check_channels(channels)
+
+
+@pytest.mark.parametrize("channels", [[-1, 2], [2, -1], [-1, -1], [1, 1]])
+def test_channels_that_contradict_themselves_are_refused(channels):
+    with pytest.raises(ParameterError, match=r"microphone_channels is \[.*\[-1\] alone for all"):
+        check_channels(channels)

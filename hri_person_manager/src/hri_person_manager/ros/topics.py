@@ -31,7 +31,7 @@ from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.overlay import label_lifts
 from hri_pipeline.ros.conversions import to_time
-from hri_pipeline.ros.markers import make_marker
+from hri_pipeline.ros.markers import ShownMarkers, make_marker
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
 from hri_pipeline.ros.rospy_compat import release
 
@@ -332,6 +332,8 @@ class PersonMarkers:
 
     def __init__(self) -> None:
         self._publisher = rospy.Publisher("visualization/persons", MarkerArray, queue_size=1)
+        self._shown = ShownMarkers()
+        self._frame = ""
 
     def publish(self, snapshot: Snapshot) -> None:
         """Show the persons that have a place, with its 95 % ellipse; they fade with their confidence."""
@@ -352,7 +354,8 @@ class PersonMarkers:
             markers += [make_marker(header, "persons", 2 * number, Marker.SPHERE, (2.0 * RADIUS,) * 3, COLOUR, alpha,
                                     middle, LIFETIME_S), text]
             markers += _ellipse(number, place)
-        self._publisher.publish(MarkerArray(markers))
+        self._frame = shown[0][2].frame if shown else self._frame
+        self._publisher.publish(self._shown.update(markers, Header(frame_id=self._frame)))
 
     def close(self) -> None:
         """Take the topic back. Idempotent."""

@@ -18,7 +18,7 @@ import rospy
 from hri_msgs.msg import IdsMatch
 from hri_pipeline.core.asr.engines import LanguageError
 from hri_pipeline.core.asr.recognition import SpeechRecognition
-from hri_pipeline.core.audio.array import parse_positions
+from hri_pipeline.core.audio.array import check_channels, parse_positions
 from hri_pipeline.core.audio.own_voice import BargeInFilter, RobotSpeech, hear_humans
 from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.pipeline import VoiceObservation, VoicePipeline
@@ -153,7 +153,7 @@ class VoiceProcessor:
     ModelError
         When a model is missing or damaged.
     ParameterError
-        For impossible positions of microphones, or a wrong grammar.
+        For impossible positions or channels of microphones, or a wrong grammar.
     """
 
     def __init__(self, settings: VoicesSettings) -> None:
@@ -162,6 +162,7 @@ class VoiceProcessor:
         self._privacy = PrivacyTopic(data_use(settings))
         has_array = settings.direction and settings.microphone_positions
         self._positions = parse_positions(settings.microphone_positions) if has_array else np.zeros((0, 3))
+        check_channels(settings.microphone_channels)
         self._model = ActivityModel(model_path(settings.vad_model, "silero_vad.onnx"), notify=rospy.logwarn)
         self._ids = IdGenerator()
         self._no_speakers = ""

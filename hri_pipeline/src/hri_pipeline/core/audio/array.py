@@ -70,6 +70,19 @@ def check_positions(positions: np.ndarray) -> np.ndarray:
     return positions
 
 
+def check_channels(channels: Sequence[int]) -> None:
+    """Check the parameter `microphone_channels`: [-1], all, or channels from 0, none twice.
+
+    Raises
+    ------
+    ParameterError
+        The text says what is wrong and how to correct it.
+    """
+    if list(channels) not in ([], [-1]) and (min(channels) < 0 or len(set(channels)) < len(channels)):
+        raise ParameterError("microphone_channels is {}; give the channel of each microphone, from 0, such as "
+                             "[1, 2, 3, 4], or [-1] alone for all".format(list(channels)))
+
+
 def _parse_position(index: int, row: Union[str, Sequence[float]]) -> Sequence[float]:
     try:
         numbers = [float(word) for word in (row.replace(",", " ").split() if isinstance(row, str) else row)]
