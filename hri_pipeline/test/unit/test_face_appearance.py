@@ -243,6 +243,18 @@ def test_somebody_who_walks_through_the_picture_is_no_cut():
         assert not cuts.update(image)
 
 
+@pytest.mark.parametrize("rate", [2.0, 3.0])
+def test_two_who_cross_before_a_wall_are_no_cut(rate):
+    """They fill the middle of the picture and move against each other, and the wall has no pattern."""
+    cuts = PictureCuts()
+    for stamp in np.arange(0.0, 3.4, 1.0 / rate):
+        image = np.repeat(np.linspace(120, 150, 1280)[None, :, None], 720, axis=0).repeat(3, axis=2).astype(np.uint8)
+        for x in (300 + 200 * stamp, 980 - 200 * stamp):
+            image[160:290, int(x) - 35:int(x) + 35] = 60
+            image[290:, int(x) - 70:int(x) + 70] = 40
+        assert not cuts.update(image), stamp
+
+
 def test_empty_pictures_are_no_cut_and_any_size_is_taken():
     cuts = PictureCuts()
     assert not any(cuts.update(np.full(shape, 7, np.uint8)) for shape in ((480, 640, 3), (1, 1, 3), (3, 900, 3)))

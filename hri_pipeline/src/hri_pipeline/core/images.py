@@ -306,11 +306,14 @@ _CUT = 0.5
 """Correlation of two pictures, moved against each other at best, below which they show something else."""
 _EMPTY = 4.0
 """Standard deviation (grey values) below which a picture shows nothing."""
+_STAYED, _STAYED_BY = 0.62, 6.0
+"""Part of the picture that stays as it was, within so many grey values, from which there was no cut: people who cross
+before a wall leave .67 and more of it, even at 2 Hz; cuts between photographs and between films .20, one pair .57."""
 
 
 class PictureCuts:
-    """Tells when most of the picture changes from one image to the next, and not by a motion of the camera or by
-    light."""
+    """Tells when most of the picture changes from one image to the next, and not by a motion of the camera, by light, or
+    by people who walk before the same background."""
 
     def __init__(self) -> None:
         self._last: Optional[np.ndarray] = None
@@ -324,6 +327,8 @@ class PictureCuts:
         empty = float(small.std()) < _EMPTY, float(last.std()) < _EMPTY
         if any(empty):
             return not all(empty)
+        if float((np.abs(small - last) < _STAYED_BY).mean()) >= _STAYED:
+            return False
         margin = int(_SIDE * _MOST_MOTION)
         inner = small[margin:-margin, margin:-margin]
         if float(inner.std()) < _EMPTY:
