@@ -13,7 +13,9 @@ from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.triangulation import SensorTrack
+from hri_person_manager.core.view_groups import clothes_evidence
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.tracks import COLOUR_BINS
 
 RATE = 15.0
 
@@ -105,17 +107,19 @@ def test_one_human_in_two_views_is_one_person():
     assert len(room.tracked) == 1 and len(set(room.ids[60:])) == 1
 
 
-def colours(middle):
-    """Histograms of which those of middles that are far apart have little in common."""
-    rows = np.exp(-0.5 * ((np.arange(21) - middle) / 2.0) ** 2)
-    return np.tile(rows / rows.sum(), (5, 1))
+def colours(top, trousers=60.0, light=0.0, tint=0.0):
+    """Histograms (5, 21) of clothes of these lightnesses (0 to 255) as a camera of some light and tint shows them."""
+    middles = [top + light] * 3 + [trousers + light] * 2
+    spread = np.array([[25.0], [8.0], [8.0]])
+    rows = [np.exp(-0.5 * ((COLOUR_BINS - np.array([[middle], [tint], [tint]])) / spread) ** 2) for middle in middles]
+    return np.stack([(row / row.sum(axis=1, keepdims=True)).ravel() / 3.0 for row in rows])
 
 
 def test_clothes_end_and_hasten_unions():
     """Two cameras that see somebody each, at one place; the clothes differ, or not."""
     joined = {}
-    for name, other in (("equal", 5.0), ("unknown", None), ("different", 15.0)):
-        clothes = {("left", 0): colours(5.0)}
+    for name, other in (("equal", 40.0), ("unknown", None), ("different", 220.0)):
+        clothes = {("left", 0): colours(40.0)}
         if other is not None:
             clothes["right", 0] = colours(other)
         room = Room(OVERLAPPING, clothes=clothes)
@@ -142,12 +146,45 @@ def test_two_cameras_place_somebody_before_they_are_told_to_see_one():
 
 def test_whose_clothes_are_others_is_not_who_left():
     seen = {}
-    for other in (5.0, 15.0):
-        room = Room(APART, clothes={("left", 0): colours(5.0), ("right", 0): colours(other)})
+    for other in (40.0, 220.0):
+        room = Room(APART, clothes={("left", 0): colours(40.0), ("right", 0): colours(other)})
         first = room.run(2.0, standing(0.5))
         room.run(9.0, walking(0.5, 1.0, since=2.0, stop=7.0))
         seen[other] = room.tracked == first
-    assert seen == {5.0: True, 15.0: False}
+    assert seen == {40.0: True, 220.0: False}
+
+
+def test_who_left_is_known_in_the_light_of_another_camera():
+    """A brighter and yellower image changes all parts alike; a dark shirt under it is somebody else's."""
+    seen = {}
+    for top in (180.0, 20.0):
+        room = Room(APART, clothes={("left", 0): colours(180.0), ("right", 0): colours(top, light=45.0, tint=11.0)})
+        first = room.run(2.0, standing(0.5))
+        room.run(9.0, walking(0.5, 1.0, since=2.0, stop=7.0))
+        seen[top] = room.tracked == first
+    assert seen == {180.0: True, 20.0: False}
+
+
+def evidence(one, other):
+    tracks = SensorTrack("left"), SensorTrack("right")
+    for track, appearance in zip(tracks, (one, other)):
+        track.appearance = appearance
+    return clothes_evidence(tracks[:1], tracks[1:])
+
+
+def test_the_light_of_a_camera_speaks_less_against_one_human_than_one_part_of_the_clothes():
+    own = colours(100.0)
+    of_light = evidence(own, colours(100.0, light=45.0, tint=11.0))
+    assert of_light > 1.5 and of_light == pytest.approx(evidence(colours(100.0, light=45.0, tint=11.0), own))
+    assert evidence(own, colours(220.0)) < 0.0 < 1.5 < evidence(own, colours(190.0, 150.0))
+
+
+def test_clothes_are_compared_by_the_parts_that_both_show():
+    own, other = colours(100.0), colours(100.0, 200.0)
+    other[3:] = 0.0
+    assert evidence(own, other) > 0.0 > evidence(own, colours(100.0, 250.0))
+    own[:3] = 0.0
+    assert evidence(own, other) == 0.0
 
 
 @pytest.mark.parametrize("colours", [np.zeros(5), np.full((5, 21), np.nan), np.full((5, 21), -0.1)],
@@ -158,7 +195,7 @@ def test_an_appearance_of_wrong_numbers_is_refused(colours):
 
 
 def test_clothes_of_another_number_of_colours_say_nothing():
-    room = Room(OVERLAPPING, clothes={("left", 0): colours(5.0), ("right", 0): np.ones((3, 4)) / 4.0})
+    room = Room(OVERLAPPING, clothes={("left", 0): colours(40.0), ("right", 0): np.ones((3, 4)) / 4.0})
     room.run(6.0, standing(3.0))
     assert len(room.tracked) == 1
 

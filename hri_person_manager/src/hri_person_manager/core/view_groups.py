@@ -19,16 +19,19 @@ import numpy as np
 
 from hri_person_manager.core.features import Kind, MatchNode
 from hri_person_manager.core.triangulation import FRESH_S, Estimate, SensorTrack, shares, weighted
-from hri_pipeline.core.tracks import appearance_distances
+from hri_pipeline.core.tracks import COLOUR_BINS, mean_colours
 
 OVERLAP_S = 0.2            # two views of one sensor that were there at once for so long are two humans
 STANDING_MPS = 0.15        # who goes slower stands
 RESTING_M = 0.12           # nearer to the mean of the last seconds somebody stands rather than walks
 LEARNT_VARIANCE = 0.1 ** 2     # a scale is used from then on
 FIXED_VARIANCE = 0.08 ** 2     # of a scale that was learnt, as far as it changes with the moment
-# The clothes of one human differ by .39 +- .11 between two cameras, those of two people by .60 +- .11: where that tells
-# nothing, change of the logarithm of the likelihood ratio with the difference, and what it is worth at most.
-CLOTHES_EVEN, CLOTHES_SLOPE = 0.5, 15.0
+# Deviations of the mean colours (8-bit L*a*b*) of the parts of one human between two cameras: one that all parts share
+# (exposure, white balance), and one of each part (the side that is seen). Of two people: that of clothes, of which
+# the share SUIT is common to all parts of one. Wide enough for lights that change dark clothes less, and for no shared
+# light at all; therefore only the share CLOTHES_TRUST of the logarithm of the likelihood ratio counts.
+CAMERA_COLOUR, PART_COLOUR = np.array([28.0, 9.0, 9.0]), np.array([20.0, 5.0, 5.0])
+CLOTHES_COLOUR, SUIT, CLOTHES_TRUST = np.array([60.0, 10.0, 10.0]), 0.4, 0.25
 LEAST_CLOTHES, MOST_CLOTHES = -4.0, 2.5
 MAX_SENSORS = 50
 MAX_NAMES = 1000
@@ -375,14 +378,31 @@ class ViewGroups:
 
 def clothes_evidence(tracks: Iterable[SensorTrack], others: Iterable[SensorTrack]) -> float:
     """Return the logarithm of the likelihood ratio of the clothes of these tracks as one human's, against two people's;
-    0 where they are not known."""
+    0 where they are not known.
+
+    What two cameras show differently of all parts is more likely their light than what is different of one part.
+    """
     one, other = ([track.appearance for track in of if track.appearance is not None] for of in (tracks, others))
-    if not one or not other or one[0].shape != other[0].shape:
+    if not one or not other or any(of[0].shape[1] != COLOUR_BINS.size or of[0].shape != one[0].shape
+                                   for of in (one, other)):
         return 0.0
-    apart = float(appearance_distances(one[0], other[0]))
-    if math.isnan(apart):
+    offsets = mean_colours(other[0]) - mean_colours(one[0])
+    offsets = offsets[np.isfinite(offsets).all(axis=1)]
+    if not len(offsets):
         return 0.0
-    return min(max(CLOTHES_SLOPE * (CLOTHES_EVEN - apart), LEAST_CLOTHES), MOST_CLOTHES)
+    alone, shared, clothes = PART_COLOUR ** 2, CAMERA_COLOUR ** 2, 2.0 * CLOTHES_COLOUR ** 2
+    ratios = _log_alike(offsets, alone, shared) - _log_alike(
+        offsets, alone + (1.0 - SUIT) * clothes, shared + SUIT * clothes)
+    return min(max(CLOTHES_TRUST * float(ratios.sum()), LEAST_CLOTHES), MOST_CLOTHES)
+
+
+def _log_alike(offsets: np.ndarray, alone: np.ndarray, shared: np.ndarray) -> np.ndarray:
+    """Logarithms (C,), but for a constant, of the normal density of offsets (N, C), of which each has the variance
+    alone (C,) of its own, and all have one of the variance shared (C,) in common."""
+    parts = len(offsets)
+    both = alone + parts * shared
+    square = ((offsets ** 2).sum(axis=0) - shared / both * offsets.sum(axis=0) ** 2) / alone
+    return -0.5 * (square + (parts - 1) * np.log(alone) + np.log(both))
 
 
 def is_doubted(views: List[View], others: List[View]) -> bool:

@@ -9,6 +9,11 @@ from typing import List, Tuple
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+COLOUR_BINS = np.array([[0.0, 30.0, 60.0, 90.0, 130.0, 180.0, 255.0],
+                        *2 * [[-40.0, -20.0, -8.0, 0.0, 8.0, 20.0, 40.0]]])
+"""Middles of the bins of lightness and of both axes of colour (CIE 1976 L*a*b*, 8 bits) of the histograms of clothes.
+Narrow where clothes are: most are dark and of little colour."""
+
 
 class TrackLife:
     """Life of one track: a candidate until it is confirmed, and dead when it has not been detected for long.
@@ -77,6 +82,15 @@ def assign(cost: np.ndarray, max_cost: float) -> List[Tuple[int, int]]:
     illegal = cost[legal].max() + (spread + 1.0) * min(cost.shape)
     rows, columns = linear_sum_assignment(np.where(legal, cost, illegal))
     return [(int(row), int(column)) for row, column in zip(rows, columns) if legal[row, column]]
+
+
+def mean_colours(appearance: np.ndarray) -> np.ndarray:
+    """Return the mean colours (P, 3), L*a*b* of 8 bits, of the histograms (P, 21) of the parts of one human; NaN where
+    a part is not shown."""
+    parts = appearance.reshape(len(appearance), 3, -1)
+    with np.errstate(invalid="ignore"):
+        colours: np.ndarray = (parts * COLOUR_BINS).sum(axis=2) / parts.sum(axis=2)
+    return colours
 
 
 def appearance_distances(one: np.ndarray, others: np.ndarray) -> np.ndarray:

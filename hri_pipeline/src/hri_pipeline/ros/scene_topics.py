@@ -47,6 +47,7 @@ from hri_pipeline.core.simulation.sensors import (
 )
 from hri_pipeline.core.simulation.world import PersonTruth, SceneTruth
 from hri_pipeline.core.timing import StampPacer
+from hri_pipeline.core.tracks import COLOUR_BINS
 from hri_pipeline.ros.conversions import (
     action_units_to_msg,
     camera_info,
@@ -71,8 +72,6 @@ _MICROPHONE = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _EYES, _LIPS, _JAW = FacialActionUnits.BLINK, FacialActionUnits.LIPS_PART, FacialActionUnits.JAW_DROP
 _APPEARANCE_HZ = 1.0
 _GARMENTS = (0, 0, 0, 1, 1)        # of chest, belly, sleeves, thighs, shins
-_LIGHTNESS = np.array([0.0, 30.0, 60.0, 90.0, 130.0, 180.0, 255.0])
-_TINTS = np.array([-40.0, -20.0, -8.0, 0.0, 8.0, 20.0, 40.0])
 _SYLLABLES = 4.0    # per second; the jaw goes with them
 
 
@@ -214,7 +213,7 @@ def clothes(wearer: str) -> np.ndarray:
     rows = []
     for _ in range(2):
         parts = [np.exp(-0.5 * ((bins - random.uniform(0.8 * bins[0], 0.8 * bins[-1])) / (0.1 * np.ptp(bins))) ** 2)
-                 for bins in (_LIGHTNESS, _TINTS, _TINTS)]
+                 for bins in COLOUR_BINS]
         rows.append(np.concatenate([part / part.sum() for part in parts]) / 3.0)
     return np.stack([rows[garment] for garment in _GARMENTS])
 

@@ -29,12 +29,8 @@ from hri_fullbody.core.keypoints import (
     BLAZE_RIGHT_SHOULDER,
     BLAZE_RIGHT_WRIST,
 )
-from hri_pipeline.core.tracks import appearance_distances
+from hri_pipeline.core.tracks import COLOUR_BINS, appearance_distances
 
-# Where the bins of lightness, and of both colour axes (CIE 1976 L*a*b*, 8 bits), have their middles; a value between
-# two counts for both, so that no colour lies on a border. Narrow where clothes are: most are dark and of little colour.
-_LIGHTNESS = np.array([0.0, 30.0, 60.0, 90.0, 130.0, 180.0, 255.0])
-_COLOUR = np.array([-40.0, -20.0, -8.0, 0.0, 8.0, 20.0, 40.0])
 _LEAST_CONFIDENCE = 0.4
 _LEAST_SAMPLES = 12
 # Where the samples lie: across and along, in parts of the trunk and of the limb. The rims show background.
@@ -47,7 +43,7 @@ _SLEEVES = ((BLAZE_LEFT_SHOULDER, BLAZE_LEFT_ELBOW), (BLAZE_LEFT_ELBOW, BLAZE_LE
 _THIGHS = ((BLAZE_LEFT_HIP, BLAZE_LEFT_KNEE), (BLAZE_RIGHT_HIP, BLAZE_RIGHT_KNEE))
 _SHINS = ((BLAZE_LEFT_KNEE, BLAZE_LEFT_ANKLE), (BLAZE_RIGHT_KNEE, BLAZE_RIGHT_ANKLE))
 PARTS = 5
-BINS = len(_LIGHTNESS) + 2 * len(_COLOUR)
+BINS = COLOUR_BINS.size
 
 
 def describe(image: np.ndarray, estimate: PoseEstimate) -> Optional[np.ndarray]:
@@ -134,17 +130,18 @@ def _rows(owners: np.ndarray, count: int, pixels: np.ndarray) -> np.ndarray:
 
 def _shares() -> np.ndarray:
     """How much (768, 21) each value, 256 of lightness and of both axes of colour, counts for each bin."""
-    light, colour = _near_bins(np.arange(256.0), _LIGHTNESS), _near_bins(np.arange(-128.0, 128.0), _COLOUR)
+    light, colour = _near_bins(np.arange(256.0), COLOUR_BINS[0]), _near_bins(np.arange(-128.0, 128.0), COLOUR_BINS[1])
     # A little more or less light is forgiven.
     edged = np.pad(light, ((0, 0), (1, 1)), "edge")
-    shares = np.zeros((3, 256, 3, len(_COLOUR)))
+    shares = np.zeros((3, 256, *COLOUR_BINS.shape))
     shares[0, :, 0] = 0.25 * edged[:, :-2] + 0.5 * light + 0.25 * edged[:, 2:]
     shares[1, :, 1] = shares[2, :, 2] = colour
     return shares.reshape(768, BINS)
 
 
 def _near_bins(values: np.ndarray, middles: np.ndarray) -> np.ndarray:
-    """Shares (N, B) of values (N,): each counts for the bins on both sides of it, the nearer more."""
+    """Shares (N, B) of values (N,): each counts for the bins on both sides of it, the nearer more, so that no colour
+    lies on a border."""
     place = np.interp(values, middles, np.arange(len(middles)))
     return np.asarray(np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(len(middles)))))
 
