@@ -9,8 +9,15 @@ import pytest
 from posed_people import STATURE, UP
 
 from hri_fullbody.core import keypoints as kp
-from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH, arm_features, trunk_axes
-from hri_fullbody.core.behaviour.attitude import AttitudeClass, AttitudeEstimator, Latch, Rule
+from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH, ArmFeatures, arm_features, trunk_axes
+from hri_fullbody.core.behaviour.attitude import (
+    CROSSED_RULE,
+    AttitudeClass,
+    AttitudeEstimator,
+    Latch,
+    Rule,
+    crossed_score,
+)
 from hri_fullbody.core.behaviour.gesture import GestureClass, turns
 from hri_fullbody.core.behaviour.posture import PostureClass, PostureEstimator, without_guessed_limbs
 from hri_fullbody.core.behaviour.recognizer import BehaviourRecognizer, BodyBehaviour
@@ -224,6 +231,26 @@ def test_an_attitude_that_is_about_to_end_does_not_begin_as_another_one_ends():
     both, arms = both._replace(to_face=(0.05, both.to_face[1])), AttitudeEstimator()
     told = [arms.update(both if index < 30 else neither, 1.0 / 30.0) for index in range(75)]
     assert AttitudeClass.HANDS_ON_FACE in told and AttitudeClass.ARMS_CROSSED not in told[30:]
+
+
+def both_arms(**measures):
+    """Measures of the arms that are the same on both sides, outward and ahead of a pair that faces the camera."""
+    measures = {name: (value, value) for name, value in measures.items()}
+    lateral, above = measures.pop("inward")[0], measures.pop("slope")[0]
+    neither = (math.nan, math.nan)
+    return ArmFeatures(**dict(dict.fromkeys(ArmFeatures._fields, neither), lateral=(-lateral, lateral),
+                              above_elbow=(above, -above), **measures))
+
+
+@pytest.mark.parametrize("measures, crossed", [
+    (dict(forward=0.09, to_other_elbow=0.185, elbow=1.25, ahead=0.06, inward=0.16, slope=0.04), True),
+    (dict(forward=0.09, to_other_elbow=0.250, elbow=1.25, ahead=0.06, inward=0.16, slope=0.04), False),
+    (dict(forward=0.14, to_other_elbow=0.150, elbow=1.95, ahead=0.09, inward=0.09, slope=0.04), False),
+    (dict(forward=0.12, to_other_elbow=0.120, elbow=1.95, ahead=0.09, inward=0.12, slope=0.04), True)],
+    ids=["loose, against each other", "too loose", "at one handle", "tight"])
+def test_what_lacks_of_one_sign_of_folded_arms_others_make_up_for(measures, crossed):
+    features = both_arms(outward=-0.005, level=-0.15, **measures)
+    assert (crossed_score(features, 0.15) >= CROSSED_RULE.on) == crossed
 
 
 POSTURES = [
