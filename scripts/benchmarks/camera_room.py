@@ -5,9 +5,10 @@ The error along the ray has three parts: one of the person, which all cameras sh
 adult of the same size in the image), one of the person for this camera, and one that changes within a second. So it
 does not average out while somebody stands. No floor is used.
 
-Clothes are those of `identity_worlds`, three of four pieces dark, seen in another light, and from another side, by each
+Clothes are those of `identity_worlds`, half of the pieces dark, seen in another light, and from another side, by each
 camera: so much so that one human's differ by .5 at most in 82 % of the pairs of cameras, as was measured. (Those of
-two people did in no pair that was measured; here they do in one of four.)
+two people did in no pair that was measured; here they do in one of ten.) How much of the light all parts share was not
+measured: most of it here.
 """
 
 from __future__ import annotations
