@@ -28,8 +28,9 @@ LEARNT_VARIANCE = 0.1 ** 2     # a scale is used from then on
 FIXED_VARIANCE = 0.08 ** 2     # of a scale that was learnt, as far as it changes with the moment
 # Deviations of the mean colours (8-bit L*a*b*) of the parts of one human between two cameras: one that all parts share
 # (exposure, white balance), and one of each part (the side that is seen). Of two people: that of clothes, of which
-# the share SUIT is common to all parts of one. Wide enough for lights that change dark clothes less, and for no shared
-# light at all; therefore only the share CLOTHES_TRUST of the logarithm of the likelihood ratio counts.
+# the share SUIT is common to all parts of one. The errors of the parts are not independent, and a light changes dark
+# clothes less: only the share CLOTHES_TRUST of the logarithm of the likelihood ratio counts. Without any shared light
+# fewer are kept than by the distance of the histograms.
 CAMERA_COLOUR, PART_COLOUR = np.array([28.0, 9.0, 9.0]), np.array([20.0, 5.0, 5.0])
 CLOTHES_COLOUR, SUIT, CLOTHES_TRUST = np.array([60.0, 10.0, 10.0]), 0.4, 0.25
 LEAST_CLOTHES, MOST_CLOTHES = -4.0, 2.5
