@@ -258,6 +258,10 @@ POSTURES = [
     ("leaning forward", people.standing().lean(10.0), PostureClass.STANDING),
     ("a foot lifted in walking", people.standing().leg((0.16, 0.0, -0.38), (-0.20, 0.0, -0.57)), PostureClass.STANDING),
     ("a foot that stands higher", people.standing().leg((0.24, 0.0, -0.33), (-0.05, 0.0, -0.46)), PostureClass.OTHER),
+    ("a foot a little higher, the thigh raised", people.standing().leg((0.33, 0.0, -0.28), (0.20, 0.0, -0.62)),
+     PostureClass.OTHER),
+    ("a raised thigh, its foot hidden",
+     people.standing().leg((0.33, 0.0, -0.28), (0.20, 0.0, -0.62)).without(kp.LEFT_ANKLE), PostureClass.OTHER),
     ("seated", people.seated(), PostureClass.SITTING),
     ("seated, leaning back", people.seated(-20.0), PostureClass.SITTING),
     ("seated on the ground", people.standing().legs((0.39, 0.1, 0.08), (0.75, 0.1, -0.08)), PostureClass.SITTING),
@@ -327,14 +331,48 @@ def test_one_camera_puts_hands_before_the_face(elbow, wrist, depth_counts, sure,
     assert told[-1].attitude == attitude
 
 
+def with_confidence(points, confidence, seconds=2.0):
+    """The posture after some seconds at 10 Hz. confidence: (18,), or a function of the number of the image."""
+    body = BehaviourRecognizer()
+    told = []
+    for index in range(int(10.0 * seconds)):
+        of_image = confidence(index) if callable(confidence) else confidence
+        pixels = np.column_stack([400.0 * points[:, :2] + (640.0, 760.0), of_image])
+        told.append(body.update(without_guessed_limbs(points, pixels, 1280, 2000), STATURE, 0.1 * index, UP,
+                                confidence=of_image).posture)
+    return told[-1]
+
+
 def test_legs_that_the_network_guesses_are_no_legs():
-    points = people.seated().seen()
-    pixels = np.column_stack([400.0 * points[:, :2] + (640.0, 760.0), np.full(18, 0.9)])
-    assert last(without_guessed_limbs(points, pixels, 1280, 2000)).posture == PostureClass.SITTING
-    pixels[kp.LEFT_KNEE, 2] = 0.3
-    assert np.isnan(without_guessed_limbs(points, pixels, 1280, 2000)[kp.LEFT_KNEE]).all()
-    pixels[[kp.RIGHT_ANKLE, kp.LEFT_ANKLE], 2] = 0.3
-    assert last(without_guessed_limbs(points, pixels, 1280, 2000)).posture == PostureClass.OTHER
+    points, confidence = people.seated().seen(), np.full(18, 0.9)
+    assert with_confidence(points, confidence) == PostureClass.SITTING
+    confidence[[kp.LEFT_KNEE, kp.RIGHT_KNEE]] = (0.2, 0.5)
+    assert with_confidence(points, confidence) == PostureClass.SITTING, "by the other leg"
+    confidence[[kp.RIGHT_ANKLE, kp.LEFT_ANKLE]] = 0.3
+    assert with_confidence(points, confidence) == PostureClass.OTHER
+
+
+def test_knees_that_are_seen_in_turn_are_evidence_together():
+    def in_turn(least, most):
+        def confidence(index):
+            values = np.full(18, 0.4)
+            values[[kp.LEFT_HIP, kp.RIGHT_HIP, kp.LEFT_SHOULDER, kp.RIGHT_SHOULDER]] = 0.9
+            values[[kp.LEFT_KNEE, kp.RIGHT_KNEE]] = (least, most) if index // 4 % 2 else (most, least)
+            return values
+        return confidence
+
+    seated = people.seated().seen()
+    assert with_confidence(seated, in_turn(0.42, 0.58)) == PostureClass.SITTING
+    assert with_confidence(seated, in_turn(0.20, 0.58)) == PostureClass.OTHER
+    assert with_confidence(people.standing().seen(), in_turn(0.42, 0.58)) == PostureClass.STANDING
+
+
+def test_two_knees_that_may_be_guessed_are_no_sign_of_crouching():
+    points, confidence = people.crouching().seen(), np.full(18, 0.95)
+    confidence[kp.LEFT_KNEE] = 0.8
+    assert with_confidence(points, confidence) == PostureClass.CROUCHING
+    confidence[kp.RIGHT_KNEE] = 0.8
+    assert with_confidence(points, confidence) == PostureClass.OTHER
 
 
 @pytest.mark.parametrize("up_sd", np.radians([5.0, 9.0]), ids=["stood", "never stood"])

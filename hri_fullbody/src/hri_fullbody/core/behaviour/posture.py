@@ -29,7 +29,9 @@ _HIPS, _KNEES = [LEFT_HIP, RIGHT_HIP], [LEFT_KNEE, RIGHT_KNEE]
 # Angles in degrees from the vertical, lengths in statures.
 _UPRIGHT, _LYING = 50.0, 60.0
 _STRAIGHT_THIGH, _STRAIGHT_KNEE = 38.0, 50.0
-_STEP, _STEP_THIGH = 0.12, 30.0     # foot of a wrong leg of who sits: .15 higher, thigh 35; of who walks: .15 and 23
+# Beside a straight leg, degrees of the thigh and the height of the foot (statures, in degrees) of who sits: 45 and .10,
+# or 35 and .15; of who walks: 23 and .15.
+_STEP, _STEP_HEIGHT, _STEP_THIGH = 50.0, 150.0, 25.0
 _HANGING_THIGH = 22.0
 # A seat bears the hips at the height of the knees. Estimated hips lie up to a tenth of the leg too high on people who
 # sit, so that their thighs seem to slope.
@@ -46,8 +48,8 @@ _LEG = 0.481  # thigh and shank
 _HOLD_S = 0.3
 _UNKNOWN_S = 1.0
 # Who sits keeps the knees where they are before the hips. Standard deviation (statures) over the last _STILL_S of one
-# that may be guessed: on photographs at most .06 of who sits; of a hidden one, guessed elsewhere each time, .08 to .11.
-_STILL_S, _STILL_SD = 0.6, 0.065
+# that may be guessed: on photographs at most .05 of who sits; of a hidden one, guessed elsewhere each time, .08 to .11.
+_STILL_S, _STILL_SD = 0.6, 0.05
 # Standard deviation of the vertical below which it is exact; else the directions that are tried, in standard
 # deviations, with their weights, the share of a posture among all that are told, and its least weight.
 _EXACT = math.radians(2.0)
@@ -63,6 +65,9 @@ _BENT_LEG, _BENT_THIGH = 0.40, 25.0     # hip to ankle, statures; thighs hang st
 _VAGUE_KNEE = 35.0      # degrees of the straighter knee of who stands, while the vertical is that uncertain
 _CROUCHING_PRIOR = 0.1
 GUESSED = 0.5       # confidence of the pose network below which a joint is not seen
+# Two knees that are seen in turn are evidence together: least low-passed confidence of either and of both.
+_KNEE_S, _EITHER_KNEE, _BOTH_KNEES = 0.6, 0.35, 0.9
+_BESIDE_STRAIGHT = 35.0     # degrees of a thigh whose foot is hidden, beside a straight leg: a stool, or a high step
 
 
 class PostureClass(IntEnum):
@@ -107,13 +112,16 @@ class PostureEstimator:
 
         feet: whether there is any sign of an ankle. Without one, behind a table or another person, the network bends
         the legs of those who stand, too: then only standing and lying are told.
-        unsure: whether the left and the right knee may be guessed: one that jumps about is no sign of sitting.
+        unsure: whether the left and the right knee may be guessed: one that jumps about is no sign of sitting, and
+            two of them are none of crouching.
         """
         seen = (posture_now(points, axes, stature, up) if up_sd <= _EXACT
                 else likely_posture(points, axes, stature, up, up_sd))
         jumps = self._jumps(np.where(np.reshape(unsure, (2, 1)), points[_KNEES] - points[_HIPS], np.nan) / stature,
                             elapsed)
         if not feet and seen in (PostureClass.SITTING, PostureClass.CROUCHING):
+            seen = None
+        if seen == PostureClass.CROUCHING and all(unsure):
             seen = None
         if seen == PostureClass.SITTING and jumps:
             seen = None if seen == self.posture else PostureClass.OTHER
@@ -142,18 +150,37 @@ class PostureEstimator:
         return False
 
 
+class KneeSigns:
+    """Which knees of a body count as seen: one that is, or both that are guessed often enough.
+
+    On people who sit, the confidences of both knees go up and down by .2 from image to image; each alone is below
+    GUESSED half of the time.
+    """
+
+    def __init__(self) -> None:
+        self._mean: Optional[np.ndarray] = None
+
+    def update(self, confidence: np.ndarray, elapsed: float) -> np.ndarray:
+        """Take the confidences (2,) `elapsed` s after the last call; return whether each knee (2,) counts."""
+        confidence = np.nan_to_num(confidence)
+        before = confidence if self._mean is None else self._mean
+        self._mean = before + (1.0 - math.exp(-elapsed / _KNEE_S)) * (confidence - before)
+        together = bool(self._mean.sum() >= _BOTH_KNEES and self._mean.min() > _EITHER_KNEE)
+        return (confidence >= GUESSED) | together
+
+
 def without_guessed_limbs(points: np.ndarray, keypoints: np.ndarray, width: float, height: float) -> np.ndarray:
     """Return key points (18, 3) m without wrists, knees and ankles that an image of width x height px does not show.
 
     keypoints: (18, 2) px, or (18, 3) with the confidence. A pose network places what lies below the image or behind a
     table, too, mostly hanging down: that is its habit and no detection of a leg; a guessed hand is often put before the
-    face.
+    face. Knees in the image stay, see KneeSigns.
     """
     limbs = np.array([LEFT_WRIST, RIGHT_WRIST, LEFT_KNEE, RIGHT_KNEE, LEFT_ANKLE, RIGHT_ANKLE])
     x, y = keypoints[limbs, 0], keypoints[limbs, 1]
     inside = (x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)
     if keypoints.shape[1] > 2:
-        inside &= keypoints[limbs, 2] >= GUESSED
+        inside &= (keypoints[limbs, 2] >= GUESSED) | np.isin(limbs, _KNEES)
     seen = np.array(points, dtype=np.float64)
     seen[limbs[~inside]] = np.nan
     return seen
@@ -298,7 +325,8 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
     if not low and any(leg.thigh < _STRAIGHT_THIGH and leg.knee < _STRAIGHT_KNEE and leg.shank < _CROUCH_SHANK
                        for leg in whole):
         longest = max(leg.height for leg in whole)
-        stepping = any(leg.height < longest - _STEP and leg.thigh > _STEP_THIGH for leg in whole)
+        stepping = any(leg.thigh > max(_STEP_THIGH, _STEP - _STEP_HEIGHT * (longest - leg.height)) for leg in whole)
+        stepping |= any(leg.thigh > _BESIDE_STRAIGHT for leg in legs if not leg.height == leg.height)
         return PostureClass.OTHER if stepping else PostureClass.STANDING
     if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
         return PostureClass.OTHER

@@ -11,7 +11,7 @@ import numpy as np
 from hri_fullbody.core.behaviour.arms import arm_features, trunk_axes
 from hri_fullbody.core.behaviour.attitude import AttitudeEstimator
 from hri_fullbody.core.behaviour.gesture import WaveDetector, gesture_of
-from hri_fullbody.core.behaviour.posture import GUESSED, PostureEstimator
+from hri_fullbody.core.behaviour.posture import GUESSED, KneeSigns, PostureEstimator
 from hri_fullbody.core.keypoints import (
     LEFT_ANKLE,
     LEFT_ELBOW,
@@ -62,6 +62,7 @@ class BehaviourRecognizer:
         self._last = None
         self._hold = KeypointHold()
         self._attitude, self._waves, self._posture = AttitudeEstimator(), WaveDetector(), PostureEstimator()
+        self._knees = KneeSigns()
         self._result = BodyBehaviour(0, 0.0, 0, 0)
 
     def update(self, points: np.ndarray, stature: float, stamp: float,
@@ -76,7 +77,8 @@ class BehaviourRecognizer:
         deviation of its pitch about the sensor's x axis, rad: a posture is told when it does not hang on it.
         confidence: (18,) 0 to 1 of the points, NaN for ankles outside the image, None: all are sure; a forearm of less
         than 0.5 does not wave and has no hand on the face; nobody is told to sit or crouch whose ankles are in the
-        image with less than 0.3, nor to sit with a knee of less than 0.9 that jumps about.
+        image with less than 0.3, nor to sit with a knee of less than 0.9 that jumps about, nor to crouch with two such
+        knees; a knee that counts has 0.5, or both have 0.9 together for some time.
         hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: along the forearms.
         depth_counts: see arm_features.
         Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
@@ -90,6 +92,7 @@ class BehaviourRecognizer:
         elif self._last is not None and elapsed == 0.0:
             return self._result
         self._last = stamp
+        self._drop_guessed_knees(points, confidence, elapsed)
         points = self._hold.fill(points, stamp)
         axes = trunk_axes(points, upwards)
         features = arm_features(points, stature, upwards, axes, hands, depth_counts)
@@ -103,6 +106,12 @@ class BehaviourRecognizer:
             int(attitude), self._attitude.confidence, int(posture),
             int(gesture_of(attitude, self._attitude.raised, waving)))
         return self._result
+
+    def _drop_guessed_knees(self, points: np.ndarray, confidence: Optional[np.ndarray], elapsed: float) -> None:
+        """Make the knees NaN, in `points`, that do not count."""
+        if confidence is not None:
+            knees = np.array([LEFT_KNEE, RIGHT_KNEE])
+            points[knees[~self._knees.update(confidence[knees], elapsed)]] = np.nan
 
 
 def _sure_forearms(confidence: Optional[np.ndarray]) -> Tuple[bool, bool]:
