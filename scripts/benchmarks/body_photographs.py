@@ -24,7 +24,8 @@ TABLE = Path(__file__).with_name("postures.txt")
 POSTURES = ("sitting", "standing")
 ATTITUDES = ("arms_crossed", "hands_on_face", "hands_raised")
 SECONDS, RATE_HZ, JUDGED_S = 3.0, 10.0, 1.0
-_UNLIMITED = {"cpu_share": 0.0, "pose_budget": 0, "pose_rate": 0.0}      # as on a machine that is fast enough
+# As on a machine that is fast enough: with a limit of time, answers would hang on the load.
+_UNLIMITED = {"cpu_share": 0.0, "pose_budget": 0, "pose_rate": 0.0, "face_budget": 1000.0, "face_mesh_rate": 0.0}
 _HEAD = (kp.NOSE, kp.LEFT_EYE, kp.RIGHT_EYE, kp.LEFT_EAR, kp.RIGHT_EAR)
 _NEAR = 0.6     # of the trunk's length in the image: farther from the label is another one's head
 
