@@ -164,8 +164,8 @@ class KneeSigns:
         """Take the confidences (2,) `elapsed` s after the last call; return whether each knee (2,) counts."""
         confidence = np.nan_to_num(confidence)
         before = confidence if self._mean is None else self._mean
-        self._mean = before + (1.0 - math.exp(-elapsed / _KNEE_S)) * (confidence - before)
-        together = bool(self._mean.sum() >= _BOTH_KNEES and self._mean.min() > _EITHER_KNEE)
+        mean = self._mean = before + (1.0 - math.exp(-elapsed / _KNEE_S)) * (confidence - before)
+        together = bool(mean.sum() >= _BOTH_KNEES and mean.min() > _EITHER_KNEE)
         return (confidence >= GUESSED) | together
 
 
