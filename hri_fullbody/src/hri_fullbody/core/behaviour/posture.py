@@ -48,7 +48,7 @@ _LEG = 0.481  # thigh and shank
 _HOLD_S = 0.3
 _UNKNOWN_S = 1.0
 # Who sits keeps the knees where they are before the hips. Standard deviation (statures) over the last _STILL_S of one
-# that may be guessed: on photographs mostly under .05 of who sits; of a hidden one, guessed elsewhere each time, .08 to .11.
+# that may be guessed: on photographs mostly under .05 of who sits; of a hidden one, guessed anew each time, .08 to .11.
 _STILL_S, _STILL_SD = 0.6, 0.05
 # Standard deviation of the vertical below which it is exact; else the directions that are tried, in standard
 # deviations, with their weights, the share of a posture among all that are told, and its least weight.
