@@ -36,14 +36,17 @@ def owner(body, places):
     return name if distance < 90.0 else None
 
 
-def watch(stage, names, tracks, seconds, rate, heights):
-    """Show a film: [stamp, {name: id} where people are apart, number of bodies]."""
+def watch(stage, names, tracks, seconds, rate, heights, seed=0):
+    """Show a film: [stamp, {name: id} where people are apart, number of bodies]. seed: of its noise, 0 for none."""
     stage.reset()
+    random = np.random.RandomState(seed)
     history, doubles = [], 0
     for stamp, image, places in film(names, tracks, rate, heights):
         if stamp > seconds:
             assert doubles <= 2, "two bodies on one human in {} images".format(doubles)
             return history
+        if seed:
+            image = np.clip(image + random.randint(-2, 3, image.shape), 0, 255).astype(np.uint8)
         bodies = stage.update(image, CAMERA, stamp)
         columns = [place for place in places.values() if place is not None]
         apart = len(columns) < 2 or abs(columns[0] - columns[1]) > APART
@@ -93,16 +96,19 @@ def test_two_in_the_same_clothes_who_cross_are_two_again(stage, behind, before):
     assert len(set(history[-1][1].values())) == 2
 
 
-def test_two_who_cross_at_a_low_frame_rate_are_never_taken_for_each_other(stage):
-    """At 5 Hz somebody has a new id in 5 of 8 such films (this one and seven with noise in the image) on a processor
-    with AVX2 only; with AVX-512, whose rounding errors are others, this one kept all ids."""
-    history = watch(stage, ("green", "burgundy"),
-                    (lambda time: 300.0 + 200.0 * time, lambda time: 980.0 - 200.0 * time),
-                    3.9, 5.0, (560, 600))
-    ids = {name: ids_of(history, name) for name in ("green", "burgundy")}
-    assert not set(ids["green"]) & set(ids["burgundy"])
-    assert all(len(found) <= 2 for found in ids.values())
-    assert history[-1][2] == 2 and len(history[-1][1]) == 2
+def test_two_who_cross_at_a_low_frame_rate_keep_their_ids(stage):
+    """At 5 Hz, in three films with other noise: nobody is taken for the other one, and of all six at most one has a new
+    id. Of 20 such films one has one."""
+    renewed = 0
+    for seed in range(3):
+        history = watch(stage, ("green", "burgundy"),
+                        (lambda time: 300.0 + 200.0 * time, lambda time: 980.0 - 200.0 * time),
+                        3.9, 5.0, (560, 600), seed)
+        ids = {name: ids_of(history, name) for name in ("green", "burgundy")}
+        assert not set(ids["green"]) & set(ids["burgundy"])
+        assert history[-1][2] == 2 and len(history[-1][1]) == 2
+        renewed += sum(len(found) - 1 for found in ids.values())
+    assert renewed <= 1
 
 
 def test_one_who_waits_behind_another_keeps_the_id():
