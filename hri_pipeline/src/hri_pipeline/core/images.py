@@ -312,8 +312,8 @@ before a wall leave .67 and more of it, even at 2 Hz; cuts between photographs a
 
 
 class PictureCuts:
-    """Tells when most of the picture changes from one image to the next, and not by a motion of the camera, by light, or
-    by people who walk before the same background."""
+    """Tells when most of the picture changes from one image to the next, and not by a motion of the camera, by light,
+    or by people who walk before the same background."""
 
     def __init__(self) -> None:
         self._last: Optional[np.ndarray] = None
