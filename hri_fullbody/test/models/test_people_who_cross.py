@@ -123,14 +123,17 @@ def test_one_who_waits_behind_another_keeps_the_id():
 
 
 def test_two_who_stand_half_before_each_other_are_not_three(stage):
-    """In 2 of 7 such films (this one and six with noise in the image) there is a third body, for one image and for
-    three."""
+    """In three films with other noise at most one image shows a third body (of 19 such films two have one), and both
+    are seen at once in the last two seconds."""
     def comes(time):
         return 730.0 + 400.0 * max(0.0, 1.5 - time)
 
-    history = watch(stage, ("green", "burgundy"), (lambda time: 640.0, comes), 4.4, 15.0, (560, 600))
-    assert sum(count > 2 for _, _, count in history) <= 3
-    assert history[-1][2] == 2
+    thirds = 0
+    for seed in range(3):
+        history = watch(stage, ("green", "burgundy"), (lambda time: 640.0, comes), 4.4, 15.0, (560, 600), seed)
+        thirds += sum(count > 2 for _, _, count in history)
+        assert any(count == 2 for _, _, count in history[-30:])
+    assert thirds <= 1
 
 
 def test_who_comes_after_somebody_has_gone_is_somebody_else(stage):

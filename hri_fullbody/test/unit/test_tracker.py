@@ -105,6 +105,22 @@ def test_who_comes_back_after_a_cut_must_be_confirmed_anew():
     assert tracker.tracks == []
 
 
+def test_who_began_where_another_one_was_hidden_yields_to_that_one_until_each_has_a_box():
+    scene, boxes = Scene([(600, 400), (720, 400)]), [box_of(600, 400), box_of(640, 400)]
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(600, 400), box_of(720, 400)])
+    for x in range(720, 639, -5):
+        scene.people = [(600, 400), (x, 400)]
+        stamp = run(tracker, stamp, 1)
+    assert len(tracker.published(stamp)) == 2
+    first, second = tracker.tracks
+    second.rival = first.id
+    stamp = run(tracker, stamp, 1, boxes=boxes[:1])
+    assert tracker.published(stamp) == [first]
+    stamp = run(tracker, stamp, 3, boxes=boxes)
+    assert second.rival is None and len(tracker.published(stamp)) == 2
+
+
 def test_who_vanishes_inside_the_image_is_waited_for_longer():
     scene = Scene([(600, 400)])
     tracker = make(scene)

@@ -191,6 +191,28 @@ def drop_unconfirmed(tracks: Sequence[BodyTrack], boxes: Sequence[np.ndarray], s
     return kept
 
 
+def waiting_in(tracks: Sequence[BodyTrack], box: np.ndarray, stamp: float) -> Optional[BodyTrack]:
+    """Return the hidden body whose head should be in a person's box (4,) px, the one nearest to its middle."""
+    middle = 0.5 * (box[0] + box[2])
+    waiting = [track for track in tracks if not track.visible and not track.cut and _is_at(track, box, stamp)]
+    if not waiting:
+        return None
+    return min(waiting, key=lambda track: float(abs(track.expected(stamp).nose[0] - middle)))
+
+
+def end_rivalries(tracks: Sequence[BodyTrack], boxes: Sequence[np.ndarray], stamp: float) -> None:
+    """Let bodies that began where another one was hidden be people of their own: that one is gone, or each body there
+    has a box (4,) px of the person detector."""
+    names = {track.id for track in tracks}
+    rivals = [track for track in tracks if track.rival is not None]
+    own = _own_boxes(tracks, np.asarray(boxes, dtype=np.float64).reshape(-1, 4), stamp) if rivals else set()
+    for track in rivals:
+        outline = track.expected(stamp).box
+        there = {row for row, other in enumerate(tracks) if inside(outline, other.expected(stamp).box) > 0.0}
+        if track.rival not in names or there <= own:
+            track.rival = None
+
+
 def _own_boxes(tracks: Sequence[BodyTrack], boxes: np.ndarray, stamp: float) -> Set[int]:
     """Rows of the tracks that have a box (N, 4) of their own."""
     outlines = np.array([track.expected(stamp).box for track in tracks]).reshape(-1, 4)

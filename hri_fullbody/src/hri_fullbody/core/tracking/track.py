@@ -162,6 +162,7 @@ class BodyTrack:
     hidden: it was missed, and has not left. cut: the picture has changed since it was seen. returning: it was seen once
     after a gap.
     box_confirmed: None until the person detector was asked for the body, then whether it has ever seen a person there.
+    rival: id of the body that was hidden where this one began: once that is seen there again, they are one human.
     wait: time (s) between two turns lately. appearance: see `appearance.describe`, learnt while unoccluded.
     """
 
@@ -179,6 +180,7 @@ class BodyTrack:
         self.returning = False
         self.inferred_at = stamp
         self.misses = 0
+        self.rival: Optional[str] = None
         self.wait = 0.0
         self.box_confirmed_at = self.born_at = self._seen_since = stamp
         self.box_confirmed = box_confirmed
@@ -241,10 +243,11 @@ class BodyTrack:
         """What decides, in this order, which of two bodies on one human waits: it came, or came back after a gap, less
         than a second ago; it was not seen at `stamp` (s); it came later. now: it is, or seems to be, seen at `stamp`.
         """
-        since = stamp if now and self._has_gap(stamp) else self._seen_since
+        since = stamp if now and self.has_gap(stamp) else self._seen_since
         return stamp - since < _SURE_S, not now, since
 
-    def _has_gap(self, stamp: float) -> bool:
+    def has_gap(self, stamp: float) -> bool:
+        """Tell whether a sight at `stamp` (s) would be the first one after a gap."""
         return not self.visible and stamp - self.stamp > _SHORT_GAP_S
 
     def moved(self, stamp: float) -> np.ndarray:
@@ -281,7 +284,7 @@ class BodyTrack:
         unhidden: nobody stands before it, so that its appearance may be learnt.
         """
         step = max(0.0, stamp - self.stamp)
-        self.returning = self._has_gap(stamp)
+        self.returning = self.has_gap(stamp)
         self._seen_since = stamp if self.returning else self._seen_since
         self.detection, self.stamp, self._expected = detection, stamp, None
         self._face_when_seen = self._face_centre if self._face_stamp == stamp else None

@@ -28,7 +28,9 @@ from hri_fullbody.core.tracking.association import (
     confirm_by_boxes,
     cost_matrix,
     drop_unconfirmed,
+    end_rivalries,
     nearest_face,
+    waiting_in,
 )
 from hri_fullbody.core.tracking.candidates import BodyCandidate, CandidateQueue
 from hri_fullbody.core.tracking.reidentification import describe
@@ -42,6 +44,7 @@ Locate = Callable[[PoseEstimate], Optional[np.ndarray]]
 
 _SECOND_OFFSET, _SECOND_SHARE = 0.12, 0.75
 _OCCLUDED_SHARE = 0.15
+_ONE_PLACE = 0.5        # of the smaller box of two bodies of which one began where the other was hidden
 _DESCRIBE_S = 0.4
 _LEAST_INSIDE = 0.25    # of the box of the landmarks that are seen: what lies outside the image is made up
 _FAST = 1.0             # body sizes per second from which a body counts as fast
@@ -171,6 +174,7 @@ class BodyTracker:
         faces = self._fresh(faces, stamp)
         confirm_by_boxes(self.tracks, boxes if faint is None else faint, stamp,
                          {face.id: face.pose for face in faces if face.pose is not None})
+        end_rivalries(self.tracks, boxes, stamp)
         kept = drop_unconfirmed(self.tracks, boxes, stamp)
         for track in self.tracks:
             if track.box_confirmed:
@@ -269,20 +273,20 @@ class BodyTracker:
         """Ids of the bodies that are told from the same part of the image as another one, and yield to it.
 
         seen: estimates of this image by id; other visible bodies are where they are expected. Of two one stays: that
-        with a face in this image, else the less weak (see `BodyTrack.weakness`). Two faces are two humans.
+        with a face in this image, else the less weak (see `BodyTrack.weakness`). Two faces are two humans. Who began
+        where another one was hidden yields once that one is there again.
         """
         shown_faces = {face.id for face in faces}
         order = sorted((track for track in self.tracks if track.visible or track.id in seen),
                        key=lambda track: (track.face_id not in shown_faces, *track.weakness(track.id in seen, stamp)))
-        shown: List[Tuple[PoseEstimate, bool]] = []
-        doubles = set()
+        shown: Dict[str, Tuple[PoseEstimate, bool]] = {}
         for track in order:
             estimate, faced = seen.get(track.id, track.expected(stamp)), track.face_id in shown_faces
-            if any(one_human(estimate, other) for other, its in shown if not (faced and its)):
-                doubles.add(track.id)
-            else:
-                shown.append((estimate, faced))
-        return doubles
+            if not any(one_human(estimate, other) for other, its in shown.values() if not (faced and its)):
+                shown[track.id] = estimate, faced
+        back = {track.id for track in order if not track.has_gap(stamp)}
+        return {track.id for track in order if track.id not in shown or (
+            track.rival in shown and track.rival in back and _at_one_place(shown[track.id][0], shown[track.rival][0]))}
 
     def _unhidden(self, track: BodyTrack, detection: PoseDetection, stamp: float) -> bool:
         """Tell whether nobody else is near enough to stand before this body."""
@@ -299,7 +303,7 @@ class BodyTracker:
         if result.found is not None:
             detection = self._make_detection(image, result.found, None, stamp)
             if detection is not None:
-                self._start_track(detection, stamp, face, result.anchor, faces)
+                self._start_track(detection, stamp, face, result.anchor, faces, candidate.box)
         elif result.failed:
             self._candidates.give_up(candidate.face_id, stamp, candidate.box if candidate.alone else None)
         else:
@@ -323,10 +327,10 @@ class BodyTracker:
         return True
 
     def _start_track(self, detection: PoseDetection, stamp: float, face: Optional[FaceBox], anchor: Optional[float],
-               faces: Sequence[FaceBox]) -> None:
+               faces: Sequence[FaceBox], box: Optional[np.ndarray] = None) -> None:
         """Start a track with a new detection, or give it to a body lost a moment ago.
 
-        face None: it came from a person's box.
+        face None: it came from a person's box (4,) px.
         """
         boxed = face is None
         if face is None:
@@ -349,7 +353,9 @@ class BodyTracker:
                 lost[best].hold_anchor(anchor, stamp)
         elif len(self.tracks) < self._max_bodies and not doubles:
             life = TrackLife(stamp, self._birth_delay, self._death_time)
+            rival = None if box is None or face is not None else waiting_in(self.tracks, box, stamp)
             self.tracks.append(BodyTrack(self._new_id(), detection, stamp, life, face, anchor, boxed or None))
+            self.tracks[-1].rival = None if rival is None else rival.id
 
     @staticmethod
     def _is_duplicate(track: BodyTrack, detection: PoseDetection, stamp: float, face: Optional[FaceBox]) -> bool:
@@ -434,6 +440,10 @@ def urgency(track: BodyTrack, largest: float) -> float:
         return _HIDDEN_WEIGHT
     return (1.0 + min(track.motion.speed() / _FAST, 1.0) + 0.5 * min(1.0, track.motion.size / largest)
             + (0.5 if track.estimate.score < _UNCERTAIN else 0.0))
+
+
+def _at_one_place(a: PoseEstimate, b: PoseEstimate) -> bool:
+    return max(inside(a.box, b.box), inside(b.box, a.box)) > _ONE_PLACE
 
 
 def _fits(track: BodyTrack, detection: PoseDetection, stamp: float, face: Optional[FaceBox]) -> bool:
