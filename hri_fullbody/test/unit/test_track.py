@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 from synthetic_people import standing_at
 
+from hri_fullbody.core.detection.pose_estimator import PoseDetection
 from hri_fullbody.core.tracking.reidentification import blend, describe, difference
-from hri_fullbody.core.tracking.track import BodyMotion, ConstantVelocity
+from hri_fullbody.core.tracking.track import BodyMotion, BodyTrack, ConstantVelocity
+from hri_pipeline.core.tracks import TrackLife
 
 
 def test_a_constant_velocity_is_found_and_goes_on():
@@ -31,6 +33,17 @@ def test_velocity_in_metres():
     assert motion.depth_distance(np.array([0.0, 0.0, 3.0]), 2.0) > 3.0
     assert motion.depth_distance(None, 2.0) == 0.0
     assert BodyMotion(np.zeros(2), 1.0, None, 0.0).velocity is None
+
+
+@pytest.mark.parametrize("last_seen, waited_for", [(1.4, True), (1.2, False)])
+def test_who_was_seen_for_a_second_is_waited_for_behind_others(last_seen, waited_for):
+    """1.4 - 0.4 is a little less than 1 in floating point."""
+    detection = PoseDetection(standing_at(600, 400))
+    track = BodyTrack("b", detection, 0.4, TrackLife(0.4, 0.1, 1.0), box_confirmed=True)
+    track.update(detection, last_seen, False)
+    track.missed(last_seen + 0.2)
+    track.judge_hidden(last_seen + 0.2, 1280)
+    assert track.waits(last_seen + 0.2) is waited_for
 
 
 def picture(colour):

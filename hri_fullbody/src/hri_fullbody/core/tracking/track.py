@@ -319,7 +319,9 @@ class BodyTrack:
         reach = _EDGE * self.motion.size
         x = float(self.estimate.centre[0] + self.moved(stamp)[0])
         box = self.estimate.box
-        known = self.life.last_seen - self.born_at >= _SURE_S and bool(self.box_confirmed or self.face_id is not None)
+        # A stamp is a multiple of a nanosecond: allow that much, or 1.4 - 0.4 is not 1.
+        long_seen = self.life.last_seen - self.born_at >= _SURE_S - 1e-9
+        known = long_seen and bool(self.box_confirmed or self.face_id is not None)
         self.hidden = bool(known and not self.cut and box[0] > reach and box[2] < width - reach
                            and reach < x < width - reach)
 
