@@ -97,7 +97,7 @@ def test_two_in_the_same_clothes_who_cross_are_two_again(stage, behind, before):
 
 
 def test_two_who_cross_at_a_low_frame_rate_keep_their_ids(stage):
-    """At 5 Hz, in three films with other noise: nobody is taken for the other one, and of all six at most two have a new
+    """At 5 Hz, in three films with other noise: nobody is taken for the other, and of all six at most two have a new
     id. Of 36 such films 3 have one, and 5 of 9 before people who walk passed for no cut of the picture."""
     renewed = 0
     for seed in range(3):
@@ -123,8 +123,8 @@ def test_one_who_waits_behind_another_keeps_the_id():
 
 
 def test_two_who_stand_half_before_each_other_are_not_three(stage):
-    """In three films with other noise at most two images show a third body (2 of 6 films that nothing was chosen by have
-    one such image each), and both are seen at once in the last two seconds."""
+    """In three films with other noise at most two images show a third body (of 6 films that nothing was chosen by 2
+    have one such image), and both are seen at once in the last two seconds."""
     def comes(time):
         return 730.0 + 400.0 * max(0.0, 1.5 - time)
 
