@@ -8,6 +8,7 @@ human several names.)
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections import OrderedDict
@@ -391,19 +392,25 @@ def clothes_evidence(tracks: Iterable[SensorTrack], others: Iterable[SensorTrack
     offsets = offsets[np.isfinite(offsets).all(axis=1)]
     if not len(offsets):
         return 0.0
+    of_parts, of_all, constant = _clothes_weights(len(offsets))
+    sums = offsets.sum(axis=0)
+    ratio = float(of_parts @ (offsets * offsets).sum(axis=0) + of_all @ (sums * sums)) + constant
+    return min(max(CLOTHES_TRUST * ratio, LEAST_CLOTHES), MOST_CLOTHES)
+
+
+@functools.lru_cache(maxsize=None)
+def _clothes_weights(parts: int) -> Tuple[np.ndarray, np.ndarray, float]:
+    """Weights (3,) of the squares' sum and of the sum's square of the offsets of so many parts, and the constant, in
+    the logarithm of the likelihood ratio of one human against two.
+
+    Under both, the offsets (N, C) are normal: each has a variance of its own, and all have one in common.
+    """
     alone, shared, clothes = PART_COLOUR ** 2, CAMERA_COLOUR ** 2, 2.0 * CLOTHES_COLOUR ** 2
-    ratios = _log_alike(offsets, alone, shared) - _log_alike(
-        offsets, alone + (1.0 - SUIT) * clothes, shared + SUIT * clothes)
-    return min(max(CLOTHES_TRUST * float(ratios.sum()), LEAST_CLOTHES), MOST_CLOTHES)
-
-
-def _log_alike(offsets: np.ndarray, alone: np.ndarray, shared: np.ndarray) -> np.ndarray:
-    """Logarithms (C,), but for a constant, of the normal density of offsets (N, C), of which each has the variance
-    alone (C,) of its own, and all have one of the variance shared (C,) in common."""
-    parts = len(offsets)
-    both = alone + parts * shared
-    square = ((offsets ** 2).sum(axis=0) - shared / both * offsets.sum(axis=0) ** 2) / alone
-    return -0.5 * (square + (parts - 1) * np.log(alone) + np.log(both))
+    weights = [(-0.5 / own, 0.5 * common / (own * (own + parts * common)),
+                float(-0.5 * ((parts - 1) * np.log(own) + np.log(own + parts * common)).sum()))
+               for own, common in ((alone, shared), (alone + (1.0 - SUIT) * clothes, shared + SUIT * clothes))]
+    one, two = weights
+    return one[0] - two[0], one[1] - two[1], one[2] - two[2]
 
 
 def is_doubted(views: List[View], others: List[View]) -> bool:

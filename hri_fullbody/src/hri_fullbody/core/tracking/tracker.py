@@ -354,8 +354,9 @@ class BodyTracker:
         elif len(self.tracks) < self._max_bodies and not doubles:
             life = TrackLife(stamp, self._birth_delay, self._death_time)
             rival = None if box is None or face is not None else waiting_in(self.tracks, box, stamp)
-            self.tracks.append(BodyTrack(self._new_id(), detection, stamp, life, face, anchor, boxed or None))
-            self.tracks[-1].rival = None if rival is None else rival.id
+            track = BodyTrack(self._new_id(), detection, stamp, life, face, anchor, boxed or None)
+            track.rival = None if rival is None else rival.id
+            self.tracks.append(track)
 
     @staticmethod
     def _is_duplicate(track: BodyTrack, detection: PoseDetection, stamp: float, face: Optional[FaceBox]) -> bool:
