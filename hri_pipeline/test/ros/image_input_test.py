@@ -107,7 +107,9 @@ class ImageInputTest(InputCase):
             frame = image_input.next(1)
             seen.append(None if frame is None else frame.bgr.shape)
             return "sends too, only" in image_input.status()[1]
-        wait_for(told, 20, "the other one is told")
+        with self.assertLogs("rosout", "WARNING") as log:
+            wait_for(told, 20, "the other one is told")
+            wait_for(lambda: told() and any("sends too, only" in line for line in log.output), 10, "it is logged")
         for _ in range(10):
             told()
         self.assertEqual(set(seen), {BGR.shape})
@@ -257,6 +259,42 @@ class ImageInputTest(InputCase):
         self.assertEqual(taken, [100.0, None, None, 101.0, 20.0, 20.1])
         self.assertEqual(len(jumps), 1)
         self.assertEqual((image_input.counts["late"], image_input.counts["time_jumps"]), (2, 1))
+
+    def test_stamps_that_run_ahead_of_the_time_are_told(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        with self.assertLogs("rosout", "WARNING") as log:
+            for stamp in (100.0, 100.5, 110.5):
+                self.send(image_input, picture(stamp))
+                self.assertEqual(image_input.next(5).stamp, stamp)
+        ahead = [line for line in log.output if "have gone forward by" in line]
+        self.assertEqual((len(ahead), image_input.counts["forward_jumps"]), (1, 1), log.output)
+        self.assertIn(image_input.topic, ahead[0])
+
+    def test_a_pause_of_the_camera_is_no_jump(self):
+        self.addCleanup(setattr, inputs, "JUMP_S", inputs.JUMP_S)
+        inputs.JUMP_S = 0.1
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        for _ in range(2):
+            self.send(image_input, picture(rospy.get_time()))
+            self.assertIsNotNone(image_input.next(5))
+            began = time.monotonic()
+            wait_for(lambda: time.monotonic() > began + 0.5, 5, "a pause")
+        self.assertEqual(image_input.counts["forward_jumps"], 0)
+
+    def test_frames_of_images(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        for stamp, given, used, words in (
+                (1.0, "/eye_optical", "eye_optical", "begins with a slash"), (1.1, "eye_optical", "eye_optical", ""),
+                (1.2, "other_optical", "other_optical", "before in 'eye_optical'")):
+            with self.assertLogs("rosout", "WARNING") as log:
+                self.send(image_input, picture(stamp, header=make_header(stamp, given)))
+                self.assertEqual(image_input.next(5).header.frame_id, used)
+                rospy.logwarn("the end")
+            told = [line for line in log.output if "frame" in line]
+            self.assertEqual([words in line and image_input.topic in line for line in told], [True] if words else [])
 
     def test_a_camera_whose_stamp_stands_still_is_told(self):
         image_input = self.image_input()

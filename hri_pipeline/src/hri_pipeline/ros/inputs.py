@@ -71,8 +71,8 @@ class ImageInput(SensorInput):
 
     The callback only stores; `next` decodes in the thread of the worker. An image that is not newer than the last one
     is skipped. When stamps go back by more than JUMP_S, on_time_jump is called, and the new stamps are accepted. An
-    image without stamp gets the time of its arrival, as equal stamps would stop every track. One publisher is used at a
-    time (OneSender).
+    image without stamp gets the time of its arrival, as equal stamps would stop every track. A leading slash of the
+    frame is left out, as tf2 refuses such names. One publisher is used at a time (OneSender).
 
     Parameters
     ----------
@@ -113,10 +113,13 @@ class ImageInput(SensorInput):
         self._message: Optional[ImageMessage] = None
         self._last_stamp: Optional[float] = None
         self._taken_at = 0.0
+        self._taken_at_ros = 0.0
+        self._frame_id: Optional[str] = None
         self._problem: Tuple[int, str] = (OK, "")
         self._clock_problem = ""
         self._age = 0.0
-        self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0}
+        self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0,
+                                       "forward_jumps": 0}
         self._camera = CameraInfoInput(fallback_hfov, fov_parameter)
         self._subscribers = [rospy.Subscriber(name, kind, self._store, queue_size=1, buff_size=BUFFER_BYTES)]
 
@@ -185,6 +188,8 @@ class ImageInput(SensorInput):
         header = self._stamped(message.header)
         if header is None:
             return None
+        self._name_frame(header)
+        self._warn("others", self._other_sender())
         self._camera.wait(self._first + INFO_GRACE_S - time.monotonic())
         try:
             bgr = self._decode(message)
@@ -200,7 +205,7 @@ class ImageInput(SensorInput):
         self._problem = (OK, "")
         camera = self._camera.model(bgr.shape[1], bgr.shape[0])
         self._last_stamp = stamp = header.stamp.to_sec()
-        self._taken_at = time.monotonic()
+        self._taken_at, self._taken_at_ros = time.monotonic(), rospy.get_time()
         self.counts["taken"] += 1
         depth = self._depth.match(stamp, bgr.shape[1], bgr.shape[0]) if self._depth is not None else None
         return Frame(bgr, camera, stamp, header, depth)
@@ -237,7 +242,26 @@ class ImageInput(SensorInput):
                                  "header.stamp".format(self.topic))
                 self._tell(self._problem[1])
             return None
+        ahead = step - max(time.monotonic() - self._taken_at, rospy.get_time() - self._taken_at_ros)
+        if ahead > JUMP_S:
+            self.counts["forward_jumps"] += 1
+            self._warn("forward", "{}: stamps have gone forward by {:.1f} s more than the time (a cut recording, or a "
+                       "camera whose clock was set?); who was seen before may get a new id".format(self.topic, ahead))
         return header
+
+    def _name_frame(self, header: Header) -> None:
+        """Leave out a leading slash of the frame, and tell when the frame is another one than before."""
+        given = header.frame_id
+        header.frame_id = given.lstrip("/")
+        if given == self._frame_id:
+            return
+        if header.frame_id != given:
+            self._warn("slash", "{}: the frame_id {!r} begins with a slash, which tf2 refuses; {!r} is used. Set the "
+                       "camera driver's frame_id".format(self.topic, given, header.frame_id))
+        if self._frame_id is not None and header.frame_id != self._frame_id.lstrip("/"):
+            self._warn("frame", "{}: images are in the frame {!r} now, before in {!r}; one topic is to carry the "
+                       "images of one camera".format(self.topic, given, self._frame_id))
+        self._frame_id = given
 
 
 def image_input_of(settings: DepthCameraSettings) -> ImageInput:

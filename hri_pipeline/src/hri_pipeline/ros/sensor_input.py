@@ -17,6 +17,7 @@ SILENCE_S = 3.0
 CALM_S = 10.0
 LOG_PERIOD_S = 10.0
 _NEW_PROBLEM_S = 1.0
+_WARN_PERIOD_S = 30.0
 _MOST_OTHERS = 20
 
 
@@ -81,6 +82,7 @@ class SensorInput:
         self._outage = Outage(CALM_S)
         self._senders = OneSender(timeout)
         self._told: Tuple[str, float] = ("", float("-inf"))
+        self._warned: Dict[str, float] = {}
         self._subscribers: List[rospy.Subscriber] = []
         self._closed = False
 
@@ -101,6 +103,13 @@ class SensorInput:
             others, used = self._senders.others(time.monotonic()), self._senders.used
         return "{}: {} sends too, only {} is heard; give each {} its own topic".format(
             self.topic, ", ".join(others), used, self._device) if others else ""
+
+    def _warn(self, kind: str, text: str) -> None:
+        """Log a warning, if there is a text: one of each kind every _WARN_PERIOD_S."""
+        now = time.monotonic()
+        if text and now - self._warned.get(kind, float("-inf")) > _WARN_PERIOD_S:
+            self._warned[kind] = now
+            rospy.logwarn("%s", text)
 
     def _silence(self) -> str:
         """Return why nothing comes, empty while something does."""

@@ -88,6 +88,7 @@ class SoundInput(SensorInput):
         if chunk is None:
             self._warn_of_silence()
             return []
+        self._warn("others", self._other_sender())
         if not self._info_is_awaited():
             return self._blocks(chunk)
         with self._condition:
