@@ -371,7 +371,10 @@ def test_two_persons_may_match_each_other():
 def test_unsound_matches_are_refused_and_counted(fields):
     guard = MatchGuard(10.0)
     assert guard.check(*fields, 0.0) is None
-    assert sum(guard.refused.values()) == 1
+    reason, = guard.refused
+    assert guard.refused[reason] == 1
+    assert guard.problem.endswith("likelihood {}: {}".format(fields[4], reason))
+    assert repr(fields[0]) in guard.problem and repr(fields[2]) in guard.problem
 
 
 def test_the_rate_is_limited_and_recovers():

@@ -76,6 +76,7 @@ class IdSubscribersTest(unittest.TestCase):
         level, message, values = feed.status()
         self.assertEqual((level, values["refused"]), (WARN, len(bad)))
         self.assertIn("refused", message)
+        self.assertIn(rospy.get_name(), message)
         self.assertLess(len(message), 200)
         topics = [topic for topic, _ in rospy.get_published_topics()]
         self.assertFalse([topic for topic in topics if "reboot" in topic or "etc" in topic])

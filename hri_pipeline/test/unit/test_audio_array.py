@@ -82,7 +82,8 @@ def test_channels_are_all_or_each_once(channels):
     check_channels(channels)
 
 
-@pytest.mark.parametrize("channels", [[-1, 2], [2, -1], [-1, -1], [1, 1]])
-def test_channels_that_contradict_themselves_are_refused(channels):
-    with pytest.raises(ParameterError, match=r"microphone_channels is \[.*\[-1\] alone for all"):
+@pytest.mark.parametrize("channels, wrong", [
+    ([-1, 2], "negative"), ([2, -1], "negative"), ([-1, -1], "negative"), ([1, 1], "twice")])
+def test_channels_that_contradict_themselves_are_refused(channels, wrong):
+    with pytest.raises(ParameterError, match=r"microphone_channels is \[.*{}.*\[-1\] alone for all".format(wrong)):
         check_channels(channels)

@@ -16,7 +16,7 @@ import math
 from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, Callable, Container, Dict, FrozenSet, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Callable, Container, Dict, FrozenSet, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 from typing import Counter as CounterType
 
 from hri_person_manager.core.features import Kind, MatchNode
@@ -27,6 +27,8 @@ UNDER_WAY_S = 2.0     # s; matches that were sent just before a person was forgo
 _NOBODY: Mapping = {}
 REFUTED_S = 1.0       # s for which two are told to be two, both being there, before that parts what others link
 MAX_REFUTED = 1000
+_KINDS = frozenset(kind.value for kind in Kind)
+_SHOWN = 40           # characters of an id that a text shows
 MAX_CUTS = 6
 MAX_PENDING_MATCHES = 1000      # matches kept for features that are not tracked (yet)
 Group = FrozenSet[MatchNode]
@@ -74,6 +76,8 @@ class MatchGuard:
         """Accept at most `max_per_second` matches on average."""
         self.limit = RateLimit(max_per_second)
         self.refused: CounterType[str] = Counter()
+        self.problem = ""
+        """Which match was refused last, and why; empty while none was."""
         self.accepted = self.late = 0
         self._forgotten: Dict[str, float] = {}
 
@@ -82,36 +86,37 @@ class MatchGuard:
         self._forgotten = {name: since for name, since in self._forgotten.items() if now - since <= UNDER_WAY_S}
         self._forgotten[person_id] = now
 
-    def check(self, id1: Any, type1: Any, id2: Any, type2: Any, likelihood: Any,
+    def check(self, id1: str, type1: int, id2: str, type2: int, likelihood: float,
               now: float) -> Optional[CandidateMatch]:
         """Return the match, None if it was refused; `now` (s) drives the rate limit."""
-        if not self.limit.allow(now):
-            return self._refuse("too many per second")
-        try:
-            kinds = Kind(type1), Kind(type2)
-        except ValueError:
-            return self._refuse("unknown type")
-        if not (is_valid_id(id1) and is_valid_id(id2)):
-            return self._refuse("malformed id")
-        if kinds[0] == kinds[1] != Kind.PERSON:
-            return self._refuse("two ids of one kind")
-        if (id1, type1) == (id2, type2):
-            return self._refuse("an id and itself")
-        value = float(likelihood)
-        if not (math.isfinite(value) and 0.0 <= value <= 1.0):
-            return self._refuse("likelihood outside 0..1")
+        reason = self._reason(id1, type1, id2, type2, likelihood, now)
+        if reason:
+            self.refused[reason] += 1
+            self.problem = "{!r} (type {}) and {!r} (type {}), likelihood {}: {}".format(
+                id1[:_SHOWN], type1, id2[:_SHOWN], type2, likelihood, reason)
+            return None
         if self._forgotten and self._is_late(id1, id2, now):
             self.late += 1
             return None
         self.accepted += 1
-        return CandidateMatch(MatchNode(kinds[0], id1), MatchNode(kinds[1], id2), value)
+        return CandidateMatch(MatchNode(Kind(type1), id1), MatchNode(Kind(type2), id2), float(likelihood))
+
+    def _reason(self, id1: str, type1: int, id2: str, type2: int, likelihood: float, now: float) -> str:
+        """Return why a match is refused, empty if it is not."""
+        if not self.limit.allow(now):
+            return "too many per second"
+        if type1 not in _KINDS or type2 not in _KINDS:
+            return "unknown type"
+        if not (is_valid_id(id1) and is_valid_id(id2)):
+            return "malformed id"
+        if type1 == type2 != Kind.PERSON.value:
+            return "two ids of one kind"
+        if (id1, type1) == (id2, type2):
+            return "an id and itself"
+        return "" if 0.0 <= likelihood <= 1.0 else "likelihood outside 0..1"
 
     def _is_late(self, id1: str, id2: str, now: float) -> bool:
         return any(now - self._forgotten[name] <= UNDER_WAY_S for name in (id1, id2) if name in self._forgotten)
-
-    def _refuse(self, reason: str) -> Optional[CandidateMatch]:
-        self.refused[reason] += 1
-        return None
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from hri_pipeline.ros.tf import Frames, RobotTf, TfSubscriber
 _LOG_PERIOD_S = 10.0
 GRACE_S = 2.0       # wall time in which the transforms may still be on their way when everything starts
 _REMEMBERED_SENSORS = 50
+_MISSED_S = 10.0    # wall time after which a sensor that nothing comes of is no longer told
 
 
 class TfInput:
@@ -86,20 +87,21 @@ class TfInput:
 
 
 class ReferenceFrame:
-    """Transforms poses; warns once, by name of the parameter, when a sensor is not connected."""
+    """Transforms poses; warns once for each sensor that is not connected, by name of the parameter."""
 
     def __init__(self, frame: str, tf_input: TfInput) -> None:
         """Place everything in `frame`, with the transforms that `tf_input` keeps."""
         self._frame = frame
         self._tf_input = tf_input
-        self._missing_since: Dict[str, float] = {}
-        self._warned = False
+        self._missing: Dict[str, Tuple[float, float]] = {}      # sensor: since when, and when it was missed last
+        self._warned: Set[str] = set()
         self._last: Tuple[str, genpy.Time, Optional[Pose]] = ("", genpy.Time(), None)
 
     @property
     def unconnected(self) -> Set[str]:
-        """Return the sensor frames from which nothing leads to the reference frame."""
-        return set(self._missing_since)
+        """Return the sensor frames in use from which nothing leads to the reference frame."""
+        now = time.monotonic()
+        return {sensor for sensor, (_, last) in list(self._missing.items()) if now - last < _MISSED_S}
 
     @property
     def frame(self) -> str:
@@ -117,18 +119,20 @@ class ReferenceFrame:
             if sensor is None:
                 self._miss(pose.sensor)
             else:
-                self._missing_since.pop(pose.sensor, None)
+                self._missing.pop(pose.sensor, None)
         if sensor is None:
             return Place(pose.sensor, pose.pose, stamp.to_sec(), stamp)
         return Place(self._frame, sensor.compose(pose.pose), stamp.to_sec(), stamp, sensor.translation)
 
     def _miss(self, sensor: str) -> None:
-        if sensor not in self._missing_since:
-            if len(self._missing_since) >= _REMEMBERED_SENSORS:
-                return
-            self._missing_since[sensor] = time.monotonic()
-        if not self._warned and time.monotonic() - self._missing_since[sensor] > GRACE_S:
-            self._warned = True
+        now = time.monotonic()
+        if sensor not in self._missing and len(self._missing) >= _REMEMBERED_SENSORS:
+            return
+        since, last = self._missing.get(sensor, (now, now))
+        since = since if now - last < _MISSED_S else now
+        self._missing[sensor] = since, now
+        if sensor not in self._warned and now - since > GRACE_S:
+            self._warned.add(sensor)
             rospy.logwarn(
                 "no transform leads from %s to the reference frame %s: persons are placed relative to %s and "
                 "move with it. Start what publishes the position of the robot (localisation, or "

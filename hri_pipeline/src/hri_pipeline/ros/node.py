@@ -187,8 +187,8 @@ def _wait_for_change(error: Exception) -> None:
     end = time.monotonic() + (min(2.0 ** restarts, _LONGEST_PAUSE_S) if may_pass else math.inf)
     name = rospy.get_name()
     if not may_pass:
-        rospy.logwarn("%s waits for its parameters to change; to load them anew, end this launch and start it again",
-                      name)
+        rospy.logwarn("%s waits for its parameters to change: set them with rosparam (it then ends, and roslaunch "
+                      "starts it again), or end this launch, mend its file and start it again", name)
     diagnostics = NodeDiagnostics(name)
     diagnostics.set("settings", ERROR, str(error))
     try:

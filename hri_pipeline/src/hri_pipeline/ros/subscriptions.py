@@ -136,7 +136,7 @@ class IdSubscribers:
         if self._closed.is_set():
             return
         publisher = sender_of(message)
-        heard = PublishedList(address_of_sender(self.topic, message), self._checked(message.ids))
+        heard = PublishedList(address_of_sender(self.topic, message), self._checked(message.ids, publisher))
         with self._lock:
             self._lists[publisher] = heard
             self.stamp = message.header.stamp
@@ -164,14 +164,14 @@ class IdSubscribers:
             if self._on_tracked is not None:
                 self._guard(partial(self._on_tracked, ids), "tracked")
 
-    def _checked(self, listed: List[str]) -> List[str]:
+    def _checked(self, listed: List[str], publisher: str) -> List[str]:
         """Return the legal ids, each once, in their order. Counts what is refused."""
         ids: List[str] = []
         seen = set()
         for identity in listed:
             if not is_valid_id(identity):
-                self._note("refused", 1, "{}: refused {}, which is not an id".format(
-                    self.topic, repr(identity)[:60]))
+                self._note("refused", 1, "{}: {} lists {}, which is refused: an id is a letter and up to 31 letters, "
+                           "digits and _".format(self.topic, publisher, repr(identity)[:60]))
             elif identity not in seen:
                 seen.add(identity)
                 ids.append(identity)

@@ -79,8 +79,9 @@ def check_channels(channels: Sequence[int]) -> None:
         The text says what is wrong and how to correct it.
     """
     if list(channels) not in ([], [-1]) and (min(channels) < 0 or len(set(channels)) < len(channels)):
-        raise ParameterError("microphone_channels is {}; give the channel of each microphone, from 0, such as "
-                             "[1, 2, 3, 4], or [-1] alone for all".format(list(channels)))
+        wrong = "a channel is negative" if min(channels) < 0 else "a channel is there twice"
+        raise ParameterError("microphone_channels is {}: {}; give the channel of each microphone, from 0, such as "
+                             "[1, 2, 3, 4], or [-1] alone for all".format(list(channels), wrong))
 
 
 def _parse_position(index: int, row: Union[str, Sequence[float]]) -> Sequence[float]:
