@@ -12,7 +12,6 @@ the features that are tracked now; it solves only the components that have chang
 
 from __future__ import annotations
 
-import math
 from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from itertools import combinations
