@@ -49,7 +49,7 @@ def test_left_limbs_are_red_and_right_ones_green():
 
 
 @pytest.mark.parametrize("labels, text", [(None, "abcde"), ({}, "abcde"), ({"other": "1.80 m"}, "abcde"),
-                                          ({"abcde": "1.70 m, arms crossed"}, "abcde\n1.70 m, arms crossed")])
+                                          ({"abcde": "1.70 m, arms crossed"}, "abcde  1.70 m, arms crossed")])
 def test_a_text_stands_below_the_body(labels, text):
     marker = next(marker for marker in skeleton_markers([body(standing())], HEADER, labels)
                   if marker.type == Marker.TEXT_VIEW_FACING)
@@ -63,8 +63,8 @@ def test_texts_of_neighbours_stand_below_one_another(apart, overlaps):
     labels = {name: "1.70 m, sitting" for name in ("abcde", "fghij")}
     heights = [marker.pose.position.y for marker in skeleton_markers(bodies, HEADER, labels)
                if marker.type == Marker.TEXT_VIEW_FACING]
-    two_lines = 0.2
-    assert (abs(heights[0] - heights[1]) > two_lines) == overlaps
+    # a line is 0.1 m high; who is 1 m behind is seen 0.12 m higher by the scene's camera, 7 degrees above the horizon
+    assert (abs(heights[0] - heights[1]) > 0.22) == overlaps
 
 
 def test_colour_hangs_on_the_id_and_unknown_bodies_have_no_markers():

@@ -139,6 +139,7 @@ _TEXT_HEIGHT_M = 0.10
 _ARROW_M, _RAY_M = (0.02, 0.06, 0.1), 3.0       # diameter of shaft and head, length of the head; of a ray into nothing
 _LETTER_WIDTH_M = 0.055
 _TEXT_BELOW_M = 0.15
+_TEXT_STEP_M = 0.25     # from a text to that of a neighbour below it
 _NUMBER = {"limbs": 0, "joints": 1, "face": 2, "face points": 3, "head": 4, "text": 5, "pointing": 6}
 _FACE = (kp.NOSE, kp.LEFT_EYE, kp.RIGHT_EYE, kp.LEFT_EAR, kp.RIGHT_EAR)
 _LEFT = (kp.LEFT_SHOULDER, kp.LEFT_ELBOW, kp.LEFT_WRIST, kp.LEFT_HIP, kp.LEFT_KNEE, kp.LEFT_ANKLE)
@@ -157,7 +158,7 @@ def skeleton_markers(bodies: Sequence[BodyObservation], header: Header, labels: 
     not known in space is left out.
 
     Limbs of the left are red, those of the right green; joints, head and trunk have a colour that hangs on the id
-    alone. labels: body id -> text under the id, such as stature and attitude; both stand below the body, those of
+    alone. labels: body id -> text after the id, such as stature and attitude; both stand below the body, those of
     neighbours below one another. up: (3,) against gravity in the frame of `header`, to which heads and texts keep.
     """
     direction = np.asarray(up, dtype=np.float64)
@@ -250,23 +251,26 @@ def _head(header: Header, name: str, middle: np.ndarray, up: np.ndarray, colour:
 
 def _texts(bodies: Sequence[BodyObservation], header: Header, labels: Mapping[str, str],
            up: np.ndarray) -> List[Marker]:
-    """Of each body the id and, in a second line, the label, below its lowest point: above are those of persons."""
+    """Of each body the id and the label, below its lowest point: above are those of persons.
+
+    In one line: where rviz looks from is not known, and of two who stand at different distances the texts move
+    against each other in the picture by what _TEXT_STEP_M leaves free.
+    """
     texts, feet = [], []
     for body in bodies:
         places = np.asarray(body.keypoints_3d, dtype=np.float64)
         places = places[np.isfinite(places).all(axis=1)]
         if len(places):
             label = labels.get(body.id, "")
-            texts.append((body.id, "{}\n{}".format(body.id, label) if label else body.id))
+            texts.append((body.id, "{}  {}".format(body.id, label) if label else body.id))
             # Below the middle of the trunk: feet that swing would swing the text.
             feet.append(places.mean(axis=0) + ((places @ up).min() - places.mean(axis=0) @ up) * up)
-    widths = [_LETTER_WIDTH_M * max(map(len, text.split("\n"))) for _, text in texts]
-    drops = label_lifts(feet, -up, widths, 2.3 * _TEXT_HEIGHT_M)
+    widths = [_LETTER_WIDTH_M * len(text) for _, text in texts]
+    drops = label_lifts(feet, -up, widths, _TEXT_STEP_M)
     markers = []
     for (name, text), place, drop in zip(texts, feet, drops):
-        below = _TEXT_BELOW_M + _TEXT_HEIGHT_M * text.count("\n") / 2.0 + drop
         marker = make_marker(header, name, _NUMBER["text"], Marker.TEXT_VIEW_FACING, (0.0, 0.0, _TEXT_HEIGHT_M),
-                             place=place - below * up)
+                             place=place - (_TEXT_BELOW_M + drop) * up)
         marker.text = text
         markers.append(marker)
     return markers
