@@ -94,13 +94,23 @@ end_child() {
     R4H_CHILD=
 }
 
+end_stack() { # roslaunch first: it ends the master and the screen's nodes after those that still speak to them
+    [ -n "${R4H_STACK:-}" ] || return 0
+    note "ending the nodes ..."
+    kill -INT "$R4H_STACK" 2>/dev/null || return 0
+    for _ in {1..100}; do
+        kill -0 "$R4H_STACK" 2>/dev/null || return 0
+        sleep 0.2
+    done
+}
+
 on_exit() {
     local code=$?
     trap - EXIT
     trap '' INT TERM HUP
     end_child
     [ -z "$R4H_BESIDE" ] || kill -TERM "$R4H_BESIDE" 2>/dev/null || true
-    [ -z "${R4H_STACK:-}" ] || note "ending the nodes ..."
+    end_stack
     if [ -x "$R4H_SYSTEM_PYTHON" ]; then
         # Without the mark, or the helper would end itself.
         env -u ROS4HRI_RUN_MARK "$R4H_SYSTEM_PYTHON" "$R4H_LIB/processes.py" end "$R4H_MARK" "$$" || true
