@@ -419,7 +419,10 @@ class PersonManager:
             if not features:
                 continue
             owner = self._table.owner(min(features))
-            names = {name for feature in features for name in self._association.recognised_as(feature)}
+            # What a face is recognised as goes before what its body has been called by an earlier face.
+            said = [[name for feature in features if (feature.kind == Kind.FACE) == of_faces
+                     for name in self._association.recognised_as(feature)] for of_faces in (True, False)]
+            names = set(said[0] or said[1])
             if owner is not None and not owner.anonymous:
                 names.add(owner.id)
             doubted = {name for feature in features for name in self._association.refuted_as(feature, now)}
@@ -448,6 +451,10 @@ class PersonManager:
         owner = self._table.owner(feature)
         if owner is None:
             return False
+        other = self.representative(person_id)
+        if likelihood >= self._threshold and not owner.anonymous and self.is_permanent(other) and (
+                self.representative(owner.id) != other):
+            return False        # two whom a recogniser tells apart are not one because of a body
         if owner.id != person_id:
             self._merges.set(owner.id, person_id, likelihood)
         self._update_merges(now)

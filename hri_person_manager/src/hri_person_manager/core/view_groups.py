@@ -72,13 +72,17 @@ class Scale:
 
 
 class View:
-    """What one sensor sees of one human."""
+    """What one sensor sees of one human.
+
+    person: who it is in the table. names, doubted: of whom that is said, and denied, now; called: the last names, also
+    while nobody says one, as when a face is lost and the body goes on.
+    """
 
     def __init__(self, number: int, sensor: str) -> None:
         self.number, self.sensor = number, sensor
         self.tracks: Dict[MatchNode, SensorTrack] = {}
         self.person = ""
-        self.names = self.doubted = _NOBODY
+        self.names = self.doubted = self.called = _NOBODY
         self.began = math.inf
 
     @property
@@ -229,12 +233,11 @@ class ViewGroups:
                 if feature in self.tracks:
                     by_sensor.setdefault(self.tracks[feature].sensor, []).append(feature)
             for sensor, features in by_sensor.items():
-                view = self._view_for(sensor, features, taken)
+                view = self._view_for(sensor, features, taken, group.names)
                 taken.add(view.number)
                 seen.update(features)
-                if view.names and group.names and not view.names & group.names:
-                    self._begin_anew(view)      # it is somebody else after all
                 view.person, view.names, view.doubted = group.person, group.names, group.doubted
+                view.called = group.names or view.called
         for feature in [feature for feature in self.tracks if feature not in seen]:
             del self.tracks[feature]
             before = self.view_of.pop(feature, None)
@@ -244,12 +247,16 @@ class ViewGroups:
             if not view.tracks:
                 self._remove(view)
 
-    def _view_for(self, sensor: str, features: List[MatchNode], taken: Set[int]) -> View:
+    def _view_for(self, sensor: str, features: List[MatchNode], taken: Set[int], names: FrozenSet[str]) -> View:
+        """Return the view of these features, whom `names` name: that of any of them, all as one, else a new one."""
         known = {view.number: view for view in (self.view_of.get(feature) for feature in features)
                  if view is not None and view.number not in taken}
         view = known[min(known)] if known else View(next(self._numbers), sensor)
         if not known:
             self.all[view.number] = self.group_of[view.number] = ViewGroup(view.number, view)
+        for one in known.values():
+            if one.called and names and not one.called & names:
+                self._begin_anew(one)           # it is somebody else after all
         for number in sorted(known)[1:]:
             self.unite(self.group_of[view.number], self.group_of[number])
         for feature in features:
@@ -320,6 +327,7 @@ class ViewGroups:
 
     def _begin_anew(self, view: View) -> None:
         """Let a view be somebody of whom nothing is known."""
+        view.called = _NOBODY
         human = self.group_of[view.number]
         if len(human.views) > 1:
             self.take_out(view)

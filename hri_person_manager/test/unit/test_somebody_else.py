@@ -1,0 +1,98 @@
+"""A body that goes on while another face takes over never makes one human of two whom a recogniser tells apart."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from hri_person_manager.core.features import Kind, MatchNode, PlaceSource
+from hri_person_manager.core.location import Place
+from hri_person_manager.core.manager import PersonManager
+from hri_person_manager.core.match_graph import CandidateMatch
+from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
+from hri_pipeline.core.geometry import Pose
+
+STEP_S = 0.1
+ANN, BOB = MatchNode(Kind.PERSON, "ann"), MatchNode(Kind.PERSON, "bob")
+HER, HIM, BODY = MatchNode(Kind.FACE, "f1"), MatchNode(Kind.FACE, "f2"), MatchNode(Kind.BODY, "b1")
+
+
+class Picture:
+    """What one camera sees, all at one place."""
+
+    def __init__(self):
+        numbers = itertools.count(1)
+        self.manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({}), lambda: "a%04d" % next(numbers))
+        self.now = 0.0
+
+    def show(self, seconds, faces, bodies=("b1",)):
+        for _ in range(int(round(seconds / STEP_S))):
+            self.now += STEP_S
+            self.manager.on_tracked(Kind.FACE, faces, self.now)
+            self.manager.on_tracked(Kind.BODY, bodies, self.now)
+            for source, ids, far in ((PlaceSource.FACE, faces, 1.0), (PlaceSource.HEAD, bodies, 1.05)):
+                for feature in ids:
+                    place = Place("map", Pose(np.eye(3), np.array([far, 0.0, 1.6])), self.now,
+                                  origin=np.array([0.0, 0.0, 1.5]))
+                    self.manager.on_place(source, feature, place, self.now, "camera")
+            self.manager.tick(self.now)
+
+    def say(self, first, second, likelihood=0.9):
+        self.manager.on_match(CandidateMatch(first, second, likelihood), self.now)
+
+    @property
+    def tracked(self):
+        return set(self.manager.snapshot(self.now).tracked)
+
+    def stands_for(self, person):
+        return self.manager.representative(person)
+
+
+@pytest.fixture
+def picture():
+    picture = Picture()
+    picture.show(1.0, ["f1"])
+    picture.say(HER, BODY)
+    picture.say(HER, ANN)
+    picture.show(2.0, ["f1"])
+    assert picture.tracked == {"ann"}
+    return picture
+
+
+@pytest.mark.parametrize("order", ["recognised first", "matched first", "nobody in between"])
+def test_another_face_on_a_body_that_goes_on_is_another_person(picture, order):
+    if order == "nobody in between":
+        picture.show(0.5, [])
+    else:
+        picture.show(0.3, ["f1", "f2"])
+    first, second = ((HIM, BOB), (HIM, BODY)) if order == "recognised first" else ((HIM, BODY), (HIM, BOB))
+    picture.show(0.3, ["f2"])
+    picture.say(*first)
+    picture.show(0.3, ["f2"])
+    picture.say(*second)
+    picture.show(3.0, ["f2"])
+    assert picture.tracked == {"bob"}
+    assert not picture.manager.merges
+    picture.show(2.0, [], [])
+    picture.show(0.5, ["f3"], [])
+    picture.say(MatchNode(Kind.FACE, "f3"), ANN)
+    picture.show(1.0, ["f3"], [])
+    assert picture.tracked == {"ann"} and picture.stands_for("bob") == "bob"
+
+
+def test_a_body_found_again_joins_no_two_who_are_recognised(picture):
+    """The body was somebody anonymous who is Ann; now it is Bob's."""
+    picture.show(1.0, [], [])
+    picture.show(1.5, [], ["b2"])
+    anonymous, = picture.tracked
+    picture.say(MatchNode(Kind.PERSON, anonymous), ANN)
+    picture.show(0.5, [], ["b2"])
+    picture.show(0.5, ["f2"], ["b3", "b2"])
+    picture.say(HIM, BOB)
+    picture.say(HIM, MatchNode(Kind.BODY, "b3"))
+    picture.show(0.5, ["f2"], ["b3", "b2"])
+    picture.say(MatchNode(Kind.BODY, "b3"), MatchNode(Kind.PERSON, anonymous))
+    picture.show(1.0, ["f2"], ["b3", "b2"])
+    assert picture.stands_for("bob") == "bob" and picture.stands_for("ann") == "ann"
