@@ -13,6 +13,7 @@ from rospy.impl import tcpros_base, tcpros_pubsub
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
 
+from hri_pipeline.ros import rospy_compat
 from hri_pipeline.ros.rospy_compat import ReceivedImage, publish_without_yielding, receive_without_copies
 
 
@@ -101,10 +102,10 @@ def connect(monkeypatch):
     monkeypatch.setattr(tcpros_base, "is_shutdown", lambda: False)
     opened = []
 
-    def connection(kind, buffer_bytes):
+    def connection(kind, buffer_bytes, queue_size=1):
         opened.extend(socket.socketpair())
         transport = tcpros_base.TCPROSTransport(
-            tcpros_pubsub.TCPROSSub("/image", kind, queue_size=1, buff_size=buffer_bytes), "/image")
+            tcpros_pubsub.TCPROSSub("/image", kind, queue_size=queue_size, buff_size=buffer_bytes), "/image")
         transport.socket, transport.header = opened[-2], {"callerid": "/camera"}
         opened[-1].setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2 ** 22)
         opened[-2].settimeout(20.0)
@@ -146,6 +147,30 @@ def test_of_the_images_that_have_come_the_newest_is_taken_and_a_part_of_the_next
     assert transport.receive_once()[0].header.seq == 4
 
 
+@pytest.mark.parametrize("queue_size, kept", [(1, [3]), (2, [2, 3]), (None, [0, 1, 2, 3])])
+def test_as_many_are_kept_as_the_queue_holds(connect, queue_size, kept):
+    transport, publisher = connect(ReceivedImage, ReceivedImage.BUFFER_BYTES, queue_size)
+    for number in range(4):
+        publisher.sendall(wire_of(picture(number, 64, 48)))
+    images = transport.receive_once()
+    assert [image.header.seq for image in images] == kept
+    assert [bytes(image.data) for image in images] == [picture(number, 64, 48).data for number in kept]
+
+
+def test_images_that_come_faster_than_they_are_read_are_handed_on(connect, monkeypatch):
+    transport, publisher = connect(ReceivedImage, ReceivedImage.BUFFER_BYTES)
+    numbers, receive = iter(range(100)), rospy_compat._receive
+
+    def receive_slowly(*arguments):
+        publisher.sendall(wire_of(picture(next(numbers), 64, 48)))
+        return receive(*arguments)
+
+    monkeypatch.setattr(rospy_compat, "_receive", receive_slowly)
+    publisher.sendall(wire_of(picture(0, 64, 48)))
+    transport.receive_once()
+    assert next(numbers) < 5
+
+
 def test_what_was_read_with_the_handshake_belongs_to_the_first_image(connect):
     transport, publisher = connect(ReceivedImage, ReceivedImage.BUFFER_BYTES)
     data = wire_of(picture(7))
@@ -161,6 +186,21 @@ def test_a_connection_that_ends_within_an_image_is_over(connect, sent):
     publisher.sendall(wire_of(picture(1))[:sent])
     publisher.close()
     with pytest.raises(TransportTerminated):
+        transport.receive_once()
+
+
+def test_a_connection_that_is_closed_between_two_images_is_over(connect, monkeypatch):
+    transport, publisher = connect(ReceivedImage, ReceivedImage.BUFFER_BYTES)
+    receive, own = rospy_compat._receive, transport.socket
+
+    def receive_and_close(*arguments):
+        block = receive(*arguments)
+        own.close()
+        return block
+
+    monkeypatch.setattr(rospy_compat, "_receive", receive_and_close)
+    publisher.sendall(wire_of(picture(1, 64, 48)))
+    with pytest.raises(TransportTerminated, match="closed"):
         transport.receive_once()
 
 

@@ -376,7 +376,9 @@ class DepthInput:
         self._outage = Outage(CALM_S)
         self._closed = False
         self.counts: Dict[str, int] = {"depth_received": 0, "depth_used": 0, "depth_missing": 0, "depth_unreadable": 0}
-        self._subscriber = rospy.Subscriber("depth", Image, self._store, queue_size=_QUEUE, buff_size=BUFFER_BYTES)
+        receive_without_copies()
+        self._subscriber = rospy.Subscriber("depth", ReceivedImage, self._store, queue_size=_QUEUE,
+                                            buff_size=ReceivedImage.BUFFER_BYTES)
 
     def match(self, stamp: float, width: int, height: int) -> Optional[np.ndarray]:
         """Return the depth image that belongs to a colour image; waits up to 0.08 s for one that may be on its way.

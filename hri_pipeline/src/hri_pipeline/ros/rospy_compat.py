@@ -332,8 +332,7 @@ class DescriptorFreePoller:
 class ReceivedImage(Image):
     """An image whose data (a memoryview) is where the socket has put it: a type for rospy.Subscriber.
 
-    To be used after receive_without_copies(), with the buff_size BUFFER_BYTES; of the images that have come only the
-    newest is kept, as with a queue_size of 1.
+    To be used after receive_without_copies(), with the buff_size BUFFER_BYTES.
     """
 
     BUFFER_BYTES = 4
@@ -367,26 +366,21 @@ def _read_messages(protocol: tcpros_pubsub.TCPROSSub, b: BytesIO, msg_queue: Lis
     head = b.getvalue()[:b.tell()]
     b.seek(0)
     b.truncate(0)
-    block = _receive(sock, _length(head, 0), head[_LENGTH.size:])
-    while True:
-        size = _whole_message(sock)
-        if size is None:
-            break
-        block = _receive(sock, _LENGTH.size + size)[_LENGTH.size:]
-    msg_queue.append(protocol.recv_data_class().deserialize(block))
+    blocks = deque([_receive(sock, _length(head, 0), head[_LENGTH.size:])], protocol.queue_size)
+    try:
+        there, = struct.unpack("i", fcntl.ioctl(sock.fileno(), termios.FIONREAD, bytes(4)))
+        while there >= _LENGTH.size:        # only what has come by now: a slow reader would never end
+            size = _LENGTH.size + _length(sock.recv(_LENGTH.size, socket.MSG_PEEK), 0)
+            there -= size
+            if there >= 0:
+                blocks.append(_receive(sock, size)[_LENGTH.size:])
+    except (OSError, ValueError, struct.error) as error:
+        raise tcpros_base.TransportTerminated("the connection was closed: {}".format(error)) from error
+    msg_queue.extend(protocol.recv_data_class().deserialize(block) for block in blocks)
 
 
 def _length(block: Union[bytes, memoryview], place: int) -> int:
     return int(_LENGTH.unpack_from(block, place)[0])
-
-
-def _whole_message(sock: socket.socket) -> Optional[int]:
-    """Return the length of the next message if all of it has come, else None."""
-    there, = struct.unpack("i", fcntl.ioctl(sock.fileno(), termios.FIONREAD, bytes(4)))
-    if there < _LENGTH.size:
-        return None
-    size = _length(sock.recv(_LENGTH.size, socket.MSG_PEEK), 0)
-    return size if there >= _LENGTH.size + size else None
 
 
 def _receive(sock: socket.socket, size: int, head: bytes = b"") -> memoryview:
