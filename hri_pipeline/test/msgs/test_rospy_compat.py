@@ -1,12 +1,20 @@
-"""rospy's publish() goes on at once, and still sends everything."""
+"""rospy's publish() goes on at once, and still sends everything; images are received without copies."""
 
+import socket
+import struct
 import threading
 import time
+from io import BytesIO
 
+import numpy as np
 import pytest
-from rospy.impl import tcpros_pubsub
+from rospy.exceptions import TransportException, TransportTerminated
+from rospy.impl import tcpros_base, tcpros_pubsub
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header, String
 
-from hri_pipeline.ros.rospy_compat import publish_without_yielding
+from hri_pipeline.ros import rospy_compat
+from hri_pipeline.ros.rospy_compat import ReceivedImage, publish_without_yielding, receive_without_copies
 
 
 class Wire:
@@ -71,3 +79,140 @@ def test_a_real_sleep_is_one_and_the_rest_of_time_is_there(sleeps):
     tcpros_pubsub.time.sleep(0.5)
     assert sleeps == [0.5]
     assert tcpros_pubsub.time.time is time.time
+
+
+def wire_of(message):
+    """A message as it is sent, its length first."""
+    buffer = BytesIO()
+    message.serialize(buffer)
+    return struct.pack("<I", len(buffer.getvalue())) + buffer.getvalue()
+
+
+def picture(number, width=640, height=480):
+    rows = np.random.default_rng(number).integers(0, 256, 3 * width * height, np.uint8)
+    return Image(header=Header(seq=number, frame_id="camera_\u00e4"), width=width, height=height, step=3 * width,
+                 encoding="bgr8", is_bigendian=1, data=rows.tobytes())
+
+
+@pytest.fixture
+def connect(monkeypatch):
+    """A call that returns rospy's end of a connection for messages of a type, and the socket of the publisher."""
+    monkeypatch.setattr(tcpros_pubsub.TCPROSSub, "read_messages", tcpros_base.TCPROSTransportProtocol.read_messages)
+    receive_without_copies()
+    monkeypatch.setattr(tcpros_base, "is_shutdown", lambda: False)
+    opened = []
+
+    def connection(kind, buffer_bytes, queue_size=1):
+        opened.extend(socket.socketpair())
+        transport = tcpros_base.TCPROSTransport(
+            tcpros_pubsub.TCPROSSub("/image", kind, queue_size=queue_size, buff_size=buffer_bytes), "/image")
+        transport.socket, transport.header = opened[-2], {"callerid": "/camera"}
+        opened[-1].setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2 ** 22)
+        opened[-2].settimeout(20.0)
+        return transport, opened[-1]
+
+    yield connection
+    for one in opened:
+        one.close()
+
+
+def send(publisher, data):
+    thread = threading.Thread(target=publisher.sendall, args=(data,), daemon=True)
+    thread.start()
+    return thread
+
+
+def test_an_image_arrives_as_it_was_and_is_not_copied(connect):
+    transport, publisher = connect(ReceivedImage, ReceivedImage.BUFFER_BYTES)
+    for number in (1, 2):
+        send(publisher, wire_of(picture(number)))
+        image, = transport.receive_once()
+        sent = picture(number)
+        assert isinstance(image, Image) and isinstance(image.data, memoryview)
+        assert bytes(image.data) == sent.data and image._connection_header == {"callerid": "/camera"}
+        for name in ("header", "width", "height", "step", "encoding", "is_bigendian"):
+            assert getattr(image, name) == getattr(sent, name)
+        assert np.frombuffer(image.data, np.uint8).flags.writeable, "the block that the socket has written into"
+
+
+def test_of_the_images_that_have_come_the_newest_is_taken_and_a_part_of_the_next_waits(connect):
+    transport, publisher = connect(ReceivedImage, ReceivedImage.BUFFER_BYTES)
+    pieces = [wire_of(picture(number, 64, 48)) for number in range(5)]
+    for data in pieces[:3] + [pieces[3][:1000]]:
+        publisher.sendall(data)
+    assert transport.receive_once()[0].header.seq == 2
+    publisher.sendall(pieces[3][1000:] + pieces[4][:2])
+    assert transport.receive_once()[0].header.seq == 3
+    publisher.sendall(pieces[4][2:])
+    assert transport.receive_once()[0].header.seq == 4
+
+
+@pytest.mark.parametrize("queue_size, kept", [(1, [3]), (2, [2, 3]), (None, [0, 1, 2, 3])])
+def test_as_many_are_kept_as_the_queue_holds(connect, queue_size, kept):
+    transport, publisher = connect(ReceivedImage, ReceivedImage.BUFFER_BYTES, queue_size)
+    for number in range(4):
+        publisher.sendall(wire_of(picture(number, 64, 48)))
+    images = transport.receive_once()
+    assert [image.header.seq for image in images] == kept
+    assert [bytes(image.data) for image in images] == [picture(number, 64, 48).data for number in kept]
+
+
+def test_images_that_come_faster_than_they_are_read_are_handed_on(connect, monkeypatch):
+    transport, publisher = connect(ReceivedImage, ReceivedImage.BUFFER_BYTES)
+    numbers, receive = iter(range(100)), rospy_compat._receive
+
+    def receive_slowly(*arguments):
+        publisher.sendall(wire_of(picture(next(numbers), 64, 48)))
+        return receive(*arguments)
+
+    monkeypatch.setattr(rospy_compat, "_receive", receive_slowly)
+    publisher.sendall(wire_of(picture(0, 64, 48)))
+    transport.receive_once()
+    assert next(numbers) < 5
+
+
+def test_what_was_read_with_the_handshake_belongs_to_the_first_image(connect):
+    transport, publisher = connect(ReceivedImage, ReceivedImage.BUFFER_BYTES)
+    data = wire_of(picture(7))
+    transport.read_buff.write(data[:3])
+    send(publisher, data[3:])
+    image, = transport.receive_once()
+    assert image.header.seq == 7 and bytes(image.data) == picture(7).data
+
+
+@pytest.mark.parametrize("sent", [100, 5])
+def test_a_connection_that_ends_within_an_image_is_over(connect, sent):
+    transport, publisher = connect(ReceivedImage, ReceivedImage.BUFFER_BYTES)
+    publisher.sendall(wire_of(picture(1))[:sent])
+    publisher.close()
+    with pytest.raises(TransportTerminated):
+        transport.receive_once()
+
+
+def test_a_connection_that_is_closed_between_two_images_is_over(connect, monkeypatch):
+    transport, publisher = connect(ReceivedImage, ReceivedImage.BUFFER_BYTES)
+    receive, own = rospy_compat._receive, transport.socket
+
+    def receive_and_close(*arguments):
+        block = receive(*arguments)
+        own.close()
+        return block
+
+    monkeypatch.setattr(rospy_compat, "_receive", receive_and_close)
+    publisher.sendall(wire_of(picture(1, 64, 48)))
+    with pytest.raises(TransportTerminated, match="closed"):
+        transport.receive_once()
+
+
+@pytest.mark.parametrize("body", [b"", bytes(20), bytes(12) + b"\xff" * 40, wire_of(picture(1, 8, 8))[4:-1]])
+def test_an_image_that_is_none_is_refused(connect, body):
+    transport, publisher = connect(ReceivedImage, ReceivedImage.BUFFER_BYTES)
+    publisher.sendall(struct.pack("<I", len(body)) + body)
+    with pytest.raises(TransportException, match="Deserialization"):
+        transport.receive_once()
+
+
+def test_other_messages_are_received_as_before(connect):
+    transport, publisher = connect(String, 65536)
+    publisher.sendall(wire_of(String("one")) + wire_of(String("two")))
+    assert [message.data for message in transport.receive_once()] == ["two"]

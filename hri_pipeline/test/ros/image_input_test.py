@@ -67,6 +67,12 @@ class InputCase(unittest.TestCase):
 
 class ImageInputTest(InputCase):
 
+    def test_a_raw_image_is_not_copied_on_its_way(self):
+        image_input = self.image_input()
+        self.send(image_input, picture(1.0))
+        self.assertIsInstance(image_input._message.data, memoryview)
+        np.testing.assert_array_equal(image_input.next(5.0).bgr, BGR)
+
     def test_a_camera_that_is_away_is_told_once(self):
         for name, value in (("CALM_S", 0.2), ("LOG_PERIOD_S", 0.3)):
             self.addCleanup(setattr, sensor_input, name, getattr(sensor_input, name))

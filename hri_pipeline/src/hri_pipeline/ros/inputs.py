@@ -20,7 +20,7 @@ from hri_pipeline.core.faces.parameters import DepthCameraSettings
 from hri_pipeline.core.images import DEPTH_RANGE, ImageError, depth_from_raw
 from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
-from hri_pipeline.ros.rospy_compat import release, sender_of
+from hri_pipeline.ros.rospy_compat import ReceivedImage, receive_without_copies, release, sender_of
 from hri_pipeline.ros.sensor_input import CALM_S, LOG_PERIOD_S, SensorInput
 
 # Larger than an image: with rospy's 64 kB, images pile up in the socket while the worker is busy.
@@ -101,10 +101,11 @@ class ImageInput(SensorInput):
         on_time_jump: Optional[Callable[[], None]] = None,
         depth: Optional[DepthInput] = None,
     ) -> None:
-        kinds = {"raw": ("image", Image), "compressed": ("image/compressed", CompressedImage)}
+        kinds = {"raw": ("image", ReceivedImage, ReceivedImage.BUFFER_BYTES),
+                 "compressed": ("image/compressed", CompressedImage, BUFFER_BYTES)}
         if transport not in kinds:
             raise ValueError("image transport is {!r}, known: {}".format(transport, ", ".join(kinds)))
-        name, kind = kinds[transport]
+        name, kind, buffer_bytes = kinds[transport]
         super().__init__(name, "image", "camera", ("start the camera or remap `image`", "is the camera running?"),
                          SENDER_S)
         self.on_time_jump = on_time_jump
@@ -121,7 +122,8 @@ class ImageInput(SensorInput):
         self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0,
                                        "forward_jumps": 0}
         self._camera = CameraInfoInput(fallback_hfov, fov_parameter)
-        self._subscribers = [rospy.Subscriber(name, kind, self._store, queue_size=1, buff_size=BUFFER_BYTES)]
+        receive_without_copies()
+        self._subscribers = [rospy.Subscriber(name, kind, self._store, queue_size=1, buff_size=buffer_bytes)]
 
     def next(self, timeout: float) -> Optional[Frame]:
         """Return the newest image that has not been taken yet; None when none comes for `timeout` s."""
@@ -398,7 +400,9 @@ class DepthInput:
         self._outage = Outage(CALM_S)
         self._closed = False
         self.counts: Dict[str, int] = {"depth_received": 0, "depth_used": 0, "depth_missing": 0, "depth_unreadable": 0}
-        self._subscriber = rospy.Subscriber("depth", Image, self._store, queue_size=_QUEUE, buff_size=BUFFER_BYTES)
+        receive_without_copies()
+        self._subscriber = rospy.Subscriber("depth", ReceivedImage, self._store, queue_size=_QUEUE,
+                                            buff_size=ReceivedImage.BUFFER_BYTES)
 
     def match(self, stamp: float, width: int, height: int) -> Optional[np.ndarray]:
         """Return the depth image that belongs to a colour image; waits up to 0.08 s for one that may be on its way.
