@@ -12,8 +12,8 @@ from hri_person_manager.core.location import Place, PlaceSource
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
-from hri_person_manager.core.triangulation import SensorTrack
-from hri_person_manager.core.view_groups import clothes_evidence
+from hri_person_manager.core.triangulation import SensorTrack, ray_covariance
+from hri_person_manager.core.view_groups import Scale, View, clothes_evidence, fuse_views, place_by_all
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.tracks import COLOUR_BINS
 
@@ -132,6 +132,33 @@ def test_clothes_end_and_hasten_unions():
                 break
         joined[name] = room.now - start
     assert joined["equal"] < joined["unknown"] < joined["different"]
+
+
+def view_of(number, sensor, origin, **places):
+    """What a camera at `origin` sees of somebody who stands: its tracks by "face" or "body", each at a place."""
+    view, origin = View(number, sensor), np.array(origin)
+    for kind, place in places.items():
+        track = view.tracks[MatchNode(Kind.FACE if kind == "face" else Kind.BODY, kind + sensor)] = SensorTrack(sensor)
+        for step in range(30):
+            track.add(int(PlaceSource.FACE if kind == "face" else PlaceSource.HEAD), np.array(place),
+                      ray_covariance(np.array(place), origin), origin, step / RATE)
+    return view
+
+
+def test_a_face_and_a_body_in_one_view_place_somebody_together():
+    views = [view_of(0, "a", (0.0, -2.5, 1.6), face=(0.1, 0.0, 1.6), body=(-0.1, 0.0, 1.6)),
+             view_of(1, "b", (-2.5, 0.0, 1.6), face=(0.0, 0.1, 1.6), body=(0.0, -0.1, 1.6))]
+    assert np.linalg.norm(place_by_all(views, 2.0, {}).position - (0.0, 0.0, 1.6)) < 0.02
+    assert np.linalg.norm(fuse_views(views, 2.0).position - (0.0, 0.0, 1.6)) > 0.1
+
+
+def test_a_distance_that_is_known_to_be_wrong_is_mended_where_rays_do_not_cross():
+    """Two cameras that look at each other; one takes the human to be 15 % too far away."""
+    views = [view_of(0, "a", (-2.5, 0.0, 1.6), face=(0.375, 0.0, 1.6)),
+             view_of(1, "b", (2.5, 0.0, 1.6), face=(0.0, 0.0, 1.6))]
+    scales = {("a", 0): Scale(1.0 / 1.15, 0.03 ** 2), ("b", 0): Scale(1.0, 0.03 ** 2)}
+    assert abs(place_by_all(views, 2.0, scales).position[0]) < 0.02
+    assert abs(place_by_all(views, 2.0, {}).position[0]) > 0.1
 
 
 def test_two_cameras_place_somebody_before_they_are_told_to_see_one():

@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Set, Tuple
@@ -35,6 +35,7 @@ FIXED_VARIANCE = 0.08 ** 2     # of a scale that was learnt, as far as it change
 CAMERA_COLOUR, PART_COLOUR = np.array([28.0, 9.0, 9.0]), np.array([20.0, 5.0, 5.0])
 CLOTHES_COLOUR, SUIT, CLOTHES_TRUST = np.array([60.0, 10.0, 10.0]), 0.4, 0.25
 LEAST_CLOTHES, MOST_CLOTHES = -4.0, 2.5
+SAME_CAMERA = 0.3          # correlation of the errors of a face and a body's head in one view: of its camera's pose
 MAX_SENSORS = 50
 MAX_NAMES = 1000
 _NOBODY: FrozenSet[str] = frozenset()
@@ -92,6 +93,14 @@ class View:
                 if (not fresh, track.source, -track.ended) < (not known, best.source, -best.ended):
                     best = track
         return best
+
+    @property
+    def heads(self) -> List[SensorTrack]:
+        """The fresh tracks that place the head, or else the best one: a face and a body are not wrong by the same."""
+        if len(self.tracks) < 2:
+            return [self.best]
+        oldest = self.ended - FRESH_S
+        return [track for track in self.tracks.values() if track.source < 2 and track.ended >= oldest] or [self.best]
 
     @property
     def ended(self) -> float:
@@ -421,38 +430,58 @@ def is_doubted(views: List[View], others: List[View]) -> bool:
 
 def fuse_views(views: List[View], stamp: float, scales: Mapping[Tuple[str, int], Scale] = MappingProxyType({})
                 ) -> Estimate:
-    """Where a human is at `stamp` (s) by all of these views; those of heads only, where there are some. scales count
-    where one view is left: they were learnt where several crossed."""
+    """Where a human is at `stamp` (s) by the best track of each of these views, of heads only, where there are some.
+    scales: what was learnt of this human where several crossed."""
     return _fuse_tracks([view.best for view in views], stamp, scales)
+
+
+def place_by_all(views: List[View], stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
+    """The same by the face and the head of the body of each view: one's size errs otherwise than the other's, and so do
+    their directions."""
+    return _fuse_tracks([track for view in views for track in view.heads], stamp, scales)
 
 
 def _at(track: SensorTrack, stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
     """Where a human is at `stamp` (s) by one track."""
     time, found = track.near(stamp)
-    scale = scales.get((track.sensor, track.source))
-    if scale is not None and track.origin is not None and scale.variance <= LEARNT_VARIANCE:
-        ray = found.position - track.origin
-        square = max(float(ray @ ray), 1e-6)
-        less = float(ray @ found.covariance @ ray) / square - (scale.variance + FIXED_VARIANCE) * square
-        found = Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
-                         found.covariance - max(0.0, less) / square * (ray[:, None] * ray))
+    found = _learnt(track, found, scales) or found
     return found._replace(position=found.position + found.velocity * (stamp - time))
+
+
+def _learnt(track: SensorTrack, found: Estimate, scales: Mapping[Tuple[str, int], Scale]) -> Optional[Estimate]:
+    """What a track tells, by the scale that was learnt of it; None where there is none."""
+    scale = scales.get((track.sensor, track.source))
+    if scale is None or track.origin is None or scale.variance > LEARNT_VARIANCE:
+        return None
+    ray = found.position - track.origin
+    square = max(float(ray @ ray), 1e-6)
+    less = float(ray @ found.covariance @ ray) / square - (scale.variance + FIXED_VARIANCE) * square
+    return Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
+                    found.covariance - max(0.0, less) / square * (ray[:, None] * ray))
 
 
 def _fuse_tracks(tracks: List[SensorTrack], stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
     heads = [track for track in tracks if track.source < 2] or tracks
     if len(heads) == 1:
         return _at(heads[0], stamp, scales)
-    moments = [track.near(stamp) for track in heads]
+    by_sensor = Counter(track.sensor for track in heads)
+    informations, values, ahead = [], [], []
+    for track in heads:
+        time, found = track.near(stamp)
+        learnt, resting = _learnt(track, found, scales), track.resting_place
+        information = track.information
+        if learnt is not None:
+            resting, found, information = resting + learnt.position - found.position, learnt, np.linalg.inv(
+                learnt.covariance)
+        informations.append(information / (1.0 + (by_sensor[track.sensor] - 1) * SAME_CAMERA))
+        values.append((found.position, found.velocity, resting))
+        ahead.append(stamp - time)
     # One view tells the velocity along its ray badly, all together well.
-    weights, covariance = shares(np.array([track.information for track in heads]))
-    means = weighted(weights, np.array([(found.position, found.velocity, track.resting_place)
-                                        for track, (_, found) in zip(heads, moments)]).swapaxes(1, 2))
-    place, velocity, resting = means.T
+    weights, covariance = shares(np.array(informations))
+    place, velocity, resting = weighted(weights, np.array(values).swapaxes(1, 2)).T
     if float(velocity @ velocity) < STANDING_MPS ** 2:
         velocity = np.zeros(3)
     else:
-        ahead = np.array([stamp - time for time, _ in moments])
-        place = place + np.add.reduce(ahead[:, None, None] * weights) @ velocity
+        place = place + np.add.reduce(np.array(ahead)[:, None, None] * weights) @ velocity
     away = resting - place
     return Estimate(place + away / (1.0 + (float(away @ away) / RESTING_M ** 2) ** 2), velocity, covariance)
