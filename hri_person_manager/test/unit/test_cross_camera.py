@@ -161,6 +161,12 @@ def test_a_distance_that_is_known_to_be_wrong_is_mended_where_rays_do_not_cross(
     assert abs(place_by_all(views, 2.0, {}).position[0]) > 0.1
 
 
+def test_a_distance_that_is_measured_better_than_its_error_was_learnt_stays():
+    view = view_of(0, "a", (-2.5, 0.0, 1.6), face=(0.0, 0.0, 1.6))
+    view.best.covariance = ray_covariance(np.array([0.0, 0.0, 1.6]), np.array([-2.5, 0.0, 1.6]), 0.02)
+    assert abs(fuse_views([view], 2.0, {("a", 0): Scale(1.08, 0.03 ** 2)}).position[0]) < 1e-6
+
+
 def test_two_cameras_place_somebody_before_they_are_told_to_see_one():
     room = Room(OVERLAPPING)
     (person,) = room.run(3.0, standing(1.8))

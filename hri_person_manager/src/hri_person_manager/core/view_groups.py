@@ -449,15 +449,17 @@ def _at(track: SensorTrack, stamp: float, scales: Mapping[Tuple[str, int], Scale
 
 
 def _learnt(track: SensorTrack, found: Estimate, scales: Mapping[Tuple[str, int], Scale]) -> Optional[Estimate]:
-    """What a track tells, by the scale that was learnt of it; None where there is none."""
+    """What a track tells by the scale that was learnt of it; None where that is not known, or no better."""
     scale = scales.get((track.sensor, track.source))
     if scale is None or track.origin is None or scale.variance > LEARNT_VARIANCE:
         return None
     ray = found.position - track.origin
     square = max(float(ray @ ray), 1e-6)
     less = float(ray @ found.covariance @ ray) / square - (scale.variance + FIXED_VARIANCE) * square
+    if less <= 0.0:
+        return None
     return Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
-                    found.covariance - max(0.0, less) / square * (ray[:, None] * ray))
+                    found.covariance - less / square * (ray[:, None] * ray))
 
 
 def _fuse_tracks(tracks: List[SensorTrack], stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
