@@ -116,10 +116,11 @@ def colours(top, trousers=60.0, light=0.0, tint=0.0):
 
 
 def test_clothes_end_and_hasten_unions():
-    """Two cameras that see somebody each, at one place; the clothes differ, or not."""
+    """Two cameras that see somebody each, at one place; the clothes differ, or not; or they are of the commonest kind."""
     joined = {}
-    for name, other in (("equal", 40.0), ("unknown", None), ("different", 220.0)):
-        clothes = {("left", 0): colours(40.0)}
+    for name, own, other in (("equal", 160.0, 160.0), ("dark", 40.0, 40.0), ("unknown", 160.0, None),
+                             ("different", 160.0, 20.0)):
+        clothes = {("left", 0): colours(own)}
         if other is not None:
             clothes["right", 0] = colours(other)
         room = Room(OVERLAPPING, clothes=clothes)
@@ -131,7 +132,7 @@ def test_clothes_end_and_hasten_unions():
             if len(groups.all) == 1 and len(groups.sensors) == 2:
                 break
         joined[name] = room.now - start
-    assert joined["equal"] < joined["unknown"] < joined["different"]
+    assert joined["equal"] < joined["dark"] <= joined["unknown"] < joined["different"]
 
 
 def view_of(number, sensor, origin, **places):
@@ -210,6 +211,11 @@ def test_the_light_of_a_camera_speaks_less_against_one_human_than_one_part_of_th
     of_light = evidence(own, colours(100.0, light=45.0, tint=11.0))
     assert of_light > 1.5 and of_light == pytest.approx(evidence(colours(100.0, light=45.0, tint=11.0), own))
     assert evidence(own, colours(220.0)) < 0.0 < 1.5 < evidence(own, colours(190.0, 150.0))
+
+
+def test_dark_clothes_are_common_and_speak_less_for_one_human_than_others():
+    assert 0.0 < evidence(colours(40.0), colours(40.0)) < 0.6 * evidence(colours(160.0), colours(160.0))
+    assert evidence(colours(40.0), colours(220.0)) < -1.0
 
 
 def test_clothes_are_compared_by_the_parts_that_both_show():

@@ -33,7 +33,10 @@ FIXED_VARIANCE = 0.08 ** 2     # of a scale that was learnt, as far as it change
 # clothes less: only the share CLOTHES_TRUST of the logarithm of the likelihood ratio counts. Without any shared light
 # fewer are kept than by the distance of the histograms.
 CAMERA_COLOUR, PART_COLOUR = np.array([28.0, 9.0, 9.0]), np.array([20.0, 5.0, 5.0])
-CLOTHES_COLOUR, SUIT, CLOTHES_TRUST = np.array([60.0, 10.0, 10.0]), 0.4, 0.25
+CLOTHES_COLOUR, SUIT, CLOTHES_TRUST = np.array([60.0, 10.0, 10.0]), 0.4, 0.35
+# Dark clothes of little colour are the commonest: up to this lightness and this far from grey, two people's differ by so
+# little, and each part of them speaks for two people by this logarithm (sleeves are mostly like the chest).
+COMMON_LIGHT, COMMON_TINT, COMMON_COLOUR, COMMON_COST = 110.0, 14.0, np.array([20.0, 5.0, 5.0]), -0.3
 LEAST_CLOTHES, MOST_CLOTHES = -4.0, 2.5
 SAME_CAMERA = 0.3          # correlation of the errors of a face and a body's head in one view: of its camera's pose
 MAX_SENSORS = 50
@@ -397,29 +400,32 @@ def clothes_evidence(tracks: Iterable[SensorTrack], others: Iterable[SensorTrack
     if not one or not other or any(of[0].shape[1] != COLOUR_BINS.size or of[0].shape != one[0].shape
                                    for of in (one, other)):
         return 0.0
-    offsets = mean_colours(other[0]) - mean_colours(one[0])
-    offsets = offsets[np.isfinite(offsets).all(axis=1)]
-    if not len(offsets):
+    first, second = mean_colours(one[0]), mean_colours(other[0])
+    shown = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
+    if not shown.any():
         return 0.0
-    of_parts, of_all, constant = _clothes_weights(len(offsets))
-    sums = offsets.sum(axis=0)
-    ratio = float(of_parts @ (offsets * offsets).sum(axis=0) + of_all @ (sums * sums)) + constant
+    offsets, middle = (second - first)[shown], 0.5 * (first + second)[shown]
+    common = (middle[:, 0] < COMMON_LIGHT) & (np.abs(middle[:, 1:]).max(axis=1) < COMMON_TINT)
+    weights, constant = _clothes_weights(tuple(common.tolist()))
+    ratio = constant + float(sum(of @ weight @ of for of, weight in zip(offsets.T, weights)))
     return min(max(CLOTHES_TRUST * ratio, LEAST_CLOTHES), MOST_CLOTHES)
 
 
 @functools.lru_cache(maxsize=None)
-def _clothes_weights(parts: int) -> Tuple[np.ndarray, np.ndarray, float]:
-    """Weights (3,) of the squares' sum and of the sum's square of the offsets of so many parts, and the constant, in
-    the logarithm of the likelihood ratio of one human against two.
+def _clothes_weights(common: Tuple[bool, ...]) -> Tuple[np.ndarray, float]:
+    """Weights (3, N, N) of the products of the offsets of N parts, and the constant, in the logarithm of the likelihood
+    ratio of one human against two; common: which parts are dark and of little colour, as those of most people are.
 
-    Under both, the offsets (N, C) are normal: each has a variance of its own, and all have one in common.
+    Under both, the offsets (N, 3) are normal: each has a variance of its own, and all have one in common.
     """
-    alone, shared, clothes = PART_COLOUR ** 2, CAMERA_COLOUR ** 2, 2.0 * CLOTHES_COLOUR ** 2
-    weights = [(-0.5 / own, 0.5 * common / (own * (own + parts * common)),
-                float(-0.5 * ((parts - 1) * np.log(own) + np.log(own + parts * common)).sum()))
-               for own, common in ((alone, shared), (alone + (1.0 - SUIT) * clothes, shared + SUIT * clothes))]
-    one, two = weights
-    return one[0] - two[0], one[1] - two[1], one[2] - two[2]
+    worn = math.sqrt(2.0) * np.where(np.array(common)[:, None], COMMON_COLOUR, CLOTHES_COLOUR)
+    weights, constant = [], COMMON_COST * sum(common)
+    for part, camera, clothes in zip(PART_COLOUR, CAMERA_COLOUR, worn.T):
+        one = part ** 2 * np.eye(len(common)) + camera ** 2
+        two = one + (1.0 - SUIT) * np.diag(clothes ** 2) + SUIT * np.outer(clothes, clothes)
+        weights.append(0.5 * (np.linalg.inv(two) - np.linalg.inv(one)))
+        constant += 0.5 * float(np.linalg.slogdet(two)[1] - np.linalg.slogdet(one)[1])
+    return np.array(weights), constant
 
 
 def is_doubted(views: List[View], others: List[View]) -> bool:
