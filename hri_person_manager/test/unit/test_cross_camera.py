@@ -116,7 +116,7 @@ def colours(top, trousers=60.0, light=0.0, tint=0.0):
 
 
 def test_clothes_end_and_hasten_unions():
-    """Two cameras that see somebody each, at one place; the clothes differ, or not; or they are of the commonest kind."""
+    """Two cameras that see somebody each, at one place; the clothes differ or not, or are of the commonest kind."""
     joined = {}
     for name, own, other in (("equal", 160.0, 160.0), ("dark", 40.0, 40.0), ("unknown", 160.0, None),
                              ("different", 160.0, 20.0)):

@@ -34,8 +34,8 @@ FIXED_VARIANCE = 0.08 ** 2     # of a scale that was learnt, as far as it change
 # fewer are kept than by the distance of the histograms.
 CAMERA_COLOUR, PART_COLOUR = np.array([28.0, 9.0, 9.0]), np.array([20.0, 5.0, 5.0])
 CLOTHES_COLOUR, SUIT, CLOTHES_TRUST = np.array([60.0, 10.0, 10.0]), 0.4, 0.35
-# Dark clothes of little colour are the commonest: up to this lightness and this far from grey, two people's differ by so
-# little, and each part of them speaks for two people by this logarithm (sleeves are mostly like the chest).
+# Dark clothes of little colour are the commonest: up to this lightness and this far from grey, two people's differ by
+# so little, and each part of them speaks for two people by this logarithm (sleeves are mostly like the chest).
 COMMON_LIGHT, COMMON_TINT, COMMON_COLOUR, COMMON_COST = 110.0, 14.0, np.array([20.0, 5.0, 5.0]), -0.3
 LEAST_CLOTHES, MOST_CLOTHES = -4.0, 2.5
 SAME_CAMERA = 0.3          # correlation of the errors of a face and a body's head in one view: of its camera's pose
