@@ -400,14 +400,17 @@ def clothes_evidence(tracks: Iterable[SensorTrack], others: Iterable[SensorTrack
     if not one or not other or any(of[0].shape[1] != COLOUR_BINS.size or of[0].shape != one[0].shape
                                    for of in (one, other)):
         return 0.0
-    first, second = mean_colours(one[0]), mean_colours(other[0])
-    shown = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
-    if not shown.any():
+    found = mean_colours(np.concatenate([one[0], other[0]]))
+    first, second = found[:len(one[0])], found[len(one[0]):]
+    offsets, middle = second - first, 0.5 * (first + second)
+    shown = np.isfinite(middle).all(axis=1)
+    if not shown.all():
+        offsets, middle = offsets[shown], middle[shown]
+    if not len(middle):
         return 0.0
-    offsets, middle = (second - first)[shown], 0.5 * (first + second)[shown]
-    common = (middle[:, 0] < COMMON_LIGHT) & (np.abs(middle[:, 1:]).max(axis=1) < COMMON_TINT)
+    common = (middle[:, 0] < COMMON_LIGHT) & (np.abs(middle[:, 1:]) < COMMON_TINT).all(axis=1)
     weights, constant = _clothes_weights(tuple(common.tolist()))
-    ratio = constant + float(sum(of @ weight @ of for of, weight in zip(offsets.T, weights)))
+    ratio = constant + float((offsets * (weights @ offsets.T[:, :, None])[:, :, 0].T).sum())
     return min(max(CLOTHES_TRUST * ratio, LEAST_CLOTHES), MOST_CLOTHES)
 
 
