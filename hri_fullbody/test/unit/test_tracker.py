@@ -121,6 +121,19 @@ def test_who_began_where_another_one_was_hidden_yields_to_that_one_until_each_ha
     assert second.rival is None and len(tracker.published(stamp)) == 2
 
 
+def test_who_is_seen_now_yields_to_nobody_who_is_missed_in_this_image():
+    scene = Scene([(600, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 40, boxes=[box_of(600, 400)])
+    scene.people = [(600, 400), (660, 400)]
+    stamp = run(tracker, stamp, 8, boxes=[box_of(600, 400), box_of(660, 400)])
+    first, second = tracker.tracks
+    assert tracker.published(stamp) == [first, second]
+    scene.people = [(630, 400)]
+    stamp = run(tracker, stamp, 1)
+    assert tracker.published(stamp) == [second] and second.visible and not first.visible
+
+
 def test_who_vanishes_inside_the_image_is_waited_for_longer():
     scene = Scene([(600, 400)])
     tracker = make(scene)

@@ -12,8 +12,8 @@ from hri_person_manager.core.location import Place, PlaceSource
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
-from hri_person_manager.core.triangulation import SensorTrack
-from hri_person_manager.core.view_groups import clothes_evidence
+from hri_person_manager.core.triangulation import SensorTrack, ray_covariance
+from hri_person_manager.core.view_groups import Scale, View, clothes_evidence, fuse_views, place_by_all
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.tracks import COLOUR_BINS
 
@@ -116,10 +116,11 @@ def colours(top, trousers=60.0, light=0.0, tint=0.0):
 
 
 def test_clothes_end_and_hasten_unions():
-    """Two cameras that see somebody each, at one place; the clothes differ, or not."""
+    """Two cameras that see somebody each, at one place; the clothes differ or not, or are of the commonest kind."""
     joined = {}
-    for name, other in (("equal", 40.0), ("unknown", None), ("different", 220.0)):
-        clothes = {("left", 0): colours(40.0)}
+    for name, own, other in (("equal", 160.0, 160.0), ("dark", 40.0, 40.0), ("unknown", 160.0, None),
+                             ("different", 160.0, 20.0)):
+        clothes = {("left", 0): colours(own)}
         if other is not None:
             clothes["right", 0] = colours(other)
         room = Room(OVERLAPPING, clothes=clothes)
@@ -131,7 +132,40 @@ def test_clothes_end_and_hasten_unions():
             if len(groups.all) == 1 and len(groups.sensors) == 2:
                 break
         joined[name] = room.now - start
-    assert joined["equal"] < joined["unknown"] < joined["different"]
+    assert joined["equal"] < joined["dark"] <= joined["unknown"] < joined["different"]
+
+
+def view_of(number, sensor, origin, **places):
+    """What a camera at `origin` sees of somebody who stands: its tracks by "face" or "body", each at a place."""
+    view, origin = View(number, sensor), np.array(origin)
+    for kind, place in places.items():
+        track = view.tracks[MatchNode(Kind.FACE if kind == "face" else Kind.BODY, kind + sensor)] = SensorTrack(sensor)
+        for step in range(30):
+            track.add(int(PlaceSource.FACE if kind == "face" else PlaceSource.HEAD), np.array(place),
+                      ray_covariance(np.array(place), origin), origin, step / RATE)
+    return view
+
+
+def test_a_face_and_a_body_in_one_view_place_somebody_together():
+    views = [view_of(0, "a", (0.0, -2.5, 1.6), face=(0.1, 0.0, 1.6), body=(-0.1, 0.0, 1.6)),
+             view_of(1, "b", (-2.5, 0.0, 1.6), face=(0.0, 0.1, 1.6), body=(0.0, -0.1, 1.6))]
+    assert np.linalg.norm(place_by_all(views, 2.0, {}).position - (0.0, 0.0, 1.6)) < 0.02
+    assert np.linalg.norm(fuse_views(views, 2.0).position - (0.0, 0.0, 1.6)) > 0.1
+
+
+def test_a_distance_that_is_known_to_be_wrong_is_mended_where_rays_do_not_cross():
+    """Two cameras that look at each other; one takes the human to be 15 % too far away."""
+    views = [view_of(0, "a", (-2.5, 0.0, 1.6), face=(0.375, 0.0, 1.6)),
+             view_of(1, "b", (2.5, 0.0, 1.6), face=(0.0, 0.0, 1.6))]
+    scales = {("a", 0): Scale(1.0 / 1.15, 0.03 ** 2), ("b", 0): Scale(1.0, 0.03 ** 2)}
+    assert abs(place_by_all(views, 2.0, scales).position[0]) < 0.02
+    assert abs(place_by_all(views, 2.0, {}).position[0]) > 0.1
+
+
+def test_a_distance_that_is_measured_better_than_its_error_was_learnt_stays():
+    view = view_of(0, "a", (-2.5, 0.0, 1.6), face=(0.0, 0.0, 1.6))
+    view.best.covariance = ray_covariance(np.array([0.0, 0.0, 1.6]), np.array([-2.5, 0.0, 1.6]), 0.02)
+    assert abs(fuse_views([view], 2.0, {("a", 0): Scale(1.08, 0.03 ** 2)}).position[0]) < 1e-6
 
 
 def test_two_cameras_place_somebody_before_they_are_told_to_see_one():
@@ -177,6 +211,11 @@ def test_the_light_of_a_camera_speaks_less_against_one_human_than_one_part_of_th
     of_light = evidence(own, colours(100.0, light=45.0, tint=11.0))
     assert of_light > 1.5 and of_light == pytest.approx(evidence(colours(100.0, light=45.0, tint=11.0), own))
     assert evidence(own, colours(220.0)) < 0.0 < 1.5 < evidence(own, colours(190.0, 150.0))
+
+
+def test_dark_clothes_are_common_and_speak_less_for_one_human_than_others():
+    assert 0.0 < evidence(colours(40.0), colours(40.0)) < 0.6 * evidence(colours(160.0), colours(160.0))
+    assert evidence(colours(40.0), colours(220.0)) < -1.0
 
 
 def test_clothes_are_compared_by_the_parts_that_both_show():

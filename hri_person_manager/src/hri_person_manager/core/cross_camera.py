@@ -43,6 +43,7 @@ from hri_person_manager.core.view_groups import (
     clothes_evidence,
     fuse_views,
     is_doubted,
+    place_by_all,
 )
 
 LIKELIHOOD = 0.8
@@ -140,7 +141,7 @@ class CrossCamera:
         if not human.scales and len({other.sensor for other in views}) < 2:
             human.fused = None
             return None
-        fused = fuse_views(views or [view], stamp, human.scales)
+        fused = place_by_all(views or [view], stamp, human.scales)
         human.fused = (stamp, fused)
         return fused
 

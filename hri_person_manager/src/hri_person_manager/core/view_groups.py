@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Set, Tuple
@@ -33,8 +33,12 @@ FIXED_VARIANCE = 0.08 ** 2     # of a scale that was learnt, as far as it change
 # clothes less: only the share CLOTHES_TRUST of the logarithm of the likelihood ratio counts. Without any shared light
 # fewer are kept than by the distance of the histograms.
 CAMERA_COLOUR, PART_COLOUR = np.array([28.0, 9.0, 9.0]), np.array([20.0, 5.0, 5.0])
-CLOTHES_COLOUR, SUIT, CLOTHES_TRUST = np.array([60.0, 10.0, 10.0]), 0.4, 0.25
+CLOTHES_COLOUR, SUIT, CLOTHES_TRUST = np.array([60.0, 10.0, 10.0]), 0.4, 0.35
+# Dark clothes of little colour are the commonest: up to this lightness and this far from grey, two people's differ by
+# so little, and each part of them speaks for two people by this logarithm (sleeves are mostly like the chest).
+COMMON_LIGHT, COMMON_TINT, COMMON_COLOUR, COMMON_COST = 110.0, 14.0, np.array([20.0, 5.0, 5.0]), -0.3
 LEAST_CLOTHES, MOST_CLOTHES = -4.0, 2.5
+SAME_CAMERA = 0.3          # correlation of the errors of a face and a body's head in one view: of its camera's pose
 MAX_SENSORS = 50
 MAX_NAMES = 1000
 _NOBODY: FrozenSet[str] = frozenset()
@@ -96,6 +100,14 @@ class View:
                 if (not fresh, track.source, -track.ended) < (not known, best.source, -best.ended):
                     best = track
         return best
+
+    @property
+    def heads(self) -> List[SensorTrack]:
+        """The fresh tracks that place the head, or else the best one: a face and a body are not wrong by the same."""
+        if len(self.tracks) < 2:
+            return [self.best]
+        oldest = self.ended - FRESH_S
+        return [track for track in self.tracks.values() if track.source < 2 and track.ended >= oldest] or [self.best]
 
     @property
     def ended(self) -> float:
@@ -396,29 +408,35 @@ def clothes_evidence(tracks: Iterable[SensorTrack], others: Iterable[SensorTrack
     if not one or not other or any(of[0].shape[1] != COLOUR_BINS.size or of[0].shape != one[0].shape
                                    for of in (one, other)):
         return 0.0
-    offsets = mean_colours(other[0]) - mean_colours(one[0])
-    offsets = offsets[np.isfinite(offsets).all(axis=1)]
-    if not len(offsets):
+    found = mean_colours(np.concatenate([one[0], other[0]]))
+    first, second = found[:len(one[0])], found[len(one[0]):]
+    offsets, middle = second - first, 0.5 * (first + second)
+    shown = np.isfinite(middle).all(axis=1)
+    if not shown.all():
+        offsets, middle = offsets[shown], middle[shown]
+    if not len(middle):
         return 0.0
-    of_parts, of_all, constant = _clothes_weights(len(offsets))
-    sums = offsets.sum(axis=0)
-    ratio = float(of_parts @ (offsets * offsets).sum(axis=0) + of_all @ (sums * sums)) + constant
+    common = (middle[:, 0] < COMMON_LIGHT) & (np.abs(middle[:, 1:]) < COMMON_TINT).all(axis=1)
+    weights, constant = _clothes_weights(tuple(common.tolist()))
+    ratio = constant + float((offsets * (weights @ offsets.T[:, :, None])[:, :, 0].T).sum())
     return min(max(CLOTHES_TRUST * ratio, LEAST_CLOTHES), MOST_CLOTHES)
 
 
 @functools.lru_cache(maxsize=None)
-def _clothes_weights(parts: int) -> Tuple[np.ndarray, np.ndarray, float]:
-    """Weights (3,) of the squares' sum and of the sum's square of the offsets of so many parts, and the constant, in
-    the logarithm of the likelihood ratio of one human against two.
+def _clothes_weights(common: Tuple[bool, ...]) -> Tuple[np.ndarray, float]:
+    """Weights (3, N, N) of the products of the offsets of N parts, and the constant, in the logarithm of the likelihood
+    ratio of one human against two; common: which parts are dark and of little colour, as those of most people are.
 
-    Under both, the offsets (N, C) are normal: each has a variance of its own, and all have one in common.
+    Under both, the offsets (N, 3) are normal: each has a variance of its own, and all have one in common.
     """
-    alone, shared, clothes = PART_COLOUR ** 2, CAMERA_COLOUR ** 2, 2.0 * CLOTHES_COLOUR ** 2
-    weights = [(-0.5 / own, 0.5 * common / (own * (own + parts * common)),
-                float(-0.5 * ((parts - 1) * np.log(own) + np.log(own + parts * common)).sum()))
-               for own, common in ((alone, shared), (alone + (1.0 - SUIT) * clothes, shared + SUIT * clothes))]
-    one, two = weights
-    return one[0] - two[0], one[1] - two[1], one[2] - two[2]
+    worn = math.sqrt(2.0) * np.where(np.array(common)[:, None], COMMON_COLOUR, CLOTHES_COLOUR)
+    weights, constant = [], COMMON_COST * sum(common)
+    for part, camera, clothes in zip(PART_COLOUR, CAMERA_COLOUR, worn.T):
+        one = part ** 2 * np.eye(len(common)) + camera ** 2
+        two = one + (1.0 - SUIT) * np.diag(clothes ** 2) + SUIT * np.outer(clothes, clothes)
+        weights.append(0.5 * (np.linalg.inv(two) - np.linalg.inv(one)))
+        constant += 0.5 * float(np.linalg.slogdet(two)[1] - np.linalg.slogdet(one)[1])
+    return np.array(weights), constant
 
 
 def is_doubted(views: List[View], others: List[View]) -> bool:
@@ -429,38 +447,60 @@ def is_doubted(views: List[View], others: List[View]) -> bool:
 
 def fuse_views(views: List[View], stamp: float, scales: Mapping[Tuple[str, int], Scale] = MappingProxyType({})
                 ) -> Estimate:
-    """Where a human is at `stamp` (s) by all of these views; those of heads only, where there are some. scales count
-    where one view is left: they were learnt where several crossed."""
+    """Where a human is at `stamp` (s) by the best track of each of these views, of heads only, where there are some.
+    scales: what was learnt of this human where several crossed."""
     return _fuse_tracks([view.best for view in views], stamp, scales)
+
+
+def place_by_all(views: List[View], stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
+    """The same by the face and the head of the body of each view: one's size errs otherwise than the other's, and so do
+    their directions."""
+    return _fuse_tracks([track for view in views for track in view.heads], stamp, scales)
 
 
 def _at(track: SensorTrack, stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
     """Where a human is at `stamp` (s) by one track."""
     time, found = track.near(stamp)
-    scale = scales.get((track.sensor, track.source))
-    if scale is not None and track.origin is not None and scale.variance <= LEARNT_VARIANCE:
-        ray = found.position - track.origin
-        square = max(float(ray @ ray), 1e-6)
-        less = float(ray @ found.covariance @ ray) / square - (scale.variance + FIXED_VARIANCE) * square
-        found = Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
-                         found.covariance - max(0.0, less) / square * (ray[:, None] * ray))
+    found = _learnt(track, found, scales) or found
     return found._replace(position=found.position + found.velocity * (stamp - time))
+
+
+def _learnt(track: SensorTrack, found: Estimate, scales: Mapping[Tuple[str, int], Scale]) -> Optional[Estimate]:
+    """What a track tells by the scale that was learnt of it; None where that is not known, or no better."""
+    scale = scales.get((track.sensor, track.source))
+    if scale is None or track.origin is None or scale.variance > LEARNT_VARIANCE:
+        return None
+    ray = found.position - track.origin
+    square = max(float(ray @ ray), 1e-6)
+    less = float(ray @ found.covariance @ ray) / square - (scale.variance + FIXED_VARIANCE) * square
+    if less <= 0.0:
+        return None
+    return Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
+                    found.covariance - less / square * (ray[:, None] * ray))
 
 
 def _fuse_tracks(tracks: List[SensorTrack], stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
     heads = [track for track in tracks if track.source < 2] or tracks
     if len(heads) == 1:
         return _at(heads[0], stamp, scales)
-    moments = [track.near(stamp) for track in heads]
+    by_sensor = Counter(track.sensor for track in heads)
+    informations, values, ahead = [], [], []
+    for track in heads:
+        time, found = track.near(stamp)
+        learnt, resting = _learnt(track, found, scales), track.resting_place
+        information = track.information
+        if learnt is not None:
+            resting, found, information = resting + learnt.position - found.position, learnt, np.linalg.inv(
+                learnt.covariance)
+        informations.append(information / (1.0 + (by_sensor[track.sensor] - 1) * SAME_CAMERA))
+        values.append((found.position, found.velocity, resting))
+        ahead.append(stamp - time)
     # One view tells the velocity along its ray badly, all together well.
-    weights, covariance = shares(np.array([track.information for track in heads]))
-    means = weighted(weights, np.array([(found.position, found.velocity, track.resting_place)
-                                        for track, (_, found) in zip(heads, moments)]).swapaxes(1, 2))
-    place, velocity, resting = means.T
+    weights, covariance = shares(np.array(informations))
+    place, velocity, resting = weighted(weights, np.array(values).swapaxes(1, 2)).T
     if float(velocity @ velocity) < STANDING_MPS ** 2:
         velocity = np.zeros(3)
     else:
-        ahead = np.array([stamp - time for time, _ in moments])
-        place = place + np.add.reduce(ahead[:, None, None] * weights) @ velocity
+        place = place + np.add.reduce(np.array(ahead)[:, None, None] * weights) @ velocity
     away = resting - place
     return Estimate(place + away / (1.0 + (float(away @ away) / RESTING_M ** 2) ** 2), velocity, covariance)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple, cast
+from typing import Callable, Container, Dict, List, Mapping, Optional, Sequence, Set, Tuple, cast
 
 import numpy as np
 
@@ -262,23 +262,27 @@ class BodyTracker:
         """Assign each detection to a track; chosen tracks without one are marked as missed."""
         pairs = {self.tracks[row].id: detections[column]
                  for row, column in assign(cost_matrix(self.tracks, detections, stamp, faces), MAX_COST)}
-        doubles = self._doubles({name: detection.estimate for name, detection in pairs.items()}, stamp, faces)
+        missed = {track.id for track in chosen if track.id not in pairs}
+        doubles = self._doubles({name: detection.estimate for name, detection in pairs.items()}, missed, stamp, faces)
         for track in self.tracks:
             if track.id in pairs and track.id not in doubles:
                 track.update(pairs[track.id], stamp, self._unhidden(track, pairs[track.id], stamp))
             elif track in chosen or track.id in doubles:
                 track.missed(stamp)
 
-    def _doubles(self, seen: Mapping[str, PoseEstimate], stamp: float, faces: Sequence[FaceBox]) -> Set[str]:
+    def _doubles(self, seen: Mapping[str, PoseEstimate], missed: Container[str], stamp: float,
+                 faces: Sequence[FaceBox]) -> Set[str]:
         """Ids of the bodies that are told from the same part of the image as another one, and yield to it.
 
-        seen: estimates of this image by id; other visible bodies are where they are expected. Of two one stays: that
-        with a face in this image, else the less weak (see `BodyTrack.weakness`). Two faces are two humans. Who began
-        where another one was hidden yields once that one is there again.
+        seen: estimates of this image by id; other visible bodies are where they are expected. missed: ids of those that
+        were looked for in this image in vain. Of two one stays: that with a face in this image, else that which was not
+        missed, else the less weak (see `BodyTrack.weakness`). Two faces are two humans. Who began where another one was
+        hidden yields once that one is there again.
         """
         shown_faces = {face.id for face in faces}
         order = sorted((track for track in self.tracks if track.visible or track.id in seen),
-                       key=lambda track: (track.face_id not in shown_faces, *track.weakness(track.id in seen, stamp)))
+                       key=lambda track: (track.face_id not in shown_faces, track.id in missed,
+                                          *track.weakness(track.id in seen, stamp)))
         shown: Dict[str, Tuple[PoseEstimate, bool]] = {}
         for track in order:
             estimate, faced = seen.get(track.id, track.expected(stamp)), track.face_id in shown_faces
