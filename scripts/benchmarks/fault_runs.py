@@ -216,8 +216,9 @@ class FaultRun:
             if not processes.wait_until(lambda: all(fault_graph.pid_of(node) is not None for node in everybody),
                                         PATIENCE_S):
                 return NEVER
-            # A new master has no parameters but those that nodes set themselves.
-            self._parameters = fault_graph.parameters()
+            # A new master has no parameters but those that nodes set themselves; their own have to be among them.
+            own = (*(node + "/" for node in everybody), "/humans/")
+            self._parameters = fault_graph.parameters() | {name for name in self._parameters if name.startswith(own)}
             return self.people.until_whole(began)
         finally:
             watch.close()

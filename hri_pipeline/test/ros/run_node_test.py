@@ -1,30 +1,20 @@
 #!/usr/bin/env python3
 """Start and end of a node: no master, master comes, goes and comes again; signals; errors of the set-up."""
 
-import os
 import signal
-import socket
-import subprocess
 import sys
 import tempfile
 import time
-import unittest
 from xmlrpc.client import ServerProxy
 
 import rosgraph
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from node_process import LAUNCH, NodeTest, free_port
 
 from hri_msgs.msg import IdsList
-from hri_pipeline.testing import HeardProcess, wait_for
-
-NODE = os.path.join(os.path.dirname(os.path.abspath(__file__)), "small_node.py")
-LAUNCH = """<launch>
-  <node name="small_node" pkg="hri_pipeline" type="small_node.py" respawn="true" respawn_delay="0.1" output="screen">
-    {}
-  </node>
-</launch>"""
+from hri_pipeline.testing import wait_for
 
 # A master that has just begun, and takes nothing from the node at first.
 HASTY_MASTER = """
@@ -47,49 +37,7 @@ master.run()
 """
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-class Process(HeardProcess):
-    """A child process and what it has said so far."""
-
-    def __init__(self, command, **environment):
-        self.lines = []
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-                                   env=dict(os.environ, PYTHONUNBUFFERED="1", **environment))
-        super().__init__(process, lambda: self.lines.extend(process.stdout))
-
-    def says(self, text, timeout=20):
-        wait_for(lambda: any(text in line for line in list(self.lines)), timeout,
-                 "{!r}; said: {}".format(text, self.lines))
-
-    def end(self, number=signal.SIGINT):
-        self.process.send_signal(number)
-        return self.code()
-
-    def kill(self):
-        super().kill()
-        self.process.stdout.close()
-
-
-class RunNodeTest(unittest.TestCase):
-
-    def start(self, command, **environment):
-        process = Process(command, **environment)
-        self.addCleanup(process.kill)
-        return process
-
-    def node(self, *arguments, **environment):
-        return self.start([sys.executable, NODE] + list(arguments), **environment)
-
-    def master(self, port):
-        process = self.start(["rosmaster", "--core", "-p", str(port)])
-        graph = rosgraph.Master("/test", master_uri="http://127.0.0.1:{}".format(port))
-        wait_for(graph.is_online, 20, "the master is online")
-        return process, graph
+class RunNodeTest(NodeTest):
 
     def test_without_a_master_it_says_so_and_can_be_stopped(self):
         uri = "http://127.0.0.1:{}".format(free_port())
@@ -132,11 +80,6 @@ class RunNodeTest(unittest.TestCase):
         wait_for(lambda: self.registered(graph) == first, 20, lambda: "the new master knows {}, not {}".format(
             first, self.registered(graph)))
         self.assertEqual(node.end(), 0)
-
-    def registered(self, graph):
-        state = graph.getSystemState()
-        return [sorted(name for name, nodes in part if "/small_node" in nodes and not name.startswith("/rosout"))
-                for part in state]
 
     def test_signals_close_while_ros_still_works(self):
         heard = []

@@ -44,7 +44,7 @@ class SmallNode:
             raise RuntimeError("fails in " + where)
 
     def spin(self):
-        print("spinning", flush=True)
+        print("spinning, size", self.parameters.size, flush=True)
         self.fail("spin")
         rospy.spin()
 

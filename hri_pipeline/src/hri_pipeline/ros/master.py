@@ -5,6 +5,7 @@ All questions end after a time: rospy's own wait for a minute, or for ever.
 
 from __future__ import annotations
 
+import itertools
 import threading
 from enum import Enum
 from http.client import HTTPConnection
@@ -14,10 +15,12 @@ from xmlrpc.client import ServerProxy, Transport
 import rosgraph
 import rospy
 
+from hri_pipeline.ros.own_parameters import OwnParameters, Snapshot
 from hri_pipeline.ros.rospy_compat import own_address, own_publications, own_services, own_subscriptions
 
 ANSWER_S = 5.0
 _PERIOD_S = 2.0
+_KEEP_EACH = 5      # questions who the master is for one after the parameters, which are some kilobytes
 
 
 class MasterAway(Exception):
@@ -100,12 +103,16 @@ class MasterWatch:
     """Asks the master every two seconds who it is.
 
     rospy registers a topic once. A master that is started again knows nothing of the node, which then is
-    deaf although it runs: its publishers, subscribers and services are registered again here. Parameters
-    are not: a new master has those of whoever started it.
+    deaf although it runs: its publishers, subscribers and services are registered again here, after its
+    `parameters`, if any are given, were put back where nobody has set others.
     """
 
-    def __init__(self, period: float = _PERIOD_S) -> None:
+    def __init__(self, period: float = _PERIOD_S, parameters: Optional[OwnParameters] = None) -> None:
+        self._parameters = parameters
+        snapshot = self._read()
         self._identity = self._ask()
+        if self._identity is not None:
+            self._keep(snapshot)
         self._away = False
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._watch, args=(period,), name="master watch", daemon=True)
@@ -122,7 +129,11 @@ class MasterWatch:
         self._thread.join(timeout=5.0)
 
     def _watch(self, period: float) -> None:
-        while not self._closed.wait(period):
+        for count in itertools.count(1):
+            if self._closed.wait(period):
+                return
+            # Before the question who the master is: what one that has just begun does not know must not be forgotten.
+            snapshot = self._read() if count % _KEEP_EACH == 0 else None
             identity = self._ask()
             if identity is None:
                 if not self._away:
@@ -133,8 +144,10 @@ class MasterWatch:
             if self._identity is not None and identity != self._identity:
                 if not self._register_again():
                     continue        # the next time
-            elif self._away:
-                rospy.loginfo("the ROS master answers again")
+            else:
+                self._keep(snapshot)
+                if self._away:
+                    rospy.loginfo("the ROS master answers again")
             self._identity, self._away = identity, False
 
     def _ask(self) -> Optional[Tuple[int, str]]:
@@ -143,11 +156,33 @@ class MasterWatch:
         except MasterAway:
             return None
 
+    def _read(self) -> Optional[Snapshot]:
+        if self._parameters is None:
+            return None
+        try:
+            with node_at(rosgraph.get_master_uri()) as master:
+                return self._parameters.read(master)
+        except Exception:           # it is away: whoever asks who it is says so
+            return None
+
+    def _keep(self, snapshot: Optional[Snapshot]) -> None:
+        if self._parameters is not None and snapshot is not None:
+            self._parameters.keep(snapshot)
+
+    def _put_back(self) -> None:
+        if self._parameters is None:
+            return
+        with node_at(rosgraph.get_master_uri()) as master:
+            done = self._parameters.put_back(master)
+        if done:
+            rospy.loginfo("put back on the new ROS master: parameters %s", ", ".join(done))
+
     def _register_again(self) -> bool:
         """Tell the new master all that this node has; False when it does not take it, for whatever reason."""
         rospy.logwarn("the ROS master has been started again; registering all topics and services anew")
         name, uri = rospy.get_name(), own_address()
         try:
+            self._put_back()        # first: who sees the node on the new master finds its parameters, too
             with node_at(rosgraph.get_master_uri()) as master:
                 published = own_publications()
                 for topic, kind in published:

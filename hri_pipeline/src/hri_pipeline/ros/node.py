@@ -24,6 +24,7 @@ from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.process import GarbageCollector, keep_large_blocks, one_thread_each
 from hri_pipeline.ros.diagnostics import ERROR, NodeDiagnostics
 from hri_pipeline.ros.master import MasterAway, MasterWatch, ask_master, node_at
+from hri_pipeline.ros.own_parameters import OwnParameters, ParametersLost, check_not_lost
 from hri_pipeline.ros.rospy_compat import prepare_rospy
 
 _RETRY_S = 1.0
@@ -50,13 +51,14 @@ class _Stop(BaseException):
     """SIGINT or SIGTERM came. No `except Exception` on the way holds it up."""
 
 
-def run_node(name: str, build: Callable[[], RunnableNode]) -> NoReturn:
+def run_node(name: str, build: Callable[[], RunnableNode], parameters: Optional[OwnParameters] = None) -> NoReturn:
     """Run a node and end the process.
 
     Waits for the master, initialises rospy as `name`, calls build() and spin() of what it returns. On SIGINT,
     SIGTERM or any exception its close() is called while ROS still works, then ROS is shut down.
     Exit code 0, or 1 after an error; SETUP_ERRORS are told in one line. Where roslaunch would start the node again,
-    it then waits until its parameters change: see `_wait_for_change`.
+    it then waits until its parameters change: see `_wait_for_change`. parameters: those that the node changes itself
+    are set there.
     """
     _install_handlers()
     # Without room for its log, Python would print a traceback for each line that it cannot write.
@@ -69,7 +71,7 @@ def run_node(name: str, build: Callable[[], RunnableNode]) -> NoReturn:
     try:
         wait_for_master(name)
         rospy.init_node(name, disable_signals=True)
-        code = _run(build)
+        code = _run(build, parameters or OwnParameters())
     except _Stop:
         pass
     except ROSInitException as error:
@@ -146,14 +148,15 @@ def _say_away(name: str, error: MasterAway, left: float) -> None:
     sys.stderr.flush()
 
 
-def _run(build: Callable[[], RunnableNode]) -> int:
+def _run(build: Callable[[], RunnableNode], parameters: OwnParameters) -> int:
     """Build, spin and close; return the exit code."""
     node: Optional[RunnableNode] = None
     watch: Optional[MasterWatch] = None
     collector: Optional[GarbageCollector] = None
     code = 0
     try:
-        watch = MasterWatch()
+        watch = MasterWatch(parameters=parameters)
+        check_not_lost(sys.argv)
         node = build()
         one_thread_each()     # for libraries that came with the node
         collector = GarbageCollector()
@@ -180,13 +183,14 @@ def _wait_for_change(error: Exception) -> None:
     That is until the parameters change. What may pass by itself, such as a port or a file in use, a missing model, is
     tried again after a second, then after two, four, and so on.
     """
-    restarts = _restarts()
+    lost = isinstance(error, ParametersLost)
+    restarts = 0 if lost else _restarts()   # the new master does not know of roslaunch
     if restarts is None:
         return
     may_pass = isinstance(error, (ModelError, StoreError)) or isinstance(error.__cause__, (OSError, StoreError))
     end = time.monotonic() + (min(2.0 ** restarts, _LONGEST_PAUSE_S) if may_pass else math.inf)
     name = rospy.get_name()
-    if not may_pass:
+    if not may_pass and not lost:
         rospy.logwarn("%s waits for its parameters to change: set them with rosparam (it then ends, and roslaunch "
                       "starts it again), or end this launch, mend its file and start it again", name)
     diagnostics = NodeDiagnostics(name)

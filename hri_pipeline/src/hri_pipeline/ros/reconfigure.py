@@ -21,6 +21,7 @@ from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, Reconfigure
 
 from hri_pipeline.core.parameters import Parameter, ParameterError, ParameterTable, S, Settings, format_value
 from hri_pipeline.ros.node import RunnableNode, read_parameters, run_node
+from hri_pipeline.ros.own_parameters import OwnParameters
 from hri_pipeline.ros.rospy_compat import release
 
 _New = TypeVar("_New", bound=Settings, contravariant=True)
@@ -40,20 +41,22 @@ class LiveNode(RunnableNode, Protocol[_New]):
 
 def run_live_node(name: str, table: ParameterTable[S], build: Callable[[S], LiveNode[S]]) -> NoReturn:
     """Run the node that build(settings) makes, as run_node does, and let its live parameters be changed."""
+    parameters = OwnParameters()
+
     def make() -> _Live:
         settings = read_parameters(table)
-        return _Live(build(settings), table, settings)
+        return _Live(build(settings), table, settings, parameters)
 
-    run_node(name, make)
+    run_node(name, make, parameters)
 
 
 class _Live:
     """A node with its reconfiguration."""
 
-    def __init__(self, node: LiveNode[S], table: ParameterTable[S], settings: S) -> None:
+    def __init__(self, node: LiveNode[S], table: ParameterTable[S], settings: S, parameters: OwnParameters) -> None:
         self._node = node
         try:
-            self._reconfiguration = Reconfiguration(table, settings, node.reconfigure)
+            self._reconfiguration = Reconfiguration(table, settings, node.reconfigure, parameters)
         except BaseException:
             node.close()
             raise
@@ -70,7 +73,8 @@ class Reconfiguration(Generic[S]):
     """Serves `~set_parameters`, and latches `~parameter_descriptions` and `~parameter_updates`.
 
     table: of the node; only its live parameters can be changed. settings: their values now. apply: called with all
-    values after a change, in a thread of rospy; ValueError means that they contradict each other.
+    values after a change, in a thread of rospy; ValueError means that they contradict each other. parameters: of the
+    node, in which what is changed is kept.
 
     A value outside its range is an error of the service that says what is legal. One that contradicts others is told in
     the log, and the answer says what is in force: a slider does not know of the others. Nothing is changed by halves.
@@ -78,7 +82,9 @@ class Reconfiguration(Generic[S]):
     with it.
     """
 
-    def __init__(self, table: ParameterTable[S], settings: S, apply: Callable[[S], None]) -> None:
+    def __init__(self, table: ParameterTable[S], settings: S, apply: Callable[[S], None],
+                 parameters: OwnParameters) -> None:
+        self._parameters = parameters
         self._table = table
         self._settings = settings
         self._apply = apply
@@ -132,7 +138,7 @@ class Reconfiguration(Generic[S]):
     def _keep(self, name: str, value: object) -> None:
         """Put a value on the parameter server, as the node's own: that counts before the one of the whole stack."""
         try:
-            rospy.set_param("~" + name, value)
+            self._parameters.set(name, value)
         except Exception as error:  # the master is away; the value counts all the same
             rospy.logwarn("%s could not be put on the parameter server: %s", name, error)
 

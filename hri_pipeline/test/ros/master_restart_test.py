@@ -1,0 +1,74 @@
+#!/usr/bin/env python3
+"""Parameters of a node when the ROS master is started again, which loses them all."""
+
+import os
+import signal
+import time
+import uuid
+
+import rostest
+from node_process import NodeTest, free_port
+
+from hri_pipeline.testing import wait_for
+
+
+class MasterRestartTest(NodeTest):
+
+    def test_a_new_master_gets_the_parameters_back_where_nobody_has_set_them(self):
+        port = free_port()
+        master, graph = self.master(port)
+        graph.setParam("/small_node", {"size": 3, "fail": ""})
+        graph.setParam("/humans", {"reference_frame": "odom", "match_threshold": 0.4})
+        node = self.node(ROS_MASTER_URI="http://127.0.0.1:{}".format(port))
+        node.says("spinning")
+        master.kill()
+        node.says("does not answer; running on without it")
+        node.process.send_signal(signal.SIGSTOP)
+        master, graph = self.master(port)
+        graph.setParam("/small_node/size", 7)
+        graph.setParam("/humans/reference_frame", "map")
+        node.process.send_signal(signal.SIGCONT)
+        wait_for(lambda: self.registered(graph)[0], 20, "the new master knows the node")
+        self.assertEqual(graph.getParam("/small_node"), {"size": 7, "fail": ""})
+        self.assertEqual(graph.getParam("/humans"), {"reference_frame": "map", "match_threshold": 0.4})
+        self.assertEqual(node.end(), 0)
+
+    def test_a_node_that_ends_after_the_restart_of_the_master_has_its_parameters_again(self):
+        port = free_port()
+        master, graph = self.master(port)
+        roslaunch = self.launch("<param name='size' value='3'/>", port)
+        roslaunch.says("spinning, size 3")
+        master.kill()
+        roslaunch.says("does not answer; running on without it")
+        master, graph = self.master(port)
+        graph.setParam("/run_id", str(uuid.uuid4()))
+        wait_for(lambda: self.registered(graph)[0], 20, "the new master knows the node")
+        del roslaunch.lines[:]
+        self.kill_node(graph)
+        roslaunch.says("spinning, size")
+        self.assertIn("spinning, size 3\n", roslaunch.lines)
+        self.assertEqual(roslaunch.end(), 0)
+
+    def test_a_node_that_ends_with_the_master_does_not_run_without_its_parameters(self):
+        port = free_port()
+        master, graph = self.master(port)
+        roslaunch = self.launch("<param name='size' value='3'/>", port)
+        roslaunch.says("spinning, size 3")
+        pid = self.pid_of_node(graph)
+        master.kill()
+        os.kill(pid, signal.SIGKILL)
+        roslaunch.says("no ROS master at")
+        master, graph = self.master(port)
+        graph.setParam("/run_id", str(uuid.uuid4()))
+        roslaunch.says("went with it")
+        time.sleep(3.0)
+        said = "".join(roslaunch.lines)
+        self.assertEqual(said.count("spinning"), 1)
+        self.assertEqual(said.count("process[small_node-1]"), 2, "roslaunch has started it again once")
+        graph.setParam("/small_node/size", 4)
+        roslaunch.says("spinning, size 4")
+        self.assertEqual(roslaunch.end(), 0)
+
+
+if __name__ == "__main__":
+    rostest.rosrun("hri_pipeline", "master_restart", MasterRestartTest)
