@@ -346,7 +346,7 @@ def _head_for(units: np.ndarray, trunks: np.ndarray, settings: GazeSettings
 _CALM, _RENEWAL_S = 0.7, 3.0
 """Squared steps of a direction count up to this part of their variance, so that looks which go elsewhere do not pass
 for trembling; time constant (s) of their mean."""
-_SACCADE, _AGREEING, _FIXATION_S = 4.0, 1.5, 0.2
+_SACCADE, _AGREEING, _FIXATION_S = 2.5, 1.5, 0.2
 """Eyes look elsewhere when two images in a row have them so many standard deviations from where they were, and so many
 at most from each other; time constant (s) of where they were. (As the velocity threshold of D. D. Salvucci and J. H.
 Goldberg, ETRA 2000, on the noise of cameras: smaller turns are left to the filter.)"""
