@@ -154,6 +154,25 @@ class TestPersonManager(unittest.TestCase):
         self.wait_for(lambda: abs(self.last_frame(person).transform.translation.x - self.expected_x(3.0)[1]) < 0.1,
                       "the place of the body, by and by", act=lambda: self.show(("body_bbbbb", 3.0)))
 
+    def test_images_of_the_body_that_come_after_those_of_the_face_send_no_stamp_again(self):
+        self.announce(faces=["fanna"], bodies=["banna"])
+        self.match("fanna", IdsMatch.FACE, "banna", IdsMatch.BODY, 0.9)
+        person = self.one_person()
+        images = []
+        for _ in range(10):
+            images.append(self.show(("face_fanna", 2.0)))
+            time.sleep(0.1)
+        self.wait_for(lambda: self.last_frame(person) is not None, "the frame by the face")
+        for stamp in images:
+            # The body is a second behind, and by now alone.
+            self.tf.publish(TFMessage([transform(CAMERA, "body_banna", stamp, 2.0)]))
+            time.sleep(0.1)
+        last = self.show(("body_banna", 2.5))
+        self.wait_for(lambda: self.last_frame(person).header.stamp >= last, "the frame goes on")
+        with self.lock:
+            stamps = [frame.header.stamp for frame in self.frames[person]]
+        self.assertEqual(stamps, sorted(set(stamps)))
+
     def test_without_a_face_the_person_stands_at_the_head_of_its_skeleton(self):
         # As robot_state_publisher sends it: fixed links once, before or after the body is told of, the others together.
         self.static.publish(TFMessage([placed("y_head_bhhhh", "head_bhhhh", 0.05),

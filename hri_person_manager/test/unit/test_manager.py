@@ -869,3 +869,60 @@ def test_permanent_persons_whom_nobody_sees_stay_after_time_has_jumped_back():
     assert people(manager, 40.0) == {"ann": ("", "", "", 0.0), "bob": ("f2", "", "", 0.0)}
     manager.tick(41.0)
     assert set(people(manager, 41.0)) == {"ann", "bob"} and manager.snapshot(41.0).tracked == ("bob",)
+
+
+# -- sources that lag, on a loaded machine
+
+CAMERA = "camera_optical_frame"
+
+
+def lagging(lag, body_period=0.2, delay=0.0):
+    """A manager that has followed a face in time, of f1, and a body b2 of somebody else, `lag` s late, for 20 s."""
+    manager = make(new_person_delay=delay, half_life=2.0, faces=["f1"], bodies=["b2"])
+    now, body_at = 0.0, 0.0
+    while now < 20.0:
+        manager.on_place(PlaceSource.FACE, "f1", place(1.0, now - 0.05), now, CAMERA)
+        if now >= body_at:
+            body_at += body_period
+            manager.on_place(PlaceSource.BODY, "b2", place(3.0, now - lag), now, CAMERA)
+        manager.tick(now)
+        now = round(now + 0.1, 6)
+    return manager
+
+
+def of_body(manager, now):
+    (found,) = [state[3] for state in people(manager, now).values() if state[1] == "b2"]
+    return found
+
+
+def test_who_was_last_seen_in_an_old_image_is_not_as_sure_as_who_is_seen_now():
+    assert of_body(lagging(0.3), 20.0) == 1.0
+    assert of_body(lagging(3.05), 19.8) == pytest.approx(0.5)     # 2 s after the second that counts as now
+
+
+def test_a_body_that_comes_rarely_counts_as_now_for_two_seconds_at_most():
+    manager = lagging(0.05, body_period=2.0)
+    assert (of_body(manager, 19.9), of_body(manager, 20.5)) == (1.0, pytest.approx(0.5 ** 0.25, abs=0.03))
+
+
+def test_a_clock_that_is_off_or_a_bag_that_pauses_is_no_lag():
+    manager = make(new_person_delay=0.0, half_life=2.0, faces=["f1"])
+    for begin, age in ((10.0, 3.0), (20.0, 1000.0), (40.0, -7.0), (60.0, 1.5), (180.0, 2.5)):
+        for number in range(50):
+            now = begin + 0.1 * number
+            manager.on_place(PlaceSource.FACE, "f1", place(1.0, now - age), now, CAMERA)
+        if age != 1.5:      # for a minute that is a lag
+            assert confidences(manager, now + 0.5) == [1.0], age
+
+
+def test_nobody_is_born_of_one_image_that_is_old():
+    manager = lagging(3.0, delay=0.4)
+    manager.on_tracked(Kind.BODY, ["b2", "b3", "b4"], 20.0)
+    for body in ("b3", "b4"):
+        manager.on_place(PlaceSource.BODY, body, place(9.0, 17.0), 20.0, CAMERA)
+    manager.tick(20.5)
+    assert len(people(manager, 20.5)) == 2
+    manager.on_tracked(Kind.BODY, ["b2", "b4"], 20.6)       # the next image does not show b3 any more
+    manager.on_place(PlaceSource.BODY, "b4", place(9.0, 17.5), 20.6, CAMERA)
+    manager.tick(20.7)
+    assert {state[1] for state in people(manager, 20.7).values()} == {"", "b2", "b4"}

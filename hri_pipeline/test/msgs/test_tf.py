@@ -14,8 +14,9 @@ import tf2_py
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 
 from hri_pipeline.core.frames import FrameHistory, RawTransform
+from hri_pipeline.ros import tf
 from hri_pipeline.ros.conversions import pose_from_transform
-from hri_pipeline.ros.tf import HISTORY_S, RobotTf
+from hri_pipeline.ros.tf import HISTORY_S, RobotTf, TfPublisher
 from hri_pipeline.testing import held_by
 
 NOW = 1700000000
@@ -178,3 +179,70 @@ def test_a_fixed_frame_may_become_a_moving_one(again):
     assert frames.lookup("arm", at(NOW + 1)).translation[0] == 5.0
     frames.reset()
     assert frames.lookup("camera", at(NOW + 1)) is None and frames.lookup("arm", at(NOW + 1)) is not None
+
+
+class Clocks:
+    """The graph's time and the wall's, s."""
+
+    now = wall = 1000.0
+
+
+@pytest.fixture
+def clocks(monkeypatch):
+    clocks = Clocks()
+    monkeypatch.setattr(rospy, "get_time", lambda: clocks.now)
+    monkeypatch.setattr(tf.time, "monotonic", lambda: clocks.wall)
+    return clocks
+
+
+@pytest.fixture
+def sent(monkeypatch):
+    """A publisher whose messages are kept, and (child, seconds) of what was sent."""
+    found = []
+
+    class Topic:
+        def __init__(self, name, kind, queue_size):
+            pass
+
+        def publish(self, message):
+            found.extend((one.child_frame_id, one.header.stamp.to_sec()) for one in message.transforms)
+
+    monkeypatch.setattr(rospy, "Publisher", Topic)
+    return TfPublisher(), found
+
+
+def send(publisher, *stamps, child="person_a"):
+    for stamp in stamps:
+        transform = TransformStamped(child_frame_id=child)
+        transform.header.stamp = genpy.Time.from_sec(stamp)
+        transform.transform.rotation.w = 1.0
+        publisher.send([transform])
+
+
+def test_no_frame_is_sent_twice_for_one_stamp_and_none_after_a_newer_one(sent, clocks):
+    publisher, found = sent
+    # Two images of the face, the same ones of the body a little later, the time of now in a silence, and a late image.
+    send(publisher, 10.0, 10.125, 10.0, 10.125, 10.25, 12.0, 11.5, 12.0, 12.25)
+    send(publisher, 10.0, child="person_b")
+    assert found == [("person_a", stamp) for stamp in (10.0, 10.125, 10.25, 12.0, 12.25)] + [("person_b", 10.0)]
+    assert publisher.dropped == 4
+
+
+def test_frames_are_sent_again_when_the_clock_has_gone_back(sent, clocks):
+    publisher, found = sent
+    send(publisher, 1000.0)
+    clocks.now = 980.0
+    send(publisher, 979.875)
+    assert [stamp for _, stamp in found] == [1000.0, 979.875]
+
+
+def test_frames_are_sent_again_when_only_older_stamps_come_for_long(sent, clocks):
+    publisher, found = sent
+    send(publisher, 1000.0)
+    for _ in range(12):
+        clocks.now, clocks.wall = clocks.now + 1.0, clocks.wall + 1.0
+        send(publisher, clocks.now - 100.0)
+    assert [stamp for _, stamp in found] == [1000.0, 911.0, 912.0]
+    publisher.reset()
+    send(publisher, 800.0)
+    assert found[-1] == ("person_a", 800.0)

@@ -176,6 +176,12 @@ class CheckTest(unittest.TestCase):
                          ["FAULT  nobody publishes /none/image"], text)
         self.assertIn("hence  hri_faces: input: no publisher on /none/image for 9 s", text)
 
+    def test_compressed_images_only(self):
+        packed = rospy.Publisher("/packed/image/compressed", CompressedImage, queue_size=1)
+        self.addCleanup(release, packed)
+        self.names("nobody publishes /packed/image, but /packed/image/compressed is published", "image:=/packed/image",
+                   self.camera("packing")[1])
+
     def test_a_robot_in_a_namespace(self):
         told = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1, latch=True)
         self.addCleanup(release, told)

@@ -6,6 +6,7 @@ import subprocess
 import threading
 import time
 import unittest
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -93,6 +94,29 @@ class ImageInputTest(InputCase):
                 self.assertEqual(image_input.status()[2]["images_arrive"], True)
                 wait_for(lambda: time.monotonic() > image_input._heard + 0.25, 5, "calm")
             wait_for(lambda: image_input.next(0.05) is None and len(log.output) == 2, 10, "the camera goes again")
+
+    def other_transport(self, transport, name, kind, wanted):
+        """A camera that sends under this name, with images of this kind, to a node that waits for `transport`."""
+        mappings = {rospy.resolve_name(topic): rospy.resolve_name(name.partition("/")[0] + "/" + topic)
+                    for topic in ("image", "image/compressed")}
+        with mock.patch.dict(rospy.names.get_resolved_mappings(), mappings):
+            image_input = self.image_input(transport=transport)
+        text = "but {} is published; start with image_transport:={}".format(rospy.resolve_name(name), wanted)
+        with self.assertLogs("rosout", "WARNING") as log:
+            wait_for(lambda: image_input.next(0.05) is None and image_input.status()[0] == ERROR, 10, "silence")
+            # The camera begins after it was told that none is there.
+            self.advertise(name, kind)
+            wait_for(lambda: image_input.next(0.05) is None and any(text in line for line in log.output), 20, text)
+            began = time.monotonic()
+            wait_for(lambda: image_input.next(0.05) is None and time.monotonic() > began + 2.0, 10, "time for more")
+        self.assertEqual(sum(text in line for line in log.output), 1)
+        self.assertIn(text, image_input.status()[1])
+
+    def test_raw_images_where_compressed_ones_are_awaited_are_told(self):
+        self.other_transport("compressed", "second/image", Image, "raw")
+
+    def test_compressed_images_where_raw_ones_are_awaited_are_told(self):
+        self.other_transport("raw", "third/image/compressed", CompressedImage, "compressed")
 
     def test_another_node_on_the_topic_is_not_heard_while_the_camera_sends(self):
         image_input = self.image_input()

@@ -64,6 +64,14 @@ class Stage:
         self._fixed.publish(TFMessage([transform_to_msg(pose, rospy.Time.now(), parent, child) for parent, child,
                                        pose in transforms]))
 
+    def send(self, frames, stamp):
+        """Publish moving frames once: (parent, child, Pose)."""
+        self._tf.publish(TFMessage([transform_to_msg(pose, stamp, parent, child) for parent, child, pose in frames]))
+
+    def name_body(self, name, body):
+        """Tell which body somebody has who has been there already."""
+        self._topics[name][1].publish(body)
+
     def close(self):
         """Nobody is there any more."""
         self._stop.set()

@@ -157,6 +157,28 @@ class InteractionsTest(unittest.TestCase):
         self.stage.shift = 0.0
         wait_for(lambda: self.gazes[-1].header.stamp > begun, WAIT_S, "the present again")
 
+    def test_4b_bodies_that_lag_behind_the_faces_are_no_jump_of_time(self):
+        place, robot = np.array([1.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0])
+        self.stage.people = {"ian": (LEFT, place, robot)}
+        self.wait_for_gazes({("ian", "")}, "ian at the robot")
+        self.stage.name_body("ian", "bian")
+        before = self.time_jumps()
+        for _ in range(3):
+            # The next face comes late, on a busy machine, and meanwhile a body of an image of two seconds ago.
+            self.stage.people = {"ian": (None, place, robot)}
+            rospy.sleep(0.8)
+            self.stage.send([(LEFT, "body_bian", Pose(np.eye(3), place))], rospy.Time.now() - rospy.Duration(2.0))
+            self.stage.people = {"ian": (LEFT, place, robot)}
+            self.wait_for_gazes({("ian", "")}, "ian at the robot again")
+        self.assertEqual(self.time_jumps(), before)
+
+    def time_jumps(self):
+        # The first ones may tell of an earlier moment.
+        for _ in range(3):
+            self.states.pop("hri_interactions: location", None)
+            state = wait_for(lambda: self.states.get("hri_interactions: location"), WAIT_S, "diagnostics")
+        return {item.key: item.value for item in state.values}["time jumps"]
+
     def test_5_garbage_ends_nothing(self):
         self.stage.people = {"fay": (LEFT, np.array([np.nan, 0.0, 2.0]), np.array([1.0, 0.0, 0.0])),
                              "gil": (LEFT, np.array([1.0, 0.0, 2.0]), np.array([1.0, 0.0, 0.0]))}

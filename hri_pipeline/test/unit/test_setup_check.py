@@ -128,6 +128,16 @@ def test_a_node_with_another_topic_keeps_its_own_fault():
     assert [finding.what for finding in findings if finding.level == HINT] == ["hri_faces: pipeline: " + NO_IMAGE_YET]
 
 
+@pytest.mark.parametrize("wanted, there, transport", [
+    ("/camera/image_raw", "/camera/image_raw/compressed", "compressed"),
+    ("/camera/image_raw/compressed", "/camera/image_raw", "raw")])
+def test_images_of_the_other_transport_are_told_with_what_to_set(wanted, there, transport):
+    stream = Stream(wanted, "sensor_msgs/Image", other=there)
+    found, = [finding for finding in check(replace(WELL, image=stream, picture=None), SETTINGS) if finding.level > 0]
+    assert found.what == "nobody publishes {}, but {} is published".format(wanted, there)
+    assert found.hint == "start with image_transport:={}".format(transport)
+
+
 @pytest.mark.parametrize("facts, status, count", [
     (replace(WELL, picture=Picture(encoding="x", problem="encoding 'x' is not supported")),
      (2, "/camera/image_raw: encoding 'x' is not supported"), 1),

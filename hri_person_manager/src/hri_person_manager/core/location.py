@@ -9,7 +9,8 @@ last place, with a confidence below 1 that decays, until it reaches 0. 4. Never 
 When the face of a person disappears, the body takes over, without a pause and without a jump (`FaceBodyTransition`).
 
 Stamps are times of measurements; they tell how old a place is. `now` is the time at which a place arrives; it tells
-whether a source is still active, so that the age of its messages neither favours nor harms a source.
+whether a source is still active, so that the age of its messages neither favours nor harms a source. A source that lags
+behind others of its sensor, or behind itself, is not as sure for that (`SensorTimes`).
 """
 
 from __future__ import annotations
@@ -18,11 +19,12 @@ import math
 from collections import deque
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Callable, Container, Deque, Dict, Hashable, Iterable, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Callable, Container, Deque, Dict, Hashable, Iterable, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 import numpy as np
 
 from hri_person_manager.core.features import MatchNode, PlaceSource
+from hri_person_manager.core.sensor_times import SensorTimes
 from hri_person_manager.core.triangulation import aged
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
@@ -43,7 +45,9 @@ SMOOTHING = 0.5            # s, of the velocity
 LONGEST_STEP = 1.0         # s between two places that tell a velocity
 VOICE_PATIENCE = 3.0       # s for which a place that was seen is better than the direction of a voice
 FRESH_TIME = 1.0           # s for which a place counts as that of now,
-FRESH_PERIODS = 3.0        # and so many image periods, where these are longer
+FRESH_PERIODS = 3.0        # and so many image periods, where these are longer;
+SLOW_TIME = 2.0            # s at most for a source that is slower than the images of its sensor
+LATE_TIME = 1.0            # s by which a place may lag to be one of now
 LONGEST_PERIOD = 10.0      # s; what comes less often is no sequence of images
 JUMP_BACK = 0.5            # s; a clock that goes back by more has been set
 HIGHEST_SPEED = 3.0        # m/s, a person who runs; more is a jump of the measurement
@@ -216,12 +220,18 @@ class CoastingMotion:
 
 @dataclass
 class FeaturePlace:
-    """The last place of a tracked feature: by which of its frames, received at the time `now` (s), seen by `sensor`."""
+    """The last place of a tracked feature: by which of its frames, received at the time `now` (s), seen by `sensor`.
+
+    lag: s by which it came later than the least delayed places of that sensor. image_period: s, of the sensor, None
+    where it is not known.
+    """
 
     source: PlaceSource
     place: Place
     now: float
     sensor: str = ""
+    lag: float = 0.0
+    image_period: Optional[float] = None
     periods: Deque[float] = field(default_factory=lambda: deque(maxlen=5))
 
     @property
@@ -229,7 +239,13 @@ class FeaturePlace:
         """For how long (s) the place counts as that of now."""
         # The median: neither an image without the feature nor two that come at once tell the period.
         period = sorted(self.periods)[(len(self.periods) - 1) // 2] if self.periods else 0.0
-        return max(FRESH_TIME, FRESH_PERIODS * period)
+        image_period = period if self.image_period is None else min(self.image_period, period)
+        return max(FRESH_TIME, min(FRESH_PERIODS * period, max(FRESH_PERIODS * image_period, SLOW_TIME)))
+
+    @property
+    def is_single(self) -> bool:
+        """Whether it is the only one of its feature so far, and of an old image: newer ones may show nobody."""
+        return self.lag > LATE_TIME and not self.periods
 
 
 class FeaturePlaces:
@@ -237,11 +253,13 @@ class FeaturePlaces:
 
     def __init__(self) -> None:
         self._known: Dict[MatchNode, FeaturePlace] = {}
+        self._times = SensorTimes()
 
     def add(self, feature: MatchNode, source: PlaceSource, place: Place, now: float, sensor: str = "") -> FeaturePlace:
         """Take a place of a tracked feature that arrives at `now` (s)."""
         known = self._known.get(feature)
-        latest = FeaturePlace(source, place, now, sensor)
+        lag = self._times.note(sensor, source, place.stamp, now)
+        latest = FeaturePlace(source, place, now, sensor, lag, self._times.period(sensor))
         if known is not None:
             period = place.stamp - known.place.stamp
             if period >= 0.0:
@@ -250,6 +268,10 @@ class FeaturePlaces:
                 latest.periods.append(period)
         self._known[feature] = latest
         return latest
+
+    def single(self, features: Iterable[MatchNode]) -> Set[MatchNode]:
+        """Return those of the features that one old image alone has placed."""
+        return {feature for feature in features if feature in self._known and self._known[feature].is_single}
 
     def of(self, features: Iterable[MatchNode]) -> List[Tuple[MatchNode, FeaturePlace]]:
         """Return those of the features that have a place, with it, the one that was received first comes first."""
@@ -275,11 +297,17 @@ class FeaturePlaces:
 
 
 class _LastReport(NamedTuple):
-    """The last place of a source: its stamp, when it arrived, and for how long it counts as current; all s."""
+    """The last place of a source: its stamp, when it arrived, for how long it counts, and how late it was; all s."""
 
     stamp: float
     arrived: float
     fresh: float
+    lag: float = 0.0
+
+    @property
+    def until(self) -> float:
+        """Until when (s) it counts as that of now: from when it was seen, not from when it came."""
+        return self.arrived - self.lag + self.fresh
 
 
 class PersonLocation:
@@ -306,16 +334,16 @@ class PersonLocation:
         self.updated = self._seen = self._fresh_until = float("-inf")
 
     def offer(self, source: PlaceSource, place: Place, now: float, feature: Hashable = None,
-              fresh: float = FRESH_TIME) -> bool:
+              fresh: float = FRESH_TIME, lag: float = 0.0) -> bool:
         """Take a new place, received at `now` (s), unless a better source is active; return whether it was taken.
 
         Of two features that are equally good, such as the faces that two cameras see of one person, the one that was
         used first goes on. A voice tells the direction only: where somebody was seen shortly before is closer to the
         truth. A body goes on from where the face was: see `FaceBodyTransition`. fresh: s for which the place counts as
-        that of now.
+        that of now, from `lag` s before it came.
         """
         better = self._better(source, place.stamp, now, feature)
-        self._reports[source, feature] = _LastReport(place.stamp, now, fresh)
+        self._reports[source, feature] = _LastReport(place.stamp, now, fresh, lag)
         if better is not None:
             if better == PlaceSource.FACE and source in _OF_BODY:
                 self._transition.body(place.frame, place.pose.translation, place.stamp, (source, feature))
@@ -339,7 +367,7 @@ class PersonLocation:
         """Return how far the place is to be trusted at `now` (s): 1 while it is fresh, then less, 0 without one."""
         if self.place is None:
             return 0.0
-        until = max((report.arrived + report.fresh for report in self._reports.values()), default=float("-inf"))
+        until = max((report.until for report in self._reports.values()), default=float("-inf"))
         return 1.0 if now <= until else decay.confidence(now - max(until, self._fresh_until))
 
     def expected(self, now: float) -> Optional[Place]:
@@ -359,7 +387,7 @@ class PersonLocation:
         """Let go of all sources but those of these features; at `now` (s) the others have left."""
         for key in [key for key in self._reports if key[1] not in features]:
             report = self._reports.pop(key)
-            self._fresh_until = max(self._fresh_until, min(now, report.arrived + report.fresh))
+            self._fresh_until = max(self._fresh_until, min(now, report.until))
 
     def inherit(self, other: "PersonLocation") -> None:
         """Take over the sources of a person that turned out to be the same, and its place, if that is the better."""

@@ -261,8 +261,8 @@ class PersonManager:
             return None
         person = self._published.representative(owner)
         if person is not owner:
-            owner.location.offer(source, place, now, feature, latest.fresh)
-        if not person.location.offer(source, place, now, feature, latest.fresh):
+            owner.location.offer(source, place, now, feature, latest.fresh, latest.lag)
+        if not person.location.offer(source, place, now, feature, latest.fresh, latest.lag):
             return None
         self._framed.add(person.id)
         return person.id
@@ -384,7 +384,8 @@ class PersonManager:
 
     def _hold(self, now: float, due: FrozenSet[MatchNode] = frozenset()) -> None:
         """Let features wait that may well be of somebody who is a person already; those `due` no longer."""
-        self._table.hold(self._cameras.held | self._waiting_for_matches(now), due)
+        self._table.hold(self._cameras.held | self._waiting_for_matches(now)
+                         | self._places.single(self._table.unassigned), due)
 
     def _waiting_for_matches(self, now: float) -> Set[MatchNode]:
         """Features without a person at the place of a face, or body, of one camera that lacks them.
@@ -475,7 +476,7 @@ class PersonManager:
             person = self._published.representative(owner)
             for location in [owner.location] if person is owner else [owner.location, person.location]:
                 if latest.now > location.updated:
-                    location.offer(latest.source, latest.place, latest.now, feature, latest.fresh)
+                    location.offer(latest.source, latest.place, latest.now, feature, latest.fresh, latest.lag)
 
     def _update_merges(self, now: float) -> bool:
         """Choose the representatives anew; returns whether one has changed."""

@@ -34,6 +34,7 @@ from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.process import share_arenas
 from hri_pipeline.core.recognition.gallery import SHARED_ENDINGS
 from hri_pipeline.core.recognition.store import PersonStore, StoreWriter, read_store
+from hri_pipeline.core.stamps import Order, SourceStamps
 from hri_pipeline.ros.conversions import matrix_from_image, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.privacy import PrivacyTopic
@@ -227,6 +228,7 @@ class PersonManagerNode:
         self._last_now = rospy.get_time()
         self._next_report = self._next_expiry = 0.0
         self._jumps = 0
+        self._stamps = SourceStamps()
         self._sensed = genpy.Time()     # stamp of the newest image or sound of which a list or a transform has come
         self._feeds: Dict[str, IdSubscribers] = {}
         self._store = open_store(settings)
@@ -373,6 +375,7 @@ class PersonManagerNode:
             now = rospy.get_time()
             moved: Dict[str, object] = {}
             for pose in poses:
+                self._watch_stamps(pose)
                 place = self._reference.place(pose)
                 stamp = place.exact_stamp
                 self._note_stamp(stamp)
@@ -402,6 +405,7 @@ class PersonManagerNode:
             rospy.logwarn("time went back by %.1f s: places start anew, persons stay", self._last_now - now)
             self._jumps += 1
             self._sensed = genpy.Time()
+            self._stamps.clear()
             self._tf_input.reset()
             self._manager.rewind(now)
         self._last_now = now
@@ -447,6 +451,11 @@ class PersonManagerNode:
         self._tf.send([transform_to_msg(place.pose, place.exact_stamp, place.frame, "person_" + person_id)
                        for person_id, place in self._manager.newly_placed(now)])
         self._topics.update(self._manager.snapshot(now), self._sensed)
+
+    def _watch_stamps(self, pose: FeaturePose) -> None:
+        """Send older frames again where the stamps of a sensor have jumped back without the clock."""
+        if self._stamps.note((pose.source, pose.sensor), (pose.secs, pose.nsecs), time.monotonic()) == Order.BACK:
+            self._tf.reset()
 
     def _note_stamp(self, stamp: genpy.Time) -> None:
         """Note when something was sensed; stamps of the future would stay for good."""

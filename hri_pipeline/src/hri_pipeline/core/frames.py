@@ -111,6 +111,12 @@ def read_stamp(data: bytes, offset: int) -> Tuple[int, int]:
     return secs, nsecs
 
 
+def read_parent(data: bytes, offset: int) -> bytes:
+    """Return the parent, as it is in the message, of the transform at an offset that scan() has given."""
+    begin = offset + _PARENT_AT + 4
+    return data[begin:begin + _LENGTH.unpack_from(data, begin - 4)[0]]
+
+
 def _names(data: bytes) -> Tuple[str, str]:
     """Return parent and child out of their lengths and texts."""
     middle = 4 + _LENGTH.unpack_from(data)[0]

@@ -344,3 +344,10 @@ class PictureCuts:
         step = max(1, min(bgr.shape[:2]) // (2 * _SIDE))
         green = np.ascontiguousarray(bgr[::step, ::step, 1])
         return cv2.resize(green, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA).astype(np.float32)
+
+
+def other_transport(topic: str) -> Tuple[str, str]:
+    """Return the topic of the same images in the other transport, and the name of that: `raw` or `compressed`."""
+    if topic.endswith("/compressed"):
+        return topic[:-len("/compressed")], "raw"
+    return topic + "/compressed", "compressed"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Callable, Dict, List, Optional, Sequence, Tuple
 
-from hri_pipeline.core.images import ENCODINGS
+from hri_pipeline.core.images import ENCODINGS, other_transport
 from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
 
 NO_IMAGE_YET = "no image yet"       # what a pipeline tells in /diagnostics, whatever the reason
@@ -17,7 +17,8 @@ _ASPECT_TOLERANCE = 0.02
 class Stream:
     """One topic that the stack needs. types: what its publishers send. age: s from the last stamp to now, None without.
 
-    unreachable: names of publishers that do not answer at their address.
+    unreachable: names of publishers that do not answer at their address. other: published topic of the same images in
+    the other transport (raw, compressed), empty without one.
     """
 
     topic: str
@@ -29,6 +30,7 @@ class Stream:
     rate: float = 0.0
     age: Optional[float] = None
     frame: str = ""
+    other: str = ""
 
 
 @dataclass(frozen=True)
@@ -263,6 +265,9 @@ def _stream(stream: Stream, argument: str) -> List[Finding]:
     if wrong and len(wrong) == len(stream.types):
         return [Finding(FAULT, "{} is a {}, not a {}".format(stream.topic, wrong[0], stream.wanted),
                         _type_hint(wrong[0], argument), stream.topic)]
+    if not stream.publishers and stream.other:
+        return [Finding(FAULT, "nobody publishes {}, but {} is published".format(stream.topic, stream.other),
+                        "start with image_transport:={}".format(other_transport(stream.topic)[1]), stream.topic)]
     if not stream.publishers:
         return [
             Finding(

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from concurrent.futures import Future, wait
+from dataclasses import replace
 from typing import Dict, List, Optional, TextIO, Tuple
 
 import genpy
@@ -20,7 +21,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo
 
 from hri_msgs.msg import IdsList
-from hri_pipeline.core.images import ImageError
+from hri_pipeline.core.images import ImageError, other_transport
 from hri_pipeline.core.onnx import models_directory
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.setup_check import (
@@ -36,7 +37,7 @@ from hri_pipeline.core.setup_check import (
 )
 from hri_pipeline.models.catalogue import select
 from hri_pipeline.ros.conversions import compressed_to_bgr, image_to_bgr
-from hri_pipeline.ros.master import MasterAway, ask_master, is_alive
+from hri_pipeline.ros.master import IMAGE_TYPES, MasterAway, ask_master, is_alive, is_published
 from hri_pipeline.ros.node import read_parameters
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.tf import RobotTfListener
@@ -45,7 +46,6 @@ KINDS = ("persons", "faces", "bodies", "voices")
 _ANSWER_S = 2.0
 _PLACERS = ("hri_person_manager", "hri_interactions")
 """Nodes that have a reference frame."""
-_IMAGE_TYPES = {"raw": "sensor_msgs/Image", "compressed": "sensor_msgs/CompressedImage"}
 _MASTER = ("FAULT  no ROS master answers at {}: nothing runs there\n"
            "       -> roslaunch ros4hri ros4hri.launch, or set ROS_MASTER_URI to where it runs")
 
@@ -165,7 +165,7 @@ class GraphProbe:
                 nodes={_shown(name): self._node(name) for name in self._wanted_nodes()},
                 publishing=tuple(sorted({name for names in publishing.values() for name in names})),
                 managers=tuple(sorted(publishing.get("/humans/persons/tracked", ()))),
-                image=self._stream(image, self._image_type(image)), info=self._stream(info, "sensor_msgs/CameraInfo"),
+                image=self._image_stream(image), info=self._stream(info, "sensor_msgs/CameraInfo"),
                 picture=picture, calibration=self._calibration(info),
                 sim_time=bool(rospy.get_param("/use_sim_time", False)), clock_messages=self._clock,
                 camera_frame=camera, reference_frame=reference,
@@ -229,8 +229,11 @@ class GraphProbe:
         registered = {node for kind in self._master.getSystemState() for _, nodes in kind for node in nodes}
         return "dead" if name in registered else "absent"
 
-    def _image_type(self, topic: str) -> str:
-        return _IMAGE_TYPES["compressed" if topic.endswith("/compressed") else "raw"]
+    def _image_stream(self, topic: str) -> Stream:
+        other, transport = other_transport(topic)
+        kind = next(kind for name, kind in IMAGE_TYPES.items() if name != transport)
+        is_there = is_published(other, IMAGE_TYPES[transport], _ANSWER_S)
+        return replace(self._stream(topic, kind), other=other if is_there else "")
 
     def _stream(self, topic: str, wanted: str) -> Stream:
         counter = self._counters[topic]

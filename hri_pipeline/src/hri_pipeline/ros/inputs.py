@@ -17,9 +17,10 @@ from std_msgs.msg import Header
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 from hri_pipeline.core.error_log import Outage
 from hri_pipeline.core.faces.parameters import DepthCameraSettings
-from hri_pipeline.core.images import DEPTH_RANGE, ImageError, depth_from_raw
+from hri_pipeline.core.images import DEPTH_RANGE, ImageError, depth_from_raw, other_transport
 from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
+from hri_pipeline.ros.master import IMAGE_TYPES, is_published
 from hri_pipeline.ros.rospy_compat import ReceivedImage, receive_without_copies, release, sender_of
 from hri_pipeline.ros.sensor_input import CALM_S, LOG_PERIOD_S, SensorInput
 
@@ -31,6 +32,8 @@ JUMP_S = 1.0
 MOST_AGE_S = 2.0
 _CLOCKS = ("{}: images are {:.1f} s {}, so that rviz and tf do not show people where they are now; set the clocks of "
            "camera and robot by NTP, or play bags with --clock and /use_sim_time")
+# How long the master is waited for.
+_MASTER_S = 1.0
 # How long the first image waits for its camera_info.
 INFO_GRACE_S = 1.0
 # Images of other publishers are ignored until the one that is used has sent nothing for so long.
@@ -121,6 +124,7 @@ class ImageInput(SensorInput):
         self._age = 0.0
         self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0,
                                        "forward_jumps": 0}
+        self._asked = float("-inf")
         self._camera = CameraInfoInput(fallback_hfov, fov_parameter)
         receive_without_copies()
         self._subscribers = [rospy.Subscriber(name, kind, self._store, queue_size=1, buff_size=buffer_bytes)]
@@ -169,6 +173,16 @@ class ImageInput(SensorInput):
         self._camera.close()
         if self._depth is not None:
             self._depth.close()
+
+    def _mend(self) -> Tuple[str, str]:
+        """Tell of images of the other transport; the master is asked every LOG_PERIOD_S, as long as none come."""
+        topic, transport = other_transport(self.topic)
+        if time.monotonic() > self._asked + LOG_PERIOD_S:
+            self._elsewhere = topic if is_published(topic, IMAGE_TYPES[transport], _MASTER_S) else ""
+            self._asked = time.monotonic()
+        if not self._elsewhere:
+            return super()._mend()
+        return ", but {} is published".format(topic), "start with image_transport:={}".format(transport)
 
     def _store(self, message: ImageMessage) -> None:
         with self._condition:

@@ -21,6 +21,8 @@ from hri_pipeline.ros.rospy_compat import own_address, own_publications, own_ser
 ANSWER_S = 5.0
 _PERIOD_S = 2.0
 _KEEP_EACH = 5      # questions who the master is for one after the parameters, which are some kilobytes
+IMAGE_TYPES = {"raw": "sensor_msgs/Image", "compressed": "sensor_msgs/CompressedImage"}
+"""By transport."""
 
 
 class MasterAway(Exception):
@@ -63,6 +65,15 @@ def ask_master(name: str) -> Tuple[int, str]:
     except Exception as error:      # refused, reset, half an answer, no address: it is away
         raise MasterAway(str(error)) from error
     return pid, str(run_id) if found == 1 else ""     # a bare rosmaster has no run id
+
+
+def is_published(topic: str, kind: str, patience: float = ANSWER_S) -> bool:
+    """Tell whether a topic of this type has a publisher; False where the master does not answer for `patience` s."""
+    try:
+        with node_at(rosgraph.get_master_uri(), patience) as master:
+            return [topic, kind] in master.getPublishedTopics(rospy.get_name(), "")[2]
+    except Exception:   # refused, timed out, half an answer
+        return False
 
 
 def is_alive(uri: str, patience: float = ANSWER_S) -> bool:

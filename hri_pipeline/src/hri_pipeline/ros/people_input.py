@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from typing import Counter, Dict, List, Mapping, NamedTuple, Optional, Set, Tuple
+from typing import Counter, Dict, List, Mapping, NamedTuple, Optional, Set
 
 import genpy
 import numpy as np
@@ -13,21 +13,19 @@ import rospy
 from std_msgs.msg import Bool, String
 
 from hri_msgs.msg import FacialActionUnits
-from hri_pipeline.core.frames import is_optical, read, read_stamp
+from hri_pipeline.core.frames import is_optical, read, read_parent, read_stamp
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.interactions.parameters import InteractionSettings
 from hri_pipeline.core.interactions.people import PeopleSnapshot, PeopleTf, Places, Seen, gather
+from hri_pipeline.core.stamps import Order, SourceStamps
 from hri_pipeline.ros.conversions import has_gaze_of_closed_eyes
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import Frames, RobotTf, TfSubscriber
 
 MAX_PEOPLE = 100
-JUMP_BACK_S = 0.5
 AU_EYES_CLOSED, AU_BLINK = 43, 45
 _STAMPED_BY = (b"face_", b"body_")
-_STALE_S = 0.5
-_Newest = Tuple[bool, int, int]
 
 
 class StampedPeople(NamedTuple):
@@ -54,7 +52,8 @@ class PeopleInput:
         self._voice_of: Dict[str, str] = {}
         self._speaking: Dict[str, bool] = {}
         self._newest, self._newest_person = genpy.Time(), genpy.Time()
-        self._newer_at, self._measured_at = 0.0, -math.inf
+        self._stamps = SourceStamps()
+        self._measured_at = -math.inf
         self.changed = threading.Event()
         self.refused = self.jumps = 0
         features = {"face_id": String, "body_id": String, "voice_id": String}
@@ -163,8 +162,6 @@ class PeopleInput:
                 self._closures[face] = Seen(message.header.stamp.to_sec(), float(closed))
 
     def _on_frames(self, data: bytes, frames: Frames, fixed: bool) -> None:
-        # The latest stamp; one of a face or a body counts more than one of a person.
-        newest: Optional[_Newest] = None
         with self._lock:
             kept = self._tf
             for child, offset in frames:
@@ -172,17 +169,12 @@ class PeopleInput:
                 if not kept.wants(child):
                     if fixed or not kept.is_limb(child):
                         self._take_other(child, data, offset, fixed)
-                    continue
-                if fixed:
+                elif fixed:
                     kept.put(read(data, offset), fixed)
-                    continue
-                candidate = (child.startswith(_STAMPED_BY), *read_stamp(data, offset))
-                kept.put_unread(child, data, offset)
-                if newest is None or candidate > newest:
-                    newest = candidate
-            is_newer = newest is not None and self._note(newest)
-        if is_newer and (newest[0] or not self._measures_come()):
-            self.changed.set()
+                else:
+                    # First its stamp: where time has jumped back, this frame is the first one.
+                    self._note(child, data, offset)
+                    kept.put_unread(child, data, offset)
 
     def _measures_come(self) -> bool:
         """Tell whether frames of faces or bodies come: those of persons start no cycle then."""
@@ -196,29 +188,33 @@ class PeopleInput:
         except ValueError:
             self.refused += 1
 
-    def _note(self, newest: _Newest) -> bool:
-        """Note a stamp; tell whether it is a newer one.
+    def _note(self, child: bytes, data: bytes, offset: int) -> None:
+        """Note the stamp of a frame, and start a cycle where it is a newer one.
 
-        Far older ones, while no newer one comes, mean that time has jumped back.
+        All faces, and all bodies, of a camera come in the order of their images; other frames each in their own.
         """
-        measured, stamp = newest[0], genpy.Time(newest[1], newest[2])
-        before = self._newest if measured else self._newest_person
+        secs, nsecs = read_stamp(data, offset)
+        measured = child.startswith(_STAMPED_BY)
         now = time.monotonic()
-        if stamp > before:
-            self._newer_at = now
-        elif (before - stamp).to_sec() > JUMP_BACK_S and now - self._newer_at > _STALE_S:
+        source = (child[:5], read_parent(data, offset)) if measured else child
+        if self._stamps.note(source, (secs, nsecs), now) == Order.BACK:
             self.jumps += 1
-            self._forget()
-            self._newer_at = now
-        else:
-            return False
+            self._forget_moving()
+        stamp = genpy.Time(secs, nsecs)
+        if stamp <= (self._newest if measured else self._newest_person):
+            return
         if measured:
             self._newest, self._measured_at = stamp, now
         else:
             self._newest_person = stamp
-        return True
+        if measured or not self._measures_come():
+            self.changed.set()
 
     def _forget(self) -> None:
+        self._stamps.clear()
+        self._forget_moving()
+
+    def _forget_moving(self) -> None:
         self._tf.clear_moving()
         self._closures.clear()
         self._newest = self._newest_person = genpy.Time()

@@ -82,6 +82,7 @@ class SensorInput:
         self._outage = Outage(CALM_S)
         self._senders = OneSender(timeout)
         self._told: Tuple[str, float] = ("", float("-inf"))
+        self._elsewhere = self._told_elsewhere = ""
         self._warned: Dict[str, float] = {}
         self._subscribers: List[rospy.Subscriber] = []
         self._closed = False
@@ -117,15 +118,22 @@ class SensorInput:
         if silent < SILENCE_S or self._closed:
             return ""
         if not any(subscriber.get_num_connections() for subscriber in self._subscribers if subscriber.impl):
-            return "no publisher on {} for {:.0f} s; {}".format(self.topic, silent, self._hints[0])
+            return "no publisher on {} for {:.0f} s{}; {}".format(self.topic, silent, *self._mend())
         return "no {} on {} for {:.0f} s, although it has a publisher; {}".format(self._what, self.topic, silent,
                                                                                   self._hints[1])
 
+    def _mend(self) -> Tuple[str, str]:
+        """Return what else there is where nobody publishes the topic, and what to do."""
+        return "", self._hints[0]
+
     def _warn_of_silence(self) -> None:
+        text = self._silence()
+        if not text:
+            return
         with self._condition:
-            text = self._silence()
-            is_to_tell = bool(text) and self._outage.is_to_tell()
-        if is_to_tell:
+            is_to_tell = self._outage.is_to_tell()
+        if is_to_tell or (self._elsewhere and self._elsewhere != self._told_elsewhere):
+            self._told_elsewhere = self._elsewhere
             rospy.logwarn("%s", text)
 
     def _tell(self, problem: str) -> None:

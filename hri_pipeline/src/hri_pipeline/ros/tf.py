@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections import OrderedDict
 from typing import Callable, List, Optional, Sequence, Set, Tuple
 
@@ -15,6 +16,7 @@ from tf2_msgs.msg import TFMessage
 
 from hri_pipeline.core.frames import FrameHistory, RawTransform, check_stamp, is_of_human, is_stamp, read, scan
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.stamps import ALL_STALE_S, JUMP_BACK_S
 from hri_pipeline.ros.rospy_compat import release
 
 _LOG_PERIOD_S = 10.0
@@ -180,23 +182,34 @@ _REMEMBERED = 1000
 
 
 class TfPublisher:
-    """Publishes transforms on /tf, one message per call, never a frame twice with the same stamp.
+    """Publishes transforms on /tf, one message per call, never a frame twice with the same stamp or after a newer one.
 
-    tf2 drops a repeated stamp and prints a warning for each, in every process that listens.
+    tf2 drops a repeated stamp and prints a warning for each, in every process that listens. Older stamps are sent again
+    when the clock has gone back, after reset(), and when nothing newer has come for ALL_STALE_S.
     """
 
     def __init__(self) -> None:
         self._publisher = rospy.Publisher("/tf", TFMessage, queue_size=100)
-        self._last: "OrderedDict[str, genpy.Time]" = OrderedDict()
+        self._last: "OrderedDict[str, Tuple[genpy.Time, float]]" = OrderedDict()    # stamp, and when it was sent
+        self._now = 0.0
         self.dropped = 0
         self._closed = False
 
     def send(self, transforms: Sequence[TransformStamped]) -> None:
-        """Publish the transforms; a repeated (child, stamp) and numbers that are not finite are left out."""
+        """Publish the transforms; those that are not newer than the last one and numbers that are not finite are left
+        out."""
+        now = rospy.get_time()
+        if now < self._now - JUMP_BACK_S:
+            self.reset()
+        self._now = now
         fresh = [transform for transform in transforms if self._is_fresh(transform)]
         self.dropped += len(transforms) - len(fresh)
         if fresh and not self._closed:
             self._publisher.publish(TFMessage(transforms=fresh))
+
+    def reset(self) -> None:
+        """Take older stamps from now on: time has jumped back."""
+        self._last.clear()
 
     def close(self) -> None:
         """Close the topic. Idempotent."""
@@ -206,9 +219,12 @@ class TfPublisher:
 
     def _is_fresh(self, transform: TransformStamped) -> bool:
         child, stamp = transform.child_frame_id, transform.header.stamp
-        if self._last.get(child) == stamp or not _is_finite(transform):
+        last, sent_at = self._last.get(child, (None, 0.0))
+        now = time.monotonic()
+        is_older = last is not None and stamp <= last
+        if not _is_finite(transform) or (is_older and (stamp == last or now - sent_at <= ALL_STALE_S)):
             return False
-        self._last[child] = stamp
+        self._last[child] = stamp, now
         self._last.move_to_end(child)
         # Frames of people who have gone are forgotten, oldest first.
         while len(self._last) > _REMEMBERED:
