@@ -12,6 +12,7 @@ from hri_person_manager.core.location import Place
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
+from hri_person_manager.core.view_groups import ViewGroups
 from hri_pipeline.core.geometry import Pose
 
 STEP_S = 0.1
@@ -82,6 +83,33 @@ def test_another_face_on_a_body_that_goes_on_is_another_person(picture, order):
     assert picture.tracked == {"ann"} and picture.stands_for("bob") == "bob"
 
 
+def test_who_was_anonymous_in_between_joins_no_two_who_are_recognised(picture):
+    picture.show(0.2, [])
+    picture.show(2.0, ["f2"])
+    picture.say(HIM, BODY)
+    picture.show(1.0, ["f2"])
+    picture.say(HIM, BOB)
+    picture.show(3.0, ["f2"])
+    assert picture.tracked == {"bob"}
+    for _ in range(30):
+        picture.show(0.1, [], [])
+        assert picture.stands_for("bob") == "bob" and picture.stands_for("ann") == "ann", picture.manager.merges
+
+
+def test_a_body_bears_the_name_of_the_last_face_only(picture):
+    picture.show(0.3, [])
+    picture.show(0.3, ["f2"])
+    picture.say(HIM, BODY)
+    picture.say(HIM, BOB)
+    picture.show(2.0, ["f2"])
+    for _ in range(15):
+        picture.show(0.1, [])
+        assert picture.tracked == {"bob"}
+    for _ in range(30):
+        picture.show(0.1, [], [])
+        assert picture.stands_for("bob") == "bob" and picture.stands_for("ann") == "ann", picture.manager.merges
+
+
 def test_a_body_found_again_joins_no_two_who_are_recognised(picture):
     """The body was somebody anonymous who is Ann; now it is Bob's."""
     picture.show(1.0, [], [])
@@ -96,3 +124,11 @@ def test_a_body_found_again_joins_no_two_who_are_recognised(picture):
     picture.say(MatchNode(Kind.BODY, "b3"), MatchNode(Kind.PERSON, anonymous))
     picture.show(1.0, ["f2"], ["b3", "b2"])
     assert picture.stands_for("bob") == "bob" and picture.stands_for("ann") == "ann"
+
+
+def test_links_join_no_two_who_were_told_apart_over_somebody_between():
+    groups = ViewGroups()
+    links = [frozenset(pair) for pair in (("ann", "x"), ("x", "bob"), ("bob", "y"), ("y", "z"), ("bob", "z"))]
+    assert list(groups.without_strangers(links)) == links
+    groups.strangers[frozenset(("ann", "bob"))] = None
+    assert list(groups.without_strangers(links)) == [links[0], *links[2:]]

@@ -181,6 +181,8 @@ class CrossCamera:
             first, *others = human.persons or [""]
             wanted.update((frozenset((first, other)), None) for other in others)
         wanted.update(dict.fromkeys(self._still_kept(current, exists)))
+        if self._groups.strangers:
+            wanted = self._groups.without_strangers(wanted)
         changed = [CrossCameraLink(min(pair), max(pair), 0.0) for pair in self._told - wanted.keys()]
         changed += [CrossCameraLink(min(pair), max(pair), LIKELIHOOD) for pair in wanted if pair not in self._told]
         self._told = set(wanted)

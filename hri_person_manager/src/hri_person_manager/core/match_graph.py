@@ -212,8 +212,17 @@ class MatchGraph:
         for first, second in pairs:
             product = products.get(frozenset((first, second)), 0.0)
             if product > 0.0 and parts[first] is not parts[second] and frozenset((first, second)) not in refuted:
+                self._drop_earlier_names(first, second, threshold)
                 self.set(first, second, threshold)
                 join(first, second)
+
+    def _drop_earlier_names(self, first: MatchNode, second: MatchNode, threshold: float) -> None:
+        """Drop the names that a feature has from faces before the one whose name it is given now."""
+        for feature, person in ((first, second), (second, first)):
+            if person.kind == Kind.PERSON != feature.kind:
+                for other, likelihood in list(self.neighbours(feature).items()):
+                    if other.kind == Kind.PERSON and other != person and likelihood <= threshold:
+                        self._drop(feature, other)
 
     def component(self, start: MatchNode, threshold: float, present: Callable[[MatchNode], bool]) -> List[MatchNode]:
         """Return the sorted nodes that edges of at least the threshold connect with `start`."""

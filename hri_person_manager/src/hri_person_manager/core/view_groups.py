@@ -195,8 +195,8 @@ class ViewGroups:
     tracks: of each feature. view_of: by feature. group_of: by number of the view. all: by number of the group; one
     without a view is somebody whom all have lost. near, apart: how near pairs of groups are, and views to the rest of
     their group. two: pairs of groups that are two humans. parted: pairs of persons that a user has parted. kept: links
-    of groups that are gone. explained: groups that each group may be. likely: views that are most likely of a group,
-    too.
+    of groups that are gone. strangers: pairs of persons whom a recogniser has told apart in one view. explained: groups
+    that each group may be. likely: views that are most likely of a group, too.
     """
 
     def __init__(self) -> None:
@@ -211,6 +211,7 @@ class ViewGroups:
         self.named_by: "OrderedDict[str, Set[str]]" = OrderedDict()
         self.kept: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
         self.parted: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
+        self.strangers: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
         self.explained: Dict[int, Set[int]] = {}
         self.likely: Dict[int, List[View]] = {}
         self._numbers = itertools.count()
@@ -268,7 +269,7 @@ class ViewGroups:
             self.all[view.number] = self.group_of[view.number] = ViewGroup(view.number, view)
         for one in known.values():
             if one.called and names and not one.called & names:
-                self._begin_anew(one)           # it is somebody else after all
+                self._begin_anew(one, names)    # it is somebody else after all
         for number in sorted(known)[1:]:
             self.unite(self.group_of[view.number], self.group_of[number])
         for feature in features:
@@ -337,8 +338,12 @@ class ViewGroups:
             human.persons.pop(view.person, None)
         self.apart.pop(view.number, None)
 
-    def _begin_anew(self, view: View) -> None:
-        """Let a view be somebody of whom nothing is known."""
+    def _begin_anew(self, view: View, names: FrozenSet[str]) -> None:
+        """Let a view be somebody of whom nothing is known but these names."""
+        for pair in itertools.product(view.called, names):
+            self.strangers[frozenset(pair)] = None
+        while len(self.strangers) > MAX_NAMES:
+            self.strangers.popitem(last=False)
         view.called = _NOBODY
         human = self.group_of[view.number]
         if len(human.views) > 1:
@@ -348,6 +353,21 @@ class ViewGroups:
         view.began = view.ended
         new = ViewGroup(next(self._numbers), view)
         self.all[new.number] = self.group_of[view.number] = new
+
+    def without_strangers(self, pairs: Iterable[FrozenSet[str]]) -> Dict[FrozenSet[str], None]:
+        """Return the pairs of persons that join no two whom a recogniser has told apart, over others neither."""
+        kept: Dict[FrozenSet[str], None] = {}
+        joined: Dict[str, Set[str]] = {}
+        for pair in pairs:
+            one, other = (joined.setdefault(person, {person}) for person in sorted(pair))
+            if one is not other and not any(frozenset(both) in self.strangers
+                                            for both in itertools.product(one, other)):
+                one |= other
+                joined.update(dict.fromkeys(other, one))
+                kept[pair] = None
+            elif one is other:
+                kept[pair] = None
+        return kept
 
     def part(self, first: str, second: str) -> None:
         """Part two persons for good, as a user has."""
