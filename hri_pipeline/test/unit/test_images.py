@@ -8,6 +8,7 @@ import pytest
 
 from hri_pipeline.core.images import (
     ENCODINGS,
+    GreyBits,
     ImageError,
     bgr_from_compressed,
     bgr_from_raw,
@@ -49,6 +50,37 @@ def test_exact_encodings_with_and_without_padding(encoding, pixels, expected, pa
 def test_big_endian():
     data, step = padded(np.ascontiguousarray(WIDE.astype(">u2")))
     np.testing.assert_array_equal(bgr_from_raw(data, 8, 6, step, "mono16", True)[:, :, 0], GREY)
+
+
+def wide(largest, seed=3):
+    """A picture of 16 bits a pixel, 0 to `largest`."""
+    pixels = np.random.default_rng(seed).integers(0, largest + 1, (6, 8)).astype(np.uint16)
+    pixels[0, :2] = 0, largest
+    return pixels
+
+
+def grey_of(pixels, **memory):
+    return bgr_from_raw(pixels.tobytes(), 8, 6, 16, "mono16", **memory)[:, :, 0]
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14, 16])
+def test_sixteen_bits_that_hold_fewer_are_as_bright_as_full_ones(bits):
+    pixels = wide(2 ** bits - 1)
+    np.testing.assert_array_equal(grey_of(pixels), pixels >> (bits - 8))
+    assert grey_of(pixels).max() == 255
+    png = cv2.imencode(".png", pixels)[1].tobytes()
+    np.testing.assert_array_equal(bgr_from_compressed(png)[:, :, 0], pixels >> (bits - 8))
+
+
+def test_a_darker_image_of_the_same_camera_is_darker():
+    memory = GreyBits()
+    assert grey_of(wide(900), grey=memory).max() == 225        # until it is known how bright they become
+    for _ in range(3):
+        assert grey_of(wide(4095), grey=memory).max() == 255
+        assert grey_of(wide(900), grey=memory).max() == 56
+    png = cv2.imencode(".png", wide(900))[1].tobytes()
+    assert bgr_from_compressed(png, memory).max() == 56
+    assert grey_of(wide(0)).max() == 0
 
 
 @pytest.mark.parametrize("encoding, order", [("yuv422", "uyvy"), ("yuv422_yuy2", "yuyv")])

@@ -30,8 +30,23 @@ def _colour(code: int) -> Callable[[np.ndarray], np.ndarray]:
     return lambda pixels: cv2.cvtColor(pixels, code)
 
 
-def _high_byte(pixels: np.ndarray) -> np.ndarray:
-    return cv2.cvtColor((pixels >> 8).astype(np.uint8), cv2.COLOR_GRAY2BGR)
+_GREY_BITS = (10, 12, 14, 16)
+
+
+class GreyBits:
+    """How many of their 16 bits the images of a camera use: 10, 12, 14 or 16, by the largest number so far.
+
+    Never fewer than before: images would flicker.
+    """
+
+    def __init__(self) -> None:
+        self._bits = _GREY_BITS[0]
+
+    def upper(self, pixels: np.ndarray) -> np.ndarray:
+        """Return the upper 8 of the bits that are used, uint8, of an image of uint16."""
+        needed = int(pixels.max(initial=0)).bit_length()
+        self._bits = next(bits for bits in _GREY_BITS if bits >= max(needed, self._bits))
+        return (pixels >> (self._bits - 8)).astype(np.uint8)
 
 
 _MONO = _Layout(1, np.uint8, _colour(cv2.COLOR_GRAY2BGR))
@@ -46,7 +61,7 @@ _LAYOUTS: Dict[str, _Layout] = {
     "mono8": _MONO,
     "8UC1": _MONO,
     "8UC3": _BGR,
-    "mono16": _Layout(1, np.uint16, _high_byte),
+    "mono16": _Layout(1, np.uint16, _colour(cv2.COLOR_GRAY2BGR)),
     "yuv422": _Layout(2, np.uint8, _colour(cv2.COLOR_YUV2BGR_UYVY)),
     "yuv422_yuy2": _Layout(2, np.uint8, _colour(cv2.COLOR_YUV2BGR_YUY2)),
     "bayer_rggb8": _Layout(1, np.uint8, _colour(cv2.COLOR_BayerBG2BGR)),
@@ -66,8 +81,9 @@ def bgr_from_raw(
     step: int,
     encoding: str,
     is_bigendian: bool = False,
+    grey: Optional[GreyBits] = None,
 ) -> np.ndarray:
-    """Return a BGR image of the fields of a sensor_msgs/Image. Of 16 bits the upper 8 are used.
+    """Return a BGR image of the fields of a sensor_msgs/Image.
 
     Parameters
     ----------
@@ -81,6 +97,8 @@ def bgr_from_raw(
         One of ENCODINGS.
     is_bigendian : bool
         Order of the bytes of 16-bit numbers.
+    grey : GreyBits, optional
+        Which of 16 bits the earlier images of the camera use; without it this image alone tells.
 
     Returns
     -------
@@ -104,7 +122,7 @@ def bgr_from_raw(
         raise ImageError("an image in {} needs 2x2 px at least, not {}x{}".format(encoding, width, height))
     pixels = raw_rows(data, width, height, step, layout.channels * np.dtype(layout.depth).itemsize, encoding)
     if layout.depth is np.uint16:
-        pixels = pixels.view(">u2" if is_bigendian else "<u2").astype(np.uint16)
+        pixels = (grey or GreyBits()).upper(pixels.view(">u2" if is_bigendian else "<u2").astype(np.uint16))
     shape = (height, width) if layout.channels == 1 else (height, width, layout.channels)
     return layout.convert(pixels.reshape(shape))
 
@@ -151,13 +169,15 @@ def raw_rows(data: Union[bytes, bytearray, memoryview, np.ndarray], width: int, 
     return np.ascontiguousarray(np.lib.stride_tricks.as_strided(values, (height, row), (step, 1), writeable=False))
 
 
-def bgr_from_compressed(data: Union[bytes, bytearray, memoryview]) -> np.ndarray:
+def bgr_from_compressed(data: Union[bytes, bytearray, memoryview], grey: Optional[GreyBits] = None) -> np.ndarray:
     """Return a BGR image of JPEG or PNG data. Orientation tags are ignored, as camera_info knows none.
 
     Parameters
     ----------
     data : bytes
         A whole file.
+    grey : GreyBits, optional
+        As for bgr_from_raw().
 
     Returns
     -------
@@ -176,12 +196,12 @@ def bgr_from_compressed(data: Union[bytes, bytearray, memoryview]) -> np.ndarray
         raise ImageError("the compressed image ({} bytes) is not JPEG or PNG, or is damaged".format(values.size))
     _check_size(*size)
     try:
-        image = cv2.imdecode(values, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        image = cv2.imdecode(values, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise ImageError("the compressed image cannot be decoded: {}".format(error)) from error
     if image is None:
         raise ImageError("the compressed image ({} bytes) is damaged".format(values.size))
-    return image
+    return (grey or GreyBits()).upper(image) if image.dtype == np.uint16 else image
 
 
 def depth_from_raw(

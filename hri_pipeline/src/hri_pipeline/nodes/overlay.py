@@ -18,7 +18,7 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Float32, String
 
 from hri_msgs.msg import Expression, GazesStamped
-from hri_pipeline.core.images import ImageError
+from hri_pipeline.core.images import GreyBits, ImageError
 from hri_pipeline.core.observations import FeatureHistory
 from hri_pipeline.core.overlay import OverlaySettings, PersonMark, draw_overlay
 from hri_pipeline.core.timing import Pacer
@@ -158,6 +158,7 @@ class OverlayNode:
         self._pacer = Pacer(settings.max_rate)
         self._inputs: Optional[OverlayInputs] = None
         self._drawn = -1.0
+        self._grey = GreyBits()
         self._output = rospy.Publisher("visualization/overlay", Image, queue_size=1)
         self._diagnostics = NodeDiagnostics(rospy.get_name())
         rospy.on_shutdown(self._end)
@@ -196,7 +197,8 @@ class OverlayNode:
         message, faces, bodies, persons = taken
         self._drawn = message.header.stamp.to_sec()
         try:
-            image = compressed_to_bgr(message) if isinstance(message, CompressedImage) else image_to_bgr(message)
+            decode = compressed_to_bgr if isinstance(message, CompressedImage) else image_to_bgr
+            image = decode(message, self._grey)
         except ImageError as error:
             self._diagnostics.set("overlay", DiagnosticStatus.ERROR, str(error))
             return

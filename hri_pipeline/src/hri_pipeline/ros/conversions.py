@@ -38,7 +38,7 @@ from hri_msgs.msg import (
 )
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Numbers, Pose
-from hri_pipeline.core.images import ImageError, bgr_from_compressed, bgr_from_raw, check_colour
+from hri_pipeline.core.images import GreyBits, ImageError, bgr_from_compressed, bgr_from_raw, check_colour
 from hri_pipeline.core.interactions.people import GazeTarget
 from hri_pipeline.core.observations import SoftBiometrics as FaceBiometrics
 
@@ -75,18 +75,18 @@ def make_header(stamp: Stamp, frame_id: str) -> Header:
     return Header(stamp=to_time(stamp), frame_id=frame_id)
 
 
-def image_to_bgr(msg: Image) -> np.ndarray:
-    """Return (H, W, 3) uint8 BGR of a raw image; raises ImageError."""
-    return bgr_from_raw(msg.data, msg.width, msg.height, msg.step, msg.encoding, bool(msg.is_bigendian))
+def image_to_bgr(msg: Image, grey: Optional[GreyBits] = None) -> np.ndarray:
+    """Return (H, W, 3) uint8 BGR of a raw image; raises ImageError. grey: of the earlier images of the camera."""
+    return bgr_from_raw(msg.data, msg.width, msg.height, msg.step, msg.encoding, bool(msg.is_bigendian), grey)
 
 
-def compressed_to_bgr(msg: CompressedImage) -> np.ndarray:
-    """Return (H, W, 3) uint8 BGR of a JPEG or PNG image; raises ImageError."""
+def compressed_to_bgr(msg: CompressedImage, grey: Optional[GreyBits] = None) -> np.ndarray:
+    """Return (H, W, 3) uint8 BGR of a JPEG or PNG image; raises ImageError. grey: as for image_to_bgr()."""
     if "compressedDepth" in msg.format:
         raise ImageError("format {!r} is a depth image; give the compressed topic of the colour image".format(
             msg.format))
     check_colour(msg.format.partition(";")[0].strip())
-    return bgr_from_compressed(msg.data)
+    return bgr_from_compressed(msg.data, grey)
 
 
 def bgr_to_image(bgr: np.ndarray, header: Header) -> Image:

@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 from hri_pipeline.core.error_log import Outage
 from hri_pipeline.core.faces.parameters import DepthCameraSettings
-from hri_pipeline.core.images import DEPTH_RANGE, ImageError, depth_from_raw, other_transport
+from hri_pipeline.core.images import DEPTH_RANGE, GreyBits, ImageError, depth_from_raw, other_transport
 from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
 from hri_pipeline.ros.master import IMAGE_TYPES, is_published
@@ -113,6 +113,7 @@ class ImageInput(SensorInput):
                          SENDER_S)
         self.on_time_jump = on_time_jump
         self._depth = depth
+        self._grey = GreyBits()
         self._decode = image_to_bgr if transport == "raw" else compressed_to_bgr
         self._message: Optional[ImageMessage] = None
         self._last_stamp: Optional[float] = None
@@ -208,7 +209,7 @@ class ImageInput(SensorInput):
         self._warn("others", self._other_sender())
         self._camera.wait(self._first + INFO_GRACE_S - time.monotonic())
         try:
-            bgr = self._decode(message)
+            bgr = self._decode(message, self._grey)
         except ImageError as error:
             with self._condition:
                 self._senders.was_read(sender_of(message), False, time.monotonic())
