@@ -141,7 +141,7 @@ def test_what_was_read_before_a_change_does_not_undo_it(server):
 ])
 def test_parameters_that_went_with_the_master_of_roslaunch_are_missed(server, folder, there, lost):
     server["master"] = FakeMaster(there)
-    arguments = ["faces", "__name:=faces"] + (["__log:=/root/.ros/log/%s/faces-1.log" % folder] if folder else [])
+    arguments = ["faces", "__name:=faces"] + (["__log:=/var/log/ros/%s/faces-1.log" % folder] if folder else [])
     if not lost:
         check_not_lost(arguments)
         return
