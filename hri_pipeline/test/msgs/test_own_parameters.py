@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import pytest
 
-from hri_pipeline.ros import own_parameters
+from hri_pipeline.ros import master, own_parameters
 from hri_pipeline.ros.own_parameters import OwnParameters, ParametersLost, check_not_lost
+from hri_pipeline.testing import wait_for
 
 NAME = "/robot/faces"
 RUN, OTHER = "3f6e2d3e-8c1a-11ef-9d3c-0242ac110002", "4a7b1c22-8c1a-11ef-9d3c-0242ac110002"
@@ -56,6 +59,8 @@ def server(monkeypatch):
     monkeypatch.setattr(own_parameters.rospy, "get_name", lambda: NAME)
     monkeypatch.setattr(own_parameters.rospy, "set_param", set_param)
     monkeypatch.setattr(own_parameters.rospy, "get_param", get_param)
+    for level in ("loginfo", "logwarn", "logerr"):
+        monkeypatch.setattr(own_parameters.rospy, level, lambda text, *values: None)
     return reached
 
 
@@ -136,9 +141,75 @@ def test_what_was_read_before_a_change_does_not_undo_it(server):
 ])
 def test_parameters_that_went_with_the_master_of_roslaunch_are_missed(server, folder, there, lost):
     server["master"] = FakeMaster(there)
-    arguments = ["faces", "__name:=faces"] + (["__log:=/root/.ros/log/%s/faces-1.log" % folder] if folder else [])
+    arguments = ["faces", "__name:=faces"] + (["__log:=/var/log/ros/%s/faces-1.log" % folder] if folder else [])
     if not lost:
         check_not_lost(arguments)
         return
     with pytest.raises(ParametersLost, match="/robot/faces has no parameters"):
         check_not_lost(arguments)
+
+
+class Servers:
+    """The master that answers now, its process id, and how often it was asked for parameters."""
+
+    def __init__(self, monkeypatch):
+        self.now, self.reads = (1, FakeMaster(tree())), 0
+        monkeypatch.setattr(master, "ask_master", lambda name: (self.now[0], ""))
+        monkeypatch.setattr(master, "node_at", self.node_at)
+        monkeypatch.setattr(master.rosgraph, "get_master_uri", lambda: "")
+        monkeypatch.setattr(master, "own_address", lambda: "")
+        for name in ("own_publications", "own_services", "own_subscriptions"):
+            monkeypatch.setattr(master, name, lambda: [])
+
+    @contextlib.contextmanager
+    def node_at(self, uri):
+        self.reads += 1
+        yield self.now[1]
+
+    def restart(self):
+        self.now = (self.now[0] + 1, FakeMaster({}))
+
+    def faces(self):
+        return self.now[1].tree.get("robot", {}).get("faces", {})
+
+
+@pytest.fixture
+def servers(monkeypatch):
+    return Servers(monkeypatch)
+
+
+def watching(parameters):
+    return contextlib.closing(master.MasterWatch(0.005, parameters))
+
+
+def test_a_watch_puts_back_what_was_there_last_also_by_the_hand_of_others(servers):
+    with watching(OwnParameters()):
+        servers.now[1].tree["robot"]["faces"]["size"] = 9
+        known = servers.reads + 2
+        wait_for(lambda: servers.reads >= known, 10, "asked again")
+        servers.restart()
+        wait_for(lambda: servers.faces() == dict(tree()["robot"]["faces"], size=9), 10, servers.faces)
+        assert servers.now[1].tree["humans"] == tree()["humans"]
+
+
+def test_what_a_master_that_has_just_begun_does_not_know_is_not_forgotten(servers):
+    class RestartsBeforeItIsAsked(OwnParameters):
+        asked = 0
+
+        def read(self, there):
+            self.asked += 1
+            if self.asked == 2:
+                servers.restart()
+                there = servers.now[1]
+            return super().read(there)
+
+    with watching(RestartsBeforeItIsAsked()):
+        wait_for(lambda: servers.now[0] == 2 and servers.faces() == tree()["robot"]["faces"], 10, servers.faces)
+
+
+def test_a_watch_without_parameters_touches_none(servers):
+    with watching(None):
+        reads = servers.reads
+        servers.restart()
+        wait_for(lambda: servers.reads > reads, 10, "registered again")
+    assert servers.now[1].were_set == []

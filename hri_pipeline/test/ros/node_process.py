@@ -76,6 +76,9 @@ class NodeTest(unittest.TestCase):
         self.addCleanup(lambda: roslaunch.process.poll() is None and roslaunch.end())
         return roslaunch
 
+    def starts(self, roslaunch):
+        return "".join(roslaunch.lines).count("process[small_node-1]")
+
     def pid_of_node(self, graph):
         return ServerProxy(graph.lookupNode("/small_node")).getPid("/test")[2]
 

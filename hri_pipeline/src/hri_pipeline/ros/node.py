@@ -24,7 +24,7 @@ from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.process import GarbageCollector, keep_large_blocks, one_thread_each
 from hri_pipeline.ros.diagnostics import ERROR, NodeDiagnostics
 from hri_pipeline.ros.master import MasterAway, MasterWatch, ask_master, node_at
-from hri_pipeline.ros.own_parameters import OwnParameters, ParametersLost, check_not_lost
+from hri_pipeline.ros.own_parameters import OwnParameters, ParametersLost, check_not_lost, launched_for_earlier_master
 from hri_pipeline.ros.rospy_compat import prepare_rospy
 
 _RETRY_S = 1.0
@@ -183,14 +183,13 @@ def _wait_for_change(error: Exception) -> None:
     That is until the parameters change. What may pass by itself, such as a port or a file in use, a missing model, is
     tried again after a second, then after two, four, and so on.
     """
-    lost = isinstance(error, ParametersLost)
-    restarts = 0 if lost else _restarts()   # the new master does not know of roslaunch
+    restarts = 0 if launched_for_earlier_master(sys.argv) else _restarts()  # this one does not know of roslaunch
     if restarts is None:
         return
     may_pass = isinstance(error, (ModelError, StoreError)) or isinstance(error.__cause__, (OSError, StoreError))
     end = time.monotonic() + (min(2.0 ** restarts, _LONGEST_PAUSE_S) if may_pass else math.inf)
     name = rospy.get_name()
-    if not may_pass and not lost:
+    if not may_pass and not isinstance(error, ParametersLost):
         rospy.logwarn("%s waits for its parameters to change: set them with rosparam (it then ends, and roslaunch "
                       "starts it again), or end this launch, mend its file and start it again", name)
     diagnostics = NodeDiagnostics(name)

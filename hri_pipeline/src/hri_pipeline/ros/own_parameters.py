@@ -76,15 +76,23 @@ class OwnParameters:
         return done
 
 
-def check_not_lost(arguments: Sequence[str]) -> None:
-    """Raise ParametersLost where roslaunch has started this process for an earlier master, whose parameters are gone.
+def launched_for_earlier_master(arguments: Sequence[str]) -> bool:
+    """Tell whether roslaunch has started this process, and its master was started again since it began.
 
-    The defaults may show of people what the parameters had forbidden. arguments: of this process, among which
-    roslaunch gives the path of a log, in a folder with the run id of the master.
+    arguments: of this process, among which roslaunch gives the path of a log, in a folder with the run id of the
+    master.
+    """
+    run_id = _launched_for(arguments)
+    return bool(run_id) and rospy.get_param("/run_id", "") != run_id
+
+
+def check_not_lost(arguments: Sequence[str]) -> None:
+    """Raise ParametersLost where this process was launched for an earlier master, whose parameters are gone.
+
+    The defaults may show of people what the parameters had forbidden. arguments: of this process.
     """
     name = rospy.get_name()
-    run_id = _launched_for(arguments)
-    if run_id and rospy.get_param(name, {}) == {} and rospy.get_param("/run_id", "") != run_id:
+    if launched_for_earlier_master(arguments) and rospy.get_param(name, {}) == {}:
         raise ParametersLost("{} has no parameters: the ROS master was started again, and what roslaunch had set went "
                              "with it. The node waits: end this launch and start it again, or set its parameters with "
                              "rosparam".format(name))
