@@ -126,6 +126,20 @@ def test_a_body_found_again_joins_no_two_who_are_recognised(picture):
     assert picture.stands_for("bob") == "bob" and picture.stands_for("ann") == "ann"
 
 
+def test_a_stranger_on_a_body_that_goes_on_loses_the_name(picture):
+    """The recogniser knows only that it is not Ann."""
+    picture.show(0.3, [])
+    picture.show(0.3, ["f2"])
+    picture.say(HIM, BODY)
+    picture.show(1.5, ["f2"])
+    picture.say(HIM, ANN, 0.0)
+    picture.show(1.5, ["f2"])
+    for _ in range(30):
+        picture.show(0.1, ["f2"])
+        assert picture.tracked and "ann" not in picture.tracked
+    assert not picture.manager.merges
+
+
 def test_links_join_no_two_who_were_told_apart_over_somebody_between():
     groups = ViewGroups()
     links = [frozenset(pair) for pair in (("ann", "x"), ("x", "bob"), ("bob", "y"), ("y", "z"), ("bob", "z"))]

@@ -265,6 +265,28 @@ def test_consent_only_enrolled_people_are_recognised():
     assert scene.gallery.ids() == ["anna", "bert"], "and nobody is learnt"
 
 
+def test_a_stranger_who_comes_after_somebody_enrolled_is_told_once_not_to_be_that_person():
+    scene = Scene(policy="enrolled")
+    scene.gallery.add_person("bert", template(2)[None], enrolled=True)
+    scene.show({"f1": (7, 0.2)}, 5.0)
+    assert scene.messages == [], "bert was not there"
+    scene.show({"f2": (2, 0.2)}, 3.0)
+    assert scene.person("f2") == "bert"
+    scene.messages.clear()
+    scene.show({"f3": (7, 0.2), "f2": (2, 0.2)}, 5.0)
+    assert scene.messages == [], "bert is another face"
+    scene.show({"f3": (7, 0.2)}, 1.0)
+    scene.show({"f4": (8, 0.2), "f5": (2, 0.2)}, 0.3, quality=0.1)
+    assert [(match.face_id, match.person_id, match.likelihood) for match in scene.messages] == [("f3", "bert", 0.0)]
+    scene.show({"f4": (8, 0.2)}, 3.0)
+    assert scene.matches["f4", "bert"] == 0.0 and len(scene.messages) == 2
+    scene.show({"f5": (2, 0.2)}, 3.0)
+    assert scene.person("f5") == "bert"
+    scene.show({}, 90.0)
+    scene.show({"f6": (9, 0.2)}, 5.0)
+    assert ("f6", "bert") not in scene.matches, "too long ago for a body that was bert's"
+
+
 def test_enrolling_is_an_act():
     scene = Scene(policy="enrolled")
     scene.show({"f1": (1, 0.2)}, 3.0)

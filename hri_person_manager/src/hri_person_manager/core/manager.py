@@ -427,7 +427,7 @@ class PersonManager:
             if owner is not None and not owner.anonymous:
                 names.add(owner.id)
             doubted = {name for feature in features for name in self._association.refuted_as(feature, now)}
-            groups.append(SensedGroup(features, owner.id if owner is not None else "", frozenset(names),
+            groups.append(SensedGroup(features, owner.id if owner is not None else "", frozenset(names - doubted),
                                       frozenset(doubted)))
         return groups
 

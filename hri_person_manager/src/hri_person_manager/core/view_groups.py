@@ -246,7 +246,7 @@ class ViewGroups:
                 if feature in self.tracks:
                     by_sensor.setdefault(self.tracks[feature].sensor, []).append(feature)
             for sensor, features in by_sensor.items():
-                view = self._view_for(sensor, features, taken, group.names)
+                view = self._view_for(sensor, features, taken, group)
                 taken.add(view.number)
                 seen.update(features)
                 view.person, view.names, view.doubted = group.person, group.names, group.doubted
@@ -260,16 +260,16 @@ class ViewGroups:
             if not view.tracks:
                 self._remove(view)
 
-    def _view_for(self, sensor: str, features: List[MatchNode], taken: Set[int], names: FrozenSet[str]) -> View:
-        """Return the view of these features, whom `names` name: that of any of them, all as one, else a new one."""
+    def _view_for(self, sensor: str, features: List[MatchNode], taken: Set[int], group: SensedGroup) -> View:
+        """Return the view of these features of a group: that of any of them, all as one, else a new one."""
         known = {view.number: view for view in (self.view_of.get(feature) for feature in features)
                  if view is not None and view.number not in taken}
         view = known[min(known)] if known else View(next(self._numbers), sensor)
         if not known:
             self.all[view.number] = self.group_of[view.number] = ViewGroup(view.number, view)
         for one in known.values():
-            if one.called and names and not one.called & names:
-                self._begin_anew(one, names)    # it is somebody else after all
+            if one.called and (not one.called & group.names if group.names else one.called <= group.doubted):
+                self._begin_anew(one, group.names)      # it is somebody else after all
         for number in sorted(known)[1:]:
             self.unite(self.group_of[view.number], self.group_of[number])
         for feature in features:

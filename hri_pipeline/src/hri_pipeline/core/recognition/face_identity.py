@@ -210,6 +210,7 @@ class FaceIdentity:
     beside : by id of another face, the time (s) since when both are seen.
     result : of the last comparison with the gallery, None before the first one.
     published : likelihood by person, as last published.
+    denied : ids of persons that it was told not to be, though nothing was published of them.
     """
 
     id: str
@@ -225,6 +226,7 @@ class FaceIdentity:
     beside: Dict[str, float] = field(default_factory=dict)
     result: Optional[MatchResult] = None
     published: Dict[str, float] = field(default_factory=dict)
+    denied: Set[str] = field(default_factory=set)
 
     @property
     def is_certain(self) -> bool:
@@ -276,9 +278,11 @@ class FaceIdentity:
                 self.evidence.restart(self.doubt.views)
                 self.refuted.add(self.person)
                 self.person = ""
+                self.denied.clear()
         swapped = self.evidence.swaps != swaps
         if swapped:
             self.barred = False
+            self.denied.clear()
             self.apart.clear()
             self.beside.clear()
             self.doubt.clear()

@@ -44,6 +44,9 @@ LEARN_CROPS, LEARN_QUALITY = 4, 0.5
 """How many crops of which quality show a face well enough to make a person of it."""
 SAME = 0.95
 """Likelihood that is published of two known persons who are the same by their templates."""
+SHOWN_S = 60.0
+"""For how long (s) after somebody was named last, a face seen well that is nobody's is told not to be that person: the
+body that it has now may have been that person's, as after a cut of the picture."""
 ASK_PERIOD = 0.2
 """Time (s) between two comparisons without a new template."""
 
@@ -87,6 +90,7 @@ class Recogniser:
         self._same_revision = -1
         self._refused = 0
         self._learnt = 0
+        self._shown: Dict[str, float] = {}      # stamp (s) at which somebody was named last
 
     def seen(self, qualities: Mapping[str, float], stamp: float, limit: int = 1) -> List[str]:
         """Note all faces in an image; return at most `limit` of them that are worth a template now, most urgent first.
@@ -130,8 +134,25 @@ class Recogniser:
             self._learn()
             taken = {face.person for face in self._faces.values() if face.person}
             changed = [match for face in self._faces.values() for match in face.take_changes(face.holds(taken))]
+            changed += self._denials(taken)
             # Withdrawals first: nobody is two faces, not even between two messages.
             return sorted(changed, key=lambda match: match.likelihood > 0.0)
+
+    def _denials(self, taken: Set[str]) -> List[PersonMatch]:
+        """Matches of 0: faces that were seen well and are nobody's, with those who were named a while ago; once."""
+        for face in self._faces.values():
+            if face.person and face.is_there(self._newest):
+                self._shown[face.person] = self._newest
+        self._shown = {person: stamp for person, stamp in self._shown.items()
+                       if 0.0 <= self._newest - stamp <= SHOWN_S and person in self.gallery}
+        denied = []
+        for face in self._faces.values():
+            others = self._shown.keys() - face.denied - taken - face.published.keys()
+            if others and not face.person and face.is_there(self._newest) and face.evidence.mean() is not None and (
+                    self._is_new(face)):
+                face.denied |= others
+                denied += [PersonMatch(face.id, person, 0.0) for person in sorted(others)]
+        return denied
 
     def current(self) -> List[PersonMatch]:
         """Return all matches that hold."""
@@ -169,6 +190,7 @@ class Recogniser:
         """Drop all faces, as after a jump in time; the gallery stays."""
         with self._lock:
             self._faces, self._newest = {}, -np.inf
+            self._shown.clear()
 
     def person_of(self, face_id: str) -> str:
         """Return the person that a face is taken for, empty when that is not known."""
