@@ -173,6 +173,26 @@ class TestPersonManager(unittest.TestCase):
             stamps = [frame.header.stamp for frame in self.frames[person]]
         self.assertEqual(stamps, sorted(set(stamps)))
 
+    def test_the_frame_follows_a_body_that_lags_after_a_silence(self):
+        self.announce(bodies=["bolga"])
+        person = self.one_person()
+
+        def see(x):
+            stamp = rospy.Time.now() - rospy.Duration(1.6)
+            self.tf.publish(TFMessage([transform("slow_optical_frame", "body_bolga", stamp, x)]))
+
+        self.wait_for(lambda: self.last_frame(person), "a frame", act=lambda: see(2.0))
+        silence = rospy.Time.now()
+        self.wait_for(lambda: self.last_frame(person).header.stamp > silence, "the last place is sent again")
+        began, moved = self.last_frame(person), []
+        for number in range(12):
+            see(2.0 + 0.1 * number)
+            time.sleep(0.1)
+            moved.append(self.last_frame(person))
+        self.assertGreater(moved[-1].transform.translation.x, began.transform.translation.x + 0.5)
+        stamps = [frame.header.stamp for frame in moved]
+        self.assertEqual(stamps, sorted(stamps))
+
     def test_without_a_face_the_person_stands_at_the_head_of_its_skeleton(self):
         # As robot_state_publisher sends it: fixed links once, before or after the body is told of, the others together.
         self.static.publish(TFMessage([placed("y_head_bhhhh", "head_bhhhh", 0.05),

@@ -309,6 +309,10 @@ class PersonManager:
         """Return id and place of the persons that have a frame although no source is active now."""
         return self._published.silent(now)
 
+    def active(self, now: float) -> List[Tuple[str, Place]]:
+        """Return id and place of the persons that a source places now."""
+        return self._published.active(now)
+
     def snapshot(self, now: float) -> Snapshot:
         """Return the state of all persons at time `now`."""
         return self._published.snapshot(self._known, now)

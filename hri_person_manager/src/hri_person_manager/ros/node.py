@@ -18,6 +18,7 @@ from std_srvs.srv import Empty, EmptyRequest, EmptyResponse
 from hri_msgs.msg import IdsMatch, SoftBiometrics
 from hri_person_manager.core.display import graph_text
 from hri_person_manager.core.features import FEATURES, MAX_FEATURES, FeaturePose, Kind, MatchNode
+from hri_person_manager.core.location import LATE_TIME
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.parameters import PersonManagerSettings
@@ -412,7 +413,10 @@ class PersonManagerNode:
         self._forget_gone()
         self._manager.tick(now)
         if now > 0.0:
-            silent = self._manager.silent(now)
+            # Where the time of now was sent in a silence, images from before it cannot be.
+            silent = self._manager.silent(now) + [
+                (person_id, place) for person_id, place in self._manager.active(now)
+                if self._tf.is_behind("person_" + person_id, place.exact_stamp, LATE_TIME)]
             self._tf.send([transform_to_msg(place.pose, stamp, place.frame, "person_" + person_id)
                            for person_id, place in silent])
             for person_id, place in silent:

@@ -207,6 +207,10 @@ class TfPublisher:
         if fresh and not self._closed:
             self._publisher.publish(TFMessage(transforms=fresh))
 
+    def is_behind(self, child: str, stamp: genpy.Time, by: float) -> bool:
+        """Tell whether a stamp is by more than `by` s older than the last one that was sent of this frame."""
+        return child in self._last and (self._last[child][0] - stamp).to_sec() > by
+
     def reset(self) -> None:
         """Take older stamps from now on: time has jumped back."""
         self._last.clear()
