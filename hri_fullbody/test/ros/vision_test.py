@@ -33,8 +33,11 @@ class VisionTest(unittest.TestCase):
         topics = {identity: Latest("/humans/{}/{}/{}".format(kind, identity, name), message) for identity in ids}
         for newest in topics.values():
             self.addCleanup(newest.close)
-        wait_for(lambda: all(newest.value for newest in topics.values()), WAIT_S, "{} of all {}".format(name, kind))
-        return topics
+        tracked = {"faces": self.faces, "bodies": self.bodies}[kind]
+        # A body that was there for a moment only has left again.
+        wait_for(lambda: all(newest.value or identity not in tracked.value.ids for identity, newest in topics.items()),
+                 WAIT_S, "{} of all {}".format(name, kind))
+        return {identity: newest for identity, newest in topics.items() if newest.value}
 
     def test_every_face_has_one_nose(self):
         landmarks = self.listen("faces", self.faces.value.ids, "landmarks", FacialLandmarks)
