@@ -33,11 +33,16 @@ class MasterRestartTest(NodeTest):
         self.assertEqual(graph.getParam("/humans"), {"reference_frame": "map", "match_threshold": 0.4})
         self.assertEqual(node.end(), 0)
 
-    def test_a_node_that_ends_after_the_restart_of_the_master_has_its_parameters_again(self):
+    def launched(self):
+        """A master, its graph, its port, and roslaunch with the node of size 3."""
         port = free_port()
         master, graph = self.master(port)
         roslaunch = self.launch("<param name='size' value='3'/>", port)
         roslaunch.says("spinning, size 3")
+        return master, graph, port, roslaunch
+
+    def test_a_node_that_ends_after_the_restart_of_the_master_has_its_parameters_again(self):
+        master, graph, port, roslaunch = self.launched()
         master.kill()
         roslaunch.says("does not answer; running on without it")
         master, graph = self.master(port)
@@ -50,10 +55,7 @@ class MasterRestartTest(NodeTest):
         self.assertEqual(roslaunch.end(), 0)
 
     def test_a_node_that_ends_with_the_master_does_not_run_without_its_parameters(self):
-        port = free_port()
-        master, graph = self.master(port)
-        roslaunch = self.launch("<param name='size' value='3'/>", port)
-        roslaunch.says("spinning, size 3")
+        master, graph, port, roslaunch = self.launched()
         pid = self.pid_of_node(graph)
         master.kill()
         os.kill(pid, signal.SIGKILL)

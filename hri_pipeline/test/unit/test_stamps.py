@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hri_pipeline.core.stamps import ALL_STALE_S, MAX_SOURCES, Order, SourceStamps
+from hri_pipeline.core.timing import ALL_STALE_S, MAX_SOURCES, Order, SourceStamps
 
 FACES, BODIES = ("face_", b"camera"), ("body_", b"camera")
 

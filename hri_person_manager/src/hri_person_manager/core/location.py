@@ -24,7 +24,7 @@ from typing import Callable, Container, Deque, Dict, Hashable, Iterable, List, M
 import numpy as np
 
 from hri_person_manager.core.features import MatchNode, PlaceSource
-from hri_person_manager.core.sensor_times import SensorTimes
+from hri_person_manager.core.sensor_times import LONGEST_PERIOD_S, SensorTimes
 from hri_person_manager.core.triangulation import aged
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
@@ -48,7 +48,6 @@ FRESH_TIME = 1.0           # s for which a place counts as that of now,
 FRESH_PERIODS = 3.0        # and so many image periods, where these are longer;
 SLOW_TIME = 2.0            # s at most for a source that is slower than the images of its sensor
 LATE_TIME = 1.0            # s by which a place may lag to be one of now
-LONGEST_PERIOD = 10.0      # s; what comes less often is no sequence of images
 JUMP_BACK = 0.5            # s; a clock that goes back by more has been set
 HIGHEST_SPEED = 3.0        # m/s, a person who runs; more is a jump of the measurement
 HEAD_M, TRUNK_M = 0.15, 0.5    # of a face from the head of its body, and from its root (standard deviations)
@@ -264,7 +263,7 @@ class FeaturePlaces:
             period = place.stamp - known.place.stamp
             if period >= 0.0:
                 latest.periods = known.periods
-            if 0.0 < period <= LONGEST_PERIOD:
+            if 0.0 < period <= LONGEST_PERIOD_S:
                 latest.periods.append(period)
         self._known[feature] = latest
         return latest

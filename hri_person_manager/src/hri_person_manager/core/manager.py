@@ -425,9 +425,9 @@ class PersonManager:
                 continue
             owner = self._table.owner(min(features))
             # What a face is recognised as goes before what its body has been called by an earlier face.
-            said = [[name for feature in features if (feature.kind == Kind.FACE) == of_faces
-                     for name in self._association.recognised_as(feature)] for of_faces in (True, False)]
-            names = set(said[0] or said[1])
+            said = {feature: self._association.recognised_as(feature) for feature in features}
+            of_faces = [names for feature, names in said.items() if feature.kind == Kind.FACE and names]
+            names = set().union(*(of_faces or said.values()))
             if owner is not None and not owner.anonymous:
                 names.add(owner.id)
             doubted = {name for feature in features for name in self._association.refuted_as(feature, now)}

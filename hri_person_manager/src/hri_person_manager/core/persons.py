@@ -337,9 +337,8 @@ class PublishedPersons:
 
     def active(self, now: float) -> List[Tuple[str, Place]]:
         """Return id and place of the persons that a source places now."""
-        active = [(person.id, person.location.place) for person in self.placed(now)
-                  if not person.location.is_silent(now)]
-        return [(person_id, place) for person_id, place in active if place is not None]
+        return [(person.id, person.location.place) for person in self.placed(now)
+                if person.location.place is not None and not person.location.is_silent(now)]
 
     def snapshot(self, known: Iterable[str], now: float) -> Snapshot:
         """Return the state of all persons at time `now`; `known`: ids of the permanent persons, seen or not."""

@@ -10,10 +10,11 @@ import math
 from collections import OrderedDict, deque
 from typing import Deque, Dict, Hashable, List, Optional, Tuple
 
+from hri_pipeline.core.timing import JUMP_BACK_S
+
 MEMORY_S = 60.0         # a minimum lasts for half as long at least
 LONGEST_LAG_S = 10.0    # s; more is a pause of a bag, or a clock that was set
-JUMP_BACK_S = 0.5
-LONGEST_PERIOD_S = 10.0
+LONGEST_PERIOD_S = 10.0     # what comes less often is no sequence of images
 _PERIODS = 5
 _MOST_SENSORS = 100
 

@@ -360,13 +360,12 @@ class ViewGroups:
         joined: Dict[str, Set[str]] = {}
         for pair in pairs:
             one, other = (joined.setdefault(person, {person}) for person in sorted(pair))
-            if one is not other and not any(frozenset(both) in self.strangers
-                                            for both in itertools.product(one, other)):
+            if one is not other:
+                if any(frozenset(both) in self.strangers for both in itertools.product(one, other)):
+                    continue
                 one |= other
                 joined.update(dict.fromkeys(other, one))
-                kept[pair] = None
-            elif one is other:
-                kept[pair] = None
+            kept[pair] = None
         return kept
 
     def part(self, first: str, second: str) -> None:

@@ -35,7 +35,7 @@ from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.process import share_arenas
 from hri_pipeline.core.recognition.gallery import SHARED_ENDINGS
 from hri_pipeline.core.recognition.store import PersonStore, StoreWriter, read_store
-from hri_pipeline.core.stamps import Order, SourceStamps
+from hri_pipeline.core.timing import JUMP_BACK_S, Order, SourceStamps
 from hri_pipeline.ros.conversions import matrix_from_image, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.privacy import PrivacyTopic
@@ -53,7 +53,6 @@ EXPIRY_S = 3600.0
 WRITE_S = 0.25       # what has changed of persons is in the store after so long
 _LOG_PERIOD_S = 30.0
 _MATCHES = "/humans/candidate_matches"
-JUMP_BACK_S = 0.5
 _FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", Kind.BODY, {"appearance": Image}),
           ("voices", Kind.VOICE, {}))
 

@@ -18,7 +18,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.interactions.parameters import InteractionSettings
 from hri_pipeline.core.interactions.people import PeopleSnapshot, PeopleTf, Places, Seen, gather
-from hri_pipeline.core.stamps import Order, SourceStamps
+from hri_pipeline.core.timing import Order, SourceStamps
 from hri_pipeline.ros.conversions import has_gaze_of_closed_eyes
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import Frames, RobotTf, TfSubscriber
