@@ -101,7 +101,7 @@ class BodyProcessor:
             up=up, camera_height=height)
         context["bodies"] = bodies
         ids = self._pipeline.tracked_ids
-        self._topics.keep(ids)
+        self._guard.attempt("topic", self._topics.keep, ids)
         self._tracked.set(ids, frame.header.stamp)
         self._guard.each("body", lambda body: self._topics.publish_seen(body, frame), bodies)
         if self._appearance_pacer.is_due(frame.stamp):

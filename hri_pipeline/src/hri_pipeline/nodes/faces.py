@@ -151,7 +151,7 @@ class FaceProcessor:
     def _publish_places(self, faces: Sequence[FaceObservation], frame: Frame) -> None:
         """Publish who is tracked, and the frames."""
         ids = self._pipeline.tracked_ids
-        self._topics.keep(ids)
+        self._guard.attempt("topic", self._topics.keep, ids)
         self._tracked.set(ids, frame.header.stamp)
         posed = [face for face in faces if face.pose is not None]
         self._poseless = len(faces) - len(posed)

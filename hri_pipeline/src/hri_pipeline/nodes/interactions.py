@@ -246,6 +246,7 @@ def moved_markers(markers: MarkerArray, pose: Pose) -> MarkerArray:
 NAMESPACE = "/humans/interactions"
 ENGAGEMENT = "engagement_status"
 _MOST_GROUPS = 50
+_RETRY_S = 1.0      # after topics could not be opened
 
 
 class InteractionTopics:
@@ -313,25 +314,33 @@ class InteractionTopics:
                 release(publisher)
 
     def _open_and_close(self) -> None:
-        while self._changed.wait() and not self._closed:
+        retry: Optional[float] = None
+        while True:
+            self._changed.wait(retry)
+            if self._closed:
+                return
             self._changed.clear()
             with self._lock:
                 wanted = list(self._wanted)
             try:
                 self._follow(wanted)
+                retry = None
             except Exception as error:  # the topics of one person never cost those of the others
+                retry = _RETRY_S
                 if not rospy.is_shutdown():
-                    rospy.logerr("topics %s of persons: %s: %s", ENGAGEMENT, type(error).__name__, error)
+                    rospy.logerr_throttle(_LOG_PERIOD_S, "topics %s of persons: %s: %s; trying again", ENGAGEMENT,
+                                          type(error).__name__, error)
 
     def _follow(self, wanted: List[str]) -> None:
-        for person in wanted:
-            if person not in self._leases.ids:
-                self._leases.open(person)
-                with self._lock:
-                    # What was published before the topic was open.
+        before = set(self._leases.ids)
+        try:
+            self._leases.keep(wanted)
+        finally:
+            with self._lock:
+                # What was published before the topics were open.
+                for person in set(self._leases.ids) - before:
                     if person in self._levels:
                         self._leases.publish(person, ENGAGEMENT, self._levels[person])
-        self._leases.keep(wanted)
 
 
 _PERIOD_S = 1.0

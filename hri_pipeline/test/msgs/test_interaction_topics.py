@@ -1,0 +1,52 @@
+"""Topics of the engagement, of which some cannot be opened at once; without a master."""
+
+import threading
+
+import pytest
+
+from hri_pipeline.core.interactions.engagement import Level
+from hri_pipeline.nodes import interactions as module
+from hri_pipeline.nodes.interactions import ENGAGEMENT, InteractionTopics
+from hri_pipeline.testing import wait_for
+
+
+class Topics:
+    """IdPublishers without ROS, which open only whom they may."""
+
+    def __init__(self):
+        self.allowed, self.ids, self.published = set(), [], []
+
+    def keep(self, wanted):
+        self.ids = [person for person in wanted if person in self.allowed]
+        if len(self.ids) < len(wanted):
+            raise OSError("too few file descriptors")
+
+    def publish(self, person, name, message):
+        if person in self.ids:
+            self.published.append((person, name, message.level))
+
+    def close_all(self):
+        self.ids = []
+
+
+@pytest.fixture()
+def topics(monkeypatch):
+    monkeypatch.setattr(module, "_RETRY_S", 0.02)
+    monkeypatch.setattr(module.rospy, "logerr_throttle", lambda *arguments: None)
+    made = InteractionTopics.__new__(InteractionTopics)
+    made._engagement, made._leases, made._lock = True, Topics(), threading.Lock()
+    made._levels, made._wanted, made._changed, made._closed = {}, [], threading.Event(), False
+    made._gaze = made._groups = made._gazing = None
+    made._worker = threading.Thread(target=made._open_and_close, daemon=True)
+    made._worker.start()
+    yield made
+    made.close()
+
+
+def test_topics_that_could_not_be_opened_are_tried_again(topics):
+    topics._leases.allowed = {"second"}
+    topics.keep(["first", "second"])
+    topics.publish_engagement({"first": Level.ENGAGED, "second": Level.ENGAGED}, module.genpy.Time(1))
+    wait_for(lambda: topics._leases.ids == ["second"], 5, "the others are open")
+    topics._leases.allowed.add("first")
+    wait_for(lambda: ("first", ENGAGEMENT, Level.ENGAGED) in topics._leases.published, 5, "what was told before")
