@@ -333,7 +333,7 @@ class PersonManagerNode:
         records = sorted(self._register.records, key=lambda record: record.first_seen)
         self._manager.know(record.id for record in records)
         for record in records:
-            if record.alias and record.alias in self._register:
+            if record.alias and all(map(self._manager.is_permanent, (record.alias, record.id))):
                 self._manager.merge(record.alias, record.id, self._last_now)
         self._manager.recall({name: nodes for name, nodes in earlier.items() if not name.startswith(ANONYMOUS_PREFIX)},
                              self._last_now)
