@@ -262,6 +262,7 @@ class RobotVoiceInput:
         self._form = SoundFormat()
         self._stream: Optional[SoundStream] = None
         self._bad: Tuple[str, float] = ("", float("-inf"))
+        self._now = 0.0
         self._speaking = rospy.Subscriber("~robot_speaking", Bool, self._on_speaking, queue_size=_MOST_WORDS)
         self._subscribers = [
             self._speaking, rospy.Subscriber("~robot_audio", AudioData, self._on_audio, queue_size=_MOST_WORDS),
@@ -269,6 +270,10 @@ class RobotVoiceInput:
 
     def update(self, now: float) -> None:
         """Tell what has come since the last call. now: s, ROS time."""
+        if now < self._now - JUMP_S:
+            self._robot.reset()     # time has gone back: what the robot said then is still to come
+            self._stream = None
+        self._now = now
         with self._lock:
             words, chunks = list(self._words), list(self._chunks)
             self._words.clear()
