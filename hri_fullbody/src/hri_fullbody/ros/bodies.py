@@ -44,7 +44,7 @@ from hri_pipeline.ros.conversions import (
 from hri_pipeline.ros.diagnostics import OK, WARN
 from hri_pipeline.ros.inputs import Frame
 from hri_pipeline.ros.markers import ShownMarkers
-from hri_pipeline.ros.publishers import TrackedList
+from hri_pipeline.ros.publishers import MATCHES_TOPIC, TrackedList
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import RobotTfListener, TfPublisher
@@ -229,7 +229,7 @@ class ReidentificationMatches:
         """list_timeout: see IdSubscribers."""
         self._lock = threading.Lock()
         self._person_of: "OrderedDict[str, str]" = OrderedDict()
-        self._publisher = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=20)
+        self._publisher = rospy.Publisher(MATCHES_TOPIC, IdsMatch, queue_size=20)
         self._feed = IdSubscribers("persons", {"body_id": String}, self._on_body_id, max_ids=200,
                                  list_timeout=list_timeout)
 

@@ -41,6 +41,7 @@ from hri_pipeline.core.timing import JUMP_BACK_S, Order, SourceStamps
 from hri_pipeline.ros.conversions import matrix_from_image, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.privacy import PrivacyTopic
+from hri_pipeline.ros.publishers import MATCHES_TOPIC
 from hri_pipeline.ros.rospy_compat import release, sender_of
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import TfPublisher
@@ -54,7 +55,6 @@ DIAGNOSTICS_S = 1.0
 EXPIRY_S = 3600.0
 WRITE_S = 0.25       # what has changed of persons is in the store after so long
 _LOG_PERIOD_S = 30.0
-_MATCHES = "/humans/candidate_matches"
 _FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", Kind.BODY, {"appearance": Image}),
           ("voices", Kind.VOICE, {}))
 
@@ -290,7 +290,7 @@ class PersonManagerNode:
         self._tf_input = TfInput(settings.reference_frame, settings.source_timeout, self._on_poses)
         self._reference = ReferenceFrame(settings.reference_frame, self._tf_input)
         self._spaces = PersonSpaces(settings, self._tf_input)
-        self._matches = rospy.Subscriber(_MATCHES, IdsMatch, self._on_match,
+        self._matches = rospy.Subscriber(MATCHES_TOPIC, IdsMatch, self._on_match,
                                          queue_size=1000, tcp_nodelay=True)
         for plural, kind, topics in _FEEDS:
             self._feeds[plural] = IdSubscribers(plural, topics, self._on_feature, self._tracked_callback(plural, kind),
@@ -411,7 +411,7 @@ class PersonManagerNode:
             match = self._guard.check(message.id1, message.id1_type, message.id2, message.id2_type,
                                       message.confidence, time.monotonic())
             if sum(self._guard.refused.values()) > refused:
-                rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: a match of %s is refused: %s", _MATCHES,
+                rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: a match of %s is refused: %s", MATCHES_TOPIC,
                                        sender_of(message), self._guard.problem)
             if match is not None and self._manager.on_match(match, rospy.get_time()):
                 self._publish_state()

@@ -40,14 +40,13 @@ from hri_pipeline.ros.conversions import (
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
 from hri_pipeline.ros.gallery_service import GalleryService
 from hri_pipeline.ros.inputs import Frame
-from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
+from hri_pipeline.ros.publishers import MATCHES_TOPIC, IdPublishers, TopicSpec, TrackedList
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.tf import TfPublisher
 
 _NO_FRAME = "images have no frame_id, so faces have no TF frame; set the camera driver's frame_id"
 _LOG_PERIOD_S = 10.0
 NAMESPACE = "/humans/faces"
-MATCHES_TOPIC = "/humans/candidate_matches"
 _ANALYSIS = {"facs": ("action_units", FacialActionUnits), "expression": ("expression", Expression),
              "softbiometrics": ("age_gender", SoftBiometrics)}
 """Topic: the parameter that switches it on, and its type."""

@@ -30,7 +30,7 @@ from hri_pipeline.core.interactions.people import ROBOT, GazeTarget, PeopleSnaps
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.process import share_arenas
-from hri_pipeline.core.timing import StageTimes
+from hri_pipeline.core.timing import JUMP_BACK_S, StageTimes
 from hri_pipeline.ros.conversions import (
     engagement_to_msg,
     gaze_to_msg,
@@ -50,7 +50,6 @@ from hri_pipeline.ros.tf import RobotTf
 
 IDLE_S = 0.25
 GATHER_S = 0.01         # faces, bodies and persons of one image come one after the other
-JUMP_BACK_S = 0.5
 _EARLY = 0.9            # part of the period after which the next image is not too early
 _LOG_PERIOD_S = 10.0
 _SLACK_S = 1e-3

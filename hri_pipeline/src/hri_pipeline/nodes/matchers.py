@@ -25,7 +25,7 @@ from hri_pipeline.core.matching.face_body import FaceBodyMatcher, Pair
 from hri_pipeline.core.matching.parameters import FaceBodyMatcherSettings, VoiceMatcherSettings
 from hri_pipeline.core.matching.voice import FACE, VoiceMatcher, opening_of_landmarks, opening_of_units
 from hri_pipeline.core.process import share_arenas
-from hri_pipeline.core.timing import StageTimes
+from hri_pipeline.core.timing import JUMP_BACK_S, StageTimes
 from hri_pipeline.ros.conversions import (
     LandmarkArray,
     SkeletonArray,
@@ -35,6 +35,7 @@ from hri_pipeline.ros.conversions import (
     skeleton_from_msg,
 )
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.publishers import MATCHES_TOPIC
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import SKELETONS, Frames, RobotTf, TfSubscriber
@@ -42,7 +43,6 @@ from hri_pipeline.ros.tf import SKELETONS, Frames, RobotTf, TfSubscriber
 IDLE_S = 0.25
 DIAGNOSTICS_S = 1.0
 LOG_PERIOD_S = 10.0
-JUMP_BACK_S = 0.5
 FACE_BODY_STEP, VOICE_STEP = 0.05, 0.1
 """A likelihood that changes by less is published once a second only."""
 FRESH_S = 2.0
@@ -69,7 +69,7 @@ class MatcherBase(ABC):
         self._lock = threading.Lock()
         self._changed = threading.Event()
         self._stop = threading.Event()
-        self._publisher = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=100)
+        self._publisher = rospy.Publisher(MATCHES_TOPIC, IdsMatch, queue_size=100)
         self._diagnostics = NodeDiagnostics(rospy.get_name())
         share_arenas()
         rospy.on_shutdown(self._end)

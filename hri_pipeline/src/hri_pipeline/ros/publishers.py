@@ -19,6 +19,9 @@ from hri_pipeline.ros.rospy_compat import (
     require_descriptors,
 )
 
+MATCHES_TOPIC = "/humans/candidate_matches"
+"""Where matchers and recognisers say who belongs together."""
+
 # A latched topic holds a state: queue all changes that come from one image or sound, so that none is lost.
 _CHANGES = 10
 # What a subscriber needs to read the last list before its connection is closed.

@@ -60,7 +60,7 @@ from hri_pipeline.ros.conversions import (
     told_gaze,
     transform_to_msg,
 )
-from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
+from hri_pipeline.ros.publishers import MATCHES_TOPIC, IdPublishers, TopicSpec, TrackedList
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.tf import TfPublisher
 
@@ -93,7 +93,7 @@ class SceneFeatures:
         self._lists = {kind: TrackedList("/humans/{}/tracked".format(kind)) for kind in self._leases}
         self._speaking = {}
         self._dressed = StampPacer(_APPEARANCE_HZ)
-        self._matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=200)
+        self._matches = rospy.Publisher(MATCHES_TOPIC, IdsMatch, queue_size=200)
         self._info = rospy.Publisher("camera_info", CameraInfo, queue_size=1)
         self._closed = False
 
