@@ -34,7 +34,7 @@ def topics(monkeypatch):
     monkeypatch.setattr(module, "_RETRY_S", 0.02)
     monkeypatch.setattr(module.rospy, "logerr_throttle", lambda *arguments: None)
     made = InteractionTopics.__new__(InteractionTopics)
-    made._engagement, made._leases, made._lock = True, Topics(), threading.Lock()
+    made._engagement, made._publishers, made._lock = True, Topics(), threading.Lock()
     made._levels, made._wanted, made._changed, made._closed = {}, [], threading.Event(), False
     made._gaze = made._groups = made._gazing = None
     made._worker = threading.Thread(target=made._open_and_close, daemon=True)
@@ -44,9 +44,9 @@ def topics(monkeypatch):
 
 
 def test_topics_that_could_not_be_opened_are_tried_again(topics):
-    topics._leases.allowed = {"second"}
+    topics._publishers.allowed = {"second"}
     topics.keep(["first", "second"])
     topics.publish_engagement({"first": Level.ENGAGED, "second": Level.ENGAGED}, module.genpy.Time(1))
-    wait_for(lambda: topics._leases.ids == ["second"], 5, "the others are open")
-    topics._leases.allowed.add("first")
-    wait_for(lambda: ("first", ENGAGEMENT, Level.ENGAGED) in topics._leases.published, 5, "what was told before")
+    wait_for(lambda: topics._publishers.ids == ["second"], 5, "the others are open")
+    topics._publishers.allowed.add("first")
+    wait_for(lambda: ("first", ENGAGEMENT, Level.ENGAGED) in topics._publishers.published, 5, "what was told before")

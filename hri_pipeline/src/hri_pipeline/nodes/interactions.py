@@ -261,7 +261,7 @@ class InteractionTopics:
         self._groups = rospy.Publisher(NAMESPACE + "/groups", groups_type(interface), queue_size=_MOST_GROUPS)
         self._gazing: Optional[rospy.Publisher] = (
             rospy.Publisher(NAMESPACE + "/gazing", Gaze, queue_size=_MOST_GROUPS) if has_gazing(interface) else None)
-        self._leases = IdPublishers("/humans/persons", {ENGAGEMENT: TopicSpec(EngagementLevel, True, 10)})
+        self._publishers = IdPublishers("/humans/persons", {ENGAGEMENT: TopicSpec(EngagementLevel, True, 10)})
         self._lock = threading.Lock()
         self._levels: Dict[str, EngagementLevel] = {}
         self._wanted: List[str] = []
@@ -290,7 +290,7 @@ class InteractionTopics:
                 if person not in self._wanted or (before is not None and before.level == int(level)):
                     continue
                 self._levels[person] = engagement_to_msg(level, Header(stamp=stamp))
-                self._leases.publish(person, ENGAGEMENT, self._levels[person])
+                self._publishers.publish(person, ENGAGEMENT, self._levels[person])
 
     def keep(self, ids: Iterable[str]) -> None:
         """Keep a topic of the engagement for each of these persons, and close the others."""
@@ -307,7 +307,7 @@ class InteractionTopics:
         self._closed = True
         self._changed.set()
         self._worker.join()
-        self._leases.close_all()
+        self._publishers.close_all()
         for publisher in (self._gaze, self._groups, self._gazing):
             if publisher is not None:
                 release(publisher)
@@ -331,15 +331,15 @@ class InteractionTopics:
                                           type(error).__name__, error)
 
     def _follow(self, wanted: List[str]) -> None:
-        before = set(self._leases.ids)
+        before = set(self._publishers.ids)
         try:
-            self._leases.keep(wanted)
+            self._publishers.keep(wanted)
         finally:
             with self._lock:
                 # What was published before the topics were open.
-                for person in set(self._leases.ids) - before:
+                for person in set(self._publishers.ids) - before:
                     if person in self._levels:
-                        self._leases.publish(person, ENGAGEMENT, self._levels[person])
+                        self._publishers.publish(person, ENGAGEMENT, self._levels[person])
 
 
 _PERIOD_S = 1.0
