@@ -248,10 +248,7 @@ class PersonSpaces:
     """Publishes who is how near, in the plane, to `robot_frame` or to the sensor that saw the person last."""
 
     def __init__(self, settings: PersonManagerSettings, tf_input: TfInput) -> None:
-        """Take the values of the manager's parameters.
-
-        ParameterError-free: ValueError for borders in the wrong order.
-        """
+        """Take the values of the manager's parameters. ValueError for borders in the wrong order."""
         self._robot_frame = settings.robot_frame
         self._reference = settings.reference_frame
         self._tf_input = tf_input
