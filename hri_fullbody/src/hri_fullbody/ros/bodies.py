@@ -41,7 +41,7 @@ from hri_pipeline.ros.conversions import (
     pose_from_transform,
     transform_to_msg,
 )
-from hri_pipeline.ros.diagnostics import OK, WARN
+from hri_pipeline.ros.diagnostics import OK, WARN, Status
 from hri_pipeline.ros.inputs import Frame
 from hri_pipeline.ros.markers import ShownMarkers
 from hri_pipeline.ros.publishers import MATCHES_TOPIC, TrackedList
@@ -133,7 +133,7 @@ class BodyProcessor:
         self._tracked.clear()
         self._topics.close()
 
-    def status(self) -> Tuple[int, str, Dict[str, object]]:
+    def status(self) -> Status:
         """Return level, message and values for diagnostics."""
         values = self._pipeline.status()
         values["errors"] = self._guard.errors

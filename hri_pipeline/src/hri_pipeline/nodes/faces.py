@@ -37,7 +37,7 @@ from hri_pipeline.ros.conversions import (
     told_gaze,
     transform_to_msg,
 )
-from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
 from hri_pipeline.ros.gallery_service import GalleryService
 from hri_pipeline.ros.inputs import Frame
 from hri_pipeline.ros.publishers import MATCHES_TOPIC, IdPublishers, TopicSpec, TrackedList
@@ -121,7 +121,7 @@ class FaceProcessor:
         self._tracked.clear()
         self._topics.close_ids()
 
-    def status(self) -> Tuple[int, str, Dict[str, object]]:
+    def status(self) -> Status:
         """Return level, message and values for diagnostics."""
         values: Dict[str, object] = {"without_pose": self._poseless, "errors": self._guard.errors}
         values.update(self._networks.values)

@@ -34,7 +34,7 @@ from hri_pipeline.ros.conversions import (
     match_to_msg,
     skeleton_from_msg,
 )
-from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Status
 from hri_pipeline.ros.publishers import MATCHES_TOPIC
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.subscriptions import IdSubscribers
@@ -51,7 +51,6 @@ WITHOUT_UNITS_S = 1.5
 """A face of which no action units come for so long is followed by its landmarks."""
 STALE_S = 2.0
 MAX_KNOWN = 1000
-Status = Tuple[int, str, Dict[str, object]]
 
 
 class MatcherBase(ABC):

@@ -17,7 +17,7 @@ from std_msgs.msg import Bool
 from hri_pipeline.core.audio.own_voice import RobotSpeech
 from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.stream import SoundBlock, SoundError, SoundFormat, SoundStream
-from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
 from hri_pipeline.ros.rospy_compat import release, sender_of
 from hri_pipeline.ros.sensor_input import LOG_PERIOD_S, SILENCE_S, SensorInput
 
@@ -97,7 +97,7 @@ class SoundInput(SensorInput):
         rospy.rostime.wallsleep(min(timeout, 0.01))
         return []
 
-    def status(self) -> Tuple[int, str, Dict[str, object]]:
+    def status(self) -> Status:
         """Return level, message and values for diagnostics."""
         values: Dict[str, object] = {"topic": self.topic, "sender": self._senders.used}
         values.update(self.counts)
@@ -284,7 +284,7 @@ class RobotVoiceInput:
             self._play(chunk)
         self._robot.update(now, self._speaking.get_num_connections() > 0)
 
-    def status(self) -> Tuple[int, str, Dict[str, object]]:
+    def status(self) -> Status:
         """Return level, message and values for diagnostics."""
         now = rospy.get_time()
         values: Dict[str, object] = {"robot_speaks": self._robot.speaks(now, now)}
