@@ -1,12 +1,15 @@
-"""Topics of the engagement, of which some cannot be opened at once; without a master."""
+"""The interactions node: topics that cannot be opened at once, and a time that stands still; without a master."""
 
 import threading
+import time
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import pytest
 
 from hri_pipeline.core.interactions.engagement import Level
 from hri_pipeline.nodes import interactions as module
-from hri_pipeline.nodes.interactions import ENGAGEMENT, InteractionTopics
+from hri_pipeline.nodes.interactions import ENGAGEMENT, InteractionsNode, InteractionTopics
 from hri_pipeline.testing import wait_for
 
 
@@ -50,3 +53,18 @@ def test_topics_that_could_not_be_opened_are_tried_again(topics):
     wait_for(lambda: topics._publishers.ids == ["second"], 5, "the others are open")
     topics._publishers.allowed.add("first")
     wait_for(lambda: ("first", ENGAGEMENT, Level.ENGAGED) in topics._publishers.published, 5, "what was told before")
+
+
+@pytest.mark.parametrize("passed, ends", [(0.0, False), (5.0, True)])
+def test_who_interacts_goes_on_while_time_stands_still(passed, ends, monkeypatch):
+    """A bag that is paused, here for an hour of the wall's clock."""
+    node = InteractionsNode.__new__(InteractionsNode)
+    for name in ("_people", "_gazes", "_groups", "_engagement", "_topics", "_publish"):
+        setattr(node, name, MagicMock())
+    node._people.ids, node._settings = ["ann"], SimpleNamespace(frame_timeout=0.5)
+    node._last, node._last_at, node._is_empty = module.genpy.Time(100), 100.0, False
+    monkeypatch.setattr(module.rospy, "get_time", lambda: 100.0 + passed)
+    monkeypatch.setattr(time, "monotonic", lambda: 3700.0)
+    node._rest()
+    assert node._publish.called is ends
+    assert node._engagement.update.called is ends

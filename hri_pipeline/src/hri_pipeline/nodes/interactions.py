@@ -77,7 +77,7 @@ class InteractionsNode:
             self._engagement = EngagementEstimator(settings)
         except ValueError as error:
             raise ParameterError("{}: {}".format(rospy.get_name(), error)) from error
-        self._last, self._last_at, self._last_now, self._jumps = _NEVER, time.monotonic(), rospy.get_time(), 0
+        self._last, self._last_at, self._last_now, self._jumps = _NEVER, rospy.get_time(), rospy.get_time(), 0
         self._is_empty = True
         self._frame_name = ""
         self._grouped_at = -math.inf
@@ -141,7 +141,7 @@ class InteractionsNode:
         if stamp == _NEVER or passed <= 0.0:
             self._rest()
         elif passed >= _EARLY / self._settings.rate:
-            self._last, self._last_at = stamp, time.monotonic()
+            self._last, self._last_at = stamp, rospy.get_time()
             self._work()
 
     def _work(self) -> None:
@@ -166,8 +166,11 @@ class InteractionsNode:
             self._publish(found.stamp, people, gazes, groups, levels)
 
     def _rest(self) -> None:
-        """Publish once that nobody interacts when nobody is left, or when no image comes any more."""
-        silent = time.monotonic() - self._last_at
+        """Publish once that nobody interacts when nobody is left, or when no image comes any more.
+
+        In ROS time: while a bag is paused, people go on with what they do.
+        """
+        silent = max(0.0, rospy.get_time() - self._last_at)
         listed = self._people.ids
         if self._last == _NEVER or (listed and silent < self._settings.frame_timeout):
             return
