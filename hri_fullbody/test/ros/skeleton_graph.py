@@ -102,7 +102,7 @@ class Movers:
         self.dimensions = {}
         self.sent = {}
         self._lock = threading.Lock()
-        self._leases = IdPublishers("/humans/bodies", {"joint_states": TopicSpec(JointState, greet=True)})
+        self._publishers = IdPublishers("/humans/bodies", {"joint_states": TopicSpec(JointState, greet=True)})
         self._tf = rospy.Publisher("/tf", TFMessage, queue_size=100)
         self._rate = rate
         self._stop = threading.Event()
@@ -118,7 +118,7 @@ class Movers:
             for gone in set(self.dimensions) - set(bodies):
                 del self.dimensions[gone]
             self.sent = {identity: sent for identity, sent in self.sent.items() if identity in bodies}
-            self._leases.keep(bodies)
+            self._publishers.keep(bodies)
             return {identity: make_urdf(self.dimensions[identity], identity, self.layout) for identity in bodies}
 
     def expected(self, identity, stamp):
@@ -130,13 +130,13 @@ class Movers:
 
     def is_heard(self, identity):
         """Tell whether somebody, such as its robot_state_publisher, listens to the joints of a body."""
-        return self._leases.has_subscribers(identity, "joint_states")
+        return self._publishers.has_subscribers(identity, "joint_states")
 
     def close(self):
         """Stop."""
         self._stop.set()
         self._thread.join()
-        self._leases.close_all()
+        self._publishers.close_all()
         self._tf.unregister()
 
     def _run(self):
@@ -174,7 +174,7 @@ class Movers:
         if transforms:
             self._tf.publish(TFMessage(transforms=transforms))
         for identity, message in states:
-            self._leases.publish(identity, "joint_states", message)
+            self._publishers.publish(identity, "joint_states", message)
 
 
 def farthest(tree, movers, identity, stamp):

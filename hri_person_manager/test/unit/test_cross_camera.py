@@ -467,3 +467,19 @@ def test_a_source_that_lags_does_not_begin_the_stretch_of_a_track_anew():
     assert track.at(now + 0.1).position[0] == pytest.approx(now + 0.1)
     place_of(track, 0.0, 2.0)           # time has jumped back
     assert track.began == track.ended == 2.0
+
+
+def test_who_is_said_to_be_where_the_camera_is_ends_nothing():
+    """A place at the optical centre has no ray: as a tool publishes that has frames of faces, and no poses."""
+    manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({}), map("a{}".format, itertools.count()).__next__)
+    cameras = {"left": (np.zeros(3), "f1"), "right": (np.array([2.0, 0.0, 0.0]), "f2")}
+    manager.on_tracked(Kind.FACE, ["f1", "f2"], 0.0)
+    for stamp in np.arange(0.0, 4.0, 0.1):
+        # The right camera sees both where the left one is, and then walks away.
+        seen = np.array([0.0, 0.0, 0.0 if stamp < 2.0 else 2.0 * (stamp - 2.0)])
+        for camera, (origin, face) in cameras.items():
+            position = origin if camera == "left" else seen
+            manager.on_place(PlaceSource.FACE, face, Place("map", Pose(np.eye(3), position), stamp, origin=origin),
+                             stamp, camera)
+        manager.tick(stamp)
+    assert manager.snapshot(4.0).tracked

@@ -1,15 +1,18 @@
 """Transforms of a face, and what the node says about people's privacy at its start."""
 
+from unittest.mock import MagicMock
+
 import genpy
 import numpy as np
 import pytest
 from std_msgs.msg import Header
 
 from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.faces.parameters import FACES
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import FaceObservation, GazeEstimate
-from hri_pipeline.nodes.faces import face_transforms, privacy_line
+from hri_pipeline.nodes.faces import FaceProcessor, face_transforms, privacy_line
 from hri_pipeline.ros.conversions import pose_from_transform
 from hri_pipeline.ros.inputs import Frame
 
@@ -64,3 +67,17 @@ def test_privacy_line():
     strict = privacy_line(FACES.resolve(
         {"action_units": False, "expression": False, "age_gender": False, "recognition": False}))
     assert strict.startswith("inferred about people: nothing; switched off: action_units") and "templates" not in strict
+
+
+def test_faces_whose_topics_cannot_be_opened_are_listed_and_placed_all_the_same():
+    processor = FaceProcessor.__new__(FaceProcessor)
+    processor._pipeline, processor._topics, processor._tracked, processor._transforms = (MagicMock() for _ in range(4))
+    processor._pipeline.tracked_ids = ["abcde"]
+    processor._topics.keep.side_effect = OSError("too few file descriptors")
+    processor._guard, processor._interface = ItemGuard(), "paper"
+    seen = face(Pose(UPRIGHT, np.array([0.1, 0.2, 1.5])), None)
+    processor._publish_places([seen], frame())
+    assert processor._tracked.set.call_args[0][0] == ["abcde"]
+    (transforms,), _ = processor._transforms.send.call_args
+    assert [transform.child_frame_id for transform in transforms] == ["face_abcde"]
+    assert "descriptors" in processor._guard.news()

@@ -145,6 +145,21 @@ class ClientTest(unittest.TestCase):
         wait_for(lambda: self.subscribers("/humans/faces/fodd5/landmarks"), WAIT, "it is listened to")
         self.assertIsNone(face.landmarks)
 
+    def test_groups_that_come_one_by_one_are_all_there(self):
+        """REP-155 has a message for each group; all of a moment are sent at once."""
+        names = ["g{}".format(number) for number in range(8)]
+        topic = rospy.Publisher("/humans/interactions/groups", Group, queue_size=50)
+        self.addCleanup(release, topic)
+        self.assertEqual(self.humans.groups, [])
+        wait_for(topic.get_num_connections, WAIT, "the client")
+        for _ in range(5):
+            for name in names:
+                topic.publish(Group(group_id=name, members=["ann" + name, "bob" + name]))
+            rospy.sleep(0.2)
+            self.assertEqual(sorted(group.id for group in self.humans.groups), names)
+            with self.humans._lock:
+                self.humans._groups.clear()
+
     def test_gazes_and_groups(self):
         self.world.publish("/humans/interactions/gaze", GazesStamped(gazes=[GazeSenderReceiver("ann6", "", 0.9),
                                                                             GazeSenderReceiver("bob6", "ann6", 0.8)]))

@@ -6,6 +6,7 @@ import signal
 import time
 import uuid
 
+import rosgraph
 import rostest
 from node_process import NodeTest, free_port
 
@@ -32,6 +33,38 @@ class MasterRestartTest(NodeTest):
         self.assertEqual(graph.getParam("/small_node"), {"size": 7, "fail": ""})
         self.assertEqual(graph.getParam("/humans"), {"reference_frame": "map", "match_threshold": 0.4})
         self.assertEqual(node.end(), 0)
+
+    def running(self):
+        """A master, its port, and a node that it knows."""
+        port = free_port()
+        master, graph = self.master(port)
+        node = self.node(ROS_MASTER_URI="http://127.0.0.1:{}".format(port))
+        node.says("spinning")
+        return master, port, node
+
+    def comes_late(self, node, graph):
+        """What was opened without the master, it knows by now."""
+        wait_for(lambda: "/humans/faces/fghij/roi" in self.registered(graph)[0]
+                 and "/humans/bodies/fghij/roi" in self.registered(graph)[1], 20, "the master knows the new topics")
+        self.assertEqual(node.end(), 0)
+
+    def test_who_comes_while_the_master_is_away_holds_nothing_up(self):
+        master, port, node = self.running()
+        master.kill()
+        node.says("does not answer; running on without it")
+        node.process.send_signal(signal.SIGUSR1)
+        node.says("somebody new is there")
+        self.comes_late(node, self.master(port)[1])
+
+    def test_who_comes_while_the_network_to_the_master_fails_is_told_to_it_later(self):
+        master, port, node = self.running()
+        master.process.send_signal(signal.SIGSTOP)
+        try:
+            node.process.send_signal(signal.SIGUSR1)
+            node.says("somebody new is there", 40)
+        finally:
+            master.process.send_signal(signal.SIGCONT)
+        self.comes_late(node, rosgraph.Master("/test", master_uri="http://127.0.0.1:{}".format(port)))
 
     def launched(self):
         """A master, its graph, its port, and roslaunch with the node of size 3."""

@@ -1,10 +1,13 @@
 #!/usr/bin/env python3
 """The smallest node there can be, for run_node_test.py: a list of ids, a parameter, a model."""
 
+import signal
 import sys
+import threading
 from dataclasses import dataclass
 
 import rospy
+from std_msgs.msg import String
 from std_srvs.srv import Trigger, TriggerResponse
 
 from hri_pipeline.core.onnx import OnnxModel
@@ -27,7 +30,7 @@ TABLE = ParameterTable("small_node", SmallSettings)
 
 
 class SmallNode:
-    """Tracks one face for ever."""
+    """Tracks one face for ever. SIGUSR1: somebody new comes, with a topic and a subscription."""
 
     def __init__(self):
         self.parameters = read_parameters(TABLE)
@@ -38,6 +41,12 @@ class SmallNode:
         self.feed = IdSubscribers("bodies", {}, lambda *_: None)
         self.tracked = TrackedList("/humans/faces/tracked")
         self.tracked.set(["abcde"], 1.0)
+        signal.signal(signal.SIGUSR1, lambda *_: threading.Thread(target=self.come, daemon=True).start())
+
+    def come(self):
+        self.late = (rospy.Publisher("/humans/faces/fghij/roi", String, queue_size=1),
+                     rospy.Subscriber("/humans/bodies/fghij/roi", String, lambda message: None))
+        print("somebody new is there", flush=True)
 
     def fail(self, where):
         if self.parameters.fail == where:

@@ -69,7 +69,8 @@ def test_the_first_and_the_last_stamp(secs, nsecs):
 @pytest.mark.parametrize("numbers, is_pose", [
     ({}, True), ({"rotation": (0.0, 0.0, 3.0, 4.0)}, True), ({"rotation": (0.0,) * 4}, False),
     ({"rotation": (0.0, 0.0, 0.0, float("nan"))}, False), ({"rotation": (1e200, 0.0, 0.0, 1e200)}, False),
-    ({"translation": (0.0, float("inf"), 0.0)}, False), ({"translation": (float("nan"), 0.0, 0.0)}, False)])
+    ({"translation": (0.0, float("inf"), 0.0)}, False), ({"translation": (float("nan"), 0.0, 0.0)}, False),
+    ({"translation": (6.4e6, 0.0, -6.4e6)}, True), ({"translation": (0.0, -1e12, 0.0)}, False)])
 def test_numbers_that_are_a_pose(numbers, is_pose):
     assert HEAD._replace(**numbers).is_pose is is_pose
 

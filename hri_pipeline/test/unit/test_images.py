@@ -236,3 +236,14 @@ def test_a_smaller_depth_image_is_read_at_the_same_place():
     depth[:, 8:] = 3.0
     assert sample_depth(depth, np.array([[10.0, 5.0], [25.0, 15.0]]), 30, 20) == pytest.approx([1.0, 3.0])
     assert sample_depth(depth, np.zeros((0, 2)), 30, 20).shape == (0,)
+
+
+@pytest.mark.parametrize("at, says", [(33, 2 ** 31 - 1), (33, 2 ** 20), (-12, 13)])
+def test_a_png_whose_chunk_is_not_all_there_is_refused_before_room_is_made_for_it(at, says, monkeypatch):
+    """Some dozens of bytes took seconds, and gigabytes."""
+    good = cv2.imencode(".png", np.zeros((9, 8, 3), np.uint8))[1].tobytes()
+    assert bgr_from_compressed(good + b"behind it").shape == (9, 8, 3)
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("it was decoded"))
+    at %= len(good)
+    with pytest.raises(ImageError, match="damaged"):
+        bgr_from_compressed(good[:at] + says.to_bytes(4, "big") + good[at + 4:])

@@ -41,10 +41,10 @@ from hri_pipeline.ros.conversions import (
     pose_from_transform,
     transform_to_msg,
 )
-from hri_pipeline.ros.diagnostics import OK, WARN
+from hri_pipeline.ros.diagnostics import OK, WARN, Status
 from hri_pipeline.ros.inputs import Frame
 from hri_pipeline.ros.markers import ShownMarkers
-from hri_pipeline.ros.publishers import TrackedList
+from hri_pipeline.ros.publishers import MATCHES_TOPIC, TrackedList
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import RobotTfListener, TfPublisher
@@ -101,7 +101,7 @@ class BodyProcessor:
             up=up, camera_height=height)
         context["bodies"] = bodies
         ids = self._pipeline.tracked_ids
-        self._topics.keep(ids)
+        self._guard.attempt("topic", self._topics.keep, ids)
         self._tracked.set(ids, frame.header.stamp)
         self._guard.each("body", lambda body: self._topics.publish_seen(body, frame), bodies)
         if self._appearance_pacer.is_due(frame.stamp):
@@ -133,7 +133,7 @@ class BodyProcessor:
         self._tracked.clear()
         self._topics.close()
 
-    def status(self) -> Tuple[int, str, Dict[str, object]]:
+    def status(self) -> Status:
         """Return level, message and values for diagnostics."""
         values = self._pipeline.status()
         values["errors"] = self._guard.errors
@@ -229,7 +229,7 @@ class ReidentificationMatches:
         """list_timeout: see IdSubscribers."""
         self._lock = threading.Lock()
         self._person_of: "OrderedDict[str, str]" = OrderedDict()
-        self._publisher = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=20)
+        self._publisher = rospy.Publisher(MATCHES_TOPIC, IdsMatch, queue_size=20)
         self._feed = IdSubscribers("persons", {"body_id": String}, self._on_body_id, max_ids=200,
                                  list_timeout=list_timeout)
 

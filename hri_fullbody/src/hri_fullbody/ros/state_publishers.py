@@ -9,7 +9,7 @@ import time
 import traceback
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple
+from typing import Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set
 from xmlrpc.client import Fault, ProtocolError
 
 import rosgraph
@@ -19,7 +19,7 @@ import rospy
 
 from hri_pipeline.core.ids import ID_PATTERN, is_valid_id
 from hri_pipeline.core.process import ChildProcess, RestartPolicy, identity_of, is_alive
-from hri_pipeline.ros.diagnostics import OK, WARN
+from hri_pipeline.ros.diagnostics import OK, WARN, Status
 from hri_pipeline.ros.master import node_at
 
 PACKAGE = "robot_state_publisher"
@@ -152,7 +152,7 @@ class StatePublishers:
         if gone:
             self._wake.set()
 
-    def status(self) -> Tuple[int, str, Dict[str, object]]:
+    def status(self) -> Status:
         """Return level, message and values for diagnostics."""
         alive = sum(publisher.child is not None for publisher in list(self._publishers.values()))
         with self._lock:

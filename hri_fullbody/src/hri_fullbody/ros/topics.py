@@ -36,7 +36,7 @@ class BodyTopics:
     def __init__(self, interface: str) -> None:
         self._interface = interface
         # robot_state_publisher gets the last joint state when it comes, and has frames before the next is due.
-        self._leases = IdPublishers(NAMESPACE, {
+        self._publishers = IdPublishers(NAMESPACE, {
             "roi": TopicSpec(roi_type(interface)), "skeleton2d": TopicSpec(Skeleton2D),
             "joint_states": TopicSpec(JointState, greet=True), "attitude": TopicSpec(BodyAttitude),
             "posture": TopicSpec(BodyPosture), "gesture": TopicSpec(Gesture), "cropped": TopicSpec(Image),
@@ -45,60 +45,61 @@ class BodyTopics:
 
     def keep(self, ids: Iterable[str]) -> None:
         """Advertise the topics of these bodies, take those of all others back."""
-        self._leases.keep(ids)
+        self._publishers.keep(ids)
 
     def publish_seen(self, body: BodyObservation, frame: Frame) -> None:
         """Publish what is seen in the image: roi, skeleton2d, cropped."""
         height, width = frame.bgr.shape[:2]
         if self._listened(body.id, "roi"):
-            self._leases.publish(body.id, "roi", roi_message(
+            self._publishers.publish(body.id, "roi", roi_message(
                 body.box, width, height, self._interface, frame.header, body.score))
         if self._listened(body.id, "skeleton2d"):
-            self._leases.publish(body.id, "skeleton2d", skeleton_to_msg(body.keypoints, frame.header, width, height))
+            self._publishers.publish(body.id, "skeleton2d",
+                                     skeleton_to_msg(body.keypoints, frame.header, width, height))
         if self._listened(body.id, "cropped"):
             part = crop(frame.bgr, body.box)
             if part is not None:
-                self._leases.publish(body.id, "cropped", bgr_to_image(part, frame.header))
+                self._publishers.publish(body.id, "cropped", bgr_to_image(part, frame.header))
 
     def publish_place(self, body_id: str, position: np.ndarray, velocity: Optional[np.ndarray], frame: Frame) -> None:
         """Publish position (3,) m and velocity (3,) m/s of a body in the image's frame, as far as they are known."""
         if self._listened(body_id, "position") and np.all(np.isfinite(position)):
             message = PointStamped(header=frame.header)
             message.point.x, message.point.y, message.point.z = (float(value) for value in position)
-            self._leases.publish(body_id, "position", message)
+            self._publishers.publish(body_id, "position", message)
         if velocity is not None and self._listened(body_id, "velocity") and np.all(np.isfinite(velocity)):
             twist = TwistStamped(header=frame.header)
             linear = twist.twist.linear
             linear.x, linear.y, linear.z = (float(value) for value in velocity)
-            self._leases.publish(body_id, "velocity", twist)
+            self._publishers.publish(body_id, "velocity", twist)
 
     def publish_behaviour(self, body_id: str, behaviour: BodyBehaviour, frame: Frame) -> None:
         """Publish attitude, posture and gesture."""
         if self._listened(body_id, "attitude"):
-            self._leases.publish(body_id, "attitude", BodyAttitude(
+            self._publishers.publish(body_id, "attitude", BodyAttitude(
                 header=frame.header, attitude=behaviour.attitude, confidence=behaviour.attitude_confidence))
         if self._listened(body_id, "posture"):
-            self._leases.publish(body_id, "posture", BodyPosture(header=frame.header, posture=behaviour.posture))
+            self._publishers.publish(body_id, "posture", BodyPosture(header=frame.header, posture=behaviour.posture))
         if self._listened(body_id, "gesture"):
-            self._leases.publish(body_id, "gesture", Gesture(header=frame.header, gesture=behaviour.gesture))
+            self._publishers.publish(body_id, "gesture", Gesture(header=frame.header, gesture=behaviour.gesture))
 
     def publish_appearance(self, body_id: str, colours: Optional[np.ndarray], frame: Frame) -> None:
         """Publish the colours (5, 21) of a body's clothes, a row for each part, as far as they are known."""
         if colours is not None and self._listened(body_id, "appearance"):
-            self._leases.publish(body_id, "appearance", matrix_to_image(colours, frame.header))
+            self._publishers.publish(body_id, "appearance", matrix_to_image(colours, frame.header))
 
     def publish_joints(self, model: ModelledBody, names: Sequence[str], frame: Frame) -> None:
         """Publish the joint angles, rad; names without the id of the body."""
         message = joint_state(model, names, frame)
         if message is not None:
-            self._leases.publish(model.id, "joint_states", message)
+            self._publishers.publish(model.id, "joint_states", message)
 
     def close(self) -> None:
         """Take all topics back. Idempotent."""
-        self._leases.close_all()
+        self._publishers.close_all()
 
     def _listened(self, body_id: str, name: str) -> bool:
-        return self._leases.has_subscribers(body_id, name)
+        return self._publishers.has_subscribers(body_id, name)
 
 
 def joint_state(model: ModelledBody, names: Sequence[str], frame: Frame) -> Optional[JointState]:

@@ -68,6 +68,7 @@ NEW_S = 2.0                # so long a view counts as new
 HANDOVER_EVIDENCE = 1.9    # logarithm of the likelihood ratio from which a new view is a lost human,
 HANDOVER_COST = 4.0        # and from which the squared distance of the two, twice what lacks of it, is 0
 LOOKING_S = 1.5            # a new view is looked at for so long before it is taken for a lost human
+LEAST_SQUARE = 1e-6        # m^2; a place nearer to the optical centre than 1 mm has no ray
 
 
 class CrossCameraLink(NamedTuple):
@@ -461,7 +462,7 @@ def _refined(one: Estimate, other: Estimate, views: List[View], others: List[Vie
     for place, of in ((one, views), (other, others)):
         if len(of) == 1 and of[0].best.origin is not None:
             ray = place.position - of[0].best.origin
-            square = float(ray @ ray)
+            square = max(float(ray @ ray), LEAST_SQUARE)
             told = float((middle - of[0].best.origin) @ (middle - of[0].best.origin)) / square
             along = float(ray @ place.covariance @ ray) / square
             both = both + (min(max(told, 0.3), 3.0) - 1.0) * along / square * np.outer(ray, ray)
@@ -475,7 +476,8 @@ def _lengthened(view: View, place: Estimate) -> np.ndarray:
     if view.best.origin is None:
         return np.zeros((3, 3))
     ray = place.position - view.best.origin
-    return (PARTING ** 2 - 1.0) * float(ray @ view.best.covariance @ ray) / float(ray @ ray) ** 2 * np.outer(ray, ray)
+    square = max(float(ray @ ray), LEAST_SQUARE)
+    return (PARTING ** 2 - 1.0) * float(ray @ view.best.covariance @ ray) / square ** 2 * np.outer(ray, ray)
 
 
 def _measured_scale(view: View, place: Estimate, stamp: float) -> Tuple[float, float]:

@@ -26,7 +26,7 @@ from hri_person_manager.core.persons import (
 from hri_person_manager.core.triangulation import voice_covariance
 from hri_person_manager.core.view_groups import SensedGroup
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.ids import IdGenerator, is_valid_id
 from hri_pipeline.core.tracks import assign
 
 _ORIGIN = np.zeros(3)
@@ -214,8 +214,9 @@ class PersonManager:
         return True
 
     def know(self, person_ids: Iterable[str]) -> None:
-        """Take over the permanent persons that a store remembers, those known first first."""
-        for person_id in person_ids:
+        """Take over the permanent persons that a store remembers, those known first first; what is no id is left
+        out."""
+        for person_id in filter(is_valid_id, person_ids):
             self._remember(person_id)
 
     def expect(self, anonymous: Mapping[str, Iterable[MatchNode]]) -> None:

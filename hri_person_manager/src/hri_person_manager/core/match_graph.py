@@ -456,7 +456,7 @@ class Association:
         return sorted(touched - {node})
 
     def matches_of(self, nodes: Iterable[MatchNode]) -> List[CandidateMatch]:
-        """The matches of these nodes, to keep() them again after they have left."""
+        """The matches of these nodes, to add() them again after they have left."""
         return [CandidateMatch(*edge) for node in nodes for edge in self._graph.matches(node)]
 
     def drop_group(self, node: MatchNode) -> None:

@@ -175,7 +175,7 @@ class SensorTrack:
     """Places of one feature as one sensor tells them; stamps in s, places in m in the reference frame.
 
     began, ended: stamps of the first and the last place of the present stretch, which has no gap. appearance: (5, B),
-    the colours of the clothes, see `tracks.appearance_distance`; None where they are not known.
+    the colours of the clothes, see `view_groups.clothes_evidence`; None where they are not known.
     """
 
     def __init__(self, sensor: str) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import gc
+import math
 import sys
 import threading
 import time
+import traceback
 import xmlrpc.client
 from pathlib import Path
 from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
@@ -39,6 +41,7 @@ from hri_pipeline.core.timing import JUMP_BACK_S, Order, SourceStamps
 from hri_pipeline.ros.conversions import matrix_from_image, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.privacy import PrivacyTopic
+from hri_pipeline.ros.publishers import MATCHES_TOPIC
 from hri_pipeline.ros.rospy_compat import release, sender_of
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import TfPublisher
@@ -52,7 +55,6 @@ DIAGNOSTICS_S = 1.0
 EXPIRY_S = 3600.0
 WRITE_S = 0.25       # what has changed of persons is in the store after so long
 _LOG_PERIOD_S = 30.0
-_MATCHES = "/humans/candidate_matches"
 _FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", Kind.BODY, {"appearance": Image}),
           ("voices", Kind.VOICE, {}))
 
@@ -103,13 +105,18 @@ def borrowed_records(settings: PersonManagerSettings) -> List[PersonRecord]:
 class RestartState:
     """Writes who is made of which features whenever that changes; ids only, nothing about the human.
 
-    The parameter stands beside the node's own ones, NODE_memory: those are checked, and cleared by roslaunch.
+    The parameter stands beside the node's own ones, NODE_memory: those are checked, and cleared by roslaunch. A thread
+    writes it: rospy waits for minutes for a master that a failed network has cut off.
     """
 
     def __init__(self) -> None:
         self._name = rospy.get_name() + "_memory"
-        self._written: Dict[str, List[str]] = {}
+        self._wanted: Dict[str, List[str]] = {}
+        self._is_failed = self._is_due = self._is_writing = self._is_closing = False
         self._next = self._again = 0.0
+        self._condition = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name="restart state", daemon=True)
+        self._thread.start()
 
     def read(self) -> Dict[str, List[MatchNode]]:
         """What an earlier run has left: {person id: features}. What is not of that form is left out."""
@@ -123,28 +130,55 @@ class RestartState:
         return found
 
     def update(self, persons: Callable[[], Mapping[str, List[MatchNode]]], at_once: bool = False) -> None:
-        """Write the persons with their features, which are asked for, twice a second at most, or at once."""
+        """Have the persons with their features, which are asked for, written: twice a second at most, or at once."""
         now = time.monotonic()
         if now < self._next and not at_once:
             return
         self._next = now + _RESTART_PERIOD_S
         wanted = {person_id: ["%s %s" % (node.kind.name, node.id) for node in nodes]
                   for person_id, nodes in persons().items()}
-        # Again and again: a master that was started anew has no parameters.
-        if wanted != self._written or (wanted and now >= self._again):
-            try:
-                rospy.set_param(self._name, wanted)
-            except (OSError, rospy.ROSException, xmlrpc.client.Error):
-                return      # the master is away; the next time may be better
-            self._written, self._again = wanted, now + _RESTART_REPEAT_S
+        with self._condition:
+            # Again and again: a master that was started anew has no parameters.
+            if wanted != self._wanted or self._is_failed or (wanted and now >= self._again):
+                self._wanted, self._again = wanted, now + _RESTART_REPEAT_S
+                self._is_due = True
+                self._condition.notify_all()
+
+    def wait(self, patience: float = _RESTART_PERIOD_S) -> None:
+        """Return when all is written, after `patience` s at most."""
+        with self._condition:
+            self._condition.wait_for(lambda: not (self._is_due or self._is_writing), patience)
 
     def close(self) -> None:
         """Take the parameter back: an orderly end is no crash. Idempotent."""
+        with self._condition:
+            self._is_closing = True
+            self._condition.notify_all()
+        self._thread.join(_RESTART_PERIOD_S)
         try:
             if rospy.has_param(self._name):
                 rospy.delete_param(self._name)
         except (OSError, rospy.ROSException, xmlrpc.client.Error):
             pass            # it went with the master
+
+    def _run(self) -> None:
+        while True:
+            with self._condition:
+                self._condition.wait_for(lambda: self._is_due or self._is_closing)
+                if self._is_closing:
+                    return
+                wanted, self._is_due, self._is_writing = self._wanted, False, True
+            is_failed = not self._write(wanted)
+            with self._condition:
+                self._is_failed, self._is_writing = is_failed, False
+                self._condition.notify_all()
+
+    def _write(self, wanted: Dict[str, List[str]]) -> bool:
+        try:
+            rospy.set_param(self._name, wanted)
+            return True
+        except Exception:       # the master is away, and rospy raises many kinds; the next time may be better
+            return False
 
 
 def _nodes(name: object) -> List[MatchNode]:
@@ -162,6 +196,8 @@ class ManagerDiagnostics:
         self._manager, self._guard, self._reference = manager, guard, reference
         self._tf_input, self._feeds, self._transforms = tf_input, feeds, transforms
         self._diagnostics = NodeDiagnostics(rospy.get_name())
+        self._errors = 0
+        self._error_at = -math.inf
 
     def update(self, snapshot: Snapshot, jumps: int, store_problem: str, waiting: Tuple[int, str]) -> None:
         """Publish the state; jumps: how often time has gone back; store_problem: empty when what is known is kept.
@@ -169,6 +205,8 @@ class ManagerDiagnostics:
         waiting: number of persons whose topics could not be opened, and why.
         """
         self._persons(snapshot, jumps, *waiting)
+        if self._errors and time.monotonic() - self._error_at > _LOG_PERIOD_S:
+            self._diagnostics.set("cycle", OK, "goes on", {"errors": self._errors})
         self._diagnostics.set("store", ERROR if store_problem else OK, store_problem or "nothing waits to be written")
         self._matches()
         self._location()
@@ -176,6 +214,13 @@ class ManagerDiagnostics:
             level, text, values = feed.status()
             # A stack without a microphone or without a body tracker is a legal one.
             self._diagnostics.set(plural, OK if text.startswith("no publisher") else level, text, values)
+
+    def fail(self, error: Exception) -> None:
+        """Tell of an error that has ended one cycle."""
+        self._errors, self._error_at = self._errors + 1, time.monotonic()
+        text = "%s: %s" % (type(error).__name__, error)
+        self._diagnostics.set("cycle", ERROR, text, {"errors": self._errors})
+        rospy.logerr_throttle(_LOG_PERIOD_S, "a cycle has ended with %s\n%s", text, traceback.format_exc())
 
     def close(self) -> None:
         """Take the topic back. Idempotent."""
@@ -245,7 +290,7 @@ class PersonManagerNode:
         self._tf_input = TfInput(settings.reference_frame, settings.source_timeout, self._on_poses)
         self._reference = ReferenceFrame(settings.reference_frame, self._tf_input)
         self._spaces = PersonSpaces(settings, self._tf_input)
-        self._matches = rospy.Subscriber(_MATCHES, IdsMatch, self._on_match,
+        self._matches = rospy.Subscriber(MATCHES_TOPIC, IdsMatch, self._on_match,
                                          queue_size=1000, tcp_nodelay=True)
         for plural, kind, topics in _FEEDS:
             self._feeds[plural] = IdSubscribers(plural, topics, self._on_feature, self._tracked_callback(plural, kind),
@@ -254,7 +299,7 @@ class PersonManagerNode:
                                           self._tf)
         self._reset = rospy.Service("~reset", Empty, self._on_reset)
         self._services = PersonServices(self._manager, self._register, self._guard, self._lock, self._publish_changes,
-                                        self._writer.wait)
+                                        self._wait_until_written)
         rospy.on_shutdown(self._stop.set)
         share_arenas()
         # To go through everything that was imported takes the garbage collector 30 ms, in which nobody is served.
@@ -288,7 +333,7 @@ class PersonManagerNode:
         records = sorted(self._register.records, key=lambda record: record.first_seen)
         self._manager.know(record.id for record in records)
         for record in records:
-            if record.alias and record.alias in self._register:
+            if record.alias and all(map(self._manager.is_permanent, (record.alias, record.id))):
                 self._manager.merge(record.alias, record.id, self._last_now)
         self._manager.recall({name: nodes for name, nodes in earlier.items() if not name.startswith(ANONYMOUS_PREFIX)},
                              self._last_now)
@@ -297,7 +342,10 @@ class PersonManagerNode:
         """Let time pass until ROS shuts down."""
         while not self._stop.wait(TICK_S):
             with self._lock:
-                self._tick()
+                try:
+                    self._tick()
+                except Exception as error:  # one bad place does not end the node
+                    self._report.fail(error)
 
     def reconfigure(self, settings: PersonManagerSettings) -> None:
         """Take up the values of the live parameters, from any thread.
@@ -363,7 +411,7 @@ class PersonManagerNode:
             match = self._guard.check(message.id1, message.id1_type, message.id2, message.id2_type,
                                       message.confidence, time.monotonic())
             if sum(self._guard.refused.values()) > refused:
-                rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: a match of %s is refused: %s", _MATCHES,
+                rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: a match of %s is refused: %s", MATCHES_TOPIC,
                                        sender_of(message), self._guard.problem)
             if match is not None and self._manager.on_match(match, rospy.get_time()):
                 self._publish_state()
@@ -437,6 +485,10 @@ class PersonManagerNode:
             self._report.update(snapshot, self._jumps, self._writer.problem, self._topics.waiting())
             self._register.keep_demographics(state.id for state in snapshot.persons)
             self._privacy.set(data_use(self._settings, self._register.records))
+
+    def _wait_until_written(self) -> None:
+        self._restart_state.wait()
+        self._writer.wait()
 
     def _present(self) -> Dict[str, List[MatchNode]]:
         """Who is made of which features, for the case that this node dies."""

@@ -39,6 +39,7 @@ from hri_person_manager.srv import (
     SplitRequest,
     SplitResponse,
 )
+from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.ros.conversions import to_time
 from hri_pipeline.srv import Gallery, GalleryRequest, GalleryResponse
@@ -182,7 +183,7 @@ class PersonServices:
             service.shutdown("closing")
 
     def _kept(self, handler: Callable) -> Callable:
-        """GalleryAnswer when what the handler has changed is in the store."""
+        """Let a handler answer when what it has changed is in the store."""
         def handle(request: object) -> object:
             answer = handler(request)
             self._written()
@@ -282,7 +283,8 @@ class PersonServices:
         known = "" if state.anonymous or is_new else state.id
         command = GalleryRequest.ENROL_NEW if is_new else GalleryRequest.ENROL
         answers = self._galleries.call(command, known, state.face)
-        learned = [answer.response.id for answer in answers if answer.response.success and answer.response.id]
+        learned = [answer.response.id for answer in answers
+                   if answer.response.success and is_valid_id(answer.response.id)]
         if not learned:
             raise RegisterError(_first_lines(answers) if answers else _NO_RECOGNISER)
         # Whoever recognises voices learns this one as well; recognisers of faces know no such face.
@@ -325,7 +327,7 @@ def _first_lines(answers: List[GalleryAnswer]) -> str:
 
 
 def _guarded(handler: Callable, answer: Callable) -> Callable:
-    """GalleryAnswer with success false and the reason where a handler raises ValueError, or the store fails."""
+    """Answer with success false and the reason where a handler raises ValueError, or the store fails."""
     def handle(request: object) -> object:
         try:
             return handler(request)

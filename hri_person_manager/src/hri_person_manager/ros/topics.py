@@ -63,8 +63,8 @@ class _Person:
 
     def __init__(self, state: PersonState) -> None:
         self.state = state
-        self.leases = IdPublishers(NAMESPACE, _TOPICS)
-        self.known_leases = {name: IdPublishers(NAMESPACE, {name: spec}) for name, spec in _KNOWN_TOPICS.items()}
+        self.publishers = IdPublishers(NAMESPACE, _TOPICS)
+        self.known_publishers = {name: IdPublishers(NAMESPACE, {name: spec}) for name, spec in _KNOWN_TOPICS.items()}
         self.known: Set[str] = set()
         """Names of the topics of what is known of the person; they are there or on their way."""
         self.published: Dict[str, object] = {}
@@ -74,21 +74,21 @@ class _Person:
 
     def publish(self, name: str, message: genpy.Message, value: object) -> None:
         """Publish, and note the value where the topic is there; that of what is known may be on its way."""
-        leases = self.leases if name in _TOPICS else self.known_leases[name]
-        if leases.publish(self.state.id, name, message):
+        publishers = self.publishers if name in _TOPICS else self.known_publishers[name]
+        if publishers.publish(self.state.id, name, message):
             self.published[name] = value
 
     def open(self) -> None:
         """Open what is not open yet: first what everybody has, later what has become known."""
         if not self.ready:
-            self.leases.open(self.state.id)
+            self.publishers.open(self.state.id)
         for name in tuple(self.known):
-            self.known_leases[name].open(self.state.id)
+            self.known_publishers[name].open(self.state.id)
 
     def close(self) -> None:
         """Take all topics back."""
-        for leases in (self.leases, *self.known_leases.values()):
-            leases.close_all()
+        for publishers in (self.publishers, *self.known_publishers.values()):
+            publishers.close_all()
 
 
 class PersonTopics:
@@ -123,10 +123,10 @@ class PersonTopics:
     def publish_position(self, person_id: str, place: Place, stamp: genpy.Time) -> None:
         """Publish where a person is, with the covariance, while somebody subscribes."""
         person = self._persons.get(person_id)
-        if person is not None and person.leases.has_subscribers(person_id, "position"):
+        if person is not None and person.publishers.has_subscribers(person_id, "position"):
             message = position_to_msg(place, stamp)
             if message is not None:
-                person.leases.publish(person_id, "position", message)
+                person.publishers.publish(person_id, "position", message)
 
     def waiting(self) -> Tuple[int, str]:
         """Return how many persons are not listed because their topics could not be opened, and why."""
@@ -248,10 +248,7 @@ class PersonSpaces:
     """Publishes who is how near, in the plane, to `robot_frame` or to the sensor that saw the person last."""
 
     def __init__(self, settings: PersonManagerSettings, tf_input: TfInput) -> None:
-        """Take the values of the manager's parameters.
-
-        ParameterError-free: ValueError for borders in the wrong order.
-        """
+        """Take the values of the manager's parameters. ValueError for borders in the wrong order."""
         self._robot_frame = settings.robot_frame
         self._reference = settings.reference_frame
         self._tf_input = tf_input

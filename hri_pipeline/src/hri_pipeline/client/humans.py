@@ -415,7 +415,8 @@ class Humans:
         with self._lock:
             self._check_open()
             if name not in self._interactions:
-                self._interactions[name] = LazyTopic("/humans/interactions/" + name, convert, on_value=on_value)
+                self._interactions[name] = LazyTopic("/humans/interactions/" + name, convert, on_value=on_value,
+                                                     queue_size=_MAX_OF_A_KIND)
             return self._interactions[name]
 
     def _on_gazes(self, gazes: List[GazeOfPerson]) -> None:

@@ -44,15 +44,15 @@ class LazyTopic:
     The type is that of the publisher, so that both types of a topic that differs between the paper and REP-155 are
     read. convert turns a message into a value; a message that it refuses by a ValueError is left out, with a warning.
     latched: the first `get` waits up to `patience` s for the value that is there already. on_value is called with each
-    value.
+    value; queue_size: how many messages may come at once for that.
     """
 
     def __init__(self, name: str, convert: Convert, latched: bool = False, patience: float = 0.0,
-                 on_value: Optional[Callable[[Any], None]] = None) -> None:
+                 on_value: Optional[Callable[[Any], None]] = None, queue_size: int = 1) -> None:
         self._name = name
         self._convert = convert
         self._patience = patience if latched else 0.0
-        self._on_value = on_value
+        self._on_value, self._queue_size = on_value, queue_size
         self._types: Dict[str, Optional[Type[genpy.Message]]] = {}
         self._condition = threading.Condition()
         self._subscriber: Optional[rospy.Subscriber] = None
@@ -65,7 +65,7 @@ class LazyTopic:
         """Return the latest value, `default` while none has come."""
         with self._condition:
             if not self._closed and self._subscriber is None:
-                self._subscriber = rospy.Subscriber(self._name, rospy.AnyMsg, self._take, queue_size=1)
+                self._subscriber = rospy.Subscriber(self._name, rospy.AnyMsg, self._take, queue_size=self._queue_size)
                 self._condition.wait_for(lambda: self._came or self._closed, self._patience)
             return self._value if self._came else default
 

@@ -27,6 +27,8 @@ _LONGEST = 256          # bytes of two names that are remembered
 # durations are 32 bits with a sign: tf2 ends the process that reckons with such a stamp
 _FIRST_BAD_SECOND = 2 ** 31 - 1
 _NSECS = 10 ** 9
+FARTHEST_M = 1e9
+"""Of the origin of a frame from its parent: beyond the Earth, and its square can be reckoned with."""
 
 
 class RawTransform(NamedTuple):
@@ -46,10 +48,9 @@ class RawTransform(NamedTuple):
 
     @property
     def is_pose(self) -> bool:
-        """Whether all numbers are finite and the quaternion is one."""
-        # A sum is finite when all of its numbers are.
-        x, y, z, w = self.rotation
-        return math.isfinite(sum(self.translation)) and 1e-9 < x * x + y * y + z * z + w * w < math.inf
+        """Whether all numbers are finite, the quaternion is one, and the place is not beyond FARTHEST_M."""
+        (a, b, c), (x, y, z, w) = self.translation, self.rotation
+        return abs(a) + abs(b) + abs(c) <= FARTHEST_M and 1e-9 < x * x + y * y + z * z + w * w < math.inf
 
 
 def scan(data: bytes) -> List[Tuple[bytes, int]]:

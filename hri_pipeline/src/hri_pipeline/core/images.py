@@ -195,6 +195,8 @@ def bgr_from_compressed(data: Union[bytes, bytearray, memoryview], grey: Optiona
     if size is None:
         raise ImageError("the compressed image ({} bytes) is not JPEG or PNG, or is damaged".format(values.size))
     _check_size(*size)
+    if not _has_whole_chunks(values):
+        raise ImageError("the compressed image ({} bytes) is damaged".format(values.size))
     try:
         image = cv2.imdecode(values, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
@@ -289,6 +291,17 @@ def _png_size(start: bytes) -> Optional[Tuple[int, int]]:
     if len(start) < 24 or not start.startswith(b"\x89PNG\r\n\x1a\n"):
         return None
     return int.from_bytes(start[16:20], "big"), int.from_bytes(start[20:24], "big")
+
+
+def _has_whole_chunks(values: np.ndarray) -> bool:
+    """Tell whether all chunks of a PNG file end within it, and True for other files: OpenCV makes room for what a chunk
+    says to hold, 2 GB at most, before it looks whether that is there."""
+    data = np.ascontiguousarray(values).data
+    position, kind = 8 if bytes(data[1:4]) == b"PNG" else len(data), b""
+    while position + 8 <= len(data) and kind != b"IEND":
+        kind = bytes(data[position + 4:position + 8])
+        position += 12 + int.from_bytes(bytes(data[position:position + 4]), "big")
+    return position <= len(data)
 
 
 def _jpeg_size(values: np.ndarray) -> Optional[Tuple[int, int]]:

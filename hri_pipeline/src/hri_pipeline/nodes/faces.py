@@ -37,17 +37,16 @@ from hri_pipeline.ros.conversions import (
     told_gaze,
     transform_to_msg,
 )
-from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
 from hri_pipeline.ros.gallery_service import GalleryService
 from hri_pipeline.ros.inputs import Frame
-from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
+from hri_pipeline.ros.publishers import MATCHES_TOPIC, IdPublishers, TopicSpec, TrackedList
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.tf import TfPublisher
 
 _NO_FRAME = "images have no frame_id, so faces have no TF frame; set the camera driver's frame_id"
 _LOG_PERIOD_S = 10.0
 NAMESPACE = "/humans/faces"
-MATCHES_TOPIC = "/humans/candidate_matches"
 _ANALYSIS = {"facs": ("action_units", FacialActionUnits), "expression": ("expression", Expression),
              "softbiometrics": ("age_gender", SoftBiometrics)}
 """Topic: the parameter that switches it on, and its type."""
@@ -122,7 +121,7 @@ class FaceProcessor:
         self._tracked.clear()
         self._topics.close_ids()
 
-    def status(self) -> Tuple[int, str, Dict[str, object]]:
+    def status(self) -> Status:
         """Return level, message and values for diagnostics."""
         values: Dict[str, object] = {"without_pose": self._poseless, "errors": self._guard.errors}
         values.update(self._networks.values)
@@ -151,7 +150,7 @@ class FaceProcessor:
     def _publish_places(self, faces: Sequence[FaceObservation], frame: Frame) -> None:
         """Publish who is tracked, and the frames."""
         ids = self._pipeline.tracked_ids
-        self._topics.keep(ids)
+        self._guard.attempt("topic", self._topics.keep, ids)
         self._tracked.set(ids, frame.header.stamp)
         posed = [face for face in faces if face.pose is not None]
         self._poseless = len(faces) - len(posed)

@@ -30,7 +30,7 @@ from hri_pipeline.core.interactions.people import ROBOT, GazeTarget, PeopleSnaps
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.process import share_arenas
-from hri_pipeline.core.timing import StageTimes
+from hri_pipeline.core.timing import JUMP_BACK_S, StageTimes
 from hri_pipeline.ros.conversions import (
     engagement_to_msg,
     gaze_to_msg,
@@ -50,7 +50,6 @@ from hri_pipeline.ros.tf import RobotTf
 
 IDLE_S = 0.25
 GATHER_S = 0.01         # faces, bodies and persons of one image come one after the other
-JUMP_BACK_S = 0.5
 _EARLY = 0.9            # part of the period after which the next image is not too early
 _LOG_PERIOD_S = 10.0
 _SLACK_S = 1e-3
@@ -78,7 +77,7 @@ class InteractionsNode:
             self._engagement = EngagementEstimator(settings)
         except ValueError as error:
             raise ParameterError("{}: {}".format(rospy.get_name(), error)) from error
-        self._last, self._last_at, self._last_now, self._jumps = _NEVER, time.monotonic(), rospy.get_time(), 0
+        self._last, self._last_at, self._last_now, self._jumps = _NEVER, rospy.get_time(), rospy.get_time(), 0
         self._is_empty = True
         self._frame_name = ""
         self._grouped_at = -math.inf
@@ -142,7 +141,7 @@ class InteractionsNode:
         if stamp == _NEVER or passed <= 0.0:
             self._rest()
         elif passed >= _EARLY / self._settings.rate:
-            self._last, self._last_at = stamp, time.monotonic()
+            self._last, self._last_at = stamp, rospy.get_time()
             self._work()
 
     def _work(self) -> None:
@@ -167,8 +166,11 @@ class InteractionsNode:
             self._publish(found.stamp, people, gazes, groups, levels)
 
     def _rest(self) -> None:
-        """Publish once that nobody interacts when nobody is left, or when no image comes any more."""
-        silent = time.monotonic() - self._last_at
+        """Publish once that nobody interacts when nobody is left, or when no image comes any more.
+
+        In ROS time: while a bag is paused, people go on with what they do.
+        """
+        silent = max(0.0, rospy.get_time() - self._last_at)
         listed = self._people.ids
         if self._last == _NEVER or (listed and silent < self._settings.frame_timeout):
             return
@@ -246,6 +248,7 @@ def moved_markers(markers: MarkerArray, pose: Pose) -> MarkerArray:
 NAMESPACE = "/humans/interactions"
 ENGAGEMENT = "engagement_status"
 _MOST_GROUPS = 50
+_RETRY_S = 1.0      # after topics could not be opened
 
 
 class InteractionTopics:
@@ -261,7 +264,7 @@ class InteractionTopics:
         self._groups = rospy.Publisher(NAMESPACE + "/groups", groups_type(interface), queue_size=_MOST_GROUPS)
         self._gazing: Optional[rospy.Publisher] = (
             rospy.Publisher(NAMESPACE + "/gazing", Gaze, queue_size=_MOST_GROUPS) if has_gazing(interface) else None)
-        self._leases = IdPublishers("/humans/persons", {ENGAGEMENT: TopicSpec(EngagementLevel, True, 10)})
+        self._publishers = IdPublishers("/humans/persons", {ENGAGEMENT: TopicSpec(EngagementLevel, True, 10)})
         self._lock = threading.Lock()
         self._levels: Dict[str, EngagementLevel] = {}
         self._wanted: List[str] = []
@@ -290,7 +293,7 @@ class InteractionTopics:
                 if person not in self._wanted or (before is not None and before.level == int(level)):
                     continue
                 self._levels[person] = engagement_to_msg(level, Header(stamp=stamp))
-                self._leases.publish(person, ENGAGEMENT, self._levels[person])
+                self._publishers.publish(person, ENGAGEMENT, self._levels[person])
 
     def keep(self, ids: Iterable[str]) -> None:
         """Keep a topic of the engagement for each of these persons, and close the others."""
@@ -307,31 +310,39 @@ class InteractionTopics:
         self._closed = True
         self._changed.set()
         self._worker.join()
-        self._leases.close_all()
+        self._publishers.close_all()
         for publisher in (self._gaze, self._groups, self._gazing):
             if publisher is not None:
                 release(publisher)
 
     def _open_and_close(self) -> None:
-        while self._changed.wait() and not self._closed:
+        retry: Optional[float] = None
+        while True:
+            self._changed.wait(retry)
+            if self._closed:
+                return
             self._changed.clear()
             with self._lock:
                 wanted = list(self._wanted)
             try:
                 self._follow(wanted)
+                retry = None
             except Exception as error:  # the topics of one person never cost those of the others
+                retry = _RETRY_S
                 if not rospy.is_shutdown():
-                    rospy.logerr("topics %s of persons: %s: %s", ENGAGEMENT, type(error).__name__, error)
+                    rospy.logerr_throttle(_LOG_PERIOD_S, "topics %s of persons: %s: %s; trying again", ENGAGEMENT,
+                                          type(error).__name__, error)
 
     def _follow(self, wanted: List[str]) -> None:
-        for person in wanted:
-            if person not in self._leases.ids:
-                self._leases.open(person)
-                with self._lock:
-                    # What was published before the topic was open.
+        before = set(self._publishers.ids)
+        try:
+            self._publishers.keep(wanted)
+        finally:
+            with self._lock:
+                # What was published before the topics were open.
+                for person in set(self._publishers.ids) - before:
                     if person in self._levels:
-                        self._leases.publish(person, ENGAGEMENT, self._levels[person])
-        self._leases.keep(wanted)
+                        self._publishers.publish(person, ENGAGEMENT, self._levels[person])
 
 
 _PERIOD_S = 1.0

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
+import traceback
 from abc import ABC, abstractmethod
 from typing import Callable, Dict, Iterable, List, Optional, Tuple, Union
 
@@ -24,7 +25,7 @@ from hri_pipeline.core.matching.face_body import FaceBodyMatcher, Pair
 from hri_pipeline.core.matching.parameters import FaceBodyMatcherSettings, VoiceMatcherSettings
 from hri_pipeline.core.matching.voice import FACE, VoiceMatcher, opening_of_landmarks, opening_of_units
 from hri_pipeline.core.process import share_arenas
-from hri_pipeline.core.timing import StageTimes
+from hri_pipeline.core.timing import JUMP_BACK_S, StageTimes
 from hri_pipeline.ros.conversions import (
     LandmarkArray,
     SkeletonArray,
@@ -33,15 +34,15 @@ from hri_pipeline.ros.conversions import (
     match_to_msg,
     skeleton_from_msg,
 )
-from hri_pipeline.ros.diagnostics import OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Status
+from hri_pipeline.ros.publishers import MATCHES_TOPIC
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import SKELETONS, Frames, RobotTf, TfSubscriber
 
 IDLE_S = 0.25
 DIAGNOSTICS_S = 1.0
-GATHER_S = 0.04         # skeletons of one image come one by one; also the shortest time between comparisons
-JUMP_BACK_S = 0.5
+LOG_PERIOD_S = 10.0
 FACE_BODY_STEP, VOICE_STEP = 0.05, 0.1
 """A likelihood that changes by less is published once a second only."""
 FRESH_S = 2.0
@@ -50,7 +51,6 @@ WITHOUT_UNITS_S = 1.5
 """A face of which no action units come for so long is followed by its landmarks."""
 STALE_S = 2.0
 MAX_KNOWN = 1000
-Status = Tuple[int, str, Dict[str, object]]
 
 
 class MatcherBase(ABC):
@@ -60,16 +60,30 @@ class MatcherBase(ABC):
     """
 
     _matcher: Union[FaceBodyMatcher, VoiceMatcher]
+    GATHER_S = 0.0
+    """Time from the first message to the comparison; also the shortest between two comparisons."""
 
     def __init__(self, settings: Union[FaceBodyMatcherSettings, VoiceMatcherSettings]) -> None:
         self._settings = settings
         self._lock = threading.Lock()
         self._changed = threading.Event()
         self._stop = threading.Event()
-        self._publisher = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=100)
+        self._publisher = rospy.Publisher(MATCHES_TOPIC, IdsMatch, queue_size=100)
         self._diagnostics = NodeDiagnostics(rospy.get_name())
         share_arenas()
         rospy.on_shutdown(self._end)
+
+    def spin(self) -> None:
+        """Compare and publish until ROS shuts down."""
+        while not self._stop.is_set():
+            if self._changed.wait(IDLE_S):
+                self._stop.wait(self.GATHER_S)
+            self._changed.clear()
+            try:
+                self._cycle()
+            except Exception as error:  # one bad message does not end the node
+                self._diagnostics.set("matches", ERROR, "{}: {}".format(type(error).__name__, error))
+                rospy.logerr_throttle(LOG_PERIOD_S, "matches are not compared:\n%s", traceback.format_exc())
 
     def reconfigure(self, settings: Union[FaceBodyMatcherSettings, VoiceMatcherSettings]) -> None:
         """Apply the values of the live parameters between two comparisons."""
@@ -86,6 +100,10 @@ class MatcherBase(ABC):
             self._withdraw_all()
         self._diagnostics.close()
         release(self._publisher)
+
+    @abstractmethod
+    def _cycle(self) -> None:
+        """Compare, publish and report once."""
 
     @abstractmethod
     def _close_inputs(self) -> None:
@@ -106,6 +124,8 @@ class FaceBodyMatcherNode(MatcherBase):
     Callbacks only store; the caller of spin() compares soon after something has come in.
     """
 
+    GATHER_S = 0.04     # skeletons of one image come one by one
+
     def __init__(self, settings: FaceBodyMatcherSettings) -> None:
         super().__init__(settings)
         self._matcher = FaceBodyMatcher(settings)
@@ -118,17 +138,12 @@ class FaceBodyMatcherNode(MatcherBase):
                         list_timeout=settings.list_timeout)]
         self._transforms = TfSubscriber(self._on_frames)
 
-    def spin(self) -> None:
-        """Compare and publish until ROS shuts down."""
-        while not self._stop.is_set():
-            if self._changed.wait(IDLE_S):
-                self._stop.wait(GATHER_S)
-            self._changed.clear()
-            with self._lock:
-                matches = self._matcher.matches()
-                self._publish(self._changes.update({(match.face, match.body): match.confidence for match in matches},
-                                                   time.monotonic(), self._matcher.has_left))
-            self._report(len(matches))
+    def _cycle(self) -> None:
+        with self._lock:
+            matches = self._matcher.matches()
+            self._publish(self._changes.update({(match.face, match.body): match.confidence for match in matches},
+                                               time.monotonic(), self._matcher.has_left))
+        self._report(len(matches))
 
     def _close_inputs(self) -> None:
         for feed in self._feeds:
@@ -195,19 +210,15 @@ class VoiceMatcherNode(MatcherBase):
         self._voices = IdSubscribers("voices", {"is_speaking": Bool}, self._on_speaking, self._on_voices,
                                    list_timeout=settings.list_timeout)
 
-    def spin(self) -> None:
-        """Compare and publish until ROS shuts down."""
-        while not self._stop.is_set():
-            self._changed.wait(IDLE_S)
-            self._changed.clear()
-            self._listen()
-            with self._lock:
-                self._compare()
-                busy = self._matcher.is_busy
-            self._report()
-            if busy:
-                self._stop.wait(self._settings.period)
-                self._changed.set()
+    def _cycle(self) -> None:
+        self._listen()
+        with self._lock:
+            self._compare()
+            busy = self._matcher.is_busy
+        self._report()
+        if busy:
+            self._stop.wait(self._settings.period)
+            self._changed.set()
 
     def _close_inputs(self) -> None:
         self._voices.close()

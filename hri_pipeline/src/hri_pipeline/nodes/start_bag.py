@@ -18,6 +18,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
+from hri_pipeline.core.images import other_transport
 from hri_pipeline.core.simulation.sensors import camera_pose
 from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.node import end_simulated_time, wait_for_master
@@ -57,8 +58,7 @@ def not_in_the_recording(image: str, played: Set[str]) -> str:
     """Return why no image will come, and what to do; empty where the recording has that topic."""
     if image in played:
         return ""
-    twin, transport = (image[:-len("/compressed")],
-                       "raw") if image.endswith("/compressed") else (image + "/compressed", "compressed")
+    twin, transport = other_transport(image)
     if twin in played:
         return "the recording holds {}, not {}: give image_transport:={}".format(twin, image, transport)
     return "the recording holds no {}; give image:= the topic of its images (rosbag info tells)".format(image)

@@ -34,17 +34,16 @@ from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.recognition.gallery import open_gallery
 from hri_pipeline.ros.conversions import match_to_msg, transform_to_msg
-from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Status
 from hri_pipeline.ros.gallery_service import GalleryService
 from hri_pipeline.ros.privacy import PrivacyTopic
-from hri_pipeline.ros.publishers import TrackedList
+from hri_pipeline.ros.publishers import MATCHES_TOPIC, TrackedList
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.sound_input import RobotVoiceInput, SoundInput
 from hri_pipeline.ros.tf import TfPublisher
 from hri_pipeline.ros.voice_topics import NAMESPACE, VoiceTopics
-from hri_pipeline.ros.worker import Status, Worker
+from hri_pipeline.ros.worker import Worker
 
-MATCHES_TOPIC = "/humans/candidate_matches"
 _WAIT_S = 0.1
 _LOG_PERIOD_S = 10.0
 _WINDOW = 300

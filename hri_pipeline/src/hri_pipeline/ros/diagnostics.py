@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Dict, Mapping, Optional
+from typing import Dict, Mapping, Optional, Tuple
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -14,6 +14,8 @@ from hri_pipeline.ros.rospy_compat import descriptors_status, release
 OK = DiagnosticStatus.OK
 WARN = DiagnosticStatus.WARN
 ERROR = DiagnosticStatus.ERROR
+Status = Tuple[int, str, Dict[str, object]]
+"""Level, message and values of a task."""
 
 _PERIOD_S = 1.0
 _DESCRIPTORS = "file descriptors"

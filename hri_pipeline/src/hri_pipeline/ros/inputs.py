@@ -19,7 +19,7 @@ from hri_pipeline.core.error_log import Outage
 from hri_pipeline.core.faces.parameters import DepthCameraSettings
 from hri_pipeline.core.images import DEPTH_RANGE, GreyBits, ImageError, depth_from_raw, other_transport
 from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
-from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
 from hri_pipeline.ros.master import IMAGE_TYPES, is_published
 from hri_pipeline.ros.rospy_compat import ReceivedImage, receive_without_copies, release, sender_of
 from hri_pipeline.ros.sensor_input import CALM_S, LOG_PERIOD_S, SensorInput
@@ -143,7 +143,7 @@ class ImageInput(SensorInput):
                 return frame
         return None
 
-    def status(self) -> Tuple[int, str, Dict[str, object]]:
+    def status(self) -> Status:
         """Return level, message and values for diagnostics."""
         values: Dict[str, object] = {"topic": self.topic}
         values.update(self.counts)
@@ -466,7 +466,7 @@ class DepthInput:
             "let the driver synchronise them".format(
                 self._image_topic, self.topic, self._slop_parameter, self._slop, silent, nearest)
 
-    def status(self) -> Tuple[int, str, Dict[str, object]]:
+    def status(self) -> Status:
         """Return level, message and values for diagnostics."""
         values: Dict[str, object] = {"depth_topic": self.topic}
         values.update(self.counts)

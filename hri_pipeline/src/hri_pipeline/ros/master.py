@@ -8,15 +8,22 @@ from __future__ import annotations
 import itertools
 import threading
 from enum import Enum
-from http.client import HTTPConnection
 from typing import Optional, Tuple
-from xmlrpc.client import ServerProxy, Transport
+from xmlrpc.client import ServerProxy
 
 import rosgraph
 import rospy
 
 from hri_pipeline.ros.own_parameters import OwnParameters, Snapshot
-from hri_pipeline.ros.rospy_compat import own_address, own_publications, own_services, own_subscriptions
+from hri_pipeline.ros.rospy_compat import (
+    TransportWithTimeout,
+    not_registered,
+    own_address,
+    own_publications,
+    own_services,
+    own_subscriptions,
+    register_without_waiting,
+)
 
 ANSWER_S = 5.0
 _PERIOD_S = 2.0
@@ -38,22 +45,9 @@ class PublisherAnswer(Enum):
     NONE = "no answer"
 
 
-class _TransportWithTimeout(Transport):
-    """HTTP that does not wait for ever for a machine that has been switched off."""
-
-    def __init__(self, patience: float) -> None:
-        super().__init__()
-        self._patience = patience
-
-    def make_connection(self, host: str) -> HTTPConnection:
-        connection = super().make_connection(host)
-        connection.timeout = self._patience
-        return connection
-
-
 def node_at(uri: str, patience: float = ANSWER_S) -> ServerProxy:
     """Return the API of a node, or of the master; a call raises OSError where no answer comes for `patience` s."""
-    return ServerProxy(uri, transport=_TransportWithTimeout(patience))
+    return ServerProxy(uri, transport=TransportWithTimeout(patience))
 
 
 def ask_master(name: str) -> Tuple[int, str]:
@@ -115,11 +109,13 @@ class MasterWatch:
 
     rospy registers a topic once. A master that is started again knows nothing of the node, which then is
     deaf although it runs: its publishers, subscribers and services are registered again here, after its
-    `parameters`, if any are given, were put back where nobody has set others.
+    `parameters`, if any are given, were put back where nobody has set others. So is what was opened while the master
+    did not answer.
     """
 
     def __init__(self, period: float = _PERIOD_S, parameters: Optional[OwnParameters] = None) -> None:
         self._parameters = parameters
+        register_without_waiting()
         snapshot = self._read()
         self._identity = self._ask()
         if self._identity is not None:
@@ -152,10 +148,10 @@ class MasterWatch:
                                   rosgraph.get_master_uri())
                 self._away = True
                 continue
-            if self._identity is not None and identity != self._identity:
-                if not self._register_again():
-                    continue        # the next time
-            else:
+            is_new = self._identity is not None and identity != self._identity
+            if (is_new or not_registered.is_set()) and not self._register_again(is_new):
+                continue            # the next time
+            if not is_new:
                 self._keep(snapshot)
                 if self._away:
                     rospy.loginfo("the ROS master answers again")
@@ -188,12 +184,16 @@ class MasterWatch:
         if done:
             rospy.loginfo("put back on the new ROS master: parameters %s", ", ".join(done))
 
-    def _register_again(self) -> bool:
-        """Tell the new master all that this node has; False when it does not take it, for whatever reason."""
-        rospy.logwarn("the ROS master has been started again; registering all topics and services anew")
+    def _register_again(self, is_new: bool) -> bool:
+        """Tell the master, which may be a new one, all that this node has; False when it does not take it, for whatever
+        reason."""
+        rospy.logwarn("%s; registering all topics and services anew", "the ROS master has been started again" if is_new
+                      else "the ROS master did not answer when topics were opened")
+        not_registered.clear()      # before the topics are listed: what is opened from now on tells the master itself
         name, uri = rospy.get_name(), own_address()
         try:
-            self._put_back()        # first: who sees the node on the new master finds its parameters, too
+            if is_new:
+                self._put_back()    # first: who sees the node on the new master finds its parameters, too
             with node_at(rosgraph.get_master_uri()) as master:
                 published = own_publications()
                 for topic, kind in published:
@@ -212,7 +212,8 @@ class MasterWatch:
                 for topic in {topic for topic, _ in subscribed} - there:
                     _check(master.unregisterSubscriber(name, topic, uri))
         except Exception as error:      # it has just begun, or has gone again
-            rospy.logerr("registration with the new ROS master failed: %s; trying again", error)
+            not_registered.set()
+            rospy.logerr("registration with the ROS master failed: %s; trying again", error)
             return False
         return True
 

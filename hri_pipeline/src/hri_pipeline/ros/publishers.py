@@ -19,6 +19,9 @@ from hri_pipeline.ros.rospy_compat import (
     require_descriptors,
 )
 
+MATCHES_TOPIC = "/humans/candidate_matches"
+"""Where matchers and recognisers say who belongs together."""
+
 # A latched topic holds a state: queue all changes that come from one image or sound, so that none is lost.
 _CHANGES = 10
 # What a subscriber needs to read the last list before its connection is closed.
@@ -102,12 +105,24 @@ class IdPublishers:
         return publisher
 
     def keep(self, identities: Iterable[str]) -> None:
-        """Open what is new in `identities` and close what is not in it."""
+        """Close what is not in `identities`, which frees file descriptors, and open what is new in it.
+
+        Raises
+        ------
+        ValueError, OSError, rospy.ROSException
+            The last error of open(), after all others were opened.
+        """
         wanted = list(identities)
-        for identity in wanted:
-            self.open(identity)
         for identity in set(self.ids) - set(wanted):
             self.close(identity)
+        problem: Optional[Exception] = None
+        for identity in wanted:
+            try:
+                self.open(identity)
+            except Exception as error:
+                problem = error
+        if problem is not None:
+            raise problem
 
     def publish(self, identity: str, name: str, message: genpy.Message) -> bool:
         """Publish on a topic of an id; return False when the id is not open (it may just have gone).

@@ -1,12 +1,13 @@
 """All uses of what rospy keeps for itself: its bugs are worked around here, and its inner state is read here.
 
 Checked against rospy 1.15.15. Before another version is used, this file has to be read beside its
-rospy/topics.py, rospy/msproxy.py, rospy/impl/tcpros_base.py, rospy/impl/tcpros_pubsub.py and rosgraph/xmlrpc.py. Five
-things:
+rospy/topics.py, rospy/msproxy.py, rospy/impl/registration.py, rospy/impl/tcpros_base.py, rospy/impl/tcpros_pubsub.py
+and rosgraph/xmlrpc.py. Six things:
 
 - File descriptors: as many as the system allows, few for each topic, and a reserve, without which rospy answers no
   call.
 - Release of publishers and subscribers with everything that rospy would leave open.
+- Topics that open, and calls that end, while the master is away.
 - publish() that does not give up the processor.
 - Images that are received without copies.
 - Who is connected to a topic, who has sent a message, and what this node has registered at the master.
@@ -28,19 +29,22 @@ import time
 import weakref
 from collections import deque
 from functools import partial
+from http.client import HTTPConnection
 from io import BytesIO
 from types import ModuleType
 from typing import Any, Callable, Deque, Dict, Iterable, Iterator, List, Optional, Set, Tuple, Union
+from xmlrpc.client import ServerProxy, Transport
 
 import genpy
 import numpy as np
 import rospy
+import rospy.core
 import rospy.topics
 from diagnostic_msgs.msg import DiagnosticStatus
 from rosgraph import xmlrpc
 from rospy.core import get_node_uri
 from rospy.impl import tcpros_base, tcpros_pubsub
-from rospy.impl.registration import get_service_manager, get_topic_manager
+from rospy.impl.registration import Registration, RegManager, get_service_manager, get_topic_manager
 from sensor_msgs.msg import Image
 
 DESCRIPTORS_HINT = ("raise the limit (ulimit -Hn; nofile in /etc/security/limits.conf, LimitNOFILE= of a systemd "
@@ -52,6 +56,7 @@ _LOG_PERIOD_S = 30.0
 _OWN_DESCRIPTORS = "/proc/self/fd"
 _BROKEN = select.POLLHUP | select.POLLERR | getattr(select, "POLLRDHUP", 0)
 _MOST_KNOWN = 100
+_REGISTER_S, _ANSWER_S = 2.0, 5.0     # most time that the master is waited for, once, and each time
 _LENGTH = struct.Struct("<I")
 
 _Reference = weakref.ReferenceType      # to the implementation of a publisher
@@ -69,6 +74,7 @@ def prepare_rospy() -> None:
             resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
         except (OSError, ValueError):   # more than the kernel gives to anybody
             pass
+    rospy.core._LockedServerProxy = _ProxyWithTimeout
     rospy.topics.Poller = DescriptorFreePoller
     tcpros_base.TCPServer = _PatientServer
     xmlrpc.ThreadingXMLRPCServer.get_request = _get_request
@@ -214,6 +220,59 @@ def _remove_connection(reference: _Reference, connection: Any) -> None:
     except TypeError:
         if not implementation.closed:       # else its listeners have become None
             raise
+
+
+class TransportWithTimeout(Transport):
+    """HTTP that does not wait for ever for a machine that has been switched off; patience: s."""
+
+    def __init__(self, patience: float) -> None:
+        super().__init__()
+        self._patience = patience
+
+    def make_connection(self, host: str) -> HTTPConnection:
+        """Return the connection to a host."""
+        connection = super().make_connection(host)
+        connection.timeout = self._patience
+        return connection
+
+
+class _ProxyWithTimeout(rospy.core._LockedServerProxy):
+    """The master, as all of rospy calls it, for parameters too, and for each line of the log."""
+
+    def __init__(self, uri: str) -> None:
+        super().__init__(uri, transport=TransportWithTimeout(_ANSWER_S))
+
+
+not_registered = threading.Event()
+"""Set while the master may not know all topics and services of this process, as it has not answered."""
+
+
+def register_without_waiting() -> None:
+    """Let topics and services of this process open while the master is away. Idempotent.
+
+    rospy waits until it is back, and every other topic of the process with it: as soon as somebody new came, nothing
+    went on. Who calls this registers them all when `not_registered` is set (MasterWatch).
+    """
+    RegManager.reg_added = _reg_added
+
+
+def _reg_added(manager: RegManager, name: str, kind: str, of: str) -> None:
+    """Register a topic or service with the master; kind: type, or address of a service."""
+    if not_registered.is_set():     # it has not answered a moment ago: nobody waits for it again
+        return
+    call = {Registration.PUB: "registerPublisher", Registration.SUB: "registerSubscriber",
+            Registration.SRV: "registerService"}[of]
+    try:
+        with ServerProxy(manager.master_uri, transport=TransportWithTimeout(_REGISTER_S)) as master:
+            code, text, found = getattr(master, call)(rospy.get_name(), name, kind, manager.uri)
+    except Exception as error:      # refused, timed out, half an answer
+        not_registered.set()
+        manager.logger.error("%s: %s is told to the master later", name, error)
+        return
+    if code != 1:
+        rospy.logfatal("the master refuses to register %s: %s", name, text)
+    elif of == Registration.SUB:
+        manager.publisher_update(name, found)
 
 
 def publish_without_yielding() -> None:

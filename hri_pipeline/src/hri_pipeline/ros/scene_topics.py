@@ -60,7 +60,7 @@ from hri_pipeline.ros.conversions import (
     told_gaze,
     transform_to_msg,
 )
-from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
+from hri_pipeline.ros.publishers import MATCHES_TOPIC, IdPublishers, TopicSpec, TrackedList
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.tf import TfPublisher
 
@@ -83,17 +83,17 @@ class SceneFeatures:
         self._settings, self._transforms = settings, transforms
         self._camera = CameraModel.from_fov(settings.width, settings.height, math.radians(settings.sense_hfov))
         roi = TopicSpec(roi_type(settings.interface))
-        self._leases = {
+        self._publishers = {
             FACES: IdPublishers("/humans/faces", {"roi": roi, "landmarks": TopicSpec(FacialLandmarks),
                                                  "facs": TopicSpec(FacialActionUnits)}),
             BODIES: IdPublishers("/humans/bodies", {"roi": roi, "skeleton2d": TopicSpec(Skeleton2D),
                                                   "appearance": TopicSpec(Image)}),
             VOICES: IdPublishers("/humans/voices", {"is_speaking": TopicSpec(Bool, latch=True),
                                                    "features": TopicSpec(AudioFeatures)})}
-        self._lists = {kind: TrackedList("/humans/{}/tracked".format(kind)) for kind in self._leases}
+        self._lists = {kind: TrackedList("/humans/{}/tracked".format(kind)) for kind in self._publishers}
         self._speaking = {}
         self._dressed = StampPacer(_APPEARANCE_HZ)
-        self._matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=200)
+        self._matches = rospy.Publisher(MATCHES_TOPIC, IdsMatch, queue_size=200)
         self._info = rospy.Publisher("camera_info", CameraInfo, queue_size=1)
         self._closed = False
 
@@ -107,7 +107,7 @@ class SceneFeatures:
         frames: List[TransformStamped] = []
         for kind in sensed.fresh:
             ids = [feature.id for feature in features[kind]]
-            self._leases[kind].keep(ids)
+            self._publishers[kind].keep(ids)
             self._lists[kind].set(ids, stamp)
         for face in sensed.faces if FACES in sensed.fresh else ():
             if face.measured:
@@ -118,8 +118,8 @@ class SceneFeatures:
             if body.measured:
                 frames += self._body_frames(body, header)
                 self._publish_body(body, header)
-                if shows_clothes and self._leases[BODIES].has_subscribers(body.id, "appearance"):
-                    self._leases[BODIES].publish(body.id, "appearance", matrix_to_image(
+                if shows_clothes and self._publishers[BODIES].has_subscribers(body.id, "appearance"):
+                    self._publishers[BODIES].publish(body.id, "appearance", matrix_to_image(
                         clothes(body.person or body.id), header))
         for voice in sensed.voices if VOICES in sensed.fresh else ():
             frames += self._publish_voice(voice, header, sensed.stamp)
@@ -140,9 +140,9 @@ class SceneFeatures:
 
     def clear(self, stamp: rospy.Time) -> None:
         """Nobody is there any more."""
-        for kind, leases in self._leases.items():
+        for kind, publishers in self._publishers.items():
             self._lists[kind].set([], stamp)
-            leases.close_all()
+            publishers.close_all()
         self._speaking.clear()
         self._dressed.reset()
 
@@ -151,9 +151,9 @@ class SceneFeatures:
         if self._closed:
             return
         self._closed = True
-        for kind, leases in self._leases.items():
+        for kind, publishers in self._publishers.items():
             self._lists[kind].close()
-            leases.close_all()
+            publishers.close_all()
         release(self._matches)
         release(self._info)
 
@@ -172,36 +172,36 @@ class SceneFeatures:
                 transform_to_msg(body.pose.inverse().compose(body.head), header.stamp, name, "head_" + body.id)]
 
     def _publish_face(self, face: SensedFace, header: Header, now: float) -> None:
-        leases, width, height = self._leases[FACES], self._camera.width, self._camera.height
+        publishers, width, height = self._publishers[FACES], self._camera.width, self._camera.height
         mouth = 0.5 - 0.5 * math.cos(2.0 * math.pi * _SYLLABLES * now) if face.speaking else 0.0
-        if leases.has_subscribers(face.id, "roi") or leases.has_subscribers(face.id, "landmarks"):
+        if publishers.has_subscribers(face.id, "roi") or publishers.has_subscribers(face.id, "landmarks"):
             points = landmarks(face.pose, self._camera, face.eyes_closed, mouth)
-            leases.publish(face.id, "landmarks", landmarks_to_msg(points, header, width, height))
-            leases.publish(face.id, "roi", roi_message(box(points, 0.1), width, height, self._settings.interface,
+            publishers.publish(face.id, "landmarks", landmarks_to_msg(points, header, width, height))
+            publishers.publish(face.id, "roi", roi_message(box(points, 0.1), width, height, self._settings.interface,
                                                        header, 0.9))
-        if leases.has_subscribers(face.id, "facs"):
+        if publishers.has_subscribers(face.id, "facs"):
             intensity, confidence = np.zeros(99), np.zeros(99)
             confidence[[_EYES, _LIPS, _JAW]] = 0.8
             intensity[_EYES], intensity[_LIPS], intensity[_JAW] = face.eyes_closed, min(1.0, 1.5 * mouth), 0.6 * mouth
-            leases.publish(face.id, "facs", action_units_to_msg(intensity, confidence, header))
+            publishers.publish(face.id, "facs", action_units_to_msg(intensity, confidence, header))
 
     def _publish_body(self, body: SensedBody, header: Header) -> None:
-        leases, width, height = self._leases[BODIES], self._camera.width, self._camera.height
-        if leases.has_subscribers(body.id, "roi") or leases.has_subscribers(body.id, "skeleton2d"):
+        publishers, width, height = self._publishers[BODIES], self._camera.width, self._camera.height
+        if publishers.has_subscribers(body.id, "roi") or publishers.has_subscribers(body.id, "skeleton2d"):
             points = keypoints(body.pose, body.head, body.stature, self._camera)
-            leases.publish(body.id, "skeleton2d", skeleton_to_msg(points, header, width, height))
-            leases.publish(body.id, "roi", roi_message(box(points, 0.08), width, height, self._settings.interface,
+            publishers.publish(body.id, "skeleton2d", skeleton_to_msg(points, header, width, height))
+            publishers.publish(body.id, "roi", roi_message(box(points, 0.08), width, height, self._settings.interface,
                                                        header, 0.9))
 
     def _publish_voice(self, voice: SensedVoice, header: Header, now: float) -> List[TransformStamped]:
-        leases = self._leases[VOICES]
+        publishers = self._publishers[VOICES]
         if self._speaking.get(voice.id) != voice.speaking:
             self._speaking[voice.id] = voice.speaking
-            leases.publish(voice.id, "is_speaking", Bool(voice.speaking))
+            publishers.publish(voice.id, "is_speaking", Bool(voice.speaking))
         if not voice.speaking or voice.direction is None:
             return []
-        if leases.has_subscribers(voice.id, "features"):
-            leases.publish(voice.id, "features", _sound(voice.id, now))
+        if publishers.has_subscribers(voice.id, "features"):
+            publishers.publish(voice.id, "features", _sound(voice.id, now))
         place = Pose(np.eye(3), VOICE_DISTANCE * (_MICROPHONE @ voice.direction))
         return [transform_to_msg(place, header.stamp, self._settings.microphone_frame, "voice_" + voice.id)]
 
@@ -303,7 +303,7 @@ class ScenePersons:
     def __init__(self, settings: SceneSettings, transforms: TfPublisher) -> None:
         """transforms: shared; its owner closes it."""
         self._settings, self._transforms = settings, transforms
-        self._leases = IdPublishers(_PERSONS, {
+        self._publishers = IdPublishers(_PERSONS, {
             "face_id": _TEXT, "body_id": _TEXT, "voice_id": _TEXT, "alias": _TEXT,
             "anonymous": TopicSpec(Bool, True, 10),
             "location_confidence": TopicSpec(Float32, True, 10)})
@@ -320,7 +320,7 @@ class ScenePersons:
                 if feature.person:
                     features.setdefault(feature.person, {})[name] = feature.id
         people = sorted(features)
-        self._leases.keep(people)
+        self._publishers.keep(people)
         self._said = {person: self._said.get(person, {}) for person in people}
         self._everybody = tuple(dict.fromkeys((*self._everybody, *people)))
         self._locate(sensed)
@@ -339,7 +339,7 @@ class ScenePersons:
     def clear(self, stamp: rospy.Time) -> None:
         """Nobody is there any more; they stay known."""
         self._tracked.set([], stamp)
-        self._leases.close_all()
+        self._publishers.close_all()
         self._said.clear()
         self._places.clear()
 
@@ -347,12 +347,12 @@ class ScenePersons:
         """Publish the empty lists and take all topics back. Idempotent."""
         self._tracked.close()
         self._known.close()
-        self._leases.close_all()
+        self._publishers.close_all()
 
     def _say(self, person: str, name: str, value: object, kind: type) -> None:
         if self._said[person].get(name) != value:
             self._said[person][name] = value
-            self._leases.publish(person, name, kind(value))
+            self._publishers.publish(person, name, kind(value))
 
     def _locate(self, sensed: Sensed) -> None:
         """The face tells the place, else the head of the skeleton; who was not found in this cycle stays where he

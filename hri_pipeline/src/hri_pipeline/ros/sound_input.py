@@ -17,7 +17,7 @@ from std_msgs.msg import Bool
 from hri_pipeline.core.audio.own_voice import RobotSpeech
 from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.stream import SoundBlock, SoundError, SoundFormat, SoundStream
-from hri_pipeline.ros.diagnostics import ERROR, OK, WARN
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
 from hri_pipeline.ros.rospy_compat import release, sender_of
 from hri_pipeline.ros.sensor_input import LOG_PERIOD_S, SILENCE_S, SensorInput
 
@@ -97,7 +97,7 @@ class SoundInput(SensorInput):
         rospy.rostime.wallsleep(min(timeout, 0.01))
         return []
 
-    def status(self) -> Tuple[int, str, Dict[str, object]]:
+    def status(self) -> Status:
         """Return level, message and values for diagnostics."""
         values: Dict[str, object] = {"topic": self.topic, "sender": self._senders.used}
         values.update(self.counts)
@@ -262,6 +262,7 @@ class RobotVoiceInput:
         self._form = SoundFormat()
         self._stream: Optional[SoundStream] = None
         self._bad: Tuple[str, float] = ("", float("-inf"))
+        self._now = 0.0
         self._speaking = rospy.Subscriber("~robot_speaking", Bool, self._on_speaking, queue_size=_MOST_WORDS)
         self._subscribers = [
             self._speaking, rospy.Subscriber("~robot_audio", AudioData, self._on_audio, queue_size=_MOST_WORDS),
@@ -269,6 +270,10 @@ class RobotVoiceInput:
 
     def update(self, now: float) -> None:
         """Tell what has come since the last call. now: s, ROS time."""
+        if now < self._now - JUMP_S:
+            self._robot.reset()     # time has gone back: what the robot said then is still to come
+            self._stream = None
+        self._now = now
         with self._lock:
             words, chunks = list(self._words), list(self._chunks)
             self._words.clear()
@@ -279,7 +284,7 @@ class RobotVoiceInput:
             self._play(chunk)
         self._robot.update(now, self._speaking.get_num_connections() > 0)
 
-    def status(self) -> Tuple[int, str, Dict[str, object]]:
+    def status(self) -> Status:
         """Return level, message and values for diagnostics."""
         now = rospy.get_time()
         values: Dict[str, object] = {"robot_speaks": self._robot.speaks(now, now)}

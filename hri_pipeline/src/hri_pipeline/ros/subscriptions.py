@@ -13,7 +13,7 @@ import rospy
 
 from hri_msgs.msg import IdsList
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.ros.diagnostics import OK, WARN
+from hri_pipeline.ros.diagnostics import OK, WARN, Status
 from hri_pipeline.ros.master import PublisherAnswer, does_publish, subscribe_again
 from hri_pipeline.ros.rospy_compat import (
     address_of_sender,
@@ -111,7 +111,7 @@ class IdSubscribers:
         with self._lock:
             return list(self._subscribers)
 
-    def status(self) -> Tuple[int, str, Dict[str, object]]:
+    def status(self) -> Status:
         """Return level, message and values for diagnostics."""
         with self._lock:
             values: Dict[str, object] = {"followed": len(self._subscribers)}

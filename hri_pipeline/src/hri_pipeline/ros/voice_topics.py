@@ -6,6 +6,7 @@ from collections import deque
 from typing import Deque, Dict, Iterable, List
 
 import numpy as np
+import rospy
 from audio_common_msgs.msg import AudioData
 from std_msgs.msg import Bool
 
@@ -19,6 +20,7 @@ from hri_pipeline.ros.conversions import audio_features_to_msg, make_header, spe
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec
 
 NAMESPACE = "/humans/voices"
+_LOG_PERIOD_S = 10.0
 AUDIO, FEATURES, IS_SPEAKING, SPEECH = "audio", "features", "is_speaking", "speech"
 
 
@@ -67,19 +69,24 @@ class VoiceTopics:
         self._extractors: Dict[str, AudioFeatureExtractor] = {}
 
     def retain(self, ids: Iterable[str]) -> None:
-        """Advertise the topics of these voices and remove those of all others."""
-        wanted, there = set(ids), set(self._publishers.ids)
-        for identity in there - wanted:
+        """Advertise the topics of these voices and remove those of all others.
+
+        Topics that cannot be opened are tried again with the next sound.
+        """
+        wanted = sorted(ids)
+        for identity in set(self._publishers.ids).difference(wanted):
             self._close(identity)
-        for identity in wanted - there:
-            self._publishers.open(identity)
+        try:
+            self._publishers.keep(wanted)
+        except (OSError, rospy.ROSException) as error:
+            rospy.logerr_throttle(_LOG_PERIOD_S, "topics of a voice: %s; trying again", error)
 
     def publish(self, observation: VoiceObservation) -> None:
         """Publish one observation on the topics of its voice that have subscribers."""
         identity = observation.id
-        if self._speaking.get(identity) != observation.speaking:
+        if self._speaking.get(identity) != observation.speaking and self._publishers.publish(
+                identity, IS_SPEAKING, Bool(observation.speaking)):
             self._speaking[identity] = observation.speaking
-            self._publishers.publish(identity, IS_SPEAKING, Bool(observation.speaking))
         if len(observation.samples):
             self._publish_audio(identity, observation.samples)
             if self._settings.features:

@@ -17,7 +17,7 @@ from hri_pipeline.core.privacy import joined
 from hri_pipeline.core.process import set_niceness
 from hri_pipeline.core.setup_check import NO_IMAGE_YET
 from hri_pipeline.core.timing import Pacer, StageTimes
-from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
+from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Status
 from hri_pipeline.ros.inputs import Frame, ImageInput
 from hri_pipeline.ros.privacy import PrivacyTopic
 
@@ -28,7 +28,6 @@ _SILENCE_S = 2.0
 _LOG_PERIOD_S = 10.0
 # The niceness of a node is set so long after its first image, so that it soon finds the people who are there.
 _NICE_AFTER_S = 5.0
-Status = Tuple[int, str, Dict[str, object]]
 
 
 class Processor(Protocol):

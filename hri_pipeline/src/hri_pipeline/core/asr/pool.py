@@ -189,6 +189,7 @@ class QueuedUtterance:
     Parameters
     ----------
     number : of the utterance, in the messages.
+    voice_id : of the voice that speaks.
     stamp : time (s) of its beginning.
     limit : sound (s) that may wait.
     """

@@ -268,7 +268,7 @@ class SampleClock:
             self.set_back += 1
             self._reanchor(offset, end, arrival, forget=False)
             return 0.0
-        self._follow(offset, end, arrival, passed)
+        self._follow(offset, arrival, passed)
         return 0.0
 
     def time(self, stream: float) -> float:
@@ -306,7 +306,7 @@ class SampleClock:
         self._is_late, self._late = True, (since, min(least, lateness))
         return arrival - since >= CONFIRM_S
 
-    def _follow(self, offset: float, end: float, arrival: float, passed: float) -> None:
+    def _follow(self, offset: float, arrival: float, passed: float) -> None:
         """Move the offset towards the minimum of the window."""
         while self._least and self._least[-1][1] >= offset:
             self._least.pop()

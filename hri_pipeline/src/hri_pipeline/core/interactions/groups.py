@@ -26,8 +26,8 @@ from hri_pipeline.core.interactions.formations import (
 )
 from hri_pipeline.core.interactions.parameters import GroupSettings
 from hri_pipeline.core.interactions.people import ROBOT, GazeTarget, PeopleSnapshot
+from hri_pipeline.core.timing import JUMP_BACK_S
 
-_JUMP_BACK_S = 0.5
 _STAMP_S = 1e-3         # stamps that are nearer to each other are taken for the same
 _OPPOSITE = math.pi / 2.0
 _MAJORITY = 0.5
@@ -236,7 +236,7 @@ class GroupTracker:
         seen = [person for person in people if all(map(math.isfinite, person.position))]
         if len({person.id for person in seen}) < len(seen):
             raise ValueError("an id is there twice: {}".format(", ".join(sorted(person.id for person in seen))))
-        if self._stamp is not None and stamp < self._stamp - _JUMP_BACK_S:
+        if self._stamp is not None and stamp < self._stamp - JUMP_BACK_S:
             self.reset()
         if self._stamp is not None and stamp < self._stamp + max(self._settings.group_period,
                                                                  _STAMP_S) - _STAMP_S / 2.0:

@@ -16,6 +16,7 @@ from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence
 import numpy as np
 
 from hri_pipeline.core.matching.parameters import VoiceMatcherSettings
+from hri_pipeline.core.timing import JUMP_BACK_S
 
 FACE, PERSON = "face", "person"
 HOLD_LIKELIHOOD = 0.5
@@ -29,7 +30,6 @@ the one that speaks now is the person's voice."""
 LOST_WEIGHT = 0.3
 """How likely somebody speaks who was seen at a place before, against a face in view: who was lost may have a new face
 by now."""
-JUMP_BACK_S = 0.5
 MAX_MOUTHS = 200
 
 VoiceCandidate = Tuple[str, str]

@@ -359,7 +359,7 @@ class StoredGallery(MemoryGallery):
     ----------
     store : the store, which close() closes as well.
     clock : time (s) at which somebody new was first seen.
-    others : see MemoryGallery.
+    model, dimension, calibration, max_templates, max_persons : see MemoryGallery.
 
     Raises
     ------

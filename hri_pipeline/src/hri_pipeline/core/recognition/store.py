@@ -328,8 +328,7 @@ class StoreWriter:
     Parameters
     ----------
     write : puts on the disk all that has changed, in order, and is cheap when nothing has. Where it raises, its owner
-    keeps
-        what was not written, and the next call tries again.
+        keeps what was not written, and the next call tries again.
     period : time (s) between two calls.
     notify : called with one line each time that `write` raises.
     """

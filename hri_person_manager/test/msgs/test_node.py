@@ -1,0 +1,112 @@
+"""The node of the person manager goes on, whatever the master and one bad number do; without a master."""
+
+import threading
+from unittest.mock import MagicMock
+
+import pytest
+
+from hri_person_manager.core import persons
+from hri_person_manager.core.features import Kind, MatchNode
+from hri_person_manager.core.manager import PersonManager
+from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
+from hri_person_manager.core.register import PersonRecord, PersonRegister, RegisterError
+from hri_person_manager.ros import node as module
+from hri_person_manager.ros.node import PersonManagerNode, RestartState
+from hri_person_manager.ros.services import GalleryAnswer, PersonServices
+from hri_person_manager.srv import EnrolRequest
+from hri_pipeline.srv import GalleryResponse
+from hri_pipeline.testing import wait_for
+
+PRESENT = {"anonymous_person_abcde": [MatchNode(Kind.FACE, "fghij")]}
+
+
+@pytest.fixture()
+def written(monkeypatch):
+    """What has been written; `may_go_on` is cleared while the master does not answer."""
+    found = MagicMock(values=[], may_go_on=threading.Event(), problems=[])
+
+    def write(name, value):
+        found.may_go_on.wait(20.0)
+        if found.problems:
+            raise found.problems.pop()
+        found.values.append(value)
+
+    monkeypatch.setattr(module.rospy, "set_param", write)
+    monkeypatch.setattr(module.rospy, "has_param", lambda name: False)
+    monkeypatch.setattr(module, "_RESTART_PERIOD_S", 0.01)
+    found.may_go_on.set()
+    return found
+
+
+def test_a_master_that_does_not_answer_holds_nobody_up(written):
+    written.may_go_on.clear()
+    state = RestartState()
+    updating = threading.Thread(target=state.update, args=(lambda: PRESENT, True), daemon=True)
+    updating.start()
+    updating.join(5.0)
+    assert not updating.is_alive()
+    state.wait(0.01)
+    assert written.values == []
+    written.may_go_on.set()
+    state.wait(5.0)
+    assert written.values == [{"anonymous_person_abcde": ["FACE fghij"]}]
+    state.close()
+
+
+def test_what_the_master_has_not_taken_is_written_again_also_that_nobody_is_left(written):
+    state = RestartState()
+    state.update(lambda: PRESENT, at_once=True)
+    state.wait(5.0)
+    written.problems.append(OSError("away"))
+    state.update(lambda: {}, at_once=True)
+    state.wait(5.0)
+    assert len(written.values) == 1
+    wait_for(lambda: written.values[1:] == [{}], 5, "the second try", act=lambda: state.update(lambda: {}))
+    state.close()
+
+
+def test_one_bad_cycle_does_not_end_the_node():
+    node = PersonManagerNode.__new__(PersonManagerNode)
+    node._stop, node._lock, node._report = threading.Event(), threading.RLock(), MagicMock()
+    cycles = []
+
+    def tick():
+        cycles.append(1)
+        if len(cycles) == 1:
+            raise ZeroDivisionError("a place without a ray")
+        node._stop.set()
+
+    node._tick = tick
+    node.spin()
+    assert len(cycles) == 2
+    (error,), _ = node._report.fail.call_args
+    assert isinstance(error, ZeroDivisionError)
+
+
+def test_of_more_persons_than_are_known_at_a_time_the_merged_ones_do_not_hinder_the_start(monkeypatch):
+    monkeypatch.setattr(persons, "MAX_KNOWN_IDS", 3)
+    node = PersonManagerNode.__new__(PersonManagerNode)
+    node._manager, node._last_now = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({})), 0.0
+    records = [PersonRecord("p0", alias="p1"), *(PersonRecord("p%d" % number) for number in range(1, 5)),
+               PersonRecord("no id", alias="p4")]
+    node._register, node._restart_state = PersonRegister(borrowed=records), MagicMock()
+    node._restart_state.read.return_value = {}
+    node._expire = node._forget_gone = lambda: None
+    node._remember_earlier_runs()
+    assert node._manager.snapshot(0.0).known == ("p2", "p3", "p4")
+
+
+def test_a_recogniser_that_answers_with_what_is_no_id_has_learnt_nobody(monkeypatch):
+    """It would be refused by the lists of persons, again and again."""
+    monkeypatch.setattr(module.rospy, "get_time", lambda: 2.0)
+    manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({}))
+    manager.on_tracked(Kind.FACE, ["fghij"], 0.0)
+    manager.tick(2.0)
+    person, = manager.snapshot(2.0).tracked
+    services = PersonServices.__new__(PersonServices)
+    services._manager, services._register, services._lock = manager, PersonRegister(), threading.RLock()
+    services._changed, services._galleries = MagicMock(), MagicMock()
+    services._galleries.call.return_value = [GalleryAnswer("/faces/gallery", GalleryResponse(success=True, id="a b"))]
+    with pytest.raises(RegisterError):
+        services._enrol(EnrolRequest(id=person))
+    assert services._register.records == []

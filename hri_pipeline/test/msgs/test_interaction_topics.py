@@ -1,0 +1,70 @@
+"""The interactions node: topics that cannot be opened at once, and a time that stands still; without a master."""
+
+import threading
+import time
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+
+import pytest
+
+from hri_pipeline.core.interactions.engagement import Level
+from hri_pipeline.nodes import interactions as module
+from hri_pipeline.nodes.interactions import ENGAGEMENT, InteractionsNode, InteractionTopics
+from hri_pipeline.testing import wait_for
+
+
+class Topics:
+    """IdPublishers without ROS, which open only whom they may."""
+
+    def __init__(self):
+        self.allowed, self.ids, self.published = set(), [], []
+
+    def keep(self, wanted):
+        self.ids = [person for person in wanted if person in self.allowed]
+        if len(self.ids) < len(wanted):
+            raise OSError("too few file descriptors")
+
+    def publish(self, person, name, message):
+        if person in self.ids:
+            self.published.append((person, name, message.level))
+
+    def close_all(self):
+        self.ids = []
+
+
+@pytest.fixture()
+def topics(monkeypatch):
+    monkeypatch.setattr(module, "_RETRY_S", 0.02)
+    monkeypatch.setattr(module.rospy, "logerr_throttle", lambda *arguments: None)
+    made = InteractionTopics.__new__(InteractionTopics)
+    made._engagement, made._publishers, made._lock = True, Topics(), threading.Lock()
+    made._levels, made._wanted, made._changed, made._closed = {}, [], threading.Event(), False
+    made._gaze = made._groups = made._gazing = None
+    made._worker = threading.Thread(target=made._open_and_close, daemon=True)
+    made._worker.start()
+    yield made
+    made.close()
+
+
+def test_topics_that_could_not_be_opened_are_tried_again(topics):
+    topics._publishers.allowed = {"second"}
+    topics.keep(["first", "second"])
+    topics.publish_engagement({"first": Level.ENGAGED, "second": Level.ENGAGED}, module.genpy.Time(1))
+    wait_for(lambda: topics._publishers.ids == ["second"], 5, "the others are open")
+    topics._publishers.allowed.add("first")
+    wait_for(lambda: ("first", ENGAGEMENT, Level.ENGAGED) in topics._publishers.published, 5, "what was told before")
+
+
+@pytest.mark.parametrize("passed, ends", [(0.0, False), (5.0, True)])
+def test_who_interacts_goes_on_while_time_stands_still(passed, ends, monkeypatch):
+    """A bag that is paused, here for an hour of the wall's clock."""
+    node = InteractionsNode.__new__(InteractionsNode)
+    for name in ("_people", "_gazes", "_groups", "_engagement", "_topics", "_publish"):
+        setattr(node, name, MagicMock())
+    node._people.ids, node._settings = ["ann"], SimpleNamespace(frame_timeout=0.5)
+    node._last, node._last_at, node._is_empty = module.genpy.Time(100), 100.0, False
+    monkeypatch.setattr(module.rospy, "get_time", lambda: 100.0 + passed)
+    monkeypatch.setattr(time, "monotonic", lambda: 3700.0)
+    node._rest()
+    assert node._publish.called is ends
+    assert node._engagement.update.called is ends
