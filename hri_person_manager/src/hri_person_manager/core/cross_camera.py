@@ -165,6 +165,10 @@ class CrossCamera:
         self._hold(live)
         self._forget_lost()
 
+    def tell_apart(self, first: str, second: str) -> None:
+        """Take that a recogniser says of two persons that they are two: what cameras see never joins them."""
+        self._groups.tell_apart(first, second)
+
     def links(self, owner: Callable[[MatchNode], str], exists: Container[str]) -> List[CrossCameraLink]:
         """Return the links between persons that are new or over.
 
@@ -176,7 +180,8 @@ class CrossCamera:
             own = [owner(feature) for view in human.views for feature in sorted(view.tracks)]
             human.persons.update(dict.fromkeys(person for person in own if person))
             for person in [person for person in human.persons
-                           if person not in exists or person in current and person not in own]:
+                           if person not in exists or person not in own and (
+                           person in current or any(person in view.doubted for view in human.views))]:
                 del human.persons[person]
             first, *others = human.persons or [""]
             wanted.update((frozenset((first, other)), None) for other in others)

@@ -13,7 +13,7 @@ import numpy as np
 from hri_person_manager.core.cross_camera import CrossCamera
 from hri_person_manager.core.features import Kind, MatchNode, PlaceSource, TrackedFeatures
 from hri_person_manager.core.location import Decay, FeaturePlaces, PersonLocation, Place
-from hri_person_manager.core.match_graph import Association, CandidateMatch
+from hri_person_manager.core.match_graph import Association, CandidateMatch, SaidNames
 from hri_person_manager.core.merges import Merges
 from hri_person_manager.core.parameters import PersonManagerSettings, sensor_errors
 from hri_person_manager.core.persons import (
@@ -63,6 +63,7 @@ class PersonManager:
         self._published = PublishedPersons(self._table, self._merges, self._decay)
         self._association = Association(self._threshold, self._is_present, self._make_permanent)
         self._cameras = CrossCamera(*_camera_limits(self._settings))
+        self._said = SaidNames()
 
     def reconfigure(self, settings: PersonManagerSettings, now: float) -> None:
         """Take up the values of the live parameters at `now` (s): persons and matches stay, who belongs together is
@@ -123,14 +124,15 @@ class PersonManager:
         self._association.solve(touched + new)
         self._associate(now)
 
-    def on_match(self, match: CandidateMatch, now: float) -> bool:
-        """Take a candidate match; return whether it changed who belongs together."""
+    def on_match(self, match: CandidateMatch, now: float, sender: str = "") -> bool:
+        """Take a candidate match of this node; return whether it changed who belongs together."""
         nodes = (match.first, match.second)
         if match.likelihood >= self._threshold:
             for node in nodes:
                 if node.kind == Kind.PERSON and not node.id.startswith(ANONYMOUS_PREFIX):
                     self._remember(node.id)
         self._association.refute(match, now)
+        self._tell_apart(match, sender)
         if nodes[0].kind == nodes[1].kind == Kind.PERSON:
             changed = self._merges.set(nodes[0].id, nodes[1].id, match.likelihood)
             return self._update_merges(now) and changed
@@ -206,6 +208,7 @@ class PersonManager:
         if not members & (set(self._table.persons) | set(self._known) | set(self._table.aliases)):
             return False
         touched = self._association.forget(MatchNode(Kind.PERSON, person_id))
+        self._said.forget(person_id)
         self._known.remove(person_id)
         self._merges.remove(person_id)
         self._table.remove(person_id)
@@ -430,10 +433,20 @@ class PersonManager:
             names = set().union(*(of_faces or said.values()))
             if owner is not None and not owner.anonymous:
                 names.add(owner.id)
-            doubted = {name for feature in features for name in self._association.refuted_as(feature, now)}
+            weaker = {name for feature in features for name in self._said.doubted(feature)}
+            doubted = {name for feature in features for name in self._association.refuted_as(feature, now)} | (
+                weaker - {owner.id if owner is not None else ""})
             groups.append(SensedGroup(features, owner.id if owner is not None else "", frozenset(names - doubted),
                                       frozenset(doubted)))
         return groups
+
+    def _tell_apart(self, match: CandidateMatch, sender: str) -> None:
+        """Note two names that one node has for one feature: these are two persons."""
+        for feature, person in ((match.first, match.second), (match.second, match.first)):
+            if person.kind == Kind.PERSON != feature.kind and not person.id.startswith(ANONYMOUS_PREFIX):
+                likelihood = match.likelihood if match.likelihood >= self._threshold else 0.0
+                for other in self._said.note(sender, feature, person.id, likelihood):
+                    self._cameras.tell_apart(person.id, other)
 
     def _match_anonymous(self, feature: MatchNode, person_id: str, likelihood: float, now: float) -> bool:
         """Take a match with an anonymous person: one without features gets this feature, else the owner of the feature
@@ -469,6 +482,7 @@ class PersonManager:
         moved = self._table.associate(self._association.assignable, now)
         self._update_merges(now)
         self._places.retain(self._tracked.__contains__)
+        self._said.retain(self._tracked.__contains__)
         self._place_moved(moved)
 
     def _place_moved(self, features: Iterable[MatchNode]) -> None:

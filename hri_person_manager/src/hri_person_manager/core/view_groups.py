@@ -340,10 +340,8 @@ class ViewGroups:
 
     def _begin_anew(self, view: View, names: FrozenSet[str]) -> None:
         """Let a view be somebody of whom nothing is known but these names."""
-        for pair in itertools.product(view.called, names):
-            self.strangers[frozenset(pair)] = None
-        while len(self.strangers) > MAX_NAMES:
-            self.strangers.popitem(last=False)
+        for first, second in itertools.product(view.called, names):
+            self.tell_apart(first, second)
         view.called = _NOBODY
         human = self.group_of[view.number]
         if len(human.views) > 1:
@@ -353,6 +351,12 @@ class ViewGroups:
         view.began = view.ended
         new = ViewGroup(next(self._numbers), view)
         self.all[new.number] = self.group_of[view.number] = new
+
+    def tell_apart(self, first: str, second: str) -> None:
+        """Note that a recogniser has told two persons apart."""
+        self.strangers[frozenset((first, second))] = None
+        while len(self.strangers) > MAX_NAMES:
+            self.strangers.popitem(last=False)
 
     def without_strangers(self, pairs: Iterable[FrozenSet[str]]) -> Dict[FrozenSet[str], None]:
         """Return the pairs of persons that join no two whom a recogniser has told apart, over others neither."""
