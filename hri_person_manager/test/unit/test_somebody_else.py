@@ -203,3 +203,24 @@ def test_an_error_of_another_recogniser_joins_two_only_until_it_is_mended(mended
     picture.show(2.5, ["f2"], [])
     assert picture.stands_for("bob") != picture.stands_for("own_ann") == "own_ann"
     assert "own_ann" not in picture.tracked and len(picture.tracked) == 1
+
+
+@pytest.mark.parametrize("likelihood", [0.8, 0.95])
+def test_a_name_from_before_a_restart_yields_to_what_a_recogniser_says(likelihood):
+    picture = Picture()
+    picture.manager.recall({"ann": [HER]}, picture.now)
+    picture.show(1.0, ["f1"], [])
+    assert picture.tracked == {"ann"}
+    picture.say(HER, BOB, likelihood)
+    picture.show(2.0, ["f1"], [])
+    assert picture.tracked == {"bob"} and not picture.manager.merges
+
+
+def test_a_name_from_before_a_restart_stays_when_the_recogniser_says_it_again():
+    picture = Picture()
+    picture.manager.recall({"ann": [HER]}, picture.now)
+    picture.show(1.0, ["f1"], [])
+    picture.say(HER, ANN, 0.8)
+    picture.say(HER, BOB, 0.6)
+    picture.show(2.0, ["f1"], [])
+    assert picture.tracked == {"ann"}

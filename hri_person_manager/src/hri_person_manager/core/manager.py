@@ -64,6 +64,7 @@ class PersonManager:
         self._association = Association(self._threshold, self._is_present, self._make_permanent)
         self._cameras = CrossCamera(*_camera_limits(self._settings))
         self._said = SaidNames()
+        self._recalled: Dict[MatchNode, str] = {}       # names from before a restart that nobody has said since
 
     def reconfigure(self, settings: PersonManagerSettings, now: float) -> None:
         """Take up the values of the live parameters at `now` (s): persons and matches stay, who belongs together is
@@ -117,6 +118,8 @@ class PersonManager:
         if not gone and not new:
             return
         kept = self._association.matches_of(inferred)
+        for node in gone:
+            self._recalled.pop(node, None)
         touched = [node for gone_node in gone for node in self._association.remove(gone_node)]
         for match in kept:
             self._association.add(match)
@@ -240,6 +243,7 @@ class PersonManager:
             for node in nodes:
                 self.on_match(CandidateMatch(node, MatchNode(Kind.PERSON, person_id),
                                              max(self._threshold, _AS_SURE_AS_BEFORE)), now)
+                self._recalled[node] = person_id
 
     def on_place(self, source: PlaceSource, feature_id: str, place: Place, now: float,
                  sensor: str = "") -> Optional[str]:
@@ -441,10 +445,16 @@ class PersonManager:
         return groups
 
     def _tell_apart(self, match: CandidateMatch, sender: str) -> None:
-        """Note two names that one node has for one feature: these are two persons."""
+        """Note two names that one node has for one feature: these are two persons. A name from before a restart ends
+        with the first one that is said."""
         for feature, person in ((match.first, match.second), (match.second, match.first)):
             if person.kind == Kind.PERSON != feature.kind and not person.id.startswith(ANONYMOUS_PREFIX):
                 likelihood = match.likelihood if match.likelihood >= self._threshold else 0.0
+                recalled = self._recalled.pop(feature, person.id) if likelihood > 0.0 else person.id
+                if recalled != person.id:
+                    before = MatchNode(Kind.PERSON, recalled)
+                    self._association.add(CandidateMatch(feature, before, 0.0))
+                    self._association.solve((feature, before))
                 for other in self._said.note(sender, feature, person.id, likelihood):
                     self._cameras.tell_apart(person.id, other)
 
