@@ -165,9 +165,9 @@ class CrossCamera:
         self._hold(live)
         self._forget_lost()
 
-    def tell_apart(self, first: str, second: str) -> None:
-        """Take that a recogniser says of two persons that they are two: what cameras see never joins them."""
-        self._groups.tell_apart(first, second)
+    def note_name(self, name: str, recogniser: str) -> None:
+        """Take that a recogniser knows somebody by this name: what cameras see never joins two whom one knows."""
+        self._groups.note_namer(name, recogniser)
 
     def links(self, owner: Callable[[MatchNode], str], exists: Container[str]) -> List[CrossCameraLink]:
         """Return the links between persons that are new or over.
@@ -186,8 +186,8 @@ class CrossCamera:
             first, *others = human.persons or [""]
             wanted.update((frozenset((first, other)), None) for other in others)
         wanted.update(dict.fromkeys(self._still_kept(current, exists)))
-        if self._groups.strangers:
-            wanted = self._groups.without_strangers(wanted)
+        if self._groups.strangers or self._groups.namers:
+            wanted = self._groups.without_strangers(sorted(wanted, key=lambda pair: pair not in self._told))
         changed = [CrossCameraLink(min(pair), max(pair), 0.0) for pair in self._told - wanted.keys()]
         changed += [CrossCameraLink(min(pair), max(pair), LIKELIHOOD) for pair in wanted if pair not in self._told]
         self._told = set(wanted)

@@ -128,14 +128,17 @@ class PersonManager:
         self._associate(now)
 
     def on_match(self, match: CandidateMatch, now: float, sender: str = "") -> bool:
-        """Take a candidate match of this node; return whether it changed who belongs together."""
+        """Take a candidate match; return whether it changed who belongs together.
+
+        sender: the node that says it; of those of whom one node says two names, no two are one. Empty: unknown.
+        """
         nodes = (match.first, match.second)
         if match.likelihood >= self._threshold:
             for node in nodes:
                 if node.kind == Kind.PERSON and not node.id.startswith(ANONYMOUS_PREFIX):
                     self._remember(node.id)
         self._association.refute(match, now)
-        self._tell_apart(match, sender)
+        self._note_name(match, sender)
         if nodes[0].kind == nodes[1].kind == Kind.PERSON:
             changed = self._merges.set(nodes[0].id, nodes[1].id, match.likelihood)
             return self._update_merges(now) and changed
@@ -444,9 +447,9 @@ class PersonManager:
                                       frozenset(doubted)))
         return groups
 
-    def _tell_apart(self, match: CandidateMatch, sender: str) -> None:
-        """Note two names that one node has for one feature: these are two persons. A name from before a restart ends
-        with the first one that is said."""
+    def _note_name(self, match: CandidateMatch, sender: str) -> None:
+        """Note who says which name of a feature. A name from before a restart ends with the first one that is
+        said."""
         for feature, person in ((match.first, match.second), (match.second, match.first)):
             if person.kind == Kind.PERSON != feature.kind and not person.id.startswith(ANONYMOUS_PREFIX):
                 likelihood = match.likelihood if match.likelihood >= self._threshold else 0.0
@@ -455,8 +458,10 @@ class PersonManager:
                     before = MatchNode(Kind.PERSON, recalled)
                     self._association.add(CandidateMatch(feature, before, 0.0))
                     self._association.solve((feature, before))
-                for other in self._said.note(sender, feature, person.id, likelihood):
-                    self._cameras.tell_apart(person.id, other)
+                if sender:
+                    self._said.note(sender, feature, person.id, likelihood)
+                if sender and likelihood > 0.0:
+                    self._cameras.note_name(person.id, sender)
 
     def _match_anonymous(self, feature: MatchNode, person_id: str, likelihood: float, now: float) -> bool:
         """Take a match with an anonymous person: one without features gets this feature, else the owner of the feature

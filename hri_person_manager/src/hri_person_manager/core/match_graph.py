@@ -127,18 +127,16 @@ class SaidNames:
     def __init__(self) -> None:
         self._said: "OrderedDict[Tuple[MatchNode, str], Dict[str, float]]" = OrderedDict()
 
-    def note(self, sender: str, feature: MatchNode, name: str, likelihood: float) -> Set[str]:
-        """Take what a node says, 0 withdraws it; return the other names that this one is told apart from."""
+    def note(self, sender: str, feature: MatchNode, name: str, likelihood: float) -> None:
+        """Take what a node says; 0 withdraws it."""
         said = self._said.pop((feature, sender), {})
         said.pop(name, None)
-        others = set(said) if likelihood > 0.0 else set()
         if likelihood > 0.0:
             said[name] = likelihood
         if said:
             self._said[feature, sender] = dict(list(said.items())[-MAX_SAID_NAMES:])
         while len(self._said) > MAX_SAID:
             self._said.popitem(last=False)
-        return others
 
     def doubted(self, feature: MatchNode) -> Set[str]:
         """Return the names of a feature beside which their recogniser has a better one, or a newer one as good; not
