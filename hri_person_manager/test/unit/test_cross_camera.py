@@ -354,6 +354,30 @@ def test_who_was_taken_for_one_and_parts_is_two_again():
     assert len(room.tracked) == 2
 
 
+def test_who_was_taken_for_one_is_so_after_a_jump_of_time_until_it_parts():
+    room = Room({"left": (0.0, 3.05, 0.0), "right": (3.0, 9.0, 0.0)})
+    room.run(4.0, standing(2.95), standing(3.1))       # nothing tells them apart
+    (person,) = room.tracked
+    room.now -= 3.0
+    room.manager.rewind(room.now)
+    for _ in range(20):
+        assert room.run(0.1, standing(2.95), standing(3.1)) == (person,)
+    room.run(5.0, standing(2.95), walking(3.1, 0.8, since=room.now))
+    assert len(room.tracked) == 2
+
+
+def test_two_who_stand_apart_after_a_jump_of_time_are_two():
+    room = Room({"left": (0.0, 3.05, 0.0), "right": (3.0, 9.0, 0.0)})
+    room.run(4.0, standing(2.95), standing(3.1))
+    room.say(room.face("left", 0), "ann", 0.9, "/left")
+    room.say(room.face("right", 1), "zoe", 0.9, "/right")
+    assert room.run(1.0, standing(2.95), standing(3.1)) == ("ann",)
+    room.now -= 3.0
+    room.manager.rewind(room.now)
+    room.run(5.0, standing(2.0), standing(5.0, 1.0))
+    assert set(room.tracked) == {"ann", "zoe"}
+
+
 def test_recognisers_that_do_not_know_each_other_may_give_two_names_to_one_human():
     room = Room(OVERLAPPING)
     room.run(4.0, standing(3.0))

@@ -102,7 +102,10 @@ class PersonManager:
         """Go on after time has jumped back to `now` (s): the same persons and matches; places and delays start anew."""
         anonymous, matches = self.anonymous(), self.matches
         permanent = [person for person in self._table.persons.values() if not person.anonymous]
+        cameras, said, recalled = self._cameras, self._said, self._recalled
         self._start_afresh(self._known, self._merges)
+        self._cameras.continue_from(cameras)
+        self._said, self._recalled = said, recalled
         for person in sorted(permanent, key=lambda item: item.lost_at or 0.0):
             self._table.permanent(person.id).lost_at = now       # unless it has features
         self._tracked.rewind(now)

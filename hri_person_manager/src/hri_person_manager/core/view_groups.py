@@ -363,6 +363,11 @@ class ViewGroups:
         while len(self.namers) > MAX_NAMES:
             self.namers.popitem(last=False)
 
+    def take_names(self, before: ViewGroups) -> None:
+        """Take over what is known of persons, whoever sees them."""
+        self.named_by, self.namers, self.strangers = before.named_by, before.namers, before.strangers
+        self.kept, self.parted = before.kept, before.parted
+
     def _are_strangers(self, first: str, second: str) -> bool:
         """Tell whether a recogniser has told two persons apart, or knows both."""
         return frozenset((first, second)) in self.strangers or bool(
