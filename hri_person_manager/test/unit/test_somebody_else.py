@@ -40,8 +40,8 @@ class Picture:
                     self.manager.on_place(source, feature, place, self.now, "camera")
             self.manager.tick(self.now)
 
-    def say(self, first, second, likelihood=0.9):
-        self.manager.on_match(CandidateMatch(first, second, likelihood), self.now)
+    def say(self, first, second, likelihood=0.9, recogniser="/ours"):
+        self.manager.on_match(CandidateMatch(first, second, likelihood), self.now, recogniser)
 
     @property
     def tracked(self):
@@ -146,3 +146,81 @@ def test_links_join_no_two_who_were_told_apart_over_somebody_between():
     assert list(groups.without_strangers(links)) == links
     groups.strangers[frozenset(("ann", "bob"))] = None
     assert list(groups.without_strangers(links)) == [links[0], *links[2:]]
+
+
+CARL, HERS = MatchNode(Kind.PERSON, "carl"), MatchNode(Kind.PERSON, "own_ann")
+
+
+@pytest.mark.parametrize("withdrawn", ["before", "after", "never"])
+def test_a_recogniser_that_changes_its_mind_makes_no_two_persons_one(withdrawn):
+    """Other recognisers than ours do not withdraw a name when they say another one."""
+    picture = Picture()
+    picture.show(1.0, ["f1"], [])
+    picture.say(HER, ANN, 0.9)
+    picture.show(2.0, ["f1"], [])
+    if withdrawn == "before":
+        picture.say(HER, ANN, 0.0)
+    picture.say(HER, BOB, 0.95)
+    if withdrawn == "after":
+        picture.say(HER, ANN, 0.0)
+    picture.show(2.0, ["f1"], [])
+    assert picture.tracked == {"bob"} and not picture.manager.merges
+    assert picture.stands_for("bob") == "bob" and picture.stands_for("ann") == "ann"
+
+
+def both_say(picture, face, own, other):
+    """Our recogniser knows who it is, then another one says what it calls that person."""
+    picture.show(1.0, [face.id], [])
+    picture.say(face, own, 0.9)
+    picture.show(1.0, [face.id], [])
+    picture.say(face, other, 0.95, "/theirs")
+    picture.show(1.0, [face.id], [])
+
+
+def test_what_two_recognisers_call_somebody_is_one_person():
+    picture = Picture()
+    both_say(picture, HER, ANN, HERS)
+    assert len(picture.tracked) == 1 and picture.stands_for("ann") == picture.stands_for("own_ann")
+    picture.show(2.0, [], [])
+    picture.show(1.0, ["f3"], [])
+    picture.say(MatchNode(Kind.FACE, "f3"), HERS, 0.9, "/theirs")
+    picture.show(1.0, ["f3"], [])
+    assert picture.tracked == {picture.stands_for("ann")}
+
+
+@pytest.mark.parametrize("mended", ["withdrawn", "another name"])
+def test_an_error_of_another_recogniser_joins_two_only_until_it_is_mended(mended):
+    picture = Picture()
+    picture.show(1.0, ["f1"], [])
+    picture.say(HER, HERS, 0.95, "/theirs")
+    picture.show(1.0, ["f1"], [])
+    picture.show(2.0, [], [])
+    both_say(picture, HIM, BOB, HERS)
+    if mended == "withdrawn":
+        picture.say(HIM, HERS, 0.0, "/theirs")
+    else:
+        picture.say(HIM, CARL, 0.97, "/theirs")
+    picture.show(2.5, ["f2"], [])
+    assert picture.stands_for("bob") != picture.stands_for("own_ann") == "own_ann"
+    assert "own_ann" not in picture.tracked and len(picture.tracked) == 1
+
+
+@pytest.mark.parametrize("likelihood", [0.8, 0.95])
+def test_a_name_from_before_a_restart_yields_to_what_a_recogniser_says(likelihood):
+    picture = Picture()
+    picture.manager.recall({"ann": [HER]}, picture.now)
+    picture.show(1.0, ["f1"], [])
+    assert picture.tracked == {"ann"}
+    picture.say(HER, BOB, likelihood)
+    picture.show(2.0, ["f1"], [])
+    assert picture.tracked == {"bob"} and not picture.manager.merges
+
+
+def test_a_name_from_before_a_restart_stays_when_the_recogniser_says_it_again():
+    picture = Picture()
+    picture.manager.recall({"ann": [HER]}, picture.now)
+    picture.show(1.0, ["f1"], [])
+    picture.say(HER, ANN, 0.8)
+    picture.say(HER, BOB, 0.6)
+    picture.show(2.0, ["f1"], [])
+    assert picture.tracked == {"ann"}

@@ -160,6 +160,55 @@ class ClientTest(unittest.TestCase):
             with self.humans._lock:
                 self.humans._groups.clear()
 
+    def test_subscribers_of_the_program_itself_come_before(self):
+        own = self.own_subscribers("ann10")
+        person, pose = self.placed_person("ann10")
+        self.both_hear(person, pose, own)
+
+    def test_subscribers_of_the_program_itself_come_after(self):
+        person, pose = self.placed_person("ann11")
+        self.assertEqual(person.name, "Ann")
+        wait_for(pose, WAIT, "the client knows the place")
+        self.both_hear(person, pose, self.own_subscribers("ann11"))
+
+    def test_a_latched_transform_that_the_program_has_already_does_not_stop_the_client(self):
+        """rospy calls back at once, in the thread that subscribes."""
+        self.world.place("base12", "odom12", 1.0, 5.0, "/tf_static")
+        heard = []
+        self.addCleanup(rospy.Subscriber("/tf_static", TFMessage, heard.append).unregister)
+        wait_for(lambda: heard, WAIT, "the program hears it")
+        self.world.track("persons", "ann12")
+        humans = Humans(patience=2.0)
+        asked = threading.Thread(target=humans.persons["ann12"].pose, daemon=True)
+        asked.start()
+        asked.join(WAIT)
+        self.assertFalse(asked.is_alive(), "it waits for itself")
+        humans.close()
+
+    def own_subscribers(self, identity):
+        """rospy gives all subscribers of a topic in one process the messages of the first one's type."""
+        own = {"name": [], "tf": []}
+        for kind, name, of in (("name", "/humans/persons/{}/name".format(identity), String), ("tf", "/tf", TFMessage)):
+            self.addCleanup(rospy.Subscriber(name, of, own[kind].append).unregister)
+        return own
+
+    def placed_person(self, identity):
+        self.world.publish("/humans/persons/{}/name".format(identity), String("Ann"))
+        self.world.track("persons", identity)
+        person, stamps = self.humans.persons[identity], iter(range(5, 10000))
+
+        def pose():
+            self.world.place("odom10", "person_" + identity, 2.0, float(next(stamps)))
+            return person.pose()
+        return person, pose
+
+    def both_hear(self, person, pose, own):
+        wait_for(lambda: person.name == "Ann", WAIT, "the client reads the name")
+        wait_for(pose, WAIT, "the client knows the place")
+        wait_for(lambda: pose() and own["name"] and own["tf"], WAIT, "the program hears the same")
+        self.assertEqual(own["name"][-1].data, "Ann")
+        self.assertEqual(own["tf"][-1].transforms[0].child_frame_id, "person_" + person.id)
+
     def test_gazes_and_groups(self):
         self.world.publish("/humans/interactions/gaze", GazesStamped(gazes=[GazeSenderReceiver("ann6", "", 0.9),
                                                                             GazeSenderReceiver("bob6", "ann6", 0.8)]))

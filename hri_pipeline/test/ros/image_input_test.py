@@ -312,6 +312,15 @@ class ImageInputTest(InputCase):
             wait_for(lambda: time.monotonic() > image_input._heard + 0.5, 5, "a pause")
         self.assertEqual(image_input.counts["forward_jumps"], 0)
 
+    def test_an_image_that_waits_for_its_camera_info_is_no_jump(self):
+        self.addCleanup(setattr, inputs, "JUMP_S", inputs.JUMP_S)
+        inputs.JUMP_S = 0.25
+        image_input = self.image_input()
+        for _ in range(2):
+            self.send(image_input, picture(rospy.get_time()))
+            self.assertIsNotNone(image_input.next(5))
+        self.assertEqual(image_input.counts["forward_jumps"], 0)
+
     def test_frames_of_images(self):
         image_input = self.image_input()
         self.calibrate(image_input, info())

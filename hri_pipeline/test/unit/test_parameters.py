@@ -65,6 +65,14 @@ def test_given_values_in_the_type_of_the_default():
     assert values.providers == ["cuda", "cpu"] and values.weights == [1.0, 0.5]
 
 
+@pytest.mark.parametrize("given, frame", [("/map", "map"), ("map", "map"), ("", "")])
+def test_a_frame_has_no_leading_slash(given, frame):
+    """Older nodes name frames so; tf2 refuses it."""
+    for name in ("reference_frame", "frame_id"):
+        assert Parameter(name, "odom", "A frame.").check(given) == frame
+    assert Parameter("store", "", "A file.").check("/map") == "/map"
+
+
 def test_a_list_is_not_shared_with_the_table():
     TABLE.resolve({}).providers.append("cuda")
     assert TABLE.resolve({}).providers == NodeSettings().providers == ["cpu"]

@@ -88,6 +88,9 @@ class CrossCamera:
         self._groups = ViewGroups()
         self._told: Set[FrozenSet[str]] = set()
         self._newest = -math.inf
+        self._before: Dict[FrozenSet[str], None] = {}
+        """Links from before a jump of time, until both persons are placed anew, or for FRESH_S."""
+        self._jumped = math.inf
         self._returned: Set[Pair] = set()
         self.held: FrozenSet[MatchNode] = frozenset()
         self.due: List[FrozenSet[MatchNode]] = []
@@ -159,12 +162,23 @@ class CrossCamera:
         self._groups.note_names(live)
         self._groups.note_two(live)
         self._come_back_by_name()
+        self._come_back_after_jump(live)
         if live and not self.is_idle:
             self._separate(live)
             self._join(live)
             self._learn_scales(live)
         self._hold(live)
         self._forget_lost()
+
+    def note_name(self, name: str, recogniser: str) -> None:
+        """Take that a recogniser knows somebody by this name: what cameras see never joins two whom one knows."""
+        self._groups.note_namer(name, recogniser)
+
+    def continue_from(self, before: CrossCamera) -> None:
+        """Go on after a jump of time with what was known of persons; where they are is not known any more."""
+        self._told = set(before._told)
+        self._before = dict.fromkeys(before._told)
+        self._groups.take_names(before._groups)
 
     def links(self, owner: Callable[[MatchNode], str], exists: Container[str]) -> List[CrossCameraLink]:
         """Return the links between persons that are new or over.
@@ -177,13 +191,15 @@ class CrossCamera:
             own = [owner(feature) for view in human.views for feature in sorted(view.tracks)]
             human.persons.update(dict.fromkeys(person for person in own if person))
             for person in [person for person in human.persons
-                           if person not in exists or person in current and person not in own]:
+                           if person not in exists or person not in own and (
+                           person in current or any(person in view.doubted for view in human.views))]:
                 del human.persons[person]
             first, *others = human.persons or [""]
             wanted.update((frozenset((first, other)), None) for other in others)
         wanted.update(dict.fromkeys(self._still_kept(current, exists)))
-        if self._groups.strangers:
-            wanted = self._groups.without_strangers(wanted)
+        wanted.update((pair, None) for pair in self._before if all(person in exists for person in pair))
+        if self._groups.strangers or self._groups.namers:
+            wanted = self._groups.without_strangers(sorted(wanted, key=lambda pair: pair not in self._told))
         changed = [CrossCameraLink(min(pair), max(pair), 0.0) for pair in self._told - wanted.keys()]
         changed += [CrossCameraLink(min(pair), max(pair), LIKELIHOOD) for pair in wanted if pair not in self._told]
         self._told = set(wanted)
@@ -230,6 +246,23 @@ class CrossCamera:
         return not state.near and stamp - state.since >= PARTING * self._time
 
     # ----- who are one
+
+    def _come_back_after_jump(self, live: List[View]) -> None:
+        """Unite who was one before a jump of time; those who are not seen by then stay one until they are."""
+        if not self._before or not live:
+            return
+        self._jumped = min(self._jumped, self._newest)
+        seen = {view.person: view for view in live if view.person}
+        for pair in list(self._before):
+            views = [seen[person] for person in sorted(pair) if person in seen]
+            if len(views) == 2:
+                one, other = (self._groups.group_of[view.number] for view in views)
+                if one is not other and self._groups.may_be_one(one, other):
+                    self._groups.unite(one, other)
+                del self._before[pair]
+        if self._newest - self._jumped > FRESH_S:
+            self._groups.kept.update(self._before)
+            self._before.clear()
 
     def _smooth(self, known: Dict, key: object, square: float, stamp: float, limit: float) -> Nearness:
         """Follow the squared distance of a pair; it is near below `limit`."""

@@ -13,7 +13,7 @@ import numpy as np
 from hri_person_manager.core.cross_camera import CrossCamera
 from hri_person_manager.core.features import Kind, MatchNode, PlaceSource, TrackedFeatures
 from hri_person_manager.core.location import Decay, FeaturePlaces, PersonLocation, Place
-from hri_person_manager.core.match_graph import Association, CandidateMatch
+from hri_person_manager.core.match_graph import Association, CandidateMatch, SaidNames
 from hri_person_manager.core.merges import Merges
 from hri_person_manager.core.parameters import PersonManagerSettings, sensor_errors
 from hri_person_manager.core.persons import (
@@ -63,6 +63,8 @@ class PersonManager:
         self._published = PublishedPersons(self._table, self._merges, self._decay)
         self._association = Association(self._threshold, self._is_present, self._make_permanent)
         self._cameras = CrossCamera(*_camera_limits(self._settings))
+        self._said = SaidNames()
+        self._recalled: Dict[MatchNode, str] = {}       # names from before a restart that nobody has said since
 
     def reconfigure(self, settings: PersonManagerSettings, now: float) -> None:
         """Take up the values of the live parameters at `now` (s): persons and matches stay, who belongs together is
@@ -100,7 +102,10 @@ class PersonManager:
         """Go on after time has jumped back to `now` (s): the same persons and matches; places and delays start anew."""
         anonymous, matches = self.anonymous(), self.matches
         permanent = [person for person in self._table.persons.values() if not person.anonymous]
+        cameras, said, recalled = self._cameras, self._said, self._recalled
         self._start_afresh(self._known, self._merges)
+        self._cameras.continue_from(cameras)
+        self._said, self._recalled = said, recalled
         for person in sorted(permanent, key=lambda item: item.lost_at or 0.0):
             self._table.permanent(person.id).lost_at = now       # unless it has features
         self._tracked.rewind(now)
@@ -116,6 +121,8 @@ class PersonManager:
         if not gone and not new:
             return
         kept = self._association.matches_of(inferred)
+        for node in gone:
+            self._recalled.pop(node, None)
         touched = [node for gone_node in gone for node in self._association.remove(gone_node)]
         for match in kept:
             self._association.add(match)
@@ -123,14 +130,18 @@ class PersonManager:
         self._association.solve(touched + new)
         self._associate(now)
 
-    def on_match(self, match: CandidateMatch, now: float) -> bool:
-        """Take a candidate match; return whether it changed who belongs together."""
+    def on_match(self, match: CandidateMatch, now: float, sender: str = "") -> bool:
+        """Take a candidate match; return whether it changed who belongs together.
+
+        sender: the node that says it; of those of whom one node says two names, no two are one. Empty: unknown.
+        """
         nodes = (match.first, match.second)
         if match.likelihood >= self._threshold:
             for node in nodes:
                 if node.kind == Kind.PERSON and not node.id.startswith(ANONYMOUS_PREFIX):
                     self._remember(node.id)
         self._association.refute(match, now)
+        self._note_name(match, sender)
         if nodes[0].kind == nodes[1].kind == Kind.PERSON:
             changed = self._merges.set(nodes[0].id, nodes[1].id, match.likelihood)
             return self._update_merges(now) and changed
@@ -206,6 +217,7 @@ class PersonManager:
         if not members & (set(self._table.persons) | set(self._known) | set(self._table.aliases)):
             return False
         touched = self._association.forget(MatchNode(Kind.PERSON, person_id))
+        self._said.forget(person_id)
         self._known.remove(person_id)
         self._merges.remove(person_id)
         self._table.remove(person_id)
@@ -238,6 +250,7 @@ class PersonManager:
             for node in nodes:
                 self.on_match(CandidateMatch(node, MatchNode(Kind.PERSON, person_id),
                                              max(self._threshold, _AS_SURE_AS_BEFORE)), now)
+                self._recalled[node] = person_id
 
     def on_place(self, source: PlaceSource, feature_id: str, place: Place, now: float,
                  sensor: str = "") -> Optional[str]:
@@ -431,10 +444,28 @@ class PersonManager:
             names = set().union(*(of_faces or said.values()))
             if owner is not None and not owner.anonymous:
                 names.add(owner.id)
-            doubted = {name for feature in features for name in self._association.refuted_as(feature, now)}
+            weaker = {name for feature in features for name in self._said.doubted(feature)}
+            doubted = {name for feature in features for name in self._association.refuted_as(feature, now)} | (
+                weaker - {owner.id if owner is not None else ""})
             groups.append(SensedGroup(features, owner.id if owner is not None else "", frozenset(names - doubted),
                                       frozenset(doubted)))
         return groups
+
+    def _note_name(self, match: CandidateMatch, sender: str) -> None:
+        """Note who says which name of a feature. A name from before a restart ends with the first one that is
+        said."""
+        for feature, person in ((match.first, match.second), (match.second, match.first)):
+            if person.kind == Kind.PERSON != feature.kind and not person.id.startswith(ANONYMOUS_PREFIX):
+                likelihood = match.likelihood if match.likelihood >= self._threshold else 0.0
+                recalled = self._recalled.pop(feature, person.id) if likelihood > 0.0 else person.id
+                if recalled != person.id:
+                    before = MatchNode(Kind.PERSON, recalled)
+                    self._association.add(CandidateMatch(feature, before, 0.0))
+                    self._association.solve((feature, before))
+                if sender:
+                    self._said.note(sender, feature, person.id, likelihood)
+                if sender and likelihood > 0.0:
+                    self._cameras.note_name(person.id, sender)
 
     def _match_anonymous(self, feature: MatchNode, person_id: str, likelihood: float, now: float) -> bool:
         """Take a match with an anonymous person: one without features gets this feature, else the owner of the feature
@@ -470,6 +501,7 @@ class PersonManager:
         moved = self._table.associate(self._association.assignable, now)
         self._update_merges(now)
         self._places.retain(self._tracked.__contains__)
+        self._said.retain(self._tracked.__contains__)
         self._place_moved(moved)
 
     def _place_moved(self, features: Iterable[MatchNode]) -> None:

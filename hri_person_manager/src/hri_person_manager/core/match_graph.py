@@ -30,6 +30,8 @@ _KINDS = frozenset(kind.value for kind in Kind)
 _SHOWN = 40           # characters of an id that a text shows
 MAX_CUTS = 6
 MAX_PENDING_MATCHES = 1000      # matches kept for features that are not tracked (yet)
+MAX_SAID = 1000       # pairs of a feature and a recogniser whose names for it are kept
+MAX_SAID_NAMES = 10
 Group = FrozenSet[MatchNode]
 
 
@@ -116,6 +118,43 @@ class MatchGuard:
 
     def _is_late(self, id1: str, id2: str, now: float) -> bool:
         return any(now - self._forgotten[name] <= UNDER_WAY_S for name in (id1, id2) if name in self._forgotten)
+
+
+class SaidNames:
+    """Which names each recogniser has for each feature: one of them at most is right, as one recogniser does not call
+    one person by two names without saying that these are one."""
+
+    def __init__(self) -> None:
+        self._said: "OrderedDict[Tuple[MatchNode, str], Dict[str, float]]" = OrderedDict()
+
+    def note(self, sender: str, feature: MatchNode, name: str, likelihood: float) -> None:
+        """Take what a node says; 0 withdraws it."""
+        said = self._said.pop((feature, sender), {})
+        said.pop(name, None)
+        if likelihood > 0.0:
+            said[name] = likelihood
+        if said:
+            self._said[feature, sender] = dict(list(said.items())[-MAX_SAID_NAMES:])
+        while len(self._said) > MAX_SAID:
+            self._said.popitem(last=False)
+
+    def doubted(self, feature: MatchNode) -> Set[str]:
+        """Return the names of a feature beside which their recogniser has a better one, or a newer one as good; not
+        those that another recogniser prefers."""
+        said = [names for (of, _), names in self._said.items() if of == feature]
+        best = {max(reversed(list(names)), key=names.__getitem__) for names in said}
+        return set().union(*said) - best
+
+    def retain(self, is_tracked: Callable[[MatchNode], bool]) -> None:
+        """Forget what was said of features that have gone."""
+        for key in [key for key in self._said if not is_tracked(key[0])]:
+            del self._said[key]
+
+    def forget(self, name: str) -> None:
+        """Forget a name."""
+        for names in self._said.values():
+            names.pop(name, None)
+        self._said = OrderedDict((key, names) for key, names in self._said.items() if names)
 
 
 @dataclass(frozen=True)

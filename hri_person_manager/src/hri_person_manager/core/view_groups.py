@@ -195,8 +195,9 @@ class ViewGroups:
     tracks: of each feature. view_of: by feature. group_of: by number of the view. all: by number of the group; one
     without a view is somebody whom all have lost. near, apart: how near pairs of groups are, and views to the rest of
     their group. two: pairs of groups that are two humans. parted: pairs of persons that a user has parted. kept: links
-    of groups that are gone. strangers: pairs of persons whom a recogniser has told apart in one view. explained: groups
-    that each group may be. likely: views that are most likely of a group, too.
+    of groups that are gone. strangers: pairs of persons whom a recogniser has told apart in one view. namers: which
+    recognisers know somebody by a name. explained: groups that each group may be. likely: views that are most likely
+    of a group, too.
     """
 
     def __init__(self) -> None:
@@ -212,6 +213,7 @@ class ViewGroups:
         self.kept: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
         self.parted: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
         self.strangers: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
+        self.namers: "OrderedDict[str, Set[str]]" = OrderedDict()
         self.explained: Dict[int, Set[int]] = {}
         self.likely: Dict[int, List[View]] = {}
         self._numbers = itertools.count()
@@ -354,14 +356,32 @@ class ViewGroups:
         new = ViewGroup(next(self._numbers), view)
         self.all[new.number] = self.group_of[view.number] = new
 
+    def note_namer(self, name: str, recogniser: str) -> None:
+        """Note who calls somebody so."""
+        self.namers.setdefault(name, set()).add(recogniser)
+        self.namers.move_to_end(name)
+        while len(self.namers) > MAX_NAMES:
+            self.namers.popitem(last=False)
+
+    def take_names(self, before: ViewGroups) -> None:
+        """Take over what is known of persons, whoever sees them."""
+        self.named_by, self.namers, self.strangers = before.named_by, before.namers, before.strangers
+        self.kept, self.parted = before.kept, before.parted
+
+    def _are_strangers(self, first: str, second: str) -> bool:
+        """Tell whether a recogniser has told two persons apart, or knows both."""
+        return frozenset((first, second)) in self.strangers or bool(
+            self.namers.get(first, _NOBODY) & self.namers.get(second, _NOBODY))
+
     def without_strangers(self, pairs: Iterable[FrozenSet[str]]) -> Dict[FrozenSet[str], None]:
-        """Return the pairs of persons that join no two whom a recogniser has told apart, over others neither."""
+        """Return the pairs of persons that join no two whom a recogniser has told apart, over others neither; the first
+        pairs go before the others."""
         kept: Dict[FrozenSet[str], None] = {}
         joined: Dict[str, Set[str]] = {}
         for pair in pairs:
             one, other = (joined.setdefault(person, {person}) for person in sorted(pair))
             if one is not other:
-                if any(frozenset(both) in self.strangers for both in itertools.product(one, other)):
+                if any(self._are_strangers(*both) for both in itertools.product(one, other)):
                     continue
                 one |= other
                 joined.update(dict.fromkeys(other, one))

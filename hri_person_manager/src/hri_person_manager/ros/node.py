@@ -413,7 +413,7 @@ class PersonManagerNode:
             if sum(self._guard.refused.values()) > refused:
                 rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: a match of %s is refused: %s", MATCHES_TOPIC,
                                        sender_of(message), self._guard.problem)
-            if match is not None and self._manager.on_match(match, rospy.get_time()):
+            if match is not None and self._manager.on_match(match, rospy.get_time(), sender_of(message)):
                 self._publish_state()
 
     def _on_poses(self, poses: List[FeaturePose]) -> None:

@@ -11,7 +11,6 @@ from typing import Any, Callable, Dict, List, Optional, Tuple, Type, TypeVar
 
 import genpy
 import numpy as np
-import roslib.message
 import rospy
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
@@ -30,7 +29,7 @@ from hri_msgs.msg import Gesture as GestureMessage
 from hri_pipeline.core.frames import HumanTf, composed, read
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import image_to_bgr, landmarks_from_msg, skeleton_from_msg
-from hri_pipeline.ros.rospy_compat import release
+from hri_pipeline.ros.rospy_compat import AnyMessage, message_of, release
 from hri_pipeline.ros.tf import Frames, RobotTfListener, TfSubscriber
 
 Convert = Callable[[Any], Any]
@@ -53,7 +52,6 @@ class LazyTopic:
         self._convert = convert
         self._patience = patience if latched else 0.0
         self._on_value, self._queue_size = on_value, queue_size
-        self._types: Dict[str, Optional[Type[genpy.Message]]] = {}
         self._condition = threading.Condition()
         self._subscriber: Optional[rospy.Subscriber] = None
         self._closed = False
@@ -65,7 +63,7 @@ class LazyTopic:
         """Return the latest value, `default` while none has come."""
         with self._condition:
             if not self._closed and self._subscriber is None:
-                self._subscriber = rospy.Subscriber(self._name, rospy.AnyMsg, self._take, queue_size=self._queue_size)
+                self._subscriber = rospy.Subscriber(self._name, AnyMessage, self._take, queue_size=self._queue_size)
                 self._condition.wait_for(lambda: self._came or self._closed, self._patience)
             return self._value if self._came else default
 
@@ -82,9 +80,9 @@ class LazyTopic:
         if subscriber is not None:
             release(subscriber)
 
-    def _take(self, message: rospy.AnyMsg) -> None:
+    def _take(self, message: genpy.Message) -> None:
         try:
-            value = self._convert(self._read(message))
+            value = self._convert(message_of(message))
         except (ValueError, AttributeError, genpy.DeserializationError) as error:
             # An AttributeError is that of a message of a type which has no business on this topic.
             rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: a message of type %s is not used: %s", self._name,
@@ -97,15 +95,6 @@ class LazyTopic:
             self._condition.notify_all()
         if self._on_value is not None:
             self._on_value(value)
-
-    def _read(self, message: rospy.AnyMsg) -> genpy.Message:
-        name = message._connection_header.get("type", "")
-        if name not in self._types:
-            self._types[name] = roslib.message.get_message_class(name)
-        kind = self._types[name]
-        if kind is None or message._connection_header.get("md5sum") not in (kind._md5sum, "*"):
-            raise ValueError("its type {} is not known here, or is another version of it".format(name[:60]))
-        return kind().deserialize(message._buff)
 
 
 ROBOT = ""
@@ -328,7 +317,8 @@ class HumanPoses:
     """Poses of the frames that were asked for. Nothing is subscribed to before the first question."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        # rospy calls back while this subscribes, where another subscriber of the process has a latched message.
+        self._lock = threading.RLock()
         self._tf = HumanTf()
         self._robots: Dict[str, RobotTfListener] = {}
         self._subscriber: Optional[TfSubscriber] = None

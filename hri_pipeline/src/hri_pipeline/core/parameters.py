@@ -125,9 +125,12 @@ class Parameter:
         return ""
 
     def check(self, value: object) -> object:
-        """Return `value` in the type of the parameter. Raises ParameterError with the value and the legal range."""
+        """Return `value` in the type of the parameter; a frame (by the parameter's name) without the slash before it,
+        which tf2 refuses. Raises ParameterError with the value and the legal range."""
         if not self.is_list:
-            return self._check_item(value)
+            found = self._check_item(value)
+            is_frame = self.name.endswith(("frame", "frame_id"))
+            return found.lstrip("/") if is_frame and isinstance(found, str) else found
         if not isinstance(value, (list, tuple)):
             raise self._refused(value)
         return [self._check_item(item) for item in value]

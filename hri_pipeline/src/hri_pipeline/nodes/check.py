@@ -187,8 +187,8 @@ class GraphProbe:
         """Return the reference frame of the nodes that run: their own parameter, else that of the whole stack."""
         for name in map(rospy.resolve_name, _PLACERS):
             if self._node(name) == "running" and rospy.has_param(name + "/reference_frame"):
-                return str(rospy.get_param(name + "/reference_frame"))
-        return str(rospy.get_param("/humans/reference_frame", "map"))
+                return str(rospy.get_param(name + "/reference_frame")).lstrip("/")
+        return str(rospy.get_param("/humans/reference_frame", "map")).lstrip("/")
 
     def _wait(self, seconds: float) -> None:
         """Wait in wall time: the clock of the graph may stand still."""

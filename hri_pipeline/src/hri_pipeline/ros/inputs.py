@@ -117,8 +117,8 @@ class ImageInput(SensorInput):
         self._decode = image_to_bgr if transport == "raw" else compressed_to_bgr
         self._message: Optional[ImageMessage] = None
         self._last_stamp: Optional[float] = None
-        self._taken_at = 0.0
-        self._taken_at_ros = 0.0
+        # When the newest image and the last one that was taken came: s, of the monotonic clock and of ROS.
+        self._arrival = self._came = self._taken_at = (0.0, 0.0)
         self._frame_id: Optional[str] = None
         self._problem: Tuple[int, str] = (OK, "")
         self._clock_problem = ""
@@ -192,6 +192,7 @@ class ImageInput(SensorInput):
             self.counts["received"] += 1
             self._message = message
             now = rospy.get_time()
+            self._arrival = (time.monotonic(), now)
             self._age = now - message.header.stamp.to_sec() if now > 0.0 else 0.0
             self._condition.notify()
 
@@ -199,6 +200,7 @@ class ImageInput(SensorInput):
         with self._condition:
             self._condition.wait_for(lambda: self._closed or self._message is not None, max(0.0, timeout))
             message, self._message = self._message, None
+            self._came = self._arrival
             return message
 
     def _frame(self, message: ImageMessage) -> Optional[Frame]:
@@ -222,7 +224,7 @@ class ImageInput(SensorInput):
         self._problem = (OK, "")
         camera = self._camera.model(bgr.shape[1], bgr.shape[0])
         self._last_stamp = stamp = header.stamp.to_sec()
-        self._taken_at, self._taken_at_ros = time.monotonic(), rospy.get_time()
+        self._taken_at = self._came
         self.counts["taken"] += 1
         depth = self._depth.match(stamp, bgr.shape[1], bgr.shape[0]) if self._depth is not None else None
         return Frame(bgr, camera, stamp, header, depth)
@@ -254,12 +256,12 @@ class ImageInput(SensorInput):
             return header
         if step <= 0.0:
             self.counts["late"] += 1
-            if time.monotonic() - self._taken_at > _STANDSTILL_S:
+            if time.monotonic() - self._taken_at[0] > _STANDSTILL_S:
                 self._problem = (ERROR, "{}: no image has a newer stamp than the last one; let the camera driver set "
                                  "header.stamp".format(self.topic))
                 self._tell(self._problem[1])
             return None
-        ahead = step - max(time.monotonic() - self._taken_at, rospy.get_time() - self._taken_at_ros)
+        ahead = step - max(now - before for now, before in zip(self._came, self._taken_at))
         if ahead > JUMP_S:
             self.counts["forward_jumps"] += 1
             self._warn("forward", "{}: stamps have gone forward by {:.1f} s more than the time (a cut recording, or a "

@@ -2,7 +2,7 @@
 
 Checked against rospy 1.15.15. Before another version is used, this file has to be read beside its
 rospy/topics.py, rospy/msproxy.py, rospy/impl/registration.py, rospy/impl/tcpros_base.py, rospy/impl/tcpros_pubsub.py
-and rosgraph/xmlrpc.py. Six things:
+and rosgraph/xmlrpc.py. Seven things:
 
 - File descriptors: as many as the system allows, few for each topic, and a reserve, without which rospy answers no
   call.
@@ -10,6 +10,7 @@ and rosgraph/xmlrpc.py. Six things:
 - Topics that open, and calls that end, while the master is away.
 - publish() that does not give up the processor.
 - Images that are received without copies.
+- Messages of any type beside subscribers of the same process that ask for one type.
 - Who is connected to a topic, who has sent a message, and what this node has registered at the master.
 """
 
@@ -37,6 +38,7 @@ from xmlrpc.client import ServerProxy, Transport
 
 import genpy
 import numpy as np
+import roslib.message
 import rospy
 import rospy.core
 import rospy.topics
@@ -410,6 +412,48 @@ class ReceivedImage(Image):
             raise genpy.DeserializationError(error) from error
         self.data = memoryview(block)[end + 4:end + 4 + size]
         return self
+
+
+class AnyMessage(rospy.AnyMsg):
+    """A message of any type: a type for rospy.Subscriber. It has the fields of its own type, too.
+
+    rospy gives all subscribers of a topic in one process the messages of the first one's type: with rospy.AnyMsg, a
+    tf2_ros.TransformListener that the program makes later fails at each message.
+    """
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a field of the message. AttributeError when its type has none of that name, or cannot be read."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        if "_read" not in self.__dict__:
+            try:
+                self._read = message_of(self)
+            except (ValueError, genpy.DeserializationError) as error:
+                raise AttributeError(str(error)) from error
+        return getattr(self._read, name)
+
+
+def message_of(message: genpy.Message) -> genpy.Message:
+    """Return a message that came to a subscriber of any type, in its own type.
+
+    Raises ValueError for a type that is not known here, genpy.DeserializationError for wrong bytes.
+    """
+    if not isinstance(message, rospy.AnyMsg):
+        return message          # the program has subscribed to that type before
+    name = message._connection_header.get("type", "")
+    kind = roslib.message.get_message_class(name)
+    if kind is None or message._connection_header.get("md5sum") not in (kind._md5sum, "*"):
+        raise ValueError("its type {} is not known here, or is another version of it".format(name[:60]))
+    return kind().deserialize(message._buff)
+
+
+def bytes_of(message: genpy.Message) -> bytes:
+    """Return what was sent of a message that came to a subscriber of any type."""
+    if isinstance(message, rospy.AnyMsg):
+        return message._buff
+    buffer = BytesIO()
+    message.serialize(buffer)
+    return buffer.getvalue()
 
 
 def _read_messages(protocol: tcpros_pubsub.TCPROSSub, b: BytesIO, msg_queue: List[genpy.Message],

@@ -17,7 +17,7 @@ from tf2_msgs.msg import TFMessage
 from hri_pipeline.core.frames import FrameHistory, RawTransform, check_stamp, is_of_human, is_stamp, read, scan
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.timing import ALL_STALE_S, JUMP_BACK_S
-from hri_pipeline.ros.rospy_compat import release
+from hri_pipeline.ros.rospy_compat import AnyMessage, bytes_of, release
 
 _LOG_PERIOD_S = 10.0
 
@@ -39,28 +39,29 @@ class TfSubscriber:
         self._skip = skip
         self._name = "" if own else rospy.get_name()
         self.refused = 0
-        self._moving = rospy.Subscriber("/tf", rospy.AnyMsg, self._take, callback_args=False,
+        self._moving = rospy.Subscriber("/tf", AnyMessage, self._take, callback_args=False,
                                         queue_size=100, buff_size=2 ** 20, tcp_nodelay=True)
-        self._static = rospy.Subscriber("/tf_static", rospy.AnyMsg, self._take, callback_args=True, queue_size=100)
+        self._static = rospy.Subscriber("/tf_static", AnyMessage, self._take, callback_args=True, queue_size=100)
 
     def close(self) -> None:
         """Unsubscribe. Idempotent."""
         release(self._moving)
         release(self._static)
 
-    def _take(self, message: rospy.AnyMsg, fixed: bool) -> None:
+    def _take(self, message: genpy.Message, fixed: bool) -> None:
         caller = message._connection_header.get("callerid", "")
         if caller == self._name or (self._skip is not None and caller.startswith(self._skip)):
             return
+        data = bytes_of(message)
         frames: Frames = []
         try:
-            frames = scan(message._buff)
-            self._on_frames(message._buff, frames, fixed)
+            frames = scan(data)
+            self._on_frames(data, frames, fixed)
         except ValueError as error:
             if len(frames) < 2:
                 self._refuse(caller, error)
             else:
-                self._take_singly(caller, message._buff, frames, fixed)
+                self._take_singly(caller, data, frames, fixed)
 
     def _take_singly(self, caller: str, data: bytes, frames: Frames, fixed: bool) -> None:
         """Take the transforms of a message of which one is bad; to take a good one twice does no harm."""
