@@ -167,6 +167,22 @@ def test_a_pair_outlives_a_node_that_dies_and_comes_back():
     assert matcher.matches(), "the face is still listed"
 
 
+def test_a_pair_lasts_while_the_body_shows_no_head_until_another_face_fits():
+    """Bodies that wait for their turn are told with points of little confidence: that parts nobody."""
+    matcher = make(["f1", "f2"], ["b1"])
+    headless = human(0.5)[1] * (1.0, 1.0, 0.1)
+    for step in range(150):
+        stamp = 100.0 + 0.2 * step
+        matcher.add_face("f1", stamp, human(0.5)[0], ASPECT)
+        matcher.add_body("b1", stamp, headless if step else human(0.5)[1])
+        assert [(match.face, match.body) for match in matcher.matches()] == [("f1", "b1")]
+    for step in range(10):
+        matcher.add_face("f1", 131.0 + 0.1 * step, human(0.2)[0], ASPECT)
+        matcher.add_face("f2", 131.0 + 0.1 * step, human(0.5)[0], ASPECT)
+        matcher.add_body("b1", 131.0 + 0.1 * step, human(0.5)[1])
+    assert [(match.face, match.body) for match in matcher.matches()] == [("f2", "b1")]
+
+
 def test_time_may_jump_back():
     matcher = make()
     assert feed(matcher, 100.0, {"f1": 0.5}, {"b1": 0.5, "b2": 0.8})

@@ -181,6 +181,11 @@ class FeatureHistory:
         kept = self._features.get((kind, name))
         return () if kept is None else kept.stamps
 
+    def newest_of(self, kind: str, name: str) -> float:
+        """Return the stamp of the newest image in which face or body `name` is known, -inf without any."""
+        kept = self._features.get((kind, name))
+        return -np.inf if kept is None else kept.stamps[-1]
+
     def at(self, kind: str, stamp: float, tolerance: float, gap: float = 0.0) -> Dict[str, np.ndarray]:
         """Return the feature of each id at `stamp`: between two images that are at most `gap` s apart, else that of the
         nearest one, at most `tolerance` s away."""

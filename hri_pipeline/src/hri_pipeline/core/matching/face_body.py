@@ -250,12 +250,18 @@ class FaceBodyMatcher:
         state.stamp = stamp
 
     def _drop_stale(self) -> None:
-        """End the pairs that could not be compared for long: a side that lags has not told of that time yet."""
-        for pair, state in list(self._states.items()):
-            cameras = [(kind, self._frames.get((kind, name), "")) for kind, name in zip(("faces", "bodies"), pair)]
+        """End the pairs of which one side was not seen for long: a side that lags has not told of that time yet.
+
+        Both may be seen without being compared, such as a body of which no image shows the head: nothing says that they
+        are two, and another face that fits the body takes it.
+        """
+        for pair in list(self._states):
+            sides = list(zip(("faces", "bodies"), pair))
+            cameras = [(kind, self._frames.get((kind, name), "")) for kind, name in sides]
             newest = max(self._newest.get(camera, -math.inf) for camera in cameras)
             lag = max(self._lags.get(camera, 0.0) for camera in cameras)
-            if newest - state.stamp > self._settings.hold_time + lag:
+            seen = min(self._history.newest_of(*side) for side in sides)
+            if newest - seen > self._settings.hold_time + lag:
                 del self._states[pair]
 
     def _assign(self) -> None:
