@@ -301,16 +301,18 @@ def test_bodies_that_come_late_are_compared_with_the_faces_of_their_image(late):
 
 @pytest.mark.parametrize("late", [3.0, 4.0, 5.0])
 @pytest.mark.parametrize("kind", ["faces", "bodies"])
-def test_who_is_seen_rarely_and_late_stays_matched(kind, late):
-    """Of one of two images, each of which takes `late` s; the other kind is on time."""
-    matcher, changes, published = make(["f1"], ["b1"]), MatchChanges(0.05), []
-    add = {"faces": lambda stamp: matcher.add_face("f1", stamp, human(0.5)[0], ASPECT, "camera"),
-           "bodies": lambda stamp: matcher.add_body("b1", stamp, human(0.5)[1], "camera")}
+@pytest.mark.parametrize("every", [2, 3])
+def test_who_is_seen_rarely_and_late_stays_matched(kind, late, every):
+    """Seen in every second or third image, each of which takes `late` s; the other kind is on time."""
+    matcher, changes, published = make(["f1", "f2"], ["b1", "b2"]), MatchChanges(0.05), []
+    seen = {"1": human(0.5), "2": human(0.2)}
+    add = {"faces": lambda stamp, name: matcher.add_face("f" + name, stamp, seen[name][0], ASPECT, "camera"),
+           "bodies": lambda stamp, name: matcher.add_body("b" + name, stamp, seen[name][1], "camera")}
     on_time = add.pop("faces" if kind == "bodies" else "bodies")
     for step in range(600):
-        on_time(100.0 + 0.1 * step)
-        if step and step % round(20.0 * late) == 0:
-            add[kind](100.0 + 0.1 * step - late)
+        on_time(100.0 + 0.1 * step, "1")
+        if step and step % round(10.0 * late) == 0:
+            add[kind](100.0 + 0.1 * step - late, "2" if step % round(10.0 * late * every) else "1")
         published += changes.update({(match.face, match.body): match.confidence for match in matcher.matches()},
                                     0.1 * step, matcher.has_left)
     assert published and all(likelihood > 0.0 for _, likelihood in published)

@@ -250,19 +250,23 @@ class FaceBodyMatcher:
         state.stamp = stamp
 
     def _drop_stale(self) -> None:
-        """End the pairs of which one side was not seen for long: a side that lags has not told of that time yet.
+        """End the pairs of which one side was not seen for long.
 
         Both may be seen without being compared, such as a body of which no image shows the head: nothing says that they
         are two, and another face that fits the body takes it.
         """
         for pair in list(self._states):
-            sides = list(zip(("faces", "bodies"), pair))
-            cameras = [(kind, self._frames.get((kind, name), "")) for kind, name in sides]
-            newest = max(self._newest.get(camera, -math.inf) for camera in cameras)
-            lag = max(self._lags.get(camera, 0.0) for camera in cameras)
-            seen = min(self._history.newest_of(*side) for side in sides)
-            if newest - seen > self._settings.hold_time + lag:
+            if self._unseen("faces", pair[0]) or self._unseen("bodies", pair[1]):
                 del self._states[pair]
+
+    def _unseen(self, kind: str, name: str) -> bool:
+        """Tell whether a face or body was not seen for long, by images of its own kind, or those are missing for long;
+        a kind that lags has so much longer."""
+        camera, other = self._frames.get((kind, name), ""), "bodies" if kind == "faces" else "faces"
+        newest = self._newest.get((kind, camera), -math.inf)
+        unseen = newest - self._history.newest_of(kind, name)
+        return max(unseen, self._newest.get((other, camera), newest) - newest) > (
+            self._settings.hold_time + self._lags.get((kind, camera), 0.0))
 
     def _assign(self) -> None:
         likely = {pair: state.likelihood for pair, state in self._states.items()
