@@ -19,19 +19,22 @@ CAMERA = np.array([0.0, 0.0, 1.5])
 
 
 class LateCamera:
-    """People before one camera who walk sideways; `late`: delays (s) of faces, bodies and matches.
+    """People before one camera who walk sideways; `late`: delays (s) of faces, bodies and matches; body_period: s.
 
     Body `number` is that of face `number`; faces and bodies are told with the errors of real ones.
     """
 
-    def __init__(self, places, faces=0.1, bodies=1.2, matches=2.5, seed=0, source=PlaceSource.HEAD, speed=0.5):
+    def __init__(self, places, faces=0.1, bodies=1.2, matches=2.5, seed=0, source=PlaceSource.HEAD, speed=0.5,
+                 body_period=0.1):
         numbers = itertools.count(1)
         self.manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({}), lambda: "a%04d" % next(numbers))
         self.places, self.late, self.source, self.speed = np.array(places), (faces, bodies, matches), source, speed
         self.rng = np.random.default_rng(seed)
         self.along = 1.0 + 0.1 * self.rng.normal(size=(2, len(places)))
         self.now, self.most, self.missing = 0.0, 0, set()
-        self.bodies_of = ["b%d" % number for number in range(len(places))]
+        self.periods = (0.1, body_period)
+        self.faces_of, self.bodies_of = (["%s%d" % (letter, number) for number in range(len(places))]
+                                         for letter in "fb")
 
     def where(self, number, kind, stamp):
         point = self.places[number] + (0.0, self.speed * stamp, 0.0) + 0.03 * self.rng.normal(size=3)
@@ -43,9 +46,9 @@ class LateCamera:
         self.now = round(self.now + 0.1, 6)
         for kind, (of, source) in enumerate(((Kind.FACE, PlaceSource.FACE), (Kind.BODY, self.source))):
             stamp = self.now - self.late[kind]
-            if stamp < 0.0:
+            if stamp < 0.0 or round(10 * self.now) % round(10 * self.periods[kind]):
                 continue
-            ids = ["f%d" % number for number in range(len(self.places))] if not kind else self.bodies_of
+            ids = self.bodies_of if kind else self.faces_of
             ids = [id for number, id in enumerate(ids) if (of, number) not in self.missing]
             self.manager.on_tracked(of, ids, self.now)
             for id in ids:
@@ -63,7 +66,7 @@ class LateCamera:
                     self.match(number, 0.8)
 
     def match(self, number, likelihood):
-        self.manager.on_match(CandidateMatch(MatchNode(Kind.FACE, "f%d" % number),
+        self.manager.on_match(CandidateMatch(MatchNode(Kind.FACE, self.faces_of[number]),
                                              MatchNode(Kind.BODY, self.bodies_of[number]), likelihood), self.now)
 
     def person(self, name):
@@ -98,6 +101,26 @@ def test_a_body_that_is_tracked_anew_is_no_second_person():
     camera.late = (0.1, 1.2, 6.0)       # the matcher needs two seconds
     camera.run(5.0)
     assert camera.most == 3 and camera.person("b1x") == camera.person("f1") == person
+
+
+@pytest.mark.parametrize("late", [2.5, 4.0])
+@pytest.mark.parametrize("speed", [0.0, 0.5])
+def test_a_face_that_is_tracked_anew_is_no_second_person_while_bodies_are_late(late, speed):
+    """Its body is seen in one image each `late` s, which takes as long: the match comes after two of them."""
+    for seed in range(5):
+        camera = LateCamera(THREE, bodies=late, matches=late, speed=speed, body_period=late, seed=seed)
+        camera.run(2.0 * late)
+        person = camera.person("f1")
+        camera.faces_of[1] = "f1x"
+        camera.late = (0.1, late, camera.now + 2.2 * late)
+        camera.run(3.0 * late)
+        assert camera.most == 3 and camera.person("f1x") == camera.person("b1") == person
+
+
+def test_a_face_that_late_bodies_show_beside_it_for_long_is_a_person():
+    camera = LateCamera(((2.0, 0.0, 1.6),), bodies=4.0, matches=1e9, body_period=1.0)
+    camera.run(12.0)
+    assert camera.person("b0") not in (None, camera.person("f0"))
 
 
 def test_a_body_of_which_only_the_back_is_seen_is_a_person_beside_others():

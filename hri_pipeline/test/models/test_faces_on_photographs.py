@@ -91,6 +91,17 @@ def test_a_slow_pan_changes_no_id(stage, name):
     assert len(stage.tracked_ids) == COUNTS[name]
 
 
+def test_a_stall_of_a_busy_machine_changes_no_id(stage):
+    image, seen, stamp = photograph("sample5"), [], 1000.0
+    camera = CameraModel.from_fov(image.shape[1], image.shape[0], HFOV)
+    stage.reset()
+    for step in [STEP] * 20 + [0.3, 1.5, 0.3, 2.5, 0.3, 0.3] * 2:
+        stamp += step
+        seen.append(ids(stage.update(image, camera, stamp)))
+    assert len(seen[19]) == COUNTS["sample5"]
+    assert all(names == seen[19] for names in seen[19:])
+
+
 def test_faces_die_in_the_dark_and_ids_never_come_again(stage):
     image = cv2.resize(photograph("sample1"), (960, 640), interpolation=cv2.INTER_AREA)
     dark = np.zeros_like(image)

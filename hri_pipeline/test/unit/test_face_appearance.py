@@ -109,6 +109,22 @@ def test_what_was_lost_goes_on_with_the_same_face_only(faces):
     assert seen[-1][230] != seen[0][200]
 
 
+@pytest.mark.parametrize("stall", [1.3, 2.5, 4.5])
+def test_after_a_stall_a_face_goes_on_that_is_the_same(faces, stall):
+    """A busy machine looks at no image for seconds: nobody was lost meanwhile."""
+    before = show(faces, *[(scene((1, 200), (2, 600)), [200, 600])] * 5)[-1]
+    after = show(faces, *[(scene((1, 220), (3, 600)), [220, 600])] * 8, start=4 * STEP + stall)[-1]
+    assert after[220] == before[200]
+    assert after[600] not in before.values()
+
+
+def test_who_left_during_a_stall_ends_and_after_a_long_one_everybody_is_new(faces):
+    before = show(faces, *[(scene((1, 200), (2, 600)), [200, 600])] * 5)[-1]
+    after = show(faces, *[(scene((1, 200)), [200])] * 30, start=4 * STEP + 1.5)[-1]
+    assert [track.id for track in faces.tracks] == [before[200]] == list(after.values())
+    assert show(faces, (scene((1, 200)), [200]), start=100.0)[0][200] != before[200]
+
+
 def test_who_stood_behind_somebody_that_walked_past_has_the_old_id(faces):
     images = [(scene((1, 400)), [400])] * 5
     images += [(scene((1, 400), (2, x)) if abs(x - 400) > 120 else scene((2, x)),

@@ -315,6 +315,18 @@ def test_a_face_lives_as_long_as_it_is_detected_now_and_then():
     assert len(ids) == 1
 
 
+def test_of_slow_images_the_detector_sees_a_face_in_few():
+    """It takes the parts of the image in turn, one each second; what it never sees again ends all the same."""
+    faces = FaceTracker(0.1, 1.0, 10, min_detections=1, support_time=4.0)
+    for stamp in range(60):
+        if stamp % 7 == 0:
+            faces.add_detections([face(100.0).box], float(stamp))
+        faces.update([face(100.0), face(400.0)] if stamp == 0 else
+                     [face(100.0, detection=False), face(400.0, detection=False)], float(stamp))
+        assert stamp > 12 or len(faces.ids) == (2 if stamp else 0)
+    assert [track.measurement.box[[0, 2]].mean() for track in faces.tracks] == [100.0]
+
+
 @pytest.mark.parametrize("wrong", [dict(min_detections=0), dict(support_time=0.0), dict(support_time=-1.0)])
 def test_illegal_support(wrong):
     with pytest.raises(ValueError):

@@ -167,6 +167,22 @@ def test_a_pair_outlives_a_node_that_dies_and_comes_back():
     assert matcher.matches(), "the face is still listed"
 
 
+def test_a_pair_lasts_while_the_body_shows_no_head_until_another_face_fits():
+    """Bodies that wait for their turn are told with points of little confidence: that parts nobody."""
+    matcher = make(["f1", "f2"], ["b1"])
+    headless = human(0.5)[1] * (1.0, 1.0, 0.1)
+    for step in range(150):
+        stamp = 100.0 + 0.2 * step
+        matcher.add_face("f1", stamp, human(0.5)[0], ASPECT)
+        matcher.add_body("b1", stamp, headless if step else human(0.5)[1])
+        assert [(match.face, match.body) for match in matcher.matches()] == [("f1", "b1")]
+    for step in range(10):
+        matcher.add_face("f1", 131.0 + 0.1 * step, human(0.2)[0], ASPECT)
+        matcher.add_face("f2", 131.0 + 0.1 * step, human(0.5)[0], ASPECT)
+        matcher.add_body("b1", 131.0 + 0.1 * step, human(0.5)[1])
+    assert [(match.face, match.body) for match in matcher.matches()] == [("f2", "b1")]
+
+
 def test_time_may_jump_back():
     matcher = make()
     assert feed(matcher, 100.0, {"f1": 0.5}, {"b1": 0.5, "b2": 0.8})
@@ -258,7 +274,7 @@ def test_images_of_different_cameras_are_not_compared():
     assert [(match.face, match.body) for match in matcher.matches()] == [("face", "here")]
 
 
-@pytest.mark.parametrize("late", [0.3, 0.8, 1.6])
+@pytest.mark.parametrize("late", [0.3, 0.8, 1.6, 4.6])
 def test_bodies_that_come_late_are_compared_with_the_faces_of_their_image(late):
     """On a busy machine the bodies of an image come seconds after its faces; people walk past each other meanwhile."""
     matcher, changes = make(), MatchChanges(0.05)
@@ -281,6 +297,71 @@ def test_bodies_that_come_late_are_compared_with_the_faces_of_their_image(late):
     assert matched[-1] == {("f1", "b1"), ("f2", "b2")}
     assert all(pairs <= matched[-1] for pairs in matched)
     assert all(likelihood > 0.0 for _, likelihood in published)
+
+
+@pytest.mark.parametrize("late", [3.0, 4.0, 5.0])
+@pytest.mark.parametrize("kind", ["faces", "bodies"])
+@pytest.mark.parametrize("every", [2, 3])
+def test_who_is_seen_rarely_and_late_stays_matched(kind, late, every):
+    """Seen in every second or third image, each of which takes `late` s; the other kind is on time."""
+    matcher, changes, published = make(["f1", "f2"], ["b1", "b2"]), MatchChanges(0.05), []
+    seen = {"1": human(0.5), "2": human(0.2)}
+    add = {"faces": lambda stamp, name: matcher.add_face("f" + name, stamp, seen[name][0], ASPECT, "camera"),
+           "bodies": lambda stamp, name: matcher.add_body("b" + name, stamp, seen[name][1], "camera")}
+    on_time = add.pop("faces" if kind == "bodies" else "bodies")
+    for step in range(600):
+        on_time(100.0 + 0.1 * step, "1")
+        if step and step % round(10.0 * late) == 0:
+            add[kind](100.0 + 0.1 * step - late, "2" if step % round(10.0 * late * every) else "1")
+        published += changes.update({(match.face, match.body): match.confidence for match in matcher.matches()},
+                                    0.1 * step, matcher.has_left)
+    assert published and all(likelihood > 0.0 for _, likelihood in published)
+
+
+def test_a_face_that_moves_is_compared_where_it_was_between_two_images():
+    """A busy machine gives faces two images a second, and bodies others."""
+    matcher = make(["f1", "f2"], ["b1"])
+    for stamp in (1.0, 1.5):
+        matcher.add_face("f1", stamp, human(0.2 + 0.2 * (stamp - 1.0))[0], ASPECT)
+        matcher.add_face("f2", stamp, human(0.3 - 0.2 * (stamp - 1.0))[0], ASPECT)
+    matcher.add_body("b1", 1.22, human(0.244)[1])
+    matches = matcher.matches()
+    assert [(match.face, match.body) for match in matches] == [("f1", "b1")]
+    assert matches[0].confidence == pytest.approx(1.0)
+
+
+def test_a_face_that_was_away_for_long_was_not_between_its_images():
+    matcher = make(["f1"], ["b1"])
+    for stamp in (1.0, 2.0):
+        matcher.add_face("f1", stamp, human(0.5)[0], ASPECT)
+    matcher.add_body("b1", 1.5, human(0.5)[1])
+    assert matcher.matches() == []
+
+
+@pytest.mark.parametrize("late", [1.0, 4.0])
+@pytest.mark.parametrize("kind", ["faces", "bodies"])
+def test_one_late_camera_of_two(kind, late):
+    matcher, matched = make(["fa", "fb"], ["ba", "bb"]), []
+    for step in range(120):
+        for camera in "ab":
+            for one in ("faces", "bodies"):
+                stamp = 100.0 + 0.1 * step - (late if camera == "b" and one == kind else 0.0)
+                if one == "faces":
+                    matcher.add_face("f" + camera, stamp, human(0.5)[0], ASPECT, camera)
+                else:
+                    matcher.add_body("b" + camera, stamp, human(0.5)[1], camera)
+        matched.append({(match.face, match.body) for match in matcher.matches()})
+    assert matched[-1] == {("fa", "ba"), ("fb", "bb")}
+    assert sum(("fb", "bb") in pairs for pairs in matched) >= 120 - 10 * late - 2
+
+
+def test_what_is_kept_of_faces_and_bodies_is_bounded():
+    matcher = make(["f1"], ["b1"])
+    for step in range(3000):
+        matcher.add_face("f1", 100.0 + step / 30.0, human(0.5)[0], ASPECT)
+        matcher.add_body("b1", 100.0 + step / 30.0, human(0.5)[1])
+    assert len(matcher._history.stamps_of("faces", "f1")) <= 12 * 30 + 1
+    assert len(matcher._history.stamps_of("bodies", "b1")) <= 12 * 30 + 1
 
 
 def test_bodies_of_one_image_that_come_one_by_one_are_all_compared():

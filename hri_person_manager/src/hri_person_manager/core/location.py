@@ -48,6 +48,8 @@ FRESH_TIME = 1.0           # s for which a place counts as that of now,
 FRESH_PERIODS = 3.0        # and so many image periods, where these are longer;
 SLOW_TIME = 2.0            # s at most for a source that is slower than the images of its sensor
 LATE_TIME = 1.0            # s by which a place may lag to be one of now
+TOGETHER_S = 1.0           # s for which a face and a body are seen until their match has come, were it to come
+LATE_IMAGES = 3.0          # lags: work on an image that lasts, the next one, and one in which nothing was found
 JUMP_BACK = 0.5            # s; a clock that goes back by more has been set
 HIGHEST_SPEED = 3.0        # m/s, a person who runs; more is a jump of the measurement
 HEAD_M, TRUNK_M = 0.15, 0.5    # of a face from the head of its body, and from its root (standard deviations)
@@ -222,7 +224,7 @@ class FeaturePlace:
     """The last place of a tracked feature: by which of its frames, received at the time `now` (s), seen by `sensor`.
 
     lag: s by which it came later than the least delayed places of that sensor. image_period: s, of the sensor, None
-    where it is not known.
+    where it is not known. first: stamp of its first place, s.
     """
 
     source: PlaceSource
@@ -231,15 +233,20 @@ class FeaturePlace:
     sensor: str = ""
     lag: float = 0.0
     image_period: Optional[float] = None
+    first: float = math.inf
     periods: Deque[float] = field(default_factory=lambda: deque(maxlen=5))
+
+    @property
+    def period(self) -> float:
+        """Time (s) between two images of the feature; 0 while there was one only."""
+        # The median: neither an image without the feature nor two that come at once tell the period.
+        return sorted(self.periods)[(len(self.periods) - 1) // 2] if self.periods else 0.0
 
     @property
     def fresh(self) -> float:
         """For how long (s) the place counts as that of now."""
-        # The median: neither an image without the feature nor two that come at once tell the period.
-        period = sorted(self.periods)[(len(self.periods) - 1) // 2] if self.periods else 0.0
-        image_period = period if self.image_period is None else min(self.image_period, period)
-        return max(FRESH_TIME, min(FRESH_PERIODS * period, max(FRESH_PERIODS * image_period, SLOW_TIME)))
+        image_period = self.period if self.image_period is None else min(self.image_period, self.period)
+        return max(FRESH_TIME, min(FRESH_PERIODS * self.period, max(FRESH_PERIODS * image_period, SLOW_TIME)))
 
     @property
     def is_single(self) -> bool:
@@ -258,11 +265,11 @@ class FeaturePlaces:
         """Take a place of a tracked feature that arrives at `now` (s)."""
         known = self._known.get(feature)
         lag = self._times.note(sensor, source, place.stamp, now)
-        latest = FeaturePlace(source, place, now, sensor, lag, self._times.period(sensor))
+        latest = FeaturePlace(source, place, now, sensor, lag, self._times.period(sensor), place.stamp)
         if known is not None:
             period = place.stamp - known.place.stamp
             if period >= 0.0:
-                latest.periods = known.periods
+                latest.periods, latest.first = known.periods, known.first
             if 0.0 < period <= LONGEST_PERIOD_S:
                 latest.periods.append(period)
         self._known[feature] = latest
@@ -289,6 +296,15 @@ class FeaturePlaces:
         covariance = aged(one.place.covariance + other.place.covariance + apart ** 2 * np.eye(3),
                           abs(one.place.stamp - other.place.stamp))
         return float(offset @ np.linalg.solve(covariance, offset))
+
+    def match_delay(self, face: MatchNode, body: MatchNode) -> float:
+        """Return how much later (s) than without a lag the match of two may come; 0 once both have been seen for
+        TOGETHER_S, and an image more, of one time."""
+        one, other = self._known.get(face), self._known.get(body)
+        if one is None or other is None:
+            return 0.0
+        together = min(one.place.stamp, other.place.stamp) - max(one.first, other.first)
+        return LATE_IMAGES * max(one.lag, other.lag) if together <= TOGETHER_S + max(one.period, other.period) else 0.0
 
     def retain(self, is_tracked: Callable[[MatchNode], bool]) -> None:
         """Forget the features that are not tracked any more."""

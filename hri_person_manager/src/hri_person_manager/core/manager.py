@@ -30,7 +30,8 @@ from hri_pipeline.core.ids import IdGenerator, is_valid_id
 from hri_pipeline.core.tracks import assign
 
 _ORIGIN = np.zeros(3)
-MATCH_WAIT_S = 5.0            # for which a body at the place of a face that has none, or a face, waits for their match
+MATCH_WAIT_S = 5.0            # for which a body at the place of a face that has none, or a face, waits for their match,
+#                               and longer where one of them lags
 MATCH_GATE = 9.0              # squared Mahalanobis distance up to which they are at one place
 MAX_UNSEEN_PERSONS = 32       # permanent persons kept with their topics although nobody sees them
 _KIND_OF_SOURCE = {PlaceSource.FACE: Kind.FACE, PlaceSource.HEAD: Kind.BODY, PlaceSource.BODY: Kind.BODY,
@@ -410,7 +411,7 @@ class PersonManager:
 
         On a loaded machine their match comes seconds later; until then they are not told as somebody else.
         """
-        waiting = {node: since for node, since in self._table.unassigned.items() if now - since <= MATCH_WAIT_S}
+        waiting = self._table.unassigned
         if not waiting:
             return set()
         halves: Dict[Kind, List[MatchNode]] = {Kind.FACE: [], Kind.BODY: []}
@@ -425,7 +426,8 @@ class PersonManager:
                 if (face in waiting or body in waiting) and not self._association.is_refuted(face, body):
                     costs[row, column] = self._places.squared_distance(face, body)
         pairs = [(faces[row], bodies[column]) for row, column in assign(costs, MATCH_GATE)]
-        return {body if body in waiting else face for face, body in pairs}
+        return {node for face, body in pairs for node in [body if body in waiting else face]
+                if now - waiting[node] <= MATCH_WAIT_S + self._places.match_delay(face, body)}
 
     def _owner_id(self, feature: MatchNode) -> str:
         owner = self._table.owner(feature)

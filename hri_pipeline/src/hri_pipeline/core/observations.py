@@ -3,8 +3,9 @@ belong to which image, by their stamps (`FeatureHistory`)."""
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
-from typing import Any, Dict, Iterable, Optional, Sequence, Set, Tuple
+from typing import Any, Dict, Iterable, List, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -99,6 +100,42 @@ class BodyObservation:
 PREFER_COMPLETE = 1.0
 
 
+class _Kept:
+    """Features of one face or body by their stamps (s), in rising order."""
+
+    def __init__(self) -> None:
+        self.stamps: List[float] = []
+        self._features: List[np.ndarray] = []
+
+    def add(self, stamp: float, feature: np.ndarray, keep: float) -> None:
+        """Keep a feature, and those that are no more than `keep` s older than the newest."""
+        place = bisect_left(self.stamps, stamp)
+        if place < len(self.stamps) and self.stamps[place] == stamp:
+            self._features[place] = feature
+        else:
+            self.stamps.insert(place, stamp)
+            self._features.insert(place, feature)
+        old = bisect_left(self.stamps, self.stamps[-1] - keep)
+        del self.stamps[:old], self._features[:old]
+
+    def nearest(self, stamp: float, tolerance: float) -> Optional[np.ndarray]:
+        """Return the feature whose stamp is nearest to `stamp`, at most `tolerance` s away."""
+        place = bisect_left(self.stamps, stamp)
+        near = min(range(max(0, place - 1), min(place + 1, len(self.stamps))),
+                   key=lambda index: abs(self.stamps[index] - stamp))
+        return self._features[near] if abs(self.stamps[near] - stamp) <= tolerance else None
+
+    def between(self, stamp: float, gap: float) -> Optional[np.ndarray]:
+        """Return the feature at `stamp`, interpolated where it lies between two that are at most `gap` s apart."""
+        place = bisect_left(self.stamps, stamp)
+        if place < len(self.stamps) and self.stamps[place] == stamp:
+            return self._features[place]
+        if not 0 < place < len(self.stamps) or self.stamps[place] - self.stamps[place - 1] > gap:
+            return None
+        share = (stamp - self.stamps[place - 1]) / (self.stamps[place] - self.stamps[place - 1])
+        return (1.0 - share) * self._features[place - 1] + share * self._features[place]
+
+
 class FeatureHistory:
     """Features of the last `keep` seconds by kind, id and image stamp (s).
 
@@ -110,19 +147,18 @@ class FeatureHistory:
         if not keep > 0.0:
             raise ValueError("keep is {} s, it must be above 0".format(keep))
         self._keep = keep
-        self._features: Dict[Tuple[str, str], Dict[float, np.ndarray]] = {}
+        self._features: Dict[Tuple[str, str], _Kept] = {}
         self._chosen_from, self._lag = -np.inf, 0.0
 
     def add(self, kind: str, name: str, stamp: float, feature: np.ndarray) -> None:
         """Keep a feature of face or body `name` for the image of time `stamp`."""
-        kept = self._features.setdefault((kind, name), {})
-        newest = max(kept, default=stamp)
-        if stamp < newest - self._keep:
-            kept.clear()        # time has jumped back
-            self._chosen_from, self._lag, newest = -np.inf, 0.0, stamp
-        kept[stamp] = feature
-        for old in [moment for moment in kept if moment < max(newest, stamp) - self._keep]:
-            del kept[old]
+        kept = self._features.get((kind, name))
+        if kept is not None and stamp < kept.stamps[-1] - self._keep:
+            kept = None        # time has jumped back
+            self._chosen_from, self._lag = -np.inf, 0.0
+        if kept is None:
+            kept = self._features[kind, name] = _Kept()
+        kept.add(stamp, feature, self._keep)
 
     def keep_only(self, kind: str, names: Iterable[str]) -> None:
         """Forget the features of all ids of `kind` that are not in `names`."""
@@ -138,20 +174,28 @@ class FeatureHistory:
 
     def stamps(self, kind: str) -> Set[float]:
         """Return the stamps of all images in which something of `kind` is known."""
-        return {stamp for (one, _), kept in self._features.items() if one == kind for stamp in kept}
+        return {stamp for (one, _), kept in self._features.items() if one == kind for stamp in kept.stamps}
 
-    def stamps_of(self, kind: str, name: str) -> Set[float]:
-        """Return the stamps of all images in which face or body `name` is known."""
-        return set(self._features.get((kind, name), ()))
+    def stamps_of(self, kind: str, name: str) -> Sequence[float]:
+        """Return the stamps of all images in which face or body `name` is known, in rising order."""
+        kept = self._features.get((kind, name))
+        return () if kept is None else kept.stamps
 
-    def at(self, kind: str, stamp: float, tolerance: float) -> Dict[str, np.ndarray]:
-        """Return the feature of each id whose stamp is nearest to `stamp`, at most `tolerance` s away."""
+    def newest_of(self, kind: str, name: str) -> float:
+        """Return the stamp of the newest image in which face or body `name` is known, -inf without any."""
+        kept = self._features.get((kind, name))
+        return -np.inf if kept is None else kept.stamps[-1]
+
+    def at(self, kind: str, stamp: float, tolerance: float, gap: float = 0.0) -> Dict[str, np.ndarray]:
+        """Return the feature of each id at `stamp`: between two images that are at most `gap` s apart, else that of the
+        nearest one, at most `tolerance` s away."""
         found = {}
         for (one, name), kept in self._features.items():
-            if one == kind and kept:
-                nearest = min(kept, key=lambda moment: abs(moment - stamp))
-                if abs(nearest - stamp) <= tolerance:
-                    found[name] = kept[nearest]
+            if one == kind:
+                feature = kept.between(stamp, gap)
+                feature = kept.nearest(stamp, tolerance) if feature is None else feature
+                if feature is not None:
+                    found[name] = feature
         return found
 
     def choose(self, images: Sequence[float], tolerance: float) -> Optional[float]:

@@ -138,6 +138,7 @@ class FaceTrack:
         self.memory: Optional[FaceMemory] = None
         self.doubtful_since: Optional[float] = None
         self.detected_at = stamp
+        self.unsupported = 0.0
         self._velocity = np.zeros(2)
         self.colours = measurement.colours
         self._anchor = None if measurement.crops is None else CropAnchor(*measurement.crops)
@@ -261,7 +262,7 @@ class FaceTrack:
             self._anchor.see(crop)
         self.hit_count += weight
         self.score = max(score, _SCORE_MEMORY * self.score)
-        self.detected_at = stamp
+        self.detected_at, self.unsupported = stamp, 0.0
 
     def add_conflict(self) -> None:
         """Note that the detector sees a face of another size here."""

@@ -49,6 +49,14 @@ counts."""
 LONGEST_WAIT = 2.0
 """A face that was seen when it was last looked for, and is followed by its motion since, lives for so many death times
 without another look."""
+LONGEST_STALL = 5.0
+"""Longest time (s) between two images, as on a busy machine, after which a face goes on that is the same by
+appearance: nobody was looked for meanwhile, so nobody was lost."""
+_STALL_COUNTS = 0.5
+"""Death times for which a stall counts."""
+_LONGEST_SEARCH = 0.25
+"""Longest time (s) from image to image that counts as one without a detection: the detector takes its regions in turn,
+one an image."""
 _INTERVAL_MEMORY = 0.8
 GATE_SEEN, GATE_LOST = 0.7, 1.5
 """Largest legal cost for a track seen in the last frame, and for one that was not."""
@@ -77,7 +85,7 @@ class FaceTracker:
         self.replaced = False
         self._tracks: List[FaceTrack] = []
         self._stamp: Optional[float] = None
-        self._interval = 0.0
+        self._interval, self._stalled = 0.0, False
         self.limit(birth_delay, death_time, max_faces, min_detections, support_time)
 
     def limit(self, birth_delay: float, death_time: float, max_faces: int, min_detections: int,
@@ -133,7 +141,7 @@ class FaceTracker:
     def reset(self) -> None:
         """Drop every track. Their ids are not given again."""
         self._tracks = []
-        self._stamp, self._interval = None, 0.0
+        self._stamp, self._interval, self._stalled = None, 0.0, False
 
     def expected(self, stamp: float) -> List[FaceTrack]:
         """The tracks to measure at their predicted place: those just seen, and those lost a moment ago."""
@@ -209,9 +217,10 @@ class FaceTracker:
         cut
             Whether the picture shows something else than the last one: nothing is where it is expected.
         """
-        # After a gap that is long for these images, a face counts as a new one.
+        # After a gap that is long for these images, a face counts as a new one where its appearance does not tell.
         self._tracks = [track for track in self._tracks if not self._dead(track, stamp)
-                        and stamp - track.detected_at <= self._support_time]
+                        and self._unsupported(track, stamp) <= self._support_time]
+        self._stalled = self._stamp is not None and stamp - self._stamp > self._death_time
         self._note_interval(stamp)
         measurements = without_duplicates(measurements)
         rest, strangers = self._assign(measurements, stamp, skipped, cut)
@@ -283,10 +292,24 @@ class FaceTracker:
     def _dead(self, track: FaceTrack, stamp: float) -> bool:
         """Whether a track was not seen for longer than the death time, and than images as slow as these explain; one
         that only waits for its turn has more time."""
+        stamp = self._looked_until(track, stamp)
         unseen = stamp - track.life.last_seen
         waits = track.visible and self._stamp is not None and stamp - self._stamp <= self._death_time
         return (track.life.dead(stamp) and unseen > SLOW_IMAGES * self._interval
                 and not (waits and unseen <= LONGEST_WAIT * self._death_time))
+
+    def _looked_until(self, track: FaceTrack, stamp: float) -> float:
+        """Return `stamp` (s), or a time soon after the last image for a face that was seen in that one, and will be
+        known by its appearance: what follows is a stall."""
+        if self._stamp is None or not track.visible or track.memory is None or stamp - self._stamp > LONGEST_STALL:
+            return stamp
+        return min(stamp, self._stamp + _STALL_COUNTS * self._death_time)
+
+    def _unsupported(self, track: FaceTrack, stamp: float) -> float:
+        """Time (s) without a detection, to be asked for once an image; of slow images the detector searches few."""
+        step = 0.0 if self._stamp is None else min(max(0.0, stamp - self._stamp), _LONGEST_SEARCH)
+        track.unsupported = 0.0 if track.detected_at >= stamp else track.unsupported + step
+        return track.unsupported
 
     def _note_interval(self, stamp: float) -> None:
         """Follow the time between images: up at once, down within some of them."""
@@ -352,7 +375,7 @@ class FaceTracker:
         if track.memory is None or measurement.look is None:
             return True
         lost = stamp - track.life.last_seen > COAST_TIME and not (track.visible and track.is_followed)
-        doubtful = cut or track.replaced or lost
+        doubtful = cut or track.replaced or lost or self._stalled
         if not (doubtful or track.is_unusual(measurement, stamp)):
             return True
         verdict = self._judge.verdict(track.memory, measurement.look, stamp, doubtful)

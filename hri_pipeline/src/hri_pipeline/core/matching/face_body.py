@@ -15,7 +15,9 @@ from hri_pipeline.core.matching.parameters import FaceBodyMatcherSettings
 from hri_pipeline.core.observations import FeatureHistory
 from hri_pipeline.core.tracks import assign
 
-_HISTORY_S = 4.0        # bodies of an image have come 1 to 2 s after its faces, on two cores with ten people and rviz
+_HISTORY_S = 12.0       # bodies of an image have come 3 to 5 s after its faces, on two busy cores with ten people
+_GAP_S = 0.7            # between two images of a face that tell where it was meanwhile
+_LONGEST_LAG_S = 10.0
 _JUMP_BACK_S = 0.5
 MOST_ASPECT = 10.0
 """No image is so many times wider than high, or higher than wide: its size is not known."""
@@ -72,6 +74,7 @@ class FaceBodyMatcher:
         self._states: Dict[Pair, _PairState] = {}
         self._matched: Dict[Pair, float] = {}
         self._newest: Dict[Tuple[str, str], float] = {}     # by kind and frame: each camera and node has its own delay
+        self._lags: Dict[Tuple[str, str], float] = {}       # behind the other kind, when the newest one came
         self._compared: Dict[str, _Compared] = {}
         self._tf = HumanTf()
 
@@ -89,6 +92,7 @@ class FaceBodyMatcher:
                         frame in self._frames.items() if key[0] != kind or key[1] in self._tracked[kind]}
         cameras = {(key[0], frame) for key, frame in self._frames.items()}
         self._newest = {camera: stamp for camera, stamp in self._newest.items() if camera in cameras}
+        self._lags = {camera: lag for camera, lag in self._lags.items() if camera in cameras}
         side = 0 if kind == "faces" else 1
         for pair in [pair for pair in self._states if pair[side] not in self._tracked[kind]]:
             del self._states[pair]
@@ -109,11 +113,11 @@ class FaceBodyMatcher:
         """
         if 1.0 / MOST_ASPECT <= aspect <= MOST_ASPECT and face in self._tracked["faces"]:
             self._aspects[face] = aspect
-        self._add("faces", face, stamp, landmarks, frame)
+        self._add("faces", face, stamp, face_points(landmarks, self._aspects.get(face, 1.0)), frame)
 
     def add_body(self, body: str, stamp: float, skeleton: np.ndarray, frame: str = "") -> None:
         """Take the skeleton (18, 3) of a body in the image of time `stamp` (s); frame: as in add_face."""
-        self._add("bodies", body, stamp, skeleton, frame)
+        self._add("bodies", body, stamp, body_points(skeleton), frame)
 
     def add_transforms(self, data: bytes, frames: Sequence[Tuple[bytes, int]], fixed: bool) -> None:
         """Take the places of faces and heads out of a message of /tf, or /tf_static (`fixed`); see frames.scan.
@@ -150,6 +154,9 @@ class FaceBodyMatcher:
         if stamp < newest - _JUMP_BACK_S:
             self._forget(kind, frame)
             newest = stamp
+        if stamp > newest:
+            other = self._newest.get(("bodies" if kind == "faces" else "faces", frame), stamp)
+            self._lags[kind, frame] = min(max(0.0, other - stamp), _LONGEST_LAG_S)
         self._newest[kind, frame] = max(newest, stamp)
         self._history.add(kind, name, stamp, points)
 
@@ -163,27 +170,39 @@ class FaceBodyMatcher:
         self._compared.clear()
 
     def _bodies_by_stamp(self) -> Dict[float, List[str]]:
-        """Bodies by the stamp of their newest skeleton of which faces are known."""
-        faces = sorted(self._history.stamps("faces"))
+        """Bodies by the stamp of their newest skeleton of which faces of their camera are known."""
+        new = {body: self._not_compared(body) for body in sorted(self._tracked["bodies"])}
+        oldest = min((stamps[0] for stamps in new.values() if stamps), default=math.inf) - _GAP_S
+        images: Dict[str, Set[float]] = {}
+        for face in self._tracked["faces"]:
+            stamps = self._history.stamps_of("faces", face)
+            images.setdefault(self._frames.get(("faces", face), ""), set()).update(stamps[bisect_left(stamps, oldest):])
+        ordered = {camera: sorted(stamps) for camera, stamps in images.items()}
         found: Dict[float, List[str]] = {}
-        for body in sorted(self._tracked["bodies"]):
-            before = self._compared[body].stamp if body in self._compared else -math.inf
-            stamp = max((stamp for stamp in self._history.stamps_of("bodies", body)
-                         if stamp >= before and self._near(stamp, faces)), default=None)
+        for body, stamps in new.items():
+            camera = self._frames.get(("bodies", body), "")
+            own = [ordered[other] for other in ordered if not (camera and other) or other == camera]
+            stamp = next((stamp for stamp in reversed(stamps)
+                          if any(self._near(stamp, others) for others in own)), None)
             if stamp is not None:
                 found.setdefault(stamp, []).append(body)
         return found
 
+    def _not_compared(self, body: str) -> Sequence[float]:
+        """Stamps of the skeletons of a body from the last one on that was compared, in rising order."""
+        stamps = self._history.stamps_of("bodies", body)
+        return stamps[bisect_left(stamps, self._compared[body].stamp):] if body in self._compared else stamps
+
     def _near(self, stamp: float, others: Sequence[float]) -> bool:
-        """Tell whether one of `others`, in rising order, is near enough to be compared."""
+        """Tell whether `others`, in rising order, tell where somebody is at `stamp`."""
         place = bisect_left(others, stamp)
-        return any(abs(other - stamp) <= self._settings.max_stamp_difference
-                   for other in others[max(0, place - 1):place + 1])
+        return (0 < place < len(others) and others[place] - others[place - 1] <= _GAP_S) or any(
+            abs(other - stamp) <= self._settings.max_stamp_difference for other in others[max(0, place - 1):place + 1])
 
     def _compare(self, stamp: float, names: Sequence[str]) -> None:
         """Compare bodies with the faces of their image with which they were not compared yet."""
         settings = self._settings
-        seen = self._history.at("faces", stamp, settings.max_stamp_difference)
+        seen = self._history.at("faces", stamp, settings.max_stamp_difference, _GAP_S)
         done = {body: self._done(body, stamp) for body in names}
         new = {(face, body) for body in names for face in seen if face not in done[body]
                and self._may_be_one(face, body)}
@@ -193,9 +212,7 @@ class FaceBodyMatcher:
         skeletons = self._history.at("bodies", stamp, 0.0)
         bodies = {body: skeletons[body] for body in sorted({body for _, body in new})}
         values = combined(
-            likelihoods(np.array([face_points(landmarks, self._aspects.get(face, 1.0)) for face,
-                                  landmarks in faces.items()]),
-                        np.array([body_points(skeleton) for skeleton in bodies.values()]),
+            likelihoods(np.array(list(faces.values())), np.array(list(bodies.values())),
                         settings.distance_scale, settings.min_point_confidence),
             place_likelihoods(self._places("faces", faces, stamp), self._places("bodies", bodies, stamp)))
         for row, face in enumerate(faces):
@@ -213,7 +230,7 @@ class FaceBodyMatcher:
 
     def _places(self, kind: str, names: Iterable[str], stamp: float) -> np.ndarray:
         """Positions (N, 3) m at a time, NaN where they are not known."""
-        known = self._history.at("places of " + kind, stamp, self._settings.max_stamp_difference)
+        known = self._history.at("places of " + kind, stamp, self._settings.max_stamp_difference, _GAP_S)
         return np.array([known.get(name, _NOWHERE) for name in names])
 
     def _may_be_one(self, face: str, body: str) -> bool:
@@ -233,14 +250,23 @@ class FaceBodyMatcher:
         state.stamp = stamp
 
     def _drop_stale(self) -> None:
-        for pair, state in list(self._states.items()):
-            newest = max(self._newest_of(kind, name) for kind, name in zip(("faces", "bodies"), pair))
-            if newest - state.stamp > self._settings.hold_time:
+        """End the pairs of which one side was not seen for long.
+
+        Both may be seen without being compared, such as a body of which no image shows the head: nothing says that they
+        are two, and another face that fits the body takes it.
+        """
+        for pair in list(self._states):
+            if self._unseen("faces", pair[0]) or self._unseen("bodies", pair[1]):
                 del self._states[pair]
 
-    def _newest_of(self, kind: str, name: str) -> float:
-        """Return the newest stamp of the camera that sees a face or body."""
-        return self._newest.get((kind, self._frames.get((kind, name), "")), -math.inf)
+    def _unseen(self, kind: str, name: str) -> bool:
+        """Tell whether a face or body was not seen for long, by images of its own kind, or those are missing for long;
+        a kind that lags has so much longer."""
+        camera, other = self._frames.get((kind, name), ""), "bodies" if kind == "faces" else "faces"
+        newest = self._newest.get((kind, camera), -math.inf)
+        unseen = newest - self._history.newest_of(kind, name)
+        return max(unseen, self._newest.get((other, camera), newest) - newest) > (
+            self._settings.hold_time + self._lags.get((kind, camera), 0.0))
 
     def _assign(self) -> None:
         likely = {pair: state.likelihood for pair, state in self._states.items()

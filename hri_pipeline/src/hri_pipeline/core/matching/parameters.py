@@ -26,11 +26,12 @@ class FaceBodyMatcherSettings(Settings):
         0.1, "How much more likely another body must be to replace the matched one.", minimum=0.0, maximum=0.5,
         live=True)
     max_stamp_difference: float = parameter(
-        0.15, "Largest difference between the stamps of face and skeleton.", unit="s", minimum=0.0, maximum=1.0,
-        live=True)
+        0.15, "Largest difference between the stamps of face and skeleton. A face with images before and after the "
+        "skeleton, at most 0.7 s apart, is interpolated.", unit="s", minimum=0.0, maximum=1.0, live=True)
     hold_time: float = parameter(
         10.0, "A pair ends when one side is not seen for this long. Long enough for a node that hangs for a moment: "
-        "its faces stay listed.", unit="s", minimum=0.1, maximum=30.0, live=True)
+        "its faces stay listed. A side whose images come later than those of the other has so much longer.", unit="s",
+        minimum=0.1, maximum=30.0, live=True)
     list_timeout: float = list_timeout_parameter()
 
 
