@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_fullbody.core.detection.pose_estimator import body_distance
+from hri_fullbody.core.detection.pose_estimator import SAME_BODY, BlazePose, body_distance
 from hri_fullbody.core.detection.windows import FaceBox
 from hri_fullbody.core.parameters import VISION
 from hri_fullbody.core.pipeline import BodyPipeline
@@ -181,3 +181,18 @@ def test_people_without_faces_are_found_too(stages, number):
     for index in range(20):
         bodies = stage.update(image, camera, index / RATE)
     assert len(bodies) == 3
+
+
+@pytest.mark.parametrize("number", [2, 6])
+def test_the_network_sees_a_human_in_the_mirror_at_the_same_place(stages, number):
+    image = photograph(number)
+    for _, bodies in show(stages, [image] * 8):
+        pass
+    network = BlazePose(models_directory() / "pose_landmarks_full.onnx")
+    tracks = [track for track in stages[1]._tracker.tracks if track.confirmed and track.visible]
+    assert len(tracks) >= 3
+    pairs = [[network.estimate(image, track.estimate.next_window(), mirrored=value) for value in (False, True)]
+             for track in tracks]
+    # In a window that shows two people the mirrored one may be the other.
+    assert np.median([body_distance(*pair) for pair in pairs]) < 0.5 * SAME_BODY
+    assert np.median([np.abs(pair[0].world[11:25] - pair[1].world[11:25]).mean() for pair in pairs]) < 0.1

@@ -8,11 +8,13 @@ from typing import Callable, Container, Dict, List, Mapping, Optional, Sequence,
 import numpy as np
 
 from hri_fullbody.core.detection.pose_estimator import (
+    SAME_BODY,
     BatchPoseEstimator,
     PoseDetection,
     PoseEstimate,
     PoseEstimator,
     PoseWindow,
+    body_distance,
     covers,
     distinct,
     inside,
@@ -32,7 +34,7 @@ from hri_fullbody.core.tracking.association import (
     nearest_face,
     waiting_in,
 )
-from hri_fullbody.core.tracking.candidates import BodyCandidate, CandidateQueue
+from hri_fullbody.core.tracking.candidates import BodyCandidate, CandidateQueue, WindowResult
 from hri_fullbody.core.tracking.reidentification import describe
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_pipeline.core.error_log import ItemGuard
@@ -304,6 +306,8 @@ class BodyTracker:
         if face is None and candidate.first is None and self._returns(image, estimate, stamp, faces):
             return
         result = candidate.judge(estimate, face, self._min_score)
+        if result.found is not None and candidate.unsure and not self._mirrored_too(image, result.found, faces, stamp):
+            result = WindowResult(failed=True)
         if result.found is not None:
             detection = self._make_detection(image, result.found, None, stamp)
             if detection is not None:
@@ -312,6 +316,14 @@ class BodyTracker:
             self._candidates.give_up(candidate.face_id, stamp, candidate.box if candidate.alone else None)
         else:
             self._candidates.put_back(candidate)
+
+    def _mirrored_too(self, image: np.ndarray, estimate: PoseEstimate, faces: Sequence[FaceBox], stamp: float) -> bool:
+        """Tell whether the network sees a body in the mirror, too, and at the same place: of a human it does, of a flag
+        or an animal it makes something else."""
+        self.windows += 1
+        one = self._pose_window(estimate.next_window(), None, None, faces, stamp)
+        again = self._pose.estimate(image, one.window, one.hidden, mirrored=True)
+        return is_sound(again, self._min_score) and body_distance(estimate, again) < SAME_BODY
 
     def _returns(self, image: np.ndarray, estimate: PoseEstimate, stamp: float, faces: Sequence[FaceBox]) -> bool:
         """Give what a person's box shows at once to the hidden body that it fits; tell whether there is one."""
