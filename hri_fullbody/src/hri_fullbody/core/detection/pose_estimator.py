@@ -26,7 +26,8 @@ INPUT_SIZE = 256
 LANDMARKS = 39
 BODY_LANDMARKS = 33
 _HEAD_LANDMARKS = 11
-_KNOWN = 0.3
+_TRUNK = [BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER, BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP]
+_KNOWN, _SEEN = 0.3, 0.5
 _LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT = "Identity", "Identity_1", "Identity_4"
 # The landmarks with left and right exchanged: those of the body come in pairs, five of the head and eleven below.
 _OTHER_SIDE = np.array([0, 4, 5, 6, 1, 2, 3, 8, 7, 10, 9] + [number + 1 - 2 * (number % 2 == 0)
@@ -75,6 +76,11 @@ class PoseEstimate:
         seen = self.confidence[:BODY_LANDMARKS] > _KNOWN
         points = points[seen] if seen.sum() >= 4 else points
         return np.concatenate([points.min(axis=0), points.max(axis=0)])
+
+    @cached_property
+    def trunk_seen(self) -> bool:
+        """Whether both shoulders and both hips are seen."""
+        return bool(self.confidence[_TRUNK].min() > _SEEN)
 
     def head_box(self) -> np.ndarray:
         """Box (4,) px of the head, around the landmarks of nose, eyes, ears and mouth."""
