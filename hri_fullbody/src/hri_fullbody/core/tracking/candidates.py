@@ -20,7 +20,8 @@ from hri_fullbody.core.detection.windows import (
 from hri_fullbody.core.tracking.association import NOSE_IN_FACE
 from hri_pipeline.core.geometry import iou_matrix
 
-_PROMISING = 0.2
+PROMISING = 0.2
+"""Score from which a window may hold a body, to be looked at again."""
 _FACE_HEAD_SHARE, _FACE_ASIDE = 0.4, 0.25
 _SAME_BOX = 0.5
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 8.0
@@ -73,7 +74,7 @@ class BodyCandidate:
         if self.box is not None and (self.attempt or self.unsure):
             min_score = max(min_score, _SURE_SCORE)
         if self.first is None:
-            if fits and is_sound(estimate, min_score if self.unsure else _PROMISING):
+            if fits and is_sound(estimate, min_score if self.unsure else PROMISING):
                 self.first = estimate
                 return WindowResult()
         elif fits and is_sound(estimate, min_score) and self._is_whole(estimate, face):
