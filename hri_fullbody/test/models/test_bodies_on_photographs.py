@@ -197,3 +197,16 @@ def test_the_network_sees_a_human_in_the_mirror_at_the_same_place(stages, number
                             for value in (False, True))
         assert mirrored.score > 0.5 and body_distance(direct, mirrored) < SAME_BODY
         assert np.abs(direct.world[11:25] - mirrored.world[11:25]).mean() < 0.1
+
+
+@pytest.mark.parametrize("turn", [1, 2])
+def test_images_of_a_turned_camera_are_told(stages, turn):
+    bodies = stages[1]
+    image = photograph(6)
+    for way, told in ((-turn, turn), (0, 0)):
+        bodies.reset()
+        turned = np.ascontiguousarray(np.rot90(image, way))
+        camera = CameraModel.from_fov(turned.shape[1], turned.shape[0], HORIZONTAL_FOV)
+        for stamp in range(0, 60, 5):
+            bodies.update(turned, camera, float(stamp))
+        assert bodies.turn == told
