@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_fullbody.core.detection.pose_estimator import body_distance
+from hri_fullbody.core.detection.pose_estimator import SAME_BODY, BlazePose, body_distance
 from hri_fullbody.core.detection.windows import FaceBox
 from hri_fullbody.core.parameters import VISION
 from hri_fullbody.core.pipeline import BodyPipeline
@@ -181,3 +181,32 @@ def test_people_without_faces_are_found_too(stages, number):
     for index in range(20):
         bodies = stage.update(image, camera, index / RATE)
     assert len(bodies) == 3
+
+
+@pytest.mark.parametrize("number", [2, 6])
+def test_the_network_sees_a_human_in_the_mirror_at_the_same_place(stages, number):
+    image = photograph(number)
+    for _ in show(stages, [image] * 8):
+        pass
+    network = BlazePose(models_directory() / "pose_landmarks_full.onnx")
+    tracks = [track for track in stages[1]._tracker.tracks if track.confirmed and track.visible]
+    assert len(tracks) >= 3
+    for track in tracks:
+        hidden = [other.estimate.head_box() for other in tracks if other is not track]
+        direct, mirrored = (network.estimate(image, track.estimate.next_window(), hidden, mirrored=value)
+                            for value in (False, True))
+        assert mirrored.score > 0.5 and body_distance(direct, mirrored) < SAME_BODY
+        assert np.abs(direct.world[11:25] - mirrored.world[11:25]).mean() < 0.1
+
+
+@pytest.mark.parametrize("turn", [1, 2])
+def test_images_of_a_turned_camera_are_told(stages, turn):
+    bodies = stages[1]
+    image = photograph(6)
+    for way, told in ((-turn, turn), (0, 0)):
+        bodies.reset()
+        turned = np.ascontiguousarray(np.rot90(image, way))
+        camera = CameraModel.from_fov(turned.shape[1], turned.shape[0], HORIZONTAL_FOV)
+        for stamp in range(0, 60, 5):
+            bodies.update(turned, camera, float(stamp))
+        assert bodies.turn == told

@@ -16,7 +16,7 @@ from hri_fullbody.core.kinematics.forward import forward
 from hri_fullbody.core.model.anthropometry import SegmentTable
 from hri_fullbody.core.model.human import Dimensions, layout_for
 from hri_fullbody.core.modeller import BodyInput, BodyModeller
-from hri_fullbody.ros.bodies import body_transform, drawn, up_and_height
+from hri_fullbody.ros.bodies import body_transform, drawn, turned_problem, up_and_height
 from hri_fullbody.ros.topics import crop, joint_state
 from hri_msgs.msg import BodyAttitude, BodyPosture
 from hri_msgs.msg import Gesture as GestureMessage
@@ -89,6 +89,15 @@ def test_up_is_the_z_axis_of_the_other_frame_and_a_height_must_be_one():
     up, height = up_and_height(upright)
     assert up == pytest.approx([0, -1, 0]) and height == pytest.approx(1.4)
     assert up_and_height(Pose(upright.rotation, np.array([0.0, 0, -3.0])))[1] is None
+
+
+@pytest.mark.parametrize("seen, transform, words", [
+    (None, None, None), (0, None, None), (None, 0, None), (0, 0, None),
+    (2, None, "only after half a turn"), (2, 0, "only after half a turn"), (1, 1, "a quarter turn anticlockwise"),
+    (None, 3, "~up_frame they would be upright after a quarter turn clockwise"), (0, 2, "correct the transform")])
+def test_a_camera_that_is_mounted_turned_is_told_with_the_mend(seen, transform, words):
+    text = turned_problem(seen, transform)
+    assert text == "" if words is None else words in text and "Mend: " in text
 
 
 @pytest.mark.parametrize("ours, message", [

@@ -51,7 +51,7 @@ class Scene:
         self.favourite: Optional[int] = None
 
     def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
-                 shown: Optional[np.ndarray] = None) -> PoseEstimate:
+                 shown: Optional[np.ndarray] = None, mirrored: bool = False) -> PoseEstimate:
         self.windows.append(window)
         best, least = None, window.size / 2.0
         for index, (x, y) in enumerate(self.people):
@@ -95,11 +95,11 @@ class Walkers(Scene):
         return self._painted[1]
 
     def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
-                 shown: Optional[np.ndarray] = None) -> PoseEstimate:
+                 shown: Optional[np.ndarray] = None, mirrored: bool = False) -> PoseEstimate:
         everybody = self.people
         self.people = [everybody[index] for index in self.visible()]
         try:
-            return super().estimate(image, window, hidden, shown)
+            return super().estimate(image, window, hidden, shown, mirrored)
         finally:
             self.people = everybody
 
@@ -108,8 +108,8 @@ class Phantoms(Walkers):
     """Like the network: where no head is left in a window, a body is made of the trunk beside a painted head."""
 
     def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
-                 shown: Optional[np.ndarray] = None) -> PoseEstimate:
-        found = super().estimate(image, window, hidden, shown)
+                 shown: Optional[np.ndarray] = None, mirrored: bool = False) -> PoseEstimate:
+        found = super().estimate(image, window, hidden, shown, mirrored)
         seen = [self.people[index] for index in self.visible()
                 if abs(self.people[index][0] - window.centre[0]) < window.size / 2.0]
         if found.score > 0.5 or not seen:

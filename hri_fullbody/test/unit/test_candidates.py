@@ -19,9 +19,10 @@ def sound_by_score(monkeypatch):
     monkeypatch.setattr(candidates, "is_sound", lambda estimate, least: estimate.score >= least)
 
 
-def estimate(score, box=BOX, extent=310.0, nose=(150.0, 120.0)):
+def estimate(score, box=BOX, extent=310.0, nose=(150.0, 120.0), trunk_seen=True):
     """What the network finds in a window."""
-    return SimpleNamespace(score=score, box=box, extent=extent, nose=np.array(nose), next_window=lambda: "refined")
+    return SimpleNamespace(score=score, box=box, extent=extent, nose=np.array(nose), trunk_seen=trunk_seen,
+                           next_window=lambda: "refined")
 
 
 def tried(queue, score_of, box=BOX, **properties):
@@ -63,6 +64,14 @@ def test_a_body_out_of_another_window_must_be_that_of_the_box():
 def test_a_body_that_is_smaller_than_its_box_is_another_thing():
     assert tried(offered([]), lambda sides: 0.95, extent=270.0)[1]
     assert not tried(offered([]), lambda sides: 0.95, extent=250.0)[1]
+
+
+def test_a_trunk_that_is_seen_in_a_corner_of_the_box_is_none_of_a_human():
+    """As on a walnut, or a hand; of who is near only the head and a shoulder may be seen."""
+    corner = np.array([100.0, 100.0, 160.0, 200.0])
+    assert not tried(offered([]), lambda sides: 0.95, corner)[1]
+    assert tried(offered([]), lambda sides: 0.95, corner, trunk_seen=False)[1]
+    assert tried(offered([]), lambda sides: 0.95, corner + [0.0, 0.0, 20.0, 10.0])[1]
 
 
 def test_a_box_that_the_detector_is_unsure_of_has_one_window_and_must_show_a_sure_body():

@@ -217,7 +217,7 @@ class OneBad(Scene):
         super().__init__(people)
         self.spoil, self.since = spoil, 0
 
-    def estimate(self, image, window, hidden=(), shown=None):
+    def estimate(self, image, window, hidden=(), shown=None, mirrored=False):
         estimate = super().estimate(image, window, hidden, shown)
         if estimate.score > 0.5 and abs(estimate.centre[0] - self.people[-1][0]) < 10.0:
             self.since += 1
@@ -321,6 +321,32 @@ def test_a_faint_box_is_enough_for_a_body_that_the_network_is_sure_of_or_a_face_
     detector.threshold = 0.15
     assert looks(stage, [])[-1] == count
     assert looks(stage, [face_of(standing_at(400, 400), "f")], 20, 60)[-1] == count
+
+
+class Flag(Scene):
+    """What the network takes for a body that it does not see in the mirror, or elsewhere, `aside` px away."""
+
+    def __init__(self, people, aside, score):
+        super().__init__(people)
+        self.aside, self.score = aside, score
+
+    def estimate(self, image, window, hidden=(), shown=None, mirrored=False):
+        found = super().estimate(image, window, hidden, shown, mirrored)
+        if not mirrored:
+            return found
+        return replace(found, score=self.score, landmarks=found.landmarks + [self.aside, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("aside, mirror_score, box_score, count", [
+    (10.0, 0.9, 0.2, 1), (80.0, 0.9, 0.2, 0), (10.0, 0.1, 0.2, 0), (80.0, 0.1, 0.4, 1)])
+def test_a_faint_box_starts_a_body_only_if_the_network_sees_it_in_the_mirror_too(aside, mirror_score, box_score,
+                                                                                 count):
+    boxes = np.array([standing_at(400, 400).box])
+    detector = SimpleNamespace(threshold=0.15, detect=lambda image: (boxes, np.array([box_score])))
+    stage = BodyPipeline(BODIES.resolve({}), pose=Flag([(400, 400)], aside, mirror_score), detector=detector)
+    assert looks(stage, [])[-1] == count
+    # Where there is a face, no box decides.
+    assert looks(stage, [face_of(standing_at(400, 400), "f")], 20, 20)[-1] == 1
 
 
 def test_a_new_body_waits_no_longer_for_the_detector():

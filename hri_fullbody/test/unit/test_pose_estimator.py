@@ -38,6 +38,20 @@ def test_world_landmarks_turn_back_with_the_window():
     assert estimate.world.shape == (33, 3)
 
 
+def test_what_the_network_says_of_a_mirrored_input_is_turned_back():
+    points = np.zeros((39, 3))
+    points[15], points[16] = (55.0, 70.0, 8.0), (155.0, 60.0, -8.0)     # wrists: left, right
+    points[33] = (100.0, 90.0, 0.0)
+    world = np.zeros((39, 3))
+    world[15], world[16] = (0.3, 0.1, 0.2), (-0.4, 0.2, 0.1)
+    estimate = decode(raw_landmarks(points), 0.9, world.reshape(-1), np.eye(2, 3), 0.0, mirrored=True)
+    assert estimate.landmarks[15] == pytest.approx([100.0, 60.0, -8.0])
+    assert estimate.landmarks[16] == pytest.approx([200.0, 70.0, 8.0])
+    assert estimate.landmarks[33] == pytest.approx([155.0, 90.0, 0.0])
+    assert estimate.world[15] == pytest.approx([0.4, 0.2, 0.1])
+    assert estimate.world[16] == pytest.approx([-0.3, 0.1, 0.2])
+
+
 @pytest.mark.parametrize("seen, nose, extent, covered", [
     ((110, 120, 190, 260), (150, 140), 500.0, True),      # at a table: little of the body is sure, the head is in place
     ((110, 120, 190, 260), (150, 140), 200.0, False),     # a small figure in the picture of somebody

@@ -166,6 +166,19 @@ def test_time_that_jumps_starts_anew_and_the_same_time_changes_nothing():
     assert show(body, people.raised().seen(), 1.0, start=0.0)[-1].attitude == AttitudeClass.HANDS_RAISED
 
 
+@pytest.mark.parametrize("step", (0.9, 1.02, 1.4))
+def test_an_attitude_lasts_between_looks_that_are_a_second_and_more_apart(step):
+    """On a busy machine a body waits for its turn: it flickered between crossed arms and nothing."""
+    body, stamp, told = BehaviourRecognizer(), 0.0, []
+    for number in range(20):
+        stamp += step + 0.06 * (number % 3) - 0.06
+        told.append(body.update(people.crossed().seen(), STATURE, stamp, UP).attitude)
+    assert set(told[2:]) == {AttitudeClass.ARMS_CROSSED}
+    # A hole in what comes often is one, whatever was before.
+    show(body, people.crossed().seen(), 2.0, start=stamp + step)
+    assert body.update(people.crossed().seen(), STATURE, stamp + step + 3.2, UP).attitude == AttitudeClass.OTHER
+
+
 @pytest.mark.parametrize("rate", (10.0, 15.0, 30.0, 60.0))
 @pytest.mark.parametrize("side", ("left", "right"))
 def test_waving(rate, side):

@@ -33,7 +33,8 @@ class BodyTrackingSettings(Settings):
         minimum=0.05, maximum=0.99, live=True)
     min_person_score: float = parameter(
         0.3, "Score from which the person detector's box may start a body; a body below a face, or one that the pose "
-        "network is sure of, needs a box of half of it. Lower finds fainter people and more things that are none.",
+        "network is sure of and sees in the mirror, too, needs a box of half of it. Lower finds fainter people and "
+        "more things that are none.",
         minimum=0.05, maximum=0.99, live=True)
     person_detection_size: int = parameter(
         512, "Longer side of the person detector's input. Larger finds people farther away; the time grows with its "

@@ -20,6 +20,7 @@ from hri_fullbody.core.behaviour.gesture import GestureClass
 from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
 from hri_fullbody.core.behaviour.posture import PostureClass, without_feet_outside, without_guessed_limbs
 from hri_fullbody.core.behaviour.recognizer import MAX_GAP_S, BehaviourRecognizer, BodyBehaviour
+from hri_fullbody.core.detection.orientation import ImageOrientation
 from hri_fullbody.core.detection.person_detector import CenterNetDetector, PersonDetector
 from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, BlazePose, PoseEstimate, PoseEstimator
 from hri_fullbody.core.detection.windows import FaceBox
@@ -125,6 +126,7 @@ class BodyPipeline:
         """Bodies confirmed since the last image that were there before under another id."""
         self.modelled: List[ModelledBody] = []
         """Models of the bodies that were detected in the last image."""
+        self._orientation = ImageOrientation()
         self._last_stamp = self._last_detection = -math.inf
         self._detected_before = False
         self.times = StageTimes()
@@ -202,6 +204,7 @@ class BodyPipeline:
             self._last_detection = stamp
             with self.times("person detector"):
                 boxes, scores = self._detector.detect(bgr)
+                self._orientation.update(bgr, scores, stamp, self._detector.detect)
             self._tracker.propose(list(boxes[scores >= self._settings.min_person_score]), faces, stamp, list(boxes))
             if not detected_before and not slow:
                 return
@@ -298,6 +301,11 @@ class BodyPipeline:
                 told[model.id] = aim(ray, others, up, self._floor)
         return told
 
+    @property
+    def turn(self) -> Optional[int]:
+        """Quarter turns anticlockwise by which people stand upright in the images, None while that is not known."""
+        return self._orientation.turn
+
     def model(self, body: BodyObservation) -> Optional[ModelledBody]:
         """Return the model of a body that is in the image, None while there is none.
 
@@ -381,6 +389,7 @@ class BodyPipeline:
         self._reidentifier.reset()
         self._localizers.clear()
         self._ground.reset()
+        self._orientation.reset()
         self.pointing = {}
         self._modeller.reset()
         self._forget_all_but([])

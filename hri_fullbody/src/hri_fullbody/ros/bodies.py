@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
+from hri_fullbody.core.detection.orientation import quarter_turns
 from hri_fullbody.core.detection.windows import FaceBox, face_boxes
 from hri_fullbody.core.model.urdf import make_urdf
 from hri_fullbody.core.modeller import ModelledBody
@@ -86,6 +87,7 @@ class BodyProcessor:
         self._matches = ReidentificationMatches(settings.list_timeout) if settings.body_memory > 0.0 else None
         self._faces = FaceInput(settings.list_timeout) if listen_for_faces else None
         self._no_frame = False
+        self._turned = ""
         self._closed = False
         # Few limbs need it, and no body has to wait for it.
         threading.Thread(target=importlib.import_module, args=("hri_fullbody.core.kinematics.ikpy_backend",),
@@ -99,6 +101,7 @@ class BodyProcessor:
         bodies = self._pipeline.update(
             frame.bgr, frame.camera, frame.stamp, self._face_boxes(frame, context), depth=frame.depth,
             up=up, camera_height=height)
+        self._tell_turned(up)
         context["bodies"] = bodies
         ids = self._pipeline.tracked_ids
         self._guard.attempt("topic", self._topics.keep, ids)
@@ -148,6 +151,8 @@ class BodyProcessor:
         error = self._guard.news()
         if error:
             return WARN, error, values
+        if self._turned:
+            return WARN, self._turned, values
         if level == OK:
             level, text = self._up.status()
         return level, text or "{} bodies".format(values["tracked"]), values
@@ -169,6 +174,13 @@ class BodyProcessor:
         self._transforms.close()
         release(self._markers)
         release(self._pointing)
+
+    def _tell_turned(self, up: Optional[np.ndarray]) -> None:
+        """Log once when images come turned. up: (3,) in the camera's frame by ~up_frame, None while it is not known."""
+        text = turned_problem(self._pipeline.turn, None if up is None else quarter_turns(up))
+        if text and not self._turned:
+            rospy.logwarn("%s", text)
+        self._turned = text
 
     def _face_boxes(self, frame: Frame, context: dict) -> List[FaceBox]:
         observed: Optional[Sequence[FaceObservation]] = context.get("faces")
@@ -410,6 +422,26 @@ class UpFrame:
             "no transform leads from {} to ~up_frame {}; the tilt is guessed from the people. Mend: start what "
             "publishes it, or set ~up_frame to a frame that exists or to nothing".format(camera, self._name)
         )
+
+
+_TURNS = ("upright", "a quarter turn anticlockwise", "half a turn", "a quarter turn clockwise")
+
+
+def turned_problem(seen: Optional[int], transform: Optional[int]) -> str:
+    """Return what is wrong with the camera's mounting, and the mend; empty when all is well or not known.
+
+    seen, transform: quarter turns anticlockwise by which images stand upright, as the people in them and the transform
+    to ~up_frame tell; None: not known.
+    """
+    if seen == 0 and transform:
+        return ("people stand upright in the images, but the transform to ~up_frame says that these are turned: they "
+                "would be upright after {}. Mend: correct the transform of the camera".format(_TURNS[transform]))
+    if not (seen or transform):
+        return ""
+    return ("the images come turned: {} after {}, so that bodies and faces are missed or at wrong places. Mend: mount "
+            "the camera upright, or turn images, camera_info and the camera's frame before they come here".format(
+                "people are clear in them only" if seen else "by the transform to ~up_frame they would be upright",
+                _TURNS[seen or transform or 0]))
 
 
 def up_and_height(camera: Pose) -> Tuple[np.ndarray, Optional[float]]:

@@ -26,8 +26,11 @@ from hri_fullbody.core.keypoints import (
     RIGHT_WRIST,
 )
 
-# After a longer silence everything starts anew.
+# After a longer silence everything starts anew; after a still longer one, up to _LONGEST_GAP_S, where looks have lately
+# been so rare that it is one of _RARE of their gaps.
 MAX_GAP_S = 1.0
+_RARE, _LONGEST_GAP_S = 2.0, 3.0
+_GAP_FADES = 0.7    # from one look to the next: how fast a gap is no longer one of lately
 _POINT_HOLD_S = 0.7
 _LEG_HOLD_S = 0.2       # a leg that is not seen for longer is hidden
 _MIN_STATURE_M, _MAX_STATURE_M = 0.4, 2.6
@@ -54,6 +57,7 @@ class BehaviourRecognizer:
 
     def __init__(self) -> None:
         self._last: Optional[float] = None
+        self._gap = 0.0
         self._result = BodyBehaviour(0, 0.0, 0, 0)
         self.reset()
 
@@ -73,8 +77,9 @@ class BehaviourRecognizer:
 
         points: (18, 3) m in a sensor's frame, key points in the order of hri_msgs/Skeleton2D, NaN or infinite
         unknown. stature: m. stamp: s; the same stamp again changes nothing, and one that is before the last or more
-        than 1 s after it starts anew. up: (3,), against gravity in the sensor's frame, any length; up_sd: standard
-        deviation of its pitch about the sensor's x axis, rad: a posture is told when it does not hang on it.
+        than 1 s after it (where frames are rare twice the time between them, 3 s at most) starts anew. up: (3,),
+        against gravity in the sensor's frame, any length; up_sd: standard deviation of its pitch about the sensor's x
+        axis, rad: a posture is told when it does not hang on it.
         confidence: (18,) 0 to 1 of the points, NaN for ankles outside the image, None: all are sure; a forearm of less
         than 0.5 does not wave and has no hand on the face; nobody is told to sit or crouch whose ankles are in the
         image with less than 0.3, nor to sit with a knee of less than 0.9 that jumps about, nor to crouch with two such
@@ -86,7 +91,7 @@ class BehaviourRecognizer:
         """
         points, upwards = _checked(points, stature, stamp, up)
         elapsed = 0.0 if self._last is None else stamp - self._last
-        if elapsed < 0.0 or elapsed > MAX_GAP_S:
+        if self._is_silence(elapsed):
             self.reset()
             elapsed = 0.0
         elif self._last is not None and elapsed == 0.0:
@@ -106,6 +111,12 @@ class BehaviourRecognizer:
             int(attitude), self._attitude.confidence, int(posture),
             int(gesture_of(attitude, self._attitude.raised, waving)))
         return self._result
+
+    def _is_silence(self, elapsed: float) -> bool:
+        """Tell whether `elapsed` (s) since the last frame is too long to go on, or negative."""
+        most = min(max(MAX_GAP_S, _RARE * self._gap), _LONGEST_GAP_S)
+        self._gap = max(elapsed, _GAP_FADES * self._gap)
+        return not 0.0 <= elapsed <= most
 
     def _drop_guessed_knees(self, points: np.ndarray, confidence: Optional[np.ndarray], elapsed: float) -> None:
         """Make the knees NaN, in `points`, that do not count."""

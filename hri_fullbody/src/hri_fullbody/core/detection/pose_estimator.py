@@ -26,8 +26,13 @@ INPUT_SIZE = 256
 LANDMARKS = 39
 BODY_LANDMARKS = 33
 _HEAD_LANDMARKS = 11
-_KNOWN = 0.3
+_TRUNK = [BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER, BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP]
+_KNOWN, _SEEN = 0.3, 0.5
 _LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT = "Identity", "Identity_1", "Identity_4"
+# The landmarks with left and right exchanged: those of the body come in pairs, five of the head and eleven below.
+_OTHER_SIDE = np.array([0, 4, 5, 6, 1, 2, 3, 8, 7, 10, 9] + [number + 1 - 2 * (number % 2 == 0)
+                                                            for number in range(11, BODY_LANDMARKS)]
+                       + list(range(BODY_LANDMARKS, LANDMARKS)))
 _GREY = (128, 128, 128)
 _GREY_PATCH = np.full((INPUT_SIZE, INPUT_SIZE, 3), _GREY, np.uint8)
 
@@ -72,6 +77,11 @@ class PoseEstimate:
         points = points[seen] if seen.sum() >= 4 else points
         return np.concatenate([points.min(axis=0), points.max(axis=0)])
 
+    @cached_property
+    def trunk_seen(self) -> bool:
+        """Whether both shoulders and both hips are seen."""
+        return bool(self.confidence[_TRUNK].min() > _SEEN)
+
     def head_box(self) -> np.ndarray:
         """Box (4,) px of the head, around the landmarks of nose, eyes, ears and mouth."""
         points = self.landmarks[:_HEAD_LANDMARKS, :2]
@@ -85,15 +95,20 @@ class PoseEstimate:
         return window_from_landmarks(self.landmarks)
 
 
-def decode(landmarks: np.ndarray, score: float, world: np.ndarray, affine: np.ndarray, angle: float) -> PoseEstimate:
+def decode(landmarks: np.ndarray, score: float, world: np.ndarray, affine: np.ndarray, angle: float,
+           mirrored: bool = False) -> PoseEstimate:
     """Turn the network's numbers into image coordinates.
 
     landmarks: (195,) 39 x (x, y, z px of the input, logits of visibility and presence). world: (117,) 39 x 3 m in the
-    window's axes. affine: (2, 3) from input to image pixels. angle: rad, that of the window.
+    window's axes. affine: (2, 3) from input to image pixels. angle: rad, that of the window. mirrored: the network was
+    shown the input with left and right exchanged; the estimate is that of the image as it is.
     A landmark counts as much as the less sure of being in the image and being unhidden.
     """
     raw = np.asarray(landmarks, dtype=np.float64).reshape(LANDMARKS, 5)
     metric = np.asarray(world, dtype=np.float64).reshape(LANDMARKS, 3)[:BODY_LANDMARKS].copy()
+    if mirrored:
+        raw, metric = raw[_OTHER_SIDE], metric[_OTHER_SIDE[:BODY_LANDMARKS]]
+        raw[:, 0], metric[:, 0] = INPUT_SIZE - 1.0 - raw[:, 0], -metric[:, 0]
     points = np.empty((LANDMARKS, 3))
     points[:, :2] = raw[:, :2] @ affine[:, :2].T + affine[:, 2]
     points[:, 2] = raw[:, 2] * float(np.hypot(affine[0, 0], affine[1, 0]))
@@ -106,18 +121,20 @@ def decode(landmarks: np.ndarray, score: float, world: np.ndarray, affine: np.nd
 @dataclass(frozen=True)
 class PoseWindow:
     """One place to look at: the window; hidden: boxes (4,) px painted grey first, such as the faces of neighbours, so
-    that the network cannot take them; shown: a box (4,) px that stays visible even where a hidden one covers it."""
+    that the network cannot take them; shown: a box (4,) px that stays visible even where a hidden one covers it;
+    mirrored: the network sees it with left and right exchanged."""
 
     window: Window
     hidden: Sequence[np.ndarray] = ()
     shown: Optional[np.ndarray] = None
+    mirrored: bool = False
 
 
 class PoseEstimator(Protocol):
     """Anything that finds the one body in a window; see BlazePose."""
 
     def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
-                 shown: Optional[np.ndarray] = None) -> PoseEstimate:
+                 shown: Optional[np.ndarray] = None, mirrored: bool = False) -> PoseEstimate:
         """Return the body in `window` of `image` (H, W, 3) BGR."""
 
 
@@ -147,9 +164,9 @@ class BlazePose:
         self.takes_batches = self._model.provider in ("cuda", "tensorrt")
 
     def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
-                 shown: Optional[np.ndarray] = None) -> PoseEstimate:
-        """Find the body in `window` of `image` (H, W, 3) BGR; hidden, shown: see PoseWindow."""
-        return self.estimate_all(image, [PoseWindow(window, hidden, shown)])[0]
+                 shown: Optional[np.ndarray] = None, mirrored: bool = False) -> PoseEstimate:
+        """Find the body in `window` of `image` (H, W, 3) BGR; hidden, shown, mirrored: see PoseWindow."""
+        return self.estimate_all(image, [PoseWindow(window, hidden, shown, mirrored)])[0]
 
     def estimate_all(self, image: np.ndarray, windows: Sequence[PoseWindow]) -> List[PoseEstimate]:
         """Find the body in each window of `image` (H, W, 3) BGR, in one run of the network."""
@@ -161,12 +178,14 @@ class BlazePose:
         for place, one in zip(feed, windows):
             patch, affine = crop_rotated(image, one.window.centre, one.window.size, one.window.angle, INPUT_SIZE)
             _hide(patch, affine, one.hidden, one.shown)
+            patch = cv2.flip(patch, 1) if one.mirrored else patch
             np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB), np.float32(1.0 / 255.0), out=place)
             affines.append(affine)
         output = self._model.run({"input_1": feed})
         scores = np.asarray(output[_SCORE_OUTPUT]).reshape(len(windows), -1)
-        return [decode(landmarks, float(score[0]), world, affine, one.window.angle) for landmarks, score, world, affine,
-                one in zip(output[_LANDMARK_OUTPUT], scores, output[_WORLD_OUTPUT], affines, windows)]
+        return [decode(landmarks, float(score[0]), world, affine, one.window.angle, one.mirrored)
+                for landmarks, score, world, affine, one in zip(
+                    output[_LANDMARK_OUTPUT], scores, output[_WORLD_OUTPUT], affines, windows)]
 
 
 def _hide(patch: np.ndarray, affine: np.ndarray, hidden: Sequence[np.ndarray], shown: Optional[np.ndarray]) -> None:

@@ -1,0 +1,60 @@
+"""Cameras that are mounted upside down or on their side."""
+
+import numpy as np
+import pytest
+
+from hri_fullbody.core.detection.orientation import ImageOrientation, quarter_turns
+
+IMAGE = np.zeros((48, 64, 3), np.uint8)
+IMAGE[0] = 255      # the way up of what it shows
+
+
+class Clear:
+    """A detector that sees people clearly where the white row is at the top, and a little elsewhere."""
+
+    def __init__(self, score=0.7):
+        self.score, self.calls = score, 0
+
+    def __call__(self, image):
+        self.calls += 1
+        return np.zeros((1, 4)), np.array([self.score if image[0].all() else 0.2])
+
+
+def shown(image, seconds, detect, orientation=None):
+    orientation = orientation or ImageOrientation()
+    for stamp in np.arange(0.0, seconds, 1.0):
+        orientation.update(image, detect(image)[1], float(stamp), detect)
+    return orientation.turn
+
+
+@pytest.mark.parametrize("turn", [1, 2, 3])
+def test_a_turned_camera_is_told_within_a_minute(turn):
+    assert shown(np.rot90(IMAGE, -turn), 60.0, Clear()) == turn
+
+
+def test_an_upright_camera_costs_nothing_and_stays_upright():
+    detect, orientation = Clear(), ImageOrientation()
+    assert shown(IMAGE, 60.0, detect, orientation) == 0 and detect.calls == 60
+    orientation.update(np.rot90(IMAGE, 2), np.array([0.2]), 100.0, detect)     # somebody stands on their head
+    assert orientation.turn == 0 and detect.calls == 60
+
+
+def test_who_is_unclear_either_way_tells_nothing_and_costs_little():
+    detect = Clear(0.4)
+    assert shown(np.rot90(IMAGE, 2), 60.0, detect) is None and detect.calls <= 66
+
+
+def test_who_was_clear_once_in_a_turned_image_is_no_sign():
+    detect, orientation = Clear(), ImageOrientation()
+    for stamp in range(15):     # asked about once
+        orientation.update(np.rot90(IMAGE, 2), np.array([0.2]), float(stamp), detect)
+    for stamp in range(15, 90):
+        orientation.update(np.zeros_like(IMAGE), np.zeros(0), float(stamp), detect)
+    assert orientation.turn is None
+
+
+@pytest.mark.parametrize("up, turn", [
+    ((0.0, -1.0, 0.0), 0), ((0.3, -0.8, -0.5), 0), ((0.0, 1.0, 0.0), 2), ((1.0, 0.0, 0.0), 1), ((-0.9, 0.1, -0.3), 3),
+    ((0.1, 0.2, -0.97), None)])
+def test_turns_by_the_vertical(up, turn):
+    assert quarter_turns(np.array(up)) == turn
