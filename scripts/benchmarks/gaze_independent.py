@@ -164,14 +164,14 @@ def _live(person: Person, people: Sequence[Person], speaker: str, now: float, rn
             person.aim = np.array([person.facing + rng.normal(0.0, 0.2), rng.uniform(-0.8, -0.45)])
     places = {other.name: other.place for other in people}
     places[ROBOT] = _CAMERA
-    aim = _angles(places[person.target] - person.place) if person.target in places else person.aim
-    turn = np.array([_wrapped(aim[0] - person.facing), aim[1]])
+    aim = angles(places[person.target] - person.place) if person.target in places else person.aim
+    turn = np.array([wrapped(aim[0] - person.facing), aim[1]])
     wanted = np.array([person.facing + person.share * turn[0], 0.5 * person.share * turn[1]])
-    far = abs(_wrapped(aim[0] - wanted[0])) - math.radians(45.0)
+    far = abs(wrapped(aim[0] - wanted[0])) - math.radians(45.0)
     if far > 0.0:
-        wanted[0] += math.copysign(far, _wrapped(aim[0] - wanted[0]))
+        wanted[0] += math.copysign(far, wrapped(aim[0] - wanted[0]))
     gain = 1.0 - math.exp(-1.0 / RATE / person.lag)
-    person.head += gain * np.array([_wrapped(wanted[0] - person.head[0]), wanted[1] - person.head[1]])
+    person.head += gain * np.array([wrapped(wanted[0] - person.head[0]), wanted[1] - person.head[1]])
     person.eyes = aim + rng.normal(0.0, math.radians(1.5), 2)
     _blink(person, now, rng)
 
@@ -217,11 +217,11 @@ def _sense(person: Person, people: Sequence[Person], frames: PeopleTf, now: floa
     """Put the frames of what the camera measures of one person; whether the face is seen."""
     away = person.place - _CAMERA
     distance = float(np.linalg.norm(away))
-    to_camera = _angles(-away)
-    yaw = abs(_wrapped(person.head[0] - to_camera[0]))
+    to_camera = angles(-away)
+    yaw = abs(wrapped(person.head[0] - to_camera[0]))
     measured = away * math.exp(person.depth + rng.normal(0.0, 0.02))
     hidden = any(other is not person and np.linalg.norm(other.place - _CAMERA) < distance - 0.2
-                 and np.linalg.norm(_angles(other.place - _CAMERA) - _angles(away)) < _HEAD / distance
+                 and np.linalg.norm(angles(other.place - _CAMERA) - angles(away)) < _HEAD / distance
                  for other in people)
     if now > person.gap_until and rng.rand() < 0.06 / 0.4 / RATE:
         person.gap_until = now + rng.exponential(0.4)
@@ -247,11 +247,11 @@ def _put_face(person: Person, frames: PeopleTf, now: float, place: np.ndarray, y
     else:
         error = math.radians(5.0 + 5.0 * min(max((80.0 - width) / 50.0, 0.0), 1.0)) * (1.0 + part)
         eyes = person.eyes + error * person.drift["eyes"]
-    frames.put(_transform("camera", "face_f" + person.name, now, place, head), fixed=False)
+    frames.put(transform("camera", "face_f" + person.name, now, place, head), fixed=False)
     shut = person.closed_at <= now or (person.target == _DOWN and rng.rand() < 0.1)
     if not shut:
-        rotation = _rotation(head).T @ _rotation(eyes) @ np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-        frames.put(_raw("face_f" + person.name, "gaze_f" + person.name, now, Pose(rotation, np.zeros(3))), fixed=False)
+        rotation = axes_of(head).T @ axes_of(eyes) @ np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+        frames.put(raw("face_f" + person.name, "gaze_f" + person.name, now, Pose(rotation, np.zeros(3))), fixed=False)
 
 
 def _put_body(person: Person, frames: PeopleTf, now: float, place: np.ndarray, hidden: bool, face: bool,
@@ -262,33 +262,33 @@ def _put_body(person: Person, frames: PeopleTf, now: float, place: np.ndarray, h
     if hidden:
         return
     trunk = np.array([person.facing + 0.3 * person.bias[0] + rng.normal(0.0, 0.15), 0.0])
-    frames.put(_transform("camera", "body_" + body, now, place - np.array([0.0, 0.0, 0.65]), trunk), fixed=False)
+    frames.put(transform("camera", "body_" + body, now, place - np.array([0.0, 0.0, 0.65]), trunk), fixed=False)
     if not face:
         head = person.head + 0.3 * person.drift["head"]
-        rotation = _rotation(trunk).T @ _rotation(head)
-        frames.put(_raw("body_" + body, "head_" + body, now, Pose(rotation, np.array([0.0, 0.0, 0.65]))), fixed=False)
+        rotation = axes_of(trunk).T @ axes_of(head)
+        frames.put(raw("body_" + body, "head_" + body, now, Pose(rotation, np.array([0.0, 0.0, 0.65]))), fixed=False)
 
 
-def _transform(parent: str, child: str, now: float, place: np.ndarray, angles: np.ndarray) -> RawTransform:
-    return _raw(parent, child, now, Pose(_rotation(angles), place))
+def transform(parent: str, child: str, now: float, place: np.ndarray, angles: np.ndarray) -> RawTransform:
+    return raw(parent, child, now, Pose(axes_of(angles), place))
 
 
-def _raw(parent: str, child: str, now: float, pose: Pose) -> RawTransform:
+def raw(parent: str, child: str, now: float, pose: Pose) -> RawTransform:
     nanoseconds = int(round(now * 1e9))
     x, y, z = pose.translation.tolist()
     return RawTransform(parent, child, nanoseconds // 10 ** 9, nanoseconds % 10 ** 9, (x, y, z), pose.quaternion)
 
 
-def _rotation(angles: np.ndarray) -> np.ndarray:
+def axes_of(angles: np.ndarray) -> np.ndarray:
     """Frame with x ahead (yaw, pitch up, rad), z up."""
     return Rotation.from_euler("ZY", [angles[0], -angles[1]]).as_matrix()
 
 
-def _angles(vector: np.ndarray) -> np.ndarray:
+def angles(vector: np.ndarray) -> np.ndarray:
     return np.array([math.atan2(vector[1], vector[0]), math.atan2(vector[2], math.hypot(vector[0], vector[1]))])
 
 
-def _wrapped(angle: float) -> float:
+def wrapped(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
@@ -335,4 +335,5 @@ def _ratios(sums: np.ndarray) -> Dict[str, float]:
     return found
 
 
-__all__ = ["SEEDS", "TUNING_SEEDS", "Image", "figures", "images", "scene"]
+__all__ = ["RATE", "SEEDS", "TUNING_SEEDS", "Image", "angles", "axes_of", "figures", "images", "raw", "scene",
+           "transform", "wrapped"]

@@ -13,6 +13,7 @@ from typing import Dict, List, Optional, Sequence, Tuple, Union
 import numpy as np
 
 from hri_pipeline.core.interactions.depth_factors import DepthFactors
+from hri_pipeline.core.interactions.gaze_cues import GazeJudge
 from hri_pipeline.core.interactions.parameters import GazeSettings
 from hri_pipeline.core.interactions.people import ROBOT, UNKNOWN, GazeTarget, Observer, PeopleSnapshot
 
@@ -44,6 +45,7 @@ class GazeTargets:
         self._filter = GazeTargetFilter(settings)
         self._renewal = ErrorRenewal()
         self._depths = DepthFactors()
+        self._judge = GazeJudge()
         self._stamp: Optional[float] = None
         self._closed_at: Dict[str, float] = {}
         self._open_at: Dict[str, float] = {}
@@ -61,6 +63,7 @@ class GazeTargets:
         self._filter.reset()
         self._renewal.reset()
         self._depths.reset()
+        self._judge.reset()
         self._closed_at.clear()
         self._open_at.clear()
         self._weighed = []
@@ -87,6 +90,7 @@ class GazeTargets:
         people = self._depths.corrected(PeopleSnapshot.of(people))
         if not people.ids:
             self._filter.reset()
+            self._judge.reset()
             return []
         lines = SightLines(people, robot, self._settings.max_distance)
         ratios, times = evidence(lines, self._settings)
@@ -94,12 +98,15 @@ class GazeTargets:
         closed = self._closed(people, stamp)
         weights = self._weights(lines, ids, stamp) * self._filter.attention(ids, people.speaking, people.groups)
         shares, begun = self._renewal.update(people, times, dt)
-        looked_at = self._filter.update(ids, weights, ratios, shares, closed, dt,
-                                        closed & self._blinking(people, closed, stamp), begun & ~closed)
-        self._depths.learn(people, lines, self._filter.beliefs()[:, :len(ids)], np.where(closed, 0.0, shares), dt)
+        self._filter.update(ids, weights, ratios, shares, closed, dt, closed & self._blinking(people, closed, stamp),
+                            begun & ~closed)
+        beliefs = self._filter.beliefs()
+        self._depths.learn(people, lines, beliefs[:, :len(ids)], np.where(closed, 0.0, shares), dt)
+        judged = self._judge.update(people, lines, beliefs, self._settings.head_radius, stamp, dt)
+        looked_at = self._filter.decide(judged)
         looked_at[(looked_at == len(ids)) & self._renewal.past(people, lines.units[:, -1])] = _NOBODY
         names = ids + [ROBOT]
-        return [GazeTarget(ids[sender], names[target], self._filter.probability(sender, target))
+        return [GazeTarget(ids[sender], names[target], float(judged[sender, target]))
                 for sender, target in enumerate(looked_at.tolist()) if target >= 0]
 
     def _weights(self, lines: SightLines, ids: List[str], stamp: float) -> np.ndarray:
@@ -207,10 +214,17 @@ class SightLines:
         self.possible = possible
         self.distances = np.maximum(lengths, _LEAST_DISTANCE)
         self.units = between / lengths[..., None]
+        self._extents: Optional[Tuple[np.ndarray, np.ndarray]] = None
 
     def extents(self, head_radius: float) -> Tuple[np.ndarray, np.ndarray]:
         """Return the variances (N, T), rad^2, of where a target is seen from an observer, to the sides and up or down:
-        somebody looks at any point of a head, and both places are uncertain, most of all along the camera's ray."""
+        somebody looks at any point of a head, and both places are uncertain, most of all along the camera's ray. They
+        are computed once."""
+        if self._extents is None:
+            self._extents = self._find_extents(head_radius)
+        return self._extents
+
+    def _find_extents(self, head_radius: float) -> Tuple[np.ndarray, np.ndarray]:
         lateral = self.deviations[:, :1] ** 2
         place = (_SIZE_PART * head_radius) ** 2 + lateral + np.append(lateral[:, 0], _ROBOT_SD ** 2)
         depths = np.concatenate([self.depths, np.zeros((1, 3))])
@@ -453,13 +467,13 @@ class GazeTargetFilter:
         self._ids: List[str] = []
         self._probabilities = np.zeros((0, 2))
         self._current = np.zeros(0, dtype=np.int64)
-        self._unseen = np.zeros(0)
+        self._unseen, self._none = np.zeros(0), np.zeros(0, dtype=bool)
         self._weights = self._latest_prior = np.zeros((0, 2))
 
     def update(self, ids: Sequence[str], weights: np.ndarray, ratios: np.ndarray, shares: np.ndarray,
                closed: np.ndarray, dt: float, blinking: Optional[np.ndarray] = None,
-               begun: Optional[np.ndarray] = None) -> np.ndarray:
-        """Take the evidence of `dt` s; return what each person looks at (N,): index of a target, -1 for nobody.
+               begun: Optional[np.ndarray] = None) -> None:
+        """Take the evidence of `dt` s.
 
         weights (N, T), ratios (N, T): see evidence; T = N + 1 with the robot last. shares (N,): see ErrorRenewal.
         closed (N,): the eyes are closed, whatever else is known. blinking (N,): of those, who closed them a moment ago:
@@ -480,8 +494,7 @@ class GazeTargetFilter:
         self._probabilities = belief / np.maximum(belief.sum(axis=1, keepdims=True), 1e-300)
         held = np.zeros(len(closed), dtype=bool) if blinking is None else blinking
         self._unseen = np.where(seen, 0.0, np.where(held, self._unseen, self._unseen + dt))
-        self._decide((closed & ~held) | (self._unseen > self._settings.gaze_hold))
-        return self._current.copy()
+        self._none = (closed & ~held) | (self._unseen > self._settings.gaze_hold)
 
     def attention(self, ids: Sequence[str], speaking: Optional[np.ndarray],
                   groups: Optional[np.ndarray] = None) -> np.ndarray:
@@ -501,10 +514,6 @@ class GazeTargetFilter:
         """Return how likely everybody looks at each target (N, T + 1), nobody last."""
         return self._probabilities
 
-    def probability(self, person: int, target: int) -> float:
-        """Return how likely a person (index of the last update) looks at a target."""
-        return float(self._probabilities[person, target])
-
     def _prior(self, weights: np.ndarray) -> np.ndarray:
         """(N, T + 1) how often each target is looked at, nobody last. The same weights come several times."""
         if weights is self._weights:
@@ -515,16 +524,16 @@ class GazeTargetFilter:
         self._latest_prior = np.concatenate([targets, 1.0 - targets.sum(axis=1, keepdims=True)], axis=1)
         return self._latest_prior
 
-    def _decide(self, none: np.ndarray) -> None:
-        count = len(self._current)
-        if not count:
-            return
-        rows, targets = np.arange(count), self._probabilities[:, :-1]
+    def decide(self, targets: np.ndarray) -> np.ndarray:
+        """Return what each person looks at (N,), index of a target or -1 for nobody, by how likely everybody looks at
+        each target (N, T). Once after each update."""
+        rows = np.arange(len(self._current))
         best = targets.argmax(axis=1)
         sure = targets[rows, best] >= self._settings.gaze_on
         kept = (self._current != _NOBODY) & (targets[rows, np.maximum(self._current, 0)] >= self._settings.gaze_off)
         self._current = np.where(sure, best, np.where(kept, self._current, _NOBODY))
-        self._current[none] = _NOBODY
+        self._current[self._none] = _NOBODY
+        return self._current.copy()
 
     def _follow(self, ids: List[str], prior: np.ndarray) -> None:
         """Add the rows of new people, and remove those of people who have left."""

@@ -1,0 +1,183 @@
+"""How likely each look is, judged by what the last seconds have shown beside the belief of the filter.
+
+The filter takes one image after the other by fixed variances. Small decision trees see its belief together with how far
+eyes and head have been beside each target over several times, on which side of the trunk, who speaks and who looks
+back. They were grown by `scripts/benchmarks/gaze_training.py` in a simulated world whose errors and habits are drawn
+anew for each scene, and stand as numbers in `gaze_trees.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Dict, List, Optional, Sequence, Tuple
+
+import numpy as np
+
+from hri_pipeline.core.interactions.gaze_trees import LEVELS, START, TREES
+from hri_pipeline.core.interactions.people import PeopleSnapshot
+
+if TYPE_CHECKING:
+    from hri_pipeline.core.interactions.gaze import SightLines
+
+TIMES = (0.4, 1.0, 2.5)
+"""Time constants (s) of the means of where eyes and head were."""
+_SPEECH_TIMES = (0.3, 1.5)
+LEAST_BELIEF = 0.02
+"""Targets less likely than this to the filter are not judged again."""
+_MISSED_S = 0.5
+"""Who had a face a moment (s) ago is judged as somebody with a face."""
+_NOW = ("now", *TIMES)
+CUES = ("belief", "rival", "nobody", "robot", "distance", "range", "spread", "aside", "above", "head_aside", "trunk",
+        *("{}_{}".format(name, time) for name in ("off", "eyes_to_side", "eyes_up", "head_to_side", "head_up")
+          for time in _NOW),
+        "looks_back", "heard", "heard_long", "speaks", "grouped", "in_group", "face_missing", "eyes_missing")
+"""Names of what is known of each look, in the order of the columns; NaN where it is not known."""
+
+
+def turns(units: np.ndarray, directions: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Return by how much (rad) units (N, T, 3) are left of and above directions (N, 3), each (N, T)."""
+    bearings = np.arctan2(units[..., 1], units[..., 0]) - np.arctan2(directions[:, 1], directions[:, 0])[:, None]
+    bearings -= 2.0 * math.pi * np.rint(bearings / (2.0 * math.pi))
+    heights = _height(units[..., 2]) - _height(directions[:, 2])[:, None]
+    return bearings * np.hypot(units[..., 0], units[..., 1]), heights
+
+
+def _height(sines: np.ndarray) -> np.ndarray:
+    return np.arcsin(np.minimum(np.maximum(sines, -1.0), 1.0))
+
+
+class GazeCues:
+    """Follows what the last seconds have shown of each look."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everybody."""
+        self._ids: List[str] = []
+        self._means = np.full((len(TIMES), 0, 1, 4), np.nan)
+        self._now = self._means[0]
+        self._speech = np.zeros((len(_SPEECH_TIMES), 1))
+        self._face_at, self._eyes_at = np.zeros(0), np.zeros(0)
+
+    def update(self, people: PeopleSnapshot, lines: "SightLines", stamp: float, dt: float) -> None:
+        """Take one image; stamp, dt: its time and that since the last one (s)."""
+        self._follow(people.ids)
+        self._now = np.empty((*lines.distances.shape, 4))
+        for first, directions in ((0, people.gazes), (2, people.faces)):
+            self._now[..., first], self._now[..., first + 1] = turns(lines.units, directions)
+        np.copyto(self._means, self._now, where=np.isnan(self._means[0]))
+        steps = self._now - self._means
+        steps[np.isnan(steps)] = 0.0
+        self._means += np.array([1.0 - math.exp(-dt / time) for time in TIMES])[:, None, None, None] * steps
+        if people.speaking is not None:
+            for time, row in zip(_SPEECH_TIMES, self._speech):
+                row[:-1] += (1.0 - math.exp(-dt / time)) * (people.speaking - row[:-1])
+        self._face_at = np.where(people.faceless, self._face_at, stamp)
+        self._eyes_at = np.where(np.isnan(people.gazes[:, 0]), self._eyes_at, stamp)
+
+    def of(self, rows: np.ndarray, targets: np.ndarray, people: PeopleSnapshot, lines: "SightLines",
+           beliefs: np.ndarray, head_radius: float, stamp: float) -> np.ndarray:
+        """Return the cues (K, len(CUES)) of the looks of `rows` (K,) at `targets` (K,), the robot last, after `update`.
+
+        beliefs (N, T + 1): see GazeTargetFilter.
+        """
+        count = len(people)
+        square = people.deviations[rows, 2] ** 2
+        wide, high = (np.sqrt(square + extent[rows, targets]) for extent in lines.extents(head_radius))
+        trunk = turns(lines.units[rows, targets][:, None], people.trunks[rows])[0][:, 0]
+        side = np.where(np.isnan(trunk), np.nan, np.where(trunk < 0.0, -1.0, 1.0))
+        seen = np.concatenate([self._now[None, rows, targets], self._means[:, rows, targets]])
+        x, y, heads = seen[..., 0] / wide, seen[..., 1] / high, seen[..., 2]
+        groups = np.append(_numbers(people.groups, count), -1)
+        back = np.where(targets < count, targets, 0)
+        eyes_back = np.hypot(self._means[0, back, rows, 0], self._means[0, back, rows, 1])
+        return np.stack([
+            *_of_belief(beliefs, rows, targets), lines.distances[rows, targets],
+            np.sqrt((people.rays * people.rays).sum(axis=1))[rows], wide, np.abs(x[0]), np.abs(y[0]), np.abs(heads[0]),
+            np.abs(trunk), *np.hypot(x, y), *(side * x), *y, *(side * heads), *seen[..., 3],
+            np.where(targets < count, eyes_back, np.nan), *self._speech[:, targets], self._speech[1, rows],
+            (groups[rows] == groups[targets]) & (groups[rows] >= 0), groups[rows] >= 0,
+            self.face_missing(stamp)[rows], stamp - self._eyes_at[rows]], axis=1)
+
+    def face_missing(self, stamp: float) -> np.ndarray:
+        """Return for how long (s) everybody has had no face (N,)."""
+        return stamp - self._face_at
+
+    def _follow(self, ids: Sequence[str]) -> None:
+        """Let the rows be those of `ids`; of somebody new nothing is known."""
+        if list(ids) == self._ids:
+            return
+        rows: Dict[str, int] = {identity: row for row, identity in enumerate(self._ids)}
+        count = len(self._ids)
+        before = np.array([rows.get(identity, -1) for identity in ids], dtype=np.int64)
+        targets = np.append(np.where(before >= 0, before, count + 1), count)
+        padded = np.full((len(TIMES), count + 1, count + 2, 4), np.nan)
+        padded[:, :-1, :-1] = self._means
+        self._means = padded[:, before][:, :, targets]
+        self._speech = np.append(self._speech, np.zeros((len(_SPEECH_TIMES), 1)), axis=1)[:, np.append(before, count)]
+        self._face_at, self._eyes_at = (np.append(times, -math.inf)[before] for times in (self._face_at, self._eyes_at))
+        self._ids = list(ids)
+
+
+def _numbers(groups: Optional[np.ndarray], count: int) -> np.ndarray:
+    """The groups of everybody (N,), -1 in none; also where they are not known."""
+    return np.full(count, -1) if groups is None else groups
+
+
+def _of_belief(beliefs: np.ndarray, rows: np.ndarray, targets: np.ndarray) -> List[np.ndarray]:
+    """The belief in each target, in the likeliest other one, in nobody; whether it is the robot."""
+    last = beliefs.shape[1] - 2
+    best = beliefs[:, :-1].argmax(axis=1)
+    everybody = np.arange(len(best))
+    others = beliefs[:, :-1].copy()
+    others[everybody, best] = -1.0
+    rivals = np.where(targets == best[rows], others.max(axis=1)[rows], beliefs[everybody, best][rows])
+    return [beliefs[rows, targets], rivals, beliefs[rows, -1], targets == last]
+
+
+class Trees:
+    """Boosted symmetric trees: all nodes of one level ask the same (Prokhorenkova et al., CatBoost, NeurIPS 2018)."""
+
+    def __init__(self, start: float, trees: Sequence[Sequence[Sequence[float]]]) -> None:
+        """start: log odds without any tree. trees: of each the cues and the limits of its levels, and the values of its
+        leaves, where the first level is the lowest bit."""
+        self._start = start
+        self._cues = np.array([tree[0] for tree in trees], dtype=np.int64).reshape(-1, LEVELS)
+        self._limits = np.array([tree[1] for tree in trees], dtype=np.float64).reshape(-1, LEVELS)
+        self._values = np.array([tree[2] for tree in trees], dtype=np.float64).reshape(-1)
+        self._first = np.arange(len(trees)) << LEVELS
+
+    def odds(self, cues: np.ndarray) -> np.ndarray:
+        """Return the log odds (K,) of looks by their cues (K, len(CUES)); what is not known is below all limits."""
+        leaves = (cues[:, self._cues] > self._limits) @ (1 << np.arange(LEVELS))
+        return self._start + self._values[leaves + self._first].sum(axis=1)
+
+
+class GazeJudge:
+    """Judges the looks that the filter believes possible."""
+
+    def __init__(self, trees: Optional[Trees] = None) -> None:
+        self._cues = GazeCues()
+        self._trees = trees or Trees(START, TREES)
+
+    def reset(self) -> None:
+        """Forget everybody."""
+        self._cues.reset()
+
+    def update(self, people: PeopleSnapshot, lines: "SightLines", beliefs: np.ndarray, head_radius: float,
+               stamp: float, dt: float) -> np.ndarray:
+        """Return how likely everybody looks at each target (N, T); see GazeCues. Of people without a face it is
+        what the filter believes."""
+        judged = beliefs[:, :-1].copy()
+        rows, targets, cues = self.looks(people, lines, beliefs, head_radius, stamp, dt)
+        judged[rows, targets] = 1.0 / (1.0 + np.exp(-self._trees.odds(cues)))
+        return judged
+
+    def looks(self, people: PeopleSnapshot, lines: "SightLines", beliefs: np.ndarray, head_radius: float,
+              stamp: float, dt: float) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the looks to judge: observers (K,), targets (K,) and cues (K, len(CUES))."""
+        self._cues.update(people, lines, stamp, dt)
+        faced = self._cues.face_missing(stamp) <= _MISSED_S
+        rows, targets = np.nonzero((beliefs[:, :-1] >= LEAST_BELIEF) & lines.possible & faced[:, None])
+        return rows, targets, self._cues.of(rows, targets, people, lines, beliefs, head_radius, stamp)
