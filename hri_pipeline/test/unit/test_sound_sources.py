@@ -86,6 +86,33 @@ def test_a_directory_in_reading_order_and_in_one_format(tmp_path):
         assert np.fft.rfftfreq(len(part), 1 / 16000)[np.argmax(spectrum)] == pytest.approx(frequency, abs=4.0)
 
 
+def damaged(path):
+    """A flac file whose second half cannot be decoded."""
+    noise = np.random.default_rng(0).normal(scale=0.1, size=48000)
+    soundfile.write(str(path), noise, 16000)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2:] = bytes(len(content) - len(content) // 2)
+    path.write_bytes(bytes(content))
+    return path
+
+
+def test_a_file_that_is_damaged_further_on_is_left_out_of_a_directory(tmp_path):
+    damaged(tmp_path / "s1.flac")
+    write(tmp_path / "s2.wav")
+    said = []
+    source = open_sound_source(settings(tmp_path, pause=0.0), said.append)
+    sound = np.concatenate([source.read(1600) for _ in range(60)])
+    assert len(said) == 1 and "s1.flac" in said[0] and "left out" in said[0]
+    np.testing.assert_array_equal(sound[-8000:], sound[-16000:-8000], "the other one goes on, again and again")
+
+
+def test_a_damaged_file_alone_is_an_error(tmp_path):
+    source = open_sound_source(settings(damaged(tmp_path / "s1.flac")), refuse)
+    with pytest.raises(SoundSourceError, match="s1.flac is damaged.*replace it"):
+        for _ in range(60):
+            source.read(1600)
+
+
 def test_one_channel_goes_to_all(tmp_path):
     source = open_sound_source(settings(write(tmp_path / "a.wav"), channels=4, loop=False), refuse)
     sound = source.read(160)

@@ -74,7 +74,13 @@ class FileSource(SoundSource):
             if self._file is None and not self._open_next():
                 break
             assert self._file is not None      # the next one was opened
-            part = self._file.read(missing)
+            try:
+                part = self._file.read(missing)
+            except SoundSourceError as error:
+                self.close()
+                self._next -= 1
+                self._leave_out(error)
+                continue
             missing -= len(part)
             parts.append(part)
             if missing:
@@ -98,18 +104,21 @@ class FileSource(SoundSource):
                 if not self._settings.loop:
                     return False
                 self._next = 0
-            path = self._paths[self._next]
             try:
-                self._file = _OpenFile(path, self.rate, self.channels, self._settings)
+                self._file = _OpenFile(self._paths[self._next], self.rate, self.channels, self._settings)
                 self.rate, self.channels = self._file.rate, self._file.channels
                 self._next += 1
                 return True
             except SoundSourceError as error:
-                if len(self._paths) == 1:
-                    raise
-                self._paths.remove(path)
-                self._notify("{}; it is left out".format(error))
+                self._leave_out(error)
         return False
+
+    def _leave_out(self, error: SoundSourceError) -> None:
+        """Go on without the next file, which cannot be read; the last one must be."""
+        if len(self._paths) == 1:
+            raise error
+        del self._paths[self._next]
+        self._notify("{}; it is left out".format(error))
 
 
 class _OpenFile:
