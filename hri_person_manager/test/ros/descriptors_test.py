@@ -56,7 +56,7 @@ class DescriptorsTest(unittest.TestCase):
 
     def listen(self):
         feed = IdSubscribers("persons", TOPICS, lambda person, name, message: self.heard.add((person, name)),
-                           max_ids=MOST)
+                             max_ids=MOST)
         self.addCleanup(feed.close)
         return feed
 

@@ -10,6 +10,6 @@ from hri_pipeline.ros.subscriptions import IdSubscribers
 rospy.init_node("id_listener")
 counter = rospy.Publisher("~received", String, queue_size=1000)
 feed = IdSubscribers("faces", {"roi": RegionOfInterest, "name": String},
-                   lambda identity, name, message: counter.publish(identity + "/" + name))
+                     lambda identity, name, message: counter.publish(identity + "/" + name))
 rospy.spin()
 feed.close()

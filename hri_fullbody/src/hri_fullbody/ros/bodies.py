@@ -243,7 +243,7 @@ class ReidentificationMatches:
         self._person_of: "OrderedDict[str, str]" = OrderedDict()
         self._publisher = rospy.Publisher(MATCHES_TOPIC, IdsMatch, queue_size=20)
         self._feed = IdSubscribers("persons", {"body_id": String}, self._on_body_id, max_ids=200,
-                                 list_timeout=list_timeout)
+                                   list_timeout=list_timeout)
 
     def publish(self, found: Iterable[Reidentification]) -> None:
         """Publish a match for each body whose earlier one had a person."""
@@ -302,7 +302,7 @@ class FaceInput:
         self._poses: Dict[str, Deque[Tuple[float, str, Pose]]] = {}
         self._ids: List[str] = []
         self._feed = IdSubscribers("faces", {"landmarks": LandmarkArray}, self._store, self._keep,
-                                 list_timeout=list_timeout)
+                                   list_timeout=list_timeout)
         self._transforms = rospy.Subscriber("/tf", rospy.AnyMsg, self._on_transforms, queue_size=100)
         self._closed = False
 

@@ -348,7 +348,7 @@ class PersonsWatch:
         self._feeds = [IdSubscribers("persons", _TOPICS, self._on_value, self._on_tracked)]
         for plural, prefix in (("faces", "face_"), ("bodies", "body_")):
             self._feeds.append(IdSubscribers(plural, {}, self._on_value, self._features_callback(prefix),
-                                           max_ids=MAX_FEATURES))
+                                             max_ids=MAX_FEATURES))
         self._subscriber = TfSubscriber(self._on_frames, skip=SKELETONS)
         self._diagnostics = rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics, queue_size=100)
 

@@ -106,7 +106,7 @@ class RestartState:
     """Writes who is made of which features whenever that changes; ids only, nothing about the human.
 
     The parameter stands beside the node's own ones, NODE_memory: those are checked, and cleared by roslaunch. A thread
-    writes it: rospy waits for minutes for a master that a failed network has cut off.
+    writes it: persons do not wait for a master that a failed network has cut off.
     """
 
     def __init__(self) -> None:
@@ -294,7 +294,7 @@ class PersonManagerNode:
                                          queue_size=1000, tcp_nodelay=True)
         for plural, kind, topics in _FEEDS:
             self._feeds[plural] = IdSubscribers(plural, topics, self._on_feature, self._tracked_callback(plural, kind),
-                                              max_ids=MAX_FEATURES, list_timeout=settings.list_timeout)
+                                                max_ids=MAX_FEATURES, list_timeout=settings.list_timeout)
         self._report = ManagerDiagnostics(self._manager, self._guard, self._reference, self._tf_input, self._feeds,
                                           self._tf)
         self._reset = rospy.Service("~reset", Empty, self._on_reset)

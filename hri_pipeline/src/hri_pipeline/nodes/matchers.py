@@ -133,9 +133,9 @@ class FaceBodyMatcherNode(MatcherBase):
         self._last_diagnostics = 0.0
         self._feeds = [
             IdSubscribers("faces", {"landmarks": LandmarkArray}, self._on_landmarks, self._tracked("faces"),
-                        list_timeout=settings.list_timeout),
+                          list_timeout=settings.list_timeout),
             IdSubscribers("bodies", {"skeleton2d": SkeletonArray}, self._on_skeleton, self._tracked("bodies"),
-                        list_timeout=settings.list_timeout)]
+                          list_timeout=settings.list_timeout)]
         self._transforms = TfSubscriber(self._on_frames)
 
     def _cycle(self) -> None:
@@ -208,7 +208,7 @@ class VoiceMatcherNode(MatcherBase):
         self._matched = 0
         self._times = StageTimes()
         self._voices = IdSubscribers("voices", {"is_speaking": Bool}, self._on_speaking, self._on_voices,
-                                   list_timeout=settings.list_timeout)
+                                     list_timeout=settings.list_timeout)
 
     def _cycle(self) -> None:
         self._listen()
@@ -324,9 +324,9 @@ class VoiceContext:
         self.unconnected = ""
         self._list_timeout = list_timeout
         self._faces = IdSubscribers("faces", {"facs": FacialActionUnits}, self._on_units, self._on_faces,
-                                  list_timeout=list_timeout)
+                                    list_timeout=list_timeout)
         self._people = IdSubscribers("persons", {"face_id": String, "voice_id": String}, self._on_person,
-                                   self._on_persons, list_timeout=list_timeout)
+                                     self._on_persons, list_timeout=list_timeout)
         self._known = rospy.Subscriber("/humans/persons/known", IdsList, self._on_known, queue_size=1)
         self._transforms = TfSubscriber(self._on_frames, skip=SKELETONS)
 
@@ -355,7 +355,7 @@ class VoiceContext:
             lacking = [face for face in self._seen if self._lacks_units(face, now)]
         if lacking and self._landmarks is None:
             self._landmarks = IdSubscribers("faces", {"landmarks": LandmarkArray}, self._on_landmarks,
-                                          list_timeout=self._list_timeout)
+                                            list_timeout=self._list_timeout)
         elif not lacking and self._landmarks is not None:
             self._landmarks.close()
             self._landmarks = None

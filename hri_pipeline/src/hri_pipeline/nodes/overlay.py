@@ -55,11 +55,11 @@ class OverlayInputs:
         faces = {"landmarks": LandmarkArray}
         self._feeds = [
             IdSubscribers("faces", dict(faces, expression=Expression) if settings.expressions else faces, self._on_face,
-                        self._on_faces, list_timeout=settings.list_timeout),
+                          self._on_faces, list_timeout=settings.list_timeout),
             IdSubscribers("bodies", {"skeleton2d": SkeletonArray}, self._on_body, self._on_bodies,
-                        list_timeout=settings.list_timeout),
+                          list_timeout=settings.list_timeout),
             IdSubscribers("persons", dict(PERSON_TOPICS, name=String) if settings.names else PERSON_TOPICS,
-                        self._on_person, self._on_persons, list_timeout=settings.list_timeout)]
+                          self._on_person, self._on_persons, list_timeout=settings.list_timeout)]
         self._gaze = rospy.Subscriber("/humans/interactions/gaze", GazesStamped, self._on_gazes,
                                       queue_size=1) if settings.gazes else None
         compressed = settings.image_transport == "compressed"

@@ -58,12 +58,12 @@ class PeopleInput:
         self.refused = self.jumps = 0
         features = {"face_id": String, "body_id": String, "voice_id": String}
         self._feeds = {"persons": IdSubscribers("persons", features, self._on_feature, self._on_people,
-                                              max_ids=MAX_PEOPLE, list_timeout=settings.list_timeout)}
+                                                max_ids=MAX_PEOPLE, list_timeout=settings.list_timeout)}
         self._feeds["voices"] = IdSubscribers("voices", {"is_speaking": Bool}, self._on_speaking, self._on_voices,
                                               max_ids=MAX_PEOPLE, list_timeout=settings.list_timeout)
         if settings.use_facs or has_gaze_of_closed_eyes(settings.interface):
             self._feeds["faces"] = IdSubscribers("faces", {"facs": FacialActionUnits}, self._on_facs, self._on_faces,
-                                               max_ids=MAX_PEOPLE, list_timeout=settings.list_timeout)
+                                                 max_ids=MAX_PEOPLE, list_timeout=settings.list_timeout)
         self._subscriber = TfSubscriber(self._on_frames)
 
     def reconfigure(self, settings: InteractionSettings) -> None:
