@@ -1,5 +1,7 @@
-"""rospy's publish() goes on at once, and still sends everything; images are received without copies."""
+"""rospy's publish() goes on at once, and still sends everything; images are received without copies; messages of any
+type."""
 
+import copy
 import socket
 import struct
 import threading
@@ -216,3 +218,26 @@ def test_other_messages_are_received_as_before(connect):
     transport, publisher = connect(String, 65536)
     publisher.sendall(wire_of(String("one")) + wire_of(String("two")))
     assert [message.data for message in transport.receive_once()] == ["two"]
+
+
+def any_message(message, **header):
+    buffer = BytesIO()
+    message.serialize(buffer)
+    found = rospy_compat.AnyMessage().deserialize(buffer.getvalue())
+    found._connection_header = dict({"type": message._type, "md5sum": message._md5sum}, **header)
+    return found
+
+
+def test_a_message_of_any_type_has_the_fields_of_its_own():
+    found = any_message(String("Ann"))
+    assert found.data == "Ann" and rospy_compat.message_of(found) == String("Ann")
+    assert copy.deepcopy(found).data == copy.copy(found).data == "Ann"
+    with pytest.raises(AttributeError, match="transforms"):
+        print(found.transforms)
+    for header in ({"type": "nowhere/Nothing"}, {"md5sum": "0" * 32}):
+        with pytest.raises(AttributeError, match="not known here"):
+            print(any_message(String("Ann"), **header).data)
+
+
+def test_the_bytes_of_a_message_that_the_program_has_read_already():
+    assert rospy_compat.bytes_of(String("Ann")) == rospy_compat.bytes_of(any_message(String("Ann")))

@@ -432,6 +432,10 @@ class AnyMessage(rospy.AnyMsg):
                 raise AttributeError(str(error)) from error
         return getattr(self._read, name)
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Copies are messages of its own type."""
+        return message_of(self).__reduce_ex__(protocol)
+
 
 def message_of(message: genpy.Message) -> genpy.Message:
     """Return a message that came to a subscriber of any type, in its own type.
