@@ -262,3 +262,39 @@ class Photographs:
 def test_photographs_in_turn_make_no_persons_whom_nobody_sees(seeds):
     too_many = [Photographs(seed).run() for seed in seeds]
     assert max(too_many) <= 2.5 and sum(too_many) <= 0.03 * Photographs.SECONDS * len(too_many)
+
+
+def with_new_body(placed, seconds, place_after=None):
+    """Most persons within `seconds` of the first list with the body of the one face that is seen.
+
+    placed: the face has a place. place_after: s after which the body has one.
+    """
+    camera = LateCamera(((2.0, 0.0, 1.6),), speed=0.0)
+    most, manager = 0, camera.manager
+    for number in range(round(10 * (2.0 + seconds)) + 1):
+        now = round(0.1 * number, 6)
+        since = now - 2.0
+        manager.on_tracked(Kind.FACE, ["f0"], now)
+        manager.on_tracked(Kind.BODY, ["b0"] if since >= 0.0 else [], now)
+        for kind, source, there in ((0, PlaceSource.FACE, placed),
+                                    (1, PlaceSource.HEAD, place_after is not None and since >= place_after)):
+            if there:
+                place = Place("map", Pose(np.eye(3), camera.where(0, kind, now)), now, origin=CAMERA)
+                manager.on_place(source, "fb"[kind] + "0", place, now, "camera")
+        manager.tick(now)
+        most = max(most, len(manager.snapshot(now).tracked))
+    camera.now = now
+    return most, camera
+
+
+def test_a_body_that_has_no_place_yet_waits_a_second_beside_a_face_without_body():
+    assert with_new_body(True, 1.3)[0] == 1
+    most, camera = with_new_body(True, 4.0, place_after=1.2)
+    assert most == 1
+    camera.match(0, 0.8)
+    assert camera.person("f0") == camera.person("b0") is not None
+
+
+def test_a_body_that_gets_no_place_is_somebody_after_a_second_more_and_at_once_where_there_are_no_places():
+    assert with_new_body(True, 2.0)[0] == 2
+    assert with_new_body(False, 0.8)[0] == 2

@@ -32,6 +32,7 @@ from hri_pipeline.core.tracks import assign
 _ORIGIN = np.zeros(3)
 MATCH_WAIT_S = 5.0            # for which a body at the place of a face that has none, or a face, waits for their match,
 #                               and longer where one of them lags
+PLACE_WAIT_S = 1.5            # for which one without a place yet waits beside a face, or body, that has one
 MATCH_GATE = 9.0              # squared Mahalanobis distance up to which they are at one place
 MAX_UNSEEN_PERSONS = 32       # permanent persons kept with their topics although nobody sees them
 _KIND_OF_SOURCE = {PlaceSource.FACE: Kind.FACE, PlaceSource.HEAD: Kind.BODY, PlaceSource.BODY: Kind.BODY,
@@ -426,8 +427,20 @@ class PersonManager:
                 if (face in waiting or body in waiting) and not self._association.is_refuted(face, body):
                     costs[row, column] = self._places.squared_distance(face, body)
         pairs = [(faces[row], bodies[column]) for row, column in assign(costs, MATCH_GATE)]
-        return {node for face, body in pairs for node in [body if body in waiting else face]
-                if now - waiting[node] <= MATCH_WAIT_S + self._places.match_delay(face, body)}
+        matched = {node for face, body in pairs for node in [body if body in waiting else face]
+                   if now - waiting[node] <= MATCH_WAIT_S + self._places.match_delay(face, body)}
+        return matched | self._waiting_for_places(
+            {node for node, since in waiting.items() if now - since <= PLACE_WAIT_S}, faces, bodies)
+
+    def _waiting_for_places(self, new: Set[MatchNode], faces: List[MatchNode],
+                            bodies: List[MatchNode]) -> Set[MatchNode]:
+        """Those of the `new` features that have no place yet, while a half of the other kind, without them, has one."""
+        waiting: Set[MatchNode] = set()
+        for ones, others in ((faces, bodies), (bodies, faces)):
+            if self._places.of(others):
+                placed = {node for node, _ in self._places.of(ones)}
+                waiting.update(node for node in ones if node in new and node not in placed)
+        return waiting
 
     def _owner_id(self, feature: MatchNode) -> str:
         owner = self._table.owner(feature)
