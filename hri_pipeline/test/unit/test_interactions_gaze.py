@@ -192,7 +192,7 @@ def test_any_number_of_people(count):
     targets = GazeTargets(INTERACTION_PARAMETERS.resolve({}))
     people = [Observer("p{}".format(index), chance.uniform(-4.0, 4.0, 3), gaze_direction=np.array([0.0, 1.0, 0.0]))
               for index in range(count)]
-    told = [gaze for step in range(5) for gaze in targets.update(people, ROBOT_AT, step / RATE)]
+    told = [gaze for step in range(15) for gaze in targets.update(people, ROBOT_AT, step / RATE)]
     assert all(gaze.sender != gaze.receiver and 0.0 < gaze.confidence <= 1.0 for gaze in told)
     assert len({gaze.sender for gaze in told}) >= count // 10
 
