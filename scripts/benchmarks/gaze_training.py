@@ -1,6 +1,6 @@
 """Grows the trees of `core/interactions/gaze_trees.py` in the worlds of `gaze_random`.
 
-    scripts/lib/in_workspace.sh gaze_training env PYTHONPATH=scripts python3 -m benchmarks.gaze_training
+    cd scripts; bash lib/in_workspace.sh training python3 -m benchmarks.gaze_training
 
 collects looks of 115 scenes (about 5 minutes of one core), and writes the module anew. Nothing of `gaze_independent`
 or of real pictures is used: they say afterwards whether it holds.
