@@ -25,7 +25,7 @@ _SPEECH_TIMES = (0.3, 1.5)
 LEAST_BELIEF = 0.02
 """Targets less likely than this to the filter are not judged again."""
 _MISSED_S = 0.5
-"""Who had a face a moment (s) ago is judged as somebody with a face."""
+"""Who had a face and a trunk a moment (s) ago is judged as somebody with both."""
 _NOW = ("now", *TIMES)
 CUES = ("belief", "rival", "nobody", "robot", "distance", "range", "spread", "aside", "above", "head_aside", "trunk",
         *("{}_{}".format(name, time) for name in ("off", "eyes_to_side", "eyes_up", "head_to_side", "head_up")
@@ -62,7 +62,7 @@ class GazeCues:
         self._means = np.full((len(TIMES), 0, 1, 4), np.nan)
         self._now = self._means[0]
         self._speech = np.zeros((len(_SPEECH_TIMES), 1))
-        self._face_at, self._eyes_at = np.zeros(0), np.zeros(0)
+        self._face_at, self._eyes_at, self._trunk_at = np.zeros(0), np.zeros(0), np.zeros(0)
 
     def update(self, people: PeopleSnapshot, lines: "SightLines", stamp: float, dt: float) -> None:
         """Take one image; stamp, dt: its time and that since the last one (s)."""
@@ -79,6 +79,7 @@ class GazeCues:
                 row[:-1] += (1.0 - math.exp(-dt / time)) * (people.speaking - row[:-1])
         self._face_at = np.where(people.faceless, self._face_at, stamp)
         self._eyes_at = np.where(np.isnan(people.gazes[:, 0]), self._eyes_at, stamp)
+        self._trunk_at = np.where(np.isnan(people.trunks[:, 0]), self._trunk_at, stamp)
 
     def of(self, rows: np.ndarray, targets: np.ndarray, people: PeopleSnapshot, lines: "SightLines",
            beliefs: np.ndarray, head_radius: float, stamp: float) -> np.ndarray:
@@ -124,6 +125,10 @@ class GazeCues:
         """Return for how long (s) everybody has had no face (N,)."""
         return stamp - self._face_at
 
+    def trunk_missing(self, stamp: float) -> np.ndarray:
+        """Return for how long (s) everybody has had no trunk (N,)."""
+        return stamp - self._trunk_at
+
     def _follow(self, ids: Sequence[str]) -> None:
         """Let the rows be those of `ids`; of somebody new nothing is known."""
         if list(ids) == self._ids:
@@ -136,7 +141,8 @@ class GazeCues:
         padded[:, :-1, :-1] = self._means
         self._means = padded[:, before][:, :, targets]
         self._speech = np.append(self._speech, np.zeros((len(_SPEECH_TIMES), 1)), axis=1)[:, np.append(before, count)]
-        self._face_at, self._eyes_at = (np.append(times, -math.inf)[before] for times in (self._face_at, self._eyes_at))
+        self._face_at, self._eyes_at, self._trunk_at = (np.append(times, -math.inf)[before] for times in (
+            self._face_at, self._eyes_at, self._trunk_at))
         self._ids = list(ids)
 
 
@@ -183,10 +189,12 @@ class GazeJudge:
 
     def update(self, people: PeopleSnapshot, lines: "SightLines", beliefs: np.ndarray, head_radius: float,
                stamp: float, dt: float) -> np.ndarray:
-        """Return how likely everybody looks at each target (N, T); see GazeCues. Of people without a face it is
-        what the filter believes."""
+        """Return how likely everybody looks at each target (N, T); see GazeCues. Of people without a face or a trunk it
+        is what the filter believes."""
         judged = beliefs[:, :-1].copy()
         rows, targets, cues = self.looks(people, lines, beliefs, head_radius, stamp, dt)
+        whole = self._cues.trunk_missing(stamp)[rows] <= _MISSED_S
+        rows, targets, cues = rows[whole], targets[whole], cues[whole]
         judged[rows, targets] = 1.0 / (1.0 + np.exp(-self._trees.odds(cues)))
         return judged
 
