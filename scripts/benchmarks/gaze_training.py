@@ -1,6 +1,6 @@
 """Grows the trees of `core/interactions/gaze_trees.py` in the worlds of `gaze_random`.
 
-    scripts/lib/in_workspace.sh gaze_training env PYTHONPATH=scripts python3 -m benchmarks.gaze_training
+    cd scripts; bash lib/in_workspace.sh training python3 -m benchmarks.gaze_training
 
 collects looks of 115 scenes (about 5 minutes of one core), and writes the module anew. Nothing of `gaze_independent`
 or of real pictures is used: they say afterwards whether it holds.
@@ -81,7 +81,7 @@ def joined(looks: Sequence[Looks]) -> Looks:
 def grow(looks: Looks, trees: int = TREES) -> Tuple[float, List[Tree]]:
     """Return the log odds without any tree, and boosted symmetric trees (Friedman, Ann. Statist. 29, 2001, with second
     derivatives)."""
-    limits = [np.unique(np.nanquantile(column, np.linspace(0.0, 1.0, _BINS + 1)[1:-1])) for column in looks.cues.T]
+    limits = [_limits(column) for column in looks.cues.T]
     bins = np.stack([np.searchsorted(limit, np.where(np.isnan(column), -np.inf, column)) for limit, column in zip(
         limits, looks.cues.T)])
     part = float(np.average(looks.right, weights=looks.weights))
@@ -101,6 +101,13 @@ def grow(looks: Looks, trees: int = TREES) -> Tuple[float, List[Tree]]:
         grown.append((tuple(cue for cue, _ in chosen), tuple(round(float(limits[cue][limit]), 4) for cue, limit in
                                                              chosen), tuple(np.round(values, 3).tolist())))
     return start, grown
+
+
+def _limits(column: np.ndarray) -> np.ndarray:
+    """Return finite values between which about equally many known values of a cue lie."""
+    with np.errstate(invalid="ignore"):
+        found = np.nanquantile(column, np.linspace(0.0, 1.0, _BINS + 1)[1:-1])
+    return np.unique(found[np.isfinite(found)])
 
 
 def _best(bins: np.ndarray, leaves: np.ndarray, slopes: np.ndarray, curves: np.ndarray, count: int) -> Tuple[int, int]:

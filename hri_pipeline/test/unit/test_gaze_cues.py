@@ -145,6 +145,14 @@ def test_only_what_the_filter_believes_possible_of_people_with_faces_is_judged()
     assert watch.latest == pytest.approx(beliefs[:, :-1])
 
 
+def test_people_without_a_trunk_are_not_judged():
+    seen, always = people(EACH), Trees(2.0, [((0, 0, 0), (0.0, 0.0, 0.0), (0.0,) * 8)])
+    seen.trunks[1] = math.nan
+    watch = Watch(GazeJudge(always)).see(seen)
+    assert watch.latest[1] == pytest.approx(even(3)[1, :-1])
+    assert watch.latest[0, 1] == pytest.approx(1.0 / (1.0 + math.exp(-2.0)))
+
+
 def test_the_trees_are_whole():
     assert len(gaze_trees.TREES) >= 20
     for cues, limits, values in gaze_trees.TREES:

@@ -1,9 +1,11 @@
-"""The figures of the gazes: good in a short scene, worse without the closed-eyes rule, and better than the head
-alone."""
+"""The figures of the gazes: good in a short scene, worse without the closed-eyes rule, better than the head alone; and
+in a world of others better than the filter alone."""
 
 import pytest
 
 from benchmarks.gaze import CLOSED_AFTER_S, RATE, ROBOT_AT, gaze, head_rule, run
+from benchmarks.gaze_independent import figures
+from hri_pipeline.core.interactions.gaze_cues import GazeJudge
 
 SEED = (7,)
 
@@ -16,6 +18,15 @@ def test_the_closed_eyes_rule_is_what_ends_gazes_of_closed_eyes():
     assert without["closed_gazes"] > RATE
     head = head_rule(3, 20.0, seeds=SEED)
     assert min(head["precision"], head["recall"]) < min(with_rule["precision"], with_rule["recall"])
+
+
+@pytest.mark.slow("two simulations")
+def test_the_judge_finds_more_looks_of_a_world_in_which_it_did_not_learn(monkeypatch):
+    judged = figures(counts=(8,), seconds=12.0, seeds=(30,))["faces"]["8"]
+    monkeypatch.setattr(GazeJudge, "update", lambda judge, people, lines, beliefs, *others: beliefs[:, :-1])
+    filtered = figures(counts=(8,), seconds=12.0, seeds=(30,))["faces"]["8"]
+    assert judged["recall"] > filtered["recall"] + 0.02
+    assert judged["precision"] > filtered["precision"] - 0.01
 
 
 def test_the_scene_has_what_it_promises():

@@ -25,13 +25,17 @@ _SPEECH_TIMES = (0.3, 1.5)
 LEAST_BELIEF = 0.02
 """Targets less likely than this to the filter are not judged again."""
 _MISSED_S = 0.5
-"""Who had a face a moment (s) ago is judged as somebody with a face."""
+"""Who had a face and a trunk a moment (s) ago is judged as somebody with both."""
 _NOW = ("now", *TIMES)
 CUES = ("belief", "rival", "nobody", "robot", "distance", "range", "spread", "aside", "above", "head_aside", "trunk",
         *("{}_{}".format(name, time) for name in ("off", "eyes_to_side", "eyes_up", "head_to_side", "head_up")
           for time in _NOW),
         "looks_back", "heard", "heard_long", "speaks", "grouped", "in_group", "face_missing", "eyes_missing")
 """Names of what is known of each look, in the order of the columns; NaN where it is not known."""
+_AT = {name: number for number, name in enumerate(CUES)}
+_OFF, _TO_SIDE, _UP, _HEAD_TO_SIDE, _HEAD_UP = (slice(_AT[name + "_now"], _AT[name + "_now"] + len(_NOW)) for name in (
+    "off", "eyes_to_side", "eyes_up", "head_to_side", "head_up"))
+_HEARD = slice(_AT["heard"], _AT["heard"] + len(_SPEECH_TIMES))
 
 
 def turns(units: np.ndarray, directions: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
@@ -58,7 +62,7 @@ class GazeCues:
         self._means = np.full((len(TIMES), 0, 1, 4), np.nan)
         self._now = self._means[0]
         self._speech = np.zeros((len(_SPEECH_TIMES), 1))
-        self._face_at, self._eyes_at = np.zeros(0), np.zeros(0)
+        self._face_at, self._eyes_at, self._trunk_at = np.zeros(0), np.zeros(0), np.zeros(0)
 
     def update(self, people: PeopleSnapshot, lines: "SightLines", stamp: float, dt: float) -> None:
         """Take one image; stamp, dt: its time and that since the last one (s)."""
@@ -75,6 +79,7 @@ class GazeCues:
                 row[:-1] += (1.0 - math.exp(-dt / time)) * (people.speaking - row[:-1])
         self._face_at = np.where(people.faceless, self._face_at, stamp)
         self._eyes_at = np.where(np.isnan(people.gazes[:, 0]), self._eyes_at, stamp)
+        self._trunk_at = np.where(np.isnan(people.trunks[:, 0]), self._trunk_at, stamp)
 
     def of(self, rows: np.ndarray, targets: np.ndarray, people: PeopleSnapshot, lines: "SightLines",
            beliefs: np.ndarray, head_radius: float, stamp: float) -> np.ndarray:
@@ -82,27 +87,47 @@ class GazeCues:
 
         beliefs (N, T + 1): see GazeTargetFilter.
         """
+        cues = np.empty((len(CUES), len(rows)))
+        wide = self._of_directions(cues, rows, targets, people, lines, head_radius)
+        _of_belief(cues, beliefs, rows, targets)
+        cues[_AT["distance"]], cues[_AT["spread"]] = lines.distances[rows, targets], wide
+        cues[_AT["range"]] = np.sqrt((people.rays * people.rays).sum(axis=1))[rows]
         count = len(people)
+        groups = np.full(count + 1, -1)
+        if people.groups is not None:
+            groups[:-1] = people.groups
+        eyes_back = self._means[0, np.where(targets < count, targets, 0), rows]
+        mine = groups[rows]
+        cues[_AT["looks_back"]] = np.where(targets < count, np.hypot(eyes_back[:, 0], eyes_back[:, 1]), np.nan)
+        cues[_HEARD], cues[_AT["speaks"]] = self._speech[:, targets], self._speech[-1, rows]
+        cues[_AT["in_group"]] = mine >= 0
+        cues[_AT["grouped"]] = (mine == groups[targets]) & (mine >= 0)
+        cues[_AT["face_missing"]] = self.face_missing(stamp)[rows]
+        cues[_AT["eyes_missing"]] = stamp - self._eyes_at[rows]
+        return cues.T
+
+    def _of_directions(self, cues: np.ndarray, rows: np.ndarray, targets: np.ndarray, people: PeopleSnapshot,
+                       lines: "SightLines", head_radius: float) -> np.ndarray:
+        """Fill in the cues of eyes, heads and trunks; return the standard deviation (K,), rad, of eyes to the sides."""
         square = people.deviations[rows, 2] ** 2
         wide, high = (np.sqrt(square + extent[rows, targets]) for extent in lines.extents(head_radius))
         trunk = turns(lines.units[rows, targets][:, None], people.trunks[rows])[0][:, 0]
-        side = np.where(np.isnan(trunk), np.nan, np.where(trunk < 0.0, -1.0, 1.0))
+        side = np.sign(trunk)
         seen = np.concatenate([self._now[None, rows, targets], self._means[:, rows, targets]])
         x, y, heads = seen[..., 0] / wide, seen[..., 1] / high, seen[..., 2]
-        groups = np.append(_numbers(people.groups, count), -1)
-        back = np.where(targets < count, targets, 0)
-        eyes_back = np.hypot(self._means[0, back, rows, 0], self._means[0, back, rows, 1])
-        return np.stack([
-            *_of_belief(beliefs, rows, targets), lines.distances[rows, targets],
-            np.sqrt((people.rays * people.rays).sum(axis=1))[rows], wide, np.abs(x[0]), np.abs(y[0]), np.abs(heads[0]),
-            np.abs(trunk), *np.hypot(x, y), *(side * x), *y, *(side * heads), *seen[..., 3],
-            np.where(targets < count, eyes_back, np.nan), *self._speech[:, targets], self._speech[1, rows],
-            (groups[rows] == groups[targets]) & (groups[rows] >= 0), groups[rows] >= 0,
-            self.face_missing(stamp)[rows], stamp - self._eyes_at[rows]], axis=1)
+        cues[_AT["aside"]], cues[_AT["above"]] = np.abs(x[0]), np.abs(y[0])
+        cues[_AT["head_aside"]], cues[_AT["trunk"]] = np.abs(heads[0]), np.abs(trunk)
+        cues[_OFF], cues[_TO_SIDE], cues[_UP] = np.hypot(x, y), side * x, y
+        cues[_HEAD_TO_SIDE], cues[_HEAD_UP] = side * heads, seen[..., 3]
+        return wide
 
     def face_missing(self, stamp: float) -> np.ndarray:
         """Return for how long (s) everybody has had no face (N,)."""
         return stamp - self._face_at
+
+    def trunk_missing(self, stamp: float) -> np.ndarray:
+        """Return for how long (s) everybody has had no trunk (N,)."""
+        return stamp - self._trunk_at
 
     def _follow(self, ids: Sequence[str]) -> None:
         """Let the rows be those of `ids`; of somebody new nothing is known."""
@@ -116,24 +141,21 @@ class GazeCues:
         padded[:, :-1, :-1] = self._means
         self._means = padded[:, before][:, :, targets]
         self._speech = np.append(self._speech, np.zeros((len(_SPEECH_TIMES), 1)), axis=1)[:, np.append(before, count)]
-        self._face_at, self._eyes_at = (np.append(times, -math.inf)[before] for times in (self._face_at, self._eyes_at))
+        self._face_at, self._eyes_at, self._trunk_at = (np.append(times, -math.inf)[before] for times in (
+            self._face_at, self._eyes_at, self._trunk_at))
         self._ids = list(ids)
 
 
-def _numbers(groups: Optional[np.ndarray], count: int) -> np.ndarray:
-    """The groups of everybody (N,), -1 in none; also where they are not known."""
-    return np.full(count, -1) if groups is None else groups
-
-
-def _of_belief(beliefs: np.ndarray, rows: np.ndarray, targets: np.ndarray) -> List[np.ndarray]:
-    """The belief in each target, in the likeliest other one, in nobody; whether it is the robot."""
+def _of_belief(cues: np.ndarray, beliefs: np.ndarray, rows: np.ndarray, targets: np.ndarray) -> None:
+    """Fill in the belief in each target, in the likeliest other one, in nobody; whether it is the robot."""
     last = beliefs.shape[1] - 2
-    best = beliefs[:, :-1].argmax(axis=1)
-    everybody = np.arange(len(best))
     others = beliefs[:, :-1].copy()
+    best, everybody = others.argmax(axis=1), np.arange(len(others))
+    highest = others[everybody, best]
     others[everybody, best] = -1.0
-    rivals = np.where(targets == best[rows], others.max(axis=1)[rows], beliefs[everybody, best][rows])
-    return [beliefs[rows, targets], rivals, beliefs[rows, -1], targets == last]
+    cues[_AT["belief"]], cues[_AT["nobody"]] = beliefs[rows, targets], beliefs[rows, -1]
+    cues[_AT["robot"]] = targets == last
+    cues[_AT["rival"]] = np.where(targets == best[rows], others.max(axis=1)[rows], highest[rows])
 
 
 class Trees:
@@ -167,10 +189,12 @@ class GazeJudge:
 
     def update(self, people: PeopleSnapshot, lines: "SightLines", beliefs: np.ndarray, head_radius: float,
                stamp: float, dt: float) -> np.ndarray:
-        """Return how likely everybody looks at each target (N, T); see GazeCues. Of people without a face it is
-        what the filter believes."""
+        """Return how likely everybody looks at each target (N, T); see GazeCues. Of people without a face or a trunk it
+        is what the filter believes."""
         judged = beliefs[:, :-1].copy()
         rows, targets, cues = self.looks(people, lines, beliefs, head_radius, stamp, dt)
+        whole = self._cues.trunk_missing(stamp)[rows] <= _MISSED_S
+        rows, targets, cues = rows[whole], targets[whole], cues[whole]
         judged[rows, targets] = 1.0 / (1.0 + np.exp(-self._trees.odds(cues)))
         return judged
 
