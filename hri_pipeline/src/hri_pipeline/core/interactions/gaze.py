@@ -1,8 +1,9 @@
 """Who or what every person looks at: another person, the robot, nobody.
 
 `SightLines` holds the directions and distances from everybody to everybody, `evidence` says how well each direction
-fits each target, and `GazeTargetFilter` decides over time, by one hidden Markov model per person. With few people the
-number of numpy calls is what costs, so everything is computed for all people at once and masked afterwards.
+fits each target, `GazeTargetFilter` believes over time, by one hidden Markov model per person, and `GazeJudge` says how
+likely that is by more of what was seen. With few people the number of numpy calls is what costs, so everything is
+computed for all people at once and masked afterwards.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ class GazeTargets:
     """Follows who looks at whom, one target for each person at a time.
 
     The angle between a person's direction and each target counts by the uncertainty of both and the target's apparent
-    size; a hidden Markov model per person decides over time. Eyes that are closed look at nobody, at once.
+    size; a hidden Markov model per person follows over time, and small trees judge what it believes. Eyes that are
+    closed look at nobody, at once.
     """
 
     def __init__(self, settings: GazeSettings) -> None:
