@@ -15,8 +15,9 @@ from sensor_msgs.msg import RegionOfInterest
 from std_msgs.msg import String
 
 from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.ros import rospy_compat
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
-from hri_pipeline.ros.rospy_compat import publish_without_yielding
+from hri_pipeline.ros.rospy_compat import hear_who_comes_back, publish_without_yielding
 from hri_pipeline.testing import held_by, pid_of, wait_for, without_descriptors
 
 IDS, WARMING = 800, 200
@@ -212,6 +213,24 @@ class IdPublishersTest(unittest.TestCase):
         wait_for(lambda: "49" in heard, 20, lambda: "the last one; heard {}".format(heard))
         subscriber.unregister()
 
+    def test_who_comes_back_is_heard_by_a_subscriber_whose_connection_had_ended_before_it_began(self):
+        """rospy finds nobody at the topic, and keeps that connection in its list for ever."""
+        begun, heard = [], []
+
+        def connect(connection, *others):
+            begun.append(connection)
+            if len(begun) == 1:
+                connection.done = True      # as rospy does
+            else:
+                real(connection, *others)
+        real, rospy_compat._robust_connect = rospy_compat._robust_connect, connect
+        self.addCleanup(setattr, rospy_compat, "_robust_connect", real)
+        self.publishers.open("back")
+        self.publishers.publish("back", "name", String("here"))
+        subscriber = rospy.Subscriber("/humans/faces/back/name", String, lambda message: heard.append(message.data))
+        wait_for(lambda: heard == ["here"], 20, lambda: "the name; connections {}".format(len(begun)))
+        subscriber.unregister()
+
     def test_when_all_are_closed_the_master_knows(self):
         for number in range(20):
             self.publishers.open("one{}".format(number))
@@ -252,5 +271,6 @@ class IdPublishersTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
+    hear_who_comes_back()       # as all nodes do
     rospy.init_node("id_publishers_test")
     rostest.rosrun("hri_pipeline", "id_publishers", IdPublishersTest)

@@ -29,6 +29,7 @@ from hri_pipeline.client.topics import (
     Region,
 )
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.ros.rospy_compat import hear_who_comes_back
 from hri_pipeline.ros.subscriptions import IdSubscribers
 
 
@@ -313,6 +314,7 @@ class Humans:
     def __init__(self, patience: float = 0.5) -> None:
         if not 0.0 <= patience <= 60.0:
             raise ValueError("patience is {} s, legal range 0 to 60".format(patience))
+        hear_who_comes_back()
         self.patience = patience
         self.frames = HumanPoses()
         self._lock = threading.RLock()

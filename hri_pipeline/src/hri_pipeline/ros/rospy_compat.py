@@ -2,12 +2,13 @@
 
 Checked against rospy 1.15.15. Before another version is used, this file has to be read beside its
 rospy/topics.py, rospy/msproxy.py, rospy/impl/registration.py, rospy/impl/tcpros_base.py, rospy/impl/tcpros_pubsub.py
-and rosgraph/xmlrpc.py. Seven things:
+and rosgraph/xmlrpc.py. Eight things:
 
 - File descriptors: as many as the system allows, few for each topic, and a reserve, without which rospy answers no
   call.
 - Release of publishers and subscribers with everything that rospy would leave open.
 - Topics that open, and calls that end, while the master is away.
+- Subscribers that hear a publisher which had gone when they connected, and has come back.
 - publish() that does not give up the processor.
 - Images that are received without copies.
 - Messages of any type beside subscribers of the same process that ask for one type.
@@ -46,7 +47,13 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rosgraph import xmlrpc
 from rospy.core import get_node_uri
 from rospy.impl import tcpros_base, tcpros_pubsub
-from rospy.impl.registration import Registration, RegManager, get_service_manager, get_topic_manager
+from rospy.impl.registration import (
+    Registration,
+    RegManager,
+    get_registration_listeners,
+    get_service_manager,
+    get_topic_manager,
+)
 from sensor_msgs.msg import Image
 
 DESCRIPTORS_HINT = ("raise the limit (ulimit -Hn; nofile in /etc/security/limits.conf, LimitNOFILE= of a systemd "
@@ -80,6 +87,7 @@ def prepare_rospy() -> None:
     rospy.topics.Poller = DescriptorFreePoller
     tcpros_base.TCPServer = _PatientServer
     xmlrpc.ThreadingXMLRPCServer.get_request = _get_request
+    hear_who_comes_back()
     publish_without_yielding()
 
 
@@ -275,6 +283,32 @@ def _reg_added(manager: RegManager, name: str, kind: str, of: str) -> None:
         rospy.logfatal("the master refuses to register %s: %s", name, text)
     elif of == Registration.SUB:
         manager.publisher_update(name, found)
+
+
+_robust_connect = tcpros_pubsub.robust_connect_subscriber
+
+
+def hear_who_comes_back() -> None:
+    """Let subscribers of this process hear a node that publishes a topic again. Idempotent.
+
+    Where the topic goes while a subscriber connects, rospy counts it as connected for a second and more, or for ever,
+    and takes no notice of the node that comes back meanwhile: a client never heard of somebody who had left at once.
+    """
+    tcpros_pubsub.robust_connect_subscriber = _connect
+
+
+def _connect(connection: Any, address: str, port: int, publisher: str, receive: Callable, topic: str) -> None:
+    """Connect to a publisher (its API's address), and receive until the connection ends."""
+    _robust_connect(connection, address, port, publisher, receive, topic)
+    subscriber = get_topic_manager().get_subscriber_impl(topic)
+    if subscriber is None or connection.md5sum is not None:
+        return          # it was connected
+    if connection in subscriber.connections:
+        subscriber.remove_connection(connection)
+    if tcpros_pubsub.check_if_still_publisher(topic, publisher):
+        for listener in get_registration_listeners().listeners:
+            if isinstance(listener, RegManager):
+                listener._connect_topic_thread(topic, publisher)
 
 
 def publish_without_yielding() -> None:
