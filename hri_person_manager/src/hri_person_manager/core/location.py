@@ -28,6 +28,7 @@ from hri_person_manager.core.sensor_times import LONGEST_PERIOD_S, SensorTimes
 from hri_person_manager.core.triangulation import aged
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.timing import JUMP_BACK_S
 
 # s without a face after which the body goes on; bodies may be ahead of faces by the age of an image
 SHORTEST = 0.25
@@ -50,7 +51,6 @@ SLOW_TIME = 2.0            # s at most for a source that is slower than the imag
 LATE_TIME = 1.0            # s by which a place may lag to be one of now
 TOGETHER_S = 1.0           # s for which a face and a body are seen until their match has come, were it to come
 LATE_IMAGES = 3.0          # lags: work on an image that lasts, the next one, and one in which nothing was found
-JUMP_BACK = 0.5            # s; a clock that goes back by more has been set
 HIGHEST_SPEED = 3.0        # m/s, a person who runs; more is a jump of the measurement
 HEAD_M, TRUNK_M = 0.15, 0.5    # of a face from the head of its body, and from its root (standard deviations)
 
@@ -365,7 +365,7 @@ class PersonLocation:
             return False
         if source != PlaceSource.VOICE:
             self._seen = now
-        elif -JUMP_BACK <= now - self._seen <= VOICE_PATIENCE:
+        elif -JUMP_BACK_S <= now - self._seen <= VOICE_PATIENCE:
             return False
         if source == PlaceSource.FACE:
             self._transition.face(place.frame, place.pose.translation, place.stamp)
@@ -443,7 +443,7 @@ def _is_active(report: _LastReport, stamp: float, now: float, patience: float) -
     source that lags has not at once. Stamps that jump back end the wait when the first one is not fresh any more.
     """
     silence = now - report.arrived
-    if not -JUMP_BACK <= silence <= max(report.fresh, patience):
+    if not -JUMP_BACK_S <= silence <= max(report.fresh, patience):
         return False
     return silence <= patience or stamp - report.stamp <= patience
 

@@ -435,12 +435,9 @@ class PersonManager:
     def _waiting_for_places(self, new: Set[MatchNode], faces: List[MatchNode],
                             bodies: List[MatchNode]) -> Set[MatchNode]:
         """Those of the `new` features that have no place yet, while a half of the other kind, without them, has one."""
-        waiting: Set[MatchNode] = set()
-        for ones, others in ((faces, bodies), (bodies, faces)):
-            if self._places.of(others):
-                placed = {node for node, _ in self._places.of(ones)}
-                waiting.update(node for node in ones if node in new and node not in placed)
-        return waiting
+        placed = {node for node, _ in self._places.of([*faces, *bodies])}
+        return {node for ones, others in ((faces, bodies), (bodies, faces)) if placed.intersection(others)
+                for node in ones if node in new and node not in placed}
 
     def _owner_id(self, feature: MatchNode) -> str:
         owner = self._table.owner(feature)

@@ -13,12 +13,12 @@ from hri_pipeline.core.frames import HumanTf, Timed
 from hri_pipeline.core.geometry import Vector, turned
 from hri_pipeline.core.matching.parameters import FaceBodyMatcherSettings
 from hri_pipeline.core.observations import FeatureHistory
+from hri_pipeline.core.timing import JUMP_BACK_S
 from hri_pipeline.core.tracks import assign
 
 _HISTORY_S = 12.0       # bodies of an image have come 3 to 5 s after its faces, on two busy cores with ten people
 _GAP_S = 0.7            # between two images of a face that tell where it was meanwhile
 _LONGEST_LAG_S = 10.0
-_JUMP_BACK_S = 0.5
 MOST_ASPECT = 10.0
 """No image is so many times wider than high, or higher than wide: its size is not known."""
 MAX_APART_S = 0.15
@@ -151,7 +151,7 @@ class FaceBodyMatcher:
             return
         newest = self._newest.get((kind, frame), -math.inf)
         self._frames[kind, name] = frame
-        if stamp < newest - _JUMP_BACK_S:
+        if stamp < newest - JUMP_BACK_S:
             self._forget(kind, frame)
             newest = stamp
         if stamp > newest:
