@@ -289,3 +289,28 @@ def test_all_that_are_due_go_into_one_batch_where_that_is_faster(fails):
     places = [sorted((track.id, tuple(track.estimate.centre)) for track in tracker.tracks) for tracker in trackers]
     assert places[0] == places[1] and len(places[0]) == 3
     assert together.sizes[-1] == 3, "one run for all"
+
+
+def test_a_face_under_a_new_id_stays_with_the_body_whose_face_was_there():
+    scene = Scene([(600, 400)])
+    tracker = make(scene)
+    face = face_of(standing_at(600, 400), "f0")
+    stamp = run(tracker, 0.0, 40, faces=[face], boxes=[box_of(600, 400)])
+    scene.people = [(600, 400), (660, 400)]
+    stamp = run(tracker, stamp, 8, faces=[face], boxes=[box_of(600, 400), box_of(660, 400)])
+    first, second = tracker.tracks
+    assert first.face_id == "f0" and tracker.published(stamp) == [first, second]
+    scene.people = [(630, 400)]                 # what is seen of the second has the head of the first
+    stamp = run(tracker, stamp, 1)
+    assert second.visible and not first.visible
+    stamp = run(tracker, stamp, 1, faces=[face_of(standing_at(615, 400), "f1")])
+    assert first.face_id == "f1" and second.face_id is None
+
+
+def test_a_lost_face_is_not_taken_over_far_from_where_it_was():
+    scene = Scene([(600, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 8, faces=[face_of(standing_at(600, 400), "f0")], boxes=[box_of(600, 400)])
+    scene.people = [(600, 400), (800, 400)]
+    run(tracker, stamp, 4, faces=[face_of(standing_at(800, 400), "f1")], boxes=[box_of(800, 400)])
+    assert [track.face_id for track in tracker.tracks] == ["f0", "f1"]

@@ -140,6 +140,7 @@ class BodyMotion:
 
 
 _FACE_HOLD = 0.5
+_SAME_FACE = 0.5            # face sizes between where a face was and where it is under a new id
 _ANCHOR_HOLD = 2.0
 _FADE_S = 0.4
 _OCCLUDED_NOISE = 4.0     # times as much, while somebody else is in the same place
@@ -214,6 +215,11 @@ class BodyTrack:
             self._face_when_seen = None
         self.face_id = face.id
         self._face_stamp, self._face_centre = stamp, face.centre
+
+    def had_face_at(self, face: FaceBox, stamp: float) -> bool:
+        """Tell whether this body's own face was last seen where `face` is, so lately that it is still held."""
+        return (self.face_id is not None and self._face_centre is not None and stamp - self._face_stamp <= _FACE_HOLD
+                and face.distance(self._face_centre) <= _SAME_FACE)
 
     def forget_lost_face(self, stamp: float) -> None:
         """Let go of a face that has not been reported for half a second."""

@@ -448,9 +448,16 @@ class BodyTracker:
         return None
 
     def _link_faces(self, faces: Sequence[FaceBox], stamp: float) -> None:
-        """Give free faces to the bodies just seen whose nose lies in them."""
-        tracks = [track for track in self.tracks if track.visible and track.stamp == stamp and track.face_id is None]
+        """Give free faces to the bodies whose face was at their place until a moment ago under another id, others to
+        the bodies just seen whose nose lies in them."""
+        here = {face.id for face in faces}
         free = [face for face in faces if self._owner(face) is None]
+        for face in list(free):
+            heirs = [track for track in self.tracks if track.face_id not in here and track.had_face_at(face, stamp)]
+            if len(heirs) == 1:
+                heirs[0].link(face, stamp)
+                free.remove(face)
+        tracks = [track for track in self.tracks if track.visible and track.stamp == stamp and track.face_id is None]
         cost = np.array([[face.distance(track.estimate.nose) for face in free] for track in tracks])
         for row, column in assign(cost.reshape(len(tracks), len(free)), NOSE_IN_FACE):
             tracks[row].link(free[column], stamp)
