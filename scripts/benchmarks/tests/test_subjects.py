@@ -33,7 +33,7 @@ FIGURES = {
                "linked_15_ms late_body_taken forget_undone",
     "identity": "stranger_wrong_name enrolled_precision enrolled_recall name_stays_p95_s closed_sets "
                 "body_returns_right body_returns_wrong vtest_idf1 vtest_switches_per_min vtest_ids cameras handover "
-                "false_per_1000",
+                "false_per_1000 filmed_cameras",
     "robot": "covariance_95 people_msgs_hz presets_failed bridge_fields_failed calibration_error_m "
              "calibration_error_deg web_first_picture_s pointing_error_deg"}
 """Figures that users of the JSON objects count on."""
