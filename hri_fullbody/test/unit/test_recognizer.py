@@ -239,6 +239,23 @@ def test_a_guessed_knee_that_jumps_about_is_no_sign_of_sitting(knee, posture):
     assert max(set(told[10:]), key=told[10:].count) == posture
 
 
+@pytest.mark.parametrize("trunk, posture", [
+    (0.43, PostureClass.SITTING), (0.48, PostureClass.OTHER), (math.nan, PostureClass.SITTING)])
+def test_legs_below_a_trunk_that_they_drag_down_do_not_sit(trunk, posture):
+    body, random, told = BehaviourRecognizer(), np.random.default_rng(3), []
+    for stamp in (np.arange(40) / 10.0).tolist():
+        told.append(body.update(people.seated().seen(), STATURE, stamp, UP, trunk=trunk + random.normal(0.0, 0.02)
+                                ).posture)
+    assert set(told[15:]) == {posture}
+
+
+def test_who_stands_may_have_a_long_trunk():
+    body = BehaviourRecognizer()
+    told = [body.update(people.standing().seen(), STATURE, stamp, UP, trunk=0.55).posture
+            for stamp in (np.arange(15) / 10.0).tolist()]
+    assert told[-1] == PostureClass.STANDING
+
+
 def test_an_attitude_that_is_about_to_end_does_not_begin_as_another_one_ends():
     both, neither = (arm_features(pose.seen(), STATURE, UP) for pose in (people.crossed(), people.standing()))
     both, arms = both._replace(to_face=(0.05, both.to_face[1])), AttitudeEstimator()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Tuple
 
 import numpy as np
@@ -20,6 +21,8 @@ BLAZE_LEFT_ANKLE, BLAZE_RIGHT_ANKLE = 27, 28
 BLAZE_INNER_EYES = (1, 4)
 BLAZE_NOSE = 0
 
+_SHOULDERS, _HIPS = [BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER], [BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP]
+_UPPER = [*range(11), *_SHOULDERS]
 # Wrist, knuckles of the little and of the index finger; left, right.
 _HANDS = ((BLAZE_LEFT_WRIST, 17, 19), (BLAZE_RIGHT_WRIST, 18, 20))
 # Pairs of BlazePose landmarks whose mean is the key point; equal numbers where it is one landmark.
@@ -62,6 +65,19 @@ def wrist_to_knuckles(points: np.ndarray, confidence: np.ndarray, least: float) 
         if min(confidence[wrist], confidence[little], confidence[index]) >= least:
             ways[side] = 0.5 * (points[little] + points[index]) - points[wrist]
     return ways
+
+
+def trunk_in_image(landmarks: np.ndarray, world: np.ndarray) -> float:
+    """Length (m) of the trunk in the image, from the middle of the shoulders to that of the hips, at the scale of head
+    and shoulders in it; NaN where these have no scale.
+
+    landmarks: BlazePose's (33 or more, 2 or more) px. world: the same body (33, 3) m, x and y as in the image.
+    """
+    pixels = landmarks[_UPPER, :2] - landmarks[_UPPER, :2].mean(axis=0)
+    metres = world[_UPPER, :2] - world[_UPPER, :2].mean(axis=0)
+    scale = float((pixels * metres).sum()) / max(float((metres * metres).sum()), 1e-9)
+    trunk = landmarks[_SHOULDERS, :2].mean(axis=0) - landmarks[_HIPS, :2].mean(axis=0)
+    return float(np.hypot(*trunk)) / scale if scale > 1e-6 else math.nan
 
 
 def confidence_18(landmark_confidence: np.ndarray) -> np.ndarray:
