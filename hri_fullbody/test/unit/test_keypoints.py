@@ -49,11 +49,13 @@ def test_edges_join_known_points_and_never_left_with_right_limbs():
 
 def test_the_trunk_in_the_image_has_the_scale_of_head_and_shoulders():
     world = np.random.default_rng(1).normal(0.0, 0.1, (33, 3))
-    world[[11, 12], :2], world[[23, 24], :2] = ((0.2, -0.5), (-0.2, -0.5)), ((0.1, 0.0), (-0.1, 0.0))
+    world[[11, 12]], world[[23, 24]] = ((0.2, -0.5, 0.0), (-0.2, -0.5, 0.0)), ((0.1, 0.0, 0.0), (-0.1, 0.0, 0.0))
     landmarks = np.column_stack([300.0 * world[:, :2] + (640.0, 360.0), 300.0 * world[:, 2]])
     assert skeleton.trunk_in_image(landmarks, world) == pytest.approx(0.5)
     landmarks[[23, 24], 1] += 30.0
     assert skeleton.trunk_in_image(landmarks, world) == pytest.approx(0.6)
+    world[[11, 12], 2] += 0.45 + world[[23, 24], 2].mean() - world[[11, 12], 2].mean()
+    assert skeleton.trunk_in_image(landmarks, world) == pytest.approx(0.75)
 
 
 @pytest.mark.parametrize("pixels", [np.zeros((33, 2)), np.full((33, 2), 7.0)])
