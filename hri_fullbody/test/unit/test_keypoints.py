@@ -45,3 +45,19 @@ def test_edges_join_known_points_and_never_left_with_right_limbs():
     for a, b in skeleton.EDGES:
         sides = {ORDER[a].split("_")[0], ORDER[b].split("_")[0]} & {"left", "right"}
         assert len(sides) < 2 or {ORDER[a], ORDER[b]} == {"left_hip", "right_hip"}
+
+
+def test_the_trunk_in_the_image_has_the_scale_of_head_and_shoulders():
+    world = np.random.default_rng(1).normal(0.0, 0.1, (33, 3))
+    world[[11, 12]], world[[23, 24]] = ((0.2, -0.5, 0.0), (-0.2, -0.5, 0.0)), ((0.1, 0.0, 0.0), (-0.1, 0.0, 0.0))
+    landmarks = np.column_stack([300.0 * world[:, :2] + (640.0, 360.0), 300.0 * world[:, 2]])
+    assert skeleton.trunk_in_image(landmarks, world) == pytest.approx(0.5)
+    landmarks[[23, 24], 1] += 30.0
+    assert skeleton.trunk_in_image(landmarks, world) == pytest.approx(0.6)
+    world[[11, 12], 2] += 0.45 + world[[23, 24], 2].mean() - world[[11, 12], 2].mean()
+    assert skeleton.trunk_in_image(landmarks, world) == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize("pixels", [np.zeros((33, 2)), np.full((33, 2), 7.0)])
+def test_head_and_shoulders_in_one_point_give_the_trunk_no_length(pixels):
+    assert np.isnan(skeleton.trunk_in_image(pixels, np.random.default_rng(1).normal(0.0, 0.1, (33, 3))))

@@ -239,6 +239,24 @@ def test_a_guessed_knee_that_jumps_about_is_no_sign_of_sitting(knee, posture):
     assert max(set(told[10:]), key=told[10:].count) == posture
 
 
+@pytest.mark.parametrize("trunk, score, posture", [
+    (0.43, 1.0, PostureClass.SITTING), (0.50, 1.0, PostureClass.OTHER), (math.nan, 1.0, PostureClass.SITTING),
+    (0.43, 0.8, PostureClass.OTHER), (math.nan, math.nan, PostureClass.SITTING)])
+def test_legs_that_the_network_invents_do_not_sit(trunk, score, posture):
+    body, random, told = BehaviourRecognizer(), np.random.default_rng(3), []
+    for stamp in (np.arange(40) / 10.0).tolist():
+        told.append(body.update(people.seated().seen(), STATURE, stamp, UP, trunk=trunk + random.normal(0.0, 0.02),
+                                score=score + random.normal(0.0, 0.02)).posture)
+    assert set(told[15:]) == {posture}
+
+
+def test_who_stands_may_have_a_long_trunk():
+    body = BehaviourRecognizer()
+    told = [body.update(people.standing().seen(), STATURE, stamp, UP, trunk=0.55, score=0.7).posture
+            for stamp in (np.arange(15) / 10.0).tolist()]
+    assert told[-1] == PostureClass.STANDING
+
+
 def test_an_attitude_that_is_about_to_end_does_not_begin_as_another_one_ends():
     both, neither = (arm_features(pose.seen(), STATURE, UP) for pose in (people.crossed(), people.standing()))
     both, arms = both._replace(to_face=(0.05, both.to_face[1])), AttitudeEstimator()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Tuple
 
 import numpy as np
@@ -20,6 +21,8 @@ BLAZE_LEFT_ANKLE, BLAZE_RIGHT_ANKLE = 27, 28
 BLAZE_INNER_EYES = (1, 4)
 BLAZE_NOSE = 0
 
+_UPPER = BLAZE_RIGHT_SHOULDER + 1      # head and shoulders
+_TO_SHOULDERS = np.array([1.0, 1.0, -1.0, -1.0])
 # Wrist, knuckles of the little and of the index finger; left, right.
 _HANDS = ((BLAZE_LEFT_WRIST, 17, 19), (BLAZE_RIGHT_WRIST, 18, 20))
 # Pairs of BlazePose landmarks whose mean is the key point; equal numbers where it is one landmark.
@@ -62,6 +65,20 @@ def wrist_to_knuckles(points: np.ndarray, confidence: np.ndarray, least: float) 
         if min(confidence[wrist], confidence[little], confidence[index]) >= least:
             ways[side] = 0.5 * (points[little] + points[index]) - points[wrist]
     return ways
+
+
+def trunk_in_image(landmarks: np.ndarray, world: np.ndarray) -> float:
+    """Length (m) of the trunk, from the middle of the shoulders to that of the hips: across the image at the scale of
+    head and shoulders in it, along it as in `world`; NaN where these have no scale.
+
+    landmarks: BlazePose's (33 or more, 2 or more) px. world: the same body (33, 3) m, x and y as in the image.
+    """
+    trunk = [BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER, BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP]
+    pixels, metres = landmarks[:_UPPER, :2], world[:_UPPER, :2]
+    metres = metres - metres.sum(axis=0) / _UPPER
+    scale = float(np.vdot(pixels, metres)) / max(float(np.vdot(metres, metres)), 1e-9)
+    (x, y), z = 0.5 * (_TO_SHOULDERS @ landmarks[trunk, :2]), 0.5 * float(_TO_SHOULDERS @ world[trunk, 2])
+    return math.hypot(x / scale, y / scale, z) if scale > 1e-6 else math.nan
 
 
 def confidence_18(landmark_confidence: np.ndarray) -> np.ndarray:

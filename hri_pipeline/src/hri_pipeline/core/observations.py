@@ -3,6 +3,7 @@ belong to which image, by their stamps (`FeatureHistory`)."""
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from dataclasses import dataclass
 from typing import Any, Dict, Iterable, List, Optional, Sequence, Set, Tuple
@@ -81,6 +82,7 @@ class BodyObservation:
     measured: False when the body was predicted by its motion and not measured in this image.
     by_depth: True when a depth image gave its distance and its joints, not the size of an average person.
     hands: (2, 3) m from the wrist to the knuckles of the left and the right hand, NaN unknown; None without any.
+    image_trunk: length (m) of the trunk at the scale of head and shoulders in the image; NaN unknown.
     """
 
     id: str
@@ -94,6 +96,7 @@ class BodyObservation:
     measured: bool = True
     by_depth: bool = False
     hands: Optional[np.ndarray] = None
+    image_trunk: float = math.nan
 
 
 # An image with both faces and bodies is preferred to newer ones with one kind up to this age (s).

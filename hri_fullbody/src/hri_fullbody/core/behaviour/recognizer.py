@@ -11,7 +11,7 @@ import numpy as np
 from hri_fullbody.core.behaviour.arms import arm_features, trunk_axes
 from hri_fullbody.core.behaviour.attitude import AttitudeEstimator
 from hri_fullbody.core.behaviour.gesture import WaveDetector, gesture_of
-from hri_fullbody.core.behaviour.posture import GUESSED, KneeSigns, PostureEstimator
+from hri_fullbody.core.behaviour.posture import GUESSED, GuessedLegs, KneeSigns, PostureEstimator
 from hri_fullbody.core.keypoints import (
     LEFT_ANKLE,
     LEFT_ELBOW,
@@ -66,13 +66,13 @@ class BehaviourRecognizer:
         self._last = None
         self._hold = KeypointHold()
         self._attitude, self._waves, self._posture = AttitudeEstimator(), WaveDetector(), PostureEstimator()
-        self._knees = KneeSigns()
+        self._knees, self._legs = KneeSigns(), GuessedLegs()
         self._result = BodyBehaviour(0, 0.0, 0, 0)
 
     def update(self, points: np.ndarray, stature: float, stamp: float,
                up: Union[Sequence[float], np.ndarray], up_sd: float = 0.0,
                confidence: Optional[np.ndarray] = None, hands: Optional[np.ndarray] = None,
-               depth_counts: float = 1.0) -> BodyBehaviour:
+               depth_counts: float = 1.0, trunk: float = math.nan, score: float = 1.0) -> BodyBehaviour:
         """Take one frame and return what the body expresses.
 
         points: (18, 3) m in a sensor's frame, key points in the order of hri_msgs/Skeleton2D, NaN or infinite
@@ -85,7 +85,7 @@ class BehaviourRecognizer:
         image with less than 0.3, nor to sit with a knee of less than 0.9 that jumps about, nor to crouch with two such
         knees; a knee that counts has 0.5, or both have 0.9 together for some time.
         hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: along the forearms.
-        depth_counts: see arm_features.
+        depth_counts: see arm_features. trunk: m, see trunk_in_image, score: 0 to 1; see GuessedLegs; NaN unknown.
         Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
         an `up` without a direction.
         """
@@ -106,7 +106,7 @@ class BehaviourRecognizer:
         waving = self._waves.update(features, elapsed, sure)
         posture = self._posture.update(
             self._hold.without_old(points, stamp, _LEG_HOLD_S), axes, stature, upwards, elapsed, up_sd,
-            *_signs_of_legs(confidence))
+            *_signs_of_legs(confidence), self._legs.update(trunk, score, elapsed))
         self._result = BodyBehaviour(
             int(attitude), self._attitude.confidence, int(posture),
             int(gesture_of(attitude, self._attitude.raised, waving)))

@@ -25,6 +25,7 @@ from hri_fullbody.core.keypoints import (
     BLAZE_RIGHT_SHOULDER,
     confidence_18,
     to_18_points,
+    trunk_in_image,
     wrist_to_knuckles,
 )
 from hri_fullbody.core.tracking.track import BodyTrack
@@ -413,7 +414,8 @@ class BodyLocalizer:
             pose = body_pose(points)
         box = visible_box(pixels, track.estimate.confidence[:BODY_LANDMARKS], camera.width, camera.height)
         return BodyObservation(track.id, box, estimate.score, np.column_stack([to_18_points(pixels), sure]), in_space,
-                               pose, face, velocity, measured, self.by_depth, hands)
+                               pose, face, velocity, measured, self.by_depth, hands,
+                               trunk_in_image(track.estimate.landmarks, track.estimate.world))
 
     def _shift(self, measured: bool, velocity: Optional[np.ndarray], age: float, face: Optional[Pose]) -> np.ndarray:
         """Way (3,) m since the body was measured: that of its face, else by its velocity (m/s) in `age` s."""
