@@ -33,7 +33,7 @@ from hri_fullbody.core.modeller import BodyInput, BodyModeller, ModelledBody
 from hri_fullbody.core.parameters import BodiesSettings
 from hri_fullbody.core.tracking.reidentification import BodyReidentifier, Reidentification, TrackAppearance
 from hri_fullbody.core.tracking.track import BodyTrack
-from hri_fullbody.core.tracking.tracker import BodyTracker
+from hri_fullbody.core.tracking.tracker import SLOW_S, BodyTracker
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.geometry import Pose
@@ -47,10 +47,7 @@ from hri_pipeline.core.timing import StageTimes
 DETECTOR_MODEL = "person_centernet.onnx"
 POSE_MODELS = ("lite", "full", "heavy")
 _SEEN = 0.5
-# Images that come more slowly (s) need not take the same time each, and who is there is found in few of them: two
-# windows of the budget are for those who wait.
-SLOW_S = 0.25
-_SLOW_NEW = 2
+_SLOW_NEW = 2       # in slow images two windows of the budget are for those who wait
 _HIDDEN_SHARE, _HIDDEN_NEW = 0.3, 2     # of the detector's period, and windows for new ones, while somebody is hidden
 # Boxes of the person detector from this part of the score that starts a body confirm that somebody is there.
 _FAINT = 0.5
