@@ -281,7 +281,8 @@ class BodyTracker:
         pairs = {self.tracks[row].id: detections[column]
                  for row, column in assign(cost_matrix(self.tracks, detections, stamp, faces), MAX_COST)}
         missed = {track.id for track in chosen if track.id not in pairs}
-        doubles = self._yielding = self._doubles({name: detection.estimate for name, detection in pairs.items()}, missed, stamp, faces)
+        doubles = self._yielding = self._doubles(
+            {name: detection.estimate for name, detection in pairs.items()}, missed, stamp, faces)
         for track in self.tracks:
             if track.id in pairs and track.id not in doubles:
                 track.update(pairs[track.id], stamp, self._unhidden(track, pairs[track.id], stamp))
