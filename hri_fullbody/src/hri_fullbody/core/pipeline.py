@@ -20,7 +20,6 @@ from hri_fullbody.core.behaviour.gesture import GestureClass
 from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
 from hri_fullbody.core.behaviour.posture import PostureClass, without_feet_outside, without_guessed_limbs
 from hri_fullbody.core.behaviour.recognizer import MAX_GAP_S, BehaviourRecognizer, BodyBehaviour
-from hri_fullbody.core.detection.orientation import ImageOrientation
 from hri_fullbody.core.detection.person_detector import CenterNetDetector, PersonDetector
 from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, BlazePose, PoseEstimate, PoseEstimator
 from hri_fullbody.core.detection.windows import FaceBox
@@ -40,6 +39,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, model_path, models_directory
+from hri_pipeline.core.orientation import ImageOrientation
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler
 from hri_pipeline.core.timing import StageTimes
