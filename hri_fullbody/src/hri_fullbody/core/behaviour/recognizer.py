@@ -72,7 +72,7 @@ class BehaviourRecognizer:
     def update(self, points: np.ndarray, stature: float, stamp: float,
                up: Union[Sequence[float], np.ndarray], up_sd: float = 0.0,
                confidence: Optional[np.ndarray] = None, hands: Optional[np.ndarray] = None,
-               depth_counts: float = 1.0) -> BodyBehaviour:
+               depth_counts: float = 1.0, elbows_below: Tuple[bool, bool] = (False, False)) -> BodyBehaviour:
         """Take one frame and return what the body expresses.
 
         points: (18, 3) m in a sensor's frame, key points in the order of hri_msgs/Skeleton2D, NaN or infinite
@@ -85,7 +85,7 @@ class BehaviourRecognizer:
         image with less than 0.3, nor to sit with a knee of less than 0.9 that jumps about, nor to crouch with two such
         knees; a knee that counts has 0.5, or both have 0.9 together for some time.
         hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: along the forearms.
-        depth_counts: see arm_features.
+        depth_counts: see arm_features. elbows_below: see arms.elbows_below.
         Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
         an `up` without a direction.
         """
@@ -102,7 +102,7 @@ class BehaviourRecognizer:
         axes = trunk_axes(points, upwards)
         features = arm_features(points, stature, upwards, axes, hands, depth_counts)
         sure = _sure_forearms(confidence)
-        attitude = self._attitude.update(features, elapsed, sure)
+        attitude = self._attitude.update(features, elapsed, sure, elbows_below)
         waving = self._waves.update(features, elapsed, sure)
         posture = self._posture.update(
             self._hold.without_old(points, stamp, _LEG_HOLD_S), axes, stature, upwards, elapsed, up_sd,
