@@ -83,6 +83,9 @@ class CamerasTest(unittest.TestCase):
             self.write(cameras)
             with self.assertRaisesRegex(CameraFileError, words):
                 read_cameras(self.file)
+        self.file.write_text("cameras:\n  a: {}\n  b: {}\n  a: {image: /x}\n", encoding="utf-8")
+        with self.assertRaisesRegex(CameraFileError, "the name a stands twice"):
+            read_cameras(self.file)
 
     def test_3_a_person_who_walks_tells_where_two_cameras_are(self):
         self.write({"left": {"place": place_of(CAMERAS[0])}, "right": None})

@@ -191,6 +191,7 @@ def figures(people: int, seen: dict) -> dict:
 
     A rate is the number of different image stamps per second at the frame of a person (face, body), averaged
     over the people of the scene; one who is not found counts with 0, one too many does not count.
+    Persons who are only a voice are persons by the specification; they are counted apart from those who are seen.
     Inferences are runs of a network on one face or body, per person and second: between two of them a face is moved on
     by optical flow only.
     """
@@ -205,7 +206,7 @@ def figures(people: int, seen: dict) -> dict:
     return {
         "people": people, "fps": rates["person"], "faces_fps": rates["face"], "bodies_fps": rates["body"],
         "face_inferences": looked[FACE_NETWORK], "body_inferences": looked[BODY_NETWORK],
-        "found": {kind: seen["tracked"].get(kind, 0) for kind in ("persons", "faces", "bodies")},
+        "found": {kind: seen["tracked"].get(kind, 0) for kind in ("persons", "faces", "bodies", "voices alone")},
         "age_p50_ms": middle, "age_p95_ms": high,
         "cpu_percent": round(sum(value for name, value in cpu.items() if name not in NOT_STACK), 1),
         "cpu_percent_by_process": cpu, "rss_mb_by_process": seen.get("rss_mb", {}),
@@ -275,12 +276,12 @@ def as_table(rows: Sequence[dict], before: dict, described: dict) -> str:
         "Load      {} before the start".format(" ".join(str(load) for load in before["load_average"])),
         "Versions  " + ", ".join("{} {}".format(*item) for item in before["versions"].items()),
         "Input     " + ", ".join("{} {}".format(*item) for item in described.items()), "",
-        "people  persons/s  faces/s  bodies/s  inferences per face, body  found p/f/b   age p50   age p95  processor"]
+        "people  persons/s  faces/s  bodies/s  inferences per face, body  found p/f/b/v  age p50   age p95  processor"]
     for row in rows:
         lines.append("{people:6d} {fps:10.1f} {faces_fps:8.1f} {bodies_fps:9.1f} "
                      "{face_inferences:16.1f} {body_inferences:6.1f}  {found:>11}  {p50:>8}  {p95:>8}  "
                      "{cpu_percent:6.0f} %".format(**dict(
-                         row, found="{persons}/{faces}/{bodies}".format(**row["found"]),
+                         row, found="{persons}/{faces}/{bodies}/{voices alone}".format(**row["found"]),
                          p50=_ms(row["age_p50_ms"]), p95=_ms(row["age_p95_ms"]))))
     for row in rows:
         lines += ["", "{} people: error of what is published           median     p95".format(row["people"])]

@@ -1,7 +1,7 @@
 """A ROS node that watches the stack for some seconds and writes what it saw as one JSON object.
 
 Usage: pipeline_probe.py PEOPLE SECONDS PATIENCE MOVING LOADED SCENE REFERENCE FILE
-Waits until PEOPLE persons are tracked (at most PATIENCE s), says "begin" on standard output, watches for
+Waits until PEOPLE persons are seen (at most PATIENCE s), says "begin" on standard output, watches for
 SECONDS, says "end"; measures the errors of what is published for MOVING s, and as long while people move; then, if
 LOADED > 0, says "load", watches for LOADED s, says "loaded". Writes FILE.
 """
@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
+from seen_persons import SeenPersons
 from std_msgs.msg import Bool
 from tf2_msgs.msg import TFMessage
 
@@ -51,6 +52,7 @@ class Probe:
         self.subscribers = [
             rospy.Subscriber("/tf", TFMessage, self.on_tf, queue_size=1000, buff_size=2**22, tcp_nodelay=True),
             rospy.Subscriber("/diagnostics", DiagnosticArray, self.on_diagnostics, queue_size=100)]
+        self.persons = SeenPersons()
         for kind in ("persons", "faces", "bodies"):
             self.subscribers.append(rospy.Subscriber(
                 "/humans/{}/tracked".format(kind), IdsList, self.on_tracked, callback_args=kind))
@@ -79,6 +81,12 @@ class Probe:
         with self.lock:
             self.tracked[kind], self.ids[kind] = len(message.ids), list(message.ids)
 
+    def found(self) -> Dict[str, int]:
+        """Return how many there are of each kind; persons who are only a voice are apart."""
+        seen, heard = self.persons.split()
+        with self.lock:
+            return {**self.tracked, "persons": len(seen), "voices alone": len(heard)}
+
     def on_diagnostics(self, message: DiagnosticArray) -> None:
         """Keep the latest times of stages, STAGE_ms_median and STAGE_ms_p95, and times of inferences_NETWORK."""
         with self.lock:
@@ -96,11 +104,12 @@ class Probe:
     def result(self, seconds: float) -> dict:
         """Return all that was seen; of persons only what has the stamp of a face or a body: who is remembered has that
         of now."""
+        tracked = self.found()
         with self.lock:
             images = {stamp for kind in KINDS if kind != "person" for stamps in self.stamps[kind].values()
                       for stamp in stamps}
             return {
-                "seconds": seconds, "tracked": self.tracked,
+                "seconds": seconds, "tracked": tracked,
                 "ages": [age for stamp, age in self.ages if stamp in images],
                 "rates": {kind: sorted((len(stamps & images) / seconds for stamps in frames.values()), reverse=True)
                           for kind, frames in self.stamps.items()},
@@ -131,7 +140,7 @@ class Probe:
                 frames.clear()
         time.sleep(seconds)
         self.watching = False
-        return {"ages": self.result(seconds)["ages"], "found": dict(self.tracked)}
+        return {"ages": self.result(seconds)["ages"], "found": self.found()}
 
 
 def rate(counts: List[Tuple[float, int]]) -> float:
@@ -149,7 +158,7 @@ def main(arguments: List[str]) -> int:
     truth = Truth(scene, np.load(arguments[6]), 0.5 * width / np.tan(HFOV / 2.0))
     rospy.init_node("benchmark_probe", disable_rostime=True)
     probe, deadline = Probe(), time.monotonic() + patience
-    while probe.tracked.get("persons", 0) < people and time.monotonic() < deadline and not rospy.is_shutdown():
+    while probe.found()["persons"] < people and time.monotonic() < deadline and not rospy.is_shutdown():
         time.sleep(0.1)
     # Stage times are over the last 100 images: those of the start shall be out of it.
     time.sleep(SETTLE_S)

@@ -94,7 +94,7 @@ class _Listener:
         self.counts = {"audio": 0, "features": 0, "speech": 0, "is_speaking": 0}
         self._lock = threading.Lock()
         self._feed = IdSubscribers("voices", {"audio": AudioData, "features": AudioFeatures, "speech": String,
-                                            "is_speaking": Bool}, self._on_message, self.seen.update)
+                                              "is_speaking": Bool}, self._on_message, self.seen.update, queue_size=100)
 
     @property
     def ids(self) -> List[str]:

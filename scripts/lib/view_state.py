@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import FrozenSet, List, NamedTuple, Optional, Sequence, Tuple
+from typing import FrozenSet, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 _WORTH = 100     # one thing that is needed counts as much as this many that are only wished for
+
+
+def seen_and_heard(ids: Sequence[str], features: Mapping[str, Mapping[str, str]]) -> Tuple[List[str], List[str]]:
+    """Return the persons with a face or a body, and the others.
+
+    features: {person: {"face_id": id, "body_id": id}}, empty or missing where there is none.
+    """
+    seen = [person for person in ids if any(features.get(person, {}).values())]
+    return seen, [person for person in ids if person not in seen]
 
 
 @dataclass(frozen=True)
 class View:
     """What is there, and what of it is drawn, at one moment.
 
-    persons, faces, bodies: ids that are tracked. skeletons: bodies that are drawn in space; marked: number of persons
-    that are. gazes, groups: numbers of arrows and of discs. overlay: faces and bodies on the camera image, None while
-    nothing is known of it. viewed: topics that the viewer listens to.
+    persons, faces, bodies: ids that are tracked; no persons who are only a voice. skeletons: bodies that are drawn in
+    space; marked: number of persons that are. gazes, groups: numbers of arrows and of discs. overlay: faces and bodies
+    on the camera image, None while nothing is known of it. viewed: topics that the viewer listens to.
     """
 
     persons: FrozenSet[str] = frozenset()

@@ -17,6 +17,7 @@ from typing import Dict, FrozenSet, List, Optional, Sequence, Tuple
 import rosgraph
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
+from seen_persons import SeenPersons
 from view_state import Lack, Steady, View, good_enough, lack
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -36,10 +37,11 @@ class Watch:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._ids: Dict[str, FrozenSet[str]] = {}
+        self._persons = SeenPersons()
         self._markers: Dict[str, Tuple[float, MarkerArray]] = {}
         self._overlay: Tuple[float, Tuple[int, int]] = (float("-inf"), (0, 0))
         self._subscribers = [rospy.Subscriber("/humans/%s/tracked" % kind, IdsList, self._on_ids, kind, queue_size=1)
-                             for kind in ("persons", "faces", "bodies")]
+                             for kind in ("faces", "bodies")]
 
     def look_closely(self) -> None:
         """Listen to the markers, too: they are made for those who listen."""
@@ -47,18 +49,19 @@ class Watch:
                               for topic in TOPICS[:3]]
         self._subscribers.append(rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics, queue_size=50))
 
-    def count(self, kind: str) -> int:
-        """Number of ids in the last list."""
-        with self._lock:
-            return len(self._ids.get(kind, ()))
+    @property
+    def persons(self) -> Tuple[List[str], List[str]]:
+        """Persons who are seen, and those who are only a voice."""
+        return self._persons.split()
 
     def view(self, viewed: Sequence[str]) -> View:
         """Return the present state."""
+        seen = frozenset(self._persons.split()[0])
         with self._lock:
             skeletons, persons, interactions = (self._fresh(topic) for topic in TOPICS[:3])
             told, overlay = self._overlay
             return View(
-                *(self._ids.get(kind, frozenset()) for kind in ("persons", "faces", "bodies")),
+                seen, *(self._ids.get(kind, frozenset()) for kind in ("faces", "bodies")),
                 skeletons=frozenset(marker.ns for marker in skeletons),
                 marked=sum(marker.type == Marker.TEXT_VIEW_FACING for marker in persons),
                 gazes=sum(marker.ns == "gaze" for marker in interactions),
@@ -137,8 +140,8 @@ def viewed_topics(viewer: str) -> List[str]:
 
 
 def wait_for_people(watch: Watch, people: int, deadline: float) -> bool:
-    """Return whether so many persons were there before the deadline."""
-    while watch.count("persons") < people:
+    """Return whether so many persons were seen before the deadline."""
+    while len(watch.persons[0]) < people:
         if time.monotonic() > deadline or rospy.is_shutdown():
             return False
         time.sleep(LOOK_S)
@@ -182,7 +185,7 @@ def main(arguments: Sequence[str]) -> int:
     watch = Watch()
     if not options.viewer:
         enough = wait_for_people(watch, options.people, deadline)
-        print("%d persons" % watch.count("persons"))
+        print("seen: %d persons, only heard: %d" % tuple(map(len, watch.persons)))
         return 0 if enough else 1
     photographer = Photographer(options.framebuffer, options.picture)
     wait_for_picture(watch, photographer, options, deadline)

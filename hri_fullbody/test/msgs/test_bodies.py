@@ -16,13 +16,14 @@ from hri_fullbody.core.kinematics.forward import forward
 from hri_fullbody.core.model.anthropometry import SegmentTable
 from hri_fullbody.core.model.human import Dimensions, layout_for
 from hri_fullbody.core.modeller import BodyInput, BodyModeller
-from hri_fullbody.ros.bodies import body_transform, drawn, turned_problem, up_and_height
+from hri_fullbody.ros.bodies import body_transform, drawn, up_and_height
 from hri_fullbody.ros.topics import crop, joint_state
 from hri_msgs.msg import BodyAttitude, BodyPosture
 from hri_msgs.msg import Gesture as GestureMessage
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import BodyObservation
+from hri_pipeline.core.orientation import turned_problem
 from hri_pipeline.ros.conversions import pose_from_transform
 from hri_pipeline.ros.inputs import Frame
 

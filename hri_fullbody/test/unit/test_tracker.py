@@ -165,6 +165,37 @@ def test_who_is_not_looked_at_is_not_gone():
     assert len(confirmed(tracker)) == 9, "who is looked for in vain is gone"
 
 
+def slow_images(tracker, scene, presence, boxes):
+    """Show two people once a second, the second one as `presence` says, and return who is published in each image.
+
+    boxes: whether the person detector sees the second one while the pose network does not.
+    """
+    shown = []
+    for second, here in enumerate(presence):
+        scene.people = [(400, 400), (800, 400)] if here else [(400, 400)]
+        seen = [box_of(400, 400)] + ([box_of(800, 400)] if here or boxes else [])
+        tracker.follow(IMAGE, float(second))
+        tracker.propose(seen, [], float(second))
+        tracker.try_new(IMAGE, float(second), [], 3)
+        shown.append([track.id for track in tracker.published(float(second))])
+    return shown
+
+
+def test_who_is_missed_once_in_slow_images_is_published_where_it_would_be():
+    tracker = make(Scene([]), death_time=1.0)
+    shown = slow_images(tracker, tracker._pose, [1, 1, 1, 1, 1, 0, 1, 1], boxes=True)
+    assert shown[3:] == 5 * [["b0", "b1"]]
+    tracker = make(Scene([]), death_time=1.0)
+    shown = slow_images(tracker, tracker._pose, [1, 1, 1, 1, 1, 0, 0, 0, 1, 1], boxes=True)
+    assert [len(ids) for ids in shown[4:9]] == [2, 2, 1, 1, 1], "missed twice it is gone until seen twice"
+
+
+def test_who_is_missed_in_slow_images_is_gone_at_once_when_the_detector_sees_nobody_there():
+    tracker = make(Scene([]), death_time=1.0)
+    shown = slow_images(tracker, tracker._pose, [1, 1, 1, 1, 1, 0, 0], boxes=False)
+    assert shown[4:] == [["b0", "b1"], ["b0"], ["b0"]]
+
+
 def test_a_person_who_comes_back_in_time_has_the_same_id():
     scene = Scene([(300, 400)])
     tracker = make(scene)

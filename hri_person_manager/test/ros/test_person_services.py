@@ -36,6 +36,19 @@ from hri_pipeline.testing import Latest, transform, wait_for
 
 NODE = "/hri_person_manager"
 WAIT_S = 15.0
+RECOGNISER = """
+import json, sys, rospy
+from hri_msgs.msg import IdsMatch
+from hri_pipeline.srv import Gallery, GalleryResponse
+face, person, *known = sys.argv[1:]
+rospy.init_node("recogniser")
+rospy.Service("~gallery", Gallery, lambda request: GalleryResponse(
+    success=request.command == "list", data=json.dumps(known)))
+matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=10)
+while not rospy.is_shutdown():
+    matches.publish(IdsMatch(id1=face, id1_type=IdsMatch.FACE, id2=person, id2_type=IdsMatch.PERSON, confidence=0.9))
+    rospy.sleep(0.1)
+"""
 
 
 class TestPersonServices(unittest.TestCase):
@@ -102,6 +115,28 @@ class TestPersonServices(unittest.TestCase):
         for topic in topics.values():
             topic.close()
         softbiometrics.unregister()
+
+    def recogniser(self, face, person, *known):
+        process = subprocess.Popen([sys.executable, "-c", RECOGNISER, face, person, *known])
+        self.addCleanup(process.wait)
+        self.addCleanup(process.terminate)      # its service would stay with the master if it was killed
+        return process
+
+    def test_whom_a_recogniser_lost_when_it_was_killed_is_known_no_more(self):
+        other = "f%d" % next(self.numbers)
+        self.show("faces", self.face, other)
+        for face, person in ((self.face, "old1"), (other, "kept1")):
+            first = self.recogniser(face, person, "old1", "kept1")
+            self.wait_for(lambda person=person: person in self.tracked.value.ids, person)
+            first.kill()
+            first.wait()
+        # Its template of the one is on disk, say, and the other one is learnt anew under another id.
+        new = "f%d" % next(self.numbers)
+        self.show("faces", new)
+        self.wait_for(lambda: "old1" in self.known().ids and self.tracked.value.ids != ["old1"], "who left is known")
+        self.recogniser(new, "new1", "kept1", "new1")
+        self.wait_for(lambda: "old1" not in self.known().ids, "who is lost is known no more")
+        self.assertTrue({"kept1", "new1"} <= set(self.known().ids))
 
     def test_only_what_is_known_of_a_person_has_a_topic(self):
         self.someone(self.face, "lea")

@@ -395,6 +395,39 @@ def test_recognisers_that_do_not_know_each_other_may_give_two_names_to_one_human
     assert room.tracked == ("ann",)
 
 
+def known_by_two_names(seed):
+    """Whom the left camera calls ann and the right one zoe, and nobody is there."""
+    room = Room(OVERLAPPING, seed=seed)
+    room.run(4.0, standing(3.0))
+    room.say(room.face("left", 0), "ann", 0.9, "/left")
+    room.say(room.face("right", 0), "zoe", 0.9, "/right")
+    assert room.run(4.0, standing(3.0)) == ("ann",)
+    room.run(30.0, lambda time: None)
+    return room
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("named_after", [0.1, 1.0])
+def test_who_comes_back_with_two_names_is_one_person_at_once(named_after, seed):
+    room = known_by_two_names(seed)
+    room.most = 0
+    room.run(named_after, standing(3.3))
+    room.say(room.face("left", 0), "ann", 0.9, "/left")
+    room.say(room.face("right", 0), "zoe", 0.9, "/right")
+    assert room.run(4.0, standing(3.3)) == ("ann",) and room.most == 1
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_two_names_of_one_human_who_are_seen_apart_are_two_at_once(seed):
+    room = known_by_two_names(seed)
+    people = standing(1.0), standing(5.0)
+    room.run(1.0, *people)
+    room.say(room.face("left", 0), "ann", 0.9, "/left")
+    room.say(room.face("right", 1), "zoe", 0.9, "/right")
+    room.run(0.4, *people)
+    assert room.run(2.0, *people) == ("ann", "zoe") and {len(ids) for ids in room.ids[-30:]} == {2}
+
+
 def test_who_comes_up_where_another_one_left_joins_no_two_whom_one_recogniser_names():
     """A hand-over that was wrong ends with the name; the names that two recognisers have for the first one stay."""
     room = Room(OVERLAPPING)

@@ -49,6 +49,50 @@ def people(manager, now):
 A1, A2 = "anonymous_person_a0001", "anonymous_person_a0002"
 
 
+def named(manager, face, person, sender, now):
+    manager.on_match(CandidateMatch(MatchNode(Kind.FACE, face), MatchNode(Kind.PERSON, person), 0.9), now, sender)
+
+
+def test_whom_a_recogniser_lost_when_it_was_started_anew_is_known_no_more_once_gone():
+    manager = make(faces=["f1", "f2", "f3", "f4"])
+    for face, person in (("f1", "ann"), ("f2", "bob"), ("f3", "cho"), ("f4", "dan")):
+        named(manager, face, person, "eyes", 0.0)
+    named(manager, "f3", "cho", "others", 0.0)
+    manager.on_tracked(Kind.FACE, ["f1"], 1.0)
+    manager.renew("eyes", {"bob"}, 2.0)
+    assert manager.snapshot(2.0).known == ("ann", "bob", "cho"), "dan is lost; ann is seen; others know cho"
+    assert manager.snapshot(2.0).tracked == ("ann", )
+    manager.on_tracked(Kind.FACE, [], 3.0)
+    manager.tick(3.1)
+    assert manager.snapshot(3.1).known == ("bob", "cho") and "ann" not in people(manager, 3.1)
+    manager.renew("others", (), 4.0)
+    assert manager.snapshot(4.0).known == ("bob", )
+    manager.renew("eyes", (), 5.0)
+    assert manager.snapshot(5.0).known == ()
+
+
+def test_who_is_named_again_after_the_start_of_a_recogniser_stays_known():
+    manager = make(faces=["f1"])
+    named(manager, "f1", "ann", "eyes", 0.0)
+    manager.renew("eyes", (), 1.0)
+    named(manager, "f1", "ann", "eyes", 1.5)
+    manager.on_tracked(Kind.FACE, [], 3.0)
+    manager.tick(3.1)
+    manager.tick(300.0)
+    assert manager.snapshot(300.0).known == ("ann", )
+
+
+def test_who_was_joined_with_somebody_stays_known_when_the_recogniser_has_lost_one_of_them():
+    manager = make(faces=["f1", "f2"])
+    named(manager, "f1", "ann", "eyes", 0.0)
+    named(manager, "f2", "bob", "others", 0.0)
+    manager.merge("ann", "bob", 0.5)
+    manager.renew("eyes", (), 1.0)
+    manager.on_tracked(Kind.FACE, ["f2"], 2.0)
+    manager.tick(2.1)
+    assert manager.snapshot(2.1).tracked == ("ann", )
+
+
 # -- Table I, one test per row. Its ids such as 24ac start with a digit; ours have to start with a letter.
 
 def test_row_1_a_face_alone_has_no_person_until_the_delay_is_over():

@@ -49,6 +49,18 @@ def ids(observations):
     return sorted(face.id for face in observations)
 
 
+@pytest.mark.parametrize("turn", [0, 1, 2, 3])
+def test_a_camera_on_its_side_or_upside_down_is_told_by_faces_within_a_minute(stage, turn):
+    stage.reset()
+    image = np.ascontiguousarray(np.rot90(photograph("sample1"), -turn))
+    camera = CameraModel.from_fov(image.shape[1], image.shape[0], HFOV)
+    for index in range(30):
+        stage.update(image, camera, 1000.0 + 2.0 * index)
+        if stage.turn is not None:
+            break
+    assert stage.turn == turn
+
+
 @pytest.mark.parametrize("name", sorted(COUNTS))
 def test_a_photograph_as_video(stage, name):
     seen = watch(stage, [photograph(name)] * 30)

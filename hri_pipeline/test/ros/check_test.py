@@ -202,16 +202,37 @@ class CheckTest(unittest.TestCase):
         self.names("nobody publishes /mine/image", "image:=/mine/image", topics[1], nodes="[matcher]",
                    ROS_NAMESPACE="robot1")
 
+    def lists(self, name, kind):
+        """Another node publishes the list of a kind."""
+        node = subprocess.Popen(["python3", "-c", "import rospy; from hri_msgs.msg import IdsList; "
+                                 "rospy.init_node('{}'); rospy.Publisher('/humans/{}/tracked', IdsList, "
+                                 "queue_size=1); rospy.spin()".format(name, kind)])
+        self.addCleanup(node.wait)
+        self.addCleanup(node.kill)
+        wait_for(lambda: any("/" + name in nodes for topic, nodes in rospy.get_master().getSystemState()[2][0]
+                             if topic.startswith("/humans/")), 20, name + " publishes")
+        return node
+
+    def test_nodes_of_other_names(self):
+        told = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1, latch=True)
+        self.addCleanup(release, told)
+        told.publish(DiagnosticArray(status=[DiagnosticStatus(
+            level=DiagnosticStatus.WARN, name="finder: input", message="slow",
+            values=[KeyValue("topic", "/own/image"), KeyValue("camera_info", "/own/camera_info")])]))
+        self.camera("own")
+        finder = self.lists("finder", "faces")
+        text = self.check(nodes="[hri_faces, hri_face_body_matcher]", code=0)
+        for words in ("finder stands for hri_faces", "face_body_matcher stands for hri_face_body_matcher",
+                      "/own/image: 160x120", "finder: input: slow"):
+            self.assertIn(words, text)
+        finder.kill()
+        finder.wait()
+        self.assertIn("finder is registered, but does not answer", self.check(nodes="[hri_faces]"))
+
     def test_two_person_managers(self):
         listing = rospy.Publisher("/humans/persons/tracked", IdsList, queue_size=1)
         self.addCleanup(release, listing)
-        second = subprocess.Popen(["python3", "-c", "import rospy; from hri_msgs.msg import IdsList; "
-                                   "rospy.init_node('second'); rospy.Publisher('/humans/persons/tracked', IdsList, "
-                                   "queue_size=1); rospy.spin()"])
-        self.addCleanup(second.wait)
-        self.addCleanup(second.kill)
-        wait_for(lambda: any("/second" in nodes for _, nodes in rospy.get_master().getSystemState()[2][0]), 20,
-                 "the second one publishes")
+        self.lists("second", "persons")
         self.names("2 person managers share /humans", *self.camera("doubled"))
 
     def test_wrong_parameter(self):

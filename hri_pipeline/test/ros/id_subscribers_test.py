@@ -11,6 +11,7 @@ import unittest
 
 import rospy
 import rostest
+from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from hri_msgs.msg import IdsList
@@ -80,6 +81,29 @@ class IdSubscribersTest(unittest.TestCase):
         self.assertLess(len(message), 200)
         topics = [topic for topic, _ in rospy.get_published_topics()]
         self.assertFalse([topic for topic in topics if "reboot" in topic or "etc" in topic])
+
+    def burst(self, kind, messages, heard, **arguments):
+        """Follow a topic with a slow callback and send these messages at once; return what was heard after a while."""
+        feed = IdSubscribers("voices", {"told": kind}, lambda *told: (time.sleep(0.02), heard.append(told[2])),
+                             **arguments)
+        self.addCleanup(feed.close)
+        speaker = rospy.Publisher("/humans/voices/aaaaa/told", kind, queue_size=100)
+        self.addCleanup(speaker.unregister)
+        wait_for(self.publisher.get_num_connections, 10, "the feed listens")
+        self.say("aaaaa")
+        wait_for(speaker.get_num_connections, 10, "the feed subscribes to aaaaa")
+        for message in messages:
+            speaker.publish(message)
+        wait_for(lambda: heard and heard[-1] == messages[-1], 10, "the last message")
+        return heard
+
+    def test_who_wants_each_message_of_a_burst_gets_it(self):
+        words = [String(str(number)) for number in range(40)]
+        self.assertEqual(self.burst(String, words, [], queue_size=50), words)
+
+    def test_of_images_no_backlog_waits(self):
+        images = [Image(height=1, width=number + 1) for number in range(40)]
+        self.assertLess(len(self.burst(Image, images, [], queue_size=50)), 20)
 
     def test_a_flood_of_ids_is_cut(self):
         feed = self.feed(max_ids=5)
@@ -250,6 +274,8 @@ class IdSubscribersTest(unittest.TestCase):
         self.assertEqual(feed.status()[0], WARN)
         with self.assertRaises(ValueError):
             IdSubscribers("voices", {}, self.on_message, max_ids=0)
+        with self.assertRaises(ValueError):
+            IdSubscribers("voices", {}, self.on_message, queue_size=0)
 
 
 if __name__ == "__main__":

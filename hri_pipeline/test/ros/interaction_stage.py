@@ -42,11 +42,12 @@ class Stage:
 
     people: {name: (camera, place in the optical frame (3,) m, target in the same (3,))}; camera None: listed, but not
     seen; target None: the eyes are closed. A face is called f + name. lids: {name: closedness}, told as action units.
+    ahead: {camera: by how much its clock is ahead (s)}.
     """
 
     def __init__(self):
         self.people, self.shift = {}, 0.0
-        self.lids = {}
+        self.lids, self.ahead = {}, {}
         self.stamps = []
         self._topics = {}
         self._tf = rospy.Publisher("/tf", TFMessage, queue_size=100)
@@ -108,11 +109,12 @@ class Stage:
                 if camera is None:
                     continue
                 pose = face_pose(place, target if target is not None else ROBOT)
-                frames.append(transform_to_msg(pose, stamp, camera, "face_f" + name))
+                time = stamp + rospy.Duration(self.ahead.get(camera, 0.0))
+                frames.append(transform_to_msg(pose, time, camera, "face_f" + name))
                 if target is not None:
                     # A gaze that is exactly the head's would be taken for that of a face too small for its eyes.
                     eyes = pose.rotation @ (math.cos(EYES_BESIDE_HEAD), math.sin(EYES_BESIDE_HEAD), 0.0)
-                    frames.append(transform_to_msg(gaze_frame(pose, eyes), stamp, "face_f" + name, "gaze_f" + name))
+                    frames.append(transform_to_msg(gaze_frame(pose, eyes), time, "face_f" + name, "gaze_f" + name))
             if frames:
                 self.stamps.append(stamp)
                 self._tf.publish(TFMessage(frames))

@@ -172,6 +172,24 @@ class InteractionsTest(unittest.TestCase):
             self.wait_for_gazes({("ian", "")}, "ian at the robot again")
         self.assertEqual(self.time_jumps(), before)
 
+    def test_4c_a_camera_whose_clock_is_ahead_hides_nobody(self):
+        self.stage.ahead = {LEFT: 12.0}
+        ann = (LEFT, np.array([0.5, 0.0, 1.5]), np.array([1.5, 0.0, 1.5]))
+        bob = (RIGHT, np.array([-0.5, 0.0, 1.5]), np.array([-1.5, 0.0, 1.5]))
+        self.stage.people = {"ann": ann, "bob": bob}
+        self.wait_for_gazes({("ann", "bob"), ("bob", "ann")}, "mutual gaze across cameras of different clocks")
+        before = self.time_jumps()
+        # Who is seen by that camera leaves, and the others go on at once.
+        robot = np.array([-1.0, 0.0, 0.0])
+        self.stage.people = {"bob": (RIGHT, bob[1], robot)}
+        self.wait_for_gazes({("bob", "")}, "bob at the robot")
+        begun = rospy.get_time()
+        self.stage.people = {"bob": bob, "ann": ann}
+        self.wait_for_gazes({("ann", "bob"), ("bob", "ann")}, "mutual gaze again")
+        self.assertLess(rospy.get_time() - begun, 5.0)
+        self.assertEqual(self.time_jumps(), before)
+        self.stage.ahead, self.stage.people = {}, {}
+
     def time_jumps(self):
         # The first ones may tell of an earlier moment.
         for _ in range(3):

@@ -83,6 +83,31 @@ def test_a_darker_image_of_the_same_camera_is_darker():
     assert grey_of(wide(0)).max() == 0
 
 
+def noise(mean, sd, step=1, bright=0):
+    """A dark picture of sensor noise, with some bright pixels; numbers are multiples of `step`."""
+    rng = np.random.default_rng(5)
+    pixels = np.clip(rng.normal(mean, sd, (120, 160)), 0, 65535 // step).astype(np.uint16) * np.uint16(step)
+    pixels.reshape(-1)[:bright] = 900
+    return pixels
+
+
+@pytest.mark.parametrize("bits", [10, 12, 14])
+def test_noise_of_a_dark_room_is_not_stretched_where_a_camera_fills_16_bits_from_above(bits):
+    """Its numbers are multiples of 64, 16 or 4: 64 times as bright they were a snowstorm."""
+    memory = GreyBits()
+    assert memory.upper(noise(*((10, 4) if bits < 14 else (60, 20)), step=2 ** (16 - bits))).max() <= 8
+    bright = np.linspace(0, 65535, 120 * 160).astype(np.uint16).reshape(120, 160)
+    np.testing.assert_array_equal(memory.upper(bright), bright >> 8)
+
+
+def test_a_dark_image_that_could_be_of_any_number_of_bits_is_not_stretched_to_white():
+    memory = GreyBits()
+    assert memory.upper(noise(100, 30, bright=5)).max() <= 900 >> 4, "one hot pixel is no light"
+    lit = noise(500, 100)
+    np.testing.assert_array_equal(memory.upper(lit), lit >> 2)
+    np.testing.assert_array_equal(memory.upper(noise(100, 30)), noise(100, 30) >> 2)      # it has 10 bits
+
+
 @pytest.mark.parametrize("encoding, order", [("yuv422", "uyvy"), ("yuv422_yuy2", "yuyv")])
 def test_yuv_of_one_colour(encoding, order):
     y, u, v = 81, 90, 240        # red in BT.601

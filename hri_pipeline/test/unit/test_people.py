@@ -122,6 +122,19 @@ def test_a_gaze_that_is_missing_means_closed_eyes_but_only_after_there_was_one(f
     assert ann.gaze_direction is None
 
 
+def test_frames_of_a_camera_whose_clock_is_ahead_hide_nobody(frames):
+    frames.set_people(["ann", "bob"])
+    frames.set_feature("bob", "body", "bb")
+    put(frames, "camera", "face_fa", facing_camera(1.0), 22.0)
+    put(frames, "other", "body_bb", facing_camera(2.0), 10.0)
+    put(frames, "body_bb", "head_bb", facing_camera(0.0), 10.0)
+    poses = {"camera": OPTICAL, "other": OPTICAL}
+    for newest, shifts in ((22.0, {"other": 12.0}), (10.0, {"camera": -12.0})):
+        people = gather(frames, lambda sensors: poses, newest, SETTINGS, {}, shifts)
+        assert people.ids == ["ann", "bob"]
+        assert gather(frames, lambda sensors: poses, newest + 2.0, SETTINGS, {}, shifts).ids == []
+
+
 def test_action_units_go_before(frames):
     put(frames, "camera", "face_fa", facing_camera(1.0))
     put(frames, "face_fa", "gaze_fa", straight())

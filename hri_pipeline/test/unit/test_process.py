@@ -339,3 +339,28 @@ def test_waits_grow_and_end_after_a_good_run():
     assert waits[:4] == [0.0, 0.5, 1.0, 2.0] and waits[-1] == LONGEST_WAIT_S
     assert policy.ended(PROVEN_S) == 0.0
     assert policy.ended(0.3) == 0.5
+
+
+def interrupted(code):
+    """Run a program that Ctrl-C ends; return its exit code and what it printed on stderr."""
+    done = subprocess.run([sys.executable, "-c", code], stderr=subprocess.PIPE, universal_newlines=True, timeout=60)
+    return done.returncode, done.stderr
+
+
+def test_ctrl_c_during_the_imports_of_a_program_prints_nothing_and_errors_are_printed_as_ever():
+    hit = "import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(30.0)"
+    assert interrupted("from hri_pipeline.core import interrupt; " + hit) == (-signal.SIGINT, "")
+    code, text = interrupted("from hri_pipeline.core import interrupt; import no_such_module")
+    assert code == 1 and "ModuleNotFoundError" in text
+
+
+SOURCES = Path(__file__).resolve().parents[3]
+
+
+@pytest.mark.skipif(not (SOURCES / "docs").is_dir(), reason="the scripts are there in the sources")
+def test_every_node_is_quiet_from_its_first_import_on():
+    scripts = [path for path in SOURCES.glob("hri_*/nodes/*") if path.is_file() and not path.suffix]
+    assert len(scripts) > 20
+    for path in scripts:
+        imports = [line for line in path.read_text().splitlines() if line.startswith(("import ", "from "))]
+        assert imports[0] == "from hri_pipeline.core import interrupt  # noqa: F401", path

@@ -16,6 +16,7 @@ from hri_pipeline.core.setup_check import (
     as_text,
     check,
     is_well,
+    stand_ins,
 )
 
 SETTINGS = CHECK_PARAMETERS.resolve({})
@@ -39,6 +40,22 @@ def test_a_good_set_up_has_no_fault():
     findings = check(WELL, SETTINGS)
     assert is_well(findings) and not [finding for finding in findings if finding.level == HINT]
     assert "2 persons tracked now" in as_text(findings) and as_text(findings).endswith("no faults found")
+
+
+def test_nodes_of_other_names_are_known_by_their_topics():
+    published = {"/humans/faces/tracked": ["/front/eyes"],
+                 "/humans/bodies/tracked": ["/front/eyes", "/side/hri_bodies"],
+                 "/humans/candidate_matches": ["/front/eyes", "/pairs"], "/humans/persons/tracked": ["/us"]}
+    subscribed = {"/humans/faces/tracked": ["/pairs", "/us"], "/humans/bodies/tracked": ["/pairs", "/us"]}
+    wanted = ("hri_faces", "hri_bodies", "hri_face_body_matcher", "hri_person_manager", "voices")
+    assert [stand_ins(name, published, subscribed) for name in wanted] == [
+        ["/front/eyes"], ["/front/eyes", "/side/hri_bodies"], ["/pairs"], ["/us"], []]
+    assert [stand_ins(name, {}, subscribed) for name in wanted] == [[]] * 5
+
+
+def test_who_stands_for_a_node_is_told():
+    found = check(replace(WELL, nodes={"eyes": "running"}, stand_ins={"hri_faces": ("eyes", )}), SETTINGS)
+    assert is_well(found) and "eyes stands for hri_faces" in as_text(found)
 
 
 def test_nobody_in_view_is_no_fault():

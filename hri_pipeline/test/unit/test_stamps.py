@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from hri_pipeline.core.timing import ALL_STALE_S, MAX_SOURCES, Order, SourceStamps
+from hri_pipeline.core.timing import ALL_STALE_S, MAX_SOURCES, CommonTime, Order, SourceStamps
 
 FACES, BODIES = ("face_", b"camera"), ("body_", b"camera")
 
@@ -54,3 +55,82 @@ def test_the_number_of_sources_is_bounded():
     for number in range(3 * MAX_SOURCES):
         stamps.note(number, at(number), float(number))
     assert len(stamps._newest) == MAX_SOURCES
+
+
+def test_who_goes_on_as_before_is_no_jump_when_a_source_with_a_clock_ahead_has_ended():
+    stamps, found = SourceStamps(), []
+    for step in range(40):
+        now = 100.0 + 0.5 * step
+        if step < 4:
+            found.append(stamps.note("ahead", at(now + 30.0), now + 0.1))
+        found.append(stamps.note("other", at(now), now))
+    assert set(found) == {Order.NEWER}
+
+
+TOLERANCE = 0.5
+
+
+@pytest.mark.parametrize("ahead", [-12.0, -0.7, 0.7, 12.0])
+@pytest.mark.parametrize("first", [0, 1])
+def test_sensors_whose_clocks_differ_have_one_common_time(ahead, first):
+    common, offsets = CommonTime(), {"a": 0.0, "b": ahead}
+    order = ["a", "b"] if first == 0 else ["b", "a"]
+    times = []
+    for step in range(60):
+        now = 100.0 + 0.1 * step
+        for sensor in order:
+            if sensor == "b" and 20 <= step < 35:      # nobody is seen by it
+                continue
+            stamp = now + offsets[sensor]
+            times.append(stamp + common.note(sensor, stamp, now, TOLERANCE))
+    steps = [after - before for before, after in zip(times, times[1:])]
+    assert min(steps) >= -TOLERANCE - 0.11 and max(steps) <= TOLERANCE + 0.11
+    assert times[-1] - times[0] == pytest.approx(5.9, abs=2.0 * TOLERANCE)
+
+
+def test_sensors_of_one_clock_are_not_shifted_by_pauses_of_any_length_or_speed():
+    common = CommonTime()
+    for stamp, now in ((10.0, 0.0), (10.1, 0.1), (15.0, 5.0), (35.0, 6.0), (35.1, 60.0), (35.5, 60.1)):
+        assert common.note("a", stamp, now, TOLERANCE) == common.note("b", stamp + 0.05, now, TOLERANCE) == 0.0
+
+
+def test_bodies_that_come_after_later_faces_do_not_shift_their_camera():
+    common = CommonTime()
+    for step in range(20):
+        now = 100.0 + 0.1 * step
+        assert common.note("a", now, now, TOLERANCE) == common.note("b", now, now, TOLERANCE) == 0.0
+        assert common.note("b", now - 3.0, now, TOLERANCE) == 0.0
+
+
+def test_a_camera_that_lags_for_a_while_has_its_own_stamps_again_afterwards():
+    common = CommonTime()
+    shifts = []
+    for step in range(30):
+        now = 100.0 + 0.5 * step
+        common.note("a", now, now, TOLERANCE)
+        shifts.append(common.note("b", now - (2.0 if 10 <= step < 20 else 0.0), now, TOLERANCE))
+    assert shifts[9] == shifts[-1] == 0.0 and shifts[15] == pytest.approx(2.0, abs=TOLERANCE)
+
+
+def test_a_stall_after_which_the_stamps_of_one_sensor_come_first_leaves_no_shift():
+    common = CommonTime()
+    for step in range(40):
+        now = 100.0 + 0.1 * step
+        late = 0.9 if 10 <= step < 19 else 0.0     # what came during the stall is told at once afterwards
+        if not late:
+            common.note("a", now, now, TOLERANCE)
+            common.note("b", now, now + 0.01, TOLERANCE)
+        elif step == 18:
+            for stamp in np.arange(101.0, 101.8, 0.1):
+                common.note("a", stamp, 101.8, TOLERANCE)
+            common.note("b", 100.95, 101.8, TOLERANCE)
+            common.note("a", 101.8, 101.8, TOLERANCE)
+            common.note("b", 101.8, 101.81, TOLERANCE)
+    assert common.shifts == {}
+
+
+def test_the_number_of_sensors_is_bounded():
+    common = CommonTime()
+    for number in range(2 * MAX_SOURCES):
+        common.note(number, 3.0 * number, 0.1 * number, TOLERANCE)
+    assert len(common._latest) == MAX_SOURCES >= len(common.shifts)

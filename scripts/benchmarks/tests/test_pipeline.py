@@ -10,7 +10,7 @@ import pytest
 from benchmarks import pipeline
 
 SEEN = {
-    "seconds": 10.0, "tracked": {"persons": 4, "faces": 2, "bodies": 3}, "most_tracked": {},
+    "seconds": 10.0, "tracked": {"persons": 4, "faces": 2, "bodies": 3, "voices alone": 1}, "most_tracked": {},
     "ages": [0.1] * 95 + [0.3] * 5,
     "rates": {"person": [15.0, 12.0, 9.0, 8.0], "face": [15.0, 15.0], "body": []},
     "stages_ms": {"hri_faces": {"mesh": {"median": 3.0, "p95": 4.0}}},
@@ -22,7 +22,8 @@ MACHINE = {"cpu": "x", "cores": 2, "system": "y", "load_average": [0.1, 0.2, 0.3
 def test_who_is_missing_counts_as_zero_and_who_is_too_many_does_not_count() -> None:
     row = pipeline.figures(3, SEEN)
     assert (row["fps"], row["faces_fps"], row["bodies_fps"]) == (12.0, 10.0, 0.0)
-    assert row["found"] == {"persons": 4, "faces": 2, "bodies": 3}
+    assert row["found"] == {"persons": 4, "faces": 2, "bodies": 3, "voices alone": 1}
+    assert " 4/2/3/1 " in pipeline.as_table([row], MACHINE, {})
     assert row["age_p50_ms"] == 100.0 and 100.0 <= row["age_p95_ms"] <= 300.0
 
 

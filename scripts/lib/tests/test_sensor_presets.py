@@ -71,3 +71,34 @@ def test_a_value_that_is_not_legal_is_refused_with_those_that_are(launch_file: s
         eval(checks[0][len("$(eval "):-1], names, {name: "kinect"})
     given, _, told = str(refused.value).partition("; legal: ")
     assert given == name + ":=kinect" and sorted(told.split(", ")) == sorted([*legal, "or nothing"])
+
+
+def check_of(launch_file: str, argument: str, **names: object) -> object:
+    """The value of an argument that checks others, as roslaunch finds it; `Refused` tells what it would end with."""
+    tags = ElementTree.parse(str(ROOT / "launch" / (launch_file + ".launch"))).getroot().findall("arg")
+    values = {tag.get("name"): tag.get("value", "") for tag in tags}
+    return eval(values[argument][len("$(eval "):-1], {}, {"arg": refuse, **names})
+
+
+@pytest.mark.parametrize("launch_file", ["ros4hri", "two_cameras"])
+@pytest.mark.parametrize("argument, name, legal", [("is_count", "max_people", ["", 1, 10]),
+                                                   ("is_rate", "vision_rate", ["", 0.0, 15, 7.5])])
+def test_numbers_that_are_none_are_refused_by_name(launch_file: str, argument: str, name: str,
+                                                   legal: Sequence[object]) -> None:
+    assert all(check_of(launch_file, argument, **{name: value}) is True for value in legal)
+    for value in ("abc", -3, "5 people"):
+        with pytest.raises(Refused, match="^{}:={}; legal: ".format(name, value)):
+            check_of(launch_file, argument, **{name: value})
+
+
+@pytest.mark.parametrize("names, cameras", [
+    (("left", "right", ""), "left right"), (("a", "b", "c d;/d/image"), "a b c d")])
+def test_cameras_of_different_names_are_taken(names: Sequence[str], cameras: str) -> None:
+    left, right, more = names
+    assert check_of("two_cameras", "cameras", left=left, right=right, more=more) == cameras
+    assert check_of("two_cameras", "is_each_once", cameras=cameras) is True
+
+
+def test_cameras_of_one_name_are_refused() -> None:
+    with pytest.raises(Refused, match="^cameras a b a; legal: another name for each, by left, right and more$"):
+        check_of("two_cameras", "is_each_once", cameras="a b a")

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from view_state import Lack, Steady, View, good_enough, lack
+from view_state import Lack, Steady, View, good_enough, lack, seen_and_heard
 
 TOPICS = ("/skeletons", "/overlay")
 FULL = View(frozenset("pq"), frozenset("fg"), frozenset("ab"), frozenset("ab"), 2, 1, 1, (2, 2), frozenset(TOPICS))
+
+
+def test_a_voice_alone_is_a_person_but_nobody_who_is_seen() -> None:
+    features = {"ann": {"face_id": "f", "body_id": ""}, "bob": {"face_id": "", "body_id": "b"},
+                "anonymous": {"face_id": "", "body_id": ""}}
+    assert seen_and_heard(["ann", "anonymous", "bob", "new"], features) == (["ann", "bob"], ["anonymous", "new"])
 
 
 def test_a_full_view_lacks_nothing() -> None:

@@ -15,16 +15,15 @@ from typing import Callable, Deque, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH
+from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH, elbows_below, foreign_hands
 from hri_fullbody.core.behaviour.gesture import GestureClass
 from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
 from hri_fullbody.core.behaviour.posture import PostureClass, without_feet_outside, without_guessed_limbs
 from hri_fullbody.core.behaviour.recognizer import MAX_GAP_S, BehaviourRecognizer, BodyBehaviour
-from hri_fullbody.core.detection.orientation import ImageOrientation
 from hri_fullbody.core.detection.person_detector import CenterNetDetector, PersonDetector
 from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, BlazePose, PoseEstimate, PoseEstimator
 from hri_fullbody.core.detection.windows import FaceBox
-from hri_fullbody.core.keypoints import confidence_18, to_18_points
+from hri_fullbody.core.keypoints import LEFT_WRIST, RIGHT_WRIST, confidence_18, to_18_points
 from hri_fullbody.core.localization.ground import GroundPlane
 from hri_fullbody.core.localization.localizer import BodyLocalizer, SceneContext, place
 from hri_fullbody.core.model.anthropometry import MONOCULAR
@@ -33,13 +32,14 @@ from hri_fullbody.core.modeller import BodyInput, BodyModeller, ModelledBody
 from hri_fullbody.core.parameters import BodiesSettings
 from hri_fullbody.core.tracking.reidentification import BodyReidentifier, Reidentification, TrackAppearance
 from hri_fullbody.core.tracking.track import BodyTrack
-from hri_fullbody.core.tracking.tracker import BodyTracker
+from hri_fullbody.core.tracking.tracker import SLOW_S, BodyTracker
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, model_path, models_directory
+from hri_pipeline.core.orientation import ImageOrientation
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler
 from hri_pipeline.core.timing import StageTimes
@@ -47,10 +47,7 @@ from hri_pipeline.core.timing import StageTimes
 DETECTOR_MODEL = "person_centernet.onnx"
 POSE_MODELS = ("lite", "full", "heavy")
 _SEEN = 0.5
-# Images that come more slowly (s) need not take the same time each, and who is there is found in few of them: two
-# windows of the budget are for those who wait.
-SLOW_S = 0.25
-_SLOW_NEW = 2
+_SLOW_NEW = 2       # in slow images two windows of the budget are for those who wait
 _HIDDEN_SHARE, _HIDDEN_NEW = 0.3, 2     # of the detector's period, and windows for new ones, while somebody is hidden
 # Boxes of the person detector from this part of the score that starts a body confirm that somebody is there.
 _FAINT = 0.5
@@ -181,8 +178,10 @@ class BodyPipeline:
                  for body in seen.values()], stamp, up)
         with self.times("attitude"):
             self.pointing = self._find_pointing(stamp, up)
-            self._guard.each("body", lambda model: self._express(model, seen[model.id], stamp, up, size, up_sd),
-                             self.modelled)
+            all_keypoints = {body.id: body.keypoints for body in bodies}
+            self._guard.each("body", lambda model: self._express(
+                model, seen[model.id], stamp, up, size, up_sd,
+                [points for name, points in all_keypoints.items() if name != model.id]), self.modelled)
 
     def _follow_known(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
                       slow: bool) -> None:
@@ -274,16 +273,23 @@ class BodyPipeline:
                 self._tracker.published(stamp))
 
     def _express(self, model: ModelledBody, body: BodyObservation, stamp: float, up: np.ndarray,
-                 size: Tuple[int, int], up_sd: float) -> None:
-        """Keep the model of a detected body, and recognise its attitude, posture and gesture."""
+                 size: Tuple[int, int], up_sd: float, others: Sequence[np.ndarray]) -> None:
+        """Keep the model of a detected body, and recognise its attitude, posture and gesture.
+
+        others: key points of the other bodies.
+        """
         points = without_guessed_limbs(model.points, body.keypoints, *size)
         confidence = without_feet_outside(body.keypoints, *size)
+        # A hand that is somebody else's is as good as guessed.
+        confidence[[wrist for wrist, foreign in zip((LEFT_WRIST, RIGHT_WRIST), foreign_hands(body.keypoints, others))
+                    if foreign]] = 0.0
+        below = elbows_below(body.keypoints, *size)
         recognizer = self._recognizers.setdefault(model.id, BehaviourRecognizer())
         behaviour = self._guard.each(
             "behaviour of a body",
             lambda one: recognizer.update(
                 points, one.stature, stamp, up, up_sd, confidence, body.hands,
-                1.0 if body.by_depth else GUESSED_DEPTH, body.image_trunk, body.score), [model])
+                1.0 if body.by_depth else GUESSED_DEPTH, body.image_trunk, body.score, below), [model])
         self._last_models[model.id] = _LastModel(
             stamp, model, None if body.pose is None else body.pose.translation, behaviour[0] if behaviour else None)
         if body.head is not None:

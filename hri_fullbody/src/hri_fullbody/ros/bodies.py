@@ -18,7 +18,6 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from hri_fullbody.core.detection.orientation import quarter_turns
 from hri_fullbody.core.detection.windows import FaceBox, face_boxes
 from hri_fullbody.core.model.urdf import make_urdf
 from hri_fullbody.core.modeller import ModelledBody
@@ -33,6 +32,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.observations import BodyObservation, FaceObservation
 from hri_pipeline.core.onnx import ModelLog
+from hri_pipeline.core.orientation import quarter_turns, turned_problem
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.timing import StampPacer
 from hri_pipeline.ros.conversions import (
@@ -422,26 +422,6 @@ class UpFrame:
             "no transform leads from {} to ~up_frame {}; the tilt is guessed from the people. Mend: start what "
             "publishes it, or set ~up_frame to a frame that exists or to nothing".format(camera, self._name)
         )
-
-
-_TURNS = ("upright", "a quarter turn anticlockwise", "half a turn", "a quarter turn clockwise")
-
-
-def turned_problem(seen: Optional[int], transform: Optional[int]) -> str:
-    """Return what is wrong with the camera's mounting, and the mend; empty when all is well or not known.
-
-    seen, transform: quarter turns anticlockwise by which images stand upright, as the people in them and the transform
-    to ~up_frame tell; None: not known.
-    """
-    if seen == 0 and transform:
-        return ("people stand upright in the images, but the transform to ~up_frame says that these are turned: they "
-                "would be upright after {}. Mend: correct the transform of the camera".format(_TURNS[transform]))
-    if not (seen or transform):
-        return ""
-    return ("the images come turned: {} after {}, so that bodies and faces are missed or at wrong places. Mend: mount "
-            "the camera upright, or turn images, camera_info and the camera's frame before they come here".format(
-                "people are clear in them only" if seen else "by the transform to ~up_frame they would be upright",
-                _TURNS[seen or transform or 0]))
 
 
 def up_and_height(camera: Pose) -> Tuple[np.ndarray, Optional[float]]:

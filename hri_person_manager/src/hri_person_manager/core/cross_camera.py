@@ -210,11 +210,21 @@ class CrossCamera:
         for pair in list(self._groups.kept):
             first, second = pair
             if first not in exists or second not in exists or pair in self._groups.parted or (
-                    first in current and second in current):
+                    first in current and second in current and self._are_apart(pair)):
                 del self._groups.kept[pair]
         while len(self._groups.kept) > MAX_NAMES:
             self._groups.kept.popitem(last=False)
         return list(self._groups.kept)
+
+    def _are_apart(self, persons: FrozenSet[str]) -> bool:
+        """Tell whether two persons who are seen now cannot be one human, or are not near each other."""
+        humans = {human.number: human for human in self._groups.group_of.values()
+                  if any(view.person in persons for view in human.views)}
+        for one, other in itertools.combinations(humans.values(), 2):
+            state = self._groups.near.get(frozenset((one.number, other.number)))
+            if not self._groups.may_be_one(one, other) or (state is not None and not state.near):
+                return True
+        return False
 
     def _separate(self, live: List[View]) -> None:
         """Take views out of humans that they are apart from, or that are somebody else."""

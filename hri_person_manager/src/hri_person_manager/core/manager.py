@@ -6,7 +6,7 @@ All times are seconds of one clock and are given by the caller. Not thread-safe:
 from __future__ import annotations
 
 import math
-from typing import Callable, Dict, FrozenSet, Iterable, List, Mapping, Optional, Set, Tuple
+from typing import Callable, Container, Dict, FrozenSet, Iterable, List, Mapping, Optional, Set, Tuple
 
 import numpy as np
 
@@ -227,6 +227,15 @@ class PersonManager:
         self._associate(now)
         return True
 
+    def renew(self, sender: str, kept: Container[str], now: float) -> None:
+        """Take note that a recogniser was started anew: those whom only it named are forgotten as soon as none of their
+        features is tracked, unless they are named again.
+
+        kept: persons whom it knows still, and those who stay known without it.
+        """
+        self._known.renew(sender, kept)
+        self._forget_outdated(now)
+
     def know(self, person_ids: Iterable[str]) -> None:
         """Take over the permanent persons that a store remembers, those known first first; what is no id is left
         out."""
@@ -313,6 +322,7 @@ class PersonManager:
         waiting = self._table.waiting_until()
         if expired or (waiting is not None and now >= waiting):
             self._associate(now)
+        self._forget_outdated(now)
         gone = self._published.fade(now) + self._published.long_unseen()[:-MAX_UNSEEN_PERSONS]
         for person_id in gone:
             if self._table.persons[person_id].anonymous:
@@ -320,6 +330,17 @@ class PersonManager:
             self._table.remove(person_id)
         if self._join_across_cameras(now) or gone:
             self._update_merges(now)
+
+    def _forget_outdated(self, now: float) -> None:
+        """Forget whom no recogniser will name any more, once nothing of them is tracked."""
+        if not self._known.outdated:
+            return
+        joined = set(self._table.aliases).union(*({alias.target} for alias in self._table.aliases.values()),
+                                                *(pair[:2] for pair in self._merges.pairs))
+        for person_id in sorted(self._known.outdated - joined):
+            person = self._table.persons.get(person_id)
+            if person is None or not person.features:
+                self.forget(person_id, now)
 
     def silent(self, now: float) -> List[Tuple[str, Place]]:
         """Return id and place of the persons that have a frame although no source is active now."""
@@ -478,6 +499,7 @@ class PersonManager:
                     self._said.note(sender, feature, person.id, likelihood)
                 if sender and likelihood > 0.0:
                     self._cameras.note_name(person.id, sender)
+                    self._known.note_name(person.id, sender)
 
     def _match_anonymous(self, feature: MatchNode, person_id: str, likelihood: float, now: float) -> bool:
         """Take a match with an anonymous person: one without features gets this feature, else the owner of the feature

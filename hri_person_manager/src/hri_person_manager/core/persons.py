@@ -10,7 +10,20 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass, field
-from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Tuple
+from typing import (
+    Callable,
+    Container,
+    Dict,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+)
 
 from hri_person_manager.core.features import FEATURES, Kind, MatchNode
 from hri_person_manager.core.location import Decay, PersonLocation, Place
@@ -239,11 +252,16 @@ def _preference(person: PersonEntry, group: Group) -> Tuple:
 
 
 class KnownIds:
-    """LRU set of permanent ids that remembers the order in which they became known."""
+    """LRU set of permanent ids that remembers the order in which they became known, and which recognisers name them.
+
+    outdated: those whom only recognisers named that have begun anew since, so that nobody will ever be named so again.
+    """
 
     def __init__(self) -> None:
         self._numbers: "OrderedDict[str, int]" = OrderedDict()
+        self._senders: Dict[str, Set[str]] = {}
         self._count = 0
+        self.outdated: Set[str] = set()
 
     def __contains__(self, person_id: object) -> bool:
         """Tell whether a person is known."""
@@ -259,9 +277,24 @@ class KnownIds:
         self._count += 1
         self._numbers.setdefault(person_id, self._count)
         self._numbers.move_to_end(person_id)
+        self.outdated.discard(person_id)
         while len(self._numbers) > MAX_KNOWN_IDS:
-            self._numbers.popitem(last=False)
+            self.remove(next(iter(self._numbers)))
         return new
+
+    def note_name(self, person_id: str, sender: str) -> None:
+        """Note that a recogniser names a person who is known."""
+        if person_id in self._numbers:
+            self._senders.setdefault(person_id, set()).add(sender)
+
+    def renew(self, sender: str, kept: Container[str]) -> None:
+        """Note that a recogniser has begun anew; kept: persons whom it knows still, or who stay known without it."""
+        for person_id, senders in list(self._senders.items()):
+            if sender in senders and person_id not in kept:
+                senders.remove(sender)
+                if not senders:
+                    del self._senders[person_id]
+                    self.outdated.add(person_id)
 
     def number(self, person_id: str, otherwise: int) -> int:
         """Less for those who were known earlier; `otherwise` for the unknown."""
@@ -270,6 +303,8 @@ class KnownIds:
     def remove(self, person_id: str) -> None:
         """Forget a person."""
         self._numbers.pop(person_id, None)
+        self._senders.pop(person_id, None)
+        self.outdated.discard(person_id)
 
 
 class PersonState(NamedTuple):

@@ -18,7 +18,7 @@ import re
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Hashable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
 import cv2
 import numpy as np
@@ -65,10 +65,25 @@ class CameraEntry:
     place: Optional[Tuple[float, ...]] = None
 
 
+class _Loader(yaml.SafeLoader):
+    """Refuses a mapping in which a name stands twice: of these, YAML would silently take the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Dict[Hashable, Any]:
+        """Return the mapping of a node. Raises yaml.constructor.ConstructorError."""
+        names: Set[object] = set()
+        for key, _ in node.value:
+            if key.value in names:
+                raise yaml.constructor.ConstructorError(
+                    None, None, "the name {} stands twice; give each camera another one".format(key.value),
+                    key.start_mark)
+            names.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
 def read_cameras(path: Path) -> Tuple[str, List[CameraEntry]]:
     """Return the reference frame and the cameras of a file. Raises CameraFileError with what is wrong in it."""
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise CameraFileError("{}: {}".format(path, error)) from error
     cameras = data.get("cameras") if isinstance(data, dict) else None

@@ -9,6 +9,7 @@ import threading
 import time
 import traceback
 import xmlrpc.client
+from collections import OrderedDict
 from pathlib import Path
 from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
@@ -42,7 +43,7 @@ from hri_pipeline.ros.conversions import matrix_from_image, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.privacy import PrivacyTopic
 from hri_pipeline.ros.publishers import MATCHES_TOPIC
-from hri_pipeline.ros.rospy_compat import release, sender_of
+from hri_pipeline.ros.rospy_compat import address_of_sender, release, sender_of
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import TfPublisher
 
@@ -255,6 +256,29 @@ class ManagerDiagnostics:
             if unconnected else "persons are placed in %s" % self._reference.frame, self._tf_input.status())
 
 
+_MAX_SENDERS = 100
+
+
+class SenderRuns:
+    """Notices that the process of a node that sends on a topic is another one than before, under the same name."""
+
+    def __init__(self, topic: str) -> None:
+        self._topic = topic
+        self._runs: "OrderedDict[str, Tuple[object, str]]" = OrderedDict()      # connection and address by name
+
+    def is_new_run(self, message: genpy.Message) -> bool:
+        """Tell whether this message is the first one that another process has sent."""
+        sender, connection = sender_of(message), getattr(message, "_connection_header", None)
+        before = self._runs.get(sender, (None, ""))
+        if connection is None or before[0] is connection:
+            return False
+        address = address_of_sender(self._topic, message) or before[1]
+        self._runs[sender] = connection, address
+        while len(self._runs) > _MAX_SENDERS:
+            self._runs.popitem(last=False)
+        return "" != before[1] != address
+
+
 class PersonManagerNode:
     """Owns the manager; every callback takes the lock, hands over, and publishes what changed.
 
@@ -274,6 +298,7 @@ class PersonManagerNode:
         self._next_report = self._next_expiry = 0.0
         self._jumps = 0
         self._stamps = SourceStamps()
+        self._recognisers = SenderRuns(MATCHES_TOPIC)
         self._sensed = genpy.Time()     # stamp of the newest image or sound of which a list or a transform has come
         self._feeds: Dict[str, IdSubscribers] = {}
         self._store = open_store(settings)
@@ -413,8 +438,22 @@ class PersonManagerNode:
             if sum(self._guard.refused.values()) > refused:
                 rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: a match of %s is refused: %s", MATCHES_TOPIC,
                                        sender_of(message), self._guard.problem)
+            if match is not None and self._recognisers.is_new_run(message):
+                threading.Thread(target=self._on_new_run, args=(sender_of(message), ), daemon=True,
+                                 name="new recogniser").start()
             if match is not None and self._manager.on_match(match, rospy.get_time(), sender_of(message)):
                 self._publish_state()
+
+    def _on_new_run(self, recogniser: str) -> None:
+        """See whom a recogniser has lost of whose name another process runs now; in a thread, as it answers by ROS."""
+        known = self._services.known_to(recogniser)
+        if known is None:
+            return      # it keeps no gallery that one could ask
+        with self._lock:
+            named = {record.id for record in self._register.records
+                     if record.name or record.native_language or record.enrolled}
+            self._manager.renew(recogniser, known | named, rospy.get_time())
+            self._publish_state()
 
     def _on_poses(self, poses: List[FeaturePose]) -> None:
         with self._lock:

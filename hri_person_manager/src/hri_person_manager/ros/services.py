@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, NamedTuple, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 import rosgraph
 import rospy
@@ -142,6 +142,20 @@ class Galleries:
         return answers
 
     @staticmethod
+    def known_to(recogniser: str) -> Optional[Set[str]]:
+        """Return whom a node knows, None where it has no gallery, or does not answer."""
+        name = recogniser + GALLERY_SUFFIX
+        try:
+            if rosservice.get_service_type(name) != Gallery._type:
+                return None
+            answer = rospy.ServiceProxy(name, Gallery)(GalleryRequest(command=GalleryRequest.LIST))
+            return {str(one) for one in json.loads(answer.data)} if answer.success else None
+        except (rospy.ROSException, rospy.ServiceException, rosservice.ROSServiceException, ValueError,
+                TypeError) as error:
+            rospy.logwarn("%s does not tell whom it knows: %s", name, error)
+            return None
+
+    @staticmethod
     def names() -> List[str]:
         """Names of all services that may be a gallery."""
         try:
@@ -181,6 +195,10 @@ class PersonServices:
         """Offer them no more. Idempotent."""
         for service in self._services:
             service.shutdown("closing")
+
+    def known_to(self, recogniser: str) -> Optional[Set[str]]:
+        """Return whom a node recognises, None where that cannot be asked; may wait for its answer."""
+        return self._galleries.known_to(recogniser)
 
     def _kept(self, handler: Callable) -> Callable:
         """Let a handler answer when what it has changed is in the store."""

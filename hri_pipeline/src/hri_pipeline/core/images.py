@@ -33,20 +33,43 @@ def _colour(code: int) -> Callable[[np.ndarray], np.ndarray]:
 _GREY_BITS = (10, 12, 14, 16)
 
 
+_SAMPLE = 40000         # pixels that tell how bright an image is, and which numbers are in use
+_LIT_SHARE = 0.001      # of the pixels in the upper half of the range: there is light
+_COMB_STEP, _COMB_VALUES = 4, 8
+
+
 class GreyBits:
     """How many of their 16 bits the images of a camera use: 10, 12, 14 or 16, by the largest number so far.
 
-    Never fewer than before: images would flicker.
+    Never fewer than before: images would flicker. In the dark the largest number is noise: a camera whose numbers are
+    multiples (12 bits in the upper part of 16, for example) uses all 16 bits, and an image that seems to have 10 counts
+    as one of 12 until one has been in the light.
     """
 
     def __init__(self) -> None:
         self._bits = _GREY_BITS[0]
+        self._was_lit = False
 
     def upper(self, pixels: np.ndarray) -> np.ndarray:
         """Return the upper 8 of the bits that are used, uint8, of an image of uint16."""
         needed = int(pixels.max(initial=0)).bit_length()
         self._bits = next(bits for bits in _GREY_BITS if bits >= max(needed, self._bits))
-        return (pixels >> (self._bits - 8)).astype(np.uint8)
+        bits = self._bits
+        if bits < _GREY_BITS[-1] and needed > 0:
+            sample = pixels.reshape(-1)[::max(1, pixels.size // _SAMPLE)]
+            if _is_comb(sample):
+                bits = self._bits = _GREY_BITS[-1]
+            elif not self._was_lit:
+                self._was_lit = bits > _GREY_BITS[0] or float((sample >> (bits - 1) > 0).mean()) >= _LIT_SHARE
+                bits = bits if self._was_lit else _GREY_BITS[1]
+        return (pixels >> (bits - 8)).astype(np.uint8)
+
+
+def _is_comb(sample: np.ndarray) -> bool:
+    """Tell whether many numbers are in use, all of them multiples: what is measured with fewer bits stands in the upper
+    ones."""
+    values = np.flatnonzero(np.bincount(sample))
+    return len(values) >= _COMB_VALUES and int(np.gcd.reduce(values)) >= _COMB_STEP
 
 
 _MONO = _Layout(1, np.uint8, _colour(cv2.COLOR_GRAY2BGR))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from hri_pipeline.core.images import ENCODINGS, other_transport
 from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
@@ -62,10 +62,11 @@ class Facts:
     nodes: {name: "running", "dead" (registered, but does not answer) or "absent"}. statuses: {name of the task: (level,
     text)} of /diagnostics. tracked: {kind: ids in the last list, -1 without a list}. tf_reaches: whether transforms
     lead from camera_frame to reference_frame. publishing: nodes, whatever their names, that publish below /humans.
-    managers: those that publish the list of persons.
+    managers: those that publish the list of persons. stand_ins: {usual name: nodes of other names that do its work}.
     """
 
     nodes: Dict[str, str] = field(default_factory=dict)
+    stand_ins: Dict[str, Tuple[str, ...]] = field(default_factory=dict)
     publishing: Tuple[str, ...] = ()
     managers: Tuple[str, ...] = ()
     image: Optional[Stream] = None
@@ -89,7 +90,7 @@ class CheckSettings(Settings):
 
     nodes: Sequence[str] = parameter(
         ["hri_faces", "hri_bodies", "hri_face_body_matcher", "hri_person_manager"], "Nodes that have to run, without a "
-        "slash; hri_vision stands for hri_faces and hri_bodies. Leave out those that are switched off.")
+        "slash; nodes of any name that publish the same topics stand for these. Leave out those that are switched off.")
     watch_time: float = parameter(
         6.0, "Time of observation. Longer: slower, but finds what comes rarely.", unit="s", minimum=1.0, maximum=120.0)
     camera_frame: str = parameter("", "Frame of the camera; empty: the frame_id of its images.")
@@ -177,6 +178,23 @@ def as_text(findings: List[Finding]) -> str:
     return "\n".join(lines)
 
 
+_LISTS = {"hri_faces": "/humans/faces/tracked", "hri_bodies": "/humans/bodies/tracked",
+          "hri_person_manager": "/humans/persons/tracked"}
+_MATCHER, MATCHES = "hri_face_body_matcher", "/humans/candidate_matches"
+
+
+def stand_ins(name: str, published: Mapping[str, Sequence[str]], subscribed: Mapping[str, Sequence[str]]) -> List[str]:
+    """Return the nodes of any name that do the work of one of the stack, as seen from their topics.
+
+    name: of the node, without its namespace. published, subscribed: names of nodes by topic.
+    """
+    if name != _MATCHER:
+        return sorted(published.get(_LISTS.get(name, ""), ()))
+    inputs = [set(subscribed.get(_LISTS[kind], ())) for kind in ("hri_faces", "hri_bodies")]
+    return sorted(set(published.get(MATCHES, ())).intersection(*inputs).difference(
+        *(published.get(topic, ()) for topic in _LISTS.values())))
+
+
 def _nothing_runs(facts: Facts) -> bool:
     """Tell whether nothing of the stack is there, under these names (more than one) or others."""
     return len(facts.nodes) > 1 and not facts.publishing and all(state == "absent" for state in facts.nodes.values())
@@ -199,6 +217,9 @@ def _nodes(facts: Facts, settings: CheckSettings) -> List[Finding]:
     found: List[Finding] = []
     if _nothing_runs(facts):
         return found
+    for name, others in facts.stand_ins.items():
+        found.append(Finding(OK, "{} {} for {}".format(
+            " and ".join(others), "stands" if len(others) == 1 else "stand", name)))
     for name, state in facts.nodes.items():
         if state == "dead":
             found.append(Finding(FAULT, "the node {} is registered, but does not answer: it has crashed, or its "

@@ -147,11 +147,12 @@ class SourceStamps:
     """The newest stamp of each source.
 
     Sources lag behind each other, by seconds on a machine that is too slow; that is no jump of time. Time has jumped
-    back when a source gives stamps far older than its own, or no source anything newer for ALL_STALE_S.
+    back when a source gives stamps far older than its own, or no source anything newer for ALL_STALE_S; but not where
+    one whose clock is ahead has ended, and another one goes on as before.
     """
 
     def __init__(self) -> None:
-        self._newest: "OrderedDict[Hashable, List]" = OrderedDict()     # stamp, and when it came
+        self._newest: "OrderedDict[Hashable, List]" = OrderedDict()     # stamp, when it came, when the first one came
         self._latest: Stamp = (0, 0)
         self._latest_at = 0.0
 
@@ -164,12 +165,13 @@ class SourceStamps:
         if stamp > self._latest:
             self._latest, self._latest_at = stamp, now
         elif is_back(stamp, self._latest) and now - self._latest_at > ALL_STALE_S:
-            order = Order.BACK
+            if known is None or known[2] >= self._latest_at:
+                order = Order.BACK
         if order == Order.BACK:
             self.clear()
             self._latest, self._latest_at = stamp, now
         if order != Order.LATE:
-            self._newest[source] = [stamp, now]
+            self._newest[source] = [stamp, now, now if known is None or order == Order.BACK else known[2]]
             self._newest.move_to_end(source)
             while len(self._newest) > MAX_SOURCES:
                 self._newest.popitem(last=False)
@@ -179,6 +181,76 @@ class SourceStamps:
         """Forget all sources: time has jumped."""
         self._newest.clear()
         self._latest, self._latest_at = (0, 0), 0.0
+
+
+class CommonTime:
+    """One time for sensors whose clocks differ, or whose images come late by different times.
+
+    It is the stamp. A sensor whose stamps lie further than a tolerance from what the others give at the same moment has
+    its own shift (s) to the time of the others, as long as that is so. Where nothing else is heard, time may pass
+    faster or slower than the clock, as of a bag that is played.
+    """
+
+    def __init__(self) -> None:
+        self._shifts: Dict[Hashable, float] = {}
+        self._latest: "OrderedDict[Hashable, Tuple[float, float]]" = OrderedDict()  # common time, and when it came
+
+    @property
+    def shifts(self) -> Dict[Hashable, float]:
+        """Return what is added to the stamps of the sensors that have a shift (s)."""
+        return dict(self._shifts)
+
+    def note(self, sensor: Hashable, stamp: float, now: float, tolerance: float) -> float:
+        """Take a stamp (s) of a sensor that arrives at `now` (s, of a clock that never jumps); return its shift (s).
+
+        One that is not newer changes nothing, as of bodies that come after the faces of later images.
+        tolerance: s, also the time for which a sensor is one of the others after its last stamp.
+        """
+        others = [latest for name, latest in self._latest.items() if name != sensor]
+        shift = self._shifts.get(sensor, 0.0)
+        if sensor in self._latest and stamp + shift <= self._latest[sensor][0]:
+            return shift
+        self._shifts.pop(sensor, None)
+        if others:
+            shift = self._shift(stamp, shift, now, max(others), tolerance)
+        if shift:
+            self._shifts[sensor] = shift
+        self._latest[sensor] = stamp + shift, now
+        self._latest.move_to_end(sensor)
+        if shift < 0.0:
+            self._lift(now, tolerance)
+            shift = self._shifts.get(sensor, 0.0)
+        while len(self._latest) > MAX_SOURCES:
+            self._shifts.pop(self._latest.popitem(last=False)[0], None)
+        return shift
+
+    def clear(self) -> None:
+        """Forget all sensors: time has jumped."""
+        self._shifts.clear()
+        self._latest.clear()
+
+    def _lift(self, now: float, tolerance: float) -> None:
+        """Shift less where all who are heard are shifted back, as after a stall of which one's stamps came first."""
+        heard = [name for name, (_, at) in self._latest.items() if now - at <= tolerance]
+        least = max(self._shifts.get(name, 0.0) for name in heard)
+        if least < 0.0 and len(heard) > 1:
+            for name in heard:
+                newest, at = self._latest[name]
+                self._latest[name] = newest - least, at
+                self._shifts[name] -= least
+                if not self._shifts[name]:
+                    del self._shifts[name]
+
+    @staticmethod
+    def _shift(stamp: float, shift: float, now: float, latest: Tuple[float, float], tolerance: float) -> float:
+        newest, at = latest
+        if abs(stamp - newest) <= tolerance:
+            return 0.0
+        is_heard = now - at <= tolerance
+        apart = stamp + shift - newest
+        if abs(apart) <= tolerance or (apart > 0.0 and not is_heard):
+            return shift
+        return newest - stamp if is_heard else newest + (now - at) - stamp
 
 
 def is_back(stamp: Stamp, before: Stamp) -> bool:

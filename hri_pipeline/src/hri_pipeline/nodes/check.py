@@ -34,6 +34,7 @@ from hri_pipeline.core.setup_check import (
     as_text,
     check,
     is_well,
+    stand_ins,
 )
 from hri_pipeline.models.catalogue import select
 from hri_pipeline.ros.conversions import compressed_to_bgr, image_to_bgr
@@ -105,6 +106,8 @@ def _look(settings: CheckSettings) -> Facts:
         wait([looking], timeout=_MASTER_S)
         if not _master_answers():
             os._exit(1)
+    if looking.exception() is not None and not _master_answers():
+        os._exit(1)
     return looking.result()
 
 
@@ -141,6 +144,8 @@ class GraphProbe:
         self._statuses: Dict[str, Tuple[int, str]] = {}
         self._inputs: Dict[str, str] = {}
         self._tracked = {kind: -1 for kind in KINDS}
+        self._stand_ins: Dict[str, List[str]] = {}
+        self._stand_ins = self._find_stand_ins()
         self._clock = 0
         self._subscribers = [
             rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics, queue_size=100),
@@ -163,6 +168,7 @@ class GraphProbe:
         with self._lock:
             return Facts(
                 nodes={_shown(name): self._node(name) for name in self._wanted_nodes()},
+                stand_ins={_shown(name): tuple(map(_shown, others)) for name, others in self._stand_ins.items()},
                 publishing=tuple(sorted({name for names in publishing.values() for name in names})),
                 managers=tuple(sorted(publishing.get("/humans/persons/tracked", ()))),
                 image=self._image_stream(image), info=self._stream(info, "sensor_msgs/CameraInfo"),
@@ -185,7 +191,8 @@ class GraphProbe:
 
     def _reference_frame(self) -> str:
         """Return the reference frame of the nodes that run: their own parameter, else that of the whole stack."""
-        for name in map(rospy.resolve_name, _PLACERS):
+        placers = [other for name in map(rospy.resolve_name, _PLACERS) for other in self._stand_ins.get(name, [name])]
+        for name in placers:
             if self._node(name) == "running" and rospy.has_param(name + "/reference_frame"):
                 return str(rospy.get_param(name + "/reference_frame")).lstrip("/")
         return str(rospy.get_param("/humans/reference_frame", "map")).lstrip("/")
@@ -211,7 +218,21 @@ class GraphProbe:
         names = [rospy.resolve_name(name) for name in self._settings.nodes]
         if self._node(vision) == "running":
             names = [vision] + [name for name in names if name not in parts]
-        return names
+        return list(dict.fromkeys(other for name in names for other in self._stand_ins.get(name, [name])))
+
+    def _find_stand_ins(self) -> Dict[str, List[str]]:
+        """Return the nodes of other names that do the work of wanted nodes that do not run, all names resolved.
+
+        In a namespace those of this namespace: another robot's do not count.
+        """
+        published, subscribed, _ = map(dict, self._master.getSystemState())
+        found = {name: stand_ins(name.rpartition("/")[2], published, subscribed)
+                 for name in self._wanted_nodes() if self._node(name) == "absent"}
+        own = {name: [other for other in others if other.startswith(rospy.get_namespace())]
+               for name, others in found.items()}
+        # Those that have crashed are told where no other one does the work.
+        return {name: [other for other in others if self._node(other) == "running"] or others
+                for name, others in own.items() if others}
 
     def _publishing(self) -> Dict[str, List[str]]:
         """Return who publishes what below /humans, under whatever name."""
@@ -265,6 +286,7 @@ class GraphProbe:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         ours = {rospy.resolve_name(name).strip("/") for name in [*self._settings.nodes, "hri_vision"]}
+        ours.update(other.strip("/") for others in self._stand_ins.values() for other in others)
         with self._lock:
             for status in message.status:
                 if status.name.split(":")[0] in ours:

@@ -20,6 +20,7 @@ from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.onnx import ModelLog
+from hri_pipeline.core.orientation import turned_problem
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.private_file import StoreError
@@ -97,6 +98,7 @@ class FaceProcessor:
         self._match_subscribers = 0
         self._no_frame = False
         self._poseless = 0
+        self._turned = ""
         self._closed = False
 
     def process(self, frame: Frame, context: dict) -> None:
@@ -110,6 +112,7 @@ class FaceProcessor:
         context["faces"] = faces
         self._guard.each("face", lambda face: self._topics.publish(face, frame), faces)
         self._publish_matches()
+        self._tell_turned()
 
     def reconfigure(self, settings: FacePipelineSettings) -> None:
         """Apply the values of the live parameters; the faces stay."""
@@ -131,8 +134,8 @@ class FaceProcessor:
         if self._no_frame:
             return WARN, _NO_FRAME, values
         error = self._guard.news()
-        if error:
-            return WARN, error, values
+        if error or self._turned:
+            return WARN, error or self._turned, values
         return OK, "{} faces".format(values["tracked"]), values
 
     def close(self) -> None:
@@ -162,6 +165,13 @@ class FaceProcessor:
         self._guard.each(
             "face", lambda face: transforms.extend(face_transforms(face, frame, self._interface)), posed)
         self._transforms.send(transforms)
+
+    def _tell_turned(self) -> None:
+        """Log once when the images come turned."""
+        text = turned_problem(self._pipeline.turn, None)
+        if text and not self._turned:
+            rospy.logwarn("%s", text)
+        self._turned = text
 
     def _publish_matches(self) -> None:
         """Publish the changes of the matches, and all matches when there is a new subscriber."""

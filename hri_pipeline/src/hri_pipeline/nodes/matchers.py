@@ -51,6 +51,7 @@ WITHOUT_UNITS_S = 1.5
 """A face of which no action units come for so long is followed by its landmarks."""
 STALE_S = 2.0
 MAX_KNOWN = 1000
+_MOTION_QUEUE = 10      # messages of a face at a time: its mouth is compared with the voice over time
 
 
 class MatcherBase(ABC):
@@ -324,7 +325,7 @@ class VoiceContext:
         self.unconnected = ""
         self._list_timeout = list_timeout
         self._faces = IdSubscribers("faces", {"facs": FacialActionUnits}, self._on_units, self._on_faces,
-                                    list_timeout=list_timeout)
+                                    list_timeout=list_timeout, queue_size=_MOTION_QUEUE)
         self._people = IdSubscribers("persons", {"face_id": String, "voice_id": String}, self._on_person,
                                      self._on_persons, list_timeout=list_timeout)
         self._known = rospy.Subscriber("/humans/persons/known", IdsList, self._on_known, queue_size=1)
@@ -355,7 +356,7 @@ class VoiceContext:
             lacking = [face for face in self._seen if self._lacks_units(face, now)]
         if lacking and self._landmarks is None:
             self._landmarks = IdSubscribers("faces", {"landmarks": LandmarkArray}, self._on_landmarks,
-                                            list_timeout=self._list_timeout)
+                                            list_timeout=self._list_timeout, queue_size=_MOTION_QUEUE)
         elif not lacking and self._landmarks is not None:
             self._landmarks.close()
             self._landmarks = None

@@ -18,7 +18,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.interactions.parameters import InteractionSettings
 from hri_pipeline.core.interactions.people import PeopleSnapshot, PeopleTf, Places, Seen, gather
-from hri_pipeline.core.timing import Order, SourceStamps
+from hri_pipeline.core.timing import CommonTime, Order, SourceStamps
 from hri_pipeline.ros.conversions import has_gaze_of_closed_eyes
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import Frames, RobotTf, TfSubscriber
@@ -52,7 +52,7 @@ class PeopleInput:
         self._voice_of: Dict[str, str] = {}
         self._speaking: Dict[str, bool] = {}
         self._newest, self._newest_person = genpy.Time(), genpy.Time()
-        self._stamps = SourceStamps()
+        self._stamps, self._time = SourceStamps(), CommonTime()
         self._measured_at = -math.inf
         self.changed = threading.Event()
         self.refused = self.jumps = 0
@@ -72,7 +72,10 @@ class PeopleInput:
 
     @property
     def stamp(self) -> genpy.Time:
-        """Stamp of the newest frame of a face or a body; of a person's where these have ended."""
+        """Stamp of the newest frame of a face or a body; of a person's where these have ended.
+
+        Where the clocks of cameras differ, the time of the first one goes on.
+        """
         with self._lock:
             return self._stamp()
 
@@ -91,7 +94,8 @@ class PeopleInput:
         """Return everybody at the newest stamp, in the frame that `places` is about."""
         with self._lock:
             stamp = self._stamp()
-            people = gather(self._tf, places, stamp.to_sec(), self._settings, self._closures)
+            shifts = {str(sensor): shift for sensor, shift in self._time.shifts.items()}
+            people = gather(self._tf, places, stamp.to_sec(), self._settings, self._closures, shifts)
             if self._speaking:
                 people.speaking = np.array([self._speaking.get(self._voice_of.get(identity, ""), False)
                                             for identity in people.ids], dtype=bool)
@@ -120,6 +124,8 @@ class PeopleInput:
 
     def _stamp(self) -> genpy.Time:
         # The frames of persons who are not seen at the moment are sent again with the time of the clock.
+        if self._measures_come():
+            return self._newest
         apart = (self._newest_person - self._newest).to_sec()
         return self._newest_person if apart > self._settings.frame_timeout else self._newest
 
@@ -196,11 +202,16 @@ class PeopleInput:
         secs, nsecs = read_stamp(data, offset)
         measured = child.startswith(_STAMPED_BY)
         now = time.monotonic()
-        source = (child[:5], read_parent(data, offset)) if measured else child
-        if self._stamps.note(source, (secs, nsecs), now) == Order.BACK:
+        parent = read_parent(data, offset)
+        order = self._stamps.note((child[:5], parent) if measured else child, (secs, nsecs), now)
+        if order == Order.BACK:
             self.jumps += 1
             self._forget_moving()
         stamp = genpy.Time(secs, nsecs)
+        if measured and order != Order.LATE:
+            shift = self._time.note(parent.lstrip(b"/").decode("utf-8", "replace"), stamp.to_sec(), now,
+                                    self._settings.frame_timeout)
+            stamp = stamp if not shift else genpy.Time.from_sec(max(stamp.to_sec() + shift, 0.0))
         if stamp <= (self._newest if measured else self._newest_person):
             return
         if measured:
@@ -217,6 +228,7 @@ class PeopleInput:
     def _forget_moving(self) -> None:
         self._tf.clear_moving()
         self._closures.clear()
+        self._time.clear()
         self._newest = self._newest_person = genpy.Time()
         self._robot.reset()
 

@@ -14,7 +14,7 @@ import rospy
 from hri_msgs.msg import IdsList
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.ros.diagnostics import OK, WARN, Status
-from hri_pipeline.ros.master import PublisherAnswer, does_publish, subscribe_again
+from hri_pipeline.ros.master import IMAGE_TYPES, PublisherAnswer, does_publish, subscribe_again
 from hri_pipeline.ros.rospy_compat import (
     address_of_sender,
     connected_publishers,
@@ -65,11 +65,14 @@ class IdSubscribers:
         s after which a list that is not repeated ends; 0 for never.
     unanswered : float
         s after which the list of a node that does not answer is ignored until it answers.
+    queue_size : int
+        Most messages of a topic that wait for on_message, the oldest are dropped: 1 for who wants the newest value
+        only. Of images one waits, whatever this is.
 
     Raises
     ------
     ValueError
-        For a max_ids below 1.
+        For a max_ids or a queue_size below 1.
     """
 
     def __init__(
@@ -81,10 +84,14 @@ class IdSubscribers:
         max_ids: int = 50,
         list_timeout: float = 0.0,
         unanswered: float = UNANSWERED_S,
+        queue_size: int = 1,
     ) -> None:
         if max_ids < 1:
             raise ValueError("max_ids is {}, legal range 1 and more".format(max_ids))
+        if queue_size < 1:
+            raise ValueError("queue_size is {}, legal range 1 and more".format(queue_size))
         self._kind = kind
+        self._queue_size = queue_size
         self._topics = dict(topics)
         self._on_message = on_message
         self._on_tracked = on_tracked
@@ -211,7 +218,8 @@ class IdSubscribers:
             for name, kind in self._topics.items():
                 subscribers.append(rospy.Subscriber(
                     "/humans/{}/{}/{}".format(self._kind, identity, name), kind,
-                    self._on_feature, callback_args=(identity, name), queue_size=1))
+                    self._on_feature, callback_args=(identity, name),
+                    queue_size=1 if kind._type in IMAGE_TYPES.values() else self._queue_size))
             done = True
         finally:
             with self._lock:

@@ -161,7 +161,7 @@ class BodyTrack:
 
     visible: its last inference found it. inferred_at: stamp of that. misses: inferences in a row that did not find it.
     hidden: it was missed, and has not left. cut: the picture has changed since it was seen. returning: it was seen once
-    after a gap.
+    after a gap. kept: it was missed once, in images that come so slowly that this says little.
     box_confirmed: None until the person detector was asked for the body, then whether it has ever seen a person there.
     rival: id of the body that was hidden where this one began: once that is seen there again, they are one human.
     wait: time (s) between two turns lately. appearance: see `appearance.describe`, learnt while unoccluded.
@@ -178,7 +178,7 @@ class BodyTrack:
         self.visible = True
         self.hidden = False
         self.cut = False
-        self.returning = False
+        self.returning = self.kept = False
         self.inferred_at = stamp
         self.misses = 0
         self.rival: Optional[str] = None
@@ -254,7 +254,7 @@ class BodyTrack:
 
     def has_gap(self, stamp: float) -> bool:
         """Tell whether a sight at `stamp` (s) would be the first one after a gap."""
-        return not self.visible and stamp - self.stamp > _SHORT_GAP_S
+        return not self.visible and not self.kept and stamp - self.stamp > _SHORT_GAP_S
 
     def moved(self, stamp: float) -> np.ndarray:
         """Way (2,) px in the image since the body was last seen, as its motion tells; 0 at rest."""
@@ -298,6 +298,7 @@ class BodyTrack:
         if self.cut:
             self.box_confirmed, self.born_at = None, stamp
         self.visible, self.hidden, self.cut, self.inferred_at, self.misses = True, False, False, stamp, 0
+        self.kept = False
         self.motion.update(detection.estimate.centre, detection.estimate.extent, detection.root, stamp,
                            1.0 if unhidden else _OCCLUDED_NOISE)
         if unhidden:
@@ -340,5 +341,5 @@ class BodyTrack:
 
     def missed(self, stamp: float) -> None:
         """Note that an inference did not find the body."""
-        self.visible, self.inferred_at = False, stamp
+        self.visible, self.kept, self.inferred_at = False, False, stamp
         self.misses += 1

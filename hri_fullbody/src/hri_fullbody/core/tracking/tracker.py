@@ -57,6 +57,8 @@ _FAST = 1.0             # body sizes per second from which a body counts as fast
 _NEWBORN_WEIGHT, _HIDDEN_WEIGHT = 3.0, 0.4
 _UNCERTAIN = 0.9        # score below which a body is uncertain
 _STALE_S = 0.5          # after a cut of the picture, faces of before it may still be told for so long
+SLOW_S = 0.25
+"""Images that come more slowly (s) need not take the same time each, and who is there is found in few of them."""
 _OVERDUE = 1.5      # times as long as others lately waited for their inference
 
 
@@ -93,7 +95,8 @@ class BodyTracker:
         self._cuts = PictureCuts()
         self._shown_faces: Set[str] = set()
         self._stale_faces: Set[str] = set()
-        self._stale_until = -math.inf
+        self._stale_until = self._followed_at = -math.inf
+        self._yielding: Set[str] = set()    # who was a double in this image
         self._locate: Locate = lambda estimate: None
         self.tracks: List[BodyTrack] = []
         self.windows = 0
@@ -113,14 +116,16 @@ class BodyTracker:
         self.tracks = []
         self._candidates.clear()
         self._cuts.reset()
-        self._stale_until = -math.inf
+        self._stale_until = self._followed_at = -math.inf
         self.schedule.reset()
 
     def published(self, stamp: float) -> List[BodyTrack]:
         """Confirmed bodies that their last inference found (after a gap, the last two), not longer ago than the death
-        time or their turn takes."""
-        return [track for track in self.tracks if track.confirmed and track.visible and not track.returning
-                and stamp - track.stamp <= max(self._death_time, _OVERDUE * track.wait)]
+        time or their turn takes; of slow images also those that it missed, and the one before did not."""
+        return [track for track in self.tracks if track.confirmed and (track.kept or track.visible and not
+                                                                      track.returning)
+                and stamp - (track.inferred_at if track.kept else track.stamp) <= max(
+                    self._death_time, _OVERDUE * track.wait)]
 
     def follow(self, image: np.ndarray, stamp: float, faces: Sequence[FaceBox] = (),
                locate: Optional[Locate] = None, for_new: int = 0) -> None:
@@ -149,9 +154,13 @@ class BodyTracker:
         near = [nearest_face(detection, faces) for detection in detections]
         self._associate(distinct(detections, [face.id if face else None for face in near]), chosen, stamp, faces)
         self._link_faces(faces, stamp)
+        slow = SLOW_S < stamp - self._followed_at < math.inf
+        self._followed_at = stamp
         for track in self.tracks:
             if not track.visible:
                 track.judge_hidden(stamp, image.shape[1])
+                if track.inferred_at == stamp:
+                    track.kept = slow and track.hidden and track.misses == 1 and track.id not in self._yielding
         self.tracks = [track for track in self.tracks if not track.dead(stamp)]
 
     def _choose(self, stamp: float, reserved: int) -> List[BodyTrack]:
@@ -181,6 +190,9 @@ class BodyTracker:
         confirm_by_boxes(self.tracks, boxes if faint is None else faint, stamp,
                          {face.id: face.pose for face in faces if face.pose is not None})
         end_rivalries(self.tracks, boxes, stamp)
+        for track in self.tracks:
+            # In this image nobody is where it would be.
+            track.kept &= any(covers(track.expected(stamp), box) for box in (boxes if faint is None else faint))
         kept = drop_unconfirmed(self.tracks, boxes, stamp)
         for track in self.tracks:
             if track.box_confirmed:
@@ -269,7 +281,8 @@ class BodyTracker:
         pairs = {self.tracks[row].id: detections[column]
                  for row, column in assign(cost_matrix(self.tracks, detections, stamp, faces), MAX_COST)}
         missed = {track.id for track in chosen if track.id not in pairs}
-        doubles = self._doubles({name: detection.estimate for name, detection in pairs.items()}, missed, stamp, faces)
+        doubles = self._yielding = self._doubles(
+            {name: detection.estimate for name, detection in pairs.items()}, missed, stamp, faces)
         for track in self.tracks:
             if track.id in pairs and track.id not in doubles:
                 track.update(pairs[track.id], stamp, self._unhidden(track, pairs[track.id], stamp))

@@ -10,14 +10,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.analysis import FaceAnalysis, FaceDemand
 from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook
-from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector, load_face_network
+from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector, load_face_network, wide_region
 from hri_pipeline.core.faces.face_geometry import FaceGeometry, TrackedFace
 from hri_pipeline.core.faces.flow import FaceFlow
 from hri_pipeline.core.faces.mesh import (
@@ -49,6 +49,7 @@ from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.images import PictureCuts
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.onnx import model_path
+from hri_pipeline.core.orientation import FaceOrientation
 from hri_pipeline.core.recognition.face_identity import PersonMatch
 from hri_pipeline.core.recognition.recogniser import FaceRecognition
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler, Request
@@ -110,6 +111,11 @@ class FacePipeline:
     def tracked_ids(self) -> List[str]:
         """Ids of all faces being tracked, oldest first: those seen in the last image and those just hidden."""
         return self._tracking.tracked_ids
+
+    @property
+    def turn(self) -> Optional[int]:
+        """Quarter turns anticlockwise by which faces stand upright in the images, None while that is not known."""
+        return self._tracking.turn
 
     @property
     def recognition(self) -> Optional[FaceRecognition]:
@@ -256,6 +262,7 @@ class FaceTrackingPipeline:
         self._limit_mesh(settings)
         self._tracker = FaceTracker(ids=ids, judge=judge, **_limits(settings))
         self._cuts = PictureCuts()
+        self._orientation = FaceOrientation()
         self._anew_at = -np.inf
         self._clock = clock
         self._times = times
@@ -292,6 +299,11 @@ class FaceTrackingPipeline:
         return {track.id for track in self._tracker.tracks}
 
     @property
+    def turn(self) -> Optional[int]:
+        """Quarter turns anticlockwise by which faces stand upright in the images, None while that is not known."""
+        return self._orientation.turn
+
+    @property
     def scheduler(self) -> InferenceScheduler:
         """Who gets the mesh network."""
         return self._mesh_scheduler
@@ -325,6 +337,7 @@ class FaceTrackingPipeline:
         self._mesh_scheduler.reset()
         self._flow.reset()
         self._cuts.reset()
+        self._orientation.reset()
         self._anew_at = -np.inf
 
     def _search_anew(self, stamp: float) -> None:
@@ -383,6 +396,7 @@ class FaceTrackingPipeline:
             return []
         with self._times("face_detection"):
             detections = self._detector.detect(bgr, regions)
+            self._orientation.update(bgr, stamp, self._detect_anywhere)
         hits = self._tracker.add_detections([detection.box for detection in detections], stamp,
                                             [self._hit_weight(detection) for detection in detections],
                                             [detection.score for detection in detections],
@@ -394,6 +408,11 @@ class FaceTrackingPipeline:
             self._detection_scheduler.hurry(stamp)
         with self._times("face_birth"):
             return self._measure_detections(bgr, new)
+
+    def _detect_anywhere(self, bgr: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """Boxes (N, 4) px and scores (N,) of all faces of an image."""
+        found = self._detector.detect(bgr, [wide_region(bgr.shape[1], bgr.shape[0])])
+        return np.array([one.box for one in found]), np.array([one.score for one in found])
 
     def _without_known(self, detections: Sequence[FaceDetection], measured: Sequence[FaceMeasurement],
                        skipped: Set[str],

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter, OrderedDict
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Callable, Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 from typing import Counter as CounterOf
 
@@ -277,7 +278,7 @@ class _Frames(NamedTuple):
 
 
 def gather(frames: PeopleTf, places: Places, newest: float, settings: InteractionSettings,
-           closures: Mapping[str, Seen]) -> PeopleSnapshot:
+           closures: Mapping[str, Seen], shifts: Mapping[str, float] = MappingProxyType({})) -> PeopleSnapshot:
     """Return everybody who is tracked and has a place, in the order of the tracked list.
 
     Parameters
@@ -291,9 +292,11 @@ def gather(frames: PeopleTf, places: Places, newest: float, settings: Interactio
     settings: InteractionSettings
     closures: mapping of str to Seen
         Closedness of the eyes by the action units, by id of the face.
+    shifts: mapping of str to float
+        What is added to the stamps of a sensor whose clock differs from that of `newest` (s).
     """
     rows = _Rows()
-    oldest = newest - settings.frame_timeout
+    oldest = _Oldest(newest - settings.frame_timeout, shifts)
     found = [(identity, *_collect(identity, frames, oldest, settings, closures, rows)) for identity in frames.people]
     poses = places(Counter(rows.sensors))
     people = [person for person in (_person(*one, poses, rows.sensors) for one in found) if person is not None]
@@ -308,14 +311,29 @@ def gather(frames: PeopleTf, places: Places, newest: float, settings: Interactio
     return snapshot
 
 
-def _collect(identity: str, frames: PeopleTf, oldest: float, settings: InteractionSettings,
+class _Oldest(NamedTuple):
+    """Stamp (s) of the oldest frames that are used, and what is added to the stamps of each sensor before (s)."""
+
+    stamp: float
+    shifts: Mapping[str, float]
+
+    def recent(self, timed: Optional[Timed], sensor: Optional[str] = None) -> bool:
+        """Tell whether there is a frame that is not too old; sensor: where it is not the parent of the frame."""
+        if timed is None:
+            return False
+        return timed.stamp + self.shifts.get(sensor or timed.transform.parent, 0.0) >= self.stamp
+
+
+def _collect(identity: str, frames: PeopleTf, oldest: _Oldest, settings: InteractionSettings,
              closures: Mapping[str, Seen], rows: _Rows) -> Tuple[_Frames, float, float, float]:
     """Add the rows of one person; return them, the closedness of the eyes (NaN unknown), the distance of the face (m)
     and its turn away from the sensor (rad)."""
     features, mine = frames.people[identity], {}
     face_id, body_id = features.face or "", features.body or ""
     closed, far, turn = math.nan, 0.0, 0.0
-    face = frames.get("face_" + face_id, oldest) if face_id else None
+    face = frames.get("face_" + face_id) if face_id else None
+    if not oldest.recent(face):
+        face = None
     if face is not None:
         mine["face"] = rows.add((face.transform,))
         x, y, z = face.transform.translation
@@ -330,16 +348,18 @@ def _collect(identity: str, frames: PeopleTf, oldest: float, settings: Interacti
             # Where it is the head's very own, the eyes were not measured, and it says nothing more.
             if _apart(rows.vectors[2 * row + 1], (i, j, k)) > _HEADS_OWN:
                 mine["gaze"] = row
-    body = frames.get("body_" + body_id, oldest) if body_id else None
+    body = frames.get("body_" + body_id) if body_id else None
+    if not oldest.recent(body):
+        body = None
     if body is not None:
         mine["body"] = rows.add((body.transform,))
-        links = frames.chain("head_" + body_id, oldest) if face is None else None
-        if links:
+        links = frames.chain("head_" + body_id) if face is None else ()
+        if links and all(oldest.recent(timed, links[-1].transform.parent) for timed in links):
             mine["head"] = rows.add([timed.transform for timed in links])
     person = frames.get("person_" + identity) if face is None and body is None else None
     if person is not None:
         # Neither face nor body is known: the frame of the person is taken for that of the face.
-        unknown = features == Features() and person.stamp >= oldest
+        unknown = features == Features() and oldest.recent(person)
         mine["person" if unknown else "place"] = rows.add((person.transform,))
     return _Frames(**mine), closed, far, turn
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hri_fullbody.core.detection.orientation import ImageOrientation, quarter_turns
+from hri_pipeline.core.orientation import FaceOrientation, ImageOrientation, quarter_turns
 
 IMAGE = np.zeros((48, 64, 3), np.uint8)
 IMAGE[0] = 255      # the way up of what it shows
@@ -51,6 +51,34 @@ def test_who_was_clear_once_in_a_turned_image_is_no_sign():
     for stamp in range(15, 90):
         orientation.update(np.zeros_like(IMAGE), np.zeros(0), float(stamp), detect)
     assert orientation.turn is None
+
+
+class Faces:
+    """A detector of faces that sees them a little less clearly in turned images: best with the white row at the top."""
+
+    def __init__(self, *scores):
+        self.scores, self.calls = scores, 0
+
+    def __call__(self, image):
+        self.calls += 1
+        turn = next(turn for turn in range(4) if np.rot90(image, turn)[0].all())
+        return np.zeros((1, 4)), np.array([self.scores[turn]])
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2, 3])
+def test_by_faces_the_best_of_four_orientations_is_told_within_a_minute(turn):
+    orientation, detect = FaceOrientation(), Faces(0.9, 0.7, 0.6, 0.85)
+    for stamp in range(60):
+        orientation.update(np.rot90(IMAGE, -turn), float(stamp), detect)
+    assert orientation.turn == turn and (turn or detect.calls == 8)
+
+
+def test_faces_that_are_unclear_or_as_clear_in_two_orientations_tell_nothing():
+    for scores in ((0.8, 0.5, 0.3, 0.3), (0.9, 0.5, 0.3, 0.89), (0.3, 0.5, 0.81, 0.3)):
+        orientation, detect = FaceOrientation(), Faces(*scores)
+        for stamp in range(60):
+            orientation.update(IMAGE, float(stamp), detect)
+        assert orientation.turn is None and detect.calls == 4 * 6
 
 
 @pytest.mark.parametrize("up, turn", [
