@@ -372,6 +372,7 @@ class SqliteRecordStore:
         """max_age_days, max_persons: 0 for no limit."""
         self._store = store
         self._stored: Set[str] = set()      # who was read or written here
+        self._gone: List[str] = []          # who is to be told of by the next write() or expire() that returns
         self._max_age = max_age_days * DAY_S
         self._max_persons = max_persons
 
@@ -391,19 +392,27 @@ class SqliteRecordStore:
             for person_id in change.removed:
                 self._store.remove_record(person_id)
             for record in change.records.values():
-                if not self._store.put_record(_row(record), is_new=record.id not in stored):
+                # Whoever is not told of yet is tried again, and not somebody new.
+                if record.id in self._gone or not self._store.put_record(_row(record), record.id not in stored):
                     gone.append(record.id)
-        self._stored = (stored | set(change.records)) - set(gone)
-        self._store.erase_traces()
-        return gone
+        self._stored = stored | set(change.records)
+        return self._without_traces(gone)
 
     def expire(self, now: float) -> List[str]:
         """Remove who was not seen for too long (`now`: s), and the oldest of too many; returns their ids."""
         if not self._max_age and not self._max_persons:
             return []
-        gone = self._store.expire(now, self._max_age, self._max_persons)
+        with self._store.change():
+            gone = self._store.expire(now, self._max_age, self._max_persons)
+        return self._without_traces(gone)
+
+    def _without_traces(self, gone: Sequence[str]) -> List[str]:
+        """Erase the traces of who was removed; returns all who are gone, also those before a StoreError."""
         self._stored -= set(gone)
-        return gone
+        self._gone += [person_id for person_id in gone if person_id not in self._gone]
+        self._store.erase_traces()
+        told, self._gone = self._gone, []
+        return told
 
     def close(self) -> None:
         """Give the file back. May be called again."""
