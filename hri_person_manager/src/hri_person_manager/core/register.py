@@ -233,10 +233,7 @@ class PersonRegister:
 
     def set_name(self, person_id: str, name: str) -> None:
         """Give a person a name; an empty one takes it away. RegisterError for an unknown id or an illegal name."""
-        name = name.strip()
-        if len(name) > LONGEST_NAME or not all(letter.isprintable() for letter in name):
-            raise RegisterError("a name has at most {} printable characters".format(LONGEST_NAME))
-        self._write(replace(self._known(person_id), name=name))
+        self._write(replace(self._known(person_id), name=legal_name(name)))
 
     def set_native_language(self, person_id: str, language: str) -> None:
         """Set an IETF language tag; an empty one takes it away. RegisterError for an unknown id or what is no tag.
@@ -442,6 +439,14 @@ _LANGUAGE = re.compile(r"(?P<language>[a-z]{2,3})(-(?P<extended>[a-z]{3}))?(-(?P
                        r"(-(?P<region>[a-z]{2}|[0-9]{3}))?(?P<variants>(-([a-z0-9]{5,8}|[0-9][a-z0-9]{3}))*)"
                        r"(?P<extensions>(-[0-9a-wy-z](-[a-z0-9]{2,8})+)*)(?P<private>-x(-[a-z0-9]{1,8})+)?", re.ASCII)
 _PRIVATE = re.compile(r"x(-[a-z0-9]{1,8})+", re.ASCII)
+
+
+def legal_name(name: str) -> str:
+    """Return a name without spaces around it; RegisterError for one that cannot be kept."""
+    name = name.strip()
+    if len(name) > LONGEST_NAME or not all(letter.isprintable() for letter in name):
+        raise RegisterError("a name has at most {} printable characters".format(LONGEST_NAME))
+    return name
 
 
 def is_storable(text: str) -> bool:
