@@ -76,7 +76,8 @@ class PersonManager:
         self._decay = self._published.decay = Decay(settings.decay, settings.half_life, settings.confidence_floor)
         self._table.set_delays(settings.new_person_delay, settings.voice_person_delay)
         self._cameras.limit(*_camera_limits(settings))
-        self._association.solve(self._tracked.features())
+        # The persons, too: who lost all features by a higher threshold would keep its group.
+        self._association.solve({*self._tracked.features(), *(node for group in self.groups for node in group)})
         self._associate(now)
 
     @property
