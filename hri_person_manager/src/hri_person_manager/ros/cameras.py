@@ -37,6 +37,7 @@ from hri_person_manager.core.camera_poses import (
 )
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.images import is_rectified
 from hri_pipeline.ros.conversions import camera_from_info, image_to_bgr, skeleton_from_msg
 
 # Level, looking along x of the reference frame.
@@ -205,7 +206,7 @@ class _Recorder:
 
     def _on_info(self, message: CameraInfo, camera: CameraEntry) -> None:
         try:
-            model = camera_from_info(message, 1.0)
+            model = camera_from_info(message, 1.0, rectified=is_rectified(camera.image))
         except CameraError as error:
             rospy.logwarn_throttle(5.0, "{}: {}".format(camera.camera_info, error))
             return
