@@ -4,7 +4,8 @@
 
 R4H_ROOT=$(cd -P "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd -P)
 R4H_LIB=$R4H_ROOT/scripts/lib
-R4H_CACHE=${ROS4HRI_CACHE:-${HOME:-/root}/.cache/ros4hri}
+absolute() { case $1 in /*) printf '%s' "$1" ;; *) printf '%s/%s' "$PWD" "$1" ;; esac; }
+R4H_CACHE=$(absolute "${ROS4HRI_CACHE:-${HOME:-/root}/.cache/ros4hri}")
 R4H_STEP=0
 R4H_CHILD=            # process group id of the running child, empty between children
 R4H_CHILD_PATIENT=    # "yes" while that child must be let end by itself (apt)

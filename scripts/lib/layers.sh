@@ -124,10 +124,13 @@ venv38() { # sets R4H_VENV38; false where there is no 3.8 or its environment can
     R4H_VENV38=
     interpreter=$(find_python38) || return 1
     R4H_VENV38=$R4H_CACHE/venv-pure-3.8-$(lock_hash)
-    [ -e "$R4H_VENV38/.complete" ] && return 0
-    note "making an environment for $interpreter"
-    rm -rf -- "$R4H_VENV38"
-    run_or_fail venv38 "see that the Python package index can be reached." make_venv38 "$interpreter" "$R4H_VENV38"
+    take_setup_lock
+    if [ ! -e "$R4H_VENV38/.complete" ]; then
+        note "making an environment for $interpreter"
+        rm -rf -- "$R4H_VENV38"
+        run_or_fail venv38 "see that the Python package index can be reached." make_venv38 "$interpreter" "$R4H_VENV38"
+    fi
+    release_setup_lock
 }
 
 python_sources() { # NUL separated: every Python file of ours
@@ -364,10 +367,18 @@ run_rostests() { # run_rostests FILE...: side by side, each with a master of its
     done
 }
 
+build_test_programs() { # what only tests need; two at once in one checkout share a workspace
+    local code=0
+    take_setup_lock
+    # roscpp may have been installed after the workspace was configured.
+    catkin_make_here --force-cmake tests || code=$?
+    release_setup_lock
+    return "$code"
+}
+
 layer_rostest() {
     local -a files
-    # Programs that only tests need; roscpp may have been installed after the workspace was configured.
-    check "build of the tests' programs" catkin_make_here --force-cmake tests
+    check "build of the tests' programs" build_test_programs
     mapfile -t files < <(find hri_*/test/ros rosbag_tests -name '*.test' | LC_ALL=C sort)
     run_rostests "${files[@]}"
 }

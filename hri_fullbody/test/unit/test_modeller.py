@@ -51,6 +51,22 @@ def test_illegal_settings_are_refused(arguments: dict) -> None:
         BodyModeller(table=TABLE, **arguments)
 
 
+def in_the_lens(*seen: int) -> np.ndarray:
+    """Key points that are all at the optical centre, of which only some are seen."""
+    points = np.full((18, 3), np.nan)
+    points[list(seen)] = 0.0
+    return points
+
+
+@pytest.mark.parametrize("odd, size", [
+    (in_the_lens(*range(18)), None), (in_the_lens(2, 7, 8, 14), None), (person(), (0.1, 0.001))])
+def test_a_body_that_is_no_human_costs_the_others_nothing(odd: np.ndarray, size: object) -> None:
+    modeller = BodyModeller(table=TABLE)
+    found = run(modeller, 8 * [[BodyInput("odd", odd, size=size), BodyInput("good", person())]])
+    assert all("good" in one for one in found) and found[-1]["good"].residual < 0.02
+    assert all(np.linalg.det(body.pose.rotation) == pytest.approx(1.0) for one in found for body in one.values())
+
+
 def test_the_parameters_build_a_modeller() -> None:
     modeller = BodyModeller.from_parameters(BODIES.resolve({}))
     assert len(modeller.layout.joint_names) == 18

@@ -8,12 +8,13 @@ import pytest
 from hri_person_manager.core import persons
 from hri_person_manager.core.features import Kind, MatchNode
 from hri_person_manager.core.manager import PersonManager
+from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.register import PersonRecord, PersonRegister, RegisterError
 from hri_person_manager.ros import node as module
 from hri_person_manager.ros.node import PersonManagerNode, RestartState
 from hri_person_manager.ros.services import GalleryAnswer, PersonServices
-from hri_person_manager.srv import EnrolRequest
+from hri_person_manager.srv import EnrolRequest, ForgetRequest, MergeRequest
 from hri_pipeline.srv import GalleryResponse
 from hri_pipeline.testing import wait_for
 
@@ -96,17 +97,60 @@ def test_of_more_persons_than_are_known_at_a_time_the_merged_ones_do_not_hinder_
     assert node._manager.snapshot(0.0).known == ("p2", "p3", "p4")
 
 
-def test_a_recogniser_that_answers_with_what_is_no_id_has_learnt_nobody(monkeypatch):
-    """It would be refused by the lists of persons, again and again."""
+@pytest.fixture
+def at_two(monkeypatch):
     monkeypatch.setattr(module.rospy, "get_time", lambda: 2.0)
+
+
+def test_a_recogniser_that_answers_with_what_is_no_id_has_learnt_nobody(at_two):
+    """It would be refused by the lists of persons, again and again."""
+    services, person = services_with_somebody(GalleryResponse(success=True, id="a b"))
+    with pytest.raises(RegisterError):
+        services._enrol(EnrolRequest(id=person))
+    assert services._register.records == []
+
+
+def services_with_somebody(answer, register=None):
+    """The services, where the only recogniser answers so, and an anonymous person who is there."""
     manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({}))
     manager.on_tracked(Kind.FACE, ["fghij"], 0.0)
     manager.tick(2.0)
     person, = manager.snapshot(2.0).tracked
     services = PersonServices.__new__(PersonServices)
-    services._manager, services._register, services._lock = manager, PersonRegister(), threading.RLock()
-    services._changed, services._galleries = MagicMock(), MagicMock()
-    services._galleries.call.return_value = [GalleryAnswer("/faces/gallery", GalleryResponse(success=True, id="a b"))]
-    with pytest.raises(RegisterError):
-        services._enrol(EnrolRequest(id=person))
-    assert services._register.records == []
+    services._manager, services._register, services._lock = manager, register or PersonRegister(), threading.RLock()
+    services._guard, services._changed, services._written = MatchGuard(100.0), MagicMock(), MagicMock()
+    services._galleries = MagicMock()
+    services._galleries.call.return_value = [GalleryAnswer("/faces/gallery", answer)]
+    return services, person
+
+
+def test_nobody_is_learnt_under_a_name_that_is_refused(at_two):
+    services, person = services_with_somebody(GalleryResponse(success=True, id="abcde"))
+    with pytest.raises(RegisterError, match="64"):
+        services._enrol(EnrolRequest(id=person, name="x" * 65))
+    assert not services._galleries.call.called and services._register.records == []
+
+
+def test_whom_only_a_recogniser_knew_is_forgotten_and_the_answer_says_so(at_two):
+    services, _ = services_with_somebody(GalleryResponse(success=True, id="abcde"))
+    assert services._forget(ForgetRequest(id="abcde")).success
+
+
+def test_a_recogniser_that_could_not_forget_is_told_although_nobody_else_knows_the_person(at_two):
+    services, _ = services_with_somebody(GalleryResponse(success=False, message="make room"))
+    with pytest.raises(RegisterError, match="make room"):
+        services._forget(ForgetRequest(id="abcde"))
+
+
+def test_nobody_is_forgotten_whom_nobody_knows(at_two):
+    services, _ = services_with_somebody(GalleryResponse(success=False, unknown=True))
+    with pytest.raises(RegisterError, match="no known person"):
+        services._forget(ForgetRequest(id="abcde"))
+
+
+def test_a_merge_that_cannot_be_kept_is_told_as_what_it_is(at_two):
+    services, _ = services_with_somebody(GalleryResponse(), PersonRegister(borrowed=[PersonRecord("ada", "Ada")]))
+    services._manager.know(["ada", "bob"])
+    with pytest.raises(RegisterError, match="ada is an alias of bob until the end of this run, but .*read-only"):
+        services._merge(MergeRequest(id="bob", other="ada"))
+    assert services._manager.representative("ada") == "bob" and services._changed.called

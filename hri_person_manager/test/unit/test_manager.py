@@ -612,6 +612,15 @@ def test_forgetting_one_of_a_union_leaves_the_other():
     assert people(manager, 1.0)["bob"][1] == "b1"
 
 
+def test_an_alias_that_is_forgotten_is_none_any_more():
+    manager = make(new_person_delay=0.0, faces=["f1"])
+    manager.on_tracked(Kind.BODY, ["b1"], 0.0)
+    match(manager, "f:f1", "b:b1", 0.9, 0.1)
+    alias, = [state.id for state in manager.snapshot(0.1).persons if state.alias]
+    assert manager.forget(alias, 0.2) and not manager.forget(alias, 0.2)
+    assert [(state.face, state.body, state.alias) for state in manager.snapshot(0.2).persons] == [("f1", "b1", "")]
+
+
 def test_people_of_a_store_are_known_from_the_start():
     manager = make()
     manager.know(["ann", "bob"])

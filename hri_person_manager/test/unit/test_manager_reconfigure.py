@@ -57,6 +57,16 @@ def test_a_named_person_stays_and_the_union_of_two_goes_by_the_threshold():
     assert set(manager.snapshot(0.2).tracked) == {"ann", "bea"}
 
 
+def test_whom_a_higher_threshold_takes_its_features_has_none():
+    manager, settings = make(new_person_delay=0.0)
+    manager.on_tracked(Kind.FACE, ["face1"], 0.0)
+    manager.on_match(CandidateMatch(FACE, MatchNode(Kind.PERSON, "ann"), 0.6), 0.0)
+    change(manager, settings, 0.1, match_threshold=0.7)
+    manager.tick(0.2)
+    assert features(manager, 0.2) == [("", ""), ("face1", "")], "the face is one person's"
+    assert "ann" not in manager.snapshot(0.2).tracked
+
+
 def test_delay_of_features_that_wait_already():
     manager, settings = make(new_person_delay=10.0)
     manager.on_tracked(Kind.FACE, ["face1"], 0.0)

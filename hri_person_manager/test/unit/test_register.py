@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import contextmanager
 from itertools import count
 
 import numpy as np
@@ -22,6 +23,7 @@ from hri_person_manager.core.register import (
     SqliteRecordStore,
 )
 from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.recognition.database import PersonDatabase
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoreWriter
 
 
@@ -257,6 +259,54 @@ def test_whom_another_process_has_forgotten_is_not_written_again(path):
     register.flush()
     assert [record.first_seen for record in recogniser.load_records()] == [300.0, 100.0], "who is met anew is new"
     recogniser.close()
+    store.close()
+
+
+@pytest.fixture
+def full_for_erasing(monkeypatch):
+    """What was deleted cannot be erased: that rewrites the file, and takes as much room again."""
+    @contextmanager
+    def make_full():
+        def erase(database):
+            database.has_traces = True
+            if not database._connection.in_transaction:
+                raise StoreError("make room")
+        with monkeypatch.context() as patched:
+            patched.setattr(PersonDatabase, "erase", erase)
+            yield
+    return make_full
+
+
+def test_whom_another_process_has_forgotten_is_not_written_again_when_traces_of_others_cannot_be_erased(
+        path, full_for_erasing):
+    store, register = filled(path, ("ann", "bob"))
+    recogniser = PersonStore(path)
+    recogniser.remove_record("ann")
+    register.set_name("ann", "Ann")
+    register.forget("bob")
+    for _ in range(2):
+        with full_for_erasing(), pytest.raises(StoreError, match="make room"):
+            register.flush()
+    register.flush()
+    assert recogniser.load_records() == [] and register.take_gone() == ["ann"]
+    register.seen(["ann"], 300.0)
+    register.flush()
+    assert [record.first_seen for record in recogniser.load_records()] == [300.0], "who is met anew is new"
+    recogniser.close()
+    store.close()
+
+
+def test_who_has_expired_is_told_when_the_traces_could_be_erased(path, full_for_erasing):
+    store = opened(path, max_persons=1)
+    register = PersonRegister(store)
+    register.seen(["ann"], 100.0)
+    register.seen(["bob"], 101.0)
+    register.flush()
+    with full_for_erasing(), pytest.raises(StoreError, match="make room"):
+        register.expire(200.0)
+    assert [record.id for record in store.load_records()] == ["bob"]
+    register.expire(200.0)
+    assert register.take_gone() == ["ann"]
     store.close()
 
 

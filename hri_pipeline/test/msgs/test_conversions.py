@@ -92,6 +92,14 @@ def test_camera():
     camera = conversions.camera_from_info(over_the_wire(info), 1.0)
     assert (camera.width, camera.height, camera.calibration) == (300, 240, Calibration.CALIBRATED)
     np.testing.assert_allclose(camera.matrix, [[250, 0, 150], [0, 250, 120], [0, 0, 1]])
+    # Of rectified images P holds, with no distortion; where it is not told, K.
+    rectified = conversions.camera_from_info(over_the_wire(info), 1.0, rectified=True)
+    np.testing.assert_array_equal(rectified.matrix, camera.matrix)
+    info.P = [460, 0, 340, -12, 0, 480, 220, 0, 0, 0, 1, 0]
+    rectified = conversions.camera_from_info(over_the_wire(info), 1.0, rectified=True)
+    assert (rectified.width, rectified.height, rectified.calibration) == (300, 240, Calibration.CALIBRATED)
+    np.testing.assert_allclose(rectified.matrix, [[230, 0, 160], [0, 240, 110], [0, 0, 1]])
+    assert not rectified.distortion.any() and camera.distortion.any()
     empty = conversions.camera_from_info(CameraInfo(), 1.0, 64, 48)
     assert (empty.width, empty.calibration) == (64, Calibration.UNCALIBRATED)
     with pytest.raises(CameraError):

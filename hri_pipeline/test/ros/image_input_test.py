@@ -220,6 +220,19 @@ class ImageInputTest(InputCase):
         self.assertEqual(image_input.next(5).camera.calibration, Calibration.CALIBRATED)
         self.assertEqual(image_input.status()[0], OK)
 
+    def test_rectified_images_go_by_the_projection_matrix(self):
+        with mock.patch.object(inputs, "is_rectified", return_value=True) as is_rectified:
+            image_input = self.image_input()
+        is_rectified.assert_called_once_with(image_input.topic)
+        calibration = info(distortion=(-0.3, 0.1, 0, 0, 0))
+        for stamp, focal in ((1.0, 90.0), (2.0, 80.0)):
+            calibration.P = [focal, 0, 30, 0, 0, focal, 20, 0, 0, 0, 1, 0]
+            self.calibrate(image_input, calibration)
+            self.send(image_input, picture(stamp))
+            camera = image_input.next(5).camera
+            np.testing.assert_allclose(camera.matrix, [[focal, 0, 30], [0, focal, 20], [0, 0, 1]])
+            self.assertFalse(camera.distortion.any())
+
     def test_impossible_camera_infos(self):
         image_input = self.image_input()
         bad = [(info(matrix=[float("nan")] * 9), "not finite"), (info(matrix=[-1.0] + K[1:]), "positive"),

@@ -89,6 +89,16 @@ def test_equidistant_by_hand():
     np.testing.assert_allclose(ideal.normalise([[500 * theta + 321.5, 238.5]]), [[0.5, 0.0]], atol=1e-9)
 
 
+@pytest.mark.parametrize("distortion", [[], [0.0] * 4, [-0.01, 0.03, -0.03, 0.005], [0.1, -0.05, 0.02, -0.003]])
+def test_what_a_fisheye_camera_sees_at_its_edge_stays_on_its_side(distortion):
+    wide = CameraModel.from_calibration(1280, 800, [285, 0, 640, 0, 285, 400, 0, 0, 1], distortion, "equidistant", 1.0)
+    columns = np.arange(640.0, 1280.0, 10.0)
+    right, left = (wide.normalise(np.column_stack([640.0 + side * (columns - 640.0), np.full(64, 400.0)]))
+                   for side in (1.0, -1.0))
+    np.testing.assert_allclose(right, left * (-1.0, 1.0), atol=1e-9)
+    assert (np.diff(right[:, 0]) > -1e-9).all() and 1.0 < right[-1, 0] < 30.0
+
+
 def test_without_distortion_it_is_a_pinhole():
     for distortion in ([], [0.0] * 5):
         np.testing.assert_allclose(camera(distortion=distortion).normalise([[821.5, 748.5]]), [[1.0, 1.0]])

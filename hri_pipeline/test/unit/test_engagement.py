@@ -74,6 +74,15 @@ def test_a_gaze_at_a_robot_that_looks_elsewhere_is_not_mutual():
     assert Visitor(engagement_view=3.15).stay(8.0, bearing=2.0) == Level.ENGAGED
 
 
+def test_an_image_that_comes_late_after_a_silence_does_not_begin_anew():
+    ann = Visitor()
+    assert ann.stay(6.0) == Level.ENGAGED
+    for silence in (0.6, 0.8):
+        assert ann.estimator.update((), [], None, ann.now + silence, unplaced=["ann"])["ann"] == Level.ENGAGED
+    assert ann.stay(0.7, rate=1.0 / 0.7) == Level.ENGAGED
+    assert ann.stay(1.0, rate=1.0) == Level.ENGAGED
+
+
 def test_who_has_gone_is_forgotten_and_time_may_go_back():
     ann = Visitor()
     ann.stay(8.0)

@@ -13,6 +13,7 @@ from hri_pipeline.core.images import (
     bgr_from_compressed,
     bgr_from_raw,
     depth_from_raw,
+    is_rectified,
     sample_depth,
 )
 
@@ -272,3 +273,10 @@ def test_a_png_whose_chunk_is_not_all_there_is_refused_before_room_is_made_for_i
     at %= len(good)
     with pytest.raises(ImageError, match="damaged"):
         bgr_from_compressed(good[:at] + says.to_bytes(4, "big") + good[at + 4:])
+
+
+def test_rectified_images_are_known_by_their_topics():
+    for topic in ("/camera/image_rect", "/zed/rgb/image_rect_color", "/image_rect/compressed"):
+        assert is_rectified(topic)
+    for topic in ("/camera/image_raw", "/image_rect/image_raw", "/rect/image", "/camera/image_raw/compressed", ""):
+        assert not is_rectified(topic)

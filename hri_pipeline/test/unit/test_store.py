@@ -133,7 +133,9 @@ def test_a_damaged_store_is_set_aside_and_said(path, damage):
     assert [record.id for record in PersonStore(path).load_records()] == ["anna"]
 
 
-def test_who_is_forgotten_is_not_kept_in_a_damaged_file(path):
+@pytest.mark.parametrize("name", ["people.sqlite", "people[1].sqlite"])
+def test_who_is_forgotten_is_not_kept_in_a_damaged_file(path, name):
+    path = path.with_name(name)
     filled(path).close()
     path.write_bytes(path.read_bytes()[:-1])
     store = PersonStore(path)

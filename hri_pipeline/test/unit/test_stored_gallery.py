@@ -249,6 +249,22 @@ def test_forgetting_that_finds_no_room_is_done_later(store, other, forget):
     assert "anna" not in first.ids() + second.ids() + [record.id for record in store.load_records()]
 
 
+def test_that_two_are_apart_outlasts_a_disk_that_was_full(store, other):
+    first = gallery(store)
+    first.add_person("anna", face(1)[None])
+    first.add_person("bert", face(2)[None])
+    first.flush()
+    first.keep_apart("anna", "bert")
+    with no_room():
+        with pytest.raises(StoreError, match="make room"):
+            first.flush()
+    first.flush()
+    assert store.load_apart() == {frozenset(("anna", "bert"))}
+    other.put_record(StoredPerson("carl"))
+    first.flush()
+    assert first.are_apart("anna", "bert")
+
+
 def test_nobody_waits_for_a_store_that_another_process_holds(store):
     first = gallery(store)
     first.add_person("anna", face(1)[None])

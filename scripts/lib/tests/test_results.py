@@ -94,6 +94,16 @@ def test_a_layer_that_ran_is_counted(tmp_path: Path) -> None:
     assert results.print_table(tmp_path / "table") == (3, 1)
 
 
+@pytest.mark.parametrize("work, commands", [
+    ("catkin_make_here", "run_rostests() { :; }; layer_rostest & layer_rostest; wait $!"),
+    ("make_venv38", "find_python38() { echo python3.8; }; venv38 & venv38; wait $!")])
+def test_two_at_once_do_not_write_into_each_others_files(work: str, commands: str, tmp_path: Path) -> None:
+    run_layers(tmp_path, '. "$1/setup.sh"; R4H_CACHE=$2; lock_hash() { echo 1; }; run_or_fail() { shift 2; "$@"; }; '
+               'check() { shift; "$@"; }; %s() { echo + >>"$R4H_TMP/log"; sleep 0.5; echo - >>"$R4H_TMP/log"; }; %s'
+               % (work, commands))
+    assert (tmp_path / "log").read_text().split() == ["+", "-", "+", "-"]
+
+
 # A rostest that fails as often as a file beside the .test file says, and leaves results as the real one does.
 ROSTEST = """#!/usr/bin/env bash
 name=$(basename "$1" .test)

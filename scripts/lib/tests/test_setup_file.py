@@ -1,5 +1,6 @@
 """The file that opens the environment of the two commands."""
 
+import os
 import subprocess
 from pathlib import Path
 
@@ -12,7 +13,7 @@ def test_the_setup_file_opens_the_environment_and_the_workspace_of_this_checkout
         path.parent.mkdir(parents=True)
         path.write_text("{}=open\n".format(word))
     checkout.mkdir()
-    write = 'R4H_CACHE=/nowhere R4H_ROOT=$2; . "$1"; R4H_ROOT=$2 R4H_VENV=$3 R4H_WS=$4; write_setup_file'
+    write = '. "${1%/*}/common.sh"; . "$1"; R4H_ROOT=$2 R4H_VENV=$3 R4H_WS=$4; write_setup_file'
     subprocess.run(["bash", "-euc", write, "bash", str(LIB / "setup.sh"), str(checkout), str(environment),
                     str(workspace)], check=True)
     done = subprocess.run(["bash", "-euc", '. .ws/setup.bash; echo "$ENVIRONMENT $WORKSPACE"'], cwd=str(checkout),
@@ -23,8 +24,27 @@ def test_the_setup_file_opens_the_environment_and_the_workspace_of_this_checkout
 
 def test_a_checkout_that_cannot_be_written_does_not_end_the_command(tmp_path):
     (tmp_path / ".ws").write_text("in the way")
-    write = 'R4H_CACHE=/nowhere R4H_ROOT=$2; . "$1"; R4H_ROOT=$2 R4H_VENV=/a R4H_WS=/b; write_setup_file; echo on'
+    write = '. "${1%/*}/common.sh"; . "$1"; R4H_ROOT=$2 R4H_VENV=/a R4H_WS=/b; write_setup_file; echo on'
     done = subprocess.run(["bash", "-euc", write, "bash", str(LIB / "setup.sh"), str(tmp_path)], check=True,
                           stdout=subprocess.PIPE,
                           universal_newlines=True)
     assert done.stdout == "on\n"
+
+
+def sourced(command, directory, **variables):
+    """Run a command after the scripts' library, with these variables beside PATH."""
+    files = "".join('. "{}"; '.format(LIB / name) for name in ("common.sh", "platform.sh", "setup.sh"))
+    return subprocess.run(["bash", "-euc", "R4H_NAME=here; " + files + command], cwd=str(directory),
+                          env={"PATH": os.environ["PATH"], **variables}, stdout=subprocess.PIPE,
+                          stderr=subprocess.STDOUT, universal_newlines=True)
+
+
+def test_a_directory_that_is_given_without_its_beginning_is_the_one_below_here(tmp_path):
+    done = sourced('cd /; echo "$R4H_CACHE $R4H_WS"', tmp_path, ROS4HRI_CACHE="cache", ROS4HRI_WORKSPACE="work/space")
+    assert done.stdout == "{0}/cache {0}/work/space\n".format(tmp_path)
+
+
+def test_a_workspace_that_catkin_cannot_build_is_refused_before_anything_is_made(tmp_path):
+    done = sourced("check_platform", tmp_path, ROS4HRI_CACHE="a cache")
+    assert done.returncode == 2 and "{}/a cache/workspace".format(tmp_path) in done.stdout
+    assert list(tmp_path.iterdir()) == []

@@ -159,10 +159,9 @@ class FilteredPoints:
     smooth: np.ndarray
     noise: np.ndarray
 
-    def only(self, number: int) -> FilteredPoints:
-        """Return those of one body."""
-        one = slice(number, number + 1)
-        return FilteredPoints(self.gated[one], self.smooth[one], self.noise[one])
+    def of(self, rows: Sequence[int]) -> FilteredPoints:
+        """Return those of some of the bodies, in this order."""
+        return FilteredPoints(self.gated[rows], self.smooth[rows], self.noise[rows])
 
 
 class KeypointFilter:

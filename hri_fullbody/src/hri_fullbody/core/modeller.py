@@ -20,6 +20,7 @@ from hri_pipeline.core.geometry import Pose
 
 _LEAST_POINTS = 4
 _WORST_RESIDUAL_M = 0.5
+_LEAST_DETERMINANT = 0.5    # of a rotation, which has 1: shoulder and hip at one place make a matrix of zeros
 _SURELY_SEEN = 0.65  # confidence from which a guessed point counts for the lengths
 # Between two estimates, s: before the dimensions are settled, and after.
 _EAGER_S = 0.1
@@ -255,13 +256,24 @@ class BodyModeller:
             return []
         ids = [body.id for body, _ in known]
         filtered = self._filter.update(ids, np.stack([points for _, points in known]), stamp)
-        for (body, _), gated in zip(known, filtered.gated):
-            if body.id not in self._people:
-                self._people[body.id] = PersonDimensions(self._table, self._settings)
-            if body.systematic > 0.0 and body.confidence is not None:
-                gated = np.where((np.asarray(body.confidence) >= _SURELY_SEEN)[:, None], gated, np.nan)
-            self._people[body.id].update(gated, stamp, body.systematic, body.size)
-        return self._solve([body for body, _ in known], filtered, step, up)
+        good = [number for number, ((body, _), gated) in enumerate(zip(known, filtered.gated))
+                if self._learn_dimensions(body, gated, stamp)]
+        if len(good) < len(known):
+            filtered = filtered.of(good)
+        return self._solve([known[number][0] for number in good], filtered, step, up) if good else []
+
+    def _learn_dimensions(self, body: BodyInput, points: np.ndarray, stamp: float) -> bool:
+        """Take the key points (18, 3) m of a body without outliers; False, with the reason noted, for no human's."""
+        if body.id not in self._people:
+            self._people[body.id] = PersonDimensions(self._table, self._settings)
+        if body.systematic > 0.0 and body.confidence is not None:
+            points = np.where((np.asarray(body.confidence) >= _SURELY_SEEN)[:, None], points, np.nan)
+        try:
+            self._people[body.id].update(points, stamp, body.systematic, body.size)
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            self._fail(body.id, "its lengths are no human's: {}".format(error))
+            return False
+        return True
 
     def _start_anew(self) -> None:
         self._filter.reset()
@@ -299,7 +311,7 @@ class BodyModeller:
                 self._fail(bodies[0].id, "no solution: {}".format(error))
                 return []
         return [model for number, body in enumerate(bodies)
-                for model in self._solve([body], filtered.only(number), step, up)]
+                for model in self._solve([body], filtered.of([number]), step, up)]
 
     def _solve_batch(self, bodies: Sequence[BodyInput], filtered: FilteredPoints, step: float,
                      up: Optional[np.ndarray]) -> List[ModelledBody]:
@@ -314,6 +326,9 @@ class BodyModeller:
             if not solution.solved[n]:
                 self.failures[body.id] = "its trunk cannot be told: neither shoulders nor hips are known"
                 self._states[body.id] = solution.states[n]
+                continue
+            if not np.linalg.det(solution.rotation[n]) > _LEAST_DETERMINANT:
+                self._fail(body.id, "its trunk is a point")
                 continue
             if not residual[n] <= _WORST_RESIDUAL_M or not np.isfinite(solution.q[n]).all():
                 self._fail(body.id, "the model misses its key points by {:.2f} m".format(residual[n]))

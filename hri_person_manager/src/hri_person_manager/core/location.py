@@ -19,7 +19,21 @@ import math
 from collections import deque
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Callable, Container, Deque, Dict, Hashable, Iterable, List, Mapping, NamedTuple, Optional, Set, Tuple
+from typing import (
+    Callable,
+    Container,
+    Deque,
+    Dict,
+    Hashable,
+    Iterable,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 import numpy as np
 
@@ -284,18 +298,21 @@ class FeaturePlaces:
         found = [(feature, self._known[feature]) for feature in features if feature in self._known]
         return sorted(found, key=lambda entry: (entry[1].now, entry[1].source))
 
-    def squared_distance(self, face: MatchNode, body: MatchNode) -> float:
-        """Return the squared Mahalanobis distance of a face and a body that one sensor sees, as one human's; infinite
-        where it cannot be told."""
-        one, other = self._known.get(face), self._known.get(body)
-        if one is None or other is None or one.sensor != other.sensor or one.place.frame != other.place.frame or (
-                one.place.covariance is None or other.place.covariance is None):
-            return math.inf
-        offset = one.place.pose.translation - other.place.pose.translation
-        apart = TRUNK_M if other.source == PlaceSource.BODY else HEAD_M
-        covariance = aged(one.place.covariance + other.place.covariance + apart ** 2 * np.eye(3),
-                          abs(one.place.stamp - other.place.stamp))
-        return float(offset @ np.linalg.solve(covariance, offset))
+    def squared_distances(self, faces: Sequence[MatchNode], bodies: Sequence[MatchNode]) -> np.ndarray:
+        """Return the squared Mahalanobis distances (F, B) of faces and bodies that one sensor sees, as one human's;
+        infinite where they cannot be told."""
+        found = np.full((len(faces), len(bodies)), math.inf)
+        views: Dict[Tuple[str, str], Tuple[List[int], List[int]]] = {}
+        for side, nodes in enumerate((faces, bodies)):
+            for number, node in enumerate(nodes):
+                latest = self._known.get(node)
+                if latest is not None and latest.place.covariance is not None:
+                    views.setdefault((latest.sensor, latest.place.frame), ([], []))[side].append(number)
+        for rows, columns in views.values():
+            if rows and columns:
+                found[np.ix_(rows, columns)] = _squared_distances(
+                    [self._known[faces[row]] for row in rows], [self._known[bodies[column]] for column in columns])
+        return found
 
     def match_delay(self, face: MatchNode, body: MatchNode) -> float:
         """Return how much later (s) than without a lag the match of two may come; 0 once both have been seen for
@@ -309,6 +326,17 @@ class FeaturePlaces:
     def retain(self, is_tracked: Callable[[MatchNode], bool]) -> None:
         """Forget the features that are not tracked any more."""
         self._known = {feature: latest for feature, latest in self._known.items() if is_tracked(feature)}
+
+
+def _squared_distances(faces: Sequence[FeaturePlace], bodies: Sequence[FeaturePlace]) -> np.ndarray:
+    """Squared distances (F, B) of faces and bodies in one frame."""
+    face, body = (np.array([latest.place.pose.translation for latest in of]) for of in (faces, bodies))
+    one, other = (np.array([latest.place.covariance for latest in of]) for of in (faces, bodies))
+    seen, since = (np.array([latest.place.stamp for latest in of]) for of in (faces, bodies))
+    apart = np.array([TRUNK_M if latest.source == PlaceSource.BODY else HEAD_M for latest in bodies]) ** 2
+    both = aged(one[:, None] + other + apart[:, None, None] * np.eye(3), np.abs(seen[:, None] - since))
+    offsets = face[:, None] - body
+    return np.asarray((offsets * np.linalg.solve(both, offsets[..., None])[..., 0]).sum(axis=2))
 
 
 class _LastReport(NamedTuple):

@@ -76,7 +76,8 @@ class PersonManager:
         self._decay = self._published.decay = Decay(settings.decay, settings.half_life, settings.confidence_floor)
         self._table.set_delays(settings.new_person_delay, settings.voice_person_delay)
         self._cameras.limit(*_camera_limits(settings))
-        self._association.solve(self._tracked.features())
+        # The persons, too: who lost all features by a higher threshold would keep its group.
+        self._association.solve({*self._tracked.features(), *(node for group in self.groups for node in group)})
         self._associate(now)
 
     @property
@@ -442,11 +443,11 @@ class PersonManager:
             if len(seen) == 1:
                 halves[seen[0].kind].append(seen[0])
         faces, bodies = halves[Kind.FACE], halves[Kind.BODY]
-        costs = np.full((len(faces), len(bodies)), math.inf)
-        for row, face in enumerate(faces):
-            for column, body in enumerate(bodies):
-                if (face in waiting or body in waiting) and not self._association.is_refuted(face, body):
-                    costs[row, column] = self._places.squared_distance(face, body)
+        costs = self._places.squared_distances(faces, bodies)
+        for row, column in np.argwhere(costs <= MATCH_GATE).tolist():
+            face, body = faces[row], bodies[column]
+            if not (face in waiting or body in waiting) or self._association.is_refuted(face, body):
+                costs[row, column] = math.inf
         pairs = [(faces[row], bodies[column]) for row, column in assign(costs, MATCH_GATE)]
         matched = {node for face, body in pairs for node in [body if body in waiting else face]
                    if now - waiting[node] <= MATCH_WAIT_S + self._places.match_delay(face, body)}

@@ -151,7 +151,8 @@ class PersonTable:
                     if node not in self._held), default=None)
 
     def remove(self, person_id: str) -> None:
-        """Forget a person and those merged into it."""
+        """Forget a person, or an alias, and those merged into it."""
+        self.aliases.pop(person_id, None)
         person = self.persons.pop(person_id, None)
         if person is not None:
             for node in person.features:

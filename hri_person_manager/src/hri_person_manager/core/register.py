@@ -233,10 +233,7 @@ class PersonRegister:
 
     def set_name(self, person_id: str, name: str) -> None:
         """Give a person a name; an empty one takes it away. RegisterError for an unknown id or an illegal name."""
-        name = name.strip()
-        if len(name) > LONGEST_NAME or not all(letter.isprintable() for letter in name):
-            raise RegisterError("a name has at most {} printable characters".format(LONGEST_NAME))
-        self._write(replace(self._known(person_id), name=name))
+        self._write(replace(self._known(person_id), name=legal_name(name)))
 
     def set_native_language(self, person_id: str, language: str) -> None:
         """Set an IETF language tag; an empty one takes it away. RegisterError for an unknown id or what is no tag.
@@ -372,6 +369,7 @@ class SqliteRecordStore:
         """max_age_days, max_persons: 0 for no limit."""
         self._store = store
         self._stored: Set[str] = set()      # who was read or written here
+        self._gone: List[str] = []          # who is to be told of by the next write() or expire() that returns
         self._max_age = max_age_days * DAY_S
         self._max_persons = max_persons
 
@@ -391,19 +389,27 @@ class SqliteRecordStore:
             for person_id in change.removed:
                 self._store.remove_record(person_id)
             for record in change.records.values():
-                if not self._store.put_record(_row(record), is_new=record.id not in stored):
+                # Whoever is not told of yet is tried again, and not somebody new.
+                if record.id in self._gone or not self._store.put_record(_row(record), record.id not in stored):
                     gone.append(record.id)
-        self._stored = (stored | set(change.records)) - set(gone)
-        self._store.erase_traces()
-        return gone
+        self._stored = stored | set(change.records)
+        return self._without_traces(gone)
 
     def expire(self, now: float) -> List[str]:
         """Remove who was not seen for too long (`now`: s), and the oldest of too many; returns their ids."""
         if not self._max_age and not self._max_persons:
             return []
-        gone = self._store.expire(now, self._max_age, self._max_persons)
+        with self._store.change():
+            gone = self._store.expire(now, self._max_age, self._max_persons)
+        return self._without_traces(gone)
+
+    def _without_traces(self, gone: Sequence[str]) -> List[str]:
+        """Erase the traces of who was removed; returns all who are gone, also those before a StoreError."""
         self._stored -= set(gone)
-        return gone
+        self._gone += [person_id for person_id in gone if person_id not in self._gone]
+        self._store.erase_traces()
+        told, self._gone = self._gone, []
+        return told
 
     def close(self) -> None:
         """Give the file back. May be called again."""
@@ -433,6 +439,14 @@ _LANGUAGE = re.compile(r"(?P<language>[a-z]{2,3})(-(?P<extended>[a-z]{3}))?(-(?P
                        r"(-(?P<region>[a-z]{2}|[0-9]{3}))?(?P<variants>(-([a-z0-9]{5,8}|[0-9][a-z0-9]{3}))*)"
                        r"(?P<extensions>(-[0-9a-wy-z](-[a-z0-9]{2,8})+)*)(?P<private>-x(-[a-z0-9]{1,8})+)?", re.ASCII)
 _PRIVATE = re.compile(r"x(-[a-z0-9]{1,8})+", re.ASCII)
+
+
+def legal_name(name: str) -> str:
+    """Return a name without spaces around it; RegisterError for one that cannot be kept."""
+    name = name.strip()
+    if len(name) > LONGEST_NAME or not all(letter.isprintable() for letter in name):
+        raise RegisterError("a name has at most {} printable characters".format(LONGEST_NAME))
+    return name
 
 
 def is_storable(text: str) -> bool:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from typing import Dict, List, NamedTuple, Optional, Tuple
+from typing import Dict, List, NamedTuple, Optional, Tuple, Union
 
 import numpy as np
 
@@ -116,14 +116,15 @@ def voice_covariance(position: np.ndarray, origin: np.ndarray) -> np.ndarray:
     return side * np.eye(3) + (along - side) * np.outer(unit, unit)
 
 
-def aged(covariance: np.ndarray, elapsed: float) -> np.ndarray:
-    """Return the covariance (3, 3) m^2 of a place that was told `elapsed` s ago: its human may have walked away.
+def aged(covariance: np.ndarray, elapsed: Union[float, np.ndarray]) -> np.ndarray:
+    """Return the covariances (..., 3, 3) m^2 of places that were told `elapsed` s (...) ago: their human may have
+    walked away.
 
     A velocity that is forgotten after AWAY_S (L. Ornstein and G. Uhlenbeck, Physical Review 36, 1930).
     """
-    times = max(elapsed, 0.0) / AWAY_S
-    spread = 2.0 * (AWAY_MPS * AWAY_S) ** 2 * (times - 1.0 + math.exp(-times))
-    return covariance + spread * np.eye(3)
+    times = np.maximum(elapsed, 0.0) / AWAY_S
+    spread = 2.0 * (AWAY_MPS * AWAY_S) ** 2 * (times - 1.0 + np.exp(-times))
+    return covariance + np.asarray(spread)[..., None, None] * _EYE
 
 
 def ellipse(covariance: np.ndarray) -> Tuple[float, float, float]:

@@ -13,8 +13,10 @@ others. `place` is x y z (m) and the quaternion x y z w of the optical frame in 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import re
+import shutil
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,6 +39,7 @@ from hri_person_manager.core.camera_poses import (
 )
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.images import is_rectified
 from hri_pipeline.ros.conversions import camera_from_info, image_to_bgr, skeleton_from_msg
 
 # Level, looking along x of the reference frame.
@@ -220,7 +223,7 @@ class _Recorder:
 
     def _on_info(self, message: CameraInfo, camera: CameraEntry) -> None:
         try:
-            model = camera_from_info(message, 1.0)
+            model = camera_from_info(message, 1.0, rectified=is_rectified(camera.image))
         except CameraError as error:
             rospy.logwarn_throttle(5.0, "{}: {}".format(camera.camera_info, error))
             return
@@ -275,11 +278,21 @@ def placed(cameras: Sequence[CameraEntry], found: CameraPoses) -> List[CameraEnt
 
 
 def write_cameras(path: Path, reference_frame: str, cameras: Sequence[CameraEntry]) -> None:
-    """Write a file of cameras with their places."""
+    """Write a file of cameras with their places; one that is there stays whole where that fails (OSError)."""
     data = {"reference_frame": reference_frame, "cameras": {camera.name: {
         key: [round(float(value), 5) for value in camera.place or ()] if key == "place" else getattr(camera, key)
         for key in _KEYS if getattr(camera, key)} for camera in cameras}}
-    path.write_text(yaml.safe_dump(data, sort_keys=False, default_flow_style=None), encoding="utf-8")
+    path = path.resolve()
+    draft = path.with_name(path.name + ".new")
+    try:
+        draft.write_text(yaml.safe_dump(data, sort_keys=False, default_flow_style=None), encoding="utf-8")
+        if path.exists():
+            shutil.copymode(str(path), str(draft))
+        os.replace(str(draft), str(path))
+    except OSError:
+        if draft.exists():
+            draft.unlink()
+        raise
 
 
 def run_calibrate(arguments: Optional[Sequence[str]] = None) -> int:
@@ -312,11 +325,18 @@ def _calibrate(cameras: Sequence[CameraEntry], options: argparse.Namespace) -> T
     finally:
         recorder.close()
     found = solve_poses(at_common_times(recorder.tracks))
-    if options.distance:
+    if options.distance is not None:
         return found.scaled(options.distance / max(1e-9, float(np.linalg.norm(found.poses[1].translation)))), focal
     if options.board is not None:
         return found.scaled(board_scale(found.points, options.board.neighbours, options.board.square)), focal
     return found.scaled(stature_scale(found.points, options.stature)), focal
+
+
+def _length(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise ValueError(text)
+    return value
 
 
 def _options(arguments: Sequence[str]) -> argparse.Namespace:
@@ -325,9 +345,9 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("file", type=Path, help="YAML file as `cameras` takes it; the places are written into it")
     parser.add_argument("--seconds", type=float, default=60.0, help="how long to look (default: %(default)s)")
     scale = parser.add_mutually_exclusive_group(required=True)
-    scale.add_argument("--stature", type=float, help="of the person, m")
+    scale.add_argument("--stature", type=_length, help="of the person, m")
     scale.add_argument("--board", type=Board.parse, help="COLUMNSxROWS,SQUARE,MARKER: squares, and sides in m, such as "
                        "7x5,0.04,0.03; dictionary 4X4_50")
-    scale.add_argument("--distance", type=float, help="between the first two cameras, m, measured: the most exact")
+    scale.add_argument("--distance", type=_length, help="between the first two cameras, m, measured: the most exact")
     parser.add_argument("--output", type=Path, help="write another file")
     return parser.parse_args(arguments)

@@ -34,7 +34,7 @@ from hri_person_manager.core.display import (
     format_table,
 )
 from hri_person_manager.core.features import MAX_FEATURES
-from hri_person_manager.core.register import is_storable
+from hri_person_manager.core.register import RegisterError, is_storable, legal_name
 from hri_person_manager.ros.services import COMMANDS, carry_out, find_manager, service
 from hri_person_manager.srv import ListKnown, ListKnownResponse
 from hri_pipeline.core.frames import RawTransform, read
@@ -131,11 +131,12 @@ def _enrol_photographs(options: argparse.Namespace) -> int:
     """Put somebody on photographs into the store, as having agreed; the node that reads it starts later."""
     # The networks take seconds to load, which no other command has to wait for.
     from hri_pipeline.core.recognition.enrolment import EnrolmentError, enrol, photographs, templates_of
-    name = options.given_name or options.name
+    name = (options.given_name or options.name).strip()
     if not options.id or not options.store or not name:
         print("people: people enrol --name NAME DIRECTORY --store FILE.sqlite [--key FILE]", file=sys.stderr)
         return 2
     try:
+        legal_name(name)
         store = PersonStore(options.store, TemplateCipher(options.key) if options.key else None,
                             lambda text: print(text, file=sys.stderr))
         try:
@@ -143,7 +144,7 @@ def _enrol_photographs(options: argparse.Namespace) -> int:
             person_id = enrol(store, name, found, time.time())
         finally:
             store.close()
-    except (EnrolmentError, StoreError, ModelError) as error:
+    except (EnrolmentError, RegisterError, StoreError, ModelError) as error:
         print("people: {}".format(error), file=sys.stderr)
         return 1
     for line in found.left_out:

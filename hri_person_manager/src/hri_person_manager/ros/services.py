@@ -12,7 +12,7 @@ import rospy
 import rosservice
 from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 
-from hri_person_manager.core.register import PersonRegister, RegisterError
+from hri_person_manager.core.register import PersonRegister, RegisterError, legal_name
 from hri_person_manager.srv import (
     Enrol,
     EnrolRequest,
@@ -227,9 +227,15 @@ class PersonServices:
     def _merge(self, request: MergeRequest) -> MergeResponse:
         with self._lock:
             kept, alias = self._manager.merge(request.id, request.other, rospy.get_time())
-            self._register.keep_aliases(filter(self._manager.is_permanent, (request.id, request.other, kept, alias)),
-                                        self._manager.representative, time.time())
-            self._changed()
+            try:
+                self._register.keep_aliases(
+                    filter(self._manager.is_permanent, (request.id, request.other, kept, alias)),
+                    self._manager.representative, time.time())
+            except RegisterError as error:
+                raise RegisterError("{} is an alias of {} until the end of this run, but {}".format(
+                    alias, kept, error)) from error
+            finally:
+                self._changed()
         return MergeResponse(True, "{} is an alias of {} now".format(alias, kept))
 
     def _split(self, request: SplitRequest) -> SplitResponse:
@@ -243,16 +249,17 @@ class PersonServices:
         with self._lock:
             ids = self._one_human(request.id)
         # The recognisers first: otherwise they would name the person again at once.
-        refused = [answer for person_id in ids for answer in self._galleries.call(GalleryRequest.FORGET, person_id)
-                   if not answer.response.success and not answer.response.unknown]
+        answers = [answer for person_id in ids for answer in self._galleries.call(GalleryRequest.FORGET, person_id)]
+        refused = [answer for answer in answers if not answer.response.success and not answer.response.unknown]
         with self._lock:
             for person_id in ids:
                 self._guard.forget(person_id, time.monotonic())
-            found = [self._manager.forget(person_id, rospy.get_time()) for person_id in ids]
+            found = [answer.response.success for answer in answers]
+            found += [self._manager.forget(person_id, rospy.get_time()) for person_id in ids]
             found += [self._register.forget(person_id) for person_id in ids]
             self._changed()
         self._written()
-        if not any(found):
+        if not any(found) and not refused:
             raise RegisterError("there is no known person {!r}".format(request.id[:40]))
         if refused:
             raise RegisterError("forgotten here, but {}".format(_first_lines(refused)))
@@ -293,6 +300,7 @@ class PersonServices:
         return self._enrol(request, is_new=True)
 
     def _enrol(self, request: EnrolRequest, is_new: bool = False) -> EnrolResponse:
+        legal_name(request.name)    # before any face is learnt
         with self._lock:
             state = next((state for state in self._manager.snapshot(rospy.get_time()).persons
                           if state.id == request.id), None)

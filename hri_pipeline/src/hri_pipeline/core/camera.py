@@ -25,6 +25,7 @@ _MAX_COEFFICIENT = 1e4
 _MAX_SENSOR = 65536
 _ALIASES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
 _HINT = "calibrate the camera, or publish an all-zero K to use the field of view parameter"
+_WIDEST = math.tan(math.radians(88.0))
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
 
 
@@ -181,7 +182,7 @@ class CameraModel:
         Returns
         -------
         numpy.ndarray, shape (N, 2)
-            x/z and y/z.
+            x/z and y/z; of a fisheye camera at most tan(88 deg) from the axis.
         """
         pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
         if not np.any(self.distortion):
@@ -194,7 +195,7 @@ class CameraModel:
             return np.zeros((0, 2))
         points = np.ascontiguousarray(pixels[:, None, :])
         if self.distortion_model == EQUIDISTANT:
-            rays = cv2.fisheye.undistortPoints(points, self.matrix, self._fisheye())
+            return self._ahead(pixels, cv2.fisheye.undistortPoints(points, self.matrix, self._fisheye()).reshape(-1, 2))
         else:
             rays = cv2.undistortPointsIter(
                 points, self.matrix, self.distortion, np.eye(3), np.eye(3), _UNDISTORT_CRITERIA)
@@ -234,6 +235,15 @@ class CameraModel:
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return CameraModel(int(width), int(height), scale @ self.matrix, self.distortion,
                            self.distortion_model, self.calibration)
+
+    def _ahead(self, pixels: np.ndarray, rays: np.ndarray) -> np.ndarray:
+        """Return rays (N, 2) of a fisheye camera; those of a right angle and more from the axis, which x/z and y/z
+        cannot tell (they would be on the other side), at the widest angle there is."""
+        aside = (pixels - self.matrix[:2, 2]) / (self.matrix[0, 0], self.matrix[1, 1])
+        beyond = ~(((rays * aside).sum(axis=1) >= 0.0) & (np.hypot(rays[:, 0], rays[:, 1]) < _WIDEST))
+        far = aside[beyond]
+        rays[beyond] = _WIDEST * far / np.maximum(np.hypot(far[:, 0], far[:, 1]), 1e-9)[:, None]
+        return rays
 
     def _fisheye(self) -> np.ndarray:
         return self.distortion if self.distortion.size else np.zeros(4)

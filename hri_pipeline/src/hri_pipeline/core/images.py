@@ -407,3 +407,9 @@ def other_transport(topic: str) -> Tuple[str, str]:
     if topic.endswith("/compressed"):
         return topic[:-len("/compressed")], "raw"
     return topic + "/compressed", "compressed"
+
+
+def is_rectified(topic: str) -> bool:
+    """Tell whether a topic is of rectified images, by the names that image_proc and drivers give those."""
+    raw = topic[:-len("/compressed")] if topic.endswith("/compressed") else topic
+    return raw.rpartition("/")[2].startswith("image_rect")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import fcntl
+import glob
 import io
 import os
 import stat
 import time
 from pathlib import Path
-from typing import Sequence, Union
+from typing import List, Sequence, Union
 
 DAMAGED = ".damaged-"
 """What stands between the name of a file that was set aside and the time of that."""
@@ -25,7 +26,7 @@ def set_aside(path: Path, now: float, also: Sequence[Path] = ()) -> Path:
     """Rename a damaged file, and those of `also` that are there; returns its new name, with the time `now` (s)."""
     stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(now))
     name = path.name + DAMAGED + stamp
-    others = len([other for other in path.parent.glob(name + "*") if not other.name.endswith(("-wal", "-shm"))])
+    others = len([other for other in files_beside(path, DAMAGED + stamp) if not other.name.endswith(("-wal", "-shm"))])
     target = path.parent / (name + (".{}".format(others) if others else ""))
     for file in also:
         if file.exists():
@@ -33,6 +34,11 @@ def set_aside(path: Path, now: float, also: Sequence[Path] = ()) -> Path:
     os.replace(str(path), str(target))
     sync_directory(path.parent)
     return target
+
+
+def files_beside(path: Path, mark: str) -> List[Path]:
+    """Return the files in the directory of `path` whose names begin with its name and `mark`, sorted."""
+    return sorted(path.parent.glob(glob.escape(path.name + mark) + "*"))
 
 
 def wipe(path: Path) -> None:

@@ -39,6 +39,7 @@ AnyImage = Union[Image, CompressedImage]
 PERSON_TOPICS = {"face_id": String, "body_id": String, "voice_id": String, "location_confidence": Float32}
 # Gazes are told all the time while they last; older ones are of a node that has gone.
 _GAZE_S = 1.0
+_LOG_PERIOD_S = 10.0
 
 
 class OverlayInputs:
@@ -52,23 +53,34 @@ class OverlayInputs:
         self._persons: Dict[str, Dict[str, object]] = {}
         self._expressions: Dict[str, str] = {}
         self._gazes: Tuple[float, Dict[str, str]] = (float("-inf"), {})
+        self._feeds: List[IdSubscribers] = []
+        self._subscribers: List[rospy.Subscriber] = []
+        try:
+            self._open(settings)
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self, settings: OverlaySettings) -> None:
         faces = {"landmarks": LandmarkArray}
-        self._feeds = [
-            IdSubscribers("faces", dict(faces, expression=Expression) if settings.expressions else faces, self._on_face,
-                          self._on_faces, list_timeout=settings.list_timeout),
-            IdSubscribers("bodies", {"skeleton2d": SkeletonArray}, self._on_body, self._on_bodies,
-                          list_timeout=settings.list_timeout),
-            IdSubscribers("persons", dict(PERSON_TOPICS, name=String) if settings.names else PERSON_TOPICS,
-                          self._on_person, self._on_persons, list_timeout=settings.list_timeout)]
-        self._gaze = rospy.Subscriber("/humans/interactions/gaze", GazesStamped, self._on_gazes,
-                                      queue_size=1) if settings.gazes else None
+        for kind, topics, on_message, on_list in (
+                ("faces", dict(faces, expression=Expression) if settings.expressions else faces, self._on_face,
+                 self._on_faces),
+                ("bodies", {"skeleton2d": SkeletonArray}, self._on_body, self._on_bodies),
+                ("persons", dict(PERSON_TOPICS, name=String) if settings.names else PERSON_TOPICS, self._on_person,
+                 self._on_persons)):
+            self._feeds.append(IdSubscribers(kind, topics, on_message, on_list, list_timeout=settings.list_timeout))
+        if settings.gazes:
+            self._subscribers.append(rospy.Subscriber("/humans/interactions/gaze", GazesStamped, self._on_gazes,
+                                                      queue_size=1))
         compressed = settings.image_transport == "compressed"
-        self._subscriber = rospy.Subscriber(
+        self._subscribers.append(rospy.Subscriber(
             "image/compressed" if compressed else "image", CompressedImage if compressed else Image,
-            self._on_image, queue_size=1, buff_size=2**24)
+            self._on_image, queue_size=1, buff_size=2**24))
 
     def _on_image(self, message: AnyImage) -> None:
-        stamp = message.header.stamp.to_sec()
+        # Faces and bodies have the time of arrival, too, where the camera gives no stamp.
+        stamp = (rospy.Time.now() if message.header.stamp.is_zero() else message.header.stamp).to_sec()
         with self._lock:
             if self._images and stamp < self._images[-1][0]:
                 # A bag has started again.
@@ -115,8 +127,8 @@ class OverlayInputs:
             for name in set(self._persons) - set(names):
                 del self._persons[name]
 
-    def take(self, drawn: float, tolerance: float) -> "Optional[Tuple[AnyImage, dict, dict, List[PersonMark]]]":
-        """Return the image to draw on with its faces, bodies (normalised points) and persons.
+    def take(self, drawn: float, tolerance: float) -> "Optional[Tuple[float, AnyImage, dict, dict, List[PersonMark]]]":
+        """Return the stamp of the image to draw on, the image, its faces, bodies (normalised points) and persons.
 
         None when there is no image, or only the one with the stamp `drawn`. tolerance: of stamps (s).
         """
@@ -126,7 +138,7 @@ class OverlayInputs:
                 return None
             image = next(message for one, message in self._images if one == stamp)
             persons = [self._mark(name, known) for name, known in sorted(self._persons.items())]
-            return (image, self._history.at("faces", stamp, tolerance),
+            return (stamp, image, self._history.at("faces", stamp, tolerance),
                     self._history.at("bodies", stamp, tolerance), persons)
 
     def _mark(self, name: str, known: Dict[str, object]) -> PersonMark:
@@ -140,9 +152,8 @@ class OverlayInputs:
 
     def close(self) -> None:
         """End all subscriptions. May be called again."""
-        release(self._subscriber)
-        if self._gaze is not None:
-            release(self._gaze)
+        for subscriber in self._subscribers:
+            release(subscriber)
         for feed in self._feeds:
             feed.close()
 
@@ -171,14 +182,23 @@ class OverlayNode:
                 self._wake.clear()
                 continue
             pacer.done(time.monotonic())
-            if not self._output.get_num_connections():
-                self._let_go()
-                self._diagnostics.set("overlay", DiagnosticStatus.OK, "nobody looks")
-                continue
-            if self._inputs is None:
-                self._inputs = OverlayInputs(self._settings)
-            with self._lock:
-                self._draw(self._inputs)
+            try:
+                self._look()
+            except Exception as error:  # one bad picture does not end the node
+                text = "{}: {}".format(type(error).__name__, error)
+                rospy.logerr_throttle(_LOG_PERIOD_S, "%s: %s", rospy.get_name(), text)
+                self._diagnostics.set("overlay", DiagnosticStatus.ERROR, text)
+
+    def _look(self) -> None:
+        """Draw the next picture if somebody looks."""
+        if not self._output.get_num_connections():
+            self._let_go()
+            self._diagnostics.set("overlay", DiagnosticStatus.OK, "nobody looks")
+            return
+        if self._inputs is None:
+            self._inputs = OverlayInputs(self._settings)
+        with self._lock:
+            self._draw(self._inputs)
 
     def reconfigure(self, settings: OverlaySettings) -> None:
         """Take up the values of the live parameters between two pictures."""
@@ -194,8 +214,7 @@ class OverlayNode:
                 self._diagnostics.set("overlay", DiagnosticStatus.WARN, "no image on {} yet; is the camera on, and "
                                       "remapped to it?".format(rospy.resolve_name("image")))
             return
-        message, faces, bodies, persons = taken
-        self._drawn = message.header.stamp.to_sec()
+        self._drawn, message, faces, bodies, persons = taken
         try:
             decode = compressed_to_bgr if isinstance(message, CompressedImage) else image_to_bgr
             image = decode(message, self._grey)

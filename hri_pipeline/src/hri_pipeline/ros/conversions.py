@@ -114,15 +114,19 @@ def matrix_from_image(msg: Image) -> np.ndarray:
     return rows
 
 
-def camera_from_info(msg: CameraInfo, fallback_hfov: float, width: int = 0, height: int = 0) -> CameraModel:
+def camera_from_info(msg: CameraInfo, fallback_hfov: float, width: int = 0, height: int = 0,
+                     rectified: bool = False) -> CameraModel:
     """Return the camera model of a CameraInfo; raises CameraError for numbers that cannot be true.
 
     fallback_hfov: horizontal field of view in rad for an all-zero K. width, height: size of the image in px,
-    used when the message does not tell one.
+    used when the message does not tell one. rectified: the images are; then P holds, where it is told, and there is no
+    distortion.
     """
-    roi = msg.roi
+    roi, calibration = msg.roi, (msg.K, msg.D, msg.distortion_model)
+    if rectified and any(msg.P):
+        calibration = ((*msg.P[0:3], *msg.P[4:7], *msg.P[8:11]), (), "plumb_bob")
     return CameraModel.from_calibration(
-        msg.width or width, msg.height or height, msg.K, msg.D, msg.distortion_model, fallback_hfov,
+        msg.width or width, msg.height or height, *calibration, fallback_hfov,
         binning_x=msg.binning_x, binning_y=msg.binning_y,
         roi_x=roi.x_offset, roi_y=roi.y_offset, roi_width=roi.width, roi_height=roi.height)
 

@@ -17,7 +17,14 @@ from std_msgs.msg import Header
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 from hri_pipeline.core.error_log import Outage
 from hri_pipeline.core.faces.parameters import DepthCameraSettings
-from hri_pipeline.core.images import DEPTH_RANGE, GreyBits, ImageError, depth_from_raw, other_transport
+from hri_pipeline.core.images import (
+    DEPTH_RANGE,
+    GreyBits,
+    ImageError,
+    depth_from_raw,
+    is_rectified,
+    other_transport,
+)
 from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
 from hri_pipeline.ros.master import IMAGE_TYPES, is_published
@@ -126,7 +133,7 @@ class ImageInput(SensorInput):
         self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0,
                                        "forward_jumps": 0}
         self._asked = float("-inf")
-        self._camera = CameraInfoInput(fallback_hfov, fov_parameter)
+        self._camera = CameraInfoInput(fallback_hfov, fov_parameter, is_rectified(self.topic))
         receive_without_copies()
         self._subscribers = [rospy.Subscriber(name, kind, self._store, queue_size=1, buff_size=buffer_bytes)]
 
@@ -298,6 +305,8 @@ class CameraInfoInput:
         Horizontal field of view, rad, used when camera_info is missing, all zero or impossible.
     fov_parameter : str
         Name of the parameter that holds it, for texts.
+    rectified : bool
+        The images are.
 
     Raises
     ------
@@ -305,10 +314,10 @@ class CameraInfoInput:
         For a field of view out of 0 to pi.
     """
 
-    def __init__(self, fallback_hfov: float, fov_parameter: str) -> None:
+    def __init__(self, fallback_hfov: float, fov_parameter: str, rectified: bool = False) -> None:
         if not 0.0 < fallback_hfov < math.pi:
             raise ValueError("{} is {} rad, legal range 0 to pi".format(fov_parameter, fallback_hfov))
-        self._hfov = fallback_hfov
+        self._hfov, self._rectified = fallback_hfov, rectified
         self._hint = "using the field of view {} = {:.3f} rad; distances are only as good as that".format(
             rospy.resolve_name(fov_parameter), fallback_hfov)
         self._lock = threading.Lock()
@@ -369,7 +378,7 @@ class CameraInfoInput:
                     "no camera_info on {}: remap `camera_info` to the camera's; {}".format(self.topic, self._hint))
         fallback = CameraModel.from_fov(width, height, self._hfov, Calibration.UNCALIBRATED)
         try:
-            camera = camera_from_info(info, self._hfov, width, height)
+            camera = camera_from_info(info, self._hfov, width, height, self._rectified)
         except CameraError as error:
             return fallback, "{}: {}; {}".format(self.topic, error, self._hint)
         if camera.calibration is not Calibration.CALIBRATED:
@@ -539,7 +548,7 @@ class DepthInput:
 def _key(info: CameraInfo) -> tuple:
     """Everything in the message that the model depends on. NaN is unlike itself, hence the text."""
     roi = info.roi
-    return (info.width, info.height, str(info.K), str(info.D), info.distortion_model, info.binning_x,
+    return (info.width, info.height, str(info.K), str(info.P), str(info.D), info.distortion_model, info.binning_x,
             info.binning_y, roi.x_offset, roi.y_offset, roi.width, roi.height)
 
 

@@ -312,7 +312,8 @@ class StatureEstimator:
         length, spread, count = robust_lengths(distances)
         logarithms, variances = np.full(len(SEGMENTS), np.nan), np.full(len(SEGMENTS), np.nan)
         for name, columns in enumerate(_COLUMNS):
-            known = [column for column in columns if count[column] >= _LEAST_SAMPLES]
+            # Two points at one place, as of a body that is not there, are no length.
+            known = [column for column in columns if count[column] >= _LEAST_SAMPLES and length[column] > 0.0]
             if not known:
                 continue
             mean = float(length[known].mean())

@@ -107,8 +107,11 @@ class EngagementEstimator:
         return {identity: person.level for identity, person in persons.items()}
 
     def _person(self, identity: str, stamp: float) -> _Person:
+        """Return what is known of a person. An image that is a little older than the time until which nobody was seen
+        came late; it is no jump of time."""
         person = self._persons.get(identity)
-        return _Person(stamp) if person is None or stamp < person.stamp else person
+        is_known = person is not None and stamp >= person.stamp - self._settings.engagement_lost_time
+        return person if person is not None and is_known else _Person(stamp)
 
     def _places(self, people: PeopleSnapshot, robot: Optional[np.ndarray], heading: Optional[np.ndarray]
                 ) -> Tuple[List[bool], List[float], List[bool]]:
@@ -133,8 +136,8 @@ class EngagementEstimator:
         return (~unknown).tolist(), distances.tolist(), ahead
 
     def _step(self, person: _Person, mutual: bool, stamp: float, gain: _Gain) -> None:
-        dt, person.stamp = stamp - person.stamp, stamp
-        if stamp - person.seen_at > self._settings.engagement_lost_time:
+        dt, person.stamp = max(0.0, stamp - person.stamp), max(stamp, person.stamp)
+        if person.stamp - person.seen_at > self._settings.engagement_lost_time:
             person.level, person.attention, person.near = Level.UNKNOWN, 0.0, False
             return
         person.attention += gain.at(dt) * (float(mutual) - person.attention)

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Callable, Iterator, List, Optional, Tuple, Union
 
-from hri_pipeline.core.private_file import DAMAGED, StoreError, make_private_directory, set_aside, wipe
+from hri_pipeline.core.private_file import DAMAGED, StoreError, files_beside, make_private_directory, set_aside, wipe
 
 APPLICATION_ID = 0x52344850
 """Tells the file from the databases of other programs."""
@@ -136,7 +136,7 @@ class PersonDatabase:
 
     def damaged_files(self) -> List[Path]:
         """Return the damaged files that were set aside."""
-        return sorted(self.path.parent.glob(self.path.name + DAMAGED + "*"))
+        return files_beside(self.path, DAMAGED)
 
     def _open(self) -> None:
         if self.path.is_symlink():

@@ -423,13 +423,14 @@ class StoredGallery(MemoryGallery):
             with self._store.change():
                 self._remove_stored(forgotten, everybody)
                 self._read()
-                present, revision = self._write()
+                present, apart, revision = self._write()
         except BaseException:
             with self._lock:
                 self._forgets_all |= everybody
                 self._forgotten |= forgotten
             raise
-        self._stored, self._written = present, revision
+        # Not before: what was taken back, as on a full disk, is written by the next one.
+        self._stored, self._stored_apart, self._written = present, apart, revision
 
     def _remove_stored(self, forgotten: Set[str], everybody: bool) -> None:
         if everybody:
@@ -486,8 +487,9 @@ class StoredGallery(MemoryGallery):
             return False
         return True
 
-    def _write(self) -> Tuple[Dict[str, KnownPerson], int]:
-        """Write what has changed here; returns who is in the store then, and the revision that this is."""
+    def _write(self) -> Tuple[Dict[str, KnownPerson], Set[FrozenSet[str]], int]:
+        """Write what has changed here; returns who is in the store then, who are two people for certain, and the
+        revision that this is."""
         with self._lock:
             revision = self.revision
             present = {person_id: self.export(person_id) for person_id in self.ids()
@@ -504,8 +506,7 @@ class StoredGallery(MemoryGallery):
                                           is_new=False)
         if apart != self._stored_apart:
             self._store.put_apart(apart - self._stored_apart, self._stored_apart - apart)
-            self._stored_apart = apart
-        return present, revision
+        return present, apart, revision
 
 
 def _has_same_first_template(before: KnownPerson, now: KnownPerson) -> bool:

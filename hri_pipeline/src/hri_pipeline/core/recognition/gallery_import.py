@@ -18,7 +18,16 @@ from typing import Callable, List, Optional
 import numpy as np
 
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.private_file import DAMAGED, StoreError, TemplateCipher, hold, read_private, set_aside, wipe
+from hri_pipeline.core.private_file import (
+    DAMAGED,
+    StoreError,
+    TemplateCipher,
+    files_beside,
+    hold,
+    read_private,
+    set_aside,
+    wipe,
+)
 from hri_pipeline.core.recognition.likelihood import UNIT_TOLERANCE
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore
 
@@ -56,14 +65,14 @@ def import_gallery(path: Path, store: PersonStore, model: str, dimension: int, c
     StoreError
         The file cannot be used (wrong key, another network, in use, permissions); it stays as it is.
     """
-    if not (os.path.lexists(str(path)) or _beside(path, _LEFTOVER) or _beside(path, DAMAGED)):
+    if not (os.path.lexists(str(path)) or files_beside(path, _LEFTOVER) or files_beside(path, DAMAGED)):
         return
     held = hold(path)
     try:
-        for leftover in _beside(path, _LEFTOVER):
+        for leftover in files_beside(path, _LEFTOVER):
             wipe(leftover)
         _move_people(path, store, model, dimension, cipher, notify)
-        for damaged in _beside(path, DAMAGED):
+        for damaged in files_beside(path, DAMAGED):
             os.replace(str(damaged), str(_beside_store(damaged, path, store)))
     except OSError as error:
         raise StoreError("the gallery of faces {} cannot be read and removed ({}); correct its permissions".format(
@@ -97,11 +106,6 @@ def _move_people(path: Path, store: PersonStore, model: str, dimension: int, cip
     wipe(leftover)
     notify("the {} persons of the gallery of faces {} were moved to {}; the old file is removed".format(
         len(persons), path, store.path))
-
-
-def _beside(path: Path, mark: str) -> List[Path]:
-    """Return the files that are named as the gallery, followed by `mark`."""
-    return sorted(path.parent.glob(path.name + mark + "*"))
 
 
 def _add(persons: List[KnownPerson], store: PersonStore, model: str, dimension: int, now: float) -> None:

@@ -1,0 +1,51 @@
+"""Commands that write what a user has: what they refuse, and what stays."""
+
+from pathlib import Path
+
+import pytest
+
+from hri_person_manager.ros import cameras
+from hri_person_manager.ros.cameras import CameraEntry, run_calibrate, write_cameras
+from hri_person_manager.ros.cli import run_people
+
+LEFT = CameraEntry("left", "/left/image", "/left/camera_info", "left_optical")
+
+
+@pytest.mark.parametrize("name", ["x" * 65, "An\nna", "  "])
+def test_a_name_that_no_service_takes_is_not_enrolled_by_photographs_either(name, tmp_path, capsys):
+    store = tmp_path / "private" / "people.sqlite"
+    assert run_people(["enrol", "--name", name, str(tmp_path), "--store", str(store)]) in (1, 2)
+    assert "photographs (" not in capsys.readouterr().err and not store.exists()
+
+
+def test_a_file_of_cameras_stays_whole_where_the_disk_is_full(tmp_path, monkeypatch):
+    path = tmp_path / "cameras.yaml"
+    path.write_text("cameras: {}\n")
+
+    def full(self, text, **options):
+        with open(str(self), "w") as file:
+            file.write(text[:5])
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(OSError):
+        write_cameras(path, "map", [LEFT])
+    assert path.read_text() == "cameras: {}\n" and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_of_cameras_is_written_where_its_link_leads(tmp_path):
+    path, link = tmp_path / "cameras.yaml", tmp_path / "link.yaml"
+    path.write_text("cameras: {}\n")
+    path.chmod(0o640)
+    link.symlink_to(path)
+    write_cameras(link, "map", [LEFT])
+    assert link.is_symlink() and "left_optical" in path.read_text() and path.stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize("option", ["--stature", "--distance"])
+@pytest.mark.parametrize("value", ["0", "-1.7", "nan", "inf"])
+def test_lengths_are_above_zero(option, value, monkeypatch, capsys):
+    monkeypatch.setattr(cameras, "read_cameras", lambda path: pytest.fail("it was taken"))
+    with pytest.raises(SystemExit):
+        run_calibrate(["calibrate_cameras", "cameras.yaml", "{}={}".format(option, value)])
+    assert option in capsys.readouterr().err
