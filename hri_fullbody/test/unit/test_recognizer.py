@@ -9,14 +9,7 @@ import pytest
 from posed_people import STATURE, UP
 
 from hri_fullbody.core import keypoints as kp
-from hri_fullbody.core.behaviour.arms import (
-    GUESSED_DEPTH,
-    ArmFeatures,
-    arm_features,
-    elbows_below,
-    foreign_hands,
-    trunk_axes,
-)
+from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH, ArmFeatures, arm_features, trunk_axes
 from hri_fullbody.core.behaviour.attitude import (
     CROSSED_RULE,
     AttitudeClass,
@@ -367,51 +360,6 @@ def test_one_camera_puts_hands_before_the_face(elbow, wrist, depth_counts, sure,
     confidence[kp.RIGHT_ELBOW] = sure
     told = [body.update(points, STATURE, index / 15.0, UP, 0.0, confidence, None, depth_counts) for index in range(15)]
     assert told[-1].attitude == attitude
-
-
-def close_up(wrist, below=True, elbow=(0.10, 0.06, -0.20)):
-    """What is told of somebody near the camera, with the left elbow below the image or not."""
-    points, body = people.standing().arm("left", elbow, wrist).seen(), BehaviourRecognizer()
-    return [body.update(points, STATURE, index / 15.0, UP, elbows_below=(below, False)) for index in range(20)][-1]
-
-
-def test_a_hand_beside_the_head_is_raised_when_its_elbow_is_below_the_image():
-    told = close_up((0.12, 0.08, 0.07))
-    assert told.gesture == GestureClass.LEFT_HAND_RAISED and 0.6 < told.attitude_confidence <= 0.8
-    assert close_up((0.12, 0.08, 0.07), below=False).attitude == AttitudeClass.OTHER
-
-
-@pytest.mark.parametrize("wrist", [(0.12, 0.08, 0.04), (0.12, 0.08, -0.05), (0.15, -0.10, 0.07), (0.13, -0.09, 0.12)],
-                         ids=["at the shoulder", "below it", "before the neck", "at the mouth"])
-def test_other_hands_of_somebody_near_the_camera_are_not_raised(wrist):
-    assert close_up(wrist).gesture != GestureClass.LEFT_HAND_RAISED
-
-
-def test_elbows_below_the_image_are_those_whose_wrist_it_shows():
-    keypoints = np.column_stack([np.full(18, 300.0), np.full(18, 400.0), np.full(18, 0.9)])
-    assert elbows_below(keypoints, 640, 480) == (False, False)
-    keypoints[kp.LEFT_ELBOW, 1] = keypoints[kp.RIGHT_ELBOW, 1] = 500.0
-    assert elbows_below(keypoints, 640, 480) == (True, True)
-    keypoints[kp.LEFT_WRIST, 2], keypoints[kp.RIGHT_WRIST, 1] = 0.3, 490.0
-    assert elbows_below(keypoints, 640, 480) == (False, False)
-
-
-def in_image(pose, x, sure=0.9):
-    points = pose.seen(place=(x, 0.6, 3.0))
-    return np.column_stack([800.0 * points[:, :2] / points[:, 2:] + (640.0, 360.0), np.full(18, sure)])
-
-
-def test_a_hand_of_somebody_else_before_a_face_is_not_ones_own():
-    toucher = in_image(people.on_face("right"), 0.0)
-    hand = toucher[kp.RIGHT_WRIST, :2]
-    other = in_image(people.raised("left"), -0.9)
-    assert foreign_hands(toucher, [other]) == (False, False) == foreign_hands(toucher, [])
-    other[kp.LEFT_ELBOW, :2], other[kp.LEFT_WRIST, :2] = hand + (-150.0, 40.0), hand + (-5.0, 8.0)
-    toucher[[kp.RIGHT_ELBOW, kp.RIGHT_WRIST], 2] = 0.6
-    assert foreign_hands(toucher, [other]) == (False, True)
-    assert foreign_hands(other, [toucher]) == (False, False), "whose arm is seen better keeps the hand"
-    other[kp.LEFT_ELBOW, 2] = 0.3
-    assert foreign_hands(toucher, [other]) == (False, False), "an arm that is guessed has no hand"
 
 
 def with_confidence(points, confidence, seconds=2.0):

@@ -15,7 +15,7 @@ from typing import Callable, Deque, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH, elbows_below, foreign_hands
+from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH
 from hri_fullbody.core.behaviour.gesture import GestureClass
 from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
 from hri_fullbody.core.behaviour.posture import PostureClass, without_feet_outside, without_guessed_limbs
@@ -23,7 +23,7 @@ from hri_fullbody.core.behaviour.recognizer import MAX_GAP_S, BehaviourRecognize
 from hri_fullbody.core.detection.person_detector import CenterNetDetector, PersonDetector
 from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, BlazePose, PoseEstimate, PoseEstimator
 from hri_fullbody.core.detection.windows import FaceBox
-from hri_fullbody.core.keypoints import LEFT_WRIST, RIGHT_WRIST, confidence_18, to_18_points
+from hri_fullbody.core.keypoints import confidence_18, to_18_points
 from hri_fullbody.core.localization.ground import GroundPlane
 from hri_fullbody.core.localization.localizer import BodyLocalizer, SceneContext, place
 from hri_fullbody.core.model.anthropometry import MONOCULAR
@@ -178,10 +178,8 @@ class BodyPipeline:
                  for body in seen.values()], stamp, up)
         with self.times("attitude"):
             self.pointing = self._find_pointing(stamp, up)
-            all_keypoints = {body.id: body.keypoints for body in bodies}
-            self._guard.each("body", lambda model: self._express(
-                model, seen[model.id], stamp, up, size, up_sd,
-                [points for name, points in all_keypoints.items() if name != model.id]), self.modelled)
+            self._guard.each("body", lambda model: self._express(model, seen[model.id], stamp, up, size, up_sd),
+                             self.modelled)
 
     def _follow_known(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
                       slow: bool) -> None:
@@ -273,23 +271,16 @@ class BodyPipeline:
                 self._tracker.published(stamp))
 
     def _express(self, model: ModelledBody, body: BodyObservation, stamp: float, up: np.ndarray,
-                 size: Tuple[int, int], up_sd: float, others: Sequence[np.ndarray]) -> None:
-        """Keep the model of a detected body, and recognise its attitude, posture and gesture.
-
-        others: key points of the other bodies.
-        """
+                 size: Tuple[int, int], up_sd: float) -> None:
+        """Keep the model of a detected body, and recognise its attitude, posture and gesture."""
         points = without_guessed_limbs(model.points, body.keypoints, *size)
         confidence = without_feet_outside(body.keypoints, *size)
-        # A hand that is somebody else's is as good as guessed.
-        confidence[[wrist for wrist, foreign in zip((LEFT_WRIST, RIGHT_WRIST), foreign_hands(body.keypoints, others))
-                    if foreign]] = 0.0
-        below = elbows_below(body.keypoints, *size)
         recognizer = self._recognizers.setdefault(model.id, BehaviourRecognizer())
         behaviour = self._guard.each(
             "behaviour of a body",
             lambda one: recognizer.update(
                 points, one.stature, stamp, up, up_sd, confidence, body.hands,
-                1.0 if body.by_depth else GUESSED_DEPTH, body.image_trunk, body.score, below), [model])
+                1.0 if body.by_depth else GUESSED_DEPTH, body.image_trunk, body.score), [model])
         self._last_models[model.id] = _LastModel(
             stamp, model, None if body.pose is None else body.pose.translation, behaviour[0] if behaviour else None)
         if body.head is not None:

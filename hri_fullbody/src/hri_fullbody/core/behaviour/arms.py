@@ -47,10 +47,6 @@ _SEEN_HAND_LENGTH = 0.095       # where the direction of the hand is seen, the f
 # Hands that touch the face are guessed up to .17 statures nearer to one camera than it, others are .13 and more beside
 # it: of a distance along the view, half counts where depth is guessed.
 GUESSED_DEPTH = 0.5
-_SEEN = 0.5             # confidence of a key point that is seen
-# A hand is somebody else's when it is within this part of the length of their forearm from that forearm or the fingers
-# beyond it, and their arm is seen as clearly.
-_AT_FOREARM, _FINGERS = 0.25, 1.4
 _MIN_LENGTH_M = 1e-6
 _NAN3 = (math.nan, math.nan, math.nan)
 
@@ -142,46 +138,6 @@ def arm_features(points: np.ndarray, stature: float, up: np.ndarray, axes: Optio
                             (face, [lost * value for value in face]), trunk, vertical, stature)
                    for arm, hand in zip(_ARMS, knuckles))
     return ArmFeatures(*zip(left, right))
-
-
-def elbows_below(keypoints: np.ndarray, width: float, height: float) -> Tuple[bool, bool]:
-    """Tell whether the left and the right elbow is below an image of width x height px that shows its wrist: somebody
-    near the camera holds that hand up.
-
-    keypoints: (18, 3), px and confidence.
-    """
-    found = []
-    for _, elbow, wrist, _, _ in _ARMS:
-        (x, y, confidence), below = keypoints[wrist].tolist(), float(keypoints[elbow, 1]) >= height
-        found.append(below and confidence >= _SEEN and 0.0 <= x < width and 0.0 <= y < height)
-    return found[0], found[1]
-
-
-def foreign_hands(keypoints: np.ndarray, others: Sequence[np.ndarray]) -> Tuple[bool, bool]:
-    """Tell whether the left and the right wrist of a body is rather the hand of one of the others in the image.
-
-    In a crowd a pose network may give a body the hand that is before it. keypoints, others: (18, 3), px and confidence.
-    """
-    rows = [one.tolist() for one in others]
-    found = []
-    for _, elbow, wrist, _, _ in _ARMS:
-        sure, place = float(keypoints[[elbow, wrist], 2].min()), keypoints[wrist, :2].tolist()
-        found.append(any(_is_at_forearm(place, other[its_elbow], other[its_wrist], max(sure, _SEEN))
-                         for other in rows for _, its_elbow, its_wrist, _, _ in _ARMS))
-    return found[0], found[1]
-
-
-def _is_at_forearm(place: Vector, elbow: Vector, wrist: Vector, sure: float) -> bool:
-    """Tell whether a place (2,) px is at a forearm or the fingers beyond it, of which both ends have a confidence of
-    `sure` at least. elbow, wrist: px and confidence."""
-    if not min(elbow[2], wrist[2]) >= sure:
-        return False
-    along, to_place = [wrist[0] - elbow[0], wrist[1] - elbow[1]], [place[0] - elbow[0], place[1] - elbow[1]]
-    squared = along[0] ** 2 + along[1] ** 2
-    if not squared > 0.0:
-        return False
-    part = min(max((along[0] * to_place[0] + along[1] * to_place[1]) / squared, 0.0), _FINGERS)
-    return math.hypot(to_place[0] - part * along[0], to_place[1] - part * along[1]) <= _AT_FOREARM * math.sqrt(squared)
 
 
 def _one_arm(places: Sequence[Vector], sign: float, middle: Vector, face: Tuple[Vector, Vector],

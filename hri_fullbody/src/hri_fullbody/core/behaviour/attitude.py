@@ -15,7 +15,6 @@ from hri_fullbody.core.behaviour.arms import ArmFeatures, Pair
 
 _UNKNOWN = math.nan
 _TIME_SLACK_S = 1e-6
-_CLOSE = 0.8        # score of a raised hand whose elbow is below the image
 _SMOOTHING_S = 0.1
 _SPEED_S = 0.12
 # Speeds of a wrist (statures/s). Folded arms are held; hands that clap are as near to the elbows, but move. Forearms as
@@ -147,19 +146,15 @@ class AttitudeEstimator:
         """Whether the left and the right hand are raised."""
         return self._raised[0].latch.active, self._raised[1].latch.active
 
-    def update(self, features: ArmFeatures, elapsed: float, sure: Tuple[bool, bool] = (True, True),
-               below: Tuple[bool, bool] = (False, False)) -> AttitudeClass:
+    def update(self, features: ArmFeatures, elapsed: float, sure: Tuple[bool, bool] = (True, True)) -> AttitudeClass:
         """Take the arms `elapsed` s after the last call; return the attitude and keep it with its confidence.
 
         sure: whether elbow and wrist of the left and right arm are seen: a guessed hand is often put before the face.
-        below: whether the elbow is below the image while the wrist is in it.
         """
         weight = 1.0 - math.exp(-elapsed / _SMOOTHING_S)
         near = [face_score(features, side) if sure[side] else _UNKNOWN for side in (0, 1)]
-        up = [_highest(raised_score(features, side), close_raised_score(features, side) if below[side] else _UNKNOWN)
-              for side in (0, 1)]
-        raised = [self._raised[side].update(_but_not(up[side], near_face_score(features, side)), weight, elapsed)
-                  for side in (0, 1)]
+        raised = [self._raised[side].update(_but_not(raised_score(features, side), near_face_score(features, side)),
+                                            weight, elapsed) for side in (0, 1)]
         crossed = crossed_score(features, self._speed.update(features, elapsed))
         active = {
             AttitudeClass.HANDS_ON_FACE: self._face.update(_highest(*near), weight, elapsed),
@@ -193,13 +188,6 @@ def raised_score(features: ArmFeatures, side: int) -> float:
         soft(features.rise[side], 0.02, 0.10),
         soft(features.above_elbow[side], -0.02, 0.06),
         _or(soft(features.rise_trunk[side], -0.02, 0.06), 1.0))
-
-
-def close_raised_score(features: ArmFeatures, side: int) -> float:
-    """The same of somebody near the camera whose elbow is below the image, so that the forearm points up: the hand is
-    beside the head, above the shoulder and not before the trunk. At most .8, as the elbow is not seen."""
-    return _CLOSE * _lowest(soft(features.rise[side], 0.0, 0.04), soft(features.outward[side], 0.07, 0.10),
-                            _or(soft(features.rise_trunk[side], -0.02, 0.02), 1.0))
 
 
 def face_score(features: ArmFeatures, side: int) -> float:

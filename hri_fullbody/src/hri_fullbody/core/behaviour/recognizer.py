@@ -72,8 +72,7 @@ class BehaviourRecognizer:
     def update(self, points: np.ndarray, stature: float, stamp: float,
                up: Union[Sequence[float], np.ndarray], up_sd: float = 0.0,
                confidence: Optional[np.ndarray] = None, hands: Optional[np.ndarray] = None,
-               depth_counts: float = 1.0, trunk: float = math.nan, score: float = 1.0,
-               elbows_below: Tuple[bool, bool] = (False, False)) -> BodyBehaviour:
+               depth_counts: float = 1.0, trunk: float = math.nan, score: float = 1.0) -> BodyBehaviour:
         """Take one frame and return what the body expresses.
 
         points: (18, 3) m in a sensor's frame, key points in the order of hri_msgs/Skeleton2D, NaN or infinite
@@ -87,7 +86,6 @@ class BehaviourRecognizer:
         knees; a knee that counts has 0.5, or both have 0.9 together for some time.
         hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: along the forearms.
         depth_counts: see arm_features. trunk: m, see trunk_in_image, score: 0 to 1; see GuessedLegs; NaN unknown.
-        elbows_below: see arms.elbows_below.
         Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
         an `up` without a direction.
         """
@@ -104,7 +102,7 @@ class BehaviourRecognizer:
         axes = trunk_axes(points, upwards)
         features = arm_features(points, stature, upwards, axes, hands, depth_counts)
         sure = _sure_forearms(confidence)
-        attitude = self._attitude.update(features, elapsed, sure, elbows_below)
+        attitude = self._attitude.update(features, elapsed, sure)
         waving = self._waves.update(features, elapsed, sure)
         posture = self._posture.update(
             self._hold.without_old(points, stamp, _LEG_HOLD_S), axes, stature, upwards, elapsed, up_sd,
