@@ -227,7 +227,7 @@ class GazeJudge:
     def update(self, people: PeopleSnapshot, lines: "SightLines", beliefs: np.ndarray, head_radius: float,
                stamp: float, dt: float) -> np.ndarray:
         """Return how likely everybody looks at each target (N, T); see GazeCues. Of people without a face it is what
-        the filter believes."""
+        the filter believes, of those without eyes what the first pass says."""
         rows, targets, cues = self.looks(people, lines, beliefs, head_radius, stamp, dt)
         eyed = cues[:, _AT["eyes_missing"]] <= _EYES_S
         judged = self._said.copy()
