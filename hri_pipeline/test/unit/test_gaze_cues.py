@@ -24,8 +24,10 @@ def people(looks, left=0.0, faced=True):
     bearings = np.arctan2(ways[:, 1], ways[:, 0]) + left
     directions = np.stack([np.cos(bearings), np.sin(bearings), np.zeros(len(ids))], axis=1)
     unknown = np.tile(UNKNOWN, (len(ids), 1))
-    return PeopleSnapshot(ids, heads, directions if faced else unknown, directions if faced else unknown, directions,
+    seen = PeopleSnapshot(ids, heads, directions if faced else unknown, directions if faced else unknown, directions,
                           np.tile([0.03, 0.09, 0.1, 0.35], (len(ids), 1)), np.zeros(len(ids)))
+    seen.groups = np.full(len(ids), -1)
+    return seen
 
 
 def even(count):
@@ -133,14 +135,14 @@ def test_the_levels_of_a_tree_are_the_bits_of_its_leaf(belief, nobody, leaf):
     assert Trees(-1.0, [TREE, TREE]).odds(cues) == pytest.approx([2.0 * leaf - 1.0])
 
 
-ALWAYS, NONE = Trees(2.0, [((0, 0, 0), (0.0, 0.0, 0.0), (0.0,) * 8)]), Trees(0.0, [])
+ALWAYS, NEVER, NONE = Trees(2.0, [((0, 0, 0), (0.0, 0.0, 0.0), (0.0,) * 8)]), Trees(-2.0, []), Trees(0.0, [])
 SURE = 1.0 / (1.0 + math.exp(-2.0))
 
 
 def test_only_what_the_filter_believes_possible_of_people_with_faces_is_judged():
     beliefs = even(3)
     beliefs[0, 1] = 0.5 * LEAST_BELIEF
-    watch = Watch(GazeJudge(NONE, ALWAYS)).see(people(EACH), beliefs)
+    watch = Watch(GazeJudge(ALWAYS, ALWAYS)).see(people(EACH), beliefs)
     assert watch.latest[0] == pytest.approx([beliefs[0, 0], beliefs[0, 1], SURE, SURE])
     watch.see(people(EACH, faced=False), beliefs)       # the face is missing for a moment
     assert watch.latest[0, 2] == pytest.approx(SURE)
@@ -185,21 +187,32 @@ def test_of_people_without_a_trunk_the_first_pass_says_what_the_filter_believes_
     seen.trunks = seen.trunks.copy()
     seen.trunks[1] = math.nan
     watch = Watch(GazeJudge(ALWAYS, ALWAYS)).see(seen)
-    assert watch.latest[1, 0] == pytest.approx(SURE)
+    assert watch.latest[1, 0] == pytest.approx(1.0 / (1.0 + math.exp(-0.5 * (2.0 - math.log(4.0)))))
     found = second_cues(GazeJudge(ALWAYS), seen, even(3))
     assert found[1, 0]["first"] == pytest.approx(0.2) and found[1, 0]["trunk_missing"] == math.inf
     assert found[0, 1]["first"] == pytest.approx(SURE) and found[0, 1]["trunk_missing"] == 0.0
 
 
+def test_the_odds_are_the_mean_of_both_passes():
+    assert Watch(GazeJudge(ALWAYS, NEVER)).see(people(EACH)).latest[0, 1] == pytest.approx(0.5)
+    assert Watch(GazeJudge(NEVER, NEVER)).see(people(EACH)).latest[0, 1] == pytest.approx(1.0 - SURE)
+
+
 def test_of_people_whose_eyes_are_not_seen_the_first_pass_has_the_last_word():
     seen = people(EACH)
     seen.gazes = seen.gazes.copy()
-    watch = Watch(GazeJudge(ALWAYS, NONE)).see(seen)
+    watch = Watch(GazeJudge(ALWAYS, NEVER)).see(seen)
     assert watch.latest[0, 1] == pytest.approx(0.5)
     seen.gazes[0] = math.nan
     assert watch.see(seen, times=19).latest[0, 1] == pytest.approx(0.5)
     assert watch.see(seen, times=2).latest[0, 1] == pytest.approx(SURE)
     assert watch.latest[1, 0] == pytest.approx(0.5)
+
+
+def test_where_groups_are_not_known_the_first_pass_has_the_last_word():
+    seen = people(EACH)
+    seen.groups = None
+    assert Watch(GazeJudge(ALWAYS, NONE)).see(seen).latest[0, 1] == pytest.approx(SURE)
 
 
 @pytest.mark.parametrize("trees, known", [(gaze_trees.TREES, CUES), (gaze_trees.SECOND_TREES, SECOND_CUES)])

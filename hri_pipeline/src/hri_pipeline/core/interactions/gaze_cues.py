@@ -3,8 +3,9 @@
 The filter takes one image after the other by fixed variances. Small decision trees see its belief together with how far
 eyes and head have been beside each target over several times, on which side of the trunk, who speaks and who looks
 back. A second pass sees also what the first one said: of the same look over the last seconds, of its rivals, and of the
-looks of others. They were grown by `scripts/benchmarks/gaze_training.py` in a simulated world whose errors and habits
-are drawn anew for each scene, and stand as numbers in `gaze_trees.py`.
+looks of others; and how far each person is known to turn the head. The odds are the mean of both. The trees were grown
+by `scripts/benchmarks/gaze_training.py` in a simulated world whose errors and habits are drawn anew for each scene, and
+stand as numbers in `gaze_trees.py`.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ _MISSED_S = 0.5
 """Who had a face (and, for the first pass, a trunk) a moment (s) ago is judged as somebody with it."""
 _FIRST_TIMES = (0.4, 1.5, 8.0)
 """Time constants (s) of the means of what the first pass said."""
+_LEAST_CHANCE = 1e-4
 _EYES_S = 2.0
 """Of whom no eyes have been seen for longer (s), the first pass has the last word: the second knows nobody whose
 detector measures no eyes."""
@@ -227,11 +229,15 @@ class GazeJudge:
     def update(self, people: PeopleSnapshot, lines: "SightLines", beliefs: np.ndarray, head_radius: float,
                stamp: float, dt: float) -> np.ndarray:
         """Return how likely everybody looks at each target (N, T); see GazeCues. Of people without a face it is what
-        the filter believes, of those without eyes what the first pass says."""
+        the filter believes, of those without eyes, and of all where groups are not known, what the first pass says."""
         rows, targets, cues = self.looks(people, lines, beliefs, head_radius, stamp, dt)
+        if people.groups is None:       # the second pass knows only people of whom it is told who stands together
+            return self._said.copy()
         eyed = cues[:, _AT["eyes_missing"]] <= _EYES_S
         judged = self._said.copy()
-        judged[rows[eyed], targets[eyed]] = _chances(self._second.odds(cues[eyed]))
+        looks = rows[eyed], targets[eyed]
+        # The mean of both: the second alone trusts the habits of its worlds too much where people have others.
+        judged[looks] = _chances(0.5 * (self._second.odds(cues[eyed]) + _odds(judged[looks])))
         return judged
 
     def looks(self, people: PeopleSnapshot, lines: "SightLines", beliefs: np.ndarray, head_radius: float,
@@ -248,6 +254,11 @@ class GazeJudge:
         self._said = first
         self._cues.take_first(people, lines, first, head_radius, dt)
         return rows, targets, np.append(cues, self._cues.of_second(rows, targets, people, lines, first, stamp), axis=1)
+
+
+def _odds(chances: np.ndarray) -> np.ndarray:
+    kept = np.minimum(np.maximum(chances, _LEAST_CHANCE), 1.0 - _LEAST_CHANCE)
+    return np.log(kept / (1.0 - kept))
 
 
 def _chances(odds: np.ndarray) -> np.ndarray:
