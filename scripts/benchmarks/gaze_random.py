@@ -11,12 +11,12 @@ to 9 degrees and head poses by 3 to 8 near the front, partly for good, partly fo
 from __future__ import annotations
 
 import math
-from typing import Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Dict, Iterator, List, Mapping, NamedTuple, Optional, Tuple
 
 import numpy as np
 
 from benchmarks import gaze_independent as plumbing
-from benchmarks.gaze_independent import RATE, Image
+from benchmarks.gaze_independent import Image
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.interactions.gaze import ROBOT
 from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
@@ -37,17 +37,20 @@ RANGES: Dict[str, Tuple[float, float]] = {
     "eyes_lasting": (0.0, 0.35), "eyes_white": (0.0, 0.6), "eyes_time": (0.15, 1.2),
     "head_lasting": (0.2, 0.7), "head_white": (0.0, 0.4), "head_time": (0.3, 2.0),
     "gaps": (0.01, 0.12), "gap_time": (0.2, 0.8), "blinks": (8.0, 30.0), "shut_down": (0.0, 0.2), "shut": (0.0, 0.03),
-    "least_width": (20.0, 34.0)}
+    "least_width": (20.0, 34.0), "trunk_gap_time": (0.5, 6.0)}
 """Of each scene: parts of the time (0 to 1), times (s), angles (deg), parts of the distance, blinks per minute, px."""
+RATES = (15.0, 15.0, 15.0, 30.0, 10.0, 7.5, 5.0)
+"""Images per second, one of them for each scene."""
 _DWELL_LAWS, _FREEDOMS = ("exponential", "gamma", "log-normal"), (3.5, 5.0, 8.0, 30.0)
 
 
 class Error:
     """Errors of two axes with variance 1: a part that stays, one that lasts for a while, and one of each image."""
 
-    def __init__(self, lasting: float, white: float, time: float, freedom: float, rng: np.random.RandomState) -> None:
-        """lasting: part of the variance; white: part of the rest; time: s; freedom: of the t-distributed changes."""
-        self._rng, self._freedom, self._keep = rng, freedom, math.exp(-1.0 / RATE / time)
+    def __init__(self, lasting: float, white: float, steps: float, freedom: float, rng: np.random.RandomState) -> None:
+        """lasting: part of the variance; white: part of the rest; steps: images that it lasts; freedom: of the
+        t-distributed changes."""
+        self._rng, self._freedom, self._keep = rng, freedom, math.exp(-1.0 / steps)
         self._parts = [math.sqrt(part) for part in (lasting, (1.0 - white) * (1.0 - lasting), white * (1.0 - lasting))]
         self._bias, self._slow = rng.normal(0.0, 1.0, 2), rng.normal(0.0, 1.0, 2)
 
@@ -67,6 +70,7 @@ class Someone:
         self.target, self.until, self.aim, self.spot = _ASIDE, 0.0, np.zeros(2), np.zeros(3)
         self.head, self.eyes = np.array([facing, 0.0]), np.array([facing, 0.0])
         self.shut_until, self.closed_at, self.gap_until, self.nearer = 0.0, math.inf, -1.0, 0.0
+        self.trunk_gap_until = -1.0
 
     def settle(self, scene: Dict[str, float], rng: np.random.RandomState) -> None:
         """Draw what stays the same."""
@@ -75,9 +79,11 @@ class Someone:
         self.lag, self.rate = rng.uniform(0.08, 0.3), rng.uniform(2.5, 7.0)
         self.eyes_limit, self.face_limit = np.radians([rng.uniform(35.0, 50.0), rng.uniform(50.0, 90.0)])
         self.depth, self.trunk = rng.normal(0.0, scene["depth_sd"]), rng.normal(0.0, scene["trunk_bias"])
-        self.eyes_error = Error(scene["eyes_lasting"], scene["eyes_white"], scene["eyes_time"],
+        self.eyes_error = Error(scene["eyes_lasting"], scene["eyes_white"], scene["eyes_time"] * scene["rate"],
                                 _FREEDOMS[rng.randint(len(_FREEDOMS))], rng)
-        self.head_error = Error(scene["head_lasting"], scene["head_white"], scene["head_time"], _FREEDOMS[-1], rng)
+        self.head_error = Error(scene["head_lasting"], scene["head_white"], scene["head_time"] * scene["rate"],
+                                _FREEDOMS[-1], rng)
+        self.no_trunk = rng.rand() < scene["no_trunks"]
 
 
 class Moment(NamedTuple):
@@ -125,12 +131,22 @@ def _members(size: int, group: int, first: int, rng: np.random.RandomState) -> L
     return members
 
 
-class RandomWorld:
-    """One scene that goes on."""
+def _left_out(rng: np.random.RandomState) -> Dict[str, float]:
+    """Return the rate (Hz) and what is left out of a scene."""
+    found = {"rate": float(rng.choice(RATES)), "no_trunks": rng.uniform(0.1, 1.0) * (rng.rand() < 0.4),
+             "trunk_gaps": rng.uniform(0.05, 0.4) * (rng.rand() < 0.4), "deaf": float(rng.rand() < 0.3)}
+    return found
 
-    def __init__(self, count: int, seed: int) -> None:
+
+class RandomWorld:
+    """One scene that goes on. In some, trunks are not seen, of somebody or for a while, or nobody is heard."""
+
+    def __init__(self, count: int, seed: int, fixed: Optional[Mapping[str, float]] = None) -> None:
+        """fixed: values of RANGES that are not to be drawn, of `rate` (Hz), `no_trunks` (part of the people),
+        `trunk_gaps` (part of the time), and `deaf` (1 or 0)."""
         self._rng = np.random.RandomState(7919 * count + seed)
         self._scene = {name: self._rng.uniform(*span) for name, span in RANGES.items()}
+        self._scene.update(_left_out(self._rng), **(fixed or {}))
         self._law = _DWELL_LAWS[self._rng.randint(len(_DWELL_LAWS))]
         self._camera = np.array([0.0, 0.0, self._scene["camera_height"]])
         self._people = people_of(count, self._rng)
@@ -143,16 +159,17 @@ class RandomWorld:
     def moments(self, seconds: float) -> Iterator[Moment]:
         """Yield the images of so many seconds."""
         settings, pose = INTERACTION_PARAMETERS.resolve({}), Pose(np.eye(3), self._camera.copy())
-        for index in range(int(seconds * RATE)):
-            now = index / RATE
+        for index in range(int(seconds * self._scene["rate"])):
+            now = index / self._scene["rate"]
             self._talk(now)
             for person in self._people:
                 self._live(person, now)
             faces = [person.name for person in self._people if self._sense(person, now)]
             seen = gather(self._frames, lambda sensors: {name: pose for name in sensors}, now, settings, {})
             speakers = {speaker for speaker, _ in self._speakers.values()}
-            seen.speaking = np.array([identity in speakers and self._rng.rand() < self._scene["heard"]
-                                      for identity in seen.ids], dtype=bool)
+            heard = np.array([identity in speakers and self._rng.rand() < self._scene["heard"]
+                              for identity in seen.ids], dtype=bool)
+            seen.speaking = None if self._scene["deaf"] else heard
             looks = {person.name: person.target for person in self._people
                      if person.target not in (_DOWN, _ASIDE) and now - person.closed_at <= 0.4}
             yield Moment(Image(now, looks, faces, seen), self._camera)
@@ -166,8 +183,8 @@ class RandomWorld:
                                          now + max(0.5, self._rng.exponential(self._scene["turn"])))
 
     def _live(self, person: Someone, now: float) -> None:
-        rng = self._rng
-        person.place[:2] += person.velocity / RATE
+        rng, rate = self._rng, self._scene["rate"]
+        person.place[:2] += person.velocity / rate
         if now >= person.until:
             person.target, person.until = self._next_target(person), now + self._dwell()
             person.spot = rng.normal(0.0, 0.04, 3)
@@ -183,8 +200,8 @@ class RandomWorld:
         beyond = abs(plumbing.wrapped(aim[0] - yaw)) - person.eyes_limit
         yaw += math.copysign(max(beyond, 0.0), plumbing.wrapped(aim[0] - yaw))
         step = np.array([plumbing.wrapped(yaw - person.head[0]), pitch - person.head[1]])
-        step *= 1.0 - math.exp(-1.0 / RATE / person.lag)
-        person.head = person.head + np.clip(step, -person.rate / RATE, person.rate / RATE)
+        step *= 1.0 - math.exp(-1.0 / rate / person.lag)
+        person.head = person.head + np.clip(step, -person.rate / rate, person.rate / rate)
         person.eyes = aim + rng.normal(0.0, math.radians(self._scene["tremor"]), 2)
         self._blink(person, now)
 
@@ -230,7 +247,7 @@ class RandomWorld:
         if now < person.shut_until:
             return
         person.closed_at = math.inf
-        chance, blinks = self._rng.rand() * RATE, self._scene["blinks"] / 60.0
+        chance, blinks = self._rng.rand() * self._scene["rate"], self._scene["blinks"] / 60.0
         if chance < blinks + self._scene["shut"]:
             person.closed_at = now
             person.shut_until = now + (self._rng.uniform(0.1, 0.4) if chance < blinks else self._rng.uniform(0.8, 3.0))
@@ -245,7 +262,7 @@ class RandomWorld:
         hidden = any(other is not person and np.linalg.norm(other.place - self._camera) < distance - 0.2
                      and np.linalg.norm(plumbing.angles(other.place - self._camera) - plumbing.angles(away))
                      < _HIDING / distance for other in self._people)
-        if now > person.gap_until and rng.rand() < self._scene["gaps"] / self._scene["gap_time"] / RATE:
+        if now > person.gap_until and rng.rand() < self._scene["gaps"] / self._scene["gap_time"] / self._scene["rate"]:
             person.gap_until = now + rng.exponential(self._scene["gap_time"])
         face = not hidden and yaw < person.face_limit and now >= person.gap_until
         eyes, head = person.eyes_error.draw(), person.head_error.draw()
@@ -259,7 +276,10 @@ class RandomWorld:
                   ) -> None:
         body = "b" + person.name
         self._frames.set_feature(person.name, "body", body)
-        if hidden:
+        gaps, rate = self._scene["trunk_gaps"] / self._scene["trunk_gap_time"], self._scene["rate"]
+        if now > person.trunk_gap_until and self._rng.rand() < gaps / rate:
+            person.trunk_gap_until = now + self._rng.exponential(self._scene["trunk_gap_time"])
+        if hidden or person.no_trunk or now < person.trunk_gap_until:
             return
         hips = np.array([0.0, 0.0, 0.65])
         trunk = np.array([person.facing + person.trunk + self._rng.normal(0.0, self._scene["trunk_sd"]), 0.0])

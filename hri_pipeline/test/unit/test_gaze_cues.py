@@ -7,7 +7,7 @@ import pytest
 
 from hri_pipeline.core.interactions import gaze_trees
 from hri_pipeline.core.interactions.gaze import SightLines
-from hri_pipeline.core.interactions.gaze_cues import CUES, LEAST_BELIEF, GazeCues, GazeJudge, Trees, turns
+from hri_pipeline.core.interactions.gaze_cues import CUES, LEAST_BELIEF, SECOND_CUES, GazeCues, GazeJudge, Trees, turns
 from hri_pipeline.core.interactions.people import UNKNOWN, PeopleSnapshot
 
 CAMERA = np.array([0.0, 0.0, 1.5])
@@ -24,8 +24,10 @@ def people(looks, left=0.0, faced=True):
     bearings = np.arctan2(ways[:, 1], ways[:, 0]) + left
     directions = np.stack([np.cos(bearings), np.sin(bearings), np.zeros(len(ids))], axis=1)
     unknown = np.tile(UNKNOWN, (len(ids), 1))
-    return PeopleSnapshot(ids, heads, directions if faced else unknown, directions if faced else unknown, directions,
+    seen = PeopleSnapshot(ids, heads, directions if faced else unknown, directions if faced else unknown, directions,
                           np.tile([0.03, 0.09, 0.1, 0.35], (len(ids), 1)), np.zeros(len(ids)))
+    seen.groups = np.full(len(ids), -1)
+    return seen
 
 
 def even(count):
@@ -133,29 +135,90 @@ def test_the_levels_of_a_tree_are_the_bits_of_its_leaf(belief, nobody, leaf):
     assert Trees(-1.0, [TREE, TREE]).odds(cues) == pytest.approx([2.0 * leaf - 1.0])
 
 
+ALWAYS, NEVER, NONE = Trees(2.0, [((0, 0, 0), (0.0, 0.0, 0.0), (0.0,) * 8)]), Trees(-2.0, []), Trees(0.0, [])
+SURE = 1.0 / (1.0 + math.exp(-2.0))
+
+
 def test_only_what_the_filter_believes_possible_of_people_with_faces_is_judged():
     beliefs = even(3)
     beliefs[0, 1] = 0.5 * LEAST_BELIEF
-    always = Trees(2.0, [((0, 0, 0), (0.0, 0.0, 0.0), (0.0,) * 8)])
-    watch = Watch(GazeJudge(always)).see(people(EACH), beliefs)
-    assert watch.latest[0] == pytest.approx([beliefs[0, 0], beliefs[0, 1], *[1.0 / (1.0 + math.exp(-2.0))] * 2])
+    watch = Watch(GazeJudge(ALWAYS, ALWAYS)).see(people(EACH), beliefs)
+    assert watch.latest[0] == pytest.approx([beliefs[0, 0], beliefs[0, 1], SURE, SURE])
     watch.see(people(EACH, faced=False), beliefs)       # the face is missing for a moment
-    assert watch.latest[0, 2] == pytest.approx(1.0 / (1.0 + math.exp(-2.0)))
+    assert watch.latest[0, 2] == pytest.approx(SURE)
     watch.see(people(EACH, faced=False), beliefs, times=6)
     assert watch.latest == pytest.approx(beliefs[:, :-1])
 
 
-def test_people_without_a_trunk_are_not_judged():
-    seen, always = people(EACH), Trees(2.0, [((0, 0, 0), (0.0, 0.0, 0.0), (0.0,) * 8)])
+def second_cues(judge, seen, beliefs, stamp=0.0):
+    """Of the looks that are judged, {(observer, target): {name: cue}}."""
+    rows, targets, cues = judge.looks(seen, SightLines(seen, CAMERA, 8.0), beliefs, RADIUS, stamp, STEP)
+    return {pair: dict(zip(SECOND_CUES, row)) for pair, row in zip(zip(rows.tolist(), targets.tolist()), cues)}
+
+
+def test_the_second_pass_sees_what_the_first_said_of_all_looks():
+    found = second_cues(GazeJudge(ALWAYS), people(EACH), even(3))
+    assert len(found) == 9
+    at_bob = found[0, 1]
+    assert [at_bob["first"], at_bob["first_rival"], at_bob["first_back"]] == pytest.approx([SURE] * 3)
+    # Cho looks at Bob, too; Ann herself counts as what the filter believes, one in five.
+    assert at_bob["first_joint"] == pytest.approx(SURE + 0.2) and at_bob["first_sum"] == pytest.approx(3 * SURE + 0.2)
+    assert found[0, 3]["first_back"] == 0.0      # of the robot's looks nothing is known
+    assert at_bob["unheard"] == 1.0 and at_bob["eyes_sd"] == 0.1
+
+
+def test_what_the_first_pass_said_is_followed_in_time_for_each_look():
+    by_belief = Trees(0.0, [((0, 0, 0), (0.5, 0.5, 0.5), (-9.0,) + (0.0,) * 6 + (9.0,))])
+    judge, before = GazeJudge(by_belief), np.tile([0.1, 0.1, 0.1, 0.6, 0.1], (3, 1))
+    assert second_cues(judge, people(EACH), before)[2, 0]["first_1.5"] == pytest.approx(0.0, abs=1e-3)
+    at_ann = np.tile([0.6, 0.1, 0.1, 0.1, 0.1], (3, 1))
+    found = second_cues(judge, people(EACH), at_ann, STEP)[2, 0]
+    assert found["first"] == pytest.approx(1.0, abs=1e-3)
+    for time in (0.4, 1.5, 8.0):
+        assert found["first_{}".format(time)] == pytest.approx(1.0 - math.exp(-STEP / time), abs=1e-3)
+    # The others come in another order, and somebody has left: the look is the same one.
+    seen = people({"cho": "ann", "ann": "cho"})
+    found = second_cues(judge, seen, np.tile([0.1, 0.6, 0.2, 0.1], (2, 1)), 2 * STEP)[0, 1]
+    assert found["first_8.0"] == pytest.approx(1.0 - math.exp(-2 * STEP / 8.0), abs=1e-3)
+
+
+def test_of_people_without_a_trunk_the_first_pass_says_what_the_filter_believes_and_the_second_judges():
+    seen = people(EACH)
+    seen.trunks = seen.trunks.copy()
     seen.trunks[1] = math.nan
-    watch = Watch(GazeJudge(always)).see(seen)
-    assert watch.latest[1] == pytest.approx(even(3)[1, :-1])
-    assert watch.latest[0, 1] == pytest.approx(1.0 / (1.0 + math.exp(-2.0)))
+    watch = Watch(GazeJudge(ALWAYS, ALWAYS)).see(seen)
+    assert watch.latest[1, 0] == pytest.approx(1.0 / (1.0 + math.exp(-0.5 * (2.0 - math.log(4.0)))))
+    found = second_cues(GazeJudge(ALWAYS), seen, even(3))
+    assert found[1, 0]["first"] == pytest.approx(0.2) and found[1, 0]["trunk_missing"] == math.inf
+    assert found[0, 1]["first"] == pytest.approx(SURE) and found[0, 1]["trunk_missing"] == 0.0
 
 
-def test_the_trees_are_whole():
-    assert len(gaze_trees.TREES) >= 20
-    for cues, limits, values in gaze_trees.TREES:
+def test_the_odds_are_the_mean_of_both_passes():
+    assert Watch(GazeJudge(ALWAYS, NEVER)).see(people(EACH)).latest[0, 1] == pytest.approx(0.5)
+    assert Watch(GazeJudge(NEVER, NEVER)).see(people(EACH)).latest[0, 1] == pytest.approx(1.0 - SURE)
+
+
+def test_of_people_whose_eyes_are_not_seen_the_first_pass_has_the_last_word():
+    seen = people(EACH)
+    seen.gazes = seen.gazes.copy()
+    watch = Watch(GazeJudge(ALWAYS, NEVER)).see(seen)
+    assert watch.latest[0, 1] == pytest.approx(0.5)
+    seen.gazes[0] = math.nan
+    assert watch.see(seen, times=19).latest[0, 1] == pytest.approx(0.5)
+    assert watch.see(seen, times=2).latest[0, 1] == pytest.approx(SURE)
+    assert watch.latest[1, 0] == pytest.approx(0.5)
+
+
+def test_where_groups_are_not_known_the_first_pass_has_the_last_word():
+    seen = people(EACH)
+    seen.groups = None
+    assert Watch(GazeJudge(ALWAYS, NONE)).see(seen).latest[0, 1] == pytest.approx(SURE)
+
+
+@pytest.mark.parametrize("trees, known", [(gaze_trees.TREES, CUES), (gaze_trees.SECOND_TREES, SECOND_CUES)])
+def test_the_trees_are_whole(trees, known):
+    assert len(trees) >= 20
+    for cues, limits, values in trees:
         assert (len(cues), len(limits), len(values)) == (gaze_trees.LEVELS, gaze_trees.LEVELS, 1 << gaze_trees.LEVELS)
-        assert all(0 <= cue < len(CUES) for cue in cues)
+        assert all(0 <= cue < len(known) for cue in cues)
         assert np.isfinite([*limits, *values]).all()
