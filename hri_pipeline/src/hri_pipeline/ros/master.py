@@ -97,6 +97,8 @@ def subscribe_again(topic: str, kind: str) -> None:
     Connections that are there stay. Raises OSError, or what xmlrpc raises, where the master does not answer.
     """
     uri = own_address()
+    if rospy.is_shutdown():     # another node may have taken over the name, which the master would end now
+        return
     with node_at(rosgraph.get_master_uri()) as master, node_at(uri) as own:
         code, text, publishers = master.registerSubscriber(rospy.get_name(), topic, kind, uri)
         if code != 1:

@@ -51,6 +51,10 @@ class _Stop(BaseException):
     """SIGINT or SIGTERM came. No `except Exception` on the way holds it up."""
 
 
+_stopped = threading.Event()
+"""Set once SIGINT or SIGTERM came."""
+
+
 def run_node(name: str, build: Callable[[], RunnableNode], parameters: Optional[OwnParameters] = None) -> NoReturn:
     """Run a node and end the process.
 
@@ -77,9 +81,8 @@ def run_node(name: str, build: Callable[[], RunnableNode], parameters: Optional[
     except ROSInitException as error:
         sys.stderr.write("{}: {}\n".format(name, error))
         code = 1
-    ended_from_outside = rospy.is_shutdown()
     rospy.signal_shutdown("{} has ended".format(name))
-    if ended_from_outside:
+    if not _stopped.is_set():
         _wait_while_replaced()
     sys.exit(code)
 
@@ -218,8 +221,8 @@ def _wait_while_replaced() -> None:
         other = _other_node()
         if not other or _restarts() is None:
             return
-        sys.stderr.write("{}: another node of this name was started, at {} (the stack is launched twice?). This one waits "
-                         "until that has ended: end one of the two launches\n".format(rospy.get_name(), other))
+        sys.stderr.write("{}: another node of this name was started, at {} (the stack is launched twice?). This one "
+                         "waits until that has ended: end one of the two launches\n".format(rospy.get_name(), other))
         sys.stderr.flush()
         while _other_node():
             time.sleep(_RETRY_S)
@@ -275,6 +278,7 @@ def _close(owner: Optional[_Closable]) -> int:
 
 def _install_handlers() -> None:
     def stop(number: int, frame: Optional[FrameType]) -> None:
+        _stopped.set()
         raise _Stop()
 
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -276,8 +276,8 @@ def register_without_waiting() -> None:
 
 def _reg_added(manager: RegManager, name: str, kind: str, of: str) -> None:
     """Register a topic or service with the master; kind: type, or address of a service."""
-    # A node that ends has perhaps been replaced by one of its name, which the master would end now. And a master that has
-    # not answered a moment ago is not waited for again.
+    # A node that ends has perhaps been replaced by one of its name, which the master would end now. And a master that
+    # has not answered a moment ago is not waited for again.
     if rospy.is_shutdown() or not_registered.is_set():
         return
     call = {Registration.PUB: "registerPublisher", Registration.SUB: "registerSubscriber",
