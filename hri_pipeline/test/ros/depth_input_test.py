@@ -6,7 +6,7 @@ import unittest
 import numpy as np
 import rospy
 import rostest
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 
 from hri_pipeline.ros import inputs
 from hri_pipeline.ros.conversions import bgr_to_image, make_header
@@ -109,6 +109,16 @@ class DepthInputTest(unittest.TestCase):
         self.assertIn("no publisher on {}".format(depth.topic), problem)
         self.assertIn("use_depth", problem)
         self.depths = rospy.Publisher("depth", Image, queue_size=20)
+
+    def test_a_topic_of_another_type_is_told(self):
+        self.depths.unregister()
+        inputs.DEPTH_SILENCE_S = 0.1
+        other = rospy.Publisher("depth", CompressedImage, queue_size=20)
+        self.addCleanup(other.unregister)
+        depth = DepthInput(0.03)
+        self.addCleanup(depth.close)
+        wait_for(lambda: "carries sensor_msgs/CompressedImage, not sensor_msgs/Image" in depth.problem(), 20,
+                 depth.problem)
 
     def test_depth_that_cannot_be_read_is_told_and_the_next_is_used(self):
         depth = self.depth_input()

@@ -118,6 +118,20 @@ class ImageInputTest(InputCase):
     def test_compressed_images_where_raw_ones_are_awaited_are_told(self):
         self.other_transport("raw", "third/image/compressed", CompressedImage, "compressed")
 
+    def another_type(self, name, kind, mend):
+        self.advertise(name, kind)
+        mapping = {rospy.resolve_name("image"): rospy.resolve_name(name)}
+        with mock.patch.dict(rospy.names.get_resolved_mappings(), mapping), self.assertLogs("rosout", "WARNING") as log:
+            image_input = self.image_input()
+            wait_for(lambda: image_input.next(0.05) is None and any(mend in line for line in log.output), 20, mend)
+        self.assertIn(mend, image_input.status()[1])
+        self.assertEqual(image_input.status()[0], ERROR)
+
+    def test_a_topic_of_another_type_is_told(self):
+        self.another_type("fourth/compressed", CompressedImage, "it carries sensor_msgs/CompressedImage, not sensor_msgs/"
+                          "Image: give {} with image_transport:=compressed".format(rospy.resolve_name("fourth")))
+        self.another_type("fifth", CameraInfo, "it carries sensor_msgs/CameraInfo, not sensor_msgs/Image: give a topic")
+
     def test_another_node_on_the_topic_is_not_heard_while_the_camera_sends(self):
         image_input = self.image_input()
         stamp, far = rospy.get_time(), 2000000000

@@ -22,7 +22,7 @@ from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, im
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
 from hri_pipeline.ros.master import IMAGE_TYPES, is_published
 from hri_pipeline.ros.rospy_compat import ReceivedImage, receive_without_copies, release, sender_of
-from hri_pipeline.ros.sensor_input import CALM_S, LOG_PERIOD_S, SensorInput
+from hri_pipeline.ros.sensor_input import CALM_S, LOG_PERIOD_S, CarriedType, SensorInput
 
 # Larger than an image: with rospy's 64 kB, images pile up in the socket while the worker is busy.
 BUFFER_BYTES = 2 ** 24
@@ -431,6 +431,7 @@ class DepthInput:
         receive_without_copies()
         self._subscriber = rospy.Subscriber("depth", ReceivedImage, self._store, queue_size=_QUEUE,
                                             buff_size=ReceivedImage.BUFFER_BYTES)
+        self._carried = CarriedType(self._subscriber)
 
     def match(self, stamp: float, width: int, height: int, frame_id: str) -> Optional[np.ndarray]:
         """Return the depth image that belongs to a colour image; waits up to 0.08 s for one that may be on its way.
@@ -476,6 +477,9 @@ class DepthInput:
         if silent < DEPTH_SILENCE_S:
             return ""
         if now - self._heard > DEPTH_SILENCE_S:
+            wrong = self._carried.problem()
+            if wrong:
+                return "no depth on {} for {:.0f} s: {}".format(self.topic, silent, wrong)
             missing = "no message" if self._subscriber.get_num_connections() else "no publisher"
             return "{} on {} for {:.0f} s; start the depth camera, remap `depth`, or set use_depth to false".format(
                 missing, self.topic, silent)
