@@ -128,9 +128,9 @@ class ImageInputTest(InputCase):
         self.assertEqual(image_input.status()[0], ERROR)
 
     def test_a_topic_of_another_type_is_told(self):
-        self.another_type("fourth/compressed", CompressedImage, "it carries sensor_msgs/CompressedImage, not sensor_msgs/"
+        self.another_type("fourth/compressed", CompressedImage, "carries sensor_msgs/CompressedImage, not sensor_msgs/"
                           "Image: give {} with image_transport:=compressed".format(rospy.resolve_name("fourth")))
-        self.another_type("fifth", CameraInfo, "it carries sensor_msgs/CameraInfo, not sensor_msgs/Image: give a topic")
+        self.another_type("fifth", CameraInfo, "carries sensor_msgs/CameraInfo, not sensor_msgs/Image: give a topic")
 
     def test_another_node_on_the_topic_is_not_heard_while_the_camera_sends(self):
         image_input = self.image_input()
