@@ -384,7 +384,7 @@ class DescriptionServer:
 
     def __init__(self, publish_frequency: float) -> None:
         self._master = rosgraph.Master(rospy.get_name())
-        # Frames of people are no part of a robot: without its own, a robot_state_publisher takes the /tf_prefix of that.
+        # Frames of people are no part of a robot: without an own tf_prefix, that of the robot counts.
         self._private = {"publish_frequency": float(publish_frequency), "tf_prefix": "",
                          "owner": dict(identity_of(), node=rospy.get_name())}
 
