@@ -309,7 +309,7 @@ class Humans:
     """Live faces, bodies, voices and persons, gazes and groups.
 
     rospy.init_node must have been called. Nothing is subscribed to before it is asked for: a program that reads the
-    names of persons costs nothing for faces. Callbacks run in threads of their own, one for each kind (those of gazes in
+    names of persons costs nothing for faces. Callbacks run in threads of their own, one per kind (those of gazes in
     rospy's): one that waits holds up the next callback, but not who is there. What they raise is logged. patience: s
     that a first question waits for an answer that is there already. Use it in a `with`, or call close().
     """
