@@ -270,6 +270,11 @@ class ImageInput(SensorInput):
                                  "header.stamp".format(self.topic))
                 self._tell(self._problem[1])
             return None
+        self._tell_of_jumps_forward(lags)
+        return header
+
+    def _tell_of_jumps_forward(self, lags: Tuple[float, float]) -> None:
+        """Warn where an image's stamp is nearer to its arrival than that of any before it; lags: as self._lags."""
         # A stamp that is only nearer to its arrival than the one before comes after one that was late.
         ahead = min(least - lag for least, lag in zip(self._lags, lags))
         self._lags = (min(self._lags[0], lags[0]), min(self._lags[1], lags[1]))
@@ -277,7 +282,6 @@ class ImageInput(SensorInput):
             self.counts["forward_jumps"] += 1
             self._warn("forward", "{}: stamps have gone forward by {:.1f} s more than the time (a cut recording, or a "
                        "camera whose clock was set?); who was seen before may get a new id".format(self.topic, ahead))
-        return header
 
     def _name_frame(self, header: Header) -> None:
         """Leave out a leading slash of the frame, and tell when the frame is another one than before."""
