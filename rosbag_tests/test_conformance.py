@@ -202,6 +202,7 @@ class ConformanceTest(unittest.TestCase):
         """What is wrong with a value, in words; empty when nothing is."""
         right = {"process": lambda: value["pid"].isdigit() and value["node"].startswith("/") and value["host"],
                  "rate": lambda: isinstance(value, float) and value > 0.0,
+                 "nothing": lambda: value == "",
                  "features": lambda: value and all(re.match(r"(FACE|BODY|VOICE) \w+$", name) for names in value.values()
                                                    for name in names)}
         try:

@@ -97,6 +97,13 @@ class StatePublishersTest(unittest.TestCase):
         self.assertLess(max(errors), EXACT_M)
         self.assertEqual(Counter(self.tree.repeated), Counter())
 
+    def test_the_tf_prefix_of_a_robot_is_not_that_of_people(self):
+        rospy.set_param("/tf_prefix", "robot1")
+        self.addCleanup(rospy.delete_param, "/tf_prefix")
+        identity, = self.bodies(1)
+        self.assertEqual([name for name in list(self.tree.moving) + list(self.tree.fixed) if "/" in name], [])
+        self.assertLess(farthest(self.tree, self.movers, identity, self.tree.complete(identity)[-1]), EXACT_M)
+
     def test_a_body_that_leaves_leaves_nothing(self):
         first, second = self.bodies(2)
         self.publishers.keep([second])

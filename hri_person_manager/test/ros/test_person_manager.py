@@ -390,6 +390,23 @@ class TestPersonManager(unittest.TestCase):
         self.wait_for(lambda: kept() > before, "the frame of the robot")
         self.assertEqual(kept(), before + 1)
 
+    def test_another_manager_is_told(self):
+        reports = self.keep(Latest("/diagnostics", DiagnosticArray))
+
+        def told():
+            return next((status.message for message in reversed(reports.messages) for status in message.status
+                         if status.name == "hri_person_manager: persons"), "")
+
+        self.wait_for(told, "the diagnostics")
+        self.assertNotIn("publishes persons, too", told())
+        other = rospy.Publisher("/humans/persons/tracked", IdsList, queue_size=1, latch=True)
+        try:
+            self.wait_for(lambda: rospy.get_name() + " publishes persons, too" in told(), "a warning",
+                          act=lambda: other.publish(IdsList()))
+        finally:
+            other.unregister()
+        self.wait_for(lambda: told().endswith("tracked"), "no warning any more")
+
     @staticmethod
     def resources():
         """Return open descriptors, threads and resident memory (MB) of the node."""

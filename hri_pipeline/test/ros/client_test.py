@@ -97,6 +97,17 @@ class ClientTest(unittest.TestCase):
         self.assertFalse(ann.present)
         self.assertIs(self.humans.persons["bob1"], came[1])
 
+    def test_a_callback_that_takes_its_time_holds_nobody_up(self):
+        go_on, left = threading.Event(), []
+        self.addCleanup(go_on.set)
+        self.humans.on_person(lambda person: go_on.wait(60.0), left.append)
+        for identity in ("aaaaa", "bbbbb"):
+            self.world.track("persons", identity)
+            wait_for(lambda wanted=identity: list(self.humans.persons) == [wanted], WAIT, identity)
+        self.assertEqual(left, [])
+        go_on.set()
+        wait_for(lambda: [person.id for person in left] == ["aaaaa"], WAIT, "told afterwards")
+
     def test_values_of_a_person(self):
         for topic, message in (("face_id", String("fann2")), ("name", String("Ann")), ("anonymous", Bool(False)),
                                ("engagement_status", EngagementLevel(level=EngagementLevel.ENGAGED))):

@@ -6,7 +6,7 @@ import unittest
 import numpy as np
 import rospy
 import rostest
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 
 from hri_pipeline.ros import inputs
 from hri_pipeline.ros.conversions import bgr_to_image, make_header
@@ -67,7 +67,7 @@ class DepthInputTest(unittest.TestCase):
         timer = rospy.Timer(rospy.Duration(0.03), lambda event: self.depths.publish(depth_message(1.1, 2000)),
                             oneshot=True)
         self.addCleanup(timer.shutdown)
-        self.assertAlmostEqual(float(depth.match(1.1, 64, 48)[0, 0]), 2.0, places=5)
+        self.assertAlmostEqual(float(depth.match(1.1, 64, 48, "camera_optical")[0, 0]), 2.0, places=5)
 
     def test_out_of_the_slop_there_is_none_and_the_topics_are_named(self):
         depth = self.depth_input(slop=0.01)
@@ -75,7 +75,7 @@ class DepthInputTest(unittest.TestCase):
 
         def match():
             depth._store(depth_message(5.05, 1000))
-            self.assertIsNone(depth.match(5.0, 64, 48))
+            self.assertIsNone(depth.match(5.0, 64, 48, "camera_optical"))
             return depth.problem()
 
         problem = wait_for(match, 10, "a problem is told")
@@ -83,7 +83,21 @@ class DepthInputTest(unittest.TestCase):
             self.assertIn(part, problem)
         self.assertEqual(depth.status()[0], WARN)
         self.send(depth, depth_message(6.0, 1000))
-        self.assertIsNotNone(depth.match(6.0, 64, 48))
+        self.assertIsNotNone(depth.match(6.0, 64, 48, "camera_optical"))
+        self.assertEqual(depth.status()[:2], (OK, ""))
+
+    def test_depth_in_another_frame_is_used_and_told(self):
+        depth = self.depth_input()
+        text = "depth is in the frame 'depth_optical', images are in 'camera_optical'"
+        with self.assertLogs("rosout", "WARNING") as log:
+            for stamp in (1.0, 1.1):
+                self.send(depth, depth_message(stamp, 1500, header=make_header(stamp, "/depth_optical")))
+                self.assertIsNotNone(depth.match(stamp, 64, 48, "camera_optical"))
+        self.assertEqual(len([line for line in log.output if text in line]), 1, log.output)
+        self.assertEqual(depth.status()[0], WARN)
+        self.assertIn(text, depth.status()[1])
+        self.send(depth, depth_message(1.2, 1500, header=make_header(1.2, "/camera_optical")))
+        self.assertIsNotNone(depth.match(1.2, 64, 48, "camera_optical"))
         self.assertEqual(depth.status()[:2], (OK, ""))
 
     def test_without_a_publisher_the_mend_is_told(self):
@@ -96,16 +110,26 @@ class DepthInputTest(unittest.TestCase):
         self.assertIn("use_depth", problem)
         self.depths = rospy.Publisher("depth", Image, queue_size=20)
 
+    def test_a_topic_of_another_type_is_told(self):
+        self.depths.unregister()
+        inputs.DEPTH_SILENCE_S = 0.1
+        other = rospy.Publisher("depth", CompressedImage, queue_size=20)
+        self.addCleanup(other.unregister)
+        depth = DepthInput(0.03)
+        self.addCleanup(depth.close)
+        wait_for(lambda: "carries sensor_msgs/CompressedImage, not sensor_msgs/Image" in depth.problem(), 20,
+                 depth.problem)
+
     def test_depth_that_cannot_be_read_is_told_and_the_next_is_used(self):
         depth = self.depth_input()
         for stamp, changes, text in ((1.0, {"encoding": "rgb8"}, "rgb8"), (1.1, {"step": 3}, "step is 3"),
                                      (1.2, {"width": 24, "step": 128}, "another shape"),
                                      (1.25, {"data": bytes(6144)}, "no pixel"), (1.3, {"data": b""}, "too short")):
             self.send(depth, depth_message(stamp, 1000, **changes))
-            self.assertIsNone(depth.match(stamp, 64, 48))
+            self.assertIsNone(depth.match(stamp, 64, 48, "camera_optical"))
             self.assertIn(text, depth.status()[1])
         self.send(depth, depth_message(1.4, 1500))
-        self.assertAlmostEqual(float(depth.match(1.4, 64, 48)[3, 3]), 1.5, places=5)
+        self.assertAlmostEqual(float(depth.match(1.4, 64, 48, "camera_optical")[3, 3]), 1.5, places=5)
         self.assertEqual(depth.status()[0], OK)
         self.assertEqual(depth.counts["depth_unreadable"], 5)
 
@@ -116,7 +140,7 @@ class DepthInputTest(unittest.TestCase):
         self.assertLessEqual(len(depth._messages), 8)
         depth.close()
         depth.close()
-        self.assertIsNone(depth.match(15.0, 64, 48))
+        self.assertIsNone(depth.match(15.0, 64, 48, "camera_optical"))
 
     def test_an_illegal_slop_is_refused(self):
         with self.assertRaisesRegex(ValueError, "depth_slop"):

@@ -118,6 +118,20 @@ class ImageInputTest(InputCase):
     def test_compressed_images_where_raw_ones_are_awaited_are_told(self):
         self.other_transport("raw", "third/image/compressed", CompressedImage, "compressed")
 
+    def another_type(self, name, kind, mend):
+        self.advertise(name, kind)
+        mapping = {rospy.resolve_name("image"): rospy.resolve_name(name)}
+        with mock.patch.dict(rospy.names.get_resolved_mappings(), mapping), self.assertLogs("rosout", "WARNING") as log:
+            image_input = self.image_input()
+            wait_for(lambda: image_input.next(0.05) is None and any(mend in line for line in log.output), 20, mend)
+        self.assertIn(mend, image_input.status()[1])
+        self.assertEqual(image_input.status()[0], ERROR)
+
+    def test_a_topic_of_another_type_is_told(self):
+        self.another_type("fourth/compressed", CompressedImage, "carries sensor_msgs/CompressedImage, not sensor_msgs/"
+                          "Image: give {} with image_transport:=compressed".format(rospy.resolve_name("fourth")))
+        self.another_type("fifth", CameraInfo, "carries sensor_msgs/CameraInfo, not sensor_msgs/Image: give a topic")
+
     def test_another_node_on_the_topic_is_not_heard_while_the_camera_sends(self):
         image_input = self.image_input()
         stamp, far = rospy.get_time(), 2000000000
@@ -306,6 +320,7 @@ class ImageInputTest(InputCase):
     def test_stamps_that_run_ahead_of_the_time_are_told(self):
         image_input = self.image_input()
         self.calibrate(image_input, info())
+        self.settle(0.0)
         with self.assertLogs("rosout", "WARNING") as log:
             for stamp in (100.0, 100.5, 110.5):
                 self.send(image_input, picture(stamp))
@@ -314,9 +329,28 @@ class ImageInputTest(InputCase):
         self.assertEqual((len(ahead), image_input.counts["forward_jumps"]), (1, 1), log.output)
         self.assertIn(image_input.topic, ahead[0])
 
+    def settle(self, seconds):
+        self.addCleanup(setattr, inputs, "_SETTLED_S", inputs._SETTLED_S)
+        inputs._SETTLED_S = seconds
+
+    def test_images_that_are_in_time_after_late_ones_are_no_jump(self):
+        self.addCleanup(setattr, inputs, "JUMP_S", inputs.JUMP_S)
+        inputs.JUMP_S = 0.2
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        for settled, lags in ((10.0, (4.0, 0.0)), (0.0, (0.0, 0.5, 0.0))):
+            self.settle(settled)
+            image_input._last_stamp = None
+            for lag in lags:
+                time.sleep(0.6)
+                self.send(image_input, picture(rospy.get_time() + 100.0 - lag))
+                self.assertIsNotNone(image_input.next(5), lag)
+        self.assertEqual(image_input.counts["forward_jumps"], 0)
+
     def test_a_pause_of_the_camera_is_no_jump(self):
         self.addCleanup(setattr, inputs, "JUMP_S", inputs.JUMP_S)
         inputs.JUMP_S = 0.1
+        self.settle(0.0)
         image_input = self.image_input()
         self.calibrate(image_input, info())
         for _ in range(2):
@@ -328,6 +362,7 @@ class ImageInputTest(InputCase):
     def test_an_image_that_waits_for_its_camera_info_is_no_jump(self):
         self.addCleanup(setattr, inputs, "JUMP_S", inputs.JUMP_S)
         inputs.JUMP_S = 0.25
+        self.settle(0.0)
         image_input = self.image_input()
         for _ in range(2):
             self.send(image_input, picture(rospy.get_time()))

@@ -132,6 +132,24 @@ class RunNodeTest(NodeTest):
             self.assertEqual("".join(roslaunch.lines).count("process[small_node-"), 1)
             self.assertEqual(roslaunch.end(), 0)
 
+    def test_of_two_launches_the_later_one_has_the_node(self):
+        port = free_port()
+        self.master(port)
+        logs_as_it_ends = "<param name='fail' value='close'/>"
+        first = self.launch(logs_as_it_ends, port)
+        first.says("spinning")
+        second = self.launch(logs_as_it_ends, port)
+        first.says("This one waits until that has ended")
+        time.sleep(3.0)
+        self.assertEqual((self.starts(first), self.starts(second)), (1, 1))
+        self.assertEqual(second.end(), 0)
+        wait_for(lambda: self.starts(first) == 2, 30, "the first launch starts its node again")
+        wait_for(lambda: "".join(first.lines).count("spinning") == 2, 20, "it runs")
+        third = self.launch(logs_as_it_ends, port)
+        wait_for(lambda: "".join(first.lines).count("This one waits") == 2, 20, "it waits once more")
+        self.assertEqual(first.end(), 0)
+        self.assertEqual(self.starts(third), 1)
+
     def launch_wrongly(self, parameter, starts):
         """The error is on /diagnostics, the node is not started much more often than `starts`, and then it is well."""
         with tempfile.NamedTemporaryFile("w", suffix=".launch") as launch:

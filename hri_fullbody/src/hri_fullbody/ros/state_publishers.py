@@ -384,7 +384,8 @@ class DescriptionServer:
 
     def __init__(self, publish_frequency: float) -> None:
         self._master = rosgraph.Master(rospy.get_name())
-        self._private = {"publish_frequency": float(publish_frequency),
+        # Frames of people are no part of a robot: without an own tf_prefix, that of the robot counts.
+        self._private = {"publish_frequency": float(publish_frequency), "tf_prefix": "",
                          "owner": dict(identity_of(), node=rospy.get_name())}
 
     def put(self, body_id: str, urdf: str) -> None:

@@ -1,5 +1,5 @@
 """Transforms on /tf and /tf_static: where the tracked features are, in the frame of their sensor and in the reference
-frame."""
+frame. And who else publishes persons."""
 
 from __future__ import annotations
 
@@ -10,15 +10,46 @@ from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple
 import genpy
 import rospy
 
+from hri_msgs.msg import IdsList
 from hri_person_manager.core.features import FeaturePose, FeatureTf, Kind
 from hri_person_manager.core.location import Place
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.ros.rospy_compat import release, sender_of
 from hri_pipeline.ros.tf import Frames, RobotTf, TfSubscriber
 
 _LOG_PERIOD_S = 10.0
+_OTHERS_S = 5.0     # a list comes once a second
 GRACE_S = 2.0       # wall time in which the transforms may still be on their way when everything starts
 _REMEMBERED_SENSORS = 50
 _MISSED_S = 10.0    # wall time after which a sensor that nothing comes of is no longer told
+
+
+class OtherManagers:
+    """Listens for other nodes that publish the list of persons, as the stack of a second robot on the same master does.
+    """
+
+    def __init__(self) -> None:
+        self._heard: Dict[str, float] = {}
+        self._name = rospy.get_name()
+        self._topic = "/humans/persons/tracked"
+        self._subscriber = rospy.Subscriber(self._topic, IdsList, self._on_list, queue_size=10)
+
+    def problem(self) -> str:
+        """Return who publishes persons, too, and what to do; empty when nobody does."""
+        now = time.monotonic()
+        others = sorted(name for name, at in tuple(self._heard.items()) if now - at < _OTHERS_S)
+        return "%s: %s publishes persons, too, so that people are there more than once; start one of the stacks with " \
+            "persons:=false, or give each robot a ROS master of its own" % (self._topic, ", ".join(others)) \
+            if others else ""
+
+    def close(self) -> None:
+        """Stop listening. Idempotent."""
+        release(self._subscriber)
+
+    def _on_list(self, message: IdsList) -> None:
+        name = sender_of(message)
+        if name != self._name:
+            self._heard[name] = time.monotonic()
 
 
 class TfInput:

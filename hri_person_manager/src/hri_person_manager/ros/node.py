@@ -27,7 +27,7 @@ from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import ANONYMOUS_PREFIX, Snapshot
 from hri_person_manager.core.register import PersonRecord, PersonRegister, SqliteRecordStore, record_of
-from hri_person_manager.ros.inputs import ReferenceFrame, TfInput
+from hri_person_manager.ros.inputs import OtherManagers, ReferenceFrame, TfInput
 from hri_person_manager.ros.navigation import PeopleTopic
 from hri_person_manager.ros.services import PersonServices
 from hri_person_manager.ros.topics import GraphTopic, PersonMarkers, PersonSpaces, PersonTopics
@@ -196,6 +196,7 @@ class ManagerDiagnostics:
                  feeds: Mapping[str, IdSubscribers], transforms: TfPublisher) -> None:
         self._manager, self._guard, self._reference = manager, guard, reference
         self._tf_input, self._feeds, self._transforms = tf_input, feeds, transforms
+        self._others = OtherManagers()
         self._diagnostics = NodeDiagnostics(rospy.get_name())
         self._errors = 0
         self._error_at = -math.inf
@@ -224,7 +225,8 @@ class ManagerDiagnostics:
         rospy.logerr_throttle(_LOG_PERIOD_S, "a cycle has ended with %s\n%s", text, traceback.format_exc())
 
     def close(self) -> None:
-        """Take the topic back. Idempotent."""
+        """Take the topics back. Idempotent."""
+        self._others.close()
         self._diagnostics.close()
 
     def _persons(self, snapshot: Snapshot, jumps: int, waiting: int, why: str) -> None:
@@ -232,9 +234,14 @@ class ManagerDiagnostics:
                   "time jumps": jumps,
                   "frames not sent twice": self._transforms.dropped,
                   "ids refused in tracked lists": self._manager.refused_ids}
+        others = self._others.problem()
+        if others:
+            rospy.logwarn_throttle(_LOG_PERIOD_S, "%s", others)
         if waiting:
             text = "%d persons are not published, because their topics cannot be opened: %s" % (waiting, why)
             self._diagnostics.set("persons", ERROR, text, values)
+        elif others:
+            self._diagnostics.set("persons", WARN, others, values)
         elif self._manager.exact:
             self._diagnostics.set("persons", OK, "%d tracked" % len(snapshot.tracked), values)
         else:

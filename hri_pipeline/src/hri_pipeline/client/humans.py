@@ -5,8 +5,10 @@ Values are read from the graph when they are asked for.
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
+from functools import partial
 from types import TracebackType
 from typing import Any, Callable, Dict, Generic, List, NamedTuple, Optional, Tuple, Type, TypeVar
 
@@ -307,7 +309,8 @@ class Humans:
     """Live faces, bodies, voices and persons, gazes and groups.
 
     rospy.init_node must have been called. Nothing is subscribed to before it is asked for: a program that reads the
-    names of persons costs nothing for faces. Callbacks run in rospy's threads; what they raise is logged. patience: s
+    names of persons costs nothing for faces. Callbacks run in threads of their own, one per kind (those of gazes in
+    rospy's): one that waits holds up the next callback, but not who is there. What they raise is logged. patience: s
     that a first question waits for an answer that is there already. Use it in a `with`, or call close().
     """
 
@@ -445,6 +448,33 @@ class Humans:
             raise RuntimeError("call rospy.init_node before the first use of Humans")
 
 
+class _Calls:
+    """Calls functions one after the other, in a thread of its own: a user's callback may wait, as for speech to end."""
+
+    def __init__(self) -> None:
+        self._calls: "queue.SimpleQueue[Optional[Callable[[], None]]]" = queue.SimpleQueue()
+        self._thread: Optional[threading.Thread] = None
+        self._closed = False
+
+    def add(self, call: Callable[[], None]) -> None:
+        """Have this called after those before it. By one thread at a time."""
+        self._calls.put(call)
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="callbacks of Humans", daemon=True)
+            self._thread.start()
+
+    def close(self) -> None:
+        """Call nothing more. Idempotent."""
+        self._closed = True
+        self._calls.put(None)
+
+    def _run(self) -> None:
+        for call in iter(self._calls.get, None):
+            if self._closed:
+                return
+            call()
+
+
 class _Tracked(Generic[Kind]):
     """Everybody of one kind: objects that come and go with the tracked list."""
 
@@ -457,6 +487,7 @@ class _Tracked(Generic[Kind]):
         self._came: List[Callable[[Kind], None]] = []
         self._left: List[Callable[[Kind], None]] = []
         self._feed: Optional[IdSubscribers] = None
+        self._calls = _Calls()
 
     def start(self, patience: float) -> None:
         """Listen, and wait a moment for the first list, which is latched."""
@@ -489,6 +520,7 @@ class _Tracked(Generic[Kind]):
         """Forget everybody. Idempotent."""
         if self._feed is not None:
             self._feed.close()
+        self._calls.close()
         with self._lock:
             people, self._people = list(self._people.values()), {}
         for human in people:
@@ -505,10 +537,10 @@ class _Tracked(Generic[Kind]):
         for human in gone:
             human.close()
             for call in left:
-                call(human)
+                self._calls.add(partial(call, human))
         for human in arrived:
             for call in came:
-                call(human)
+                self._calls.add(partial(call, human))
 
 
 def _guarded(call: Callable[[Any], None]) -> Callable[[Any], None]:

@@ -29,7 +29,7 @@ from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, im
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
 from hri_pipeline.ros.master import IMAGE_TYPES, is_published
 from hri_pipeline.ros.rospy_compat import ReceivedImage, receive_without_copies, release, sender_of
-from hri_pipeline.ros.sensor_input import CALM_S, LOG_PERIOD_S, SensorInput
+from hri_pipeline.ros.sensor_input import CALM_S, LOG_PERIOD_S, CarriedType, SensorInput
 
 # Larger than an image: with rospy's 64 kB, images pile up in the socket while the worker is busy.
 BUFFER_BYTES = 2 ** 24
@@ -45,6 +45,8 @@ _MASTER_S = 1.0
 INFO_GRACE_S = 1.0
 # Images of other publishers are ignored until the one that is used has sent nothing for so long.
 SENDER_S = 1.0
+# Images that came first may have been on their way for long: of jumps forward they tell nothing.
+_SETTLED_S = 2.0
 # Longer than JUMP_S: images that only came late, and a stamp that went back a little, pass.
 _STANDSTILL_S = 2.0
 _CAMERA_LOG_PERIOD_S = 30.0
@@ -126,6 +128,8 @@ class ImageInput(SensorInput):
         self._last_stamp: Optional[float] = None
         # When the newest image and the last one that was taken came: s, of the monotonic clock and of ROS.
         self._arrival = self._came = self._taken_at = (0.0, 0.0)
+        # The least lags so far of arrivals behind the stamps, s, by those clocks.
+        self._lags = (math.inf, math.inf)
         self._frame_id: Optional[str] = None
         self._problem: Tuple[int, str] = (OK, "")
         self._clock_problem = ""
@@ -233,7 +237,9 @@ class ImageInput(SensorInput):
         self._last_stamp = stamp = header.stamp.to_sec()
         self._taken_at = self._came
         self.counts["taken"] += 1
-        depth = self._depth.match(stamp, bgr.shape[1], bgr.shape[0]) if self._depth is not None else None
+        depth = None
+        if self._depth is not None:
+            depth = self._depth.match(stamp, bgr.shape[1], bgr.shape[0], header.frame_id)
         return Frame(bgr, camera, stamp, header, depth)
 
     def _stamped(self, header: Header) -> Optional[Header]:
@@ -249,11 +255,14 @@ class ImageInput(SensorInput):
                 self.topic, abs(self._age), "old when they arrive" if self._age > 0.0 else "in the future")
         if self._clock_problem:
             rospy.logwarn_throttle(LOG_PERIOD_S, "%s", self._clock_problem)
+        lags = (self._came[0] - header.stamp.to_sec(), self._came[1] - header.stamp.to_sec())
         if self._last_stamp is None:
+            self._lags = lags
             return header
         step = header.stamp.to_sec() - self._last_stamp
         if step < -JUMP_S:
             self.counts["time_jumps"] += 1
+            self._lags = lags
             rospy.logwarn("%s: time has gone back by %.1f s (a bag that loops?); tracks start anew", self.topic, -step)
             self._last_stamp = None
             if self._depth is not None:
@@ -268,12 +277,18 @@ class ImageInput(SensorInput):
                                  "header.stamp".format(self.topic))
                 self._tell(self._problem[1])
             return None
-        ahead = step - max(now - before for now, before in zip(self._came, self._taken_at))
-        if ahead > JUMP_S:
+        self._tell_of_jumps_forward(lags)
+        return header
+
+    def _tell_of_jumps_forward(self, lags: Tuple[float, float]) -> None:
+        """Warn where an image's stamp is nearer to its arrival than that of any before it; lags: as self._lags."""
+        # A stamp that is only nearer to its arrival than the one before comes after one that was late.
+        ahead = min(least - lag for least, lag in zip(self._lags, lags))
+        self._lags = (min(self._lags[0], lags[0]), min(self._lags[1], lags[1]))
+        if ahead > JUMP_S and self._came[0] > self._first + _SETTLED_S:
             self.counts["forward_jumps"] += 1
             self._warn("forward", "{}: stamps have gone forward by {:.1f} s more than the time (a cut recording, or a "
                        "camera whose clock was set?); who was seen before may get a new id".format(self.topic, ahead))
-        return header
 
     def _name_frame(self, header: Header) -> None:
         """Leave out a leading slash of the frame, and tell when the frame is another one than before."""
@@ -422,16 +437,19 @@ class DepthInput:
         self._heard = float("-inf")
         self._matched = time.monotonic()
         self._nearest: Optional[float] = None
-        self._unusable = ""
+        self._unusable = self._elsewhere = ""
         self._outage = Outage(CALM_S)
         self._closed = False
         self.counts: Dict[str, int] = {"depth_received": 0, "depth_used": 0, "depth_missing": 0, "depth_unreadable": 0}
         receive_without_copies()
         self._subscriber = rospy.Subscriber("depth", ReceivedImage, self._store, queue_size=_QUEUE,
                                             buff_size=ReceivedImage.BUFFER_BYTES)
+        self._carried = CarriedType(self._subscriber)
 
-    def match(self, stamp: float, width: int, height: int) -> Optional[np.ndarray]:
+    def match(self, stamp: float, width: int, height: int, frame_id: str) -> Optional[np.ndarray]:
         """Return the depth image that belongs to a colour image; waits up to 0.08 s for one that may be on its way.
+
+        One in another frame is used, too, as names may differ by mistake, but told.
 
         Parameters
         ----------
@@ -439,6 +457,8 @@ class DepthInput:
             Of the colour image, s.
         width, height : int
             Size of the colour image, px.
+        frame_id : str
+            Frame of the colour image.
 
         Returns
         -------
@@ -451,6 +471,7 @@ class DepthInput:
         else:
             depth = self._decode(message, width, height)
             if depth is not None:
+                self._compare(message.header.frame_id.lstrip("/"), frame_id)
                 self.counts["depth_used"] += 1
                 self._matched = time.monotonic()
                 self._outage.there(self._matched)
@@ -469,6 +490,9 @@ class DepthInput:
         if silent < DEPTH_SILENCE_S:
             return ""
         if now - self._heard > DEPTH_SILENCE_S:
+            wrong = self._carried.problem()
+            if wrong:
+                return "no depth on {} for {:.0f} s: {}".format(self.topic, silent, wrong)
             missing = "no message" if self._subscriber.get_num_connections() else "no publisher"
             return "{} on {} for {:.0f} s; start the depth camera, remap `depth`, or set use_depth to false".format(
                 missing, self.topic, silent)
@@ -482,7 +506,9 @@ class DepthInput:
         values: Dict[str, object] = {"depth_topic": self.topic}
         values.update(self.counts)
         problem = self.problem()
-        return (WARN, "{}; {}".format(problem, _MEANWHILE), values) if problem else (OK, "", values)
+        if problem:
+            return WARN, "{}; {}".format(problem, _MEANWHILE), values
+        return WARN if self._elsewhere else OK, self._elsewhere, values
 
     def reset(self) -> None:
         """Forget the messages: time has jumped back."""
@@ -525,6 +551,15 @@ class DepthInput:
                     return None
                 self._condition.wait(deadline - now)
         return None
+
+    def _compare(self, depth_frame: str, frame_id: str) -> None:
+        """Tell when the depth image is in another frame than the image."""
+        told = self._elsewhere
+        self._elsewhere = "" if depth_frame == frame_id else (
+            "{}: depth is in the frame {!r}, images are in {!r}: is it registered to colour? If not, people are placed "
+            "by what is beside them; use the registered topic of the driver".format(self.topic, depth_frame, frame_id))
+        if self._elsewhere and self._elsewhere != told:
+            rospy.logwarn("%s", self._elsewhere)
 
     def _decode(self, message: Image, width: int, height: int) -> Optional[np.ndarray]:
         try:

@@ -63,11 +63,16 @@ def ask_master(name: str) -> Tuple[int, str]:
 
 def is_published(topic: str, kind: str, patience: float = ANSWER_S) -> bool:
     """Tell whether a topic of this type has a publisher; False where the master does not answer for `patience` s."""
+    return type_of(topic, patience) == kind
+
+
+def type_of(topic: str, patience: float = ANSWER_S) -> str:
+    """Return the type of a topic that is published; empty where it is not, or the master does not answer."""
     try:
         with node_at(rosgraph.get_master_uri(), patience) as master:
-            return [topic, kind] in master.getPublishedTopics(rospy.get_name(), "")[2]
+            return str(dict(master.getPublishedTopics(rospy.get_name(), "")[2]).get(topic, ""))
     except Exception:   # refused, timed out, half an answer
-        return False
+        return ""
 
 
 def is_alive(uri: str, patience: float = ANSWER_S) -> bool:
@@ -97,6 +102,8 @@ def subscribe_again(topic: str, kind: str) -> None:
     Connections that are there stay. Raises OSError, or what xmlrpc raises, where the master does not answer.
     """
     uri = own_address()
+    if rospy.is_shutdown():     # another node may have taken over the name, which the master would end now
+        return
     with node_at(rosgraph.get_master_uri()) as master, node_at(uri) as own:
         code, text, publishers = master.registerSubscriber(rospy.get_name(), topic, kind, uri)
         if code != 1:

@@ -23,7 +23,7 @@ from hri_pipeline.core.parameters import ParameterError, ParameterTable, S
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.process import GarbageCollector, keep_large_blocks, one_thread_each
 from hri_pipeline.ros.diagnostics import ERROR, NodeDiagnostics
-from hri_pipeline.ros.master import MasterAway, MasterWatch, ask_master, node_at
+from hri_pipeline.ros.master import MasterAway, MasterWatch, ask_master, is_alive, node_at
 from hri_pipeline.ros.own_parameters import OwnParameters, ParametersLost, check_not_lost, launched_for_earlier_master
 from hri_pipeline.ros.rospy_compat import prepare_rospy
 
@@ -51,14 +51,18 @@ class _Stop(BaseException):
     """SIGINT or SIGTERM came. No `except Exception` on the way holds it up."""
 
 
+_stopped = threading.Event()
+"""Set once SIGINT or SIGTERM came."""
+
+
 def run_node(name: str, build: Callable[[], RunnableNode], parameters: Optional[OwnParameters] = None) -> NoReturn:
     """Run a node and end the process.
 
     Waits for the master, initialises rospy as `name`, calls build() and spin() of what it returns. On SIGINT,
     SIGTERM or any exception its close() is called while ROS still works, then ROS is shut down.
     Exit code 0, or 1 after an error; SETUP_ERRORS are told in one line. Where roslaunch would start the node again,
-    it then waits until its parameters change: see `_wait_for_change`. parameters: those that the node changes itself
-    are set there.
+    it then waits until its parameters change, or until a node of the same name has ended: see `_wait_for_change` and
+    `_wait_while_replaced`. parameters: those that the node changes itself are set there.
     """
     _install_handlers()
     # Without room for its log, Python would print a traceback for each line that it cannot write.
@@ -78,6 +82,8 @@ def run_node(name: str, build: Callable[[], RunnableNode], parameters: Optional[
         sys.stderr.write("{}: {}\n".format(name, error))
         code = 1
     rospy.signal_shutdown("{} has ended".format(name))
+    if not _stopped.is_set():
+        _wait_while_replaced()
     sys.exit(code)
 
 
@@ -204,6 +210,36 @@ def _wait_for_change(error: Exception) -> None:
         diagnostics.close()
 
 
+def _wait_while_replaced() -> None:
+    """Wait while another node of this name runs, where roslaunch would start this one again.
+
+    Of two nodes of one name the master ends the older. Two launches would start theirs again and again, and each would
+    end that of the other.
+    """
+    _install_handlers()
+    try:
+        other = _other_node()
+        if not other or _restarts() is None:
+            return
+        sys.stderr.write("{}: another node of this name was started, at {} (the stack is launched twice?). This one "
+                         "waits until that has ended: end one of the two launches\n".format(rospy.get_name(), other))
+        sys.stderr.flush()
+        while _other_node():
+            time.sleep(_RETRY_S)
+    except _Stop:
+        pass
+
+
+def _other_node() -> str:
+    """Return the address of another node of this name, empty without one that answers."""
+    try:
+        with node_at(rosgraph.get_master_uri()) as master:
+            code, _, uri = master.lookupNode(rospy.get_name(), rospy.get_name())
+    except Exception:               # the master has gone, and the other node's registration with it
+        return ""
+    return uri if code == 1 and uri != rospy.get_node_uri() and is_alive(uri) else ""
+
+
 def _given(name: str) -> Tuple[object, object]:
     """Return the parameters of a node, and those of the whole stack."""
     return rospy.get_param(name, {}), rospy.get_param("/humans", {})
@@ -242,6 +278,7 @@ def _close(owner: Optional[_Closable]) -> int:
 
 def _install_handlers() -> None:
     def stop(number: int, frame: Optional[FrameType]) -> None:
+        _stopped.set()
         raise _Stop()
 
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -1,13 +1,14 @@
 """All uses of what rospy keeps for itself: its bugs are worked around here, and its inner state is read here.
 
 Checked against rospy 1.15.15. Before another version is used, this file has to be read beside its
-rospy/topics.py, rospy/msproxy.py, rospy/impl/registration.py, rospy/impl/tcpros_base.py, rospy/impl/tcpros_pubsub.py
-and rosgraph/xmlrpc.py. Eight things:
+rospy/topics.py, rospy/msproxy.py, rospy/impl/registration.py, rospy/impl/rosout.py, rospy/impl/tcpros_base.py,
+rospy/impl/tcpros_pubsub.py and rosgraph/xmlrpc.py. Nine things:
 
 - File descriptors: as many as the system allows, few for each topic, and a reserve, without which rospy answers no
   call.
 - Release of publishers and subscribers with everything that rospy would leave open.
 - Topics that open, and calls that end, while the master is away.
+- A node whose name another has taken over, and which does not end that one in turn.
 - Subscribers that hear a publisher which had gone when they connected, and has come back.
 - publish() that does not give up the processor.
 - Images that are received without copies.
@@ -46,7 +47,7 @@ import rospy.topics
 from diagnostic_msgs.msg import DiagnosticStatus
 from rosgraph import xmlrpc
 from rospy.core import get_node_uri
-from rospy.impl import tcpros_base, tcpros_pubsub
+from rospy.impl import rosout, tcpros_base, tcpros_pubsub
 from rospy.impl.registration import (
     Registration,
     RegManager,
@@ -89,6 +90,13 @@ def prepare_rospy() -> None:
     xmlrpc.ThreadingXMLRPCServer.get_request = _get_request
     hear_who_comes_back()
     publish_without_yielding()
+    rospy.core.add_preshutdown_hook(_log_here_only)
+
+
+def _log_here_only(reason: str) -> None:
+    """Send nothing to /rosout any more: each line registers this node anew (a parameter that rospy looks up), so that
+    the master would end the node that has taken over its name."""
+    rosout._rosout_pub = None
 
 
 def descriptor_limit() -> int:
@@ -268,7 +276,9 @@ def register_without_waiting() -> None:
 
 def _reg_added(manager: RegManager, name: str, kind: str, of: str) -> None:
     """Register a topic or service with the master; kind: type, or address of a service."""
-    if not_registered.is_set():     # it has not answered a moment ago: nobody waits for it again
+    # A node that ends has perhaps been replaced by one of its name, which the master would end now. And a master that
+    # has not answered a moment ago is not waited for again.
+    if rospy.is_shutdown() or not_registered.is_set():
         return
     call = {Registration.PUB: "registerPublisher", Registration.SUB: "registerSubscriber",
             Registration.SRV: "registerService"}[of]

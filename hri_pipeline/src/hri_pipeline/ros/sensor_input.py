@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Dict, List, Tuple
+from typing import Dict, List, Optional, Tuple
 
 import genpy
 import rospy
 
 from hri_pipeline.core.error_log import Outage
+from hri_pipeline.core.images import other_transport
+from hri_pipeline.ros.master import IMAGE_TYPES, type_of
 from hri_pipeline.ros.rospy_compat import sender_of
 
 SILENCE_S = 3.0
@@ -19,6 +21,8 @@ LOG_PERIOD_S = 10.0
 _NEW_PROBLEM_S = 1.0
 _WARN_PERIOD_S = 30.0
 _MOST_OTHERS = 20
+# How long the master is waited for.
+_MASTER_S = 1.0
 
 
 class OneSender:
@@ -60,6 +64,27 @@ class OneSender:
         return sorted(self._others)
 
 
+class CarriedType:
+    """Knows whether a topic carries another type than a subscriber reads; the master is asked every LOG_PERIOD_S."""
+
+    def __init__(self, subscriber: rospy.Subscriber) -> None:
+        self._topic, self._read = subscriber.resolved_name, subscriber.type
+        self._carried, self._asked = "", float("-inf")
+
+    def problem(self) -> str:
+        """Return what is carried and what to give instead, empty where the type is right or nobody publishes."""
+        if time.monotonic() > self._asked + LOG_PERIOD_S:
+            self._carried = type_of(self._topic, _MASTER_S)
+            self._asked = time.monotonic()
+        if self._carried in ("", "*", self._read):
+            return ""
+        mend = "give a topic of that type"
+        if self._carried == IMAGE_TYPES["compressed"]:
+            mend = "give {} with image_transport:=compressed".format(other_transport(self._topic)[0]) \
+                if self._topic.endswith("/compressed") else "republish it as raw"
+        return "it carries {}, not {}: {}".format(self._carried, self._read, mend)
+
+
 class SensorInput:
     """An input whose callbacks only store; what comes is read in the thread of the worker.
 
@@ -85,6 +110,7 @@ class SensorInput:
         self._elsewhere = self._told_elsewhere = ""
         self._warned: Dict[str, float] = {}
         self._subscribers: List[rospy.Subscriber] = []
+        self._carried: Optional[CarriedType] = None
         self._closed = False
 
     def _accepts(self, message: genpy.Message) -> bool:
@@ -117,10 +143,20 @@ class SensorInput:
         silent = time.monotonic() - self._heard
         if silent < SILENCE_S or self._closed:
             return ""
+        wrong = self._wrong_type()
+        if wrong:
+            self._elsewhere = wrong
+            return "no {} on {} for {:.0f} s: {}".format(self._what, self.topic, silent, wrong)
         if not any(subscriber.get_num_connections() for subscriber in self._subscribers if subscriber.impl):
             return "no publisher on {} for {:.0f} s{}; {}".format(self.topic, silent, *self._mend())
         return "no {} on {} for {:.0f} s, although it has a publisher; {}".format(self._what, self.topic, silent,
                                                                                   self._hints[1])
+
+    def _wrong_type(self) -> str:
+        """Return what the topic carries that cannot be read, empty where that is not the cause."""
+        if self._carried is None and self._subscribers:
+            self._carried = CarriedType(self._subscribers[0])
+        return self._carried.problem() if self._carried is not None else ""
 
     def _mend(self) -> Tuple[str, str]:
         """Return what else there is where nobody publishes the topic, and what to do."""
