@@ -1,6 +1,7 @@
 """The gallery on synthetic templates: who is like whom, what is kept, what is forgotten, how fast it is."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
-from hri_pipeline.core.recognition.likelihood import TemplateCalibration
+from hri_pipeline.core.recognition.likelihood import MOST_STRETCHED, TemplateCalibration
 
 CALIBRATION = TemplateCalibration(midpoint=0.36, fair_midpoint=0.40, scale=0.018, near=0.15)
 
@@ -71,6 +72,25 @@ def test_the_false_match_rate_is_bounded_by_the_odds():
         stranger, alike = calibration.false_match_rates(distance, 10)
         assert (kin < distance).mean() <= alike < 1.0 and 0.0 < stranger < 1.0
     assert calibration.false_match_rates(0.25, 100)[0] == pytest.approx(10 * calibration.false_match_rates(0.25, 10)[0])
+
+
+def test_distances_near_the_mean_of_all_count_more_everywhere():
+    """Two templates, 0.20 from the mean and from each other, and the radius is 0.25."""
+    mean, angle = np.eye(SIZE, dtype=np.float32)[0], 2.0 * np.arcsin(0.1)
+    turn = 2.0 * np.arcsin(0.1 / np.sin(angle))
+    first, second = (np.r_[np.cos(angle), np.sin(angle) * np.cos(one), np.sin(angle) * np.sin(one), np.zeros(SIZE - 3)
+                           ].astype(np.float32) for one in (0.0, turn))
+    calibration = replace(CALIBRATION, centre=tuple(float(number) for number in mean), radius=0.25)
+    gallery = MemoryGallery("synthetic", SIZE, calibration)
+    gallery.add_person("one", first[None])
+    gallery.add_person("two", second[None])
+    assert gallery.nearest("one", second) == pytest.approx(0.25, abs=1e-3)
+    assert gallery.distance("one", "two") == pytest.approx(0.25, abs=1e-3)
+    for nearest_only in (False, True):
+        likeliest, other = gallery.match(first[None], nearest_only=nearest_only)[0].candidates
+        assert likeliest.person_id == "one" and other.distance == pytest.approx(0.25, abs=1e-3)
+    assert calibration.compared(0.1, first, mean) == pytest.approx(0.1 * MOST_STRETCHED), "no more than that"
+    assert calibration.compared(0.3, face(1), face(1, 0.3)) == 0.3, "far from the mean, as measured"
 
 
 def test_two_alike_persons_share_the_likelihood():

@@ -105,6 +105,29 @@ def test_the_same_person_in_another_run(tmp_path):
     assert len(second.gallery) == 2
 
 
+def near_the_mean(turn):
+    """A template (SIZE,) 0.34 from the mean of all, the first axis, in a direction in the plane of two others (rad)."""
+    angle = 2.0 * np.arcsin(0.34 / 2.0)
+    return np.r_[np.cos(angle), np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn),
+                 np.zeros(SIZE - 3)].astype(np.float32)
+
+
+@pytest.mark.parametrize("centre", [(1.0,) + (0.0,) * (SIZE - 1), ()], ids=["known", "unknown"])
+def test_who_is_near_the_mean_of_all_gets_no_name_at_a_distance_at_which_others_do(centre):
+    calibration = TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.0135, near=0.15, kin_midpoint=0.34,
+                                      kin_scale=0.018, spread=0.2, centre=centre, radius=0.42)
+    first, second = near_the_mean(0.0), near_the_mean(0.86)
+    assert np.linalg.norm(first - second) == pytest.approx(0.28, abs=0.005)
+    scene = Scene(MemoryGallery("synthetic", SIZE, calibration))
+    scene.show({"f1": (first, 0.1)}, 4.0)
+    scene.show({}, 2.0)
+    scene.show({"f2": (second, 0.1)}, 6.0)
+    assert scene.known("f2")[scene.person("f1")] < 0.5 if centre else scene.person("f2") == scene.person("f1")
+    scene.show({}, 2.0)
+    scene.show({"f3": (first, 0.12)}, 2.0)
+    assert scene.person("f3") == scene.person("f1"), "another view of the first"
+
+
 def test_many_people_are_told_apart():
     scene = Scene()
     faces = {"f{}".format(number): (number, 0.2) for number in range(10)}

@@ -31,7 +31,7 @@ def test_scripts_exist_and_are_executable_or_given_to_bash(path):
 
 def graph_of(uri: str, ip: str, hostname: str) -> Dict[str, str]:
     """The ROS environment that a container gives to its command, of the one that it was started with."""
-    script = ('set -euo pipefail; R4H_CACHE=/c R4H_ROOT=/r; . "$0"; export ROS_MASTER_URI=http://127.0.0.1:1 '
+    script = ('set -euo pipefail; R4H_ROOT=/r; . "${0%/*}/common.sh"; . "$0"; export ROS_MASTER_URI=http://127.0.0.1:1 '
               'ROS_IP=127.0.0.1; use_given_master "$@"; env')
     told = subprocess.run(["bash", "-c", script, str(ROOT / "scripts/lib/setup.sh"), uri, ip, hostname],
                           env={"PATH": os.environ["PATH"]},

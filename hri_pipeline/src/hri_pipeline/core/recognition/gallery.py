@@ -167,7 +167,10 @@ class MemoryGallery:
             row = self._row.get(person_id)
             if row is None:
                 return None
-            return float(template_distances((self._templates[row, :self._count[row]] @ template).max()))
+            products = self._templates[row, :self._count[row]] @ template
+            best = int(products.argmax())
+            return self.calibration.compared(float(template_distances(products[best])), template,
+                                             self._templates[row, best])
 
     def alike(self, template: np.ndarray, below: float, except_for: str = "") -> List[PersonCandidate]:
         """Return who has a template nearer than `below` to this one (D,), nearest first, but for those who are known
@@ -193,7 +196,7 @@ class MemoryGallery:
             # Not by BLAS: its threads would wait for each other, and spin, for less than 0.2 ms of work.
             products = np.einsum("nd,md->nm", templates, kept.reshape(-1, self.dimension))
             products = products.reshape(len(templates), len(rows), self._max_templates)
-            distances = self._distances(products, rows, nearest_only)
+            distances = self._distances(templates, products, rows, nearest_only)
             names = [self._ids[row] for row in rows] if enrolled_only else list(self._ids)
         worth = [1.0] * len(templates) if views is None else views
         firsts = self.calibration.alike_log_odds(template_distances(products[:, :, 0]))
@@ -209,7 +212,10 @@ class MemoryGallery:
             if self._enrolled[rows[0]] and self._enrolled[rows[1]] or self.are_apart(first, second):
                 return None
             views = [self._templates[row, :self._count[row]] for row in rows]
-            return float(template_distances((views[0] @ views[1].T).max()))
+            products = views[0] @ views[1].T
+            one, two = np.unravel_index(int(products.argmax()), products.shape)
+            return self.calibration.compared(float(template_distances(products[one, two])), views[0][one],
+                                             views[1][two])
 
     def remove(self, person_id: str) -> bool:
         """Forget a person; return whether the person was known."""
@@ -321,21 +327,22 @@ class MemoryGallery:
         self._templates[row, redundant] = template
         return True
 
-    def _distances(self, products: np.ndarray, rows: np.ndarray, nearest_only: bool) -> np.ndarray:
-        """Return the distances (N, M) of templates from the persons in `rows` (M,), of the products (N, M, T) with
-        their templates. Where the nearest one cannot be of the person anyhow, the others are not asked."""
+    def _distances(self, templates: np.ndarray, products: np.ndarray, rows: np.ndarray,
+                   nearest_only: bool) -> np.ndarray:
+        """Return the distances of templates (N, D) from the persons in `rows` (M,), of the products (N, M, T) with
+        their templates. Where the nearest one cannot be of the person anyhow, it alone counts, and as measured."""
         nearest = products.argmax(axis=2)
         distances = template_distances(products.max(axis=2))
-        if nearest_only:
-            return distances
         limit = 1.0 - self.calibration.fair_midpoint ** 2 / 2.0
         for line, column in zip(*np.nonzero(distances < self.calibration.fair_midpoint)):
             own, best = products[line, column], nearest[line, column]
             kept = self._templates[rows[column], :self._count[rows[column]]]
-            # Views of a person that are far from each other (a beard, years between them) are not averaged.
-            alike = own[:len(kept)][kept @ kept[best] >= limit]
-            distances[line, column] = template_distances(
-                NEAREST_SHARE * own[best] + (1.0 - NEAREST_SHARE) * alike.mean())
+            if not nearest_only:
+                # Views of a person that are far from each other (a beard, years between them) are not averaged.
+                alike = own[:len(kept)][kept @ kept[best] >= limit]
+                distances[line, column] = template_distances(
+                    NEAREST_SHARE * own[best] + (1.0 - NEAREST_SHARE) * alike.mean())
+            distances[line, column] = self.calibration.compared(distances[line, column], templates[line], kept[best])
         return distances
 
     def _result(self, distances: np.ndarray, firsts: np.ndarray, names: List[str], most: int,

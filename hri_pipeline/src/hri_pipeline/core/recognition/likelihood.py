@@ -11,6 +11,10 @@ odds falls linearly with the distance (logistic calibration of a comparison scor
 So the larger the gallery, the closer a match must be, and two alike persons share the likelihood, which is the margin
 to the second best. Several views of a face narrow the first scale, as far as they are independent.
 
+People whom the network knows little, and small or blurred faces, lie near the mean of all templates, and so near each
+other whoever they are. Where the mean is known, a distance counts the more, the nearer to it one of the two is (a local
+scale; Zelnik-Manor and Perona 2004, "Self-tuning spectral clustering").
+
 A likelihood ratio tells its false match rate: somebody else exceeds the ratio t with a probability of 1 / t at most
 (Markov's inequality; Good 1950, "Probability and the Weighing of Evidence").
 
@@ -22,6 +26,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Callable, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
@@ -32,6 +37,8 @@ MAX_LIKELIHOOD = 0.99
 """Upper limit of the likelihood from comparing two pictures."""
 UNIT_TOLERANCE = 1e-3
 """How far the length of a template may be from 1."""
+MOST_STRETCHED = 1.6
+"""How many times as far as measured two templates count at most, near the mean of all."""
 _MAX_EXPONENT = 40.0
 _LEAST_LIKELIHOOD = 0.05
 """Candidates below it are not compared with each other."""
@@ -64,6 +71,8 @@ class TemplateCalibration:
     spread : typical distance of two views of one person that are independent of each other; `midpoint` / 2 by default.
     one_human : distance below which two persons, or two faces, are one human for certain; by default where the odds
         against a stranger are a thousand to one.
+    centre : mean of the templates of many people, a unit vector (D,); empty where it was not measured.
+    radius : distance from `centre` of templates whose distances are those meant above.
 
     Raises
     ------
@@ -79,6 +88,8 @@ class TemplateCalibration:
     kin_scale: float = math.nan
     spread: float = math.nan
     one_human: float = math.nan
+    centre: Tuple[float, ...] = ()
+    radius: float = math.nan
 
     def __post_init__(self) -> None:
         defaults = {"kin_midpoint": self.midpoint - _KIN_BELOW * self.scale, "kin_scale": _KIN_WIDER * self.scale,
@@ -95,6 +106,18 @@ class TemplateCalibration:
     def contradiction(self) -> float:
         """Distance from which on a view is hardly of the same person, and rather of somebody alike."""
         return self.kin_midpoint + self.kin_scale
+
+    def compared(self, distance: float, first: np.ndarray, second: np.ndarray) -> float:
+        """Return the distance of two templates (D,) as it counts: larger where one of them is nearer to the mean of all
+        than `radius`, by as much as it is nearer."""
+        if not self.centre:
+            return distance
+        nearest = min(float(np.linalg.norm(template - self._centre)) for template in (first, second))
+        return distance * min(MOST_STRETCHED, max(1.0, self.radius / max(nearest, 1e-6)))
+
+    @cached_property
+    def _centre(self) -> np.ndarray:
+        return np.array(self.centre, np.float32)
 
     def likelihoods(self, distances: np.ndarray, population: int, views: float = 1.0) -> np.ndarray:
         """Likelihood (..., N) that it is this person, for the distances (..., N) to N of `population` known ones.
