@@ -1,12 +1,16 @@
 """Commands that write what a user has: what they refuse, and what stays."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from hri_person_manager.core.camera_poses import CameraPoses
 from hri_person_manager.ros import cameras
 from hri_person_manager.ros.cameras import CameraEntry, run_calibrate, write_cameras
 from hri_person_manager.ros.cli import run_people
+from hri_pipeline.core.geometry import Pose
 
 LEFT = CameraEntry("left", "/left/image", "/left/camera_info", "left_optical")
 
@@ -49,3 +53,17 @@ def test_lengths_are_above_zero(option, value, monkeypatch, capsys):
     with pytest.raises(SystemExit):
         run_calibrate(["calibrate_cameras", "cameras.yaml", "{}={}".format(option, value)])
     assert option in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("deviation, code", [((0.05, 0.02), 0), ((0.5, 0.02), 1), ((0.05, 0.2), 1)])
+def test_uncertain_places_of_cameras_are_not_written(deviation, code, tmp_path, monkeypatch, capsys):
+    path = tmp_path / "cameras.yaml"
+    write_cameras(path, "map", [LEFT, replace(LEFT, name="right", frame="right_optical")])
+    before = path.read_bytes()
+    poses = CameraPoses((Pose(np.eye(3), np.zeros(3)), Pose(np.eye(3), np.array([1.0, 0.0, 0.0]))), {}, 0.001)
+    monkeypatch.setattr(cameras, "_calibrate", lambda *_: (poses, [deviation], 500.0))
+    assert run_calibrate(["calibrate_cameras", str(path), "--stature", "1.7"]) == code
+    written = capsys.readouterr()
+    assert (path.read_bytes() != before) == (code == 0)
+    assert "right: " in written.out and "+- 0.05 m, 1.1 deg" in written.out if code == 0 else (
+        "the pose of right is uncertain" in written.err and "Walk longer" in written.err)

@@ -11,6 +11,7 @@ from hri_person_manager.core.camera_poses import (
     CalibrationError,
     at_common_times,
     board_scale,
+    deviations,
     solve_poses,
     stature_scale,
 )
@@ -34,17 +35,20 @@ CAMERAS = [looking((0.0, 0.0, 1.6), (2.5, 2.5, 0.9)), looking((5.0, 0.0, 2.0), (
            looking((4.5, 5.0, 1.2), (2.5, 2.5, 0.9))]
 
 
-def walk(rng, cameras, noise=0.01, stature=1.75, wrong=0.0):
-    """What each camera sees of somebody who walks a loop: every joint with noise of its own for each camera (m)."""
+def walk(rng, cameras, noise=0.01, stature=1.75, wrong=0.0, radius=1.0, bias=0.0):
+    """What each camera sees of somebody who walks a loop: every joint with noise of its own for each camera (m), and
+    with a bias (m) that it has in all images."""
     seen = [{} for _ in cameras]
+    biases = [{name: rng.normal(0.0, bias, 3) if bias else np.zeros(3) for name in SKELETON} for _ in cameras]
     for step in range(150):
         angle = 2.0 * math.pi * step / 75.0
         turn = np.array([[-math.sin(angle), -math.cos(angle)], [math.cos(angle), -math.sin(angle)]])
         for name, joint in SKELETON.items():
             point = stature * np.array(joint)
-            point[:2] = turn @ point[:2] + 2.5 + np.array([math.cos(angle), 0.8 * math.sin(angle)])
-            for camera, rays in zip(cameras, seen):
-                place = camera.inverse().apply((point + rng.normal(0.0, noise, 3))[None])[0]
+            point[:2] = turn @ point[:2] + 2.5 + radius * np.array(
+                [math.cos(angle), 0.8 * math.sin(angle)])
+            for camera, rays, its in zip(cameras, seen, biases):
+                place = camera.inverse().apply((point + its[name] + rng.normal(0.0, noise, 3))[None])[0]
                 if rng.uniform() < 0.1:
                     continue
                 if rng.uniform() < wrong:
@@ -71,6 +75,28 @@ def test_a_person_who_walks_tells_where_the_cameras_are(count, seed):
     far, turned = errors(found, CAMERAS[:count])
     assert far <= 0.05 and turned <= math.radians(1.0)
     assert 0.0005 < found.residual < 0.02
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow("up to some seconds for each"))])
+def test_who_walks_about_is_certain_and_who_stays_on_the_spot_is_not(seed):
+    """With key points that each camera sees some centimetres off, as networks do."""
+    said, true = [], []
+    for radius in (1.3, 0.1):
+        seen = walk(np.random.default_rng(seed), CAMERAS[:2], radius=radius, bias=0.03)
+        found = solve_poses(seen)
+        found = found.scaled(stature_scale(found.points, 1.75))
+        said.append(deviations(seen, found)[0])
+        true.append(errors(found, CAMERAS[:2]))
+    for (far, turned), (place, direction) in zip(true, said):
+        assert far < 4.0 * place and turned < 4.0 * direction     # three parts of the body tell a deviation roughly
+    assert said[1][0] > 2.0 * said[0][0]
+
+
+def test_poses_that_hang_on_one_part_of_the_body_are_not_certain():
+    seen = [{key: ray for key, ray in rays.items() if "ankle" in key[1]} for rays in walk(
+        np.random.default_rng(3), CAMERAS[:2])]
+    found = solve_poses(seen)
+    assert deviations(seen, found) == [(math.inf, math.inf)]
 
 
 def test_a_board_tells_the_scale():

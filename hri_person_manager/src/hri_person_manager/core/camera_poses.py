@@ -25,6 +25,8 @@ FEWEST_POINTS = 30          # that two cameras have to share
 OUTLIER = 0.02              # of a ray, x/z: 15 px of 750; a key point that is so far off is wrong
 EYES_TO_ANKLES = 0.897      # of the stature: eyes at .936, ankles at .039 (D. Winter, Biomechanics, 2009)
 NECK_TO_ANKLES = 0.779      # shoulders at .818
+_PARTS = (("eye", "ear", "nose"), ("neck", "shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
+_TIMES = 100                # of all, that tell how certain poses are
 UPRIGHT = 70.0              # percentile of the heights of somebody who walks: legs that are straight, and no noise
 Rays = Mapping[Hashable, np.ndarray]
 
@@ -73,6 +75,56 @@ def solve_poses(cameras: Sequence[Rays]) -> CameraPoses:
     # points may lead to poses that fit all points worse than others.
     return min((_solved_from(cameras, number, start) for number in begins for start in range(STARTS)),
                key=lambda found: found.residual / len(found.points))
+
+
+def deviations(cameras: Sequence[Rays], found: CameraPoses) -> List[Tuple[float, float]]:
+    """Return how certain the poses are: standard deviations of place (unit of `found`) and direction (rad) of each
+    camera but the first; infinite where they cannot be told without one part of the points.
+
+    A jackknife over head, arms and legs (of a board: thirds of the corners; R. Miller, "The jackknife - a review",
+    Biometrika, 1974). A network puts a key point that is seen from the front and from behind into two places, by
+    centimetres, in all images: the noise of single images says too little. The error of the scale is not in it. Of
+    seven poses of real cameras before which somebody stepped to and fro the errors in direction were .2 to 2.4 times
+    what this says.
+
+    cameras: as for `solve_poses`, keys (time, name).
+    """
+    times = sorted({cast(Tuple[float, str], key)[0] for rays in cameras for key in rays})
+    kept = set(times[::max(1, len(times) // _TIMES)])
+    cameras = [{key: ray for key, ray in rays.items() if cast(Tuple[float, str], key)[0] in kept} for rays in cameras]
+    names = sorted({_name(key) for rays in cameras for key in rays})
+    part = {name: _part(name, number) for number, name in enumerate(names)}
+    reach = sum(float(np.linalg.norm(pose.translation)) for pose in found.poses)
+    sums = np.zeros((len(cameras), 2))
+    for left_out in range(len(_PARTS)):
+        try:
+            other = solve_poses([{key: ray for key, ray in rays.items() if part[_name(key)] != left_out}
+                                 for rays in cameras])
+        except CalibrationError:
+            return [(math.inf, math.inf)] * (len(cameras) - 1)
+        other = other.scaled(reach / max(1e-9, sum(float(np.linalg.norm(pose.translation)) for pose in other.poses)))
+        sums += [_difference(one, two) for one, two in zip(other.poses, found.poses)]
+    share = (len(_PARTS) - 1.0) / len(_PARTS)
+    return [(math.sqrt(share * place), math.sqrt(share * turn)) for place, turn in sums[1:].tolist()]
+
+
+def _name(key: Hashable) -> str:
+    return cast(Tuple[float, str], key)[1]
+
+
+def _part(name: str, number: int) -> int:
+    """The part of the body of a key point, a third of the others by their number."""
+    for part, words in enumerate(_PARTS):
+        if any(word in name for word in words):
+            return part
+    return number % len(_PARTS)
+
+
+def _difference(one: Pose, other: Pose) -> Tuple[float, float]:
+    """Squared distance of the places of two poses, and squared angle (rad^2) between their directions."""
+    apart = one.translation - other.translation
+    sine = float(np.linalg.norm(np.array(one.inverse().compose(other).quaternion)[:3]))
+    return float(apart @ apart), (2.0 * math.asin(min(1.0, sine))) ** 2
 
 
 def _solved_from(cameras: Sequence[Rays], number: int, start: int) -> CameraPoses:

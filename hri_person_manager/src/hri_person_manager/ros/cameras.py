@@ -34,6 +34,7 @@ from hri_person_manager.core.camera_poses import (
     CameraPoses,
     at_common_times,
     board_scale,
+    deviations,
     solve_poses,
     stature_scale,
 )
@@ -44,6 +45,7 @@ from hri_pipeline.ros.conversions import camera_from_info, image_to_bgr, skeleto
 
 # Level, looking along x of the reference frame.
 _FIRST_PLACE = (0.0, 0.0, 0.0, -0.5, 0.5, -0.5, 0.5)
+_UNCERTAIN_M, _UNCERTAIN_RAD = 0.3, math.radians(5.0)     # standard deviations of poses that are of no use
 # In the order of Skeleton2D.
 _JOINTS = ("nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
            "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "left_eye", "right_eye",
@@ -301,20 +303,36 @@ def run_calibrate(arguments: Optional[Sequence[str]] = None) -> int:
     options = _options(rospy.myargv(arguments or sys.argv)[1:])
     try:
         reference_frame, cameras = read_cameras(options.file)
-        found, focal = _calibrate(cameras, options)
+        found, certain, focal = _calibrate(cameras, options)
         result = placed(cameras, found)
+        check_certain(cameras, certain)
         write_cameras(options.output or options.file, reference_frame, result)
     except (CameraFileError, CalibrationError, OSError) as error:
         sys.stderr.write("calibrate_cameras: {}\n".format(error))
         return 1
-    for camera in result:
-        print("{}: {}".format(camera.name, _text(camera.place, " ")))
+    for camera, (place, direction) in zip(result, [(0.0, 0.0), *certain]):
+        print("{}: {} (+- {:.2f} m, {:.1f} deg)".format(camera.name, _text(camera.place, " "), place,
+                                                        math.degrees(direction)))
     print("residual {:.2f} px of {} points".format(focal * found.residual, len(found.points)))
     return 0
 
 
-def _calibrate(cameras: Sequence[CameraEntry], options: argparse.Namespace) -> Tuple[CameraPoses, float]:
-    """The poses, in m, and the mean focal length, px."""
+def check_certain(cameras: Sequence[CameraEntry], certain: Sequence[Tuple[float, float]]) -> None:
+    """Raise CalibrationError where the pose of a camera, of all but the first, is so uncertain that it is of no use.
+
+    certain: standard deviations of place (m) and direction (rad).
+    """
+    for camera, (place, direction) in zip(cameras[1:], certain):
+        if place > _UNCERTAIN_M or direction > _UNCERTAIN_RAD:
+            raise CalibrationError(
+                "the pose of {} is uncertain by {:.2f} m and {:.1f} deg, at most {:g} m and {:g} deg are of use; "
+                "nothing is written. Walk longer, nearer and farther, left and right, and turn about".format(
+                    camera.name, place, math.degrees(direction), _UNCERTAIN_M, math.degrees(_UNCERTAIN_RAD)))
+
+
+def _calibrate(cameras: Sequence[CameraEntry], options: argparse.Namespace
+               ) -> Tuple[CameraPoses, List[Tuple[float, float]], float]:
+    """The poses, in m, their standard deviations, and the mean focal length, px."""
     rospy.init_node("calibrate_cameras", anonymous=True)
     recorder = _Recorder(cameras, options.board)
     sys.stderr.write("{} for {:g} s where two cameras see it, near and far, left and right.\n".format(
@@ -324,12 +342,17 @@ def _calibrate(cameras: Sequence[CameraEntry], options: argparse.Namespace) -> T
         focal = recorder.focal
     finally:
         recorder.close()
-    found = solve_poses(at_common_times(recorder.tracks))
+    sys.stderr.write("Finding the poses, four times, to tell how certain they are ...\n")
+    seen = at_common_times(recorder.tracks)
+    found = solve_poses(seen)
     if options.distance is not None:
-        return found.scaled(options.distance / max(1e-9, float(np.linalg.norm(found.poses[1].translation)))), focal
-    if options.board is not None:
-        return found.scaled(board_scale(found.points, options.board.neighbours, options.board.square)), focal
-    return found.scaled(stature_scale(found.points, options.stature)), focal
+        factor = options.distance / max(1e-9, float(np.linalg.norm(found.poses[1].translation)))
+    elif options.board is not None:
+        factor = board_scale(found.points, options.board.neighbours, options.board.square)
+    else:
+        factor = stature_scale(found.points, options.stature)
+    found = found.scaled(factor)
+    return found, deviations(seen, found), focal
 
 
 def _length(text: str) -> float:
