@@ -45,9 +45,8 @@ def _room(rng: np.random.Generator) -> Tuple[float, float]:
     poses = solve_poses(_walk(rng, cameras, stature))
     poses = poses.scaled(stature_scale(poses.points, stature))
     true = cameras[0].inverse().compose(cameras[1])
-    off = poses.poses[1].inverse().compose(true)
-    sine = min(1.0, float(np.linalg.norm(np.array(off.quaternion)[:3])))
-    return (float(np.linalg.norm(poses.poses[1].translation - true.translation)), math.degrees(2.0 * math.asin(sine)))
+    far, turned = poses.poses[1].differs(true)
+    return far, math.degrees(turned)
 
 
 def _camera(position: np.ndarray, rng: np.random.Generator) -> Pose:

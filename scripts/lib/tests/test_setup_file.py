@@ -40,8 +40,8 @@ def sourced(command, directory, **variables):
 
 
 def test_a_directory_that_is_given_without_its_beginning_is_the_one_below_here(tmp_path):
-    done = sourced('cd /; echo "$R4H_CACHE $R4H_WS"', tmp_path, ROS4HRI_CACHE="cache", ROS4HRI_WORKSPACE="work/space")
-    assert done.stdout == "{0}/cache {0}/work/space\n".format(tmp_path)
+    done = sourced('cd /; echo "$R4H_CACHE $R4H_WS"', tmp_path, ROS4HRI_CACHE="cache", ROS4HRI_WORKSPACE="build/ws")
+    assert done.stdout == "{0}/cache {0}/build/ws\n".format(tmp_path)
 
 
 def test_a_workspace_that_catkin_cannot_build_is_refused_before_anything_is_made(tmp_path):

@@ -89,27 +89,23 @@ def deviations(cameras: Sequence[Rays], found: CameraPoses) -> List[Tuple[float,
 
     cameras: as for `solve_poses`, keys (time, name).
     """
-    times = sorted({cast(Tuple[float, str], key)[0] for rays in cameras for key in rays})
+    seen = [cast(Mapping[Tuple[float, str], np.ndarray], rays) for rays in cameras]
+    times = sorted({time for rays in seen for time, _ in rays})
     kept = set(times[::max(1, len(times) // _TIMES)])
-    cameras = [{key: ray for key, ray in rays.items() if cast(Tuple[float, str], key)[0] in kept} for rays in cameras]
-    names = sorted({_name(key) for rays in cameras for key in rays})
+    names = sorted({name for rays in seen for _, name in rays})
     part = {name: _part(name, number) for number, name in enumerate(names)}
     reach = sum(float(np.linalg.norm(pose.translation)) for pose in found.poses)
     sums = np.zeros((len(cameras), 2))
     for left_out in range(len(_PARTS)):
         try:
-            other = solve_poses([{key: ray for key, ray in rays.items() if part[_name(key)] != left_out}
-                                 for rays in cameras])
+            other = solve_poses([{(time, name): ray for (time, name), ray in rays.items()
+                                  if time in kept and part[name] != left_out} for rays in seen])
         except CalibrationError:
             return [(math.inf, math.inf)] * (len(cameras) - 1)
         other = other.scaled(reach / max(1e-9, sum(float(np.linalg.norm(pose.translation)) for pose in other.poses)))
-        sums += [_difference(one, two) for one, two in zip(other.poses, found.poses)]
+        sums += np.square([one.differs(two) for one, two in zip(other.poses, found.poses)])
     share = (len(_PARTS) - 1.0) / len(_PARTS)
     return [(math.sqrt(share * place), math.sqrt(share * turn)) for place, turn in sums[1:].tolist()]
-
-
-def _name(key: Hashable) -> str:
-    return cast(Tuple[float, str], key)[1]
 
 
 def _part(name: str, number: int) -> int:
@@ -118,13 +114,6 @@ def _part(name: str, number: int) -> int:
         if any(word in name for word in words):
             return part
     return number % len(_PARTS)
-
-
-def _difference(one: Pose, other: Pose) -> Tuple[float, float]:
-    """Squared distance of the places of two poses, and squared angle (rad^2) between their directions."""
-    apart = one.translation - other.translation
-    sine = float(np.linalg.norm(np.array(one.inverse().compose(other).quaternion)[:3]))
-    return float(apart @ apart), (2.0 * math.asin(min(1.0, sine))) ** 2
 
 
 def _solved_from(cameras: Sequence[Rays], number: int, start: int) -> CameraPoses:

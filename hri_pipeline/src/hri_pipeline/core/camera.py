@@ -196,9 +196,7 @@ class CameraModel:
         points = np.ascontiguousarray(pixels[:, None, :])
         if self.distortion_model == EQUIDISTANT:
             return self._ahead(pixels, cv2.fisheye.undistortPoints(points, self.matrix, self._fisheye()).reshape(-1, 2))
-        else:
-            rays = cv2.undistortPointsIter(
-                points, self.matrix, self.distortion, np.eye(3), np.eye(3), _UNDISTORT_CRITERIA)
+        rays = cv2.undistortPointsIter(points, self.matrix, self.distortion, np.eye(3), np.eye(3), _UNDISTORT_CRITERIA)
         return np.asarray(rays).reshape(-1, 2)
 
     def project(self, points: np.ndarray) -> np.ndarray:

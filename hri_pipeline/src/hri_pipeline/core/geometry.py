@@ -56,6 +56,12 @@ class Pose:
         """Map points (N, 3) in the child frame to (N, 3) in the parent frame, m."""
         return np.asarray(points, dtype=np.float64) @ self.rotation.T + self.translation
 
+    def differs(self, other: "Pose") -> Tuple[float, float]:
+        """Return how far another pose is away: the distance of their origins (m), and the angle between their axes
+        (rad)."""
+        sine = float(np.linalg.norm(np.array(self.inverse().compose(other).quaternion)[:3]))
+        return float(np.linalg.norm(self.translation - other.translation)), 2.0 * math.asin(min(1.0, sine))
+
     @property
     def quaternion(self) -> Tuple[float, float, float, float]:
         """Unit quaternion (x, y, z, w)."""

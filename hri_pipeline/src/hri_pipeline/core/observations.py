@@ -82,7 +82,8 @@ class BodyObservation:
     measured: False when the body was predicted by its motion and not measured in this image.
     by_depth: True when a depth image gave its distance and its joints, not the size of an average person.
     hands: (2, 3) m from the wrist to the knuckles of the left and the right hand, NaN unknown; None without any.
-    image_trunk: length (m) of the trunk at the scale of head and shoulders in the image; NaN unknown.
+    image_trunk: length (m) of the trunk at the scale of head and shoulders in the image; NaN unknown, or not
+        measured in this image.
     """
 
     id: str

@@ -413,9 +413,10 @@ class BodyLocalizer:
             hands = wrist_to_knuckles(points, track.estimate.confidence[:BODY_LANDMARKS], _KNOWN)
             pose = body_pose(points)
         box = visible_box(pixels, track.estimate.confidence[:BODY_LANDMARKS], camera.width, camera.height)
+        # What a body expresses is told of measured ones only.
+        trunk = trunk_in_image(track.estimate.landmarks, track.estimate.world) if measured else math.nan
         return BodyObservation(track.id, box, estimate.score, np.column_stack([to_18_points(pixels), sure]), in_space,
-                               pose, face, velocity, measured, self.by_depth, hands,
-                               trunk_in_image(track.estimate.landmarks, track.estimate.world))
+                               pose, face, velocity, measured, self.by_depth, hands, trunk)
 
     def _shift(self, measured: bool, velocity: Optional[np.ndarray], age: float, face: Optional[Pose]) -> np.ndarray:
         """Way (3,) m since the body was measured: that of its face, else by its velocity (m/s) in `age` s."""

@@ -96,7 +96,6 @@ class BodyTracker:
         self._shown_faces: Set[str] = set()
         self._stale_faces: Set[str] = set()
         self._stale_until = self._followed_at = -math.inf
-        self._yielding: Set[str] = set()    # who was a double in this image
         self._locate: Locate = lambda estimate: None
         self.tracks: List[BodyTrack] = []
         self.windows = 0
@@ -152,16 +151,24 @@ class BodyTracker:
             count(self.windows)
         detections = [detection for detection in results if detection is not None]
         near = [nearest_face(detection, faces) for detection in detections]
-        self._associate(distinct(detections, [face.id if face else None for face in near]), chosen, stamp, faces)
+        doubles = self._associate(distinct(detections, [face.id if face else None for face in near]), chosen, stamp,
+                                  faces)
         self._link_faces(faces, stamp)
+        self._judge_hidden(stamp, image.shape[1], doubles)
+        self.tracks = [track for track in self.tracks if not track.dead(stamp)]
+
+    def _judge_hidden(self, stamp: float, width: float, doubles: Container[str]) -> None:
+        """Note of the bodies that are not seen in an image of `width` px who is hidden, and who is kept all the same.
+
+        doubles: who has yielded to another body in this image.
+        """
         slow = SLOW_S < stamp - self._followed_at < math.inf
         self._followed_at = stamp
         for track in self.tracks:
             if not track.visible:
-                track.judge_hidden(stamp, image.shape[1])
+                track.judge_hidden(stamp, width)
                 if track.inferred_at == stamp:
-                    track.kept = slow and track.hidden and track.misses == 1 and track.id not in self._yielding
-        self.tracks = [track for track in self.tracks if not track.dead(stamp)]
+                    track.kept = slow and track.hidden and track.misses == 1 and track.id not in doubles
 
     def _choose(self, stamp: float, reserved: int) -> List[BodyTrack]:
         """The bodies whose turn it is, most urgent first; reserved: see InferenceScheduler.choose."""
@@ -276,18 +283,18 @@ class BodyTracker:
         return detection
 
     def _associate(self, detections: Sequence[PoseDetection], chosen: Sequence[BodyTrack], stamp: float,
-              faces: Sequence[FaceBox]) -> None:
-        """Assign each detection to a track; chosen tracks without one are marked as missed."""
+              faces: Sequence[FaceBox]) -> Set[str]:
+        """Assign each detection to a track; chosen tracks without one are marked as missed. Returns the doubles."""
         pairs = {self.tracks[row].id: detections[column]
                  for row, column in assign(cost_matrix(self.tracks, detections, stamp, faces), MAX_COST)}
         missed = {track.id for track in chosen if track.id not in pairs}
-        doubles = self._yielding = self._doubles(
-            {name: detection.estimate for name, detection in pairs.items()}, missed, stamp, faces)
+        doubles = self._doubles({name: detection.estimate for name, detection in pairs.items()}, missed, stamp, faces)
         for track in self.tracks:
             if track.id in pairs and track.id not in doubles:
                 track.update(pairs[track.id], stamp, self._unhidden(track, pairs[track.id], stamp))
             elif track in chosen or track.id in doubles:
                 track.missed(stamp)
+        return doubles
 
     def _doubles(self, seen: Mapping[str, PoseEstimate], missed: Container[str], stamp: float,
                  faces: Sequence[FaceBox]) -> Set[str]:
