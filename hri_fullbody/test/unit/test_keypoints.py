@@ -61,3 +61,27 @@ def test_the_trunk_in_the_image_has_the_scale_of_head_and_shoulders():
 @pytest.mark.parametrize("pixels", [np.zeros((33, 2)), np.full((33, 2), 7.0)])
 def test_head_and_shoulders_in_one_point_give_the_trunk_no_length(pixels):
     assert np.isnan(skeleton.trunk_in_image(pixels, np.random.default_rng(1).normal(0.0, 0.1, (33, 3))))
+
+
+def with_knees(right, left):
+    """Landmarks px at 300 px a metre, hips at y = 360, trunks of 150 px, and world m, of knees below each hip (m)."""
+    world = np.zeros((33, 3))
+    world[[11, 12]], world[[23, 24]] = ((0.2, -0.5, 0.0), (-0.2, -0.5, 0.0)), ((0.1, 0.0, 0.0), (-0.1, 0.0, 0.0))
+    world[25], world[26] = world[23] + left, world[24] + right
+    return np.column_stack([300.0 * world[:, :2] + (640.0, 360.0), 300.0 * world[:, 2]]), world
+
+
+@pytest.mark.parametrize("right, left, height, leave", [
+    ((0.0, 0.4, 0.1), (0.0, 0.4, 0.0), 430, True), ((0.0, 0.4, 0.1), (0.0, 0.4, 0.0), 475, True),
+    ((0.0, 0.4, 0.1), (0.0, 0.4, 0.0), 400, False), ((0.0, 0.4, 0.1), (0.0, 0.4, 0.0), 600, False),
+    ((0.0, 0.8, 0.1), (0.0, 0.8, 0.0), 430, False), ((0.0, 0.4, -0.4), (0.0, 0.4, 0.0), 430, False),
+    ((0.0, 0.4, 0.0), (0.4, 0.3, 0.0), 430, False)],
+    ids=["seen for half", "nearly whole", "little is seen", "whole", "a third", "one towards the camera", "one aside"])
+def test_thighs_that_hang_out_of_the_image(right, left, height, leave):
+    assert skeleton.thighs_leave_image(*with_knees(right, left), height) == leave
+
+
+def test_thighs_of_who_is_bent_forward_do_not_hang():
+    landmarks, world = with_knees((0.0, 0.4, 0.0), (0.0, 0.4, 0.0))
+    world[[11, 12]] = (0.2, 0.0, -0.5), (-0.2, 0.0, -0.5)
+    assert not skeleton.thighs_leave_image(landmarks, world, 430)

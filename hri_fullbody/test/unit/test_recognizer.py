@@ -329,6 +329,18 @@ def test_legs_outside_the_image_are_no_legs(width, height, posture):
     assert np.array_equal(given, points)
 
 
+@pytest.mark.parametrize("pose, trunk, score, posture", [
+    (people.standing(), 0.46, 1.0, PostureClass.STANDING), (people.standing(), 0.42, 1.0, PostureClass.OTHER),
+    (people.standing(), math.nan, 1.0, PostureClass.OTHER), (people.standing(), 0.46, 0.8, PostureClass.OTHER),
+    (people.standing().lean(85.0), 0.46, 1.0, PostureClass.OTHER), (people.lying(), 0.46, 1.0, PostureClass.LAYING)],
+    ids=["stands", "the short trunk of who sits", "of unknown length", "a doubtful body", "bent down", "lies"])
+def test_whose_thighs_hang_out_of_the_image_stands(pose, trunk, score, posture):
+    body, points = BehaviourRecognizer(), pose.without(*LEGS).seen()
+    told = [body.update(points, STATURE, 0.1 * index, UP, trunk=trunk, score=score, leaving=True).posture
+            for index in range(15)]
+    assert told[-1] == posture
+
+
 def test_a_hand_that_the_network_guesses_is_not_on_the_face():
     points = people.on_face("right").seen()
     pixels = np.column_stack([400.0 * points[:, :2] + (640.0, 760.0), np.full(18, 0.9)])

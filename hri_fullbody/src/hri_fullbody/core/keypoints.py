@@ -22,6 +22,9 @@ BLAZE_INNER_EYES = (1, 4)
 BLAZE_NOSE = 0
 
 _UPPER = BLAZE_RIGHT_SHOULDER + 1      # head and shoulders
+# Thighs that hang out of the image: degrees between thigh and trunk, and between thigh and the image's y axis; in
+# trunks in the image what is seen below the hips, and how far above the rim a knee may be; least share that is seen.
+_LEAVING_HIP, _LEAVING_THIGH, _LEAVING_SEEN, _LEAVING_RIM, _LEAVING_SHARE = 35.0, 40.0, 0.35, 0.1, 0.5
 _TO_SHOULDERS = np.array([1.0, 1.0, -1.0, -1.0])
 # Wrist, knuckles of the little and of the index finger; left, right.
 _HANDS = ((BLAZE_LEFT_WRIST, 17, 19), (BLAZE_RIGHT_WRIST, 18, 20))
@@ -79,6 +82,26 @@ def trunk_in_image(landmarks: np.ndarray, world: np.ndarray) -> float:
     scale = float(np.vdot(pixels, metres)) / max(float(np.vdot(metres, metres)), 1e-9)
     (x, y), z = 0.5 * (_TO_SHOULDERS @ landmarks[trunk, :2]), 0.5 * float(_TO_SHOULDERS @ world[trunk, 2])
     return math.hypot(x / scale, y / scale, z) if scale > 1e-6 else math.nan
+
+
+def thighs_leave_image(landmarks: np.ndarray, world: np.ndarray, height: float) -> bool:
+    """Tell whether both thighs hang down out of an image `height` px high and are seen for half of their length.
+
+    landmarks, world: see trunk_in_image. Knees that the image does not show are placed rightly as long as so much of
+    the thighs is seen; of who sits at a table the hips are hidden, too, or the thighs are not seen to hang.
+    """
+    hips, knees = [BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP], [BLAZE_LEFT_KNEE, BLAZE_RIGHT_KNEE]
+    shoulders = [BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER]
+    trunk = float(np.linalg.norm((landmarks[hips, :2] - landmarks[shoulders, :2]).mean(axis=0)))
+    below, rim = height - landmarks[hips, 1], height - landmarks[knees, 1]
+    if not (below.min() > _LEAVING_SEEN * trunk and rim.max() <= _LEAVING_RIM * trunk):
+        return False
+    thighs, down = world[knees] - world[hips], (world[hips] - world[shoulders]).mean(axis=0)
+    lengths = np.maximum(np.linalg.norm(thighs, axis=1), 1e-6)
+    straight = thighs @ down > math.cos(math.radians(_LEAVING_HIP)) * np.linalg.norm(down) * lengths
+    hanging = thighs[:, 1] > math.cos(math.radians(_LEAVING_THIGH)) * lengths
+    share = below / np.maximum(landmarks[knees, 1] - landmarks[hips, 1], 1e-6)
+    return bool((straight & hanging).all() and share.mean() > _LEAVING_SHARE)
 
 
 def confidence_18(landmark_confidence: np.ndarray) -> np.ndarray:

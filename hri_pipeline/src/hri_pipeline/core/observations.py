@@ -84,6 +84,7 @@ class BodyObservation:
     hands: (2, 3) m from the wrist to the knuckles of the left and the right hand, NaN unknown; None without any.
     image_trunk: length (m) of the trunk at the scale of head and shoulders in the image; NaN unknown, or not
         measured in this image.
+    leaving: whether both thighs were measured to hang out of the image.
     """
 
     id: str
@@ -98,6 +99,7 @@ class BodyObservation:
     by_depth: bool = False
     hands: Optional[np.ndarray] = None
     image_trunk: float = math.nan
+    leaving: bool = False
 
 
 # An image with both faces and bodies is preferred to newer ones with one kind up to this age (s).

@@ -71,6 +71,7 @@ _KNEE_S, _EITHER_KNEE, _BOTH_KNEES = 0.6, 0.35, 0.9
 # the trunk, see trunk_in_image, and score beyond which legs are guessed, low-passed: 1.9 % of 160 pictures of 22 people
 # who sit are beyond, and 70 % of 118 of standing ones with hidden legs that look as if they sat (44 % of strangers).
 _LONG_TRUNK, _LOW_SCORE, _TRUNK_S = 0.465, 0.9, 1.0
+_STANDING_TRUNK = 0.44      # m: the trunk of who sits looks shorter
 _BESIDE_STRAIGHT = 35.0     # degrees of a thigh whose foot is hidden, beside a straight leg: a stool, or a high step
 
 
@@ -111,7 +112,8 @@ class PostureEstimator:
 
     def update(self, points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray,
                elapsed: float, up_sd: float = 0.0, feet: bool = True,
-               unsure: Sequence[bool] = (False, False), guessed: bool = False) -> PostureClass:
+               unsure: Sequence[bool] = (False, False), guessed: bool = False,
+               leaving: bool = False) -> PostureClass:
         """Take the body `elapsed` s after the last call; see `posture_now`. up_sd: of the pitch of `up`, rad.
 
         feet: whether there is any sign of an ankle. Without one, behind a table or another person, the network bends
@@ -119,9 +121,12 @@ class PostureEstimator:
         unsure: whether the left and the right knee may be guessed: one that jumps about is no sign of sitting, and
             two of them are none of crouching.
         guessed: whether the legs are, see GuessedLegs: nobody sits on them.
+        leaving: whether thighs_leave_image: who is upright and has no other sign of legs stands.
         """
         seen = (posture_now(points, axes, stature, up) if up_sd <= _EXACT
                 else likely_posture(points, axes, stature, up, up_sd))
+        if seen is None and leaving and _degrees(float(axes[2] @ up)) < _UPRIGHT:
+            seen = PostureClass.STANDING
         jumps = self._jumps(np.where(np.reshape(unsure, (2, 1)), points[_KNEES] - points[_HIPS], np.nan) / stature,
                             elapsed)
         if not feet and seen in (PostureClass.SITTING, PostureClass.CROUCHING):
@@ -188,6 +193,11 @@ class GuessedLegs:
         share = 1.0 - math.exp(-elapsed / _TRUNK_S)
         self._trunk, self._score = _towards(self._trunk, trunk, share), _towards(self._score, score, share)
         return self._trunk > _LONG_TRUNK or self._score < _LOW_SCORE
+
+    @property
+    def stand(self) -> bool:
+        """Whether trunk and score are those of somebody who stands; False while they are unknown."""
+        return self._trunk > _STANDING_TRUNK and self._score >= _LOW_SCORE
 
 
 def _towards(before: float, value: float, share: float) -> float:

@@ -72,7 +72,8 @@ class BehaviourRecognizer:
     def update(self, points: np.ndarray, stature: float, stamp: float,
                up: Union[Sequence[float], np.ndarray], up_sd: float = 0.0,
                confidence: Optional[np.ndarray] = None, hands: Optional[np.ndarray] = None,
-               depth_counts: float = 1.0, trunk: float = math.nan, score: float = 1.0) -> BodyBehaviour:
+               depth_counts: float = 1.0, trunk: float = math.nan, score: float = 1.0,
+               leaving: bool = False) -> BodyBehaviour:
         """Take one frame and return what the body expresses.
 
         points: (18, 3) m in a sensor's frame, key points in the order of hri_msgs/Skeleton2D, NaN or infinite
@@ -86,6 +87,7 @@ class BehaviourRecognizer:
         knees; a knee that counts has 0.5, or both have 0.9 together for some time.
         hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: along the forearms.
         depth_counts: see arm_features. trunk: m, see trunk_in_image, score: 0 to 1; see GuessedLegs; NaN unknown.
+        leaving: whether thighs_leave_image.
         Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
         an `up` without a direction.
         """
@@ -104,9 +106,10 @@ class BehaviourRecognizer:
         sure = _sure_forearms(confidence)
         attitude = self._attitude.update(features, elapsed, sure)
         waving = self._waves.update(features, elapsed, sure)
+        guessed = self._legs.update(trunk, score, elapsed)
         posture = self._posture.update(
             self._hold.without_old(points, stamp, _LEG_HOLD_S), axes, stature, upwards, elapsed, up_sd,
-            *_signs_of_legs(confidence), self._legs.update(trunk, score, elapsed))
+            *_signs_of_legs(confidence), guessed, leaving and self._legs.stand)
         self._result = BodyBehaviour(
             int(attitude), self._attitude.confidence, int(posture),
             int(gesture_of(attitude, self._attitude.raised, waving)))

@@ -24,6 +24,7 @@ from hri_fullbody.core.keypoints import (
     BLAZE_RIGHT_HIP,
     BLAZE_RIGHT_SHOULDER,
     confidence_18,
+    thighs_leave_image,
     to_18_points,
     trunk_in_image,
     wrist_to_knuckles,
@@ -414,9 +415,11 @@ class BodyLocalizer:
             pose = body_pose(points)
         box = visible_box(pixels, track.estimate.confidence[:BODY_LANDMARKS], camera.width, camera.height)
         # What a body expresses is told of measured ones only.
-        trunk = trunk_in_image(track.estimate.landmarks, track.estimate.world) if measured else math.nan
+        last = track.estimate
+        trunk = trunk_in_image(last.landmarks, last.world) if measured else math.nan
+        leaving = measured and thighs_leave_image(last.landmarks, last.world, camera.height)
         return BodyObservation(track.id, box, estimate.score, np.column_stack([to_18_points(pixels), sure]), in_space,
-                               pose, face, velocity, measured, self.by_depth, hands, trunk)
+                               pose, face, velocity, measured, self.by_depth, hands, trunk, leaving)
 
     def _shift(self, measured: bool, velocity: Optional[np.ndarray], age: float, face: Optional[Pose]) -> np.ndarray:
         """Way (3,) m since the body was measured: that of its face, else by its velocity (m/s) in `age` s."""
