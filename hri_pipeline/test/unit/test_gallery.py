@@ -148,6 +148,14 @@ def test_where_the_people_are_alike_a_match_must_be_closer():
     assert gallery.alike(probe, 0.4)[0].distance == pytest.approx(0.25, abs=1e-3), "enrolment asks as before"
 
 
+@pytest.mark.parametrize("far, counted", [(0, 3), (100, 3), (300, 6)])
+def test_of_many_people_more_tell_how_alike_they_are(far, counted):
+    calibration = replace(CALIBRATION, crowd=0.5)
+    others = np.array(3 * [0.4] + far * [1.2])
+    assert calibration.crowding(others, np.empty(0)) == pytest.approx(0.5 * 0.1 * 3 / counted / 2.0)
+    assert CALIBRATION.crowding(others, others) == 0.0, "not measured"
+
+
 def test_a_second_id_of_one_human_is_no_crowd():
     gallery = MemoryGallery("synthetic", SIZE, replace(CALIBRATION, crowd=0.5))
     gallery.add_person("anna", face(1)[None])

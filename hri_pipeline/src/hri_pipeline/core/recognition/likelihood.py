@@ -43,9 +43,9 @@ UNIT_TOLERANCE = 1e-3
 """How far the length of a template may be from 1."""
 MOST_STRETCHED = 1.6
 """How many times as far as measured two templates count at most, near the mean of all."""
-COHORT, CROWD_SHARE = 3, 0.5
-"""How many of the nearest other people tell how alike people are here, and the part of what they are nearer than usual
-by which a distance counts more."""
+COHORT, COHORT_SHARE, CROWD_SHARE = 3, 0.02, 0.5
+"""How many of the nearest other people tell how alike people are here, at least, and as a part of them all (of many, some
+are near by chance), and the part of what they are nearer than usual by which a distance counts more."""
 _MAX_EXPONENT = 40.0
 _LEAST_LIKELIHOOD = 0.05
 """Candidates below it are not compared with each other."""
@@ -127,8 +127,12 @@ class TemplateCalibration:
     def crowding(self, first: np.ndarray, second: np.ndarray) -> float:
         """Return by how much (0 or more) the distance of two templates counts more, for the distances of other people
         from the one (N,) and from the other (M,)."""
-        nearer = sum(float(np.maximum(0.0, self.crowd - np.sort(others)[:COHORT]).sum()) for others in (first, second))
-        return CROWD_SHARE * nearer / (2 * COHORT)
+        nearer = 0.0
+        for others in (first, second):
+            count = max(COHORT, int(COHORT_SHARE * len(others)))
+            nearest = np.partition(others, count)[:count] if len(others) > count else others
+            nearer += float(np.maximum(0.0, self.crowd - nearest).sum()) / count
+        return CROWD_SHARE * nearer / 2.0
 
     @cached_property
     def _centre(self) -> np.ndarray:
