@@ -130,6 +130,50 @@ def test_who_is_alike(gallery):
     assert gallery.nearest("nobody", face(1)) is None
 
 
+def test_where_the_people_are_alike_a_match_must_be_closer():
+    gallery = MemoryGallery("synthetic", SIZE, replace(CALIBRATION, crowd=0.5))
+    probe = face(1, 0.25, 9)
+    fill(gallery, 12)
+    before, = gallery.match(probe[None])
+    assert before.candidates[0].distance == pytest.approx(0.25, abs=1e-3), "nobody else is near"
+    for view in range(3):
+        gallery.add_person("alike{}".format(view), face(1, 0.4, view)[None])
+    after, = gallery.match(probe[None])
+    from_probe = [float(np.linalg.norm(probe - face(1, 0.4, view))) for view in range(3)]
+    more = 0.5 * (np.mean([0.5 - one for one in from_probe]) + 0.5 - 0.4) / 2.0
+    assert min(from_probe) > 0.4 and max(from_probe) < 0.5
+    assert after.candidates[0].person_id == "p0001"
+    assert after.candidates[0].distance == pytest.approx(0.25 + more, abs=1e-3)
+    assert after.candidates[0].likelihood < before.candidates[0].likelihood
+    assert gallery.alike(probe, 0.4)[0].distance == pytest.approx(0.25, abs=1e-3), "enrolment asks as before"
+
+
+@pytest.mark.parametrize("far, counted", [(0, 3), (100, 3), (300, 6)])
+def test_of_many_people_more_tell_how_alike_they_are(far, counted):
+    calibration = replace(CALIBRATION, crowd=0.5)
+    others = np.array(3 * [0.4] + far * [1.2])
+    assert calibration.crowding(others, np.empty(0)) == pytest.approx(0.5 * 0.1 * 3 / counted / 2.0)
+    assert CALIBRATION.crowding(others, others) == 0.0, "not measured"
+
+
+def test_a_second_id_of_one_human_is_no_crowd():
+    gallery = MemoryGallery("synthetic", SIZE, replace(CALIBRATION, crowd=0.5))
+    gallery.add_person("anna", face(1)[None])
+    gallery.add_person("again", face(1, 0.2)[None])
+    assert gallery.match(face(1)[None])[0].candidates[0].distance == pytest.approx(0.0, abs=1e-3)
+    assert gallery.match(face(1, 0.2, 5)[None])[0].candidates[0].distance == pytest.approx(0.2, abs=1e-3)
+
+
+def test_the_crowd_is_that_of_those_who_are_compared():
+    gallery = MemoryGallery("synthetic", SIZE, replace(CALIBRATION, crowd=0.5))
+    gallery.add_person("alike", face(1, 0.4)[None])
+    gallery.add_person("anna", face(1)[None], enrolled=True)
+    everybody, = gallery.match(face(1, 0.2, 5)[None])
+    enrolled, = gallery.match(face(1, 0.2, 5)[None], enrolled_only=True)
+    assert enrolled.candidates[0].distance == pytest.approx(0.2, abs=1e-3)
+    assert everybody.candidates[0].distance > 0.21
+
+
 def test_room_for_more_persons_is_empty_room(gallery):
     gallery.add_person("anna", face(99)[None], enrolled=True)
     fill(gallery, 16)

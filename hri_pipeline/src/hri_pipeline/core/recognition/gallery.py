@@ -330,9 +330,11 @@ class MemoryGallery:
     def _distances(self, templates: np.ndarray, products: np.ndarray, rows: np.ndarray,
                    nearest_only: bool) -> np.ndarray:
         """Return the distances of templates (N, D) from the persons in `rows` (M,), of the products (N, M, T) with
-        their templates. Where the nearest one cannot be of the person anyhow, it alone counts, and as measured."""
+        their templates. Where the nearest one cannot be of the person anyhow, it alone counts, and as measured; so it
+        does, but for the mean of all, with `nearest_only`."""
         nearest = products.argmax(axis=2)
-        distances = template_distances(products.max(axis=2))
+        plain = template_distances(products.max(axis=2))
+        distances = plain.copy()
         limit = 1.0 - self.calibration.fair_midpoint ** 2 / 2.0
         for line, column in zip(*np.nonzero(distances < self.calibration.fair_midpoint)):
             own, best = products[line, column], nearest[line, column]
@@ -343,7 +345,21 @@ class MemoryGallery:
                 distances[line, column] = template_distances(
                     NEAREST_SHARE * own[best] + (1.0 - NEAREST_SHARE) * alike.mean())
             distances[line, column] = self.calibration.compared(distances[line, column], templates[line], kept[best])
+            if not nearest_only:
+                distances[line, column] += self._crowding(plain[line], kept[best], rows, column)
         return distances
+
+    def _crowding(self, distances: np.ndarray, template: np.ndarray, rows: np.ndarray, column: int) -> float:
+        """Return by how much the distance from the person in `column` of `rows` counts more, since others are near: to
+        the face, at the distances (M,) from the persons in `rows`, and to that person's template (D,)."""
+        if not self.calibration.crowd:
+            return 0.0
+        kept = self._templates[:len(rows)] if len(rows) == len(self._ids) else self._templates[rows]
+        mutual = template_distances(np.einsum("mtd,d->mt", kept, template).max(axis=1))
+        # Who is as near as that is the same human under another id.
+        others = mutual >= self.calibration.one_human
+        others[column] = False
+        return self.calibration.crowding(distances[others], mutual[others])
 
     def _result(self, distances: np.ndarray, firsts: np.ndarray, names: List[str], most: int,
                 views: float) -> MatchResult:

@@ -15,6 +15,10 @@ People whom the network knows little, and small or blurred faces, lie near the m
 other whoever they are. Where the mean is known, a distance counts the more, the nearer to it one of the two is (a local
 scale; Zelnik-Manor and Perona 2004, "Self-tuning spectral clustering").
 
+How alike the people of a place are (a family, a class), those tell who are known there: a distance counts the more, the
+nearer other people are to either of the two (symmetric adaptive score normalisation with the gallery as the cohort;
+Matejka et al. 2017, "Analysis of score normalization in multilingual speaker recognition").
+
 A likelihood ratio tells its false match rate: somebody else exceeds the ratio t with a probability of 1 / t at most
 (Markov's inequality; Good 1950, "Probability and the Weighing of Evidence").
 
@@ -39,6 +43,9 @@ UNIT_TOLERANCE = 1e-3
 """How far the length of a template may be from 1."""
 MOST_STRETCHED = 1.6
 """How many times as far as measured two templates count at most, near the mean of all."""
+COHORT, COHORT_SHARE, CROWD_SHARE = 3, 0.02, 0.5
+"""How many of the nearest other people tell how alike people are here, at least, and as a part of them all (of many, some
+are near by chance), and the part of what they are nearer than usual by which a distance counts more."""
 _MAX_EXPONENT = 40.0
 _LEAST_LIKELIHOOD = 0.05
 """Candidates below it are not compared with each other."""
@@ -73,6 +80,7 @@ class TemplateCalibration:
         against a stranger are a thousand to one.
     centre : mean of the templates of many people, a unit vector (D,); empty where it was not measured.
     radius : distance from `centre` of templates whose distances are those meant above.
+    crowd : distance of other people from a template below which people are alike here; 0 where it was not measured.
 
     Raises
     ------
@@ -90,6 +98,7 @@ class TemplateCalibration:
     one_human: float = math.nan
     centre: Tuple[float, ...] = ()
     radius: float = math.nan
+    crowd: float = 0.0
 
     def __post_init__(self) -> None:
         defaults = {"kin_midpoint": self.midpoint - _KIN_BELOW * self.scale, "kin_scale": _KIN_WIDER * self.scale,
@@ -114,6 +123,16 @@ class TemplateCalibration:
             return distance
         nearest = min(float(np.linalg.norm(template - self._centre)) for template in (first, second))
         return distance * min(MOST_STRETCHED, max(1.0, self.radius / max(nearest, 1e-6)))
+
+    def crowding(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Return by how much (0 or more) the distance of two templates counts more, for the distances of other people
+        from the one (N,) and from the other (M,)."""
+        nearer = 0.0
+        for others in (first, second):
+            count = max(COHORT, int(COHORT_SHARE * len(others)))
+            nearest = np.partition(others, count)[:count] if len(others) > count else others
+            nearer += float(np.maximum(0.0, self.crowd - nearest).sum()) / count
+        return CROWD_SHARE * nearer / 2.0
 
     @cached_property
     def _centre(self) -> np.ndarray:
