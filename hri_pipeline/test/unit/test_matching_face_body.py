@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -59,6 +60,42 @@ def feed(matcher, stamp, faces, bodies):
     for name, x in bodies.items():
         matcher.add_body(name, stamp, human(x)[1])
     return {(match.face, match.body): match.confidence for match in matcher.matches()}
+
+
+def plain_face_points(landmarks, aspect):
+    """The definition of face_points(), point by point."""
+    points = landmarks * np.array([aspect, 1.0, 1.0])
+    found = [(*points[indices, :2].mean(axis=0), points[indices, 2].min())
+             for indices in ([30], [*range(42, 48)], [*range(36, 42)], [16], [0])]
+    seen = points[points[:, 2] > 0.0, :2]
+    extent = np.ptp(seen, axis=0) if len(seen) else np.zeros(2)
+    return np.array(found + [(math.sqrt(extent[0] * extent[1]), aspect, 0.0)])
+
+
+def cost(call):
+    """Processor time of 200 calls, the least of five times, s."""
+    times = []
+    for _ in range(5):
+        began = time.process_time()
+        for _ in range(200):
+            call()
+        times.append(time.process_time() - began)
+    return min(times)
+
+
+@pytest.mark.parametrize("seen", [70, 41, 1, 0])
+def test_points_of_a_face_are_means_of_landmarks(seen):
+    random = np.random.default_rng(seen)
+    landmarks = random.uniform(0.1, 1.0, (70, 3))
+    landmarks[random.permutation(70)[seen:], 2] = 0.0
+    for aspect in (ASPECT, 1.0):
+        assert face_points(landmarks, aspect) == pytest.approx(plain_face_points(landmarks, aspect), abs=1e-12)
+
+
+def test_points_of_a_face_are_cheap():
+    """Ten faces send more than a hundred landmarks a second; it is a sixth (measured)."""
+    landmarks = np.random.default_rng(1).uniform(0.1, 1.0, (70, 3))
+    assert cost(lambda: face_points(landmarks, ASPECT)) < 0.5 * cost(lambda: plain_face_points(landmarks, ASPECT))
 
 
 def likelihood(landmarks, skeleton):

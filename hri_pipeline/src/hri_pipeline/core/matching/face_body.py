@@ -305,6 +305,9 @@ _SAME_POINTS: Tuple[Tuple[int, Tuple[int, ...], float], ...] = (
     (16, (16,), 0.3),
     (17, (0,), 0.3),
 )
+_LANDMARKS = np.concatenate([indices for _, indices, _ in _SAME_POINTS])
+_COUNTS = np.array([[len(indices)] for _, indices, _ in _SAME_POINTS])
+_BEGINS = _COUNTS[:, 0].cumsum() - _COUNTS[:, 0]
 _MIN_WEIGHT = 1.3       # at least two points, one of them an eye or the nose
 # Two estimates of one head: across the line of sight (m), and along it, where both are inexact and more so far away.
 ACROSS_M, ALONG_M, ALONG_SHARE = 0.2, 0.3, 0.15
@@ -318,13 +321,16 @@ def face_points(landmarks: np.ndarray, aspect: float) -> np.ndarray:
     points are in heights of the image, and so is the size: the square root of the area of the landmarks' bounding
     box, 0 where it has none.
     """
-    points = landmarks * np.array([aspect, 1.0, 1.0])
-    found = [(*points[list(indices), :2].mean(axis=0), points[list(indices), 2].min())
-             for _, indices, _ in _SAME_POINTS]
-    seen = points[points[:, 2] > 0.0, :2]
-    extent = np.ptp(seen, axis=0) if len(seen) else np.zeros(2)
-    size = math.sqrt(float(extent[0] * extent[1]))
-    return np.array(found + [(size, aspect, 0.0)])
+    # All sums at once: ten faces send more than a hundred of these a second.
+    points = np.empty((len(_SAME_POINTS) + 1, 3))
+    chosen = landmarks[_LANDMARKS]
+    points[:-1, :2] = np.add.reduceat(chosen[:, :2], _BEGINS) / _COUNTS
+    points[:-1, 2] = np.minimum.reduceat(chosen[:, 2], _BEGINS)
+    seen = landmarks if landmarks[:, 2].min() > 0.0 else landmarks[landmarks[:, 2] > 0.0]
+    width, height, _ = (seen.max(axis=0) - seen.min(axis=0)).tolist() if len(seen) else (0.0, 0.0, 0.0)
+    points[:-1, 0] *= aspect
+    points[-1] = math.sqrt(aspect * width * height), aspect, 0.0
+    return points
 
 
 def body_points(skeleton: np.ndarray) -> np.ndarray:
