@@ -516,3 +516,23 @@ def test_the_shape_of_the_image_of_one_face_is_no_matter_of_the_others(aspect):
         matcher.add_body(name, 1.0, human(x)[1])
     found = {(match.face, match.body): match.confidence for match in matcher.matches()}
     assert {pair: value for pair, value in found.items() if pair[0] != "other"} == pytest.approx(expected)
+
+
+def test_a_body_waits_until_it_was_compared_with_all_faces():
+    matcher = make(["fa", "fb"], ["ba"])
+    assert not matcher.awaits_faces, "no skeleton yet"
+    matcher.add_face("fa", 1.0, human(0.3)[0], ASPECT)
+    matcher.add_body("ba", 1.0, human(0.3)[1])
+    assert matcher.awaits_faces
+    assert len(matcher.matches()) == 1
+    assert matcher.awaits_faces, "the other face may come yet"
+    matcher.add_face("fb", 1.0, human(0.7)[0], ASPECT)
+    matcher.matches()
+    assert not matcher.awaits_faces
+    matcher.add_face("fa", 1.1, human(0.3)[0], ASPECT)
+    assert not matcher.awaits_faces, "a newer image of faces says nothing of the body"
+    matcher.set_tracked("faces", ["fa", "fb", "new"])
+    assert matcher.awaits_faces
+    matcher.set_tracked("faces", ["fa", "fb"])
+    matcher.add_body("ba", 1.2, human(0.3)[1])
+    assert matcher.awaits_faces

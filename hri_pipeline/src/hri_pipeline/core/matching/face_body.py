@@ -106,6 +106,12 @@ class FaceBodyMatcher:
         face, body = pair
         return face not in self._tracked["faces"] or body not in self._tracked["bodies"]
 
+    @property
+    def awaits_faces(self) -> bool:
+        """Tell whether a body waits for faces: its newest skeleton was not compared with all that are tracked."""
+        faces = self._tracked["faces"]
+        return any(self._awaits(body, faces) for body in self._tracked["bodies"])
+
     def add_face(self, face: str, stamp: float, landmarks: np.ndarray, aspect: float, frame: str = "") -> None:
         """Take the landmarks (70, 3) of a face in the image of time `stamp` (s).
 
@@ -193,6 +199,11 @@ class FaceBodyMatcher:
         stamps = self._history.stamps_of("bodies", body)
         return stamps[bisect_left(stamps, self._compared[body].stamp):] if body in self._compared else stamps
 
+    def _awaits(self, body: str, faces: Set[str]) -> bool:
+        done = self._compared.get(body)
+        newest = self._history.newest_of("bodies", body)
+        return newest > -math.inf and (done is None or newest > done.stamp or not faces <= done.faces)
+
     def _near(self, stamp: float, others: Sequence[float]) -> bool:
         """Tell whether `others`, in rising order, tell where somebody is at `stamp`."""
         place = bisect_left(others, stamp)
@@ -255,9 +266,11 @@ class FaceBodyMatcher:
         Both may be seen without being compared, such as a body of which no image shows the head: nothing says that they
         are two, and another face that fits the body takes it.
         """
-        for pair in list(self._states):
-            if self._unseen("faces", pair[0]) or self._unseen("bodies", pair[1]):
-                del self._states[pair]
+        faces, bodies = ({name for name in {pair[side] for pair in self._states} if self._unseen(kind, name)}
+                         for side, kind in enumerate(("faces", "bodies")))
+        if faces or bodies:
+            self._states = {pair: state for pair, state in self._states.items()
+                            if pair[0] not in faces and pair[1] not in bodies}
 
     def _unseen(self, kind: str, name: str) -> bool:
         """Tell whether a face or body was not seen for long, by images of its own kind, or those are missing for long;
