@@ -14,6 +14,7 @@ from wire_layouts import serialise
 from hri_msgs.msg import (
     AudioFeatures,
     Expression,
+    FacialActionUnits,
     FacialLandmarks,
     IdsMatch,
     LiveSpeech,
@@ -281,6 +282,20 @@ def test_action_units_are_99_pairs_in_range():
     assert (msg.intensity[7], msg.confidence[7]) == (0.0, 0.0), "what is not finite is not known"
     with pytest.raises(ValueError, match="99"):
         conversions.action_units_to_msg(np.zeros(98), np.zeros(99), conversions.make_header(0.0, ""))
+
+
+def test_action_units_are_read_clipped_and_must_be_finite():
+    random = np.random.default_rng(1)
+    intensity, confidence = random.uniform(-0.5, 1.5, (2, 99))
+    message = over_the_wire(FacialActionUnits(intensity=intensity.tolist(), confidence=confidence.tolist()))
+    read = conversions.action_units_from_msg(message)
+    assert np.array(read) == pytest.approx(np.clip([intensity, confidence], 0.0, 1.0), abs=1e-6)
+    for length, wrong in ((98, 0.5), (99, float("nan")), (99, float("inf"))):
+        for field in ("intensity", "confidence"):
+            values = {"intensity": [0.5] * 99, "confidence": [0.5] * 99}
+            values[field] = [0.5] * (length - 1) + [wrong]
+            with pytest.raises(ValueError, match="99 intensities|finite"):
+                conversions.action_units_from_msg(FacialActionUnits(**values))
 
 
 def test_expression_is_clipped_and_must_be_finite():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from itertools import groupby
 
 import numpy as np
@@ -344,3 +345,38 @@ def test_one_bad_place_costs_no_other_candidate(bad):
         run(matcher, 0.0, 2.0, {"fa": moving, "fb": still})
         found.append([(match.voice, match.id) for match in matcher.matches(2.0)])
     assert found == [[("v1", "fa")]] * 2
+
+
+def plain_angles(direction, places):
+    """Angle and distance of each place, by vectors."""
+    return {key: (math.atan2(np.linalg.norm(np.cross(direction, place)), float(direction @ place)),
+                  float(np.linalg.norm(place))) for key, place in places.items()}
+
+
+def test_places_are_compared_by_angle_and_distance():
+    random = np.random.default_rng(1)
+    direction, places = random.normal(size=3), {(FACE, str(number)): random.normal(size=3) for number in range(50)}
+    matcher = make(voices=["v1"])
+    matcher.set_direction("v1", direction, places)
+    found, expected = matcher._voices["v1"].angles, plain_angles(direction, places)
+    assert found.keys() == expected.keys()
+    assert np.array(list(found.values())) == pytest.approx(np.array(list(expected.values())))
+
+
+def test_places_of_many_are_cheap():
+    """Ten faces and ten persons are compared four times a second; it is a fifteenth (measured)."""
+    random = np.random.default_rng(1)
+    direction, places = random.normal(size=3), {(FACE, str(number)): random.normal(size=3) for number in range(20)}
+    matcher = make(voices=["v1"])
+
+    def cost(call):
+        times = []
+        for _ in range(5):
+            began = time.process_time()
+            for _ in range(20):
+                call()
+            times.append(time.process_time() - began)
+        return min(times)
+
+    assert (cost(lambda: matcher.set_direction("v1", direction, places))
+            < 0.4 * cost(lambda: plain_angles(direction, places)))

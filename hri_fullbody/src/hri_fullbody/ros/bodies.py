@@ -15,7 +15,6 @@ import numpy as np
 import rospy
 from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import String
-from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from hri_fullbody.core.detection.windows import FaceBox, face_boxes
@@ -28,6 +27,7 @@ from hri_fullbody.ros.state_publishers import StatePublishers
 from hri_fullbody.ros.topics import NAMESPACE, BodyTopics, pointing_message, skeleton_markers
 from hri_msgs.msg import IdsMatch, PointingStamped
 from hri_pipeline.core.error_log import ItemGuard
+from hri_pipeline.core.frames import RawTransform, read, scan
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.observations import BodyObservation, FaceObservation
@@ -39,7 +39,6 @@ from hri_pipeline.ros.conversions import (
     LandmarkArray,
     landmarks_from_msg,
     match_to_msg,
-    pose_from_transform,
     transform_to_msg,
 )
 from hri_pipeline.ros.diagnostics import OK, WARN, Status
@@ -285,7 +284,7 @@ MAX_AGE_S = 0.5
 # The pose decides about the distance of a body, and heads nod: it must be nearly of the image's time.
 _POSE_AGE_S = 0.2
 _POSES = 8
-_PREFIX = "face_"
+_PREFIX = b"face_"
 
 
 class FaceInput:
@@ -299,7 +298,7 @@ class FaceInput:
         """list_timeout: see IdSubscribers."""
         self._lock = threading.Lock()
         self._landmarks: Dict[str, Tuple[float, str, np.ndarray]] = {}
-        self._poses: Dict[str, Deque[Tuple[float, str, Pose]]] = {}
+        self._poses: Dict[str, Deque[RawTransform]] = {}
         self._ids: List[str] = []
         self._feed = IdSubscribers("faces", {"landmarks": LandmarkArray}, self._store, self._keep,
                                    list_timeout=list_timeout)
@@ -342,34 +341,40 @@ class FaceInput:
 
     def _on_transforms(self, message: rospy.AnyMsg) -> None:
         """Take the poses of faces out of a serialised tf2_msgs/TFMessage."""
-        if _PREFIX.encode() not in message._buff:
+        data = message._buff
+        if _PREFIX not in data:
             return
         try:
-            transforms = TFMessage().deserialize(message._buff).transforms
-        except Exception as error:  # one message never ends the node
+            frames = scan(data)
+        except ValueError as error:     # one message never ends the node
             rospy.logwarn_throttle(10.0, "/tf: message not used: %s: %s", type(error).__name__, error)
             return
-        for transform in transforms:
-            child = transform.child_frame_id.lstrip("/")
-            if child.startswith(_PREFIX):
-                self._store_pose(child[len(_PREFIX):], transform)
+        for child, offset in frames:
+            if child.lstrip(b"/").startswith(_PREFIX):
+                self._store_pose(data, offset)
 
-    def _store_pose(self, identity: str, transform: object) -> None:
+    def _store_pose(self, data: bytes, offset: int) -> None:
+        """Keep the transform at an offset of a message; it is made a pose when an image asks for it."""
         try:
-            pose = pose_from_transform(transform)
+            transform = read(data, offset)
+            identity = transform.child[len(_PREFIX):]
+            if not transform.is_pose:
+                raise ValueError("its numbers are no pose of {}".format(identity[:40]))
         except ValueError as error:
-            rospy.logwarn_throttle(10.0, "/tf: pose of face %s not used: %s", identity[:40], error)
+            rospy.logwarn_throttle(10.0, "/tf: pose of a face not used: %s", error)
             return
-        entry = (transform.header.stamp.to_sec(), transform.header.frame_id.lstrip("/"), pose)
         with self._lock:
             if identity in self._ids:
-                self._poses.setdefault(identity, deque(maxlen=_POSES)).append(entry)
+                self._poses.setdefault(identity, deque(maxlen=_POSES)).append(transform)
 
     def _pose_near(self, identity: str, stamp: float, frame_id: str) -> Optional[Pose]:
         """Pose of a face in `frame_id` nearest to `stamp`, None when there is none within 0.2 s."""
-        fitting = [entry for entry in self._poses.get(identity, ())
-                   if entry[1] == frame_id.lstrip("/") and abs(entry[0] - stamp) <= _POSE_AGE_S]
-        return min(fitting, key=lambda entry: abs(entry[0] - stamp))[2] if fitting else None
+        fitting = [transform for transform in self._poses.get(identity, ())
+                   if transform.parent == frame_id.lstrip("/") and abs(transform.stamp - stamp) <= _POSE_AGE_S]
+        if not fitting:
+            return None
+        nearest = min(fitting, key=lambda transform: abs(transform.stamp - stamp))
+        return Pose.from_quaternion(nearest.rotation, nearest.translation)
 
 
 _GRACE_S = 3.0

@@ -5,6 +5,7 @@ Callbacks only store; the loop of each node, spin(), compares and publishes.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 import traceback
@@ -132,6 +133,7 @@ class FaceBodyMatcherNode(MatcherBase):
         self._matcher = FaceBodyMatcher(settings)
         self._changes: MatchChanges[Pair] = MatchChanges(FACE_BODY_STEP)
         self._last_diagnostics = 0.0
+        self._image, self._awaited = math.nan, False    # the last image of faces, and whether a body waited for it
         self._feeds = [
             IdSubscribers("faces", {"landmarks": LandmarkArray}, self._on_landmarks, self._tracked("faces"),
                           list_timeout=settings.list_timeout),
@@ -162,11 +164,16 @@ class FaceBodyMatcherNode(MatcherBase):
         return on_tracked
 
     def _on_landmarks(self, identity: str, name: str, message: genpy.Message) -> None:
-        points = landmarks_from_msg(message)
+        points, stamp = landmarks_from_msg(message), message.header.stamp.to_sec()
         aspect = message.width / message.height if message.height else 0.0
         with self._lock:
-            self._matcher.add_face(identity, message.header.stamp.to_sec(), points, aspect, message.header.frame_id)
-        self._changed.set()
+            self._matcher.add_face(identity, stamp, points, aspect, message.header.frame_id)
+            if stamp != self._image:
+                self._image, self._awaited = stamp, self._matcher.awaits_faces
+            awaited = self._awaited
+        # On a busy machine bodies come less often than faces: most images of faces change nothing.
+        if awaited:
+            self._changed.set()
 
     def _on_skeleton(self, identity: str, name: str, message: genpy.Message) -> None:
         points = skeleton_from_msg(message)

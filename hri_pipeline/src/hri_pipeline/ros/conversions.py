@@ -181,12 +181,14 @@ def action_units_from_msg(msg: FacialActionUnits) -> Tuple[np.ndarray, np.ndarra
 
     Raises ValueError for another number of them or for what is not finite.
     """
-    values = np.array([msg.intensity, msg.confidence] if len(msg.intensity) == len(msg.confidence) else [[]])
-    if values.shape != (2, ACTION_UNITS):
+    if not len(msg.intensity) == len(msg.confidence) == ACTION_UNITS:
         raise ValueError("FacialActionUnits needs {} intensities and confidences, not {} and {}".format(
             ACTION_UNITS, len(msg.intensity), len(msg.confidence)))
+    # A hundred a second: numpy takes five times as long for two lists as for one, and for clip().
+    values = np.array((*msg.intensity, *msg.confidence))
     _finite(values, "FacialActionUnits")
-    return np.clip(values[0], 0.0, 1.0), np.clip(values[1], 0.0, 1.0)
+    values = np.minimum(np.maximum(values, 0.0), 1.0)
+    return values[:ACTION_UNITS], values[ACTION_UNITS:]
 
 
 def expression_to_msg(category: str, valence: float, arousal: float, confidence: float, header: Header) -> Expression:
