@@ -65,6 +65,7 @@ FRESH_TIME = 1.0           # s for which a place counts as that of now,
 FRESH_PERIODS = 3.0        # and so many image periods, where these are longer;
 SLOW_TIME = 2.0            # s at most for a source that is slower than the images of its sensor
 LATE_TIME = 1.0            # s by which a place may lag to be one of now
+UNSEEN_S = 0.5             # s after the last place of a body from which it was not seen where another one was
 TOGETHER_S = 1.0           # s for which a face and a body are seen until their match has come, were it to come
 LATE_IMAGES = 3.0          # lags: work on an image that lasts, the next one, and one in which nothing was found
 HIGHEST_SPEED = 3.0        # m/s, a person who runs; more is a jump of the measurement
@@ -346,6 +347,16 @@ class FeaturePlaces:
                 found[np.ix_(rows, columns)] = _squared_distances(
                     [self._known[faces[row]] for row in rows], [self._known[bodies[column]] for column in columns])
         return found
+
+    def outdated(self, bodies: Sequence[MatchNode], gate: float) -> Set[MatchNode]:
+        """Return those of the bodies that were not seen any more when another one of their sensor was at their place;
+        gate: see squared_distances."""
+        stamps = np.array([self._known[body].place.stamp if body in self._known else math.nan for body in bodies])
+        is_newer = stamps > stamps[:, None] + UNSEEN_S
+        if not is_newer.any():
+            return set()
+        replaced = (is_newer & (self.squared_distances(bodies, bodies) <= gate)).any(axis=1)
+        return {body for body, is_outdated in zip(bodies, replaced.tolist()) if is_outdated}
 
     def match_delay(self, face: MatchNode, body: MatchNode) -> float:
         """Return how much later (s) than without a lag the match of two may come; 0 once both have been seen for
