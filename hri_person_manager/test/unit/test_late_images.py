@@ -48,16 +48,32 @@ class Crowd:
                                      3.0 + 1.3 * (order // 5)])
         self.phase, self.along = self.rng.uniform(0.0, 6.3, people), 1.0 + 0.08 * self.rng.normal(size=(2, people))
         self.periods, self.people, self.most, self.wrong = periods, people, 0, 0
+        self.renewal, self.shown = 0.0, set()
+
+    def bodies(self, stamp):
+        """Ids of the bodies at `stamp`, by human, and those of before that are listed still.
+
+        They begin anew every `renewal` s, one after the other, and the old ids stay for three images.
+        """
+        if not self.renewal:
+            return ["b%d" % number for number in range(self.people)], []
+        begun = [stamp - 2.0 - self.renewal * (1.0 + number / self.people) for number in range(self.people)]
+        ids = ["b%d" % number + "n" * max(0, int(since // self.renewal) + 1) for number, since in enumerate(begun)]
+        listed = [name[:-1] for name, since in zip(ids, begun)
+                  if name.endswith("n") and since % self.renewal < 3.0 * self.periods[1]]
+        return ids, listed
 
     def tell(self, kind, stamp, now):
         """What one image shows, of a body in nine of ten images only."""
         of, name, source = KINDS[kind]
-        ids = ["%s%d" % (name[0], number) for number in range(self.people)]
-        self.matcher.set_tracked(name, ids)
-        self.manager.on_tracked(of, ids, now)
+        ids, listed = self.bodies(stamp) if kind else (["f%d" % number for number in range(self.people)], [])
+        self.matcher.set_tracked(name, ids + listed)
+        self.manager.on_tracked(of, ids + listed, now)
         for number, identity in enumerate(ids):
-            if kind and stamp > self.periods[1] and self.rng.random() < 0.1:
+            is_new = kind and identity not in self.shown
+            if kind and stamp > self.periods[1] and not is_new and self.rng.random() < 0.1:
                 continue
+            self.shown.add(identity)
             place = self.home[number] + (0.8 * np.sin(stamp + self.phase[number]), 0.0, 0.0)
             points = head(place, self.rng)[kind]
             if kind:
@@ -80,7 +96,7 @@ class Crowd:
         self.manager.tick(now)
         persons = [person for person in self.manager.snapshot(now).persons if person.tracked and not person.alias]
         self.most = max(self.most, len(persons))
-        self.wrong += sum(bool(person.face and person.body) and person.face[1:] != person.body[1:]
+        self.wrong += sum(bool(person.face and person.body) and person.face[1:] != person.body[1:].rstrip("n")
                           for person in persons)
 
 
@@ -94,3 +110,17 @@ def test_late_images_make_no_more_persons_than_people(people, periods):
     assert crowd.most == people and crowd.wrong == 0
     assert all(crowd.manager.person_of(MatchNode(Kind.FACE, "f%d" % number))
                == crowd.manager.person_of(MatchNode(Kind.BODY, "b%d" % number)) is not None for number in range(people))
+
+
+@pytest.mark.parametrize("periods", [(0.1, 0.2), (0.1, 1.0), (0.3, 3.0)],
+                         ids=lambda periods: "faces %g s, bodies %g s" % periods)
+def test_bodies_that_begin_anew_beside_their_old_ids_make_no_more_persons(periods):
+    crowd = Crowd(6, periods, seed=2)
+    crowd.renewal = 12.0
+    owners = {}
+    for step in range(1, 401):
+        crowd.step(round(0.1 * step, 6))
+        for number in range(6 if step > 100 else 0):
+            owners.setdefault(number, set()).add(crowd.manager.person_of(MatchNode(Kind.FACE, "f%d" % number)))
+    assert crowd.most == 6 and crowd.wrong == 0
+    assert all(len(persons) == 1 for persons in owners.values())

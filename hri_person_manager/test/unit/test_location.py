@@ -128,6 +128,43 @@ def test_a_body_too_far_from_the_face_is_taken_as_it_is():
     assert abs(way[-1, 1] - 0.5 * way[-1, 0]) < 1e-9
 
 
+def late_bodies(speed=0.0, face_rate=30.0, lag=3.0, face_error=0.6, until=10.0, then=16.0):
+    """Times, x (m) and covariances of a person whose body comes `lag` s late, and whose face ends after `until` s."""
+    location, way, period = PersonLocation(0.5), [], round(30.0 / face_rate)
+    for number in range(int(then * 30.0)):
+        now = number / 30.0
+        if now < until and number % period == 0:
+            location.offer(PlaceSource.FACE, place(speed * now + face_error, now), now, "f")
+        if now >= lag and number % 30 == 0:
+            seen = replace(place(speed * (now - lag), now - lag), covariance=0.01 * np.eye(3))
+            location.offer(PlaceSource.HEAD, seen, now, "b", lag=lag)
+        way.append((now, location.place.pose.translation[0],
+                    0.0 if location.place.covariance is None else location.place.covariance[0, 0]))
+    return np.array(way)
+
+
+@pytest.mark.parametrize("face_rate", [2.0, 5.0, 30.0])
+def test_a_late_body_goes_on_from_where_its_face_was_at_that_time(face_rate):
+    now, x, variance = late_bodies(face_rate=face_rate).T
+    assert np.abs(np.diff(x)).max() < 0.2 and x[-1] < 0.5
+    assert variance[now > 12.0].min() > 0.3          # one of the two is wrong by 0.6 m
+
+
+def test_a_body_from_before_the_last_image_of_the_face_moves_nobody():
+    now, x, _ = late_bodies(speed=0.5).T
+    assert np.abs(np.diff(x[now < 12.9])).max() < 0.1, "it was 1 m behind"
+    assert np.abs(np.diff(x)).max() < 0.55
+
+
+def test_an_image_of_a_face_that_comes_late_does_not_end_the_comparison_with_its_body():
+    location = PersonLocation(0.5)
+    for stamp in (0.0, 0.2, 0.4, 0.3, 0.6):
+        location.offer(PlaceSource.FACE, place(1.6, stamp), stamp, "f")
+    location.offer(PlaceSource.HEAD, place(1.0, 0.1), 0.6, "b")
+    assert location.offer(PlaceSource.HEAD, place(1.0, 1.7), 1.7, "b")
+    assert location.place.pose.translation[0] > 1.2
+
+
 def test_a_body_in_another_frame_is_taken_as_it_is():
     location = PersonLocation(0.5)
     for number in range(10):

@@ -233,6 +233,19 @@ def test_a_face_too_small_for_a_template_is_compared_by_its_picture():
     assert judge.verdict(memory, small[1], 0.1) is Verdict.SAME
 
 
+@pytest.mark.parametrize("turned, light, same", [(0.4, 1.0, True), (0.05, 1.0, False), (0.4, 0.5, False)])
+def test_a_head_that_turns_between_two_looks_is_no_other_face(turned, light, same):
+    """Its small picture changes as much as that of another face; its colours do not."""
+    faces, seen = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceJudge()), []
+    for index, (seed, turn) in enumerate([(1, 0.0)] * 3 + [(2, turned)] * 3):
+        image = scene((seed, 200), light=1.0 if index < 3 else light)
+        points = mesh(200, turned=turn)
+        faces.update([FaceMeasurement(points, 0.99, True, np.full((5, 4, 3), 0.4 * (1.0 if index < 3 else light)),
+                                      look=FaceLook(image, points))], 0.25 * index)
+        seen.append([track.id for track in faces.tracks if track.visible])
+    assert (seen[-1] == seen[0]) is same
+
+
 def view(seed, shift=(0, 0), light=1.0, offset=0.0):
     """A picture of a room, seen by a camera that has moved by `shift` px."""
     small = np.random.RandomState(seed).randint(0, 255, (16, 22, 3), np.uint8)

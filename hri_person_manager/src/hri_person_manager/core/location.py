@@ -51,8 +51,10 @@ SAME_TIME = 0.1            # s between a face and a body that are compared
 LARGEST_STEP = 1.0         # m; farther apart a face and a body are of two people, or one of them is wrong
 # s in which half of the step is given up: the longer the face is away, the more the body is right
 HALF_LIFE = 1.0
+_LEAST_KEPT = 0.7          # of the step from one look at the body to the next, however far apart they are
 _GAIN = 0.3                # of a new step
-_HISTORY = 30              # faces
+_HISTORY_S = 12.0          # s of faces: bodies of an image have come 3 to 5 s after its faces
+_GAP_S = 0.7               # s between two images of a face that tell where it was meanwhile
 DECAY_KINDS = ("exponential", "linear", "step")
 UNSEEN_CEILING = 0.99      # a person who is not seen is never at 1, not even in the first instant
 STEP_CONFIDENCE = 0.5
@@ -63,6 +65,7 @@ FRESH_TIME = 1.0           # s for which a place counts as that of now,
 FRESH_PERIODS = 3.0        # and so many image periods, where these are longer;
 SLOW_TIME = 2.0            # s at most for a source that is slower than the images of its sensor
 LATE_TIME = 1.0            # s by which a place may lag to be one of now
+UNSEEN_S = 0.5             # s after the last place of a body from which it was not seen where another one was
 TOGETHER_S = 1.0           # s for which a face and a body are seen until their match has come, were it to come
 LATE_IMAGES = 3.0          # lags: work on an image that lasts, the next one, and one in which nothing was found
 HIGHEST_SPEED = 3.0        # m/s, a person who runs; more is a jump of the measurement
@@ -72,30 +75,37 @@ HEAD_M, TRUNK_M = 0.15, 0.5    # of a face from the head of its body, and from i
 class FaceBodyTransition:
     """Follows how far the place of a face is from that of its body, while both are seen.
 
-    Times are stamps, s; places m in a named frame.
+    Times are stamps, s; places m in a named frame. On a busy machine bodies come seconds after the faces of their
+    image: what is compared is of one time, not what comes at once.
     """
 
     def __init__(self) -> None:
-        self._faces: Deque[Tuple[float, str, np.ndarray]] = deque(maxlen=_HISTORY)
+        self._faces: Deque[Tuple[float, str, np.ndarray]] = deque()
         self._period: Optional[float] = None
         self._step: Optional[np.ndarray] = None
         self._of: Tuple[str, Hashable] = ("", None)
+        self._share, self._shared_at = 1.0, -math.inf       # what is left of the step, of a body of which stamp
 
     def face(self, frame: str, position: np.ndarray, stamp: float) -> None:
         """Take the place of the face."""
         since = stamp - self._faces[-1][0] if self._faces else 0.0
-        if since < 0.0:
+        if since < -JUMP_BACK_S or (self._faces and self._faces[-1][1] != frame):
             self.clear()
+        elif since < 0.0:
+            return
         elif 0.0 < since < 1.0:
             self._period = since if self._period is None else self._period + _GAIN * (since - self._period)
         self._faces.append((stamp, frame, position))
+        self._share, self._shared_at = 1.0, -math.inf
+        while stamp - self._faces[0][0] > _HISTORY_S:
+            self._faces.popleft()
 
     def body(self, frame: str, position: np.ndarray, stamp: float, feature: Hashable) -> None:
-        """Take the place of the body while the face is there; feature: which frame of which body."""
-        near = min(self._faces, key=lambda face: abs(face[0] - stamp), default=None)
-        if near is None or abs(near[0] - stamp) > SAME_TIME or near[1] != frame:
+        """Take the place of the body; feature: which frame of which body."""
+        face = self._face_at(frame, stamp)
+        if face is None:
             return
-        step = near[2] - position
+        step = face - position
         known = self._step is not None and self._of == (frame, feature)
         self._step = self._step + _GAIN * (step - self._step) if known else step
         self._of = (frame, feature)
@@ -107,17 +117,41 @@ class FaceBodyTransition:
             return longest
         return min(longest, max(SHORTEST, PERIODS * self._period))
 
-    def shifted(self, frame: str, pose: Pose, stamp: float, feature: Hashable) -> Pose:
-        """Return where the person is by the body alone: its place and what is left of the step to the face."""
-        if self._step is None or self._of != (frame, feature) or np.linalg.norm(self._step) > LARGEST_STEP:
-            return pose
-        away = max(0.0, stamp - self._faces[-1][0])
-        return Pose(pose.rotation, pose.translation + 0.5 ** (away / HALF_LIFE) * self._step)
+    def shifted(self, place: Place, feature: Hashable) -> Place:
+        """Return where the person is by the body alone: its place and what is left of the step to the face.
+
+        A place from before the last one of the face tells nothing new. Its covariance holds the step: one of the two is
+        wrong by it.
+        """
+        step = self._step
+        if step is None or self._of != (place.frame, feature) or np.linalg.norm(step) > LARGEST_STEP:
+            return place
+        stamp, _, last = self._faces[-1]
+        since = place.stamp - max(stamp, self._shared_at)
+        self._share *= max(_LEAST_KEPT, 0.5 ** (max(0.0, since) / HALF_LIFE))
+        self._shared_at = max(place.stamp, self._shared_at)
+        is_older = -_HISTORY_S < place.stamp - stamp <= 0.0
+        position = last if is_older else place.pose.translation + self._share * step
+        covariance = None if place.covariance is None else place.covariance + np.outer(step, step)
+        return replace(place, pose=Pose(place.pose.rotation, position), covariance=covariance)
+
+    def _face_at(self, frame: str, stamp: float) -> Optional[np.ndarray]:
+        """Where (3,) m the face was at a time, between two images or in one nearly of that time; None: not known."""
+        if not self._faces or self._faces[-1][1] != frame:
+            return None
+        place = next((number for number in range(len(self._faces) - 1, -1, -1) if self._faces[number][0] < stamp), -1)
+        near = [self._faces[number] for number in (place, place + 1) if 0 <= number < len(self._faces)]
+        if len(near) == 2 and near[1][0] - near[0][0] <= _GAP_S:
+            share = (stamp - near[0][0]) / (near[1][0] - near[0][0])
+            return (1.0 - share) * near[0][2] + share * near[1][2]
+        near = [face for face in near if abs(face[0] - stamp) <= SAME_TIME]
+        return min(near, key=lambda face: abs(face[0] - stamp))[2] if near else None
 
     def clear(self) -> None:
         """Forget everything."""
         self._faces.clear()
         self._period = self._step = None
+        self._share, self._shared_at = 1.0, -math.inf
 
 
 _OF_BODY = (PlaceSource.HEAD, PlaceSource.BODY)
@@ -314,6 +348,16 @@ class FeaturePlaces:
                     [self._known[faces[row]] for row in rows], [self._known[bodies[column]] for column in columns])
         return found
 
+    def outdated(self, bodies: Sequence[MatchNode], gate: float) -> Set[MatchNode]:
+        """Return those of the bodies that were not seen any more when another one of their sensor was at their place;
+        gate: see squared_distances."""
+        stamps = np.array([self._known[body].place.stamp if body in self._known else math.nan for body in bodies])
+        is_newer = stamps > stamps[:, None] + UNSEEN_S
+        if not is_newer.any():
+            return set()
+        replaced = (is_newer & (self.squared_distances(bodies, bodies) <= gate)).any(axis=1)
+        return {body for body, is_outdated in zip(bodies, replaced.tolist()) if is_outdated}
+
     def match_delay(self, face: MatchNode, body: MatchNode) -> float:
         """Return how much later (s) than without a lag the match of two may come; 0 once both have been seen for
         TOGETHER_S, and an image more, of one time."""
@@ -387,9 +431,9 @@ class PersonLocation:
         """
         better = self._better(source, place.stamp, now, feature)
         self._reports[source, feature] = _LastReport(place.stamp, now, fresh, lag)
+        if source in _OF_BODY and better in (None, PlaceSource.FACE):
+            self._transition.body(place.frame, place.pose.translation, place.stamp, (source, feature))
         if better is not None:
-            if better == PlaceSource.FACE and source in _OF_BODY:
-                self._transition.body(place.frame, place.pose.translation, place.stamp, (source, feature))
             return False
         if source != PlaceSource.VOICE:
             self._seen = now
@@ -398,8 +442,7 @@ class PersonLocation:
         if source == PlaceSource.FACE:
             self._transition.face(place.frame, place.pose.translation, place.stamp)
         elif source in _OF_BODY:
-            place = replace(place, pose=self._transition.shifted(place.frame, place.pose, place.stamp,
-                                                                 (source, feature)))
+            place = self._transition.shifted(place, (source, feature))
         self._active = (source, feature)
         self._motion.see(place)
         self.place = place

@@ -432,14 +432,18 @@ class PersonManager:
     def _waiting_for_matches(self, now: float) -> Set[MatchNode]:
         """Features without a person at the place of a face, or body, of one camera that lacks them.
 
-        On a loaded machine their match comes seconds later; until then they are not told as somebody else.
+        On a loaded machine their match comes seconds later; until then they are not told as somebody else. A body that
+        has begun anew is listed beside its old id for some images: the old one is nobody else either.
         """
         waiting = self._table.unassigned
         if not waiting:
             return set()
         halves: Dict[Kind, List[MatchNode]] = {Kind.FACE: [], Kind.BODY: []}
-        for group in self._association.groups:
-            seen = [node for node in group if node.kind in halves]
+        groups = self._association.groups
+        outdated = self._places.outdated([node for group in groups for node in group if node.kind == Kind.BODY],
+                                         MATCH_GATE)
+        for group in groups:
+            seen = [node for node in group if node.kind in halves and node not in outdated]
             if len(seen) == 1:
                 halves[seen[0].kind].append(seen[0])
         faces, bodies = halves[Kind.FACE], halves[Kind.BODY]
@@ -451,7 +455,7 @@ class PersonManager:
         pairs = [(faces[row], bodies[column]) for row, column in assign(costs, MATCH_GATE)]
         matched = {node for face, body in pairs for node in [body if body in waiting else face]
                    if now - waiting[node] <= MATCH_WAIT_S + self._places.match_delay(face, body)}
-        return matched | self._waiting_for_places(
+        return matched | outdated.intersection(waiting) | self._waiting_for_places(
             {node for node, since in waiting.items() if now - since <= PLACE_WAIT_S}, faces, bodies)
 
     def _waiting_for_places(self, new: Set[MatchNode], faces: List[MatchNode],

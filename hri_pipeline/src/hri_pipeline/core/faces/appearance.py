@@ -47,6 +47,8 @@ FOUND_PART = 0.8
 SAME_CHIP, OTHER_CHIP = 0.7, 0.45
 """Correlations with the best view from which it is the same face, and below which it is another one, where there is
 no template."""
+TURN = 0.15
+"""Change of the asymmetry by which a head has turned: its small picture then tells nothing."""
 VIEW_PERIOD, VIEWS = 0.5, 6
 """Time (s) between two views that are kept of a face, and how many."""
 CHECK_PERIOD = 2.0
@@ -188,17 +190,19 @@ class AppearanceJudge:
             look.keep_crop(self._size, self._alignment)
         look.release()
 
-    def verdict(self, memory: FaceMemory, look: FaceLook, stamp: float, doubtful: bool = False) -> Verdict:
+    def verdict(self, memory: FaceMemory, look: FaceLook, stamp: float, doubtful: bool = False,
+                same_colours: bool = False) -> Verdict:
         """Return whether a look shows the face that is remembered.
 
         doubtful: the face was lost, or the picture has changed, so that nothing but its appearance speaks for it.
+        same_colours: those of the face are as before, so that it may have turned.
         """
         memory.checked = stamp
         if self._is_near_known_views(memory, look):
             return Verdict.SAME
         distance = self.distance(memory, look)
         if distance is None:
-            return self._by_picture(memory, look, doubtful)
+            return self._by_picture(memory, look, doubtful, same_colours)
         if distance <= SAME_PART * self._equal:
             return Verdict.SAME
         if doubtful:
@@ -276,8 +280,10 @@ class AppearanceJudge:
                 look.template = template
 
     @staticmethod
-    def _by_picture(memory: FaceMemory, look: FaceLook, doubtful: bool) -> Verdict:
+    def _by_picture(memory: FaceMemory, look: FaceLook, doubtful: bool, same_colours: bool) -> Verdict:
         best = max(correlation(view, look) for view in list(memory.views) + [memory.last])
+        if same_colours and not doubtful and abs(look.asymmetry - memory.last.asymmetry) > TURN:
+            return Verdict.SAME
         if best < OTHER_CHIP:
             return Verdict.OTHER
         return Verdict.SAME if best >= SAME_CHIP or not doubtful else Verdict.UNSURE

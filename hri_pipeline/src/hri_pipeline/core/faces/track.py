@@ -45,6 +45,9 @@ _COLOUR_GRID = (4, 5)
 _COLOUR_MEMORY = 0.9
 _SAME_COLOURS, _OTHER_COLOURS = 0.03, 0.12
 """Mean difference of the colours (of 1) of one face between two images, and of two people's."""
+_TURNED_COLOURS = 0.2
+"""Appearance distance below which the colours are those of the same face, which may have turned: two people of one
+photograph are 0.6 and more apart, a head that turns within half a second up to 0.02."""
 
 
 @dataclass(frozen=True)
@@ -227,6 +230,12 @@ class FaceTrack:
         away = float(np.linalg.norm(centre - self._centre - self.shift(stamp))) / self._size
         return (away + SIZE_WEIGHT * abs(math.log(size / self._size)) > JUMP
                 or bool(appearance_distances([self.colours], [measurement.colours])[0, 0] >= 1.0))
+
+    def has_colours_of(self, measurement: FaceMeasurement) -> bool:
+        """Whether the colours of a measurement are known, and are those of this face."""
+        if self.colours is None or measurement.colours is None:
+            return False
+        return bool(appearance_distances([self.colours], [measurement.colours])[0, 0] < _TURNED_COLOURS)
 
     def continue_with(self, measurement: FaceMeasurement, stamp: float) -> None:
         """Update the track with a measurement of this face."""

@@ -378,7 +378,8 @@ class FaceTracker:
         doubtful = cut or track.replaced or lost or self._stalled
         if not (doubtful or track.is_unusual(measurement, stamp)):
             return True
-        verdict = self._judge.verdict(track.memory, measurement.look, stamp, doubtful)
+        verdict = self._judge.verdict(track.memory, measurement.look, stamp, doubtful,
+                                      track.has_colours_of(measurement))
         if verdict is Verdict.SAME:
             track.doubtful_since = None
         elif verdict is Verdict.UNSURE:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from dataclasses import dataclass
-from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from hri_pipeline.core.tracks import assign
 _HISTORY_S = 12.0       # bodies of an image have come 3 to 5 s after its faces, on two busy cores with ten people
 _GAP_S = 0.7            # between two images of a face that tell where it was meanwhile
 _LONGEST_LAG_S = 10.0
+_UNSEEN_S = 0.5         # after its last image a body was not seen where another one was,
+_UNSEEN_MALUS = 0.3     # which may be so much less likely
 MOST_ASPECT = 10.0
 """No image is so many times wider than high, or higher than wide: its size is not known."""
 MAX_APART_S = 0.15
@@ -288,10 +290,19 @@ class FaceBodyMatcher:
         bodies = sorted({body for _, body in likely})
         cost = np.full((len(faces), len(bodies)), np.inf)
         for (face, body), likelihood in likely.items():
-            bonus = self._settings.stay_bonus if (face, body) in self._matched else 0.0
+            bonus = self._advantage(face, body, likely)
             cost[faces.index(face), bodies.index(body)] = 1.0 - likelihood - bonus
         pairs = [(faces[row], bodies[column]) for row, column in assign(cost, 1.0)]
         self._matched = {pair: self._states[pair].likelihood for pair in pairs}
+
+    def _advantage(self, face: str, body: str, likely: Mapping[Pair, float]) -> float:
+        """Advantage of a pair that is matched; a disadvantage where its body was not seen any more when another likely
+        one of this face was: a body that begins anew is listed beside its old id for some images."""
+        last = self._history.newest_of("bodies", body)
+        newest = max(self._history.newest_of("bodies", other) for one, other in likely if one == face)
+        if newest > last + _UNSEEN_S:
+            return -_UNSEEN_MALUS
+        return self._settings.stay_bonus if (face, body) in self._matched else 0.0
 
 
 def head_place(chain: Sequence[Timed]) -> Optional[HeadPlace]:
