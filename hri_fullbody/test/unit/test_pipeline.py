@@ -395,3 +395,32 @@ def test_the_pipeline_takes_up_every_live_parameter():
     of_the_node = {"max_rate", "joint_state_rate"}
     assert {parameter.name for parameter in BODIES.live} - of_the_node <= changed.read
     assert pipeline._detector.threshold == 0.2     # what is fainter than 0.4 starts no body, and confirms one
+
+
+def remembered_places(told):
+    """Places, for whom to recognise again, of somebody who stands while the head turns by 10 degrees per second.
+
+    told: whether the pose of the camera is.
+    """
+    stage, scene, _ = make([(150, 400)])
+    places, focal = [], CAMERA.matrix[0, 0]
+    stage._reidentifier = SimpleNamespace(update=lambda bodies, stamp: places.extend(
+        (body.place, body.still) for body in bodies if body.place is not None) or [])
+    for index in range(80):
+        turn = math.radians(0.5) * index
+        cosine, sine = math.cos(turn), math.sin(turn)
+        pose = Pose(np.array([[sine, 0.0, cosine], [-cosine, 0.0, sine], [0.0, -1.0, 0.0]]), np.array([5.0, 5.0, 1.4]))
+        # On a circle around the camera: at one distance, and so of one size in this scene, by the depth.
+        scene.people = [(640.0 + focal * math.tan(math.atan((150.0 - 640.0) / focal) + turn), 400)]
+        stage.update(IMAGE, CAMERA, 0.05 * index, camera_pose=pose if told else None)
+    return places
+
+
+def test_who_was_lost_is_remembered_in_the_room_where_the_pose_of_the_camera_is_known():
+    places = remembered_places(True)
+    ground = np.array([place for place, _ in places])[:, [0, 2]]
+    assert len(places) > 30 and all(still for _, still in places)
+    bearing = np.degrees(np.arctan2(*(ground - (-5.0, 5.0)).T))
+    assert np.ptp(bearing) < 4.0
+    others = np.array([place for place, _ in remembered_places(False)])
+    assert np.ptp(np.degrees(np.arctan2(others[:, 0], others[:, 2]))) > 25.0

@@ -151,3 +151,17 @@ def test_probabilities_of_an_assignment_exclude_that_somebody_is_two():
     assert marginals(np.array([[20.0], [20.0]])) == pytest.approx(np.full((2, 1), 20.0 / 41.0), abs=1e-3)
     clear = marginals(np.array([[30.0, 10.0], [0.1, 100.0]]))
     assert clear[0, 0] > 0.95 and clear[1, 1] > 0.95 and (clear.sum(axis=1) <= 1.0).all()
+
+
+def test_places_of_a_camera_that_stands_are_not_compared_with_those_in_the_room():
+    """The transforms of the camera came while somebody was away."""
+    assert told(after(body("a", 1)), 20.5, 23.0, body("b", 1, 9.0, still=True, distance=3.0)) == [("b", "a")]
+    assert told(after(body("a", 1)), 20.5, 23.0, body("b", 1, 9.0)) == []
+
+
+def test_how_exact_a_place_is_depends_on_the_way_to_the_camera_not_on_the_origin_of_the_room():
+    def of(name, x, **more):
+        return body(name, 1, x, still=True, distance=3.0, **more)
+
+    assert told(after(of("a", 60.0)), 20.2, 23.0, of("b", 60.3)) == [("b", "a")]
+    assert told(after(of("a", 60.0)), 20.2, 23.0, of("b", 66.0)) == []

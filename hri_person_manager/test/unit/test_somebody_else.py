@@ -113,7 +113,7 @@ def test_a_body_bears_the_name_of_the_last_face_only(picture):
 def test_a_body_found_again_joins_no_two_who_are_recognised(picture):
     """The body was somebody anonymous who is Ann; now it is Bob's."""
     picture.show(1.0, [], [])
-    picture.show(1.5, [], ["b2"])
+    picture.show(2.5, [], ["b2"])       # where Ann was: it waits to be recognised
     anonymous, = picture.tracked
     picture.say(MatchNode(Kind.PERSON, anonymous), ANN)
     picture.show(0.5, [], ["b2"])

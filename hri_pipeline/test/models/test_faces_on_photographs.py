@@ -103,6 +103,18 @@ def test_a_slow_pan_changes_no_id(stage, name):
     assert len(stage.tracked_ids) == COUNTS[name]
 
 
+@pytest.mark.parametrize("rest", [20, 22, 24])
+def test_whoever_comes_into_the_image_while_the_head_of_the_robot_turns_is_found_at_once(stage, rest):
+    """The head turns by some 35 degrees in a second, and stops; two faces are seen all the time."""
+    image = photograph("sample3")
+    image = cv2.resize(image, None, fx=1280.0 / image.shape[1], fy=1280.0 / image.shape[1])[:720]
+    left = np.concatenate([np.zeros(rest), np.linspace(0.0, 330.0, 15), np.full(15, 330.0)]).astype(int)
+    seen = watch(stage, [image[:, place:place + 900] for place in left])
+    assert len(seen[rest - 1]) == 2
+    late = next(index for index, faces in enumerate(seen) if len(faces) == 3) - (rest + 15)
+    assert late < 0     # before the head has stopped
+
+
 def test_a_stall_of_a_busy_machine_changes_no_id(stage):
     image, seen, stamp = photograph("sample5"), [], 1000.0
     camera = CameraModel.from_fov(image.shape[1], image.shape[0], HFOV)

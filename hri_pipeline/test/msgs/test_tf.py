@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -179,6 +180,60 @@ def test_a_fixed_frame_may_become_a_moving_one(again):
     assert frames.lookup("arm", at(NOW + 1)).translation[0] == 5.0
     frames.reset()
     assert frames.lookup("camera", at(NOW + 1)) is None and frames.lookup("arm", at(NOW + 1)) is not None
+
+
+def panned(history, until, hz=50.0, speed=1.5, jump_at=None, frame="camera"):
+    """Put a frame that turns at `speed` rad/s, or is turned at once by 0.1 rad."""
+    for step in range(int(until * hz) + 1):
+        turn = speed * step / hz if jump_at is None else 0.1 * (step / hz >= jump_at)
+        stamp = NOW + step / hz
+        history.put(RawTransform("map", frame, int(stamp), int(round(stamp % 1.0 * 1e9)), (0.0, 0.0, 1.0),
+                                 (0.0, 0.0, math.sin(turn / 2.0), math.cos(turn / 2.0))), fixed=False)
+
+
+def turn_of(pose):
+    return math.atan2(pose.rotation[1, 0], pose.rotation[0, 0])
+
+
+@pytest.mark.parametrize("hz", [10.0, 50.0])
+def test_a_camera_that_pans_goes_on_where_its_transforms_come_late(hz):
+    frames = RobotTf("map")
+    frames.lookup("camera", at(NOW))
+    panned(frames, 1.0, hz)
+    for late in (0.05, 0.15):
+        stamp = at(NOW + 1, int(late * 1e9))
+        assert turn_of(frames.lookup("camera", stamp)) == pytest.approx(1.5 * (1.0 + late), abs=1e-3)
+        assert frames.lags("camera", stamp)
+    assert turn_of(frames.lookup("camera", at(NOW + 5))) == pytest.approx(1.5 * 1.2, abs=1e-3)
+    assert not frames.lags("camera", at(NOW + 5)) and not frames.lags("camera", at(NOW))
+    assert turn_of(frames.lookup("camera", at(0))) == pytest.approx(1.5, abs=1e-3)
+
+
+def test_a_jump_of_the_localisation_does_not_go_on():
+    frames = RobotTf("map")
+    frames.lookup("camera", at(NOW))
+    panned(frames, 1.0, jump_at=0.98)
+    assert turn_of(frames.lookup("camera", at(NOW + 1, 10 ** 8))) == pytest.approx(0.1, abs=1e-6)
+
+
+def test_what_stands_is_not_waited_for():
+    frames = RobotTf("map")
+    frames.lookup("camera", at(NOW))
+    panned(frames, 1.0, speed=0.0)
+    assert not frames.lags("camera", at(NOW + 1, 10 ** 8))
+
+
+def test_a_localisation_that_comes_once_a_second_holds_nobody_back():
+    frames = RobotTf("map")
+    frames.put(link(NOW, child="odom"), fixed=False)
+    frames.put(link(NOW + 0, x=0.0, child="odom"), fixed=False)
+    for step in range(50):
+        stamp, turn = NOW + step / 50.0, 1.5 * step / 50.0
+        frames.put(RawTransform("odom", "camera", int(stamp), int(round(stamp % 1.0 * 1e9)), (0.0, 0.0, 1.0),
+                                (0.0, 0.0, math.sin(turn / 2.0), math.cos(turn / 2.0))), fixed=False)
+        frames.lookup("camera", at(NOW))
+    assert turn_of(frames.lookup("camera", at(NOW, 900000000))) == pytest.approx(1.35, abs=1e-3)
+    assert not frames.lags("camera", at(NOW, 900000000))
 
 
 class Clocks:

@@ -237,3 +237,25 @@ def test_what_a_person_consists_of_may_be_told_before_the_person_is_listed():
         frames.set_feature("never{}".format(index), "face", "f")
     frames.set_people(["bob", "never0"])
     assert frames.people["never0"].face is None
+
+
+def test_a_body_of_an_older_image_is_where_it_was_seen_then(frames):
+    """While the head of the robot turns by 90 degrees per second, and the body is 0.1 s older than the face."""
+    frames.set_feature("ann", "body", "ba")
+    frames.set_people(["ann", "bob"])
+    frames.set_feature("bob", "body", "bb")
+
+    def camera(stamp):
+        turn = math.radians(90.0) * (stamp - 10.0)
+        pan = Pose(np.array([[math.cos(turn), -math.sin(turn), 0.0], [math.sin(turn), math.cos(turn), 0.0],
+                             [0.0, 0.0, 1.0]]), np.zeros(3))
+        return pan.compose(OPTICAL)
+
+    put(frames, "camera", "face_fa", Pose(np.eye(3), camera(10.0).inverse().apply(np.array([[3.0, 0.0, 1.6]]))[0]), 10.0)
+    put(frames, "camera", "body_bb", Pose(np.eye(3), camera(9.9).inverse().apply(np.array([[3.0, 1.0, 0.9]]))[0]), 9.9)
+    people = gather(frames, lambda sensors: {"camera": camera(10.0)}, 10.0, SETTINGS, {},
+                    pose_at=lambda sensor, stamp: camera(stamp))
+    np.testing.assert_allclose(people.heads[:, :2], [[3.0, 0.0], [3.0, 1.0]], atol=1e-6)
+    unknown = gather(frames, lambda sensors: {"camera": camera(10.0)}, 10.0, SETTINGS, {},
+                     pose_at=lambda sensor, stamp: None)
+    assert np.linalg.norm(unknown.heads[1, :2] - (3.0, 1.0)) > 0.4

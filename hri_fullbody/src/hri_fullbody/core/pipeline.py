@@ -105,6 +105,7 @@ class BodyPipeline:
         self._settings = settings
         self._localizers: Dict[str, BodyLocalizer] = {}
         self._reidentifier = BodyReidentifier(settings.body_memory)
+        self._camera_pose: Optional[Pose] = None
         try:
             self._modeller = BodyModeller.from_parameters(settings)
         except (ValueError, OSError) as error:
@@ -130,7 +131,7 @@ class BodyPipeline:
 
     def update(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Sequence[FaceBox] = (),
                depth: Optional[np.ndarray] = None, up: Optional[np.ndarray] = None,
-               camera_height: Optional[float] = None) -> List[BodyObservation]:
+               camera_height: Optional[float] = None, camera_pose: Optional[Pose] = None) -> List[BodyObservation]:
         """Process one image and return its confirmed bodies.
 
         Bodies without an inference in this image are where their motion takes them, with `measured` False.
@@ -142,7 +143,10 @@ class BodyPipeline:
         depth : (h, w) m, registered to the image, NaN or 0 where unknown.
         up : (3,) unit vector against gravity in the optical frame; None: learnt from the people, see GroundPlane.
         camera_height : m above the floor; None: with `up` the floor is not used, without it it is learnt, too.
+        camera_pose : of the optical frame in one that stands still and whose z axis points up, while the camera moves:
+            who was lost is expected there. None: the camera stands.
         """
+        self._camera_pose = camera_pose
         if stamp < self._last_stamp:
             self.reset()
         slow = SLOW_S < stamp - self._last_stamp < math.inf
@@ -219,11 +223,17 @@ class BodyPipeline:
 
     def _appearance(self, track: BodyTrack) -> TrackAppearance:
         """What re-identification needs to know of a body: its stature as of the image before."""
-        last = self._last_models.get(track.id)
-        return TrackAppearance(track.id, track.appearance, track.detection.root,
+        last, root = self._last_models.get(track.id), track.detection.root
+        # What was measured in this image only: the camera has moved since the others.
+        place = None if root is None or (self._camera_pose and track.stamp != self._last_stamp) else root
+        if place is not None and self._camera_pose is not None:
+            x, y, z = self._camera_pose.apply(place[None])[0]
+            place = np.array([-y, -z, x])
+        return TrackAppearance(track.id, track.appearance, place,
                                None if last is None or not last.model.stature_known else last.model.stature,
                                0.1 if last is None else last.model.stature_sd, track.face_id,
-                               track.visible and not track.returning)
+                               track.visible and not track.returning, self._camera_pose is not None,
+                               None if root is None else float(np.linalg.norm(root)))
 
     def appearance(self, body_id: str) -> Optional[np.ndarray]:
         """Return the colours (5, 21) of a body's clothes, see `reidentification.describe`; None while they are not

@@ -94,12 +94,12 @@ class BodyProcessor:
 
     def process(self, frame: Frame, context: dict) -> None:
         """Find the bodies in a frame, publish them, and leave them in context["bodies"]."""
-        up, height = self._up.lookup(frame.header.frame_id, frame.header.stamp)
+        up, height, pose = self._up.lookup(frame.header.frame_id, frame.header.stamp)
         if "age" in context:
             self._pipeline.note_timing(context["age"], context["took"])
         bodies = self._pipeline.update(
             frame.bgr, frame.camera, frame.stamp, self._face_boxes(frame, context), depth=frame.depth,
-            up=up, camera_height=height)
+            up=up, camera_height=height, camera_pose=pose)
         self._tell_turned(up)
         context["bodies"] = bodies
         ids = self._pipeline.tracked_ids
@@ -393,14 +393,14 @@ class UpFrame:
         self._missing_since: Optional[float] = None
         self._told = False
 
-    def lookup(self, camera: str, stamp: genpy.Time) -> Tuple[Optional[np.ndarray], Optional[float]]:
-        """Return up (3,) in the frame `camera`, and its height above the floor, m; None while they are not known."""
+    def lookup(self, camera: str, stamp: genpy.Time) -> Tuple[Optional[np.ndarray], Optional[float], Optional[Pose]]:
+        """Return up (3,) in the frame `camera`, its height above the floor, m, and its pose; None while not known."""
         pose = self._frames.lookup(camera, stamp) if self._frames is not None and camera else None
         if pose is None:
             self._miss(camera)
-            return None, None
+            return None, None, None
         self._missing_since = None
-        return up_and_height(pose)
+        return (*up_and_height(pose), pose)
 
     def status(self) -> Tuple[int, str]:
         """Return level and message for diagnostics; the message is empty when all is well."""

@@ -69,6 +69,7 @@ UNSEEN_S = 0.5             # s after the last place of a body from which it was 
 TOGETHER_S = 1.0           # s for which a face and a body are seen until their match has come, were it to come
 LATE_IMAGES = 3.0          # lags: work on an image that lasts, the next one, and one in which nothing was found
 HIGHEST_SPEED = 3.0        # m/s, a person who runs; more is a jump of the measurement
+ASIDE_M = 0.3              # by which people step aside while nobody looks (standard deviation)
 HEAD_M, TRUNK_M = 0.15, 0.5    # of a face from the head of its body, and from its root (standard deviations)
 
 
@@ -184,6 +185,16 @@ class Place:
         """The covariance (2, 2) m^2 of the two horizontal coordinates."""
         kept = [0, 2] if is_optical(self.frame) else [0, 1]
         return None if self.covariance is None else self.covariance[np.ix_(kept, kept)]
+
+
+def is_at(one: Place, other: Place, gate: float) -> bool:
+    """Tell whether two places may be one, by their squared Mahalanobis distance with a step aside in between; False
+    where that is not known."""
+    if one.frame != other.frame or one.covariance is None or other.covariance is None:
+        return False
+    offset = one.pose.translation - other.pose.translation
+    both = one.covariance + other.covariance + ASIDE_M ** 2 * np.eye(3)
+    return bool(offset @ np.linalg.solve(both, offset) <= gate)
 
 
 @dataclass(frozen=True)

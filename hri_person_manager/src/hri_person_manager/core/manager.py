@@ -12,7 +12,7 @@ import numpy as np
 
 from hri_person_manager.core.cross_camera import CrossCamera
 from hri_person_manager.core.features import Kind, MatchNode, PlaceSource, TrackedFeatures
-from hri_person_manager.core.location import Decay, FeaturePlaces, PersonLocation, Place
+from hri_person_manager.core.location import Decay, FeaturePlaces, PersonLocation, Place, is_at
 from hri_person_manager.core.match_graph import Association, CandidateMatch, SaidNames
 from hri_person_manager.core.merges import Merges
 from hri_person_manager.core.parameters import PersonManagerSettings, sensor_errors
@@ -33,6 +33,7 @@ _ORIGIN = np.zeros(3)
 MATCH_WAIT_S = 5.0            # for which a body at the place of a face that has none, or a face, waits for their match,
 #                               and longer where one of them lags
 PLACE_WAIT_S = 1.5            # for which one without a place yet waits beside a face, or body, that has one
+RETURN_WAIT_S = 1.5           # for which one where somebody was lost waits to be recognised
 MATCH_GATE = 9.0              # squared Mahalanobis distance up to which they are at one place
 MAX_UNSEEN_PERSONS = 32       # permanent persons kept with their topics although nobody sees them
 _KIND_OF_SOURCE = {PlaceSource.FACE: Kind.FACE, PlaceSource.HEAD: Kind.BODY, PlaceSource.BODY: Kind.BODY,
@@ -426,7 +427,7 @@ class PersonManager:
 
     def _hold(self, now: float, due: FrozenSet[MatchNode] = frozenset()) -> None:
         """Let features wait that may well be of somebody who is a person already; those `due` no longer."""
-        self._table.hold(self._cameras.held | self._waiting_for_matches(now)
+        self._table.hold(self._cameras.held | self._waiting_for_matches(now) | self._waiting_for_names(now)
                          | self._places.single(self._table.unassigned), due)
 
     def _waiting_for_matches(self, now: float) -> Set[MatchNode]:
@@ -457,6 +458,20 @@ class PersonManager:
                    if now - waiting[node] <= MATCH_WAIT_S + self._places.match_delay(face, body)}
         return matched | outdated.intersection(waiting) | self._waiting_for_places(
             {node for node, since in waiting.items() if now - since <= PLACE_WAIT_S}, faces, bodies)
+
+    def _waiting_for_names(self, now: float) -> Set[MatchNode]:
+        """New features where somebody was lost: when a camera turns back, it is the same people, as a rule, and who
+        knows them by face or clothes says so a moment later."""
+        new = [node for node, since in self._table.unassigned.items() if now - since <= RETURN_WAIT_S]
+        waiting: Set[MatchNode] = set()
+        for person in self._table.persons.values() if new else ():
+            if any(node.kind != Kind.VOICE for node in person.features) or not (
+                    person.location.confidence(now, self._decay) > 0.0):
+                continue
+            place = person.location.place
+            waiting.update(node for node, latest in self._places.of(new) if place is not None and (
+                node.kind == Kind.BODY or not person.anonymous) and is_at(latest.place, place, MATCH_GATE))
+        return waiting
 
     def _waiting_for_places(self, new: Set[MatchNode], faces: List[MatchNode],
                             bodies: List[MatchNode]) -> Set[MatchNode]:

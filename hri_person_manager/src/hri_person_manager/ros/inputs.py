@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple
+from collections import deque
+from typing import Callable, Deque, Dict, List, Optional, Sequence, Set, Tuple
 
 import genpy
 import rospy
@@ -19,6 +20,7 @@ from hri_pipeline.ros.tf import Frames, RobotTf, TfSubscriber
 
 _LOG_PERIOD_S = 10.0
 _OTHERS_S = 5.0     # a list comes once a second
+LAG_S = 0.25        # for which places wait for the transforms of a camera that moves
 GRACE_S = 2.0       # wall time in which the transforms may still be on their way when everything starts
 _REMEMBERED_SENSORS = 50
 _MISSED_S = 10.0    # wall time after which a sensor that nothing comes of is no longer told
@@ -56,14 +58,16 @@ class TfInput:
     """Reports where tracked features are, in their sensor's frame, and looks sensors up in the reference frame.
 
     `on_poses` is called in rospy's thread, once per message that places a feature. A transform that
-    cannot be used is counted and left out. Nothing is kept of a human who is gone. Of the links of a skeleton only
+    cannot be used is counted and left out. Where the camera moves, and its transforms come later than those of people,
+    these wait for them, LAG_S at most. Nothing is kept of a human who is gone. Of the links of a skeleton only
     those that lead to the head are read; of the others the name is looked at.
     """
 
     def __init__(self, reference_frame: str, source_timeout: float,
                  on_poses: Callable[[List[FeaturePose]], None]) -> None:
         self._on_poses = on_poses
-        self._lock = threading.Lock()
+        self._lock, self._in_order = threading.Lock(), threading.Lock()
+        self._waiting: Deque[Tuple[float, List[FeaturePose]]] = deque()
         self._humans = FeatureTf(source_timeout)
         self._robot = RobotTf(reference_frame)
         self._subscriber = TfSubscriber(self._on_frames)
@@ -89,6 +93,7 @@ class TfInput:
         """Forget all moving transforms, as after a time jump."""
         with self._lock:
             self._humans.clear_moving()
+            self._waiting.clear()
         self._robot.reset()
 
     def status(self) -> dict:
@@ -113,8 +118,25 @@ class TfInput:
                 other = None if self._humans.wants(child) else self._humans.take_other(child, data, offset, fixed)
                 if other is not None:
                     self._robot.put(other, fixed)
-        if found:
-            self._on_poses(found)
+            if found:
+                self._waiting.append((rospy.get_time(), found))
+        if self._waiting:
+            self.pass_on()
+
+    def pass_on(self) -> None:
+        """Report the places that need not wait any longer, in the order in which they came."""
+        with self._in_order:
+            while True:
+                with self._lock:
+                    if not self._waiting or self._waits(*self._waiting[0]):
+                        return
+                    _, poses = self._waiting.popleft()
+                self._on_poses(poses)
+
+    def _waits(self, since: float, poses: List[FeaturePose]) -> bool:
+        return 0.0 <= rospy.get_time() - since < LAG_S and any(
+            self._robot.lags(sensor, genpy.Time(secs, nsecs))
+            for sensor, secs, nsecs in {(pose.sensor, pose.secs, pose.nsecs) for pose in poses})
 
 
 class ReferenceFrame:

@@ -373,6 +373,7 @@ class PersonManagerNode:
     def spin(self) -> None:
         """Let time pass until ROS shuts down."""
         while not self._stop.wait(TICK_S):
+            self._tf_input.pass_on()
             with self._lock:
                 try:
                     self._tick()

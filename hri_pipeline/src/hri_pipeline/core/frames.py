@@ -134,6 +134,13 @@ _OF_HUMANS = (b"face_", b"gaze_", b"voice_", b"person_")
 MAX_FRAMES = 1000       # frames whose latest transform is remembered, in case they become relevant; 1 kB each
 MAX_FOLLOWED = 500
 _LONGEST_WAY = 200      # links from a frame to its root; a loop has more
+# A frame whose transforms come at least so often (s) is waited for, and goes on as it moved for so long (s).
+_LONGEST_PERIOD_S, AHEAD_S = 0.15, 0.2
+# Times (s) over which a motion is measured, and what is one (m, rad): two, as a swing may be back at the same place.
+_SPANS_S = (0.06, 0.13)
+_PAUSES_S = (*_SPANS_S, 0.5, 1.0, 2.0)   # a camera that stood for so long may start again
+_MOVED_M, _MOVED_RAD = 0.003, math.radians(0.15)
+_STEADY = 0.5           # largest change of a speed that goes on, as a part of it
 
 
 def is_of_human(child: bytes, fixed: bool) -> bool:
@@ -235,13 +242,41 @@ class FrameHistory:
             stamp = self._latest_common(target, frame)
             if stamp is None:
                 return None
-        below, above = self._way(frame, stamp), self._way(target, stamp)
+        return self._pose(self._way(frame, stamp), self._way(target, stamp))
+
+    @staticmethod
+    def _pose(below: Dict[str, Tuple[Quaternion, Vector]], above: Dict[str, Tuple[Quaternion, Vector]]
+              ) -> Optional[Pose]:
+        """The pose of the frame of one way in that of another one; None where they do not meet."""
         common = next((ancestor for ancestor in above if ancestor in below), None)
         if common is None:
             return None
         (rotation, (a, b, c)), ((x, y, z, w), (d, e, f)) = below[common], above[common]
         back = (-x, -y, -z, w)
         return Pose.from_quaternion(product(back, rotation), turned(back, (a - d, b - e, c - f)))
+
+    def ahead(self, target: str, frame: str, stamp: float) -> Optional[Pose]:
+        """Return the same for a time (s) that not all links know yet: those that lag stay, or go on as they moved.
+
+        None where no way leads from one to the other.
+        """
+        return self._pose(self._way(frame, stamp, True), self._way(target, stamp, True))
+
+    def lags(self, target: str, frame: str, stamp: float) -> bool:
+        """Tell whether a link that moves is not known yet at a time (s), but soon will be."""
+        below, above = list(self._known_until(frame)), list(self._known_until(target))
+        common = next((ancestor for ancestor in above if ancestor in below), None)
+        return common is not None and any(
+            self._lags(link, stamp) for way in (below, above) for link in way[:way.index(common)])
+
+    def _lags(self, frame: str, stamp: float) -> bool:
+        links = self._moving.get(frame, [])
+        if len(links) < 2 or not links[-1].stamp < stamp <= links[-1].stamp + AHEAD_S + _LONGEST_PERIOD_S:
+            return False
+        if links[-1].stamp - links[-2].stamp > _LONGEST_PERIOD_S:
+            return False
+        before = (self._at(frame, links[-1].stamp - span) for span in _PAUSES_S)
+        return any(link is not None and _has_moved(link, links[-1]) for link in before)
 
     def _latest_common(self, target: str, frame: str) -> Optional[float]:
         """Latest time (s) at which all moving links of the way are known; infinity where it has none, None without a
@@ -267,13 +302,16 @@ class FrameHistory:
         links = self._moving.get(frame)
         return links[-1] if links else self._fixed.get(frame)
 
-    def _way(self, frame: str, stamp: float) -> Dict[str, Tuple[Quaternion, Vector]]:
-        """The frame and its ancestors, as far as the links are known at `stamp`: the pose of the frame in each."""
+    def _way(self, frame: str, stamp: float, ahead: bool = False) -> Dict[str, Tuple[Quaternion, Vector]]:
+        """The frame and its ancestors, as far as the links are known at `stamp`, or `ahead` of what is known: the pose
+        of the frame in each."""
         rotation, position = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
         poses: Dict[str, Tuple[Quaternion, Vector]] = {}
         while frame not in poses and len(poses) < _LONGEST_WAY:
             poses[frame] = rotation, position
             link = self._at(frame, stamp)
+            if link is None and ahead:
+                link = self._beyond(frame, stamp)
             if link is None:
                 break
             own, (a, b, c) = unit(link.rotation), link.translation
@@ -293,6 +331,18 @@ class FrameHistory:
             return None
         return _interpolated(links[place - 1], links[place], stamp)
 
+    def _beyond(self, frame: str, stamp: float) -> Optional[_Link]:
+        """The link of a frame at a time after what is known: as it moved where that was steady, else the newest."""
+        links = self._moving.get(frame)
+        if not links or stamp < links[0].stamp:
+            return None
+        newest = links[-1]
+        before, earlier = (self._at(frame, newest.stamp - span) for span in _SPANS_S)
+        if before is None or earlier is None or not _is_steady(earlier, before, newest):
+            return newest
+        time = min(stamp, newest.stamp + AHEAD_S)
+        return _interpolated(before, newest, time)._replace(stamp=stamp)
+
     def _drop_oldest(self) -> None:
         """Drop the oldest frame nobody follows, a moving one if there is one; else the oldest of all."""
         for frames in (self._moving, self._fixed):
@@ -310,6 +360,33 @@ def _interpolated(before: _Link, after: _Link, stamp: float) -> _Link:
     part = (stamp - before.stamp) / (after.stamp - before.stamp)
     x, y, z = (a + part * (b - a) for a, b in zip(before.translation, after.translation))
     return _Link(stamp, before.parent, slerp(before.rotation, after.rotation, part), (x, y, z))
+
+
+def _has_moved(one: _Link, other: _Link) -> bool:
+    way, turn = _between(one, other)
+    return math.hypot(*way) > _MOVED_M or math.hypot(*turn) > _MOVED_RAD
+
+
+def _between(one: _Link, other: _Link) -> Tuple[Vector, Vector]:
+    """Way (m) and turn (rad, as a vector) from one link of a frame to another, later one."""
+    (a, b, c), (d, e, f) = one.translation, other.translation
+    (x, y, z, w), last = unit(one.rotation), unit(other.rotation)
+    i, j, k, real = product(last, (-x, -y, -z, w))
+    scale = 2.0 if real >= 0.0 else -2.0
+    return (d - a, e - b, f - c), (scale * i, scale * j, scale * k)
+
+
+def _is_steady(earlier: _Link, before: _Link, newest: _Link) -> bool:
+    """Tell whether a frame moves, and did so before: a jump, or a start, does not go on."""
+    if not _has_moved(before, newest) or not earlier.parent == before.parent == newest.parent:
+        return False
+    since, until = newest.stamp - before.stamp, before.stamp - earlier.stamp
+    for now, then, least in zip(_between(before, newest), _between(earlier, before), (_MOVED_M, _MOVED_RAD)):
+        speed, last = [value / since for value in now], [value / until for value in then]
+        change = math.sqrt(sum((one - other) ** 2 for one, other in zip(speed, last)))
+        if change > max(least / since, _STEADY * max(math.hypot(*speed), math.hypot(*last))):
+            return False
+    return True
 
 
 MAX_LINKS = 64

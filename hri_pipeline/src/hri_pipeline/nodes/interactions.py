@@ -148,7 +148,7 @@ class InteractionsNode:
         """One result, at the newest stamp."""
         with self._times("gather"):
             self._frame.begin(self._last)
-            found = self._people.take(self._frame.places)
+            found = self._people.take(self._frame.places, self._frame.pose_at)
         if self._frame.name != self._frame_name:
             self._frame_name = self._frame.name
             self._forget()

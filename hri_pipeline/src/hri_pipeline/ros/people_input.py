@@ -17,7 +17,7 @@ from hri_pipeline.core.frames import is_optical, read, read_parent, read_stamp
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.interactions.parameters import InteractionSettings
-from hri_pipeline.core.interactions.people import PeopleSnapshot, PeopleTf, Places, Seen, gather
+from hri_pipeline.core.interactions.people import PeopleSnapshot, PeopleTf, Places, PoseAt, Seen, gather
 from hri_pipeline.core.timing import CommonTime, Order, SourceStamps
 from hri_pipeline.ros.conversions import has_gaze_of_closed_eyes
 from hri_pipeline.ros.subscriptions import IdSubscribers
@@ -90,12 +90,13 @@ class PeopleInput:
         """The feeds by kind, for diagnostics."""
         return self._feeds
 
-    def take(self, places: Places) -> StampedPeople:
-        """Return everybody at the newest stamp, in the frame that `places` is about."""
+    def take(self, places: Places, pose_at: Optional[PoseAt] = None) -> StampedPeople:
+        """Return everybody at the newest stamp, in the frame that `places` and `pose_at` are about."""
         with self._lock:
             stamp = self._stamp()
             shifts = {str(sensor): shift for sensor, shift in self._time.shifts.items()}
-            people = gather(self._tf, places, stamp.to_sec(), self._settings, self._closures, shifts)
+            people = gather(self._tf, places, stamp.to_sec(), self._settings, self._closures, shifts,
+                            pose_at)
             if self._speaking:
                 people.speaking = np.array([self._speaking.get(self._voice_of.get(identity, ""), False)
                                             for identity in people.ids], dtype=bool)
@@ -292,6 +293,12 @@ class InteractionFrame:
             found = {self.sensor: LEVEL}
         self._find_robot(found)
         return found
+
+    def pose_at(self, sensor: str, stamp: float) -> Optional[Pose]:
+        """Return the pose of a sensor in the frame of this cycle at a stamp (s); None where that is not known."""
+        if self.is_level or stamp <= 0.0 or sensor == self._reference:
+            return None
+        return self._frames.lookup(sensor, genpy.Time.from_sec(stamp))
 
     def _lookup(self, frame: str) -> Optional[Pose]:
         """Look a frame up, once in a cycle: the robot often looks from where its camera is."""

@@ -117,10 +117,17 @@ class RobotTf:
     def lookup(self, frame: str, stamp: genpy.Time) -> Optional[Pose]:
         """Return the pose of a frame in the reference frame at `stamp`.
 
-        Where the history does not cover the stamp, or it is none, the latest transform is taken. None if no
-        chain of transforms connects the two.
+        Where the stamp is later than what is known of some of the links, these stay, or go on as they moved. Where it
+        is earlier, or none, the latest transform is taken. None if no chain of transforms connects the two.
         """
         return self.between(self._reference, frame, stamp)
+
+    def lags(self, frame: str, stamp: genpy.Time) -> bool:
+        """Tell whether the transforms of a frame that moves have not come yet for `stamp`, but soon will."""
+        if frame == self._reference:
+            return False
+        with self._lock:
+            return self._history is not None and self._history.lags(self._reference, frame, stamp.to_sec())
 
     def between(self, target: str, frame: str, stamp: genpy.Time) -> Optional[Pose]:
         """Return the pose of a frame in another one than the reference, as lookup() does."""
@@ -131,7 +138,10 @@ class RobotTf:
                 return None
             self._history.follow(target)
             self._history.follow(frame)
-            pose = self._history.between(target, frame, stamp.to_sec()) if is_stamp(stamp.secs, stamp.nsecs) else None
+            pose = None
+            if is_stamp(stamp.secs, stamp.nsecs) and stamp:
+                pose = self._history.between(target, frame, stamp.to_sec())
+                pose = self._history.ahead(target, frame, stamp.to_sec()) if pose is None else pose
             return pose if pose is not None else self._history.between(target, frame, None)
 
     def reset(self) -> None:

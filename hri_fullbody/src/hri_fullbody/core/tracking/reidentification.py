@@ -184,8 +184,10 @@ _SAME_FACE = 6.0            # logarithm: a face that goes on from one body to th
 class TrackAppearance(NamedTuple):
     """One body now.
 
-    appearance: histograms of `appearance.describe`. place: (3,) m of its root in the optical frame. stature: m, with
-    its standard deviation. face: id of the face it has. None: unknown. visible: it is seen now, not only waited for.
+    appearance: histograms of `appearance.describe`. place: (3,) m of its root in the optical frame, or in that of a
+    level camera that stands where the robot's frame does, when `still`; distance: m from the camera, None that of the
+    place. stature: m, with its standard deviation. face: id of the face it has. None: unknown. visible: it is seen now,
+    not only waited for.
     """
 
     id: str
@@ -195,6 +197,8 @@ class TrackAppearance(NamedTuple):
     stature_sd: float = 0.1
     face: Optional[str] = None
     visible: bool = True
+    still: bool = False
+    distance: Optional[float] = None
 
 
 class Reidentification(NamedTuple):
@@ -212,7 +216,7 @@ class _Body:
     now: TrackAppearance
     first: float
     last: float
-    born_at: Optional[np.ndarray]
+    born_at: Optional[TrackAppearance]
 
 
 class BodyReidentifier:
@@ -256,19 +260,20 @@ class BodyReidentifier:
     def _take(self, body: TrackAppearance, stamp: float) -> None:
         known = self._living.get(body.id)
         if known is None:
-            self._living[body.id] = _Body(body, stamp, stamp, body.place)
+            self._living[body.id] = _Body(body, stamp, stamp, body if body.place is not None else None)
             self._undecided[body.id] = stamp
             return
         if not body.visible:
             return
         old = known.now
+        placed = old if body.place is None else body
         known.now = body._replace(
             appearance=old.appearance if body.appearance is None else body.appearance,
-            place=old.place if body.place is None else body.place, face=body.face or old.face,
+            place=placed.place, still=placed.still, distance=placed.distance, face=body.face or old.face,
             stature=old.stature if body.stature is None else body.stature,
             stature_sd=old.stature_sd if body.stature is None else body.stature_sd)
         known.last = stamp
-        known.born_at = body.place if known.born_at is None else known.born_at
+        known.born_at = body if known.born_at is None and body.place is not None else known.born_at
 
     def _decide(self, stamp: float) -> List[Reidentification]:
         """Compare the new bodies that were seen for long enough, each once, with all who are lost."""
@@ -309,7 +314,7 @@ class BodyReidentifier:
         newcomers = (self._newcomers + 1.0) / (watched + _NEWCOMER_S)
         returns = _RETURN_SHARE / _RETURN_S * math.exp(-gap / _RETURN_S)
         evidence = (math.log(min(returns / newcomers, _MOST_PRIOR_ODDS))
-                    + _place_evidence(new.born_at, old.now.place, gap)
+                    + _place_evidence(new.born_at, old.now, gap)
                     + _clothes_evidence(clothes, self._alike(old)) + _stature_evidence(new.now, old.now)
                     + self._face_evidence(new, old))
         return math.exp(min(evidence, 50.0))
@@ -358,13 +363,13 @@ def marginals(odds: np.ndarray) -> np.ndarray:
     return weighted / (1.0 + weighted.sum(axis=1, keepdims=True))
 
 
-def _place_evidence(new: Optional[np.ndarray], old: Optional[np.ndarray], gap: float) -> float:
-    """Logarithm of the odds by the places (3,) m, over the ground: a normal distribution around where he was lost,
-    against the same and anywhere."""
-    if new is None or old is None:
+def _place_evidence(new: Optional[TrackAppearance], old: TrackAppearance, gap: float) -> float:
+    """Logarithm of the odds by the places, over the ground: a normal distribution around where he was lost, against the
+    same and anywhere."""
+    if new is None or new.place is None or old.place is None or new.still != old.still:
         return 0.0
-    way = float(np.linalg.norm(np.asarray(new)[[0, 2]] - np.asarray(old)[[0, 2]]))
-    error = math.hypot(_NEAR_M, _INEXACT * float(np.linalg.norm(old)))
+    way = float(np.linalg.norm(np.asarray(new.place)[[0, 2]] - np.asarray(old.place)[[0, 2]]))
+    error = math.hypot(_NEAR_M, _INEXACT * (float(np.linalg.norm(old.place)) if old.distance is None else old.distance))
     if way > 3.0 * error + _FASTEST_MPS * gap:
         return -math.inf
     variance = error ** 2 + (_WALK_MPS * min(gap, _LONGEST_WALK_S)) ** 2

@@ -73,6 +73,9 @@ _OVERLAP = 0.1
 """Boxes overlap by so much of the smaller one's sides, or more."""
 _PREDICTION_TIME = 0.3
 """Time constant (s) with which the presence of a face that was not measured falls."""
+_PANS, _PANNED_S = 0.2, 0.8
+"""Speed (image widths per second) at which all faces move when the camera turns, and time (s) for which the whole image
+is searched more often then: people come in on one side."""
 ANEW_PERIOD = 0.25
 """Least time (s) between two searches of all the picture for somebody who took another one's place."""
 
@@ -263,7 +266,7 @@ class FaceTrackingPipeline:
         self._tracker = FaceTracker(ids=ids, judge=judge, **_limits(settings))
         self._cuts = PictureCuts()
         self._orientation = FaceOrientation()
-        self._anew_at = -np.inf
+        self._anew_at = self._panned_at = -np.inf
         self._clock = clock
         self._times = times
         self._flow = FaceFlow()
@@ -338,7 +341,7 @@ class FaceTrackingPipeline:
         self._flow.reset()
         self._cuts.reset()
         self._orientation.reset()
-        self._anew_at = -np.inf
+        self._anew_at = self._panned_at = -np.inf
 
     def _search_anew(self, stamp: float) -> None:
         """Let the detector search everywhere next time, but not more often than once in `ANEW_PERIOD`."""
@@ -360,8 +363,12 @@ class FaceTrackingPipeline:
         boxes = [track.predicted_box(self._stamp) for track in tracks]
         ahead = [track.shift(stamp) - track.shift(self._stamp) for track in tracks]
         with self._times("face_flow"):
-            for track, motion in zip(tracks, self._flow.update(bgr, boxes, ahead)):
+            motions = self._flow.update(bgr, boxes, ahead)
+            for track, motion in zip(tracks, motions):
                 track.move(motion, stamp)
+        known = [float(np.linalg.norm(motion)) for motion in motions if motion is not None]
+        if known and min(known) > _PANS * bgr.shape[1] * (stamp - self._stamp) > 0.0:
+            self._panned_at = stamp
         self._stamp = stamp
 
     def _measure_tracks(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> List[FaceMeasurement]:
@@ -390,7 +397,8 @@ class FaceTrackingPipeline:
     def _detect(self, bgr: np.ndarray, measured: Sequence[FaceMeasurement], skipped: Set[str],
                 stamp: float) -> List[FaceMeasurement]:
         """Run the detector when it is due; returns the measurements of new and of lost faces."""
-        regions = self._detection_scheduler.due(bgr, stamp, self._unconfirmed(stamp), self._is_stable())
+        regions = self._detection_scheduler.due(bgr, stamp, self._unconfirmed(stamp), self._is_stable(),
+                                               0.0 <= stamp - self._panned_at <= _PANNED_S)
         self.detected = bool(regions)
         if not regions:
             return []

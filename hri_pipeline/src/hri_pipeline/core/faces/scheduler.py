@@ -103,8 +103,8 @@ class DetectionScheduler:
         """Run the detector again one (short) period after `stamp` (s): there may be a new face."""
         self._next = min(self._next, stamp + self._step(False))
 
-    def due(self, bgr: np.ndarray, stamp: float, waiting: Sequence[np.ndarray] = (), quiet: bool = False
-            ) -> List[Region]:
+    def due(self, bgr: np.ndarray, stamp: float, waiting: Sequence[np.ndarray] = (), quiet: bool = False,
+            panned: bool = False) -> List[Region]:
         """Return regions (x0, y0, x1, y1 px) to search in this image; often the empty list.
 
         Parameters
@@ -117,6 +117,8 @@ class DetectionScheduler:
             Centres (2,) px of faces that a detection would confirm.
         quiet
             Whether all faces are known and seen.
+        panned
+            Whether the camera turns: people come in on one side, and there is no time for tiles.
         """
         if stamp < self._next:
             return []
@@ -125,14 +127,14 @@ class DetectionScheduler:
         tiles = tile_regions(width, height, self._tiles)
         if tiles:
             tiles.append(wide_region(width, height))
-        self._next = stamp + self._step(quiet)
+        self._next = stamp + self._step(quiet and not panned)
         thumb = _thumbnail(bgr)
         if self._size != (width, height):
             self._size = (width, height)
             self._searched, self._thumbs = [stamp] * len(tiles), [thumb] * len(tiles)
             self._whole_next = not tiles
             return [whole] + tiles
-        whole_now = self._whole_next or not tiles
+        whole_now = self._whole_next or not tiles or panned
         self._whole_next = not whole_now or not tiles
         if whole_now:
             return [whole]

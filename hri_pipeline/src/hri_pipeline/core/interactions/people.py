@@ -199,6 +199,8 @@ class PeopleTf(HumanTf):
 Places = Callable[[CounterOf[str]], Mapping[str, Pose]]
 """Poses, in the frame in which people are compared, of those of the sensors (with the number of their people) that have
 one."""
+PoseAt = Callable[[str, float], Optional[Pose]]
+"""Pose of a sensor in that frame at a stamp (s); None where it is not known."""
 
 HEAD_ABOVE_HIPS = 0.65
 """Height (m) of the eyes above the middle of the hips of somebody who stands: about 0.38 of the stature (Winter
@@ -242,13 +244,15 @@ class _Person(NamedTuple):
 
 
 class _Rows:
-    """Frames whose places and directions are wanted: sensor, and in its frame the origin (m) and direction of each.
+    """Frames whose places and directions are wanted: sensor, stamp (s), and in its frame the origin (m) and direction of
+    each.
 
     In plain numbers: for so few, numpy takes longer.
     """
 
     def __init__(self) -> None:
         self.sensors: List[str] = []
+        self.stamps: List[float] = []
         self.vectors: List[Vector] = []
 
     def add(self, links: Sequence[RawTransform], along_z: bool = False) -> int:
@@ -262,6 +266,7 @@ class _Rows:
             (x, y, z), (i, j, k) = link.translation, turned(link.rotation, origin)
             origin, direction = (x + i, y + j, z + k), turned(link.rotation, direction)
         self.sensors.append(links[-1].parent)
+        self.stamps.append(links[-1].stamp)
         self.vectors += (origin, direction)
         return len(self.sensors) - 1
 
@@ -278,7 +283,8 @@ class _Frames(NamedTuple):
 
 
 def gather(frames: PeopleTf, places: Places, newest: float, settings: InteractionSettings,
-           closures: Mapping[str, Seen], shifts: Mapping[str, float] = MappingProxyType({})) -> PeopleSnapshot:
+           closures: Mapping[str, Seen], shifts: Mapping[str, float] = MappingProxyType({}),
+           pose_at: Optional[PoseAt] = None) -> PeopleSnapshot:
     """Return everybody who is tracked and has a place, in the order of the tracked list.
 
     Parameters
@@ -294,6 +300,9 @@ def gather(frames: PeopleTf, places: Places, newest: float, settings: Interactio
         Closedness of the eyes by the action units, by id of the face.
     shifts: mapping of str to float
         What is added to the stamps of a sensor whose clock differs from that of `newest` (s).
+    pose_at: callable
+        Gives the pose of a sensor at the stamp of a frame: while the robot turns, a body of some images ago was seen
+        from elsewhere. None: sensors are where `places` says.
     """
     rows = _Rows()
     oldest = _Oldest(newest - settings.frame_timeout, shifts)
@@ -302,7 +311,7 @@ def gather(frames: PeopleTf, places: Places, newest: float, settings: Interactio
     people = [person for person in (_person(*one, poses, rows.sensors) for one in found) if person is not None]
     if not people:
         return PeopleSnapshot.empty()
-    snapshot = _snapshot(people, _placed(rows, poses), settings)
+    snapshot = _snapshot(people, _placed(rows, poses, pose_at), settings)
     for row, person in enumerate(people):
         snapshot.faceless[row] = person.source not in ("face", "person")
         snapshot.rays[row] = snapshot.heads[row] - poses[rows.sensors[person.place]].translation
@@ -396,19 +405,23 @@ def _person(identity: str, mine: _Frames, closed: float, far: float, turn: float
     return None
 
 
-def _placed(rows: _Rows, poses: Mapping[str, Pose]) -> np.ndarray:
+def _placed(rows: _Rows, poses: Mapping[str, Pose], pose_at: Optional[PoseAt]) -> np.ndarray:
     """Origins (m) and unit directions (K + 1, 2, 3); the last row is NaN, and so are those without a pose."""
     count = len(rows.sensors)
     placed = np.full((count + 1, 2, 3), np.nan)
-    seen, sensors = np.array(rows.vectors), set(rows.sensors)
-    for sensor in sensors & poses.keys():
-        pose = poses[sensor]
+    seen = np.array(rows.vectors)
+    views = [(sensor, stamp if pose_at else 0.0) for sensor, stamp in zip(rows.sensors, rows.stamps)]
+    for view in set(views):
+        pose = poses.get(view[0])
+        if pose is None:
+            continue
+        pose = (pose_at(*view) if pose_at else None) or pose
         moved = (seen @ pose.rotation.T).reshape(count, 2, 3)
         moved[:, 0] += pose.translation
-        if len(sensors) == 1:
+        if len(set(views)) == 1:
             placed[:-1] = moved
         else:
-            which = [index for index, name in enumerate(rows.sensors) if name == sensor]
+            which = [index for index, one in enumerate(views) if one == view]
             placed[which] = moved[which]
     return placed
 
