@@ -262,10 +262,16 @@ class PersonRegister:
 
         stands_for(id): the person that does, itself where nobody else does. now: s.
         """
-        human = set(changed)
-        merged = [{record.id, record.alias} for record in self._records.values() if record.alias]
-        for pair in merged * len(merged):       # links of links, too
-            human |= pair if pair & human else set()
+        merged: Dict[str, Set[str]] = {}
+        for record in self._records.values():
+            if record.alias:
+                merged.setdefault(record.id, set()).add(record.alias)
+                merged.setdefault(record.alias, set()).add(record.id)
+        human: Set[str] = set()
+        new = set(changed)
+        while new:                              # links of links, too
+            human |= new
+            new = set().union(*(merged.get(person_id, ()) for person_id in new)) - human
         kept = {person_id: stands_for(person_id) for person_id in sorted(human)}
         self.seen(sorted({*kept, *kept.values()} - set(self._records)), now)
         for person_id, target in kept.items():
