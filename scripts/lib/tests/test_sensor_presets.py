@@ -75,7 +75,8 @@ def test_a_value_that_is_not_legal_is_refused_with_those_that_are(launch_file: s
 
 def check_of(launch_file: str, argument: str, **names: object) -> object:
     """The value of an argument that checks others, as roslaunch finds it; `Refused` tells what it would end with."""
-    path, = (path for folder in ("launch", "hri_*/launch") for path in ROOT.glob(folder + "/" + launch_file + ".launch"))
+    path, = (path for folder in ("launch", "hri_*/launch") for path in ROOT.glob(folder + "/*.launch")
+             if path.stem == launch_file)
     tags = ElementTree.parse(str(path)).getroot().findall("arg")
     values = {tag.get("name"): tag.get("value", "") for tag in tags}
     return eval(values[argument][len("$(eval "):-1], {}, {"arg": refuse, **names})
