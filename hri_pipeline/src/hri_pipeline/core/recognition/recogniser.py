@@ -221,10 +221,10 @@ class Recogniser:
                 template, self.gallery.calibration.fair_midpoint, person_id) if one.person_id not in face.apart]
             if not confirm:
                 self._refuse_to_enrol(template, person_id, alike)
+            self._store_enrolled(person_id, template)
             for other in alike:
                 # What was learnt while this face was taken for somebody else.
                 self.gallery.drop_views(other, template, self.gallery.calibration.one_human)
-            self._store_enrolled(person_id, template)
             for other in alike + [other for other in face.apart if other in self.gallery]:
                 self.gallery.keep_apart(person_id, other)
             face.barred = False
