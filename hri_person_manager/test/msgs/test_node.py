@@ -148,6 +148,16 @@ def test_nobody_is_forgotten_whom_nobody_knows(at_two):
         services._forget(ForgetRequest(id="abcde"))
 
 
+def test_who_is_in_a_read_only_store_is_not_forgotten_by_half(at_two):
+    services, _ = services_with_somebody(GalleryResponse(success=True), PersonRegister(
+        borrowed=[PersonRecord("ada", "Ada")]))
+    services._manager.know(["ada"])
+    with pytest.raises(RegisterError, match="read-only"):
+        services._forget(ForgetRequest(id="ada"))
+    assert "ada" in services._manager.snapshot(2.0).known and not services._galleries.call.called
+    assert services._guard.check("ada", 1, "fghij", 2, 0.9, 2.0) is not None
+
+
 def test_a_merge_that_cannot_be_kept_is_told_as_what_it_is(at_two):
     services, _ = services_with_somebody(GalleryResponse(), PersonRegister(borrowed=[PersonRecord("ada", "Ada")]))
     services._manager.know(["ada", "bob"])

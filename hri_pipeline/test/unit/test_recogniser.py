@@ -359,6 +359,17 @@ def test_enrolling_somebody_alike_is_refused_and_done_when_it_is_confirmed():
     assert scene.person("f3") == "bert"
 
 
+def test_who_cannot_be_forgotten_stays_recognised():
+    scene = Scene()
+    scene.gallery.borrow([KnownPerson("ada", template(1)[None], True)], "shared.sqlite")
+    scene.show({"fa": (1, 0.02)}, 2.0)
+    assert scene.person("fa") == "ada"
+    with pytest.raises(GalleryError, match="read-only store"):
+        scene.recogniser.forget("ada")
+    scene.listen(scene.recogniser.changes())
+    assert scene.person("fa") == "ada"
+
+
 def test_an_enrolment_that_is_refused_takes_no_views_of_others_away():
     scene = Scene()
     scene.gallery.borrow([KnownPerson("ada", template(1, 0.5, 7)[None], True)], "shared.sqlite")

@@ -304,8 +304,7 @@ class PersonRegister:
 
         An id that is forgotten here but still in the store counts as known, so that the request can be repeated.
         """
-        if person_id in self._borrowed:
-            raise RegisterError(_BORROWED.format(person_id))
+        self.check_own(person_id)
         # The empty id is the alias of whoever has none, and nobody's.
         gone = [key for key, record in self._records.items()
                 if person_id and person_id in (key, record.alias)]
@@ -317,6 +316,11 @@ class PersonRegister:
             self._drop(key)
         self._demographics.pop(person_id, None)
         return is_known
+
+    def check_own(self, person_id: str) -> None:
+        """Raise RegisterError for somebody of a read-only store."""
+        if person_id in self._borrowed:
+            raise RegisterError(_BORROWED.format(person_id))
 
     def forget_all(self) -> int:
         """Remove everybody; returns how many there were."""
