@@ -186,13 +186,16 @@ class PersonRegister:
         return self._records.get(person_id)
 
     def seen(self, person_ids: Iterable[str], now: float) -> None:
-        """Note that these permanent persons are seen at `now` (s); the unknown are known from now on."""
+        """Note that these permanent persons, and those merged into them, are seen at `now` (s); the unknown are known
+        from now on."""
         for person_id in person_ids:
             record = self._records.get(person_id)
             if record is None:
                 self._write(PersonRecord(person_id, first_seen=now, last_seen=now))
             elif now - record.last_seen >= SEEN_STEP_S or now < record.last_seen:
-                self._write(replace(record, last_seen=now))
+                same = [other for other in self._records.values() if other.alias == person_id]
+                for one in (record, *same):
+                    self._write(replace(one, last_seen=now))
 
     def flush(self) -> None:
         """Write what has changed; cheap when nothing has. StoreError: it is not written, and waits for the next
