@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import threading
+from collections import OrderedDict
 from dataclasses import replace
+from unittest.mock import MagicMock
 
 import genpy
 import numpy as np
 import pytest
-from std_msgs.msg import Header
+from std_msgs.msg import Header, String
 
 from hri_fullbody.core.behaviour.attitude import AttitudeClass
 from hri_fullbody.core.behaviour.gesture import GestureClass
@@ -16,9 +19,10 @@ from hri_fullbody.core.kinematics.forward import forward
 from hri_fullbody.core.model.anthropometry import SegmentTable
 from hri_fullbody.core.model.human import Dimensions, layout_for
 from hri_fullbody.core.modeller import BodyInput, BodyModeller
-from hri_fullbody.ros.bodies import body_transform, drawn, up_and_height
+from hri_fullbody.core.tracking.reidentification import Reidentification
+from hri_fullbody.ros.bodies import ReidentificationMatches, body_transform, drawn, up_and_height
 from hri_fullbody.ros.topics import crop, joint_state
-from hri_msgs.msg import BodyAttitude, BodyPosture
+from hri_msgs.msg import BodyAttitude, BodyPosture, IdsList
 from hri_msgs.msg import Gesture as GestureMessage
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
@@ -107,3 +111,16 @@ def test_numbers_equal_the_constants_of_the_message(ours, message):
     constants = {name: getattr(message, name) for name in vars(message)
                  if name.isupper() and isinstance(getattr(message, name), int)}
     assert {item.name: item.value for item in ours} == constants
+
+
+def test_a_body_that_comes_back_is_not_matched_with_somebody_who_was_forgotten_meanwhile():
+    matches = ReidentificationMatches.__new__(ReidentificationMatches)
+    matches._lock, matches._person_of, matches._known, matches._publisher = (
+        threading.Lock(), OrderedDict(), None, MagicMock())
+    for person, body in (("ann", "b1"), ("bob", "b2")):
+        matches._on_body_id(person, "body_id", String(body))
+        matches._on_body_id(person, "body_id", String(""))
+    matches._on_known(IdsList(ids=["bob"]))
+    matches.publish([Reidentification("b3", "b1", 0.95), Reidentification("b4", "b2", 0.95)])
+    (match,), _ = matches._publisher.publish.call_args
+    assert matches._publisher.publish.call_count == 1 and (match.id1, match.id2) == ("b4", "bob")
