@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import io
+import threading
 import time
+from collections import OrderedDict
 from dataclasses import replace
+from unittest.mock import MagicMock
 
 import genpy
 import numpy as np
 import pytest
 import rospy
-from std_msgs.msg import Header
+from std_msgs.msg import Header, String
 from tf2_msgs.msg import TFMessage
 
 from hri_fullbody.core.behaviour.attitude import AttitudeClass
@@ -20,10 +23,11 @@ from hri_fullbody.core.kinematics.forward import forward
 from hri_fullbody.core.model.anthropometry import SegmentTable
 from hri_fullbody.core.model.human import Dimensions, layout_for
 from hri_fullbody.core.modeller import BodyInput, BodyModeller
+from hri_fullbody.core.tracking.reidentification import Reidentification
 from hri_fullbody.ros import bodies
-from hri_fullbody.ros.bodies import body_transform, drawn, up_and_height
+from hri_fullbody.ros.bodies import ReidentificationMatches, body_transform, drawn, up_and_height
 from hri_fullbody.ros.topics import crop, joint_state
-from hri_msgs.msg import BodyAttitude, BodyPosture
+from hri_msgs.msg import BodyAttitude, BodyPosture, IdsList
 from hri_msgs.msg import Gesture as GestureMessage
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
@@ -178,3 +182,14 @@ def test_poses_of_faces_are_cheap(face_input):
         return min(times)
 
     assert cost(lambda: face_input._on_transforms(message)) < 0.7 * cost(lambda: TFMessage().deserialize(message._buff))
+def test_a_body_that_comes_back_is_not_matched_with_somebody_who_was_forgotten_meanwhile():
+    matches = ReidentificationMatches.__new__(ReidentificationMatches)
+    matches._lock, matches._person_of, matches._known, matches._publisher = (
+        threading.Lock(), OrderedDict(), None, MagicMock())
+    for person, body in (("ann", "b1"), ("bob", "b2")):
+        matches._on_body_id(person, "body_id", String(body))
+        matches._on_body_id(person, "body_id", String(""))
+    matches._on_known(IdsList(ids=["bob"]))
+    matches.publish([Reidentification("b3", "b1", 0.95), Reidentification("b4", "b2", 0.95)])
+    (match,), _ = matches._publisher.publish.call_args
+    assert matches._publisher.publish.call_count == 1 and (match.id1, match.id2) == ("b4", "bob")

@@ -3,6 +3,7 @@
 import threading
 from unittest.mock import MagicMock
 
+import genpy
 import pytest
 
 from hri_person_manager.core import persons
@@ -10,8 +11,10 @@ from hri_person_manager.core.features import Kind, MatchNode
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
+from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_person_manager.core.register import PersonRecord, PersonRegister, RegisterError
 from hri_person_manager.ros import node as module
+from hri_person_manager.ros.navigation import PeopleTopic
 from hri_person_manager.ros.node import PersonManagerNode, RestartState
 from hri_person_manager.ros.services import GalleryAnswer, PersonServices
 from hri_person_manager.srv import EnrolRequest, ForgetRequest, MergeRequest
@@ -148,9 +151,36 @@ def test_nobody_is_forgotten_whom_nobody_knows(at_two):
         services._forget(ForgetRequest(id="abcde"))
 
 
+def test_who_is_in_a_read_only_store_is_not_forgotten_by_half(at_two):
+    services, _ = services_with_somebody(GalleryResponse(success=True), PersonRegister(
+        borrowed=[PersonRecord("ada", "Ada")]))
+    services._manager.know(["ada"])
+    with pytest.raises(RegisterError, match="read-only"):
+        services._forget(ForgetRequest(id="ada"))
+    assert "ada" in services._manager.snapshot(2.0).known and not services._galleries.call.called
+    assert services._guard.check("ada", 1, "fghij", 2, 0.9, 2.0) is not None
+
+
 def test_a_merge_that_cannot_be_kept_is_told_as_what_it_is(at_two):
     services, _ = services_with_somebody(GalleryResponse(), PersonRegister(borrowed=[PersonRecord("ada", "Ada")]))
     services._manager.know(["ada", "bob"])
     with pytest.raises(RegisterError, match="ada is an alias of bob until the end of this run, but .*read-only"):
         services._merge(MergeRequest(id="bob", other="ada"))
     assert services._manager.representative("ada") == "bob" and services._changed.called
+
+
+def test_the_stamps_of_people_are_those_of_the_images_and_do_not_go_back(monkeypatch):
+    """A cycle of the clock comes between two images, which are some tenths of a second old when they come."""
+    topic = PeopleTopic.__new__(PeopleTopic)
+    topic._lock, topic._latest = threading.Lock(), ((), genpy.Time())
+    seen, lost = (Snapshot((PersonState("ann", "", "", "", False, sure, place=MagicMock()),), (), ())
+                  for sure in (1.0, 0.8))
+
+    def stamp_after(snapshot, sensed, now):
+        topic.update(snapshot, genpy.Time.from_sec(sensed), genpy.Time.from_sec(now))
+        return round(topic._latest[1].to_sec(), 6)
+
+    assert stamp_after(seen, 10.0, 10.2) == stamp_after(seen, 10.0, 10.25) == 10.0
+    assert stamp_after(lost, 10.0, 11.5) == 11.5, "nobody is seen"
+    assert stamp_after(seen, 11.4, 11.6) == 11.5 and stamp_after(seen, 11.6, 11.8) == 11.6
+    assert stamp_after(seen, 3.0, 3.2) == 3.0, "the time has jumped back"

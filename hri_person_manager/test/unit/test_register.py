@@ -393,6 +393,20 @@ def test_the_unseen_and_the_surplus_expire(tmp_path):
     store.close()
 
 
+def test_who_goes_by_another_id_since_a_merge_is_seen_and_does_not_expire(tmp_path):
+    """The templates of a face stand under both ids."""
+    store = opened(tmp_path / "people" / "store.sqlite", max_age_days=10.0)
+    register = PersonRegister(store)
+    register.seen(["ann", "bob", "carl"], 1.0)
+    register.set_alias("bob", "ann")
+    for day in range(1, 15):
+        register.seen(["ann"], day * DAY_S)
+    register.flush()
+    register.expire(14.0 * DAY_S)
+    assert register.take_gone() == ["carl"] and register.get("bob").last_seen == 14.0 * DAY_S
+    store.close()
+
+
 def test_a_writer_in_the_other_process_keeps_its_templates(tmp_path):
     path = tmp_path / "people" / "store.sqlite"
     recogniser, store = PersonStore(path), opened(path)

@@ -1,6 +1,8 @@
 """Enrolment from photographs: one person of several pictures, and who is refused."""
 
 import shutil
+import struct
+import zlib
 
 import cv2
 import numpy as np
@@ -54,6 +56,18 @@ def test_pictures_of_two_people_are_refused(directory):
     shutil.copy(str(PICTURES / "other_1.jpg"), str(directory))
     with pytest.raises(EnrolmentError, match="same person"):
         templates_of(photographs(directory))
+
+
+def test_pictures_of_absurd_sizes_are_left_out(directory):
+    for name, shape in (("high.png", (10000, 1, 3)), ("long.png", (1, 10000, 3)), ("one.png", (1, 1, 3))):
+        cv2.imwrite(str(directory / name), np.full(shape, 128, np.uint8))
+    header = b"IHDR" + struct.pack(">IIBBBBB", 60000, 60000, 8, 2, 0, 0, 0)
+    (directory / "vast.png").write_bytes(
+        b"\x89PNG\r\n\x1a\n\0\0\0\r" + header + struct.pack(">I", zlib.crc32(header)))
+    found = templates_of(photographs(directory))
+    assert len(found.templates) == 2 and [text.split(":")[0] for text in found.left_out] == [
+        "high.png", "long.png", "one.png", "vast.png"]
+    assert found.left_out[3] == "vast.png: no picture, or one too large"
 
 
 def test_a_directory_without_pictures_is_told(tmp_path):

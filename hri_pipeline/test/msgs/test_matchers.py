@@ -4,9 +4,10 @@ import threading
 from unittest.mock import MagicMock
 
 import pytest
+from std_msgs.msg import String
 
 from hri_pipeline.nodes import matchers as module
-from hri_pipeline.nodes.matchers import FaceBodyMatcherNode, VoiceMatcherNode
+from hri_pipeline.nodes.matchers import FaceBodyMatcherNode, VoiceContext, VoiceMatcherNode
 from hri_pipeline.ros.diagnostics import ERROR
 
 
@@ -33,3 +34,16 @@ def test_one_bad_comparison_does_not_end_the_node(kind, monkeypatch):
     node.spin()
     assert node._matcher.matches.call_count == 2
     node._diagnostics.set.assert_called_once_with("matches", ERROR, "ZeroDivisionError: a bad number")
+
+
+def test_what_was_latched_of_a_person_counts_when_it_is_faster_than_the_list():
+    """The topics of an id are subscribed to before the list is handed on; what is latched there comes only once."""
+    context = VoiceContext.__new__(VoiceContext)
+    context._matcher, context._tf, context._lock = MagicMock(), MagicMock(), threading.Lock()
+    context._persons, context._known_ids = {}, []
+    for name, value in (("face_id", "fa"), ("voice_id", "")):
+        context._on_person("ann", name, String(value))
+    context._on_persons(["ann"])
+    context._matcher.set_persons.assert_called_with({"ann": ("fa", "")}, [])
+    context._on_persons([])
+    context._matcher.set_persons.assert_called_with({}, [])

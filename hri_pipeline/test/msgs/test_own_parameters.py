@@ -213,3 +213,19 @@ def test_a_watch_without_parameters_touches_none(servers):
         servers.restart()
         wait_for(lambda: servers.reads > reads, 10, "registered again")
     assert servers.now[1].were_set == []
+
+
+def test_after_another_launch_the_parameters_are_those_with_which_the_node_began(server):
+    """Another launch, without privacy:=strict, has set those of the nodes of the same names."""
+    master = server["master"] = FakeMaster({"robot": {"faces": {"expression": False, "rate": 10.0}}})
+    parameters = OwnParameters()
+    parameters.keep(parameters.read(master))
+    assert not parameters.take_back(master)
+    parameters.set("rate", 5.0)
+    master.tree["robot"]["faces"] = {"expression": True, "max_faces": 3}
+    parameters.keep(parameters.read(master))        # before the other node has taken over the name
+    assert parameters.take_back(master)
+    assert master.tree["robot"]["faces"] == {"expression": False, "rate": 5.0}
+    master.tree["robot"]["faces"], master.refuses = {}, True
+    with pytest.raises(OSError, match="refuses"):
+        parameters.take_back(master)

@@ -200,6 +200,25 @@ def test_forgetting_withdraws_and_forgets():
     assert identity.list_known() == []
 
 
+def test_a_voice_of_who_was_forgotten_elsewhere_or_merged_is_compared_anew():
+    """Without a word from the voice: a listener that comes late would be told of somebody who is not known."""
+    identity = known(("anna", 0.0), ("berta", 1.5))
+    say(identity, "first", 0.0)
+    identity.merge("anna", "berta")
+    assert identity.changes() == [VoicePerson("first", "anna", 0.0), VoicePerson("first", "berta", LIKELIHOOD)]
+    identity._gallery.remove("berta")           # as flush() does, for another process
+    assert identity.current() == [] and identity.changes() == [VoicePerson("first", "berta", 0.0)]
+
+
+def test_a_voice_unlike_that_of_the_person_is_not_enrolled_without_a_word():
+    identity = known(("anna", 0.0))
+    say(identity, "first", 1.5)
+    with pytest.raises(GalleryError, match="does not sound like anna"):
+        identity.enrol("first", "anna")
+    say(identity, "second", 0.3)
+    assert identity.enrol("second", "anna") == "anna"
+
+
 def test_the_store_keeps_voices_beside_faces_and_forgets_both(tmp_path):
     """Another process forgets the person: the voice is gone here, and nothing of it is left in the file."""
     path, face = tmp_path / "people.sqlite", np.eye(4, dtype=np.float32)[:1]
@@ -218,7 +237,7 @@ def test_the_store_keeps_voices_beside_faces_and_forgets_both(tmp_path):
     identity.flush()
     again.flush()
     assert identity.list_known() == again.list_known() == []
-    assert say(again, "third", 0.3) == []
+    assert again.changes() == [VoicePerson("second", "anna", 0.0)] and say(again, "third", 0.3) == []
     again.close()
     identity.close()
     faces.close()

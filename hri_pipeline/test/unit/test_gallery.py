@@ -89,6 +89,7 @@ def test_distances_near_the_mean_of_all_count_more_everywhere():
     for nearest_only in (False, True):
         likeliest, other = gallery.match(first[None], nearest_only=nearest_only)[0].candidates
         assert likeliest.person_id == "one" and other.distance == pytest.approx(0.25, abs=1e-3)
+    assert calibration.apart(first[None], np.stack((first, second)))[0] == pytest.approx([0.0, 0.25], abs=1e-3)
     assert calibration.compared(0.1, first, mean) == pytest.approx(0.1 * MOST_STRETCHED), "no more than that"
     assert calibration.compared(0.3, face(1), face(1, 0.3)) == 0.3, "far from the mean, as measured"
 

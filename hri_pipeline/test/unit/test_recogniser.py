@@ -13,6 +13,7 @@ from hri_pipeline.core.recognition.face_identity import FaceEvidence, FaceTempla
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery, open_gallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.recogniser import SAME, Recogniser
+from hri_pipeline.core.recognition.store import KnownPerson
 
 CALIBRATION = TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)
 STEP = 0.1
@@ -356,6 +357,28 @@ def test_enrolling_somebody_alike_is_refused_and_done_when_it_is_confirmed():
     assert scene.person("f2") == "anna"
     scene.show({"f3": (BROTHER, 0.2)}, 3.0)
     assert scene.person("f3") == "bert"
+
+
+def test_who_cannot_be_forgotten_stays_recognised():
+    scene = Scene()
+    scene.gallery.borrow([KnownPerson("ada", template(1)[None], True)], "shared.sqlite")
+    scene.show({"fa": (1, 0.02)}, 2.0)
+    assert scene.person("fa") == "ada"
+    with pytest.raises(GalleryError, match="read-only store"):
+        scene.recogniser.forget("ada")
+    scene.listen(scene.recogniser.changes())
+    assert scene.person("fa") == "ada"
+
+
+def test_an_enrolment_that_is_refused_takes_no_views_of_others_away():
+    scene = Scene()
+    scene.gallery.borrow([KnownPerson("ada", template(1, 0.5, 7)[None], True)], "shared.sqlite")
+    scene.gallery.add_person("bert", np.stack([template(1, 0.3, 5), template(1)]))
+    scene.show({"fa": (1, 0.02)}, 2.0)
+    before = len(scene.gallery.export("bert").templates)
+    with pytest.raises(GalleryError, match="read-only store"):
+        scene.recogniser.enrol("fa", "ada", confirm=True)
+    assert len(scene.gallery.export("bert").templates) == before
 
 
 def test_a_face_with_a_wrong_name_is_enrolled_as_somebody_else_when_that_is_confirmed():

@@ -300,6 +300,52 @@ def test_the_ending_tells_the_kind_of_file(tmp_path, name, kind):
         opened.close()
 
 
+@pytest.fixture
+def borrowing(tmp_path):
+    """A gallery of its own file, which knows ada (two views) of a read-only store; and another process on that file."""
+    shared = PersonStore(tmp_path / "shared" / "people.sqlite")
+    shared.put_record(StoredPerson("ada", "Ada"))
+    shared.put_templates(KnownPerson("ada", np.stack([face(1), face(1, 0.3)]), False), "net", 1.0)
+    shared.close()
+    own = tmp_path / "own" / "people.sqlite"
+    opened = open_gallery(str(own), "net", SIZE, CALIBRATION, read_only=[str(shared.path)])
+    opened.add_person("bert", face(2)[None])
+    opened.flush()
+    process = PersonStore(own)
+    yield opened, process
+    process.close()
+    opened.close()
+
+
+def test_views_of_a_person_of_a_read_only_store_stay(borrowing):
+    gallery, _ = borrowing
+    gallery.drop_views("ada", face(1, 0.3), 0.2)
+    assert len(gallery.export("ada").templates) == 2
+
+
+def test_who_is_two_people_with_one_of_a_read_only_store_stays_so_when_another_process_writes(borrowing):
+    gallery, other = borrowing
+    gallery.keep_apart("ada", "bert")
+    gallery.flush()
+    other.put_record(StoredPerson("carl"))
+    gallery.flush()
+    assert gallery.are_apart("ada", "bert")
+    gallery.add_person("dora", face(3)[None])
+    gallery.flush()
+    assert gallery.are_apart("ada", "bert") and other.load_apart() == set()
+
+
+def test_who_comes_into_the_own_store_is_no_longer_one_of_the_read_only_store(borrowing):
+    gallery, other = borrowing
+    other.put_record(StoredPerson("ada", "Ada"))
+    other.put_templates(KnownPerson("ada", face(1, 0.1)[None], True), "net", 2.0)
+    gallery.flush()
+    assert gallery.export("ada").enrolled and len(gallery.export("ada").templates) == 1
+    assert gallery.remove("ada")
+    gallery.flush()
+    assert [record.id for record in other.load_records()] == ["bert"]
+
+
 def test_people_of_a_read_only_store_are_known_and_never_changed(tmp_path):
     shared, own = tmp_path / "shared" / "people.sqlite", tmp_path / "own" / "people.sqlite"
     store = PersonStore(shared)

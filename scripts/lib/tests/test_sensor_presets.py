@@ -75,7 +75,9 @@ def test_a_value_that_is_not_legal_is_refused_with_those_that_are(launch_file: s
 
 def check_of(launch_file: str, argument: str, **names: object) -> object:
     """The value of an argument that checks others, as roslaunch finds it; `Refused` tells what it would end with."""
-    tags = ElementTree.parse(str(ROOT / "launch" / (launch_file + ".launch"))).getroot().findall("arg")
+    path, = (path for folder in ("launch", "hri_*/launch") for path in ROOT.glob(folder + "/*.launch")
+             if path.stem == launch_file)
+    tags = ElementTree.parse(str(path)).getroot().findall("arg")
     values = {tag.get("name"): tag.get("value", "") for tag in tags}
     return eval(values[argument][len("$(eval "):-1], {}, {"arg": refuse, **names})
 
@@ -87,6 +89,22 @@ def test_numbers_that_are_none_are_refused_by_name(launch_file: str, argument: s
                                                    legal: Sequence[object]) -> None:
     assert all(check_of(launch_file, argument, **{name: value}) is True for value in legal)
     for value in ("abc", -3, "5 people"):
+        with pytest.raises(Refused, match="^{}:={}; legal: ".format(name, value)):
+            check_of(launch_file, argument, **{name: value})
+
+
+@pytest.mark.parametrize("launch_file, argument, name, legal, illegal", [
+    *((file, "is_fov", "fallback_fov", ["", 1, 1.05, "0.6"], ["wide", 60, -1.0, 0.0, "1e0", True])
+      for file in ("faces", "bodies", "vision")),
+    *((file, "is_topic", "depth", ["", "/camera/depth", "depth", "~depth"], [True, False, "true", 1, "/"])
+      for file in ("faces", "bodies", "vision")),
+    ("person_manager", "is_age", "store_max_age", ["", 0.0, 30, 0.5], ["month", -1.0]),
+    ("person_manager", "is_count", "store_max_persons", ["", 0, 1000], ["many", 2.5, -1])])
+def test_arguments_of_nodes_that_make_no_sense_are_refused_by_name(launch_file: str, argument: str, name: str,
+                                                                   legal: Sequence[object],
+                                                                   illegal: Sequence[object]) -> None:
+    assert all(check_of(launch_file, argument, **{name: value}) is True for value in legal)
+    for value in illegal:
         with pytest.raises(Refused, match="^{}:={}; legal: ".format(name, value)):
             check_of(launch_file, argument, **{name: value})
 

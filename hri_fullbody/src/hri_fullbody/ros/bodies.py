@@ -8,7 +8,7 @@ import threading
 import time
 from collections import OrderedDict, deque
 from dataclasses import replace
-from typing import Deque, Dict, Iterable, List, Optional, Sequence, Tuple
+from typing import Deque, Dict, Iterable, List, Optional, Sequence, Set, Tuple
 
 import genpy
 import numpy as np
@@ -25,7 +25,7 @@ from hri_fullbody.core.pipeline import BodyPipeline
 from hri_fullbody.core.tracking.reidentification import Reidentification
 from hri_fullbody.ros.state_publishers import StatePublishers
 from hri_fullbody.ros.topics import NAMESPACE, BodyTopics, pointing_message, skeleton_markers
-from hri_msgs.msg import IdsMatch, PointingStamped
+from hri_msgs.msg import IdsList, IdsMatch, PointingStamped
 from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.frames import RawTransform, read, scan
 from hri_pipeline.core.geometry import Pose
@@ -233,14 +233,17 @@ class BodyProcessor:
 class ReidentificationMatches:
     """Publishes candidate matches of re-identified bodies with the persons of their earlier bodies.
 
-    Follows which person has which body; without a person manager nothing is published.
+    Follows which person has which body; without a person manager nothing is published, nor of somebody who is not known
+    any more: who was forgotten while out of sight would be known again.
     """
 
     def __init__(self, list_timeout: float) -> None:
         """list_timeout: see IdSubscribers."""
         self._lock = threading.Lock()
         self._person_of: "OrderedDict[str, str]" = OrderedDict()
+        self._known: Optional[Set[str]] = None      # until a list has come
         self._publisher = rospy.Publisher(MATCHES_TOPIC, IdsMatch, queue_size=20)
+        self._subscriber = rospy.Subscriber("/humans/persons/known", IdsList, self._on_known, queue_size=1)
         self._feed = IdSubscribers("persons", {"body_id": String}, self._on_body_id, max_ids=200,
                                    list_timeout=list_timeout)
 
@@ -248,14 +251,20 @@ class ReidentificationMatches:
         """Publish a match for each body whose earlier one had a person."""
         for item in found:
             with self._lock:
-                person = self._person_of.get(item.earlier)
-            if person is not None:
+                person = self._person_of.get(item.earlier, "")
+                known = self._known
+            if person and (known is None or person in known):
                 self._publisher.publish(match_to_msg(item.id, IdsMatch.BODY, person, IdsMatch.PERSON, item.likelihood))
 
     def close(self) -> None:
         """Release the topics. Idempotent."""
         self._feed.close()
+        release(self._subscriber)
         release(self._publisher)
+
+    def _on_known(self, message: IdsList) -> None:
+        with self._lock:
+            self._known = set(message.ids)
 
     def _on_body_id(self, person: str, name: str, message: String) -> None:
         if not is_valid_id(message.data):

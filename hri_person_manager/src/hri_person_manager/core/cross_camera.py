@@ -238,7 +238,7 @@ class CrossCamera:
                 if (self._groups.have_other_names(view.names, names) or is_doubted([view], others)
                         or self._is_apart(view, others)):
                     self._groups.take_out(view)
-                    self._groups.two.add(frozenset((human.number, self._groups.group_of[view.number].number)))
+                    self._groups.note_pair(human.number, self._groups.group_of[view.number].number)
 
     def _is_apart(self, view: View, others: List[View]) -> bool:
         if others[0].began > view.began and len(others) == 1:

@@ -186,13 +186,16 @@ class PersonRegister:
         return self._records.get(person_id)
 
     def seen(self, person_ids: Iterable[str], now: float) -> None:
-        """Note that these permanent persons are seen at `now` (s); the unknown are known from now on."""
+        """Note that these permanent persons, and those merged into them, are seen at `now` (s); the unknown are known
+        from now on."""
         for person_id in person_ids:
             record = self._records.get(person_id)
             if record is None:
                 self._write(PersonRecord(person_id, first_seen=now, last_seen=now))
             elif now - record.last_seen >= SEEN_STEP_S or now < record.last_seen:
-                self._write(replace(record, last_seen=now))
+                same = [other for other in self._records.values() if other.alias == person_id]
+                for one in (record, *same):
+                    self._write(replace(one, last_seen=now))
 
     def flush(self) -> None:
         """Write what has changed; cheap when nothing has. StoreError: it is not written, and waits for the next
@@ -262,10 +265,16 @@ class PersonRegister:
 
         stands_for(id): the person that does, itself where nobody else does. now: s.
         """
-        human = set(changed)
-        merged = [{record.id, record.alias} for record in self._records.values() if record.alias]
-        for pair in merged * len(merged):       # links of links, too
-            human |= pair if pair & human else set()
+        merged: Dict[str, Set[str]] = {}
+        for record in self._records.values():
+            if record.alias:
+                merged.setdefault(record.id, set()).add(record.alias)
+                merged.setdefault(record.alias, set()).add(record.id)
+        human: Set[str] = set()
+        new = set(changed)
+        while new:                              # links of links, too
+            human |= new
+            new = set().union(*(merged.get(person_id, ()) for person_id in new)) - human
         kept = {person_id: stands_for(person_id) for person_id in sorted(human)}
         self.seen(sorted({*kept, *kept.values()} - set(self._records)), now)
         for person_id, target in kept.items():
@@ -298,8 +307,7 @@ class PersonRegister:
 
         An id that is forgotten here but still in the store counts as known, so that the request can be repeated.
         """
-        if person_id in self._borrowed:
-            raise RegisterError(_BORROWED.format(person_id))
+        self.check_own(person_id)
         # The empty id is the alias of whoever has none, and nobody's.
         gone = [key for key, record in self._records.items()
                 if person_id and person_id in (key, record.alias)]
@@ -311,6 +319,11 @@ class PersonRegister:
             self._drop(key)
         self._demographics.pop(person_id, None)
         return is_known
+
+    def check_own(self, person_id: str) -> None:
+        """Raise RegisterError for somebody of a read-only store."""
+        if person_id in self._borrowed:
+            raise RegisterError(_BORROWED.format(person_id))
 
     def forget_all(self) -> int:
         """Remove everybody; returns how many there were."""

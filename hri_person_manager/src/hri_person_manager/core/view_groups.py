@@ -194,10 +194,10 @@ class ViewGroups:
 
     tracks: of each feature. view_of: by feature. group_of: by number of the view. all: by number of the group; one
     without a view is somebody whom all have lost. near, apart: how near pairs of groups are, and views to the rest of
-    their group. two: pairs of groups that are two humans. parted: pairs of persons that a user has parted. kept: links
-    of groups that are gone. strangers: pairs of persons whom a recogniser has told apart in one view. namers: which
-    recognisers know somebody by a name. explained: groups that each group may be. likely: views that are most likely
-    of a group, too.
+    their group. two: by group, which others are not the same human. parted: pairs of persons that a user has parted.
+    kept: links of groups that are gone. strangers: pairs of persons whom a recogniser has told apart in one view.
+    namers: which recognisers know somebody by a name. explained: groups that each group may be. likely: views that are
+    most likely of a group, too.
     """
 
     def __init__(self) -> None:
@@ -207,7 +207,7 @@ class ViewGroups:
         self.all: Dict[int, ViewGroup] = {}
         self.near: Dict[Pair, Nearness] = {}
         self.apart: Dict[int, Nearness] = {}
-        self.two: Set[Pair] = set()
+        self.two: Dict[int, Set[int]] = {}
         self.sensors: Set[str] = set()
         self.named_by: "OrderedDict[str, Set[str]]" = OrderedDict()
         self.kept: "OrderedDict[FrozenSet[str], None]" = OrderedDict()
@@ -301,7 +301,8 @@ class ViewGroups:
         first, *others = human.persons or [""]
         self.kept.update(dict.fromkeys(frozenset((first, other)) for other in others))
         self.all.pop(human.number, None)
-        self.two = {pair for pair in self.two if human.number not in pair}
+        for number in self.two.pop(human.number, ()):
+            self.two[number].discard(human.number)
         self.near = {pair: near for pair, near in self.near.items() if human.number not in pair}
 
     def unite(self, human: ViewGroup, other: ViewGroup) -> None:
@@ -317,8 +318,8 @@ class ViewGroups:
         human.scales = {**other.scales, **human.scales}
         human.seen = {**other.seen, **human.seen}
         human.names |= other.names
-        self.two |= {frozenset((human.number, *(pair - {other.number}))) for pair in self.two
-                      if other.number in pair and human.number not in pair}
+        for number in self.two.get(other.number, set()) - {human.number}:
+            self.note_pair(human.number, number)
         if human.views:
             human.lost = None
         other.persons.clear()
@@ -414,14 +415,19 @@ class ViewGroups:
 
     def note_two(self, live: List[View]) -> None:
         """Remember the humans that one sensor sees at the same time."""
-        for first, second in itertools.combinations(live, 2):
-            one, other = self.group_of[first.number], self.group_of[second.number]
-            if first.sensor != second.sensor or one is other:
-                continue
-            pair = frozenset((one.number, other.number))
-            if pair not in self.two and first.slots & second.slots and (
-                    min(first.ended, second.ended) - max(first.began, second.began) > OVERLAP_S):
-                self.two.add(pair)
+        views: Dict[str, Dict[int, List[View]]] = {}
+        for view in live:
+            views.setdefault(view.sensor, {}).setdefault(self.group_of[view.number].number, []).append(view)
+        for there in views.values():
+            for one, own in there.items():
+                for other in there.keys() - self.two.get(one, set()) - {one}:
+                    if one < other and any(_overlap(*both) for both in itertools.product(own, there[other])):
+                        self.note_pair(one, other)
+
+    def note_pair(self, one: int, other: int) -> None:
+        """Remember of two groups, by number, that they are two humans."""
+        self.two.setdefault(one, set()).add(other)
+        self.two.setdefault(other, set()).add(one)
 
     def have_other_names(self, first: FrozenSet[str], second: FrozenSet[str]) -> bool:
         """Tell whether one sensor's recogniser gives two humans different names."""
@@ -430,11 +436,17 @@ class ViewGroups:
 
     def may_be_one(self, one: ViewGroup, other: ViewGroup) -> bool:
         """Tell whether nothing is known that makes two humans of them."""
-        if frozenset((one.number, other.number)) in self.two or one.slots & other.slots:
+        if other.number in self.two.get(one.number, ()) or one.slots & other.slots:
             return False
         if is_doubted(one.views, other.views) or self.have_other_names(one.names, other.names):
             return False
         return not any(frozenset((a, b)) in self.parted for a in one.persons for b in other.persons)
+
+
+def _overlap(first: View, second: View) -> bool:
+    """Tell whether a sensor has had two of its views, of one kind, at the same time."""
+    return bool(first.slots & second.slots) and (
+        min(first.ended, second.ended) - max(first.began, second.began) > OVERLAP_S)
 
 
 def clothes_evidence(tracks: Iterable[SensorTrack], others: Iterable[SensorTrack]) -> float:

@@ -23,6 +23,7 @@ from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_pipeline.client import Humans
 from hri_pipeline.client.humans import Body, Person
 from hri_pipeline.client.topics import Engagement, Posture
+from hri_pipeline.core.timing import JUMP_BACK_S
 from hri_pipeline.ros.conversions import make_header
 from hri_pipeline.ros.rospy_compat import release
 
@@ -61,11 +62,15 @@ class PeopleTopic:
         """Whether somebody subscribes."""
         return self._publisher.get_num_connections() > 0
 
-    def update(self, snapshot: Snapshot, stamp: genpy.Time) -> None:
-        """Take the persons as they are now; the thread publishes them. stamp: of the newest place."""
+    def update(self, snapshot: Snapshot, sensed: genpy.Time, now: genpy.Time) -> None:
+        """Take the persons as they are; the thread publishes them, with the stamp of the newest image or sound
+        (`sensed`), or with that of `now` while nobody is seen. It never goes back but with the time."""
         placed = tuple(state for state in snapshot.persons if state.place is not None and state.confidence > 0.0)
+        is_seen = not sensed.is_zero() and any(state.confidence >= 1.0 for state in placed)
+        stamp = sensed if is_seen else now
         with self._lock:
-            self._latest = (placed, stamp)
+            before = self._latest[1]
+            self._latest = (placed, before if 0.0 < (before - stamp).to_sec() < JUMP_BACK_S else stamp)
 
     def close(self) -> None:
         """Take the topic back. Idempotent."""

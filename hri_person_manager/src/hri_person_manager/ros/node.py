@@ -482,7 +482,7 @@ class PersonManagerNode:
                     self._topics.publish_position(person_id, place, stamp)
             self._tf.send(list(moved.values()))
             if moved and self._people is not None and self._people.is_wanted:
-                self._people.update(self._manager.snapshot(now), self._sensed)
+                self._people.update(self._manager.snapshot(now), self._sensed, rospy.Time.now())
             if any(self._topics.confidence(person_id) < 1.0 for person_id in moved):
                 self._publish_state()
 
@@ -518,7 +518,7 @@ class PersonManagerNode:
         self._publish_state()
         snapshot = self._manager.snapshot(now)
         if self._people is not None and self._people.is_wanted:
-            self._people.update(snapshot, stamp)
+            self._people.update(snapshot, self._sensed, stamp)
         self._markers.publish(snapshot)
         self._spaces.update(snapshot, self._sensed)
         self._graph.update(lambda: graph_text(snapshot, self._manager.matches, self._manager.merges, self._threshold))

@@ -248,6 +248,8 @@ class PersonServices:
     def _forget(self, request: ForgetRequest) -> ForgetResponse:
         with self._lock:
             ids = self._one_human(request.id)
+            for person_id in ids:
+                self._register.check_own(person_id)
         # The recognisers first: otherwise they would name the person again at once.
         answers = [answer for person_id in ids for answer in self._galleries.call(GalleryRequest.FORGET, person_id)]
         refused = [answer for answer in answers if not answer.response.success and not answer.response.unknown]

@@ -447,9 +447,9 @@ class VoiceContext:
 
     def _on_person(self, id: str, name: str, message: String) -> None:
         with self._lock:
-            if id in self._persons:
-                self._persons[id][name] = message.data
-                self._update_persons()
+            # What is latched there may be faster than the callback of the list that the person is in.
+            self._persons.setdefault(id, {})[name] = message.data
+            self._update_persons()
 
     def _update_persons(self) -> None:
         lost = [id for id in self._known_ids if id not in self._persons]

@@ -71,11 +71,11 @@ def run_node(name: str, build: Callable[[], RunnableNode], parameters: Optional[
     keep_large_blocks()
     one_thread_each()
     prepare_rospy()
-    code = 0
+    code, parameters = 0, parameters or OwnParameters()
     try:
         wait_for_master(name)
         rospy.init_node(name, disable_signals=True)
-        code = _run(build, parameters or OwnParameters())
+        code = _run(build, parameters)
     except _Stop:
         pass
     except ROSInitException as error:
@@ -83,7 +83,7 @@ def run_node(name: str, build: Callable[[], RunnableNode], parameters: Optional[
         code = 1
     rospy.signal_shutdown("{} has ended".format(name))
     if not _stopped.is_set():
-        _wait_while_replaced()
+        _wait_while_replaced(parameters)
     sys.exit(code)
 
 
@@ -210,11 +210,12 @@ def _wait_for_change(error: Exception) -> None:
         diagnostics.close()
 
 
-def _wait_while_replaced() -> None:
+def _wait_while_replaced(parameters: OwnParameters) -> None:
     """Wait while another node of this name runs, where roslaunch would start this one again.
 
     Of two nodes of one name the master ends the older. Two launches would start theirs again and again, and each would
-    end that of the other.
+    end that of the other. The other launch has set the parameters, as of privacy, for both: at the end those of this
+    one are set again.
     """
     _install_handlers()
     try:
@@ -226,8 +227,14 @@ def _wait_while_replaced() -> None:
         sys.stderr.flush()
         while _other_node():
             time.sleep(_RETRY_S)
+        with node_at(rosgraph.get_master_uri()) as master:
+            if parameters.take_back(master):
+                sys.stderr.write("{}: the other node has ended; the parameters of this launch are set again\n".format(
+                    rospy.get_name()))
     except _Stop:
         pass
+    except Exception as error:      # the master has gone, and the parameters with it
+        sys.stderr.write("{}: the parameters of this launch are not set again: {}\n".format(rospy.get_name(), error))
 
 
 def _other_node() -> str:

@@ -33,6 +33,7 @@ class OwnParameters:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._kept: Dict[str, object] = {}
+        self._first: Optional[Dict[str, object]] = None     # the private ones with which the node began
         self._changes = 0
 
     def read(self, master: ServerProxy) -> Snapshot:
@@ -47,6 +48,9 @@ class OwnParameters:
         with self._lock:
             if snapshot.changes == self._changes:
                 self._kept = snapshot.values
+            own = snapshot.values.get(rospy.get_name(), {})
+            if self._first is None and isinstance(own, dict):
+                self._first = copy.deepcopy(own)
 
     def set(self, name: str, value: object) -> None:
         """Set a private parameter, and remember it also where the master is away; rospy then raises one of many."""
@@ -58,6 +62,22 @@ class OwnParameters:
                 own = self._kept.setdefault(rospy.get_name(), {})
                 if isinstance(own, dict):
                     own[name] = value
+                if self._first is not None:
+                    self._first[name] = value
+
+    def take_back(self, master: ServerProxy) -> bool:
+        """Set the private parameters as this node began with, in place of those of another node of its name that has
+        ended; tell whether these were others. Raises as put_back() does.
+        """
+        name = rospy.get_name()
+        with self._lock:
+            first = copy.deepcopy(self._first)
+        if first is None or (_asked(master, name) or {}) == first:
+            return False
+        code, text, _ = _answer(master.setParam(name, name, first))
+        if code != 1:
+            raise OSError("the master refuses the parameters {}: {}".format(name, text))
+        return True
 
     def put_back(self, master: ServerProxy) -> List[str]:
         """Set on a new master what is missing there; return the namespaces, or names, that were set.

@@ -253,13 +253,21 @@ class VoiceIdentity:
     def changes(self) -> List[VoicePerson]:
         """Return the matches that are new or withdrawn since the last call."""
         with self._lock:
+            self._drop_gone()
             changes, self._changes = self._changes, []
             return changes
 
     def current(self) -> List[VoicePerson]:
         """Return all matches of voices that are tracked."""
         with self._lock:
+            self._drop_gone()
             return [VoicePerson(name, voice.told, LIKELIHOOD) for name, voice in self._voices.items() if voice.told]
+
+    def _drop_gone(self) -> None:
+        """Compare the voices anew whose persons were merged, or forgotten by another process."""
+        for voice_id, voice in self._voices.items():
+            if voice.told and voice.told not in self._gallery:
+                self._compare(voice_id, voice)
 
     def _compare(self, voice_id: str, voice: _Voice) -> None:
         near = [(1.0 - 0.5 * one.distance ** 2, one.person_id)
@@ -285,8 +293,8 @@ class VoiceIdentity:
     def enrol(self, voice_id: str, person_id: str = "", confirm: bool = False) -> str:
         """Keep the voice of a person who has agreed; return the id of the person. confirm: has no effect.
 
-        Raises GalleryError when the voice is not heard, has not spoken enough, or no person is named: a voice alone
-        makes nobody known.
+        Raises GalleryError when the voice is not heard, has not spoken enough, is unlike the one that is kept of the
+        person, or no person is named: a voice alone makes nobody known.
         """
         with self._lock:
             voice = self._voices.get(voice_id)
@@ -295,8 +303,12 @@ class VoiceIdentity:
                     voice_id, WINDOW_S + (LEAST_WINDOWS - 1) * HOP_S))
             if not person_id:
                 raise GalleryError("a voice is enrolled for a person who is known by face; enrol the face first")
-            if person_id not in self._gallery:
+            apart = self._gallery.nearest(person_id, voice.mean())
+            if apart is None:
                 self._gallery.add_person(person_id, voice.mean()[None], enrolled=True)
+            elif apart > self._gallery.calibration.fair_midpoint:
+                raise GalleryError("the voice does not sound like {} (distance {:.2f}); if it is, forget them and "
+                                   "enrol them again".format(person_id, apart))
             else:
                 self._gallery.add_template(person_id, voice.mean())
                 self._gallery.enrol(person_id)

@@ -20,7 +20,7 @@ from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.private_file import StoreError
 from hri_pipeline.core.recognition.gallery import MAX_TEMPLATES
-from hri_pipeline.core.recognition.likelihood import template_distances
+from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
@@ -37,12 +37,12 @@ class EnrolmentError(ValueError):
 class PhotographTemplates(NamedTuple):
     """Templates (K, D) of one person, the network that they are of, and what was left out and why.
 
-    alike: distance up to which templates of that network are of one person.
+    calibration: of the distances of that network's templates.
     """
 
     templates: np.ndarray
     model: str
-    alike: float
+    calibration: TemplateCalibration
     left_out: Tuple[str, ...]
 
 
@@ -67,9 +67,9 @@ def templates_of(paths: Sequence[Path], model: str = "") -> PhotographTemplates:
         embedder = pipeline.recognition.embedder
         templates, used, left_out = [], [], []
         for number, path in enumerate(paths):
-            picture = cv2.imread(str(path))
-            crop, problem = (None, "no picture") if picture is None else _crop(pipeline, picture,
-                                                                               1000.0 + 60.0 * number)
+            picture = _read(path)
+            crop, problem = (None, "no picture, or one too large") if picture is None else _crop(
+                pipeline, picture, 1000.0 + 60.0 * number)
             if crop is None:
                 left_out.append("{}: {}".format(path.name, problem))
                 continue
@@ -80,20 +80,29 @@ def templates_of(paths: Sequence[Path], model: str = "") -> PhotographTemplates:
     if not templates:
         raise EnrolmentError("no photograph can be used: {}".format("; ".join(left_out)))
     stack = np.stack(templates).astype(np.float32)
-    apart = template_distances(stack @ stack.T)
+    apart = embedder.calibration.apart(stack, stack)
     first, second = np.unravel_index(int(apart.argmax()), apart.shape)
     if apart[first, second] > embedder.calibration.fair_midpoint:
         raise EnrolmentError("{} and {} do not show the same person (distance {:.2f}, {:.2f} at most)".format(
             used[int(first)], used[int(second)], apart[first, second], embedder.calibration.fair_midpoint))
-    return PhotographTemplates(stack[:MAX_TEMPLATES], embedder.kind, embedder.calibration.fair_midpoint,
-                               tuple(left_out))
+    return PhotographTemplates(stack[:MAX_TEMPLATES], embedder.kind, embedder.calibration, tuple(left_out))
+
+
+def _read(path: Path) -> Optional[np.ndarray]:
+    """Return a picture, BGR, None for another file; no side is longer than _LONGEST_SIDE, nor shorter than 1 px."""
+    try:
+        picture = cv2.imread(str(path))
+    except cv2.error:       # more pixels than OpenCV takes
+        return None
+    if picture is None or max(picture.shape[:2]) <= _LONGEST_SIDE:
+        return picture
+    scale = _LONGEST_SIDE / max(picture.shape[:2])
+    height, width = (max(1, round(scale * side)) for side in picture.shape[:2])
+    return cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def _crop(pipeline: FacePipeline, picture: np.ndarray, begin: float) -> Tuple[Optional[np.ndarray], str]:
     """Return the crop of the one face of a picture for the network; None, and why."""
-    scale = _LONGEST_SIDE / max(picture.shape[:2])
-    if scale < 1.0:
-        picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     camera = CameraModel.from_fov(picture.shape[1], picture.shape[0], _HFOV)
     pipeline.reset()
     for number in range(_IMAGES):
@@ -124,8 +133,8 @@ def enrol(store: PersonStore, name: str, found: PhotographTemplates, now: float)
 def _enrol(store: PersonStore, name: str, found: PhotographTemplates, now: float) -> str:
     known = store.load_templates(found.model, found.templates.shape[1])
     for person in known:
-        distance = float(template_distances((person.templates @ found.templates.T).max()))
-        if distance < found.alike:
+        distance = float(found.calibration.apart(person.templates, found.templates).min())
+        if distance < found.calibration.fair_midpoint:
             raise EnrolmentError("{} is in the store already and looks the same (distance {:.2f}); `people forget` or "
                                  "`people name` them".format(person.id, distance))
     taken = {record.id for record in store.load_records()}

@@ -149,7 +149,9 @@ class MemoryGallery:
 
     def drop_views(self, person_id: str, template: np.ndarray, below: float) -> None:
         """Forget the templates of a person nearer than `below` to this one (D,), which is of somebody else. The first
-        one stays."""
+        one stays, and all of somebody of a read-only store."""
+        if person_id in self._borrowed:
+            return
         template = self._checked(np.asarray(template)[None])[0]
         with self._lock:
             row = self._row_of(person_id)
@@ -494,7 +496,8 @@ class StoredGallery(MemoryGallery):
     def _take_person(self, person: KnownPerson) -> bool:
         """Let a person be here as in the store; False where there is no room, or a template is none."""
         before = self._stored.get(person.id)
-        if person.id in self:
+        is_own = self._borrowed.pop(person.id, None) is None
+        if person.id in self and is_own:
             here = self.export(person.id)
             if _same(here, person):
                 return True
@@ -517,7 +520,7 @@ class StoredGallery(MemoryGallery):
             revision = self.revision
             present = {person_id: self.export(person_id) for person_id in self.ids()
                        if person_id not in self._borrowed}
-            apart = set(self._apart)
+            apart = {pair for pair in self._apart if pair <= present.keys()}     # others are not in the store
         for person_id, person in present.items():
             if not _same(person, self._stored.get(person_id)):
                 self._store.put_templates(person, self.model, self._clock(), is_new=person_id not in self._stored)

@@ -119,10 +119,18 @@ class TemplateCalibration:
     def compared(self, distance: float, first: np.ndarray, second: np.ndarray) -> float:
         """Return the distance of two templates (D,) as it counts: larger where one of them is nearer to the mean of all
         than `radius`, by as much as it is nearer."""
+        return distance * float(self._stretch(np.stack((first, second))).max())
+
+    def apart(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Return the distances (N, M) of the templates (N, D) from those of (M, D), as they count."""
+        return template_distances(first @ second.T) * np.maximum(self._stretch(first)[:, None], self._stretch(second))
+
+    def _stretch(self, templates: np.ndarray) -> np.ndarray:
+        """Return how many times as far (N,) as measured the templates (N, D) are from others, at least."""
         if not self.centre:
-            return distance
-        nearest = min(float(np.linalg.norm(template - self._centre)) for template in (first, second))
-        return distance * min(MOST_STRETCHED, max(1.0, self.radius / max(nearest, 1e-6)))
+            return np.ones(len(templates))
+        nearness = np.maximum(np.linalg.norm(templates - self._centre, axis=1), 1e-6)
+        return np.clip(self.radius / nearness, 1.0, MOST_STRETCHED)
 
     def crowding(self, first: np.ndarray, second: np.ndarray) -> float:
         """Return by how much (0 or more) the distance of two templates counts more, for the distances of other people

@@ -221,10 +221,10 @@ class Recogniser:
                 template, self.gallery.calibration.fair_midpoint, person_id) if one.person_id not in face.apart]
             if not confirm:
                 self._refuse_to_enrol(template, person_id, alike)
+            self._store_enrolled(person_id, template)
             for other in alike:
                 # What was learnt while this face was taken for somebody else.
                 self.gallery.drop_views(other, template, self.gallery.calibration.one_human)
-            self._store_enrolled(person_id, template)
             for other in alike + [other for other in face.apart if other in self.gallery]:
                 self.gallery.keep_apart(person_id, other)
             face.barred = False
@@ -252,16 +252,18 @@ class Recogniser:
     def forget(self, person_id: str) -> bool:
         """Forget a person; a face in view is not learnt again. Returns whether the person was known.
 
-        On the disk the person is forgotten with the next flush() of the gallery.
+        On the disk the person is forgotten with the next flush() of the gallery. Raises GalleryError, and forgets
+        nothing, for somebody of a read-only store.
         """
         if not person_id:  # a face of nobody yet has this person
             return False
         with self._lock:
+            is_known = self.gallery.remove(person_id)
             for face in self._faces.values():
                 if person_id in face.published or face.person == person_id:
                     face.evidence.clear()
                     face.barred = True
-            return self.gallery.remove(person_id)
+            return is_known
 
     def forget_all(self) -> None:
         """Forget everybody; faces in view are not learnt again."""
