@@ -12,6 +12,7 @@ from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.register import PersonRecord, PersonRegister, RegisterError
 from hri_person_manager.ros import node as module
+from hri_person_manager.ros.inputs import double_persons
 from hri_person_manager.ros.node import PersonManagerNode, RestartState
 from hri_person_manager.ros.services import GalleryAnswer, PersonServices
 from hri_person_manager.srv import EnrolRequest, ForgetRequest, MergeRequest
@@ -154,3 +155,11 @@ def test_a_merge_that_cannot_be_kept_is_told_as_what_it_is(at_two):
     with pytest.raises(RegisterError, match="ada is an alias of bob until the end of this run, but .*read-only"):
         services._merge(MergeRequest(id="bob", other="ada"))
     assert services._manager.representative("ada") == "bob" and services._changed.called
+
+
+def test_a_recording_that_holds_people_is_told_apart_from_another_robot():
+    assert "bag.launch" in double_persons(["/play_1795697340426374058"])
+    for others in (["/robot2/hri_person_manager"], ["/play_1795697340426374058", "/robot2/hri_person_manager"]):
+        assert "bag.launch" not in double_persons(others)
+        assert "persons:=false" in double_persons(others)
+        assert all(name in double_persons(others) for name in others)
