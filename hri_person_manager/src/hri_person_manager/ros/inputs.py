@@ -31,7 +31,7 @@ def double_persons(others: Sequence[str]) -> str:
     """Return what to say of other nodes that publish persons: of a recording or of another robot."""
     mend = "start one of the stacks with persons:=false, or give each robot a ROS master of its own"
     if all(_PLAYER.fullmatch(name) for name in others):
-        mend = "the recording holds people: roslaunch ros4hri bag.launch, or rosbag play with --topics IMAGE CAMERA_INFO"
+        mend = "the recording holds people: roslaunch ros4hri bag.launch, or rosbag play --topics IMAGE CAMERA_INFO"
     return "{}: {} publishes persons, too, so that people are there more than once; {}".format(
         _PERSONS, ", ".join(others), mend)
 
