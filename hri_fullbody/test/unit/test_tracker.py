@@ -6,6 +6,7 @@ import pytest
 from synthetic_people import Scene, face_of, standing_at
 
 from hri_fullbody.core.tracking.tracker import BodyTracker
+from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.scheduler import InferenceScheduler
 
 IMAGE = np.zeros((720, 1280, 3), np.uint8)
@@ -345,3 +346,17 @@ def test_a_lost_face_is_not_taken_over_far_from_where_it_was():
     scene.people = [(600, 400), (800, 400)]
     run(tracker, stamp, 4, faces=[face_of(standing_at(800, 400), "f1")], boxes=[box_of(800, 400)])
     assert [track.face_id for track in tracker.tracks] == ["f0", "f1"]
+
+
+def test_nobody_begins_in_an_ignored_region_and_who_walks_through_it_is_followed():
+    scene = Scene([(300, 400), (900, 400)])
+    tracker = make(scene, ignored=IgnoredRegions(["0.6 0 0.4 1"]))
+    boxes, poster_face = [box_of(300, 400), box_of(900, 400)], face_of(standing_at(900, 400), "f1")
+    stamp = run(tracker, 0.0, 10, faces=[poster_face], boxes=boxes)
+    assert confirmed(tracker) == ["b0"]
+    scene.people = [(300, 400)]
+    for step in range(25):
+        scene.people = [(300 + 34 * step, 400)]
+        stamp = run(tracker, stamp, 1)
+    assert confirmed(tracker) == ["b0"]
+    assert tracker.tracks[0].visible

@@ -14,6 +14,7 @@ from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_person_manager.core.register import PersonRecord, PersonRegister, RegisterError
 from hri_person_manager.ros import node as module
+from hri_person_manager.ros.inputs import double_persons
 from hri_person_manager.ros.navigation import PeopleTopic
 from hri_person_manager.ros.node import PersonManagerNode, RestartState
 from hri_person_manager.ros.services import GalleryAnswer, PersonServices
@@ -184,3 +185,11 @@ def test_the_stamps_of_people_are_those_of_the_images_and_do_not_go_back(monkeyp
     assert stamp_after(lost, 10.0, 11.5) == 11.5, "nobody is seen"
     assert stamp_after(seen, 11.4, 11.6) == 11.5 and stamp_after(seen, 11.6, 11.8) == 11.6
     assert stamp_after(seen, 3.0, 3.2) == 3.0, "the time has jumped back"
+
+
+def test_a_recording_that_holds_people_is_told_apart_from_another_robot():
+    assert "bag.launch" in double_persons(["/play_1795697340426374058"])
+    for others in (["/robot2/hri_person_manager"], ["/play_1795697340426374058", "/robot2/hri_person_manager"]):
+        assert "bag.launch" not in double_persons(others)
+        assert "persons:=false" in double_persons(others)
+        assert all(name in double_persons(others) for name in others)

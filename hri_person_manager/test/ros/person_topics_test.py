@@ -50,6 +50,15 @@ class PersonTopicsTest(unittest.TestCase):
         wait_for(lambda: self.update() and self.listed[-1:] == [["ann"]] and "f1" in self.heard, 20,
                  lambda: "the person; heard {} {}".format(self.listed[-2:], self.heard))
 
+    def test_who_becomes_somebody_else_is_listed_without_a_gap(self):
+        wait_for(lambda: self.update() and self.listed[-1:] == [["ann"]] and "f1" in self.heard, 20, "the person")
+        del self.listed[:], self.heard[:]
+        self.snapshot = Snapshot((PersonState("ann", "", "", "", True, 1.0, "bob"),
+                                  PersonState("bob", "f1", "", "", False, 1.0)), ("bob",), ("bob",))
+        wait_for(lambda: self.update() and self.listed[-1:] == [["bob"]] and self.heard, 20, "the other person")
+        self.assertNotIn([], self.listed, "somebody is there all the time")
+        self.assertEqual(self.heard, [""], "who keeps the face until then")
+
     def test_a_name_that_has_no_topic_yet_is_said_later(self):
         wait_for(lambda: self.update() and self.listed[-1:] == [["ann"]], 20, "the person")
         self.register.seen(["ann"], time.time())

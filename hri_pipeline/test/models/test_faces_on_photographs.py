@@ -447,3 +447,19 @@ def test_settings_are_checked_before_the_stage_is_built():
     assert isinstance(FACES.resolve({}), FacesSettings)
     with pytest.raises(ParameterError, match="face_death_time"):
         FACES.resolve({"face_death_time": 0.0})
+
+
+def test_no_face_begins_in_an_ignored_region_and_one_that_moves_through_it_stays():
+    image = photograph("sample4")
+    faces = watch(FacePipeline(FACES.resolve({"face_budget": 1000.0})), [image] * 20)[-1]
+    middles = sorted(float(np.mean(face.box[[0, 2]])) / image.shape[1] for face in faces)
+    border = (middles[1] + middles[2]) / 2.0
+    stage = FacePipeline(FACES.resolve({"face_budget": 1000.0, "ignored_regions": ["0 0 {} 1".format(border)]}))
+    seen = watch(stage, [image] * 20)
+    assert [len(faces) for faces in seen[SETTLED:]] == [COUNTS["sample4"] - 2] * (20 - SETTLED)
+    assert all(np.mean(face.box[[0, 2]]) > border * image.shape[1] for faces in seen for face in faces)
+    shifts = np.arange(0, int((middles[2] - border + 0.05) * image.shape[1]), 12)
+    moved = [np.roll(image, -shift, axis=1) for shift in shifts]
+    seen = watch(stage, [image] * 20 + moved)
+    assert set(ids(seen[19])) <= set(ids(seen[-1])), "who walks in front of it is followed"
+    assert any(np.mean(face.box[[0, 2]]) < border * image.shape[1] for face in seen[-1])

@@ -48,6 +48,19 @@ class RunNodeTest(NodeTest):
             self.assertEqual(node.end(number), 0)
             self.assertNotIn("Traceback", "".join(node.lines))
 
+    def test_help_is_given_without_a_master(self):
+        node = self.node("--help", ROS_MASTER_URI="http://127.0.0.1:{}".format(free_port()))
+        node.says("_PARAMETER:=VALUE")
+        wait_for(lambda: node.process.poll() is not None, 10, "the end")
+        self.assertEqual(node.process.returncode, 0)
+
+    def test_an_argument_that_is_ignored_is_told(self):
+        node = self.node("image=/camera", "_size:=3", ROS_MASTER_URI="http://127.0.0.1:{}".format(free_port()))
+        node.says("image=/camera is ignored")
+        node.says("no ROS master")
+        self.assertNotIn("_size", "".join(node.lines))
+        self.assertEqual(node.end(), 0)
+
     def test_the_master_comes_goes_and_comes_again(self):
         port = free_port()
         node = self.node(ROS_MASTER_URI="http://127.0.0.1:{}".format(port))

@@ -37,6 +37,7 @@ from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, model_path, models_directory
 from hri_pipeline.core.orientation import ImageOrientation
@@ -99,8 +100,8 @@ class BodyPipeline:
         self._guard = guard or ItemGuard()
         self._tracker = BodyTracker(
             self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time, settings.min_body_score,
-            settings.max_bodies, guard=self._guard, schedule=InferenceScheduler(
-                cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share)))
+            settings.max_bodies, guard=self._guard, ignored=IgnoredRegions(settings.ignored_regions),
+            schedule=InferenceScheduler(cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share)))
         self._limit_poses(settings)
         self._settings = settings
         self._localizers: Dict[str, BodyLocalizer] = {}

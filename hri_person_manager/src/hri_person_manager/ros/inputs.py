@@ -3,6 +3,7 @@ frame. And who else publishes persons."""
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections import deque
@@ -24,6 +25,17 @@ LAG_S = 0.25        # for which places wait for the transforms of a camera that 
 GRACE_S = 2.0       # wall time in which the transforms may still be on their way when everything starts
 _REMEMBERED_SENSORS = 50
 _MISSED_S = 10.0    # wall time after which a sensor that nothing comes of is no longer told
+_PERSONS = "/humans/persons/tracked"
+_PLAYER = re.compile(r"/play_[0-9]{9,}")     # the name that rosbag gives itself
+
+
+def double_persons(others: Sequence[str]) -> str:
+    """Return what to say of other nodes that publish persons: of a recording or of another robot."""
+    mend = "start one of the stacks with persons:=false, or give each robot a ROS master of its own"
+    if all(_PLAYER.fullmatch(name) for name in others):
+        mend = "the recording holds people: roslaunch ros4hri bag.launch, or rosbag play --topics IMAGE CAMERA_INFO"
+    return "{}: {} publishes persons, too, so that people are there more than once; {}".format(
+        _PERSONS, ", ".join(others), mend)
 
 
 class OtherManagers:
@@ -33,16 +45,13 @@ class OtherManagers:
     def __init__(self) -> None:
         self._heard: Dict[str, float] = {}
         self._name = rospy.get_name()
-        self._topic = "/humans/persons/tracked"
-        self._subscriber = rospy.Subscriber(self._topic, IdsList, self._on_list, queue_size=10)
+        self._subscriber = rospy.Subscriber(_PERSONS, IdsList, self._on_list, queue_size=10)
 
     def problem(self) -> str:
         """Return who publishes persons, too, and what to do; empty when nobody does."""
         now = time.monotonic()
         others = sorted(name for name, at in tuple(self._heard.items()) if now - at < _OTHERS_S)
-        return "%s: %s publishes persons, too, so that people are there more than once; start one of the stacks with " \
-            "persons:=false, or give each robot a ROS master of its own" % (self._topic, ", ".join(others)) \
-            if others else ""
+        return double_persons(others) if others else ""
 
     def close(self) -> None:
         """Stop listening. Idempotent."""

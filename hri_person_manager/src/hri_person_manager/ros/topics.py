@@ -95,7 +95,7 @@ class PersonTopics:
     """Publishes what changed from one snapshot to the next; topics go away with their person.
 
     To open and close topics takes the master many milliseconds: a thread does that, so that nobody else waits. A person
-    is listed once its topics are there.
+    is listed once its topics are there; whom it continues stays until then.
     register: names, languages and demographics; they are published once they are known.
     """
 
@@ -144,7 +144,8 @@ class PersonTopics:
                     person = self._persons[state.id] = _Person(state)
                     self._opening += 1
                     self._work.put(person)
-                self._publish(person, state)
+            for state in snapshot.persons:
+                self._publish(self._persons[state.id], state)
             if len(self._persons) > len(snapshot.persons):
                 listed = {state.id for state in snapshot.persons}
                 for gone in [person_id for person_id in self._persons if person_id not in listed]:
@@ -190,7 +191,16 @@ class PersonTopics:
                 self._opening -= not person.ready
                 person.ready = True
                 self._publish(person, person.state)
+                for other in self._persons.values():
+                    if other.state.alias == person.state.id:
+                        self._publish(other, other.state)
                 self._publish_lists()
+
+    def _stands_in(self, person: _Person) -> bool:
+        """Tell whether a person was merged into one whose topics are being opened: until then nothing changes, so that
+        nobody sees an empty list meanwhile."""
+        other = self._persons.get(person.state.alias)
+        return other is not None and not other.ready and other.failed_at is None
 
     def _publish_lists(self) -> None:
         """Publish both lists, without those whose topics are not there yet."""
@@ -198,6 +208,8 @@ class PersonTopics:
         if self._opening:
             hidden = {person.state.id for person in self._persons.values() if not person.ready}
             lists = tuple(tuple(id for id in ids if id not in hidden) for ids in lists)
+            lists = (lists[0] + tuple(id for id in (self._listed or lists)[0] if id not in lists[0]
+                                      and id in self._persons and self._stands_in(self._persons[id])), lists[1])
         now = time.monotonic()
         if lists != self._listed or now - self._listed_at > STAMP_S:
             self._listed, self._listed_at = lists, now
@@ -209,7 +221,7 @@ class PersonTopics:
         if person.failed_at is not None and time.monotonic() - person.failed_at > RETRY_S:
             person.failed_at = None
             self._work.put(person)
-        if not person.ready:
+        if not person.ready or self._stands_in(person):
             return
         last = person.published
         for name, value in zip(_STATE, state[1:7]):

@@ -11,7 +11,7 @@ import threading
 import time
 import traceback
 from types import FrameType
-from typing import Any, Callable, Dict, NoReturn, Optional, Protocol, Tuple
+from typing import Any, Callable, Dict, NoReturn, Optional, Protocol, Sequence, Tuple
 
 import rosgraph
 import rospy
@@ -65,6 +65,7 @@ def run_node(name: str, build: Callable[[], RunnableNode], parameters: Optional[
     `_wait_while_replaced`. parameters: those that the node changes itself are set there.
     """
     _install_handlers()
+    _look_at_arguments(name, rospy.myargv(sys.argv)[1:])
     # Without room for its log, Python would print a traceback for each line that it cannot write.
     logging.raiseExceptions = False
     logging.getLogger("rosout").addFilter(LogFilter())
@@ -85,6 +86,19 @@ def run_node(name: str, build: Callable[[], RunnableNode], parameters: Optional[
     if not _stopped.is_set():
         _wait_while_replaced(parameters)
     sys.exit(code)
+
+
+def _look_at_arguments(name: str, others: Sequence[str]) -> None:
+    """Tell of the arguments that are none of ROS's; with --help among them the process ends."""
+    usage = ("usage: rosrun PACKAGE {} [TOPIC:=OTHER_TOPIC ...] [_PARAMETER:=VALUE ...] [__name:=NAME] [__ns:=SPACE]\n"
+             "topics and parameters: docs/nodes, and the YAML files in config of the package\n").format(
+                 os.path.basename(sys.argv[0]))
+    if {"-h", "--help"} & set(others):
+        sys.stdout.write(usage)
+        sys.exit(0)
+    if others:
+        sys.stderr.write("{}: {} is ignored\n{}".format(name, " ".join(others), usage))
+        sys.stderr.flush()
 
 
 def read_parameters(table: ParameterTable[S]) -> S:

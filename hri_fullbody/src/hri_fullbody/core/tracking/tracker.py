@@ -39,6 +39,7 @@ from hri_fullbody.core.tracking.candidates import PROMISING, BodyCandidate, Cand
 from hri_fullbody.core.tracking.reidentification import describe
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_pipeline.core.error_log import ItemGuard
+from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.images import PictureCuts
 from hri_pipeline.core.scheduler import InferenceScheduler, Request
 from hri_pipeline.core.tracks import TrackLife, assign
@@ -75,11 +76,12 @@ class BodyTracker:
 
     def __init__(self, pose: PoseEstimator, new_id: Callable[[], str], birth_delay: float, death_time: float,
                  min_score: float = 0.5, max_bodies: int = 10, max_retries: int = 3,
-                 schedule: Optional[InferenceScheduler] = None, guard: Optional[ItemGuard] = None) -> None:
+                 schedule: Optional[InferenceScheduler] = None, guard: Optional[ItemGuard] = None,
+                 ignored: Optional[IgnoredRegions] = None) -> None:
         """birth_delay, death_time: s. min_score: 0 to 1. max_retries: extra windows per image for captured bodies.
 
         schedule: which bodies get an inference; None: all in every image. guard: counts inferences that raised; each
-        costs one body only. Raises ValueError for values outside their ranges.
+        costs one body only. ignored: where no body begins. Raises ValueError for values outside their ranges.
         """
         if max_bodies < 1 or max_retries < 0:
             raise ValueError(
@@ -90,6 +92,7 @@ class BodyTracker:
         self._max_bodies, self._max_retries = max_bodies, max_retries
         self.schedule = schedule or InferenceScheduler(batches=False)
         self._guard = guard or ItemGuard()
+        self._ignored = ignored or IgnoredRegions()
         self._candidates = CandidateQueue()
         self._prepared: Dict[str, Tuple[Window, PoseEstimate]] = {}
         self._cuts = PictureCuts()
@@ -227,6 +230,10 @@ class BodyTracker:
                 return
             face = by_id.get(candidate.face_id) if candidate.face_id is not None else None
             if candidate.box is not None and self._has_track(candidate.box, stamp):
+                continue
+            box = candidate.box if face is None else face.box
+            if box is not None and self._ignored.contain(box, (image.shape[1], image.shape[0])):
+                self._candidates.give_up(candidate.face_id, stamp)
                 continue
             if not self._guard.attempt("place of a new body", self._try_candidate, candidate, image, stamp, face,
                                        faces):

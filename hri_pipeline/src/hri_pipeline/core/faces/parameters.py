@@ -109,6 +109,9 @@ class CameraSettings(Settings):
     fallback_fov: float = parameter(
         1.0472, "Horizontal field of view of a camera without calibration. Distances scale with it.", unit="rad",
         minimum=0.1, maximum=3.0)
+    ignored_regions: Sequence[str] = parameter(
+        [], "Where nobody begins: posters, screens. A text `x y width height` for each region, as shares of the image "
+        "from its upper left corner, of a camera that stands still. Who comes from elsewhere is followed through it.")
     max_rate: float = parameter(
         30.0, "Most images processed per second; the others are skipped, which leaves more of the processor to "
         "others. 0: as fast as they come.", unit="Hz", minimum=0.0, maximum=1000.0, live=True)

@@ -46,6 +46,7 @@ from hri_pipeline.core.faces.track import (
 )
 from hri_pipeline.core.faces.tracker import FaceTracker, explains, is_same_or_part
 from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.images import PictureCuts
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.onnx import model_path
@@ -267,6 +268,7 @@ class FaceTrackingPipeline:
         self._cuts = PictureCuts()
         self._orientation = FaceOrientation()
         self._anew_at = self._panned_at = -np.inf
+        self._ignored = IgnoredRegions(settings.ignored_regions)
         self._clock = clock
         self._times = times
         self._flow = FaceFlow()
@@ -435,7 +437,8 @@ class FaceTrackingPipeline:
 
     def _is_wanted(self, detection: FaceDetection, bgr: np.ndarray, stamp: float) -> bool:
         """Whether a detection may be of a known face, or of one that takes the place of a known one."""
-        if self._tracker.has_room_for(detection.box, (bgr.shape[1], bgr.shape[0])):
+        size = (bgr.shape[1], bgr.shape[0])
+        if self._tracker.has_room_for(detection.box, size) and not self._ignored.contain(detection.box, size):
             return True
         return any(is_same_or_part(detection.box, track.predicted_box(stamp)) for track in self._tracker.tracks)
 
