@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import TYPE_CHECKING, List, Optional, Sequence, Tuple, Type, Union
+from typing import TYPE_CHECKING, BinaryIO, List, Optional, Sequence, Tuple, Type, Union
 
 import genpy
 import numpy as np
@@ -153,8 +153,9 @@ def roi_to_msg(box: Numbers, width: int, height: int) -> RegionOfInterest:
 
 def landmarks_to_msg(landmarks: np.ndarray, header: Header, width: int, height: int) -> FacialLandmarks:
     """Return the message of (70, 3) landmarks x px, y px, confidence in an image of width x height px."""
-    return FacialLandmarks(header=header, landmarks=_points(landmarks, LANDMARKS, width, height),
-                           height=height, width=width)
+    message = _SentLandmarks(header, _scaled(landmarks, LANDMARKS, width, height))
+    message.height, message.width = height, width
+    return message
 
 
 def landmarks_from_msg(msg: FacialLandmarks) -> np.ndarray:
@@ -225,7 +226,7 @@ def audio_features_to_msg(frame: FeatureFrame) -> AudioFeatures:
 
 def skeleton_to_msg(keypoints: np.ndarray, header: Header, width: int, height: int) -> Skeleton2D:
     """Return the message of (18, 3) key points x px, y px, confidence, in the order of Skeleton2D."""
-    return Skeleton2D(header=header, skeleton=_points(keypoints, KEYPOINTS, width, height))
+    return _SentSkeleton(header, _scaled(keypoints, KEYPOINTS, width, height))
 
 
 def skeleton_from_msg(msg: Skeleton2D) -> np.ndarray:
@@ -435,8 +436,73 @@ class SkeletonArray(_PointArray, Skeleton2D):
         return self
 
 
-def _points(values: np.ndarray, count: int, width: int, height: int) -> list:
-    """Points in 0 to 1; one that is not finite has confidence 0, all are clipped to the image."""
+class _SentPoints:
+    """What both have in common that are sent: a header and points, which are made one by one only where they are asked
+    for.
+
+    Ten faces send thousands of points a second, and genpy takes four times as long for them.
+    """
+
+    def __init__(self, header: Optional[Header] = None, points: np.ndarray = _NO_POINTS) -> None:
+        """points: (N, 3), see _scaled()."""
+        self.header = header or Header()
+        self._sent: Union[np.ndarray, list] = points
+
+    def _objects(self) -> list:
+        if isinstance(self._sent, np.ndarray):
+            self._sent = [NormalizedPointOfInterest2D(x, y, c) for x, y, c in self._sent.tolist()]
+        return self._sent
+
+    def _write(self, buffer: BinaryIO, rest: bytes) -> bool:
+        """Write the message; return False where somebody has asked for the points, and may have changed them."""
+        if not isinstance(self._sent, np.ndarray):
+            return False
+        stamp, frame = self.header.stamp, self.header.frame_id.encode()
+        buffer.write(_STAMP_AND_LENGTH.pack(self.header.seq, stamp.secs, stamp.nsecs, len(frame)) + frame
+                     + _COUNT.pack(len(self._sent)) + self._sent.astype("<f4").tobytes() + rest)
+        return True
+
+
+class _SentLandmarks(_SentPoints, FacialLandmarks):
+    """A FacialLandmarks to send."""
+
+    height = width = 0
+
+    @property
+    def landmarks(self) -> list:
+        """The points."""
+        return self._objects()
+
+    @landmarks.setter
+    def landmarks(self, points: list) -> None:
+        self._sent = points
+
+    def serialize(self, buffer: BinaryIO) -> None:
+        """Write the message."""
+        if not self._write(buffer, _SIZE.pack(self.height, self.width)):
+            super().serialize(buffer)
+
+
+class _SentSkeleton(_SentPoints, Skeleton2D):
+    """A Skeleton2D to send."""
+
+    @property
+    def skeleton(self) -> list:
+        """The points."""
+        return self._objects()
+
+    @skeleton.setter
+    def skeleton(self, points: list) -> None:
+        self._sent = points
+
+    def serialize(self, buffer: BinaryIO) -> None:
+        """Write the message."""
+        if not self._write(buffer, b""):
+            super().serialize(buffer)
+
+
+def _scaled(values: np.ndarray, count: int, width: int, height: int) -> np.ndarray:
+    """Points (N, 3) in 0 to 1; one that is not finite has confidence 0, all are clipped to the image."""
     values = np.asarray(values, dtype=np.float64)
     if values.shape != (count, 3):
         raise ValueError("({}, 3) points are needed, not {}".format(count, values.shape))
@@ -446,15 +512,7 @@ def _points(values: np.ndarray, count: int, width: int, height: int) -> list:
     known = np.isfinite(scaled)
     if not known.all():
         scaled = np.where(known.all(axis=1, keepdims=True), scaled, 0.0)
-    scaled = np.minimum(np.maximum(scaled, 0.0), 1.0)
-    return [_point(x, y, c) for x, y, c in scaled.tolist()]
-
-
-def _point(x: float, y: float, c: float) -> NormalizedPointOfInterest2D:
-    """One point; thousands a second, and genpy's constructor takes four times as long."""
-    point = NormalizedPointOfInterest2D.__new__(NormalizedPointOfInterest2D)
-    point.x, point.y, point.c = x, y, c
-    return point
+    return np.minimum(np.maximum(scaled, 0.0), 1.0)
 
 
 def _from_points(msg: genpy.Message, points: Union[np.ndarray, Sequence[NormalizedPointOfInterest2D]], count: int,
