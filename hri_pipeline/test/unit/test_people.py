@@ -251,8 +251,8 @@ def test_a_body_of_an_older_image_is_where_it_was_seen_then(frames):
                              [0.0, 0.0, 1.0]]), np.zeros(3))
         return pan.compose(OPTICAL)
 
-    put(frames, "camera", "face_fa", Pose(np.eye(3), camera(10.0).inverse().apply(np.array([[3.0, 0.0, 1.6]]))[0]), 10.0)
-    put(frames, "camera", "body_bb", Pose(np.eye(3), camera(9.9).inverse().apply(np.array([[3.0, 1.0, 0.9]]))[0]), 9.9)
+    for name, place, stamp in (("face_fa", (3.0, 0.0, 1.6), 10.0), ("body_bb", (3.0, 1.0, 0.9), 9.9)):
+        put(frames, "camera", name, Pose(np.eye(3), camera(stamp).inverse().apply(np.array([place]))[0]), stamp)
     people = gather(frames, lambda sensors: {"camera": camera(10.0)}, 10.0, SETTINGS, {},
                     pose_at=lambda sensor, stamp: camera(stamp))
     np.testing.assert_allclose(people.heads[:, :2], [[3.0, 0.0], [3.0, 1.0]], atol=1e-6)

@@ -7,7 +7,7 @@ import importlib.util
 import numpy as np
 import pytest
 
-from benchmarks import covariance, robot
+from benchmarks import covariance, moving_robot, robot
 from hri_person_manager.core.location import Place
 from hri_pipeline.core.geometry import Pose
 
@@ -36,3 +36,29 @@ def test_every_part_has_its_module():
     assert set(robot.SOURCES) == set(robot.PARTS)
     with_ros = ["web"] if importlib.util.find_spec("rospy") else []
     assert all(robot.source_of(part) for part in ["covariance", "people", "presets", "bridge"] + with_ros)
+
+
+@pytest.mark.parametrize("name", sorted(moving_robot.MOTIONS))
+def test_picture_and_pose_of_the_camera_agree_while_the_robot_moves(name):
+    motion = moving_robot.MOTIONS[name]
+    view = moving_robot.View(np.zeros((720, 1280, 3), np.uint8))
+    start = moving_robot.camera_in_odom(motion.state(0.0))
+    pixel = np.array([500.0, 300.0, 1.0])
+    place = start.apply((np.linalg.inv(view.camera.matrix) @ pixel * moving_robot.PLANE_M)[None])
+    for now in np.arange(0.0, motion.seconds, 0.37):
+        state = motion.state(now)
+        seen = moving_robot.camera_in_odom(state).inverse().apply(place)[0]
+        told = view.homography(state) @ pixel
+        if seen[2] > 0.1:
+            np.testing.assert_allclose(told[:2] / told[2], view.camera.project(seen[None])[0], atol=1e-6)
+
+
+def test_who_is_found_only_later_lowers_the_share_and_who_is_aside_the_place() -> None:
+    motion = moving_robot.MOTIONS["still"]
+    times = np.arange(0.0, motion.seconds, 1.0 / moving_robot.RATE_HZ)
+    place = np.array([2.0, 0.0, 1.5])
+    late = [moving_robot.Sight(now, "f1", place + (0.0, 0.1 * (now > 9.0), 0.0), now > 10.8) for now in times
+            if now < moving_robot.REST_S or now > 7.0]
+    figures = moving_robot.judged(late, motion)
+    assert figures["people"] == 1 and figures["seen"] == pytest.approx(0.5, abs=0.02)
+    assert figures["aside_m"] == pytest.approx(0.1, abs=0.01) and figures["nods"] == 2

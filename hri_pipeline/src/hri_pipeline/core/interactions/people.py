@@ -244,8 +244,8 @@ class _Person(NamedTuple):
 
 
 class _Rows:
-    """Frames whose places and directions are wanted: sensor, stamp (s), and in its frame the origin (m) and direction of
-    each.
+    """Frames whose places and directions are wanted: sensor, stamp (s), and in its frame the origin (m) and direction
+    of each.
 
     In plain numbers: for so few, numpy takes longer.
     """
