@@ -9,7 +9,7 @@ import pytest
 from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
-from hri_pipeline.core.recognition.likelihood import MOST_STRETCHED, TemplateCalibration
+from hri_pipeline.core.recognition.likelihood import CROWD_SHARE, MOST_STRETCHED, TemplateCalibration
 
 CALIBRATION = TemplateCalibration(midpoint=0.36, fair_midpoint=0.40, scale=0.018, near=0.15)
 
@@ -141,7 +141,7 @@ def test_where_the_people_are_alike_a_match_must_be_closer():
         gallery.add_person("alike{}".format(view), face(1, 0.4, view)[None])
     after, = gallery.match(probe[None])
     from_probe = [float(np.linalg.norm(probe - face(1, 0.4, view))) for view in range(3)]
-    more = 0.5 * (np.mean([0.5 - one for one in from_probe]) + 0.5 - 0.4) / 2.0
+    more = CROWD_SHARE * (np.mean([0.5 - one for one in from_probe]) + 0.5 - 0.4) / 2.0
     assert min(from_probe) > 0.4 and max(from_probe) < 0.5
     assert after.candidates[0].person_id == "p0001"
     assert after.candidates[0].distance == pytest.approx(0.25 + more, abs=1e-3)
@@ -153,7 +153,7 @@ def test_where_the_people_are_alike_a_match_must_be_closer():
 def test_of_many_people_more_tell_how_alike_they_are(far, counted):
     calibration = replace(CALIBRATION, crowd=0.5)
     others = np.array(3 * [0.4] + far * [1.2])
-    assert calibration.crowding(others, np.empty(0)) == pytest.approx(0.5 * 0.1 * 3 / counted / 2.0)
+    assert calibration.crowding(others, np.empty(0)) == pytest.approx(CROWD_SHARE * 0.1 * 3 / counted / 2.0)
     assert CALIBRATION.crowding(others, others) == 0.0, "not measured"
 
 
