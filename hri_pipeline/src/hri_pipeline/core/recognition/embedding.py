@@ -84,7 +84,7 @@ KINDS: Dict[str, EmbeddingKind] = {
     # are not in these pictures): the odds against them are such that with ten known people nobody farther than about
     # 0.32 gets a name. Views of one person at different times of a film: 0.20. Templates lie 0.39 +- 0.04 from the mean
     # of all people; those of a family in one photograph, who are 0.27 to 0.45 apart, 0.34 +- 0.02. The three nearest of
-    # 80 other people lie 0.39 +- 0.04 from somebody in another picture, 0.36 +- 0.04 from somebody in a group photograph.
+    # 80 others lie 0.39 +- 0.04 from somebody in another picture, 0.36 +- 0.04 from somebody in a group photograph.
     "face_recognition": EmbeddingKind("face_recognition", "image", "embedding", 150, 128, (0.0, 0.0, 0.0), True,
                                       TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.0135, near=0.15,
                                                           kin_midpoint=0.34, kin_scale=0.018, spread=0.20,

@@ -44,8 +44,8 @@ UNIT_TOLERANCE = 1e-3
 MOST_STRETCHED = 1.6
 """How many times as far as measured two templates count at most, near the mean of all."""
 COHORT, COHORT_SHARE, CROWD_SHARE = 3, 0.02, 1.5
-"""How many of the nearest other people tell how alike people are here, at least, and as a part of them all (of many, some
-are near by chance), and by how many times what they are nearer than usual a distance counts more."""
+"""How many of the nearest other people tell how alike people are here: at least, and as a part of them all (of many,
+some are near by chance); and by how many times what they are nearer than usual a distance counts more."""
 _MAX_EXPONENT = 40.0
 _LEAST_LIKELIHOOD = 0.05
 """Candidates below it are not compared with each other."""
