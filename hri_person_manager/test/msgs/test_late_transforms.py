@@ -90,3 +90,24 @@ def test_nobody_waits_for_transforms_in_time_or_of_a_camera_that_stands(clock):
 def test_places_do_not_wait_for_transforms_that_end(clock):
     source_found = places(clock, LATE_S, 101.5)
     assert max(delay for _, delay in source_found) < LAG_S + 0.06
+
+
+def test_people_of_a_camera_that_stands_do_not_wait_for_one_that_pans(clock):
+    found = []
+    source = TfInput("map", 0.5, lambda poses: found.extend((pose.id, clock["now"]) for pose in poses))
+    source.set_tracked(Kind.FACE, ["f1", "f2"])
+    still = (0.0, 0.0, 0.0, 1.0)
+    for step in range(150):
+        now = clock["now"] = 100.0 + step / 100.0
+        for camera in ("camera", "room"):
+            source.lookup(camera, rospy.Time(100))
+        turn = angle(now - LATE_S)
+        give(source, "map", "camera", (0.0, 0.0, 0.0), (0.0, 0.0, math.sin(turn / 2.0), math.cos(turn / 2.0)),
+             now - LATE_S)
+        give(source, "map", "room", (1.0, 0.0, 2.0), still, now - LATE_S)
+    give(source, "camera", "face_f1", (1.0, 0.0, 0.0), still, clock["now"] - 0.02)
+    give(source, "room", "face_f2", (1.0, 0.0, 0.0), still, clock["now"] - 0.02)
+    assert [name for name, _ in found] == ["f2"]
+    clock["now"] += LAG_S + 0.01
+    source.pass_on()
+    assert [name for name, _ in found] == ["f2", "f1"]

@@ -133,14 +133,25 @@ class TfInput:
             self.pass_on()
 
     def pass_on(self) -> None:
-        """Report the places that need not wait any longer, in the order in which they came."""
+        """Report the places that need not wait any longer, those of each sensor in the order in which they came."""
         with self._in_order:
             while True:
                 with self._lock:
-                    if not self._waiting or self._waits(*self._waiting[0]):
-                        return
-                    _, poses = self._waiting.popleft()
+                    poses = self._next()
+                if poses is None:
+                    return
                 self._on_poses(poses)
+
+    def _next(self) -> Optional[List[FeaturePose]]:
+        """Take out the first places that need not wait, of sensors none of whose earlier ones do."""
+        held: Set[str] = set()
+        for row, (since, poses) in enumerate(self._waiting):
+            sensors = {pose.sensor for pose in poses}
+            if not sensors & held and not self._waits(since, poses):
+                del self._waiting[row]
+                return poses
+            held |= sensors
+        return None
 
     def _waits(self, since: float, poses: List[FeaturePose]) -> bool:
         return 0.0 <= rospy.get_time() - since < LAG_S and any(

@@ -373,12 +373,16 @@ class PersonManagerNode:
     def spin(self) -> None:
         """Let time pass until ROS shuts down."""
         while not self._stop.wait(TICK_S):
-            self._tf_input.pass_on()
-            with self._lock:
+            for step in (self._tf_input.pass_on, self._cycle):
                 try:
-                    self._tick()
+                    step()
                 except Exception as error:  # one bad place does not end the node
-                    self._report.fail(error)
+                    with self._lock:
+                        self._report.fail(error)
+
+    def _cycle(self) -> None:
+        with self._lock:
+            self._tick()
 
     def reconfigure(self, settings: PersonManagerSettings) -> None:
         """Take up the values of the live parameters, from any thread.
