@@ -107,7 +107,7 @@ def _picture(bag: BagWriter, image: np.ndarray, matrix: np.ndarray, stamp: float
     projection = np.hstack([matrix, np.zeros((3, 1))]).ravel()
     bag.write("/camera/camera_info", name,
               bag.make(name, header, SIZE[1], SIZE[0], "plumb_bob", np.zeros(5), matrix.ravel(),
-                                                    np.eye(3).ravel(), projection, 0, 0, roi), stamp)
+                       np.eye(3).ravel(), projection, 0, 0, roi), stamp)
     name = "sensor_msgs/msg/CompressedImage"
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 92])
     bag.write("/camera/image_raw/compressed", name, bag.make(name, header, "bgr8; jpeg compressed bgr8", data.ravel()),

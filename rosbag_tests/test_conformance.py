@@ -238,7 +238,7 @@ class ConformanceTest(unittest.TestCase):
         self.judge("frames", self.table["frames"], self.fault_of_frame)
         self.assertTrue([name for name in self.watch.transforms if name.startswith("person_")
                          and np.isfinite(self.face_since(name[len("person_"):]))],
-                         "nobody of whom a face is known has a frame")
+                        "nobody of whom a face is known has a frame")
 
     def test_parameters(self):
         self.judge("parameters", self.table["parameters"], self.fault_of_parameter)

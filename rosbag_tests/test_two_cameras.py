@@ -56,7 +56,7 @@ class Cameras:
         self.covered = set()
         self._publishers = {name: (rospy.Publisher("/%s/image_raw" % name, Image, queue_size=1),
                                    rospy.Publisher("/%s/camera_info" % name, CameraInfo, queue_size=1))
-                                   for name in TURN}
+                            for name in TURN}
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()

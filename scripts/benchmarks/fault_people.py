@@ -52,8 +52,8 @@ class People:
         self._subscribers = [rospy.Subscriber("/humans/{}/tracked".format(kind), IdsList, self._on_list, kind)
                              for kind in ("faces", "bodies", "voices", "persons")]
         self._subscribers += [rospy.Subscriber("/humans/interactions/gaze", GazesStamped, self._on_gaze, queue_size=10),
-                             rospy.Subscriber("/humans/candidate_matches", IdsMatch, self._on_match, queue_size=100),
-                             rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics, queue_size=100)]
+                              rospy.Subscriber("/humans/candidate_matches", IdsMatch, self._on_match, queue_size=100),
+                              rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics, queue_size=100)]
 
     def close(self) -> None:
         """Listen no more."""

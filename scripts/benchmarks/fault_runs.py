@@ -205,7 +205,7 @@ class FaultRun:
         tracked = self.people.tracked
         return [prefix + name for prefix,
                 kind in (("face_", "faces"), ("gaze_", "faces"), ("body_", "bodies"), ("head_", "bodies"),
-                                                   ("person_", "persons")) for name in tracked.get(kind, ())]
+                         ("person_", "persons")) for name in tracked.get(kind, ())]
 
     def _restart_master(self) -> Recovery:
         from hri_pipeline.ros.master import MasterWatch

@@ -130,8 +130,8 @@ def run(people: int, seconds: float, seed: int, held: float = 0.0, lid_errors: f
             else:
                 closed_since.setdefault(person.id, truth.stamp)
         yield GazeImage(truth.stamp, {person.id: person.target for person in truth.people if person.target is not None},
-                     {person: truth.stamp - since for person, since in closed_since.items()},
-                     observers(truth, senses.sense(truth)))
+                        {person: truth.stamp - since for person, since in closed_since.items()},
+                        observers(truth, senses.sense(truth)))
 
 
 def observers(truth: SceneTruth, sensed: Sensed) -> List[Observer]:

@@ -75,7 +75,7 @@ def group_figures() -> Dict[str, Dict[str, float]]:
         "f1_same_members": {name: scores[1] for name, scores in both.items()},
         "f1_chosen_on": {"CoffeeBreak": f1(first)[0], "Synth": f1(synth[::2])[0]},
         "f1_held_out": dict(zip(names, (f1(second)[0], f1(synth[1::2])[0], noisy_f1(second)[0],
-                                       both["simulated"][0], both["radii"][0]))),
+                                        both["simulated"][0], both["radii"][0]))),
         "published": {name: scores["GCFF"] for name, scores in PUBLISHED_F1.items()}}
 
 

@@ -52,13 +52,13 @@ def human(random: np.random.Generator, like: Optional[SimulatedHuman] = None, da
     if like is not None:
         apart = np.array([6.0, 2.0, 2.0] if random.random() < _VERY_LIKE else [20.0, 6.0, 6.0])
         return SimulatedHuman(like.colours + random.normal(0.0, apart, (PARTS, 3)), like.spread,
-                     float(random.normal(1.70, 0.09)))
+                              float(random.normal(1.70, 0.09)))
     upper, lower = _colour(random, dark), _colour(random, dark)
     colours = np.array([upper if row == 0 or (row < 3 and random.random() < _SAME_AS_TRUNK) else
                         lower if row == 3 or (row == 4 and random.random() < _SAME_AS_TRUNK) else _colour(random, dark)
                         for row in range(PARTS)])
     return SimulatedHuman(colours, random.uniform([6.0, 1.5, 1.5], [25.0, 5.0, 5.0], (PARTS, 3)),
-                 float(random.normal(1.70, 0.09)))
+                          float(random.normal(1.70, 0.09)))
 
 
 def _colour(random: np.random.Generator, dark: float) -> np.ndarray:

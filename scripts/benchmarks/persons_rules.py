@@ -58,7 +58,7 @@ def linked_ms(count: int = LINKED) -> float:
     for kind in (Kind.FACE, Kind.BODY, Kind.VOICE):
         manager.on_tracked(kind, [node.id for node in nodes[kind]], 0.0)
     pairs: List[Tuple[MatchNode, MatchNode]] = [pair for first, second in itertools.combinations(Kind, 2)
-                                      for pair in itertools.product(nodes[first], nodes[second])]
+                                                for pair in itertools.product(nodes[first], nodes[second])]
     rng.shuffle(pairs)
     changes = [partial(manager.on_match, CandidateMatch(first, second, float(rng.uniform(0.55, 0.99))), 1.0)
                for first, second in pairs + pairs[:100]]

@@ -182,7 +182,7 @@ def test_persons_features_and_matches_are_all_in_the_graph():
                          PersonState("bob", "", "", "", True, 0.0, "ann")), ("ann",), ("ann", "bob"))
     text = graph_text(snapshot, [(MatchNode(Kind.FACE, "f1"), MatchNode(Kind.BODY, "b1"), 0.9),
                                  (MatchNode(Kind.FACE, "f1"), MatchNode(Kind.BODY, "b2"), 0.3)], [("ann", "bob", 0.8)],
-                                 0.5)
+                      0.5)
     assert text.startswith("graph humans {") and text.endswith("}\n")
     assert "person_ann -- face_f1 [style=bold];" in text
     assert 'face_f1 -- body_b1 [label="0.90", style=solid];' in text

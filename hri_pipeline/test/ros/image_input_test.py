@@ -142,7 +142,7 @@ class ImageInputTest(InputCase):
         other = subprocess.Popen(["rostopic", "pub", "-r", "20", "image", "sensor_msgs/Image",
                                   "{{header: {{stamp: {{secs: {}}}}}, width: 1, "
                                   "height: 1, step: 3, encoding: bgr8, data: [0, 0, 0]}}".format(far)],
-                                  stdout=subprocess.DEVNULL)
+                                 stdout=subprocess.DEVNULL)
         self.addCleanup(other.wait)
         self.addCleanup(other.kill)
         seen = []

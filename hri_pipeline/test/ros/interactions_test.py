@@ -204,7 +204,7 @@ class InteractionsTest(unittest.TestCase):
         state = wait_for(lambda: self.states.get("hri_interactions: location"), WAIT_S, "diagnostics")
         values = wait_for(lambda: {item.key: item.value for item in self.states["hri_interactions: location"].values
                                    if item.key == "transforms refused" and int(item.value)}, WAIT_S,
-                                   "refused transforms")
+                          "refused transforms")
         self.assertGreater(int(values["transforms refused"]), 0)
         self.assertEqual(state.hardware_id, "/hri_interactions")
         self.assertEqual({item.key: item.value

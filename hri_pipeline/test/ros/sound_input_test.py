@@ -123,7 +123,7 @@ class SoundInputTest(unittest.TestCase):
         self.addCleanup(rospy.Subscriber("audio_info", AudioInfo, infos.append).unregister)
         other = subprocess.Popen(["rostopic", "pub", "-r", "20", "audio_info", "audio_common_msgs/AudioInfo",
                                   "{channels: 7, sample_rate: 44100, sample_format: S16LE, coding_format: wave}"],
-                                  stdout=subprocess.DEVNULL)
+                                 stdout=subprocess.DEVNULL)
         self.addCleanup(other.wait)
         self.addCleanup(other.kill)
         wait_for(lambda: sum(info.channels == 7 for info in infos) > 3, LIMIT, "the other node tells its format")

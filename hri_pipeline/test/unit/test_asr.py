@@ -77,7 +77,7 @@ def test_a_directory_without_a_model_is_named(tmp_path):
 @pytest.mark.skipif(importlib.util.find_spec("pocketsphinx") is None, reason="pocketsphinx is not there")
 @pytest.mark.parametrize("grammar",
                          ["#JSGF V1.0; grammar g; public <g> = flubberwobbel;", "#JSGF V1.0; grammar g; <g> = yes;",
-                                     "#JSGF V1.0; grammar g; public <g> = ((;"])
+                          "#JSGF V1.0; grammar g; public <g> = ((;"])
 def test_a_grammar_that_pocketsphinx_does_not_take_is_named(grammar):
     with pytest.raises(ParameterError, match="speech_grammar"):
         make_engine(EngineChoice("pocketsphinx", grammar=grammar))

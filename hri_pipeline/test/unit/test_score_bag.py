@@ -54,7 +54,7 @@ def write(path, names=lambda t: NAMES, shift=(0.0, 0.0, 0.0), listed=lambda t, i
             if gaze:
                 bag.gaze("/humans/interactions/gaze",
                          [(ids[person.id], ids.get(person.target, "")) for person in now.people
-                                                       if person.target is not None], stamp)
+                          if person.target is not None], stamp)
             if groups:
                 bag.groups("/humans/interactions/groups",
                            [[ids[member] for member in group.members] for group in now.groups], stamp)

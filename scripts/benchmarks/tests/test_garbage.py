@@ -63,7 +63,7 @@ def test_calibrations_are_refused_or_can_be_used():
 
 FUZZED = ("tf2_msgs/TFMessage", "hri_msgs/IdsList", "hri_msgs/IdsMatch", "hri_msgs/FacialLandmarks",
           "hri_msgs/Skeleton2D",
-         "hri_msgs/FacialActionUnits", "audio_common_msgs/AudioData", "sensor_msgs/Image", "std_msgs/Bool")
+          "hri_msgs/FacialActionUnits", "audio_common_msgs/AudioData", "sensor_msgs/Image", "std_msgs/Bool")
 
 
 @pytest.mark.parametrize("kind", FUZZED)

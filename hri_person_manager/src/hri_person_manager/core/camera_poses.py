@@ -133,7 +133,7 @@ def _solved_from(cameras: Sequence[Rays], number: int, start: int) -> CameraPose
 
 
 def at_common_times(tracks: Sequence[Sequence[Tuple[float, Mapping[str, np.ndarray]]]]) -> List[Dict[Hashable,
-                                                                                                       np.ndarray]]:
+                                                                                                     np.ndarray]]:
     """Return for each camera the image points (2,) by (time, name), at times that all cameras share, STEP_S apart:
     between two images that are at most GAP_S apart a point moves straight on.
 

@@ -61,8 +61,8 @@ class PersonManager:
         self._framed: Set[str] = set()      # persons whose frame was published
         self._table = PersonTable(self._new_id,
                                   lambda: PersonLocation(self._settings.source_timeout, self._settings.coast_time),
-                                self._settings.new_person_delay, self._settings.anonymous_persons,
-                                self._settings.voice_person_delay)
+                                  self._settings.new_person_delay, self._settings.anonymous_persons,
+                                  self._settings.voice_person_delay)
         self._published = PublishedPersons(self._table, self._merges, self._decay)
         self._association = Association(self._threshold, self._is_present, self._make_permanent)
         self._cameras = CrossCamera(*_camera_limits(self._settings))

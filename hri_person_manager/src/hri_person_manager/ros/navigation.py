@@ -175,5 +175,5 @@ def position_to_msg(place: Place, stamp: genpy.Time) -> Optional[PoseWithCovaria
     full[:3, :3] = place.covariance
     full[[3, 4, 5], [3, 4, 5]] = _HEADING_VARIANCE
     pose = PoseMsg(Point(*place.pose.translation.tolist()), Quaternion(*(float(value) for value in
-                                                                        place.pose.quaternion)))
+                                                                         place.pose.quaternion)))
     return PoseWithCovarianceStamped(make_header(stamp, place.frame), PoseWithCovariance(pose, full.ravel().tolist()))

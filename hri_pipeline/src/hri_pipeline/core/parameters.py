@@ -325,7 +325,7 @@ class ParameterTable(Generic[S]):
         lines += ["\\* can change [at run time](../tuning.md)."] if self.live else []
         lines = [" ".join(lines), ""] if lines else []
         lines += ["- `~{}`{} ({}): {}".format(parameter.name, "\\*" if parameter.live else "",
-                                             _default_and_range(parameter), _meaning(parameter))
+                                              _default_and_range(parameter), _meaning(parameter))
                   for parameter in self.parameters if not self._is_included(parameter)]
         return "\n".join(lines) + "\n"
 

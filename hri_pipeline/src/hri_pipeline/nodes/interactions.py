@@ -184,7 +184,7 @@ class InteractionsNode:
         self._topics.publish_engagement(levels, self._last)
 
     def _publish(self, stamp: genpy.Time, people: PeopleSnapshot, gazes: Sequence[GazeTarget], groups: Sequence[Group],
-             levels: Dict[str, Level]) -> None:
+                 levels: Dict[str, Level]) -> None:
         header = make_header(stamp, self._frame.name)
         self._topics.publish_gazes(gazes, header)
         if groups is not self._published_groups:
@@ -365,7 +365,7 @@ class InteractionReport:
         self._results += 1
         self._latest = {"people with a place": people, "gazes": len(gazes),
                         "at the robot": sum(gaze.receiver == ROBOT for gaze in gazes),
-                      "groups": len(groups), "engaged": sum(level == Level.ENGAGED for level in levels.values())}
+                        "groups": len(groups), "engaged": sum(level == Level.ENGAGED for level in levels.values())}
 
     def update(self) -> None:
         """Publish once a second."""

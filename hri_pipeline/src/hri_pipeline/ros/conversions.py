@@ -523,7 +523,7 @@ def _from_points(msg: genpy.Message, points: Union[np.ndarray, Sequence[Normaliz
     if len(points) != count:
         raise ValueError("{} needs {} points, not {}".format(kind, count, len(points)))
     values = points if isinstance(points, np.ndarray) else np.array([(point.x, point.y, point.c) for point in points],
-                                                                   dtype=np.float64)
+                                                                    dtype=np.float64)
     _finite(values, kind)
     return values
 

@@ -85,11 +85,11 @@ class SceneFeatures:
         roi = TopicSpec(roi_type(settings.interface))
         self._publishers = {
             FACES: IdPublishers("/humans/faces", {"roi": roi, "landmarks": TopicSpec(FacialLandmarks),
-                                                 "facs": TopicSpec(FacialActionUnits)}),
+                                                  "facs": TopicSpec(FacialActionUnits)}),
             BODIES: IdPublishers("/humans/bodies", {"roi": roi, "skeleton2d": TopicSpec(Skeleton2D),
-                                                  "appearance": TopicSpec(Image)}),
+                                                    "appearance": TopicSpec(Image)}),
             VOICES: IdPublishers("/humans/voices", {"is_speaking": TopicSpec(Bool, latch=True),
-                                                   "features": TopicSpec(AudioFeatures)})}
+                                                    "features": TopicSpec(AudioFeatures)})}
         self._lists = {kind: TrackedList("/humans/{}/tracked".format(kind)) for kind in self._publishers}
         self._speaking = {}
         self._dressed = StampPacer(_APPEARANCE_HZ)
@@ -178,7 +178,7 @@ class SceneFeatures:
             points = landmarks(face.pose, self._camera, face.eyes_closed, mouth)
             publishers.publish(face.id, "landmarks", landmarks_to_msg(points, header, width, height))
             publishers.publish(face.id, "roi", roi_message(box(points, 0.1), width, height, self._settings.interface,
-                                                       header, 0.9))
+                                                           header, 0.9))
         if publishers.has_subscribers(face.id, "facs"):
             intensity, confidence = np.zeros(99), np.zeros(99)
             confidence[[_EYES, _LIPS, _JAW]] = 0.8
@@ -191,7 +191,7 @@ class SceneFeatures:
             points = keypoints(body.pose, body.head, body.stature, self._camera)
             publishers.publish(body.id, "skeleton2d", skeleton_to_msg(points, header, width, height))
             publishers.publish(body.id, "roi", roi_message(box(points, 0.08), width, height, self._settings.interface,
-                                                       header, 0.9))
+                                                           header, 0.9))
 
     def _publish_voice(self, voice: SensedVoice, header: Header, now: float) -> List[TransformStamped]:
         publishers = self._publishers[VOICES]

@@ -31,7 +31,7 @@ _KNOWN, _SEEN = 0.3, 0.5
 _LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT = "Identity", "Identity_1", "Identity_4"
 # The landmarks with left and right exchanged: those of the body come in pairs, five of the head and eleven below.
 _OTHER_SIDE = np.array([0, 4, 5, 6, 1, 2, 3, 8, 7, 10, 9] + [number + 1 - 2 * (number % 2 == 0)
-                                                            for number in range(11, BODY_LANDMARKS)]
+                                                             for number in range(11, BODY_LANDMARKS)]
                        + list(range(BODY_LANDMARKS, LANDMARKS)))
 _GREY = (128, 128, 128)
 _GREY_PATCH = np.full((INPUT_SIZE, INPUT_SIZE, 3), _GREY, np.uint8)

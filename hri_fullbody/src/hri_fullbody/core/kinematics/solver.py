@@ -204,7 +204,7 @@ class JointSolver:
             q[np.isnan(position[:, 0])] = np.nan
         states = WarmStart(solved, rotation, position, slots, swivels, unseen).split()
         return JointSolution(rotation, position, q, solved, frames.keypoints(), frames.head_rotation.copy(),
-                        frames.head_position.copy(), states)
+                             frames.head_position.copy(), states)
 
 
 def _observe(points: np.ndarray, dims: BodyDimensions,
@@ -245,7 +245,7 @@ def _may_be_head(pose: Pose, targets: np.ndarray, known: np.ndarray) -> bool:
 def _nobody(joints: int) -> JointSolution:
     """The solution of no bodies."""
     return JointSolution(np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, joints)), np.zeros(0, dtype=bool),
-                    np.zeros((0, 18, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), [])
+                         np.zeros((0, 18, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), [])
 
 
 def _axis_weights(noise: np.ndarray) -> np.ndarray:

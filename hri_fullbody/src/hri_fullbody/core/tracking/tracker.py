@@ -125,7 +125,7 @@ class BodyTracker:
         """Confirmed bodies that their last inference found (after a gap, the last two), not longer ago than the death
         time or their turn takes; of slow images also those that it missed, and the one before did not."""
         return [track for track in self.tracks if track.confirmed and (track.kept or track.visible and not
-                                                                      track.returning)
+                                                                       track.returning)
                 and stamp - (track.inferred_at if track.kept else track.stamp) <= max(
                     self._death_time, _OVERDUE * track.wait)]
 
@@ -259,14 +259,14 @@ class BodyTracker:
                           for (name, one), estimate in zip(windows.items(), estimates)}
 
     def _infer_track(self, track: BodyTrack, image: np.ndarray, stamp: float, face: Optional[FaceBox],
-                  faces: Sequence[FaceBox]) -> Optional[PoseDetection]:
+                     faces: Sequence[FaceBox]) -> Optional[PoseDetection]:
         """Detect one body in its window; while a neighbour occludes it also below its own face."""
         track.inferred_at = stamp
         if face is not None and not track.visible:
             return self._infer_below_face(track, image, stamp, face, faces, track.misses)
         detection = self._make_detection(image,
                                          self._infer(image, track.window(face, stamp), track, face, faces, stamp),
-                            track, stamp)
+                                         track, stamp)
         if face is None or (detection is not None and _fits(track, detection, stamp, face)):
             return detection
         for attempt in range(len(FACE_WINDOW_SIZES)):
@@ -279,7 +279,7 @@ class BodyTracker:
         return detection
 
     def _infer_below_face(self, track: BodyTrack, image: np.ndarray, stamp: float, face: FaceBox,
-                    faces: Sequence[FaceBox], attempt: int) -> Optional[PoseDetection]:
+                          faces: Sequence[FaceBox], attempt: int) -> Optional[PoseDetection]:
         """Detect a body below its own face; None when it is not there."""
         side = track.next_anchor(attempt)
         estimate = self._infer(image, window_from_face(face, side), track, face, faces, stamp)
@@ -290,7 +290,7 @@ class BodyTracker:
         return detection
 
     def _associate(self, detections: Sequence[PoseDetection], chosen: Sequence[BodyTrack], stamp: float,
-              faces: Sequence[FaceBox]) -> Set[str]:
+                   faces: Sequence[FaceBox]) -> Set[str]:
         """Assign each detection to a track; chosen tracks without one are marked as missed. Returns the doubles."""
         pairs = {self.tracks[row].id: detections[column]
                  for row, column in assign(cost_matrix(self.tracks, detections, stamp, faces), MAX_COST)}
@@ -332,7 +332,7 @@ class BodyTracker:
                    for other in self.tracks if other is not track)
 
     def _try_candidate(self, candidate: BodyCandidate, image: np.ndarray, stamp: float, face: Optional[FaceBox],
-             faces: Sequence[FaceBox]) -> None:
+                       faces: Sequence[FaceBox]) -> None:
         estimate = self._infer(image, candidate.window(face), None, face, faces, stamp)
         if face is None and candidate.first is None and self._returns(image, estimate, stamp, faces):
             return
@@ -378,7 +378,7 @@ class BodyTracker:
         return True
 
     def _start_track(self, detection: PoseDetection, stamp: float, face: Optional[FaceBox], anchor: Optional[float],
-               faces: Sequence[FaceBox], box: Optional[np.ndarray] = None) -> None:
+                     faces: Sequence[FaceBox], box: Optional[np.ndarray] = None) -> None:
         """Start a track with a new detection, or give it to a body lost a moment ago.
 
         face None: it came from a person's box (4,) px.
@@ -420,7 +420,7 @@ class BodyTracker:
         return face is None and offset < _SECOND_OFFSET and inside(detection.estimate.box, expected.box) > _SECOND_SHARE
 
     def _make_detection(self, image: np.ndarray, estimate: PoseEstimate, track: Optional[BodyTrack],
-               stamp: float) -> Optional[PoseDetection]:
+                        stamp: float) -> Optional[PoseDetection]:
         """Make a detection of an estimate from the window of `track`, None when it is no body."""
         picture = np.array([0.0, 0.0, image.shape[1], image.shape[0]])
         if not is_sound(estimate, self._min_score) or inside(estimate.box, picture) < _LEAST_INSIDE:
@@ -437,7 +437,7 @@ class BodyTracker:
                    for other in self.tracks if other is not track)
 
     def _infer(self, image: np.ndarray, window: Window, track: Optional[BodyTrack], own: Optional[FaceBox],
-              faces: Sequence[FaceBox], stamp: float) -> PoseEstimate:
+               faces: Sequence[FaceBox], stamp: float) -> PoseEstimate:
         """Estimate with the neighbours' heads hidden; what was done in a batch is taken from it."""
         self.windows += 1
         prepared = self._prepared.pop(track.id, None) if track is not None else None

@@ -213,7 +213,7 @@ class AgeGenderFusion:
         if not all(math.isfinite(number) for number in numbers) or not quality > 0.0 or not estimate.age_sd > 0.0:
             return
         self._samples.append((stamp, estimate.age, estimate.age_sd, min(max(estimate.p_female, 1e-3), 1.0 - 1e-3),
-                            min(quality, 1.0)))
+                              min(quality, 1.0)))
         if len(self._samples) > _KEPT:
             weights = self._weights(stamp)
             self._samples.pop(int(np.argmin(weights)))

@@ -147,7 +147,7 @@ class HeadPoseEstimator:
         return self._refine_weighted(rays, rotation, translation, ITERATIONS)
 
     def _refine_weighted(self, rays: np.ndarray, rotation: np.ndarray, translation: np.ndarray,
-                iterations: int) -> Tuple[np.ndarray, np.ndarray]:
+                         iterations: int) -> Tuple[np.ndarray, np.ndarray]:
         line = translation / np.maximum(np.linalg.norm(translation, axis=1, keepdims=True), 1e-9)
         facing = -(self._point_normals @ rotation.transpose(0, 2, 1) @ line[..., None])[..., 0]
         weights = np.clip(0.4 + 1.5 * facing, _FAR_SIDE, 1.0)

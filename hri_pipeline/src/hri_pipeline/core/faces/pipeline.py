@@ -400,7 +400,7 @@ class FaceTrackingPipeline:
                 stamp: float) -> List[FaceMeasurement]:
         """Run the detector when it is due; returns the measurements of new and of lost faces."""
         regions = self._detection_scheduler.due(bgr, stamp, self._unconfirmed(stamp), self._is_stable(),
-                                               0.0 <= stamp - self._panned_at <= _PANNED_S)
+                                                0.0 <= stamp - self._panned_at <= _PANNED_S)
         self.detected = bool(regions)
         if not regions:
             return []

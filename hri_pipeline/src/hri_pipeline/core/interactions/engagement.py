@@ -48,7 +48,7 @@ def check_levels(settings: EngagementSettings) -> None:
         raise ValueError(
             "disengaged_level {:g}, engaging_level {:g}, disengaging_level {:g}, engaged_level {:g}: the first has to "
             "be the lowest and the last the highest".format(settings.disengaged_level, settings.engaging_level,
-                                                         settings.disengaging_level, settings.engaged_level))
+                                                            settings.disengaging_level, settings.engaged_level))
 
 
 class EngagementEstimator:
