@@ -15,6 +15,7 @@ from benchmarks.report import Keys, Subject, most
 if TYPE_CHECKING:
     from benchmarks.stack_run import StackRun
 
+
 def _falls(value: object) -> bool:
     """Tell whether a confidence stays at 1, and falls to 0 at last."""
     return isinstance(value, list) and value[0][1] == 1.0 and value[-1][1] == 0.0

@@ -24,6 +24,7 @@ F1, F2, B1, B2 = MatchNode(Kind.FACE, "f1"), MatchNode(Kind.FACE,
                                                        "f2"), MatchNode(Kind.BODY, "b1"), MatchNode(Kind.BODY, "b2")
 ANN = MatchNode(Kind.PERSON, "ann")
 
+
 def face(text):
     return MatchNode(Kind.FACE, text)
 

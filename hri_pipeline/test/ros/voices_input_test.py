@@ -74,6 +74,7 @@ class VoicesInputTest(VoicesCase):
         self.wait_for_state("voices", DiagnosticStatus.OK, "0 voices")
         self.wait_for_state("speech", DiagnosticStatus.OK, "pocketsphinx")
 
+
 if __name__ == "__main__":
     rospy.init_node("voices_input_test")
     rostest.rosrun("hri_pipeline", "voices_input", VoicesInputTest)

@@ -77,6 +77,7 @@ class VoicesTest(VoicesCase):
         values = self.wait_for_state("input", DiagnosticStatus.OK, "sound comes in")
         self.assertEqual(values["format"], "16000 Hz, 1 channel, S16LE")
 
+
 if __name__ == "__main__":
     rospy.init_node("voices_test")
     rostest.rosrun("hri_pipeline", "voices", VoicesTest)

@@ -145,7 +145,6 @@ def test_a_hiss_is_sure_of_no_direction_and_a_voice_of_its_own_only():
     assert [peak for peak in voice if peak.confirmed] == [voice[0]] and angle(voice[0].direction, towards(31.0)) < 2.0
 
 
-
 def peak(azimuth, strength=0.15):
     a = np.radians(azimuth)
     return Peak(np.array([np.cos(a), np.sin(a), 0.0]), strength)

@@ -32,6 +32,7 @@ SQUARE = 0.04 * np.array([(1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0), 
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGES = ("hri_pipeline", "hri_fullbody", "hri_person_manager")
 
+
 @dataclass(frozen=True)
 class NodeSettings(Settings):
     """A node."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from benchmarks.report import least_cost
 from hri_pipeline.core.frames import RawTransform, Timed
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.matching.changes import MatchChanges
@@ -72,17 +72,6 @@ def plain_face_points(landmarks, aspect):
     return np.array(found + [(math.sqrt(extent[0] * extent[1]), aspect, 0.0)])
 
 
-def cost(call):
-    """Processor time of 200 calls, the least of five times, s."""
-    times = []
-    for _ in range(5):
-        began = time.process_time()
-        for _ in range(200):
-            call()
-        times.append(time.process_time() - began)
-    return min(times)
-
-
 @pytest.mark.parametrize("seen", [70, 41, 1, 0])
 def test_points_of_a_face_are_means_of_landmarks(seen):
     random = np.random.default_rng(seen)
@@ -95,7 +84,8 @@ def test_points_of_a_face_are_means_of_landmarks(seen):
 def test_points_of_a_face_are_cheap():
     """Ten faces send more than a hundred landmarks a second; it is a sixth (measured)."""
     landmarks = np.random.default_rng(1).uniform(0.1, 1.0, (70, 3))
-    assert cost(lambda: face_points(landmarks, ASPECT)) < 0.5 * cost(lambda: plain_face_points(landmarks, ASPECT))
+    plain = least_cost(lambda: plain_face_points(landmarks, ASPECT), 200)
+    assert least_cost(lambda: face_points(landmarks, ASPECT), 200) < 0.5 * plain
 
 
 def likelihood(landmarks, skeleton):

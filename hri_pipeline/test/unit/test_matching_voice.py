@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import time
 from itertools import groupby
 
 import numpy as np
 import pytest
 
+from benchmarks.report import least_cost
 from hri_pipeline.core.matching.parameters import VOICE_MATCHER_PARAMETERS
 from hri_pipeline.core.matching.voice import (
     FACE,
@@ -369,14 +369,5 @@ def test_places_of_many_are_cheap():
     direction, places = random.normal(size=3), {(FACE, str(number)): random.normal(size=3) for number in range(20)}
     matcher = make(voices=["v1"])
 
-    def cost(call):
-        times = []
-        for _ in range(5):
-            began = time.process_time()
-            for _ in range(20):
-                call()
-            times.append(time.process_time() - began)
-        return min(times)
-
-    assert (cost(lambda: matcher.set_direction("v1", direction, places))
-            < 0.4 * cost(lambda: plain_angles(direction, places)))
+    assert (least_cost(lambda: matcher.set_direction("v1", direction, places), 20)
+            < 0.4 * least_cost(lambda: plain_angles(direction, places), 20))

@@ -551,5 +551,3 @@ def _guarded(call: Callable[[Any], None]) -> Callable[[Any], None]:
         except Exception as error:
             rospy.logerr("a callback of Humans failed: %s: %s", type(error).__name__, error)
     return guarded
-
-

@@ -261,11 +261,8 @@ def _index_vector(table: Any, kind: int) -> np.ndarray:
 
 
 @dataclass
-
-
 # -- sparse constants: a tree of dimensions in "traversal order", each dense or compressed (segments and indices), with
 # optional inner blocks: the format of Kjolstad et al., "The Tensor Algebra Compiler" (2017), as in the TFLite schema
-
 class SparseDimension:
     """One level of the tree: dense with `size` entries, or compressed with `segments` and `indices`."""
 

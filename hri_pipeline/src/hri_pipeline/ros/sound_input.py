@@ -244,6 +244,7 @@ class SoundInput(SensorInput):
             return WARN, "{}: {}".format(self.topic, trouble)
         return (WARN, self._gap[0]) if time.monotonic() - self._gap[1] < _GAP_SHOWN_S else (OK, "")
 
+
 class RobotVoiceInput:
     """Subscribes to `~robot_speaking`, `~robot_audio` and `~robot_audio_info`, and tells RobotSpeech what they say.
 

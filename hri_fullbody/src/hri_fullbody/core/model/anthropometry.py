@@ -186,6 +186,7 @@ _MOST_BIAS = 0.12
 _LEAST_SAMPLES = 3
 _KNOWN_VARIANCE = 0.72      # of that between people, below which a stature is told
 
+
 @dataclass(frozen=True)
 class StatureEstimate:
     """Stature and lengths by name (SEGMENTS) with their standard deviations, m. samples: images it rests on;

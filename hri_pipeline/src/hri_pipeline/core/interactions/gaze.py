@@ -188,6 +188,7 @@ class GazePriors:
     as at others, and is looked at seven times as much: looks are returned, also where no voice is heard. Only a part of
     it, so that an error does not breed another one."""
 
+
 _TWO_PI = 2.0 * math.pi
 
 

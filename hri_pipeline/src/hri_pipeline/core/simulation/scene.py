@@ -165,7 +165,6 @@ def _wrapped(angle: float) -> float:
     return math.atan2(math.sin(angle), math.cos(angle))
 
 
-
 CROWD_KEYS = ("people", "stay", "meet", "area", "group", "approach")
 SPACING = 2.4
 """Distance of two places, m: a circle of four is 1.3 m wide, and its neighbour has to be another group."""
