@@ -45,10 +45,12 @@ def test_one_that_has_gone_holds_nothing() -> None:
 
 
 def test_nodes_are_found_by_their_names_among_those_with_the_mark() -> None:
-    mark, command = "unit-" + uuid.uuid4().hex, [sys.executable, "-c", "input()", "__name:=listener"]
-    marked, other = (subprocess.Popen(command, env=dict(os.environ, ROS4HRI_RUN_MARK=value), stdin=subprocess.PIPE)
-                     for value in (mark, mark + "-other"))
+    mark, command = "unit-" + uuid.uuid4().hex, [sys.executable, "-c", "input('here\\n')", "__name:=listener"]
+    marked, other = (subprocess.Popen(command, env=dict(os.environ, ROS4HRI_RUN_MARK=value), stdin=subprocess.PIPE,
+                                      stdout=subprocess.PIPE) for value in (mark, mark + "-other"))
     try:
+        # While a process begins, the system does not know its arguments yet.
+        assert [child.stdout.readline() for child in (marked, other) if child.stdout] == 2 * [b"here\n"]
         assert pid_of_node(mark, "listener") == marked.pid and name_of(other.pid) == "listener"
         assert pid_of_node(mark, "talker") is None
     finally:
