@@ -95,8 +95,7 @@ class PeopleInput:
         with self._lock:
             stamp = self._stamp()
             shifts = {str(sensor): shift for sensor, shift in self._time.shifts.items()}
-            people = gather(self._tf, places, stamp.to_sec(), self._settings, self._closures, shifts,
-                            pose_at)
+            people = gather(self._tf, places, stamp.to_sec(), self._settings, self._closures, shifts, pose_at)
             if self._speaking:
                 people.speaking = np.array([self._speaking.get(self._voice_of.get(identity, ""), False)
                                             for identity in people.ids], dtype=bool)

@@ -411,14 +411,15 @@ def _placed(rows: _Rows, poses: Mapping[str, Pose], pose_at: Optional[PoseAt]) -
     placed = np.full((count + 1, 2, 3), np.nan)
     seen = np.array(rows.vectors)
     views = [(sensor, stamp if pose_at else 0.0) for sensor, stamp in zip(rows.sensors, rows.stamps)]
-    for view in set(views):
+    different = set(views)
+    for view in different:
         pose = poses.get(view[0])
         if pose is None:
             continue
         pose = (pose_at(*view) if pose_at else None) or pose
         moved = (seen @ pose.rotation.T).reshape(count, 2, 3)
         moved[:, 0] += pose.translation
-        if len(set(views)) == 1:
+        if len(different) == 1:
             placed[:-1] = moved
         else:
             which = [index for index, one in enumerate(views) if one == view]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from dataclasses import dataclass
-from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -288,21 +288,21 @@ class FaceBodyMatcher:
                   if state.likelihood >= self._settings.min_likelihood}
         faces = sorted({face for face, _ in likely})
         bodies = sorted({body for _, body in likely})
+        last = {body: self._history.newest_of("bodies", body) for body in bodies}
+        newest = {face: max(last[body] for one, body in likely if one == face) for face in faces}
         cost = np.full((len(faces), len(bodies)), np.inf)
         for (face, body), likelihood in likely.items():
-            bonus = self._advantage(face, body, likely)
+            bonus = self._advantage((face, body), newest[face] - last[body])
             cost[faces.index(face), bodies.index(body)] = 1.0 - likelihood - bonus
         pairs = [(faces[row], bodies[column]) for row, column in assign(cost, 1.0)]
         self._matched = {pair: self._states[pair].likelihood for pair in pairs}
 
-    def _advantage(self, face: str, body: str, likely: Mapping[Pair, float]) -> float:
+    def _advantage(self, pair: Pair, unseen: float) -> float:
         """Advantage of a pair that is matched; a disadvantage where its body was not seen any more when another likely
-        one of this face was: a body that begins anew is listed beside its old id for some images."""
-        last = self._history.newest_of("bodies", body)
-        newest = max(self._history.newest_of("bodies", other) for one, other in likely if one == face)
-        if newest > last + _UNSEEN_S:
+        one of this face was, by `unseen` s: a body that begins anew is listed beside its old id for some images."""
+        if unseen > _UNSEEN_S:
             return -_UNSEEN_MALUS
-        return self._settings.stay_bonus if (face, body) in self._matched else 0.0
+        return self._settings.stay_bonus if pair in self._matched else 0.0
 
 
 def head_place(chain: Sequence[Timed]) -> Optional[HeadPlace]:
