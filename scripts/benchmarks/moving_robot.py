@@ -102,6 +102,13 @@ MOTIONS: Dict[str, Motion] = {
     "turn": _turned(), "shake": Motion(_shaken, REST_S + 8.0)}
 
 
+BASE, HEAD, ROOM = "base_link", "head", "odom"
+STACK = ("ros4hri", "ros4hri.launch", "voices:=false", "overlay:=false", "reference_frame:=" + ROOM,
+         "up_frame:=" + BASE, "robot_frame:=" + HEAD)
+STACK_MOTIONS, STACK_LATE_S = ("pan30", "pan90", "turn", "shake"), 0.05
+"""How the whole stack is started, in which motions it is judged, and how late (s) transforms come then."""
+
+
 class View:
     """What the camera sees of a picture (H, W, 3) that fills its image while it stands at the start."""
 
@@ -168,7 +175,7 @@ def judged(found: Sequence[Sight], motion: Motion) -> Dict[str, object]:
     people = [np.median(places, axis=0) for places in by_id.values()]
     aside, nods = [], 0
     visible = [(now, number) for now in np.arange(REST_S, motion.seconds, 1.0 / RATE_HZ)
-               for number, place in enumerate(people) if _is_inside(place, motion, now)]
+               for number, place in enumerate(people) if is_inside(place, motion, now)]
     there = set()
     for sight in found:
         if sight.at < REST_S or not people:
@@ -188,7 +195,7 @@ def _across(seen: np.ndarray, truth: np.ndarray) -> float:
     return float(np.linalg.norm(np.cross(seen, truth)) / np.linalg.norm(truth))
 
 
-def _is_inside(place: np.ndarray, motion: Motion, now: float) -> bool:
+def is_inside(place: np.ndarray, motion: Motion, now: float) -> bool:
     """Tell whether a place has been well inside the image for a while."""
     for at in (now - ENTERED_S, now):
         x, _, z = camera_in_odom(motion.state(at)).inverse().apply(place[None])[0]
@@ -207,3 +214,43 @@ def moving_figures() -> Mapping[str, object]:
             "moving_aside_m": max(float(one["aside_m"]) for one in each.values()),  # type: ignore[arg-type]
             "moving_nods": sum(int(one["nods"]) for one in each.values()),  # type: ignore[call-overload]
             "moving": each}
+
+
+def judged_stack(story: Mapping[str, Sequence], motion_name: str) -> Dict[str, object]:
+    """Return how people who stand still fare in a motion: how many were there before it, the share of these who are
+    tracked under the same id while in view, ids that came besides, and the error of places (m, 95 % within)."""
+    motion = MOTIONS[motion_name]
+    by_id: Dict[str, List[np.ndarray]] = defaultdict(list)
+    told = [(at, person, np.array(place)) for at, person, place in story["places"]]
+    for at, person, place in told:
+        if 0.0 <= at < REST_S:
+            by_id[person].append(place)
+    people = {person: np.median(places, axis=0) for person, places in by_id.items() if len(places) >= RATE_HZ}
+    errors = [float(np.linalg.norm(place - people[person])) for at, person, place in told
+              if at >= REST_S and person in people and is_inside(people[person], motion, at)]
+    seen = [person in ids for at, ids in _sampled(story["tracked"], motion.seconds)
+            for person, place in people.items() if is_inside(place, motion, at)]
+    others = {person for at, ids in story["tracked"] if at >= REST_S for person in ids} - set(people)
+    return {"people": len(people), "kept": round(float(np.mean(seen)), 3) if seen else 0.0, "others": len(others),
+            "error_m": round(float(np.percentile(errors, 95)), 3) if errors else None}
+
+
+def _sampled(tracked: Sequence[Tuple[float, Sequence[str]]], seconds: float) -> List[Tuple[float, Sequence[str]]]:
+    """Return who was tracked at each time at which an image was taken, from the end of the rest on."""
+    times, sampled = [at for at, _ in tracked], []
+    for at in np.arange(REST_S, seconds, 1.0 / RATE_HZ):
+        latest = int(np.searchsorted(times, at, side="right")) - 1
+        sampled.append((float(at), tracked[latest][1] if latest >= 0 else ()))
+    return sampled
+
+
+def stack_figures() -> Dict[str, object]:
+    """The figures of `scripts/benchmark robot --only moving_stack`: the worst of its motions."""
+    from benchmarks.stack_run import measure_alone
+    stories = {name: measure_alone("moving_stack", "moving_stack", name, STACK_LATE_S, patience=240.0, launch=STACK)
+               for name in STACK_MOTIONS}
+    each = {name: judged_stack(story, name) for name, story in stories.items()}
+    return {"moving_stack_kept": min(float(one["kept"]) for one in each.values()),  # type: ignore[arg-type]
+            "moving_stack_others": max(int(one["others"]) for one in each.values()),  # type: ignore[call-overload]
+            "moving_stack_error_m": max(float(one["error_m"]) for one in each.values()),  # type: ignore[arg-type]
+            "moving_stack": each}

@@ -62,3 +62,28 @@ def test_who_is_found_only_later_lowers_the_share_and_who_is_aside_the_place() -
     figures = moving_robot.judged(late, motion)
     assert figures["people"] == 1 and figures["seen"] == pytest.approx(0.5, abs=0.02)
     assert figures["aside_m"] == pytest.approx(0.1, abs=0.01) and figures["nods"] == 2
+
+
+def told_of(motion: moving_robot.Motion, jump: float, gone: float) -> dict:
+    """What a stack tells of one person who jumps aside by `jump` (m) and is lost from `gone` (s) on."""
+    times = [float(at) for at in np.arange(-5.0, motion.seconds, 0.1)]
+    return {"places": [(at, "p1", [2.0, jump * (at > 5.0), 1.5]) for at in times if at < gone],
+            "tracked": [(at, ["p1"] if at < gone else ["p2"]) for at in times]}
+
+
+def test_a_stack_that_keeps_people_where_they_are_is_right() -> None:
+    motion = moving_robot.MOTIONS["still"]
+    assert moving_robot.judged_stack(told_of(motion, 0.0, 99.0), "still") == {
+        "people": 1, "kept": 1.0, "others": 0, "error_m": 0.0}
+
+
+def test_a_stack_that_moves_people_and_calls_them_somebody_else_is_wrong() -> None:
+    motion = moving_robot.MOTIONS["still"]
+    found = moving_robot.judged_stack(told_of(motion, 0.3, 7.0), "still")
+    assert (found["people"], found["others"], found["error_m"]) == (1, 1, 0.3)
+    assert found["kept"] == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_stack_that_saw_nobody_before_keeps_nobody() -> None:
+    motion = moving_robot.MOTIONS["still"]
+    assert moving_robot.judged_stack(told_of(motion, 0.0, -1.0), "still")["kept"] == 0.0

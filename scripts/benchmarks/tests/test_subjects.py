@@ -35,7 +35,8 @@ FIGURES = {
                 "body_returns_right body_returns_wrong vtest_idf1 vtest_switches_per_min vtest_ids cameras handover "
                 "false_per_1000 filmed_cameras",
     "robot": "covariance_95 people_msgs_hz presets_failed bridge_fields_failed calibration_error_m "
-             "calibration_error_deg web_first_picture_s pointing_error_deg moving_seen moving_aside_m moving_nods"}
+             "calibration_error_deg web_first_picture_s pointing_error_deg moving_seen moving_aside_m moving_nods "
+             "moving_stack_kept moving_stack_others moving_stack_error_m"}
 """Figures that users of the JSON objects count on."""
 VAD = {"clean": {"tpr": 0.97, "fpr": 0.07}, "10": {"tpr": 0.94, "fpr": 0.1}, "0": {"tpr": 0.8, "fpr": 0.05}}
 FLAT = {"fds_growth": 0, "threads_growth": 0, "rss_mb_growth": 1.5}
@@ -73,6 +74,8 @@ VALUES = (  # subject, figure, values that meet what is asked, values that do no
     ("robot", "covariance_95", [{"monocular": 0.95}], [{"monocular": 0.95, "voice": 1.0}]),
     ("robot", "people_msgs_hz", [10.0], [9.9]), ("robot", "moving_seen", [0.9], [0.89]),
     ("robot", "moving_aside_m", [0.03], [0.04]), ("robot", "moving_nods", [0], [1]),
+    ("robot", "moving_stack_kept", [0.9], [0.89]), ("robot", "moving_stack_others", [0], [1]),
+    ("robot", "moving_stack_error_m", [0.15], [0.16]),
     ("voices", "vad", [VAD], [{}, {"clean": VAD["clean"]}, dict(VAD, clean={"tpr": 0.99, "fpr": 0.11}),
                               dict(VAD, **{"0": {"tpr": 0.79, "fpr": 0.0}})]),
     ("voices", "own_voice", [{"1": 0.95, "2": 0.92, "3": 0.85}], [{"1": 0.95, "2": 0.91, "3": 0.85}]),
