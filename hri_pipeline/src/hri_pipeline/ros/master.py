@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import threading
 from enum import Enum
-from typing import Optional, Tuple
+from typing import List, Optional, Sequence, Tuple
 from xmlrpc.client import ServerProxy
 
 import rosgraph
@@ -73,6 +73,22 @@ def type_of(topic: str, patience: float = ANSWER_S) -> str:
             return str(dict(master.getPublishedTopics(rospy.get_name(), "")[2]).get(topic, ""))
     except Exception:   # refused, timed out, half an answer
         return ""
+
+
+def parameter_of_subscribers(topics: Sequence[str], name: str, patience: float = ANSWER_S) -> List[object]:
+    """Return the values of a private parameter of all nodes that subscribe to one of these topics and have it.
+
+    Raises MasterAway without an answer in `patience` s.
+    """
+    own = rospy.get_name()
+    try:
+        with node_at(rosgraph.get_master_uri(), patience) as master:
+            subscribed = master.getSystemState(own)[2][1]
+            nodes = sorted({node for topic, nodes in subscribed if topic in topics for node in nodes})
+            answers = [master.getParam(own, "{}/{}".format(node, name)) for node in nodes]
+    except Exception as error:
+        raise MasterAway(str(error)) from error
+    return [value for code, _, value in answers if code == 1]
 
 
 def is_alive(uri: str, patience: float = ANSWER_S) -> bool:
