@@ -398,8 +398,8 @@ class CrossCamera:
         lost = [human for human in self._groups.all.values() if not human.views]
         places = {human.number: place for place, human in enumerate([*seen, *lost])}
         table = np.full((len(places), len(places)), math.inf)
-        for (one, other), cost in costs.items():
-            table[places[one], places[other]] = table[places[other], places[one]] = cost
+        for (first, second), cost in costs.items():
+            table[places[first], places[second]] = table[places[second], places[first]] = cost
         sensors = sorted({view.sensor for view in live})
         for sensor, other in itertools.permutations([*sensors, ""], 2):
             rows = [human for human in seen if other in human.sensors and sensor not in human.sensors] + lost
