@@ -5,10 +5,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import roslaunch.config
+import roslaunch.xmlloader
+import rospkg
 
 from hri_person_manager.core.camera_poses import CameraPoses
 from hri_person_manager.ros import cameras
-from hri_person_manager.ros.cameras import CameraEntry, run_calibrate, write_cameras
+from hri_person_manager.ros.cameras import (
+    CameraEntry,
+    CameraFileError,
+    launch_arguments,
+    read_cameras,
+    run_calibrate,
+    write_cameras,
+)
 from hri_person_manager.ros.cli import run_people
 from hri_pipeline.core.geometry import Pose
 
@@ -67,3 +77,41 @@ def test_uncertain_places_of_cameras_are_not_written(deviation, code, tmp_path, 
     assert (path.read_bytes() != before) == (code == 0)
     assert "right: " in written.out and "+- 0.05 m, 1.1 deg" in written.out if code == 0 else (
         "the pose of right is uncertain" in written.err and "Walk longer" in written.err)
+
+
+def test_ignored_regions_of_each_camera_come_from_the_file_and_stay_in_it(tmp_path):
+    path = tmp_path / "cameras.yaml"
+    path.write_text("cameras:\n  a: {}\n  b: {ignored_regions: ['0.7 0 0.3  0.4']}\n"
+                    "  c: {ignored_regions: ['0 0 0.5 1', '0.5 0 0.1 0.1']}\n")
+    frame, found = read_cameras(path)
+    given = dict(text.split(":=", 1) for text in launch_arguments(frame, found))
+    assert given["left_ignored_regions"] == "" and given["right_ignored_regions"] == "['0.7 0 0.3 0.4']"
+    assert given["more"].split(";")[-1] == "0,0,0.5,1|0.5,0,0.1,0.1"
+    write_cameras(path, frame, found)
+    assert read_cameras(path) == (frame, found)
+
+
+@pytest.mark.parametrize("rows", ["['100 80 200 300']", "{x: 0}", "[[0, 0, 1, 1]]"])
+def test_ignored_regions_that_are_none_are_refused_with_the_camera(rows, tmp_path):
+    path = tmp_path / "cameras.yaml"
+    path.write_text("cameras:\n  a: {}\n  b: {ignored_regions: %s}\n" % rows)
+    with pytest.raises(CameraFileError, match="camera b.*"):
+        read_cameras(path)
+
+
+@pytest.mark.parametrize("more, wanted", [
+    ("back", {"back": None}), ("back;;;;;;;0.7,0,0.3,0.4 side", {"back": ["0.7 0 0.3 0.4"], "side": None}),
+    ("side back;;;;;;;0,0,0.5,1|0.5,0,0.1,0.1", {"back": ["0 0 0.5 1", "0.5 0 0.1 0.1"], "side": None})])
+def test_the_launch_files_hand_ignored_regions_to_both_nodes_of_each_camera(more, wanted):
+    found = launched_parameters("two_cameras.launch", "more:=" + more, "right_ignored_regions:=['0 0 1 0.1']")
+    for camera, regions in dict(wanted, left=None, right=["0 0 1 0.1"]).items():
+        for node in ("hri_faces", "hri_bodies"):
+            assert found["/{}/{}/ignored_regions".format(camera, node)] == (regions or [])
+
+
+def launched_parameters(file, *arguments):
+    """{name: value} of the parameters that a launch file sets."""
+    config = roslaunch.config.ROSLaunchConfig()
+    folder = Path(rospkg.RosPack().get_path("ros4hri")) / "launch"
+    roslaunch.xmlloader.XmlLoader().load(str(folder / file), config, argv=list(arguments), verbose=False)
+    return {name: parameter.value for name, parameter in config.params.items()}

@@ -13,7 +13,14 @@ from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.triangulation import SensorTrack, ray_covariance
-from hri_person_manager.core.view_groups import Scale, View, clothes_evidence, fuse_views, place_by_all
+from hri_person_manager.core.view_groups import (
+    Scale,
+    View,
+    clothes_evidence,
+    evidence_of_pairs,
+    fuse_views,
+    place_by_all,
+)
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.tracks import COLOUR_BINS
 
@@ -211,6 +218,19 @@ def test_the_light_of_a_camera_speaks_less_against_one_human_than_one_part_of_th
     of_light = evidence(own, colours(100.0, light=45.0, tint=11.0))
     assert of_light > 1.5 and of_light == pytest.approx(evidence(colours(100.0, light=45.0, tint=11.0), own))
     assert evidence(own, colours(220.0)) < 0.0 < 1.5 < evidence(own, colours(190.0, 150.0))
+
+
+def test_clothes_of_many_pairs_are_compared_as_those_of_each_one():
+    worn = [colours(40.0), colours(100.0), None, colours(100.0, 200.0), np.ones((4, COLOUR_BINS.size)), np.ones((5, 7)),
+            colours(220.0, light=45.0)]
+    worn[3][3:] = 0.0
+    people = [[SensorTrack("left")] for _ in worn]
+    for (track,), appearance in zip(people, worn):
+        track.appearance = appearance
+    pairs = np.array(list(itertools.combinations(range(len(worn)), 2)))
+    found = evidence_of_pairs(people, pairs)
+    assert found == pytest.approx([evidence(worn[one], worn[other]) for one, other in pairs])
+    assert [tuple(pair) for pair in pairs[found != 0.0]] == [(0, 1), (0, 3), (0, 6), (1, 3), (1, 6), (3, 6)]
 
 
 def test_dark_clothes_are_common_and_speak_less_for_one_human_than_others():

@@ -9,6 +9,7 @@ from hri_person_manager.core.triangulation import (
     SensorTrack,
     Walk,
     aged,
+    crossing_distances,
     ellipse,
     fuse,
     ray_covariance,
@@ -37,10 +38,37 @@ def test_rays_that_cross_place_a_person_however_wrong_the_distances_are():
 
 def test_the_distance_counts_in_deviations():
     covariances = np.array([ray_covariance(np.array([0.0, 3.0, 1.5]), LEFT)] * 2)
-    along = squared_distances(np.array([[0.0, 3.0, 1.5], [0.0, 3.6, 1.5]]), covariances)
-    across = squared_distances(np.array([[0.0, 3.0, 1.5], [0.6, 3.0, 1.5]]), covariances)
-    assert np.sqrt(along[0, 1]) == pytest.approx(0.6 / (0.36 * np.sqrt(2.0)))
-    assert np.sqrt(across[0, 1]) == pytest.approx(0.6 / (0.06 * np.sqrt(2.0))) and along[0, 0] == 0.0
+    pairs = np.array([[0, 1], [0, 0]])
+    along = squared_distances(np.array([[0.0, 3.0, 1.5], [0.0, 3.6, 1.5]]), covariances, pairs)
+    across = squared_distances(np.array([[0.0, 3.0, 1.5], [0.6, 3.0, 1.5]]), covariances, pairs)
+    assert np.sqrt(along[0]) == pytest.approx(0.6 / (0.36 * np.sqrt(2.0)))
+    assert np.sqrt(across[0]) == pytest.approx(0.6 / (0.06 * np.sqrt(2.0))) and along[1] == 0.0
+
+
+def crossing_distance(positions, covariances, origins, first, second):
+    """The squared distance of one pair, step by step."""
+    middle, _ = fuse(positions[[first, second]], covariances[[first, second]])
+    both = covariances[first] + covariances[second]
+    for number in (first, second):
+        if np.isfinite(origins[number]).all():
+            ray = positions[number] - origins[number]
+            longer = np.sum((middle - origins[number]) ** 2) / (ray @ ray)
+            along = ray @ covariances[number] @ ray / (ray @ ray)
+            both = both + (min(max(longer, 0.3), 3.0) - 1.0) * along / (ray @ ray) * np.outer(ray, ray)
+    offset = positions[first] - positions[second]
+    return offset @ np.linalg.solve(both, offset)
+
+
+def test_distances_of_many_pairs_are_those_of_each_one():
+    rng = np.random.default_rng(3)
+    positions, origins = rng.uniform((0.0, 2.0, 1.2), (4.0, 6.0, 1.8), (8, 3)), np.array([LEFT, RIGHT] * 4)
+    covariances = np.array([ray_covariance(*both) for both in zip(positions, origins)])
+    origins[5] = np.nan
+    pairs = np.array([[one, other] for other in range(8) for one in range(other)])
+    found = crossing_distances(positions, covariances, origins, pairs)
+    assert found == pytest.approx([crossing_distance(positions, covariances, origins, *pair) for pair in pairs])
+    plain = squared_distances(positions, covariances, pairs)
+    assert np.isfinite(found).all() and (found < plain).any() and (found > plain).any()
 
 
 def test_a_voice_tells_a_direction_and_hardly_a_distance():

@@ -14,8 +14,9 @@ from hri_pipeline.core.observations import FeatureHistory
 from hri_pipeline.core.overlay import OVERLAY_PARAMETERS
 from hri_pipeline.core.timing import Pacer
 from hri_pipeline.nodes import overlay as module
-from hri_pipeline.nodes.overlay import OverlayInputs, OverlayNode
+from hri_pipeline.nodes.overlay import IgnoredByNodes, OverlayInputs, OverlayNode
 from hri_pipeline.ros.conversions import bgr_to_image
+from hri_pipeline.ros.master import MasterAway
 from hri_pipeline.testing import wait_for
 
 SETTINGS = OVERLAY_PARAMETERS.resolve({})
@@ -29,6 +30,8 @@ def node(monkeypatch):
     made._settings, made._inputs, made._drawn, made._pacer = SETTINGS, None, -1.0, Pacer(100.0)
     made._lock, made._stop, made._wake = threading.Lock(), threading.Event(), threading.Event()
     made._output, made._diagnostics, made._grey = MagicMock(), MagicMock(), module.GreyBits()
+    monkeypatch.setattr(module, "parameter_of_subscribers", lambda *arguments: [])
+    made._ignored = IgnoredByNodes()
     made._output.get_num_connections.return_value = 1
     yield made
     made._end()
@@ -74,3 +77,18 @@ def test_a_camera_without_a_clock_is_drawn_all_the_time(node, monkeypatch):
         assert node._output.publish.call_count == count
     node._draw(inputs)
     assert node._output.publish.call_count == 2
+
+
+def test_ignored_regions_are_those_of_all_nodes_and_stay_while_the_master_is_away(monkeypatch):
+    answers = [[["0 0 0.5 1"], [], ["0 0 0.5 1", "0.5 0 0.5 0.5"]], MasterAway("refused"), [["no region"]], [7, []]]
+
+    def ask(*arguments):
+        answer = answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    monkeypatch.setattr(module, "parameter_of_subscribers", ask)
+    monkeypatch.setattr(module, "_ASK_S", 0.0)
+    ignored, both = IgnoredByNodes(), [(0.0, 0.0, 0.5, 1.0), (0.5, 0.0, 1.0, 0.5)]
+    assert [ignored.boxes() for _ in range(4)] == [both, both, both, []]

@@ -3,6 +3,7 @@
 
 import os
 import signal
+import subprocess
 import time
 import uuid
 
@@ -11,6 +12,13 @@ import rostest
 from node_process import NodeTest, free_port
 
 from hri_pipeline.testing import wait_for
+
+
+def of(graph, name):
+    """Topics that a node publishes, and subscribes to, by the master."""
+    published, subscribed, _ = graph.getSystemState()
+    return tuple(sorted(topic for topic, nodes in kind if name in nodes and topic != "/rosout")
+                 for kind in (published, subscribed))
 
 
 class MasterRestartTest(NodeTest):
@@ -65,6 +73,27 @@ class MasterRestartTest(NodeTest):
         finally:
             master.process.send_signal(signal.SIGCONT)
         self.comes_late(node, rosgraph.Master("/test", master_uri="http://127.0.0.1:{}".format(port)))
+
+    def test_a_new_master_knows_the_aggregator_of_diagnostics_again(self):
+        port = free_port()
+        master, graph = self.master(port)
+        uri = "http://127.0.0.1:{}".format(port)
+        aggregator = subprocess.Popen(["rosrun", "diagnostic_aggregator", "aggregator_node", "__name:=hri_diagnostics"],
+                                      env=dict(os.environ, ROS_MASTER_URI=uri))
+        try:
+            wait_for(lambda: "/diagnostics_agg" in of(graph, "/hri_diagnostics")[0], 20, "the aggregator is there")
+            node = self.node(ROS_MASTER_URI=uri)
+            node.says("spinning")
+            before = of(graph, "/hri_diagnostics")
+            master.kill()
+            node.says("does not answer; running on without it")
+            master, graph = self.master(port)
+            wait_for(lambda: of(graph, "/hri_diagnostics") == before, 20, "the new master knows the aggregator")
+            self.assertIn("/diagnostics", before[1])
+            self.assertEqual(node.end(), 0)
+        finally:
+            aggregator.terminate()
+            aggregator.wait()
 
     def launched(self):
         """A master, its graph, its port, and roslaunch with the node of size 3."""

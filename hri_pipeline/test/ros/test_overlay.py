@@ -62,6 +62,13 @@ class TestOverlay(unittest.TestCase):
             return any((image_to_bgr(picture) == colour).all(axis=2).sum() > 500 for picture in pictures[-3:])
 
         wait_for(drawn, LIMIT, "a person that is drawn", publish, 0.05)
+        self.assertTrue((image_to_bgr(pictures[-1])[10:40, 10:60] == 90).all())
+        # Of a node that takes the same images: this one listens to them from now on.
+        rospy.set_param("~ignored_regions", ["0 0 0.25 0.25"])
+        listens = rospy.Subscriber("image", Image, queue_size=1)
+        wait_for(lambda: (image_to_bgr(pictures[-1])[10:40, 10:60] != 90).any(), LIMIT, "the ignored region", publish,
+                 0.05)
+        listens.unregister()
         self.assertEqual((pictures[-1].width, pictures[-1].height), (WIDTH, HEIGHT))
         self.assertEqual(pictures[-1].header.frame_id, "eye")
         self.assertLessEqual({picture.header.stamp for picture in pictures}, stamps)

@@ -42,6 +42,16 @@ def test_features_of_nobody_are_grey(image):
     assert (hues.max(axis=1) - hues.min(axis=1)).max() < 12
 
 
+def test_ignored_regions_are_outlined_and_named_and_nothing_is_drawn_without(image):
+    empty, picture = draw_overlay(image, {}, {}, []), draw_overlay(image, {}, {}, [], ignored=[(0.5, 0.25, 1.0, 0.5)])
+    changed = (picture != empty).any(axis=2)
+    rows, columns = np.nonzero(changed)
+    assert 315 <= columns.min() <= 322 and columns.max() == 639 and 115 <= rows.min() <= 122 and (
+        238 <= rows.max() <= 245)
+    assert not changed[180:230, 340:600].any(), "what is within stays visible"
+    assert changed[122:160, 325:420].any(), "the word"
+
+
 def test_uncertain_and_hostile_points_are_left_out(image):
     empty = draw_overlay(image, {}, {}, [])
     lower = slice(0, 400)

@@ -354,13 +354,33 @@ def test_ctrl_c_during_the_imports_of_a_program_prints_nothing_and_errors_are_pr
     assert code == 1 and "ModuleNotFoundError" in text
 
 
+def test_ctrl_c_that_an_import_turns_into_another_error_or_forgets_ends_the_program(tmp_path):
+    (tmp_path / "turns_it.py").write_text(
+        "import os, signal, time\ntry:\n    os.kill(os.getpid(), signal.SIGINT)\n    time.sleep(30.0)\n"
+        "except BaseException:\n    raise ImportError('datetime')\n")
+    path = "import sys; sys.path.insert(0, {!r}); ".format(str(tmp_path))
+    assert interrupted("from hri_pipeline.core import interrupt; " + path + "import turns_it") == (-signal.SIGINT, "")
+
+
+def test_ctrl_c_after_the_imports_is_a_keyboard_interrupt_as_ever(tmp_path):
+    """Also while a function imports something: what is open has to be closed."""
+    (tmp_path / "waits.py").write_text(
+        "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(30.0)\n")
+    program = tmp_path / "program.py"
+    program.write_text("from hri_pipeline.core import interrupt\nimport sys\n\ndef main():\n    try:\n"
+                       "        import waits\n    except KeyboardInterrupt:\n        sys.exit('closed')\n\nmain()\n")
+    done = subprocess.run([sys.executable, str(program)], stderr=subprocess.PIPE, universal_newlines=True, timeout=60)
+    assert (done.returncode, done.stderr) == (1, "closed\n")
+
+
 SOURCES = Path(__file__).resolve().parents[3]
 
 
 @pytest.mark.skipif(not (SOURCES / "docs").is_dir(), reason="the scripts are there in the sources")
-def test_every_node_is_quiet_from_its_first_import_on():
+def test_every_node_and_tool_is_quiet_from_its_first_import_on():
     scripts = [path for path in SOURCES.glob("hri_*/nodes/*") if path.is_file() and not path.suffix]
-    assert len(scripts) > 20
+    scripts += [SOURCES / "scripts" / name for name in ("calibrate_cameras", "cameras", "report", "score")]
+    assert len(scripts) > 24
     for path in scripts:
         imports = [line for line in path.read_text().splitlines() if line.startswith(("import ", "from "))]
         assert imports[0] == "from hri_pipeline.core import interrupt  # noqa: F401", path

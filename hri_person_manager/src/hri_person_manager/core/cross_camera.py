@@ -13,17 +13,18 @@ import math
 from typing import Callable, Container, Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
+from hri_person_manager.core.assignment import best_pairs
 from hri_person_manager.core.features import MatchNode
 from hri_person_manager.core.triangulation import (
     CHANGED,
     FRESH_S,
+    LEAST_SQUARE,
     SETTLING_S,
     WALK_S,
     WINDOW_S,
     Estimate,
-    fuse,
+    crossing_distances,
     ray_covariance,
     squared_distances,
     walk_evidence,
@@ -41,6 +42,7 @@ from hri_person_manager.core.view_groups import (
     ViewGroup,
     ViewGroups,
     clothes_evidence,
+    evidence_of_pairs,
     fuse_views,
     is_doubted,
     place_by_all,
@@ -68,7 +70,7 @@ NEW_S = 2.0                # so long a view counts as new
 HANDOVER_EVIDENCE = 1.9    # logarithm of the likelihood ratio from which a new view is a lost human,
 HANDOVER_COST = 4.0        # and from which the squared distance of the two, twice what lacks of it, is 0
 LOOKING_S = 1.5            # a new view is looked at for so long before it is taken for a lost human
-LEAST_SQUARE = 1e-6        # m^2; a place nearer to the optical centre than 1 mm has no ray
+_NO_ORIGIN = np.full(3, np.nan)
 
 
 class CrossCameraLink(NamedTuple):
@@ -296,11 +298,12 @@ class CrossCamera:
         self._groups.explained.clear()
         self._groups.likely.clear()
         margins = self._pair_up(seen, live, costs)
+        rivals = _rivals(seen, costs)
         for pair in sorted(margins, key=costs.__getitem__):
-            if not pair <= self._groups.all.keys():
+            if margins[pair] < LIKELIER_BY or not pair <= self._groups.all.keys():
                 continue
             one, other = (self._groups.all[number] for number in sorted(pair))
-            clear = margins[pair] >= CLEARER_BY and not self._has_rival(pair, seen, costs)
+            clear = margins[pair] >= CLEARER_BY and not self._has_rival(pair, costs, rivals)
             if clear and self._groups.may_be_one(one, other) and self._is_ripe(pair, one, other, live):
                 self._groups.unite(one, other)
             elif margins[pair] >= LIKELIER_BY and costs[pair] <= LIKELY and one.views and other.views:
@@ -340,23 +343,32 @@ class CrossCamera:
         if len(seen) < 1:
             return {}
         stamp = max(self._newest - 0.8 * FRESH_S, min(view.ended for view in live))
-        views = [[view for view in human.views if view in live] for human in seen]
-        places = [fuse_views(of, stamp, human.scales) for of, human in zip(views, seen)]
-        squares = squared_distances(np.array([place.position for place in places]),
-                                    np.array([place.covariance for place in places]))
+        pairs = self._groups.possible_pairs(seen)
+        squares = self._squares(seen, live, pairs, stamp) - 2.0 * np.minimum(
+            0.0, evidence_of_pairs([human.tracks for human in seen], pairs))
         costs: Dict[Pair, float] = {}
-        for (row, one), (column, other) in itertools.combinations(enumerate(seen), 2):
-            pair = frozenset((one.number, other.number))
-            if self._groups.may_be_one(one, other):
-                square = float(squares[row, column])
-                if REFINED[0] < square < REFINED[1]:
-                    square = _refined(places[row], places[column], views[row], views[column])
-                if one.names & other.names:
-                    square /= PARTING ** 2
-                square += _name_bonus(one, other) - 2.0 * min(0.0, clothes_evidence(one.tracks, other.tracks))
-                costs[pair] = self._smooth(self._groups.near, pair, square, stamp, GATE ** 2).square
+        for (row, column), square in zip(pairs.tolist(), squares.tolist()):
+            pair = frozenset((seen[row].number, seen[column].number))
+            square += _name_bonus(seen[row], seen[column])
+            costs[pair] = self._smooth(self._groups.near, pair, square, stamp, GATE ** 2).square
         costs.update(self._costs_of_lost(seen))
         return costs
+
+    def _squares(self, seen: List[ViewGroup], live: List[View], pairs: np.ndarray, stamp: float) -> np.ndarray:
+        """Squared distances (M,) at `stamp` (s) of pairs (M, 2) of humans."""
+        views = [[view for view in human.views if view in live] for human in seen]
+        places = [fuse_views(of, stamp, human.scales) for of, human in zip(views, seen)]
+        positions, covariances = (np.array([getattr(place, name) for place in places])
+                                  for name in ("position", "covariance"))
+        squares = squared_distances(positions, covariances, pairs)
+        origins = [of[0].best.origin if len(of) == 1 else None for of in views]
+        again = np.flatnonzero((REFINED[0] < squares) & (squares < REFINED[1]))
+        squares[again] = crossing_distances(
+            positions, covariances, np.array([_NO_ORIGIN if origin is None else origin for origin in origins]),
+            pairs[again])
+        alike = [bool(seen[row].names & seen[column].names) for row, column in pairs.tolist()]
+        squares[alike] /= PARTING ** 2
+        return squares
 
     def _costs_of_lost(self, seen: List[ViewGroup]) -> Dict[Pair, float]:
         """Squared distances of lost humans and new views. Of those lost by one sensor one after the other, who may be
@@ -384,42 +396,43 @@ class CrossCamera:
         every other way to do so is worse, as a squared distance."""
         margins: Dict[Pair, float] = {}
         lost = [human for human in self._groups.all.values() if not human.views]
+        places = {human.number: place for place, human in enumerate([*seen, *lost])}
+        table = np.full((len(places), len(places)), math.inf)
+        for (first, second), cost in costs.items():
+            table[places[first], places[second]] = table[places[second], places[first]] = cost
         sensors = sorted({view.sensor for view in live})
         for sensor, other in itertools.permutations([*sensors, ""], 2):
             rows = [human for human in seen if other in human.sensors and sensor not in human.sensors] + lost
             columns = [human for human in seen if sensor in human.sensors and other not in human.sensors]
             if rows and columns:
-                self._assign(rows, columns, costs, margins)
+                self._assign(rows, columns, table[np.ix_(*([places[human.number] for human in of]
+                                                           for of in (rows, columns)))], margins)
         return margins
 
-    def _has_rival(self, pair: Pair, seen: List[ViewGroup], costs: Mapping[Pair, float]) -> bool:
-        """Tell whether one of a pair might as well be somebody else whom yet another sensor sees."""
+    def _has_rival(self, pair: Pair, costs: Mapping[Pair, float], rivals: Mapping[int, List[ViewGroup]]) -> bool:
+        """Tell whether one of a pair might as well be somebody else whom yet another sensor sees; rivals: see
+        _rivals."""
         for one, other in itertools.permutations(pair):
-            for rival in seen:
-                cost = costs.get(frozenset((one, rival.number)), math.inf)
-                if rival.number in pair or cost >= costs[pair] + CLEARER_BY:
+            human = self._groups.all[other]
+            for rival in rivals.get(one, ()):
+                if rival.number in pair or costs[frozenset((one, rival.number))] >= costs[pair] + CLEARER_BY:
                     continue
-                human = self._groups.all[other]
                 if not human.sensors & rival.sensors and (
                         costs.get(frozenset((other, rival.number)), math.inf) > LIKELY):
                     return True
         return False
 
-    def _assign(self, rows: List[ViewGroup], columns: List[ViewGroup], costs: Mapping[Pair, float],
+    def _assign(self, rows: List[ViewGroup], columns: List[ViewGroup], table: np.ndarray,
                 margins: Dict[Pair, float]) -> None:
-        table = np.array([[costs.get(frozenset((row.number, column.number)), math.inf) for column in columns]
-                          for row in rows])
-        best, pairs = _least(table)
-        for row, column in zip(*np.nonzero(np.isfinite(table))):
+        pairs = best_pairs(table, UNPAIRED)
+        for row, column in zip(*np.nonzero(table < UNPAIRED)):
             if (row, column) not in pairs:
                 margins[frozenset((rows[row].number, columns[column].number))] = 0.0
-        for row, column in pairs:
+        for (row, column), margin in pairs.items():
             pair = frozenset((rows[row].number, columns[column].number))
             self._groups.explained.setdefault(rows[row].number, set()).add(columns[column].number)
             self._groups.explained.setdefault(columns[column].number, set()).add(rows[row].number)
-            without = table.copy()
-            without[row, column] = math.inf
-            margins[pair] = min(margins.get(pair, math.inf), _least(without)[0] - best)
+            margins[pair] = min(margins.get(pair, math.inf), margin)
 
     def _jump(self, lost: ViewGroup, human: ViewGroup) -> Optional[Tuple[float, bool]]:
         """Cost of a new human as a lost one, and whether it is known well enough that they are one; None if out of
@@ -480,6 +493,19 @@ class CrossCamera:
                 self._groups.drop(human)
 
 
+def _rivals(seen: List[ViewGroup], costs: Mapping[Pair, float]) -> Dict[int, List[ViewGroup]]:
+    """Who of those that are seen costs little enough with each, by number, to be a rival of whom it may be paired
+    with."""
+    humans = {human.number: human for human in seen}
+    rivals: Dict[int, List[ViewGroup]] = {}
+    for pair, cost in costs.items():
+        if cost < UNPAIRED + CLEARER_BY:
+            for one, other in itertools.permutations(pair):
+                if other in humans:
+                    rivals.setdefault(one, []).append(humans[other])
+    return rivals
+
+
 def _name_bonus(one: ViewGroup, other: ViewGroup) -> float:
     """What names are worth, as a squared distance."""
     return NAME_ALIKE if one.names & other.names else 0.0
@@ -495,22 +521,6 @@ def _hand_off_evidence(lost: LostSight, view: View) -> float:
     walked = max(walk_evidence(before.walk(begins=False, seconds=seconds), new, lost.place) - penalty
                  for seconds, penalty in ((WALK_S, 0.0), (WINDOW_S, CHANGED)))
     return walked + clothes_evidence(lost.tracks, view.tracks.values())
-
-
-def _refined(one: Estimate, other: Estimate, views: List[View], others: List[View]) -> float:
-    """Squared distance of two places with the errors along the rays that they have when both are one human's: these
-    grow with the true distance, not with that which an error has shortened."""
-    middle, _ = fuse(np.array([one.position, other.position]), np.array([one.covariance, other.covariance]))
-    both = one.covariance + other.covariance
-    for place, of in ((one, views), (other, others)):
-        if len(of) == 1 and of[0].best.origin is not None:
-            ray = place.position - of[0].best.origin
-            square = max(float(ray @ ray), LEAST_SQUARE)
-            told = float((middle - of[0].best.origin) @ (middle - of[0].best.origin)) / square
-            along = float(ray @ place.covariance @ ray) / square
-            both = both + (min(max(told, 0.3), 3.0) - 1.0) * along / square * np.outer(ray, ray)
-    offset = one.position - other.position
-    return float(offset @ np.linalg.solve(both, offset))
 
 
 def _lengthened(view: View, place: Estimate) -> np.ndarray:
@@ -532,16 +542,3 @@ def _measured_scale(view: View, place: Estimate, stamp: float) -> Tuple[float, f
     unit = ray / length
     return (float((place.position - origin) @ unit) / length,
             float(unit @ place.covariance @ unit) / length ** 2 + FIXED_VARIANCE)
-
-
-def _least(table: np.ndarray) -> Tuple[float, List[Tuple[int, int]]]:
-    """The least sum of costs of pairs of rows and columns, and these pairs; who is not paired costs half of
-    UNPAIRED."""
-    rows, columns = table.shape
-    full = np.full((rows + columns, rows + columns), 0.0)
-    full[:rows, :columns] = np.where(np.isfinite(table), np.minimum(table, 1e6), 1e6)
-    full[:rows, columns:] = np.where(np.eye(rows, dtype=bool), UNPAIRED / 2.0, 1e6)
-    full[rows:, :columns] = np.where(np.eye(columns, dtype=bool), UNPAIRED / 2.0, 1e6)
-    chosen = list(zip(*linear_sum_assignment(full)))
-    return (float(sum(full[pair] for pair in chosen)),
-            [(int(row), int(column)) for row, column in chosen if row < rows and column < columns])

@@ -35,6 +35,7 @@ CHANGED = 1.5              # log-likelihood that a change of pace before the los
 HEIGHT_M = 0.03            # deviation of the height of a head that walks
 # Deviations of where, and how fast, somebody else comes up instead: place, height and velocity.
 OTHER_M, OTHER_HEIGHT_M, OTHER_MPS = 1.2, 0.25, 0.6
+LEAST_SQUARE = 1e-6        # m^2; a place nearer to the optical centre than 1 mm has no ray
 CHI_SQUARE_95 = 5.991      # of two degrees of freedom: the square of the Mahalanobis distance that 95 % keep
 _EYE = np.eye(3)
 _CAPACITY = 128            # places for which there is room at first
@@ -142,11 +143,40 @@ def fuse(positions: np.ndarray, covariances: np.ndarray) -> Tuple[np.ndarray, np
     return weighted(weights, positions[:, :, None])[:, 0], covariance
 
 
-def squared_distances(positions: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """Return the squared Mahalanobis distances (N, N) of all pairs of places (N, 3), covariances (N, 3, 3)."""
-    apart = positions[:, None] - positions[None]
-    both = covariances[:, None] + covariances[None]
-    return np.einsum("abi,abi->ab", apart, np.linalg.solve(both, apart[..., None])[..., 0])
+def squared_distances(positions: np.ndarray, covariances: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Return the squared Mahalanobis distances (M,) of pairs (M, 2), as rows, of places (N, 3), covariances
+    (N, 3, 3)."""
+    apart = positions[pairs[:, 0]] - positions[pairs[:, 1]]
+    return _squares(apart, covariances[pairs[:, 0]] + covariances[pairs[:, 1]])
+
+
+def crossing_distances(positions: np.ndarray, covariances: np.ndarray, origins: np.ndarray,
+                       pairs: np.ndarray) -> np.ndarray:
+    """Return the same with the errors along the rays that places have when both of a pair are one human's: these grow
+    with the true distance, not with that which an error has shortened.
+
+    origins: (N, 3) m, of the rays; NaN where a place is not told by one ray.
+    """
+    first, second = pairs.T
+    informations = np.linalg.inv(covariances)
+    told = (informations @ positions[:, :, None])[..., 0]
+    middles = np.linalg.solve(informations[first] + informations[second],
+                              (told[first] + told[second])[..., None])[..., 0]
+    rays = positions - origins
+    squares = np.maximum((rays * rays).sum(axis=1), LEAST_SQUARE)
+    along = np.einsum("ni,nij,nj->n", rays, covariances, rays) / squares ** 2
+    both = covariances[first] + covariances[second]
+    for of in (first, second):
+        longer = ((middles - origins[of]) ** 2).sum(axis=1) / squares[of]
+        added = (np.clip(longer, 0.3, 3.0) - 1.0) * along[of]
+        both += np.nan_to_num(added[:, None, None] * rays[of, :, None] * rays[of, None])
+    return _squares(positions[first] - positions[second], both)
+
+
+def _squares(offsets: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """Squared lengths (M,) of offsets (M, 3) in deviations of covariances (M, 3, 3)."""
+    squares: np.ndarray = (offsets * np.linalg.solve(covariances, offsets[..., None])[..., 0]).sum(axis=1)
+    return squares
 
 
 def walk_evidence(old: Walk, new: Walk, place: Optional[Estimate] = None) -> float:

@@ -14,7 +14,7 @@ import math
 from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Set, Tuple
+from typing import Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -42,6 +42,7 @@ SAME_CAMERA = 0.3          # correlation of the errors of a face and a body's he
 MAX_SENSORS = 50
 MAX_NAMES = 1000
 _NOBODY: FrozenSet[str] = frozenset()
+_UNKNOWN = np.empty((0, 0))
 Pair = FrozenSet[int]
 
 
@@ -438,9 +439,25 @@ class ViewGroups:
         """Tell whether nothing is known that makes two humans of them."""
         if other.number in self.two.get(one.number, ()) or one.slots & other.slots:
             return False
+        return not self._are_told_apart(one, other)
+
+    def _are_told_apart(self, one: ViewGroup, other: ViewGroup) -> bool:
         if is_doubted(one.views, other.views) or self.have_other_names(one.names, other.names):
-            return False
-        return not any(frozenset((a, b)) in self.parted for a in one.persons for b in other.persons)
+            return True
+        return any(frozenset((a, b)) in self.parted for a in one.persons for b in other.persons)
+
+    def possible_pairs(self, humans: Sequence[ViewGroup]) -> np.ndarray:
+        """Return which pairs (M, 2), as rows, of many humans may be one."""
+        slots = [human.slots for human in humans]
+        doubts = [any(view.doubted for view in human.views) for human in humans]
+        pairs: List[Tuple[int, int]] = []
+        for row, one in enumerate(humans):
+            two = self.two.get(one.number, ())
+            pairs += [(row, column) for column, other in enumerate(humans[row + 1:], row + 1)
+                      if other.number not in two and slots[row].isdisjoint(slots[column])
+                      and not ((doubts[row] or doubts[column] or self.parted or one.names and other.names)
+                               and self._are_told_apart(one, other))]
+        return np.array(pairs, int).reshape(-1, 2)
 
 
 def _overlap(first: View, second: View) -> bool:
@@ -455,22 +472,39 @@ def clothes_evidence(tracks: Iterable[SensorTrack], others: Iterable[SensorTrack
 
     What two cameras show differently of all parts is more likely their light than what is different of one part.
     """
-    one, other = ([track.appearance for track in of if track.appearance is not None] for of in (tracks, others))
-    if not one or not other or any(of[0].shape[1] != COLOUR_BINS.size or of[0].shape != one[0].shape
-                                   for of in (one, other)):
-        return 0.0
-    found = mean_colours(np.concatenate([one[0], other[0]]))
-    first, second = found[:len(one[0])], found[len(one[0]):]
-    offsets, middle = second - first, 0.5 * (first + second)
-    shown = np.isfinite(middle).all(axis=1)
-    if not shown.all():
-        offsets, middle = offsets[shown], middle[shown]
-    if not len(middle):
-        return 0.0
-    common = (middle[:, 0] < COMMON_LIGHT) & (np.abs(middle[:, 1:]) < COMMON_TINT).all(axis=1)
-    weights, constant = _clothes_weights(tuple(common.tolist()))
-    ratio = constant + float((offsets * (weights @ offsets.T[:, :, None])[:, :, 0].T).sum())
-    return min(max(CLOTHES_TRUST * ratio, LEAST_CLOTHES), MOST_CLOTHES)
+    return float(evidence_of_pairs([tracks, others], np.array([[0, 1]]))[0])
+
+
+def evidence_of_pairs(people: Sequence[Iterable[SensorTrack]], pairs: np.ndarray) -> np.ndarray:
+    """Return the same (M,) of many pairs (M, 2) of people by their tracks."""
+    worn = [next((track.appearance for track in tracks if track.appearance is not None), _UNKNOWN) for tracks in people]
+    parts = np.array([len(of) if of.shape[1] == COLOUR_BINS.size else 0 for of in worn])
+    evidence = np.zeros(len(pairs))
+    for count in set(parts[parts > 0].tolist()):
+        known = np.flatnonzero(parts == count)
+        colours = np.full((len(worn), count, 3), np.nan)
+        colours[known] = mean_colours(np.concatenate([worn[number] for number in known])).reshape(-1, count, 3)
+        chosen = np.flatnonzero((parts[pairs] == count).all(axis=1))
+        evidence[chosen] = _colour_evidence(colours[pairs[chosen, 0]], colours[pairs[chosen, 1]])
+    return evidence
+
+
+def _colour_evidence(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Logarithms (M,) of the likelihood ratios of mean colours (M, P, 3); NaN where a part is not shown."""
+    offsets, middle = other - one, 0.5 * (one + other)
+    shown = np.isfinite(middle).all(axis=2)
+    with np.errstate(invalid="ignore"):
+        common = shown & (middle[..., 0] < COMMON_LIGHT) & (np.abs(middle[..., 1:]) < COMMON_TINT).all(axis=2)
+    codes = (shown.astype(int) + common) @ 3 ** np.arange(shown.shape[1])
+    evidence = np.zeros(len(one))
+    for code in np.unique(codes[codes > 0]):
+        alike = np.flatnonzero(codes == code)
+        visible = shown[alike[0]]
+        weights, constant = _clothes_weights(tuple(common[alike[0], visible].tolist()))
+        of = offsets[alike][:, visible].T
+        ratio = constant + (of * (weights @ of)).sum(axis=(0, 1))
+        evidence[alike] = np.clip(CLOTHES_TRUST * ratio, LEAST_CLOTHES, MOST_CLOTHES)
+    return evidence
 
 
 @functools.lru_cache(maxsize=None)

@@ -4,10 +4,11 @@
     cameras:
       left: {image: /left/image_raw, camera_info: /left/camera_info, frame: left_optical_frame,
              place: [0, 0, 1.5, -0.5, 0.5, -0.5, 0.5]}
-      right: {}
+      right: {ignored_regions: ["0.7 0 0.3 0.4"]}
 
 What is left out of a camera is /NAME/image_raw, /NAME/camera_info and NAME_optical_frame; its place is then told by
-others. `place` is x y z (m) and the quaternion x y z w of the optical frame in the reference frame.
+others. `place` is x y z (m) and the quaternion x y z w of the optical frame in the reference frame. `ignored_regions`:
+see the node faces.
 """
 
 from __future__ import annotations
@@ -40,7 +41,9 @@ from hri_person_manager.core.camera_poses import (
 )
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.images import is_rectified
+from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.ros.conversions import camera_from_info, image_to_bgr, skeleton_from_msg
 
 # Level, looking along x of the reference frame.
@@ -52,6 +55,7 @@ _JOINTS = ("nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left
            "left_ear", "right_ear")
 _SURE = 0.6                 # confidence of a key point that counts
 _KEYS = ("image", "camera_info", "depth", "frame", "place")
+_ALL_KEYS = (*_KEYS, "ignored_regions")
 
 
 class CameraFileError(ValueError):
@@ -68,6 +72,7 @@ class CameraEntry:
     frame: str
     depth: str = ""
     place: Optional[Tuple[float, ...]] = None
+    ignored_regions: Tuple[str, ...] = ()
 
 
 class _Loader(yaml.SafeLoader):
@@ -101,10 +106,10 @@ def read_cameras(path: Path) -> Tuple[str, List[CameraEntry]]:
 def _entry(path: Path, name: str, given: Mapping[str, object]) -> CameraEntry:
     if not re.match(r"^[A-Za-z][A-Za-z0-9_]*$", name):
         raise CameraFileError("{}: the camera's name {!r} is no ROS name".format(path, name))
-    unknown = [key for key in given if key not in _KEYS] if isinstance(given, dict) else [repr(given)]
+    unknown = [key for key in given if key not in _ALL_KEYS] if isinstance(given, dict) else [repr(given)]
     if unknown:
         raise CameraFileError("{}: camera {} has {}, wanted some of {}".format(
-            path, name, unknown[0], ", ".join(_KEYS)))
+            path, name, unknown[0], ", ".join(_ALL_KEYS)))
     texts = {key: str(given.get(key) or "") for key in _KEYS[:-1]}
     odd = [text for text in texts.values() if re.search(r"[\s;,]", text)]
     if odd:
@@ -115,7 +120,20 @@ def _entry(path: Path, name: str, given: Mapping[str, object]) -> CameraEntry:
             path, name))
     return CameraEntry(name, texts["image"] or "/{}/image_raw".format(name),
                        texts["camera_info"] or "/{}/camera_info".format(name),
-                       texts["frame"] or name + "_optical_frame", texts["depth"], place)
+                       texts["frame"] or name + "_optical_frame", texts["depth"], place,
+                       ignored_regions=_regions(path, name, given.get("ignored_regions")))
+
+
+def _regions(path: Path, name: str, given: object) -> Tuple[str, ...]:
+    """The ignored regions of a camera, each "x y width height". Raises CameraFileError."""
+    rows = [given] if isinstance(given, str) else given or []
+    if not isinstance(rows, list):
+        raise CameraFileError("{}: the ignored_regions of camera {} are no list".format(path, name))
+    try:
+        IgnoredRegions([str(row) for row in rows])
+    except ParameterError as error:
+        raise CameraFileError("{}: camera {}: {}".format(path, name, error)) from error
+    return tuple(" ".join(str(row).split()) for row in rows)
 
 
 def _place(given: object) -> Optional[Tuple[float, ...]]:
@@ -134,10 +152,12 @@ def launch_arguments(reference_frame: str, cameras: Sequence[CameraEntry]) -> Li
     for side, camera in zip(("left", "right"), cameras):
         values = {side: camera.name, side + "_image": camera.image, side + "_camera_info": camera.camera_info,
                   side + "_frame": camera.frame, side + "_depth": camera.depth,
+                  side + "_ignored_regions": str(list(camera.ignored_regions)) if camera.ignored_regions else "",
                   side + "_place": _text(camera.place, " ")}
         arguments += ["{}:={}".format(*item) for item in values.items()]
     more = [";".join((camera.name, camera.image, camera.camera_info, camera.frame, camera.depth,
-                      _text(camera.place, ","))) for camera in cameras[2:]]
+                      _text(camera.place, ","), "", "|".join(camera.ignored_regions).replace(" ", ",")))
+            for camera in cameras[2:]]
     return [*arguments, "more:=" + " ".join(more)]
 
 
@@ -148,7 +168,8 @@ def _text(place: Optional[Sequence[float]], between: str) -> str:
 def run_cameras(arguments: Optional[Sequence[str]] = None) -> int:
     """Become `roslaunch ros4hri two_cameras.launch` with the cameras of a file; 1 for a file that is none."""
     parser = argparse.ArgumentParser(prog="cameras", description="Starts the stack for the cameras of a YAML file.")
-    parser.add_argument("file", type=Path, help="cameras: {NAME: {image, camera_info, frame, depth, place}}")
+    parser.add_argument("file", type=Path, help="cameras: {NAME: {image, camera_info, frame, depth, place, "
+                        "ignored_regions}}")
     parser.add_argument("rest", nargs="*", metavar="ARG:=VALUE", help="further arguments of two_cameras.launch")
     options = parser.parse_args(arguments)
     try:
@@ -283,7 +304,7 @@ def write_cameras(path: Path, reference_frame: str, cameras: Sequence[CameraEntr
     """Write a file of cameras with their places; one that is there stays whole where that fails (OSError)."""
     data = {"reference_frame": reference_frame, "cameras": {camera.name: {
         key: [round(float(value), 5) for value in camera.place or ()] if key == "place" else getattr(camera, key)
-        for key in _KEYS if getattr(camera, key)} for camera in cameras}}
+        for key in _ALL_KEYS if getattr(camera, key)} for camera in cameras}}
     path = path.resolve()
     draft = path.with_name(path.name + ".new")
     try:

@@ -16,16 +16,16 @@ class IgnoredRegions:
     """The parameter `ignored_regions`.
 
     rows: a text "x y width height" for each region, as shares of the image's width and height from its upper left
-    corner. Raises ParameterError that says what to give.
+    corner. Raises ParameterError that says what to give. boxes: left, top, right, bottom of each, as such shares.
     """
 
     def __init__(self, rows: Sequence[str] = ()) -> None:
-        self._regions = [_region(row) for row in rows]
+        self.boxes = [_region(row) for row in rows]
 
     def contain(self, box: np.ndarray, size: Tuple[int, int]) -> bool:
         """Tell whether the middle of a box (4,) px is in a region of an image of `size` (width, height), px."""
         x, y = (float(box[axis] + box[axis + 2]) / 2.0 / size[axis] for axis in (0, 1))
-        return any(left <= x <= right and top <= y <= bottom for left, top, right, bottom in self._regions)
+        return any(left <= x <= right and top <= y <= bottom for left, top, right, bottom in self.boxes)
 
 
 def _region(row: str) -> Tuple[float, float, float, float]:

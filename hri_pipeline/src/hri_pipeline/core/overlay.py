@@ -96,15 +96,18 @@ def short_name(person: str) -> str:
 
 
 def draw_overlay(image: np.ndarray, faces: Mapping[str, np.ndarray], bodies: Mapping[str, np.ndarray],
-                 persons: Sequence[PersonMark], min_confidence: float = 0.3) -> np.ndarray:
+                 persons: Sequence[PersonMark], min_confidence: float = 0.3,
+                 ignored: Sequence[Sequence[float]] = ()) -> np.ndarray:
     """Return a copy of `image` (BGR uint8) with everything drawn on it.
 
     faces: id -> (70, 3), bodies: id -> (18, 3), x px, y px, confidence 0 to 1; points below `min_confidence`
     or not finite are left out. Faces and bodies of the same person have the colour of the person; those of
-    nobody are grey.
+    nobody are grey. ignored: left, top, right, bottom of the regions in which nobody begins, shares of the image.
     """
     canvas = image.copy()
     unit = max(1.0, image.shape[0] / 720.0)
+    for region in ignored:
+        _draw_ignored(canvas, np.array(region), unit)
     owner = {mark.face_id: mark for mark in persons if mark.face_id}
     carrier = {mark.body_id: mark for mark in persons if mark.body_id}
     for name, points in bodies.items():
@@ -164,6 +167,18 @@ def _good(points: np.ndarray, min_confidence: float) -> np.ndarray:
 
 def _pixel(point: np.ndarray) -> Tuple[int, int]:
     return int(round(float(point[0]))), int(round(float(point[1])))
+
+
+def _draw_ignored(canvas: np.ndarray, region: np.ndarray, unit: float) -> None:
+    """A thin rectangle around a region (4,), shares of the image, with the word "ignored" in it."""
+    last = np.array([canvas.shape[1], canvas.shape[0]]) - 1
+    low, high = _pixel(region[:2] * last), _pixel(region[2:] * last)
+    pad, thickness = int(round(5 * unit)), max(1, int(round(unit)))
+    (_, height), _ = cv2.getTextSize("ignored", FONT, 0.45 * unit, thickness)
+    for shade, width in ((DARK, thickness + 2), (NOBODY, thickness)):
+        cv2.rectangle(canvas, low, high, shade, width, cv2.LINE_AA)
+        cv2.putText(canvas, "ignored", (low[0] + pad, low[1] + pad + height), FONT, 0.45 * unit, shade, width,
+                    cv2.LINE_AA)
 
 
 def _draw_skeleton(canvas: np.ndarray, points: np.ndarray, colour: Colour, min_confidence: float,

@@ -1,7 +1,8 @@
 """The overlay node: what the stack sees, drawn on the camera image.
 
 Threads: callbacks of rospy only store (under a lock); pairing, drawing and publishing happen in the caller
-of spin(). While nobody subscribes to the overlay, this node subscribes to nothing.
+of spin(). While nobody subscribes to the overlay, this node subscribes to nothing. Which regions are ignored, the
+parameters of the nodes that take the same images say.
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Float32, String
 
 from hri_msgs.msg import Expression, GazesStamped
+from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.images import GreyBits, ImageError
 from hri_pipeline.core.observations import FeatureHistory
 from hri_pipeline.core.overlay import OverlaySettings, PersonMark, draw_overlay
+from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.timing import Pacer
 from hri_pipeline.ros.conversions import (
     LandmarkArray,
@@ -32,6 +35,7 @@ from hri_pipeline.ros.conversions import (
     skeleton_from_msg,
 )
 from hri_pipeline.ros.diagnostics import NodeDiagnostics
+from hri_pipeline.ros.master import MasterAway, parameter_of_subscribers
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.subscriptions import IdSubscribers
 
@@ -40,6 +44,31 @@ PERSON_TOPICS = {"face_id": String, "body_id": String, "voice_id": String, "loca
 # Gazes are told all the time while they last; older ones are of a node that has gone.
 _GAZE_S = 1.0
 _LOG_PERIOD_S = 10.0
+_ASK_S, _PATIENCE_S = 5.0, 1.0      # how often, and for how long, the master is asked for what is ignored
+
+Boxes = List[Tuple[float, float, float, float]]
+
+
+class IgnoredByNodes:
+    """The `ignored_regions` of the nodes that take the same images, whichever transport; () while none has any."""
+
+    def __init__(self) -> None:
+        self._asked = float("-inf")
+        self._boxes: Boxes = []
+
+    def boxes(self) -> Boxes:
+        """Left, top, right, bottom of each, shares of the image; a node that was started anew is heard after 5 s."""
+        now = time.monotonic()
+        if now >= self._asked + _ASK_S:
+            self._asked = now
+            topics = [rospy.resolve_name(name) for name in ("image", "image/compressed")]
+            try:
+                given = parameter_of_subscribers(topics, "ignored_regions", _PATIENCE_S)
+                rows = {row for rows in given if isinstance(rows, list) for row in rows if isinstance(row, str)}
+                self._boxes = IgnoredRegions(sorted(rows)).boxes
+            except (MasterAway, ParameterError):    # what was known counts on; the nodes refuse a wrong one
+                pass
+        return self._boxes
 
 
 class OverlayInputs:
@@ -170,6 +199,7 @@ class OverlayNode:
         self._inputs: Optional[OverlayInputs] = None
         self._drawn = -1.0
         self._grey = GreyBits()
+        self._ignored = IgnoredByNodes()
         self._output = rospy.Publisher("visualization/overlay", Image, queue_size=1)
         self._diagnostics = NodeDiagnostics(rospy.get_name())
         rospy.on_shutdown(self._end)
@@ -224,7 +254,7 @@ class OverlayNode:
         scale = np.array([image.shape[1], image.shape[0], 1.0])
         picture = draw_overlay(image, {name: points * scale for name, points in faces.items()},
                                {name: points * scale for name, points in bodies.items()},
-                               persons, self._settings.min_confidence)
+                               persons, self._settings.min_confidence, self._ignored.boxes())
         self._output.publish(bgr_to_image(picture, message.header))
         self._diagnostics.set("overlay", DiagnosticStatus.OK, "drawing", {
             "faces": len(faces), "bodies": len(bodies), "persons": len(persons)})

@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from types import FrameType
-from typing import Dict, List, Optional, Sequence, Set, Tuple
+from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple, Type, TypeVar
 from xmlrpc.client import Fault, ServerProxy
 
 import rosgraph
@@ -21,14 +21,18 @@ from tf2_msgs.msg import TFMessage
 from hri_pipeline.core.images import other_transport
 from hri_pipeline.core.simulation.sensors import camera_pose
 from hri_pipeline.ros.conversions import transform_to_msg
+from hri_pipeline.ros.master import node_at
 from hri_pipeline.ros.node import end_simulated_time, wait_for_master
 from hri_pipeline.ros.rospy_compat import release
 
 LOOK_S = 0.1
+AGAIN_S = 0.5           # until a question without an answer is asked again,
+_ASKED = 3              # so many times in all
 _SAY_S = 5.0
 _MAGIC = b"#ROSBAG V2.0"
 _TRANSFORMS = {"/tf", "/tf_static"}
 
+_Answer = TypeVar("_Answer")
 Listeners = Dict[str, Sequence[str]]
 """Topic -> names of nodes."""
 
@@ -112,28 +116,46 @@ class PausedPlayer:
         self._master = rosgraph.Master(rospy.get_name())
 
     def played(self) -> Set[str]:
-        """Return the topics that it publishes, the clock apart."""
-        published, _, _ = self._master.getSystemState()
+        """Return the topics that it publishes, the clock apart. Raises rospy.ROSException without a master."""
+        try:
+            published, _, _ = _again(self._master.getSystemState)
+        except Exception as error:
+            raise rospy.ROSException("the ROS master does not answer ({})".format(error)) from error
         return {topic for topic, nodes in published if self._name in nodes} - {"/clock", "/rosout"}
 
     def connected(self) -> Set[Tuple[str, str]]:
         """Return (topic, node) of all who are connected to it now, by its own account."""
         try:
-            _, _, rows = ServerProxy(self._master.lookupNode(self._name)).getBusInfo(rospy.get_name())
-        except (OSError, rosgraph.MasterException, Fault):
+            with node_at(self._master.lookupNode(self._name)) as player:
+                _, _, rows = player.getBusInfo(rospy.get_name())
+        except Exception:       # busy, or gone: the next time
             return set()
         return {(row[4], str(row[1])) for row in rows}
 
     def is_there(self) -> bool:
-        """Tell whether it still runs."""
+        """Tell whether it still runs: whether it answers one of several questions."""
         try:
-            return ServerProxy(self._master.lookupNode(self._name)).getPid(rospy.get_name())[0] == 1
-        except (OSError, rosgraph.MasterException, Fault):
+            return _again(self._ask)
+        except Exception:
             return False
+
+    def _ask(self) -> bool:
+        with node_at(self._master.lookupNode(self._name)) as player:
+            return player.getPid(rospy.get_name())[0] == 1
 
     def go(self) -> None:
         """Play. Raises rospy.ServiceException where it has gone."""
-        rospy.ServiceProxy(self._name + "/pause_playback", SetBool)(False)
+        _again(lambda: rospy.ServiceProxy(self._name + "/pause_playback", SetBool)(False), rospy.ServiceException)
+
+
+def _again(ask: Callable[[], _Answer], fault: Type[Exception] = Exception) -> _Answer:
+    """Return the first answer; one failed call, as of a busy machine, means nothing. Raises what the last one does."""
+    for _ in range(_ASKED - 1):
+        try:
+            return ask()
+        except fault:
+            time.sleep(AGAIN_S)
+    return ask()
 
 
 def start(player: PausedPlayer, wanted: Listeners, patience: float) -> str:

@@ -9,7 +9,8 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from hri_pipeline.core.error_log import without_middle
-from hri_pipeline.ros.rospy_compat import descriptors_status, release
+from hri_pipeline.ros.descriptors import descriptors_status
+from hri_pipeline.ros.rospy_compat import release
 
 OK = DiagnosticStatus.OK
 WARN = DiagnosticStatus.WARN

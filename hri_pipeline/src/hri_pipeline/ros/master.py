@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import threading
 from enum import Enum
-from typing import Optional, Tuple
+from typing import List, Optional, Sequence, Tuple
 from xmlrpc.client import ServerProxy
 
 import rosgraph
@@ -28,6 +28,8 @@ from hri_pipeline.ros.rospy_compat import (
 ANSWER_S = 5.0
 _PERIOD_S = 2.0
 _KEEP_EACH = 5      # questions who the master is for one after the parameters, which are some kilobytes
+AGGREGATOR = "/hri_diagnostics"
+"""The diagnostic_aggregator of diagnostics.launch."""
 IMAGE_TYPES = {"raw": "sensor_msgs/Image", "compressed": "sensor_msgs/CompressedImage"}
 """By transport."""
 
@@ -75,6 +77,22 @@ def type_of(topic: str, patience: float = ANSWER_S) -> str:
         return ""
 
 
+def parameter_of_subscribers(topics: Sequence[str], name: str, patience: float = ANSWER_S) -> List[object]:
+    """Return the values of a private parameter of all nodes that subscribe to one of these topics and have it.
+
+    Raises MasterAway without an answer in `patience` s.
+    """
+    own = rospy.get_name()
+    try:
+        with node_at(rosgraph.get_master_uri(), patience) as master:
+            subscribed = master.getSystemState(own)[2][1]
+            nodes = sorted({node for topic, nodes in subscribed if topic in topics for node in nodes})
+            answers = [master.getParam(own, "{}/{}".format(node, name)) for node in nodes]
+    except Exception as error:
+        raise MasterAway(str(error)) from error
+    return [value for code, _, value in answers if code == 1]
+
+
 def is_alive(uri: str, patience: float = ANSWER_S) -> bool:
     """Tell whether a node answers at its address within `patience` s."""
     try:
@@ -111,17 +129,59 @@ def subscribe_again(topic: str, kind: str) -> None:
         own.publisherUpdate("/master", topic, publishers)
 
 
+class ForeignNode:
+    """A node beside the stack that does not register again when the master is started again, as roscpp's do not: the
+    nodes of the stack tell the new master its topics in its place. Its parameters and services are not put back."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._address, self._pid = "", 0
+
+    def look(self) -> None:
+        """Remember where it is; nothing is forgotten where the master is away or does not know it."""
+        own = rospy.get_name()
+        try:
+            with node_at(rosgraph.get_master_uri()) as master:
+                code, _, address = master.lookupNode(own, self._name)
+            if code == 1:
+                with node_at(address) as node:
+                    self._address, self._pid = address, node.getPid(own)[2]
+        except Exception:       # the next time
+            return
+
+    def register(self) -> None:
+        """Tell a new master its topics, where it still runs and nobody of its name is there."""
+        own = rospy.get_name()
+        if not self._address:
+            return
+        try:
+            with node_at(rosgraph.get_master_uri()) as master, node_at(self._address) as node:
+                if node.getPid(own)[2] != self._pid or master.lookupNode(own, self._name)[0] == 1:
+                    return
+                for topic, kind in node.getPublications(own)[2]:
+                    _check(master.registerPublisher(self._name, topic, kind, self._address))
+                for topic, kind in node.getSubscriptions(own)[2]:
+                    _, _, publishers = master.registerSubscriber(self._name, topic, kind, self._address)
+                    node.publisherUpdate("/master", topic, publishers)
+        except Exception as error:      # it has ended, or the master has gone again
+            rospy.loginfo("%s is not known to the new ROS master: %s", self._name, error)
+            return
+        rospy.loginfo("the new ROS master is told the topics of %s, too", self._name)
+
+
 class MasterWatch:
     """Asks the master every two seconds who it is.
 
     rospy registers a topic once. A master that is started again knows nothing of the node, which then is
     deaf although it runs: its publishers, subscribers and services are registered again here, after its
     `parameters`, if any are given, were put back where nobody has set others. So is what was opened while the master
-    did not answer.
+    did not answer. The aggregator of diagnostics.launch is registered again, too.
     """
 
     def __init__(self, period: float = _PERIOD_S, parameters: Optional[OwnParameters] = None) -> None:
         self._parameters = parameters
+        self._aggregator = ForeignNode(AGGREGATOR)
+        self._aggregator.look()
         register_without_waiting()
         snapshot = self._read()
         self._identity = self._ask()
@@ -158,7 +218,11 @@ class MasterWatch:
             is_new = self._identity is not None and identity != self._identity
             if (is_new or not_registered.is_set()) and not self._register_again(is_new):
                 continue            # the next time
-            if not is_new:
+            if is_new:
+                self._aggregator.register()
+            else:
+                if count % _KEEP_EACH == 0:
+                    self._aggregator.look()
                 self._keep(snapshot)
                 if self._away:
                     rospy.loginfo("the ROS master answers again")

@@ -4,8 +4,7 @@ Checked against rospy 1.15.15. Before another version is used, this file has to 
 rospy/topics.py, rospy/msproxy.py, rospy/impl/registration.py, rospy/impl/rosout.py, rospy/impl/tcpros_base.py,
 rospy/impl/tcpros_pubsub.py and rosgraph/xmlrpc.py. Nine things:
 
-- File descriptors: as many as the system allows, few for each topic, and a reserve, without which rospy answers no
-  call.
+- File descriptors: few for each topic, and a reserve (`descriptors.py`), without which rospy answers no call.
 - Release of publishers and subscribers with everything that rospy would leave open.
 - Topics that open, and calls that end, while the master is away.
 - A node whose name another has taken over, and which does not end that one in turn.
@@ -21,8 +20,6 @@ from __future__ import annotations
 import errno
 import fcntl
 import gc
-import os
-import resource
 import select
 import socket
 import struct
@@ -35,7 +32,7 @@ from functools import partial
 from http.client import HTTPConnection
 from io import BytesIO
 from types import ModuleType
-from typing import Any, Callable, Deque, Dict, Iterable, Iterator, List, Optional, Set, Tuple, Union
+from typing import Any, Callable, Deque, Iterable, Iterator, List, Optional, Set, Tuple, Union
 from xmlrpc.client import ServerProxy, Transport
 
 import genpy
@@ -44,7 +41,6 @@ import roslib.message
 import rospy
 import rospy.core
 import rospy.topics
-from diagnostic_msgs.msg import DiagnosticStatus
 from rosgraph import xmlrpc
 from rospy.core import get_node_uri
 from rospy.impl import rosout, tcpros_base, tcpros_pubsub
@@ -57,13 +53,10 @@ from rospy.impl.registration import (
 )
 from sensor_msgs.msg import Image
 
-DESCRIPTORS_HINT = ("raise the limit (ulimit -Hn; nofile in /etc/security/limits.conf, LimitNOFILE= of a systemd "
-                    "service, --ulimit nofile= of docker)")
-_RESERVE = 64
-"""Descriptors that are left free for calls of the master and the like; an eighth of them all, where that is less."""
+from hri_pipeline.ros.descriptors import descriptors_are_short, descriptors_status, raise_limit
+
 _WAIT_S = 0.1
 _LOG_PERIOD_S = 30.0
-_OWN_DESCRIPTORS = "/proc/self/fd"
 _BROKEN = select.POLLHUP | select.POLLERR | getattr(select, "POLLRDHUP", 0)
 _MOST_KNOWN = 100
 _REGISTER_S, _ANSWER_S = 2.0, 5.0     # most time that the master is waited for, once, and each time
@@ -78,12 +71,7 @@ def prepare_rospy() -> None:
 
     To be called before rospy.init_node. Idempotent.
     """
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft != hard:
-        try:
-            resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-        except (OSError, ValueError):   # more than the kernel gives to anybody
-            pass
+    raise_limit()
     rospy.core._LockedServerProxy = _ProxyWithTimeout
     rospy.topics.Poller = DescriptorFreePoller
     tcpros_base.TCPServer = _PatientServer
@@ -97,47 +85,6 @@ def _log_here_only(reason: str) -> None:
     """Send nothing to /rosout any more: each line registers this node anew (a parameter that rospy looks up), so that
     the master would end the node that has taken over its name."""
     rosout._rosout_pub = None
-
-
-def descriptor_limit() -> int:
-    """Return how many descriptors this process may have."""
-    soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    return 2 ** 31 if soft == resource.RLIM_INFINITY else soft
-
-
-def descriptors_used() -> int:
-    """Return how many descriptors this process has open, 0 if unknown."""
-    try:
-        return len(os.listdir(_OWN_DESCRIPTORS)) - 1
-    except OSError as error:
-        return descriptor_limit() if error.errno == errno.EMFILE else 0
-
-
-def descriptors_are_short(part: float = 1.0) -> bool:
-    """Return whether fewer descriptors are free than this part (0 to 1) of the reserve."""
-    most = descriptor_limit()
-    return most - descriptors_used() < part * min(_RESERVE, most // 8)
-
-
-def require_descriptors() -> None:
-    """Raise OSError if only the reserve of descriptors is left: then no topic should be opened.
-
-    Without a free descriptor for calls of the master, rospy would try for ever, and no topic could be opened or closed.
-    """
-    if descriptors_are_short():
-        raise OSError(
-            errno.EMFILE, "too few file descriptors are left of {}: {}".format(descriptor_limit(), DESCRIPTORS_HINT)
-        )
-
-
-def descriptors_status() -> Tuple[int, str, Dict[str, object]]:
-    """Return level, message and values for diagnostics."""
-    most, count = descriptor_limit(), descriptors_used()
-    values: Dict[str, object] = {"used": count, "limit": most}
-    if descriptors_are_short():
-        return DiagnosticStatus.WARN, ("{} of {} file descriptors are used: new topics and connections wait; {}".format(
-            count, most, DESCRIPTORS_HINT)), values
-    return DiagnosticStatus.OK, "{} of {} used".format(count, most), values
 
 
 def release(topic: Union[rospy.Publisher, rospy.Subscriber]) -> None:

@@ -1,0 +1,96 @@
+"""start_bag beside a busy machine: one question without an answer is not the end of the recording."""
+
+from __future__ import annotations
+
+import threading
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+import rospy
+
+from hri_pipeline.nodes import start_bag
+from hri_pipeline.nodes.start_bag import PausedPlayer
+
+
+class Failing:
+    """Answers as a master and as a player do, but for the first questions."""
+
+    def __init__(self, failures):
+        self.failures = failures
+        self.asked = 0
+
+    def _answer(self, value):
+        self.asked += 1
+        if self.asked <= self.failures:
+            raise OSError("busy")
+        return value
+
+    def getPid(self, caller):
+        return self._answer([1, "", 1])
+
+    def getSystemState(self):
+        return self._answer([[["/camera/image_raw", ["/bag"]], ["/clock", ["/bag"]]], [], []])
+
+
+@pytest.fixture
+def player(monkeypatch):
+    monkeypatch.setattr(start_bag, "AGAIN_S", 0.01)
+    servers = []
+
+    def make(failures):
+        given, server = PausedPlayer("bag"), SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
+        behind = Failing(failures)
+        server.register_instance(behind)
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        servers.append(server)
+        behind.lookupNode = lambda name: "http://127.0.0.1:{}/".format(server.server_address[1])
+        given._master = behind
+        return given
+
+    yield make
+    for server in servers:
+        server.shutdown()
+        server.server_close()
+
+
+@pytest.mark.parametrize("failures, there", [(0, True), (1, True), (2, True), (99, False)])
+def test_a_player_has_ended_when_it_does_not_answer_several_times_in_a_row(player, failures, there):
+    assert player(failures).is_there() == there
+
+
+def test_a_player_whose_address_nobody_serves_has_ended(player):
+    gone = player(0)
+    gone._master.lookupNode = lambda name: "http://127.0.0.1:9/"
+    assert not gone.is_there()
+
+
+def test_what_is_played_is_asked_for_again(player):
+    assert player(2).played() == {"/camera/image_raw"}
+
+
+def test_a_master_that_never_answers_is_an_error_that_says_so(player):
+    with pytest.raises(rospy.ROSException, match="ROS master.*busy"):
+        player(99).played()
+
+
+@pytest.mark.parametrize("failures", [0, 2])
+def test_the_player_is_told_again_to_go(player, failures, monkeypatch):
+    told = []
+
+    def call(value):
+        told.append(value)
+        if len(told) <= failures:
+            raise rospy.ServiceException("transport error")
+
+    monkeypatch.setattr(rospy, "ServiceProxy", lambda name, kind: call)
+    player(0).go()
+    assert told == [False] * (failures + 1)
+
+
+def test_a_player_that_never_takes_it_is_an_error(player, monkeypatch):
+    def call(value):
+        raise rospy.ServiceException("transport error")
+
+    monkeypatch.setattr(rospy, "ServiceProxy", lambda name, kind: call)
+    with pytest.raises(rospy.ServiceException):
+        player(0).go()
