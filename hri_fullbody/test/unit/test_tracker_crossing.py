@@ -100,6 +100,28 @@ def test_a_hidden_person_is_not_published_and_comes_back_with_the_id():
     assert film.ids() == before
 
 
+def test_who_is_found_again_among_many_is_looked_at_again_at_once():
+    """Else the turn is that of a hidden body, up to a second away, and the place drifts with a guessed velocity."""
+    others = [(100.0 + 150.0 * number, 400.0) for number in range(7)]
+    scene = Walkers([(1180.0, 400.0), *others], [RED] + 7 * [BLUE])
+    film = Film(scene, rate=10.0, schedule=InferenceScheduler(10.0, most=3, batches=False))
+    film.run(2.0)
+    own = film.ids()[0]
+    film.run(1.5, lambda time: [(1000.0, 400.0), *others])      # behind the last one
+    assert own not in film.ids()
+    film.run(0.1, lambda time: [(1160.0, 400.0), *others])
+    back = next(track for track in film.tracker.tracks if track.id == own)
+    looks = []
+    for _ in range(6):
+        film.run(0.1)
+        looks.append(back.inferred_at)
+        if back.visible:
+            break
+    film.run(0.1)
+    assert back.visible and back.inferred_at > looks[-1]
+    assert film.ids()[0] == own
+
+
 def test_somebody_else_at_the_place_of_a_lost_person_gets_a_new_id():
     film = Film(Walkers([(500.0, 400.0)], (RED,)), death_time=2.0)
     film.run(1.0)

@@ -156,6 +156,26 @@ def test_a_number_per_image_is_shared_fairly_and_never_exceeded():
     assert schedule.wait(10) == pytest.approx(0.2)
 
 
+def test_who_was_of_little_urgency_is_due_at_once_when_renewed():
+    requests = [Request(name, 0.1 if name == "f7" else 1.0) for name in FACES]
+
+    def images_until_next_turn(renewed):
+        schedule = even(most=3)
+        turns = ["f7" in schedule.choose(requests, 0.1 * index) for index in range(100)]
+        first = turns.index(True, 20)
+        schedule = even(most=3)
+        for index in range(first + 1):
+            schedule.choose(requests, 0.1 * index)
+        if renewed:
+            schedule.renew("f7")
+        return next(index for index in range(1, 100)
+                    if "f7" in schedule.choose([Request(name) for name in FACES], 0.1 * (first + index)))
+
+    assert images_until_next_turn(renewed=True) == 1
+    assert images_until_next_turn(renewed=False) > 5
+    even(most=3).renew("nobody")
+
+
 def test_what_is_reserved_is_left_but_for_one():
     schedule = even(most=3)
     assert [len(choose(schedule, FACES, 1.0 + reserved, reserved=reserved)) for reserved in range(5)] == [3, 2, 1, 1, 1]

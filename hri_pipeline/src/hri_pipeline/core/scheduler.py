@@ -227,6 +227,10 @@ class InferenceScheduler:
             self._served[name] = stamp
         return chosen
 
+    def renew(self, name: str) -> None:
+        """Let somebody be due at once, as if new."""
+        self._deadlines.pop(name, None)
+
     def spent(self, seconds: float, count: int) -> None:
         """Update the estimated cost by the processor time of `count` inferences."""
         if count > 0 and math.isfinite(seconds) and seconds > 0.0:

@@ -298,10 +298,17 @@ class BodyTracker:
         doubles = self._doubles({name: detection.estimate for name, detection in pairs.items()}, missed, stamp, faces)
         for track in self.tracks:
             if track.id in pairs and track.id not in doubles:
-                track.update(pairs[track.id], stamp, self._unhidden(track, pairs[track.id], stamp))
+                self._found(track, pairs[track.id], stamp, self._unhidden(track, pairs[track.id], stamp))
             elif track in chosen or track.id in doubles:
                 track.missed(stamp)
         return doubles
+
+    def _found(self, track: BodyTrack, detection: PoseDetection, stamp: float, unhidden: bool) -> None:
+        """Give a detection to a body; one that was not seen before is looked at again in the next image: where it goes
+        is not known, and its turn is that of a hidden one, up to a second away."""
+        if not track.visible:
+            self.schedule.renew(track.id)
+        track.update(detection, stamp, unhidden)
 
     def _doubles(self, seen: Mapping[str, PoseEstimate], missed: Container[str], stamp: float,
                  faces: Sequence[FaceBox]) -> Set[str]:
@@ -373,7 +380,7 @@ class BodyTracker:
         best = int(np.argmin(costs))
         if self.tracks[best].visible or costs[best] > MAX_COST:
             return False
-        self.tracks[best].update(detection, stamp, False)
+        self._found(self.tracks[best], detection, stamp, False)
         self.tracks[best].box_confirmed = True
         return True
 
@@ -396,7 +403,7 @@ class BodyTracker:
         cost = cost_matrix(lost, [detection], stamp, faces)
         best = int(np.argmin(cost[:, 0])) if lost else -1
         if best >= 0 and cost[best, 0] <= MAX_COST:
-            lost[best].update(detection, stamp, False)
+            self._found(lost[best], detection, stamp, False)
             lost[best].box_confirmed = lost[best].box_confirmed or boxed or None
             if face is not None:
                 lost[best].link(face, stamp)
