@@ -317,6 +317,22 @@ class ImageInputTest(InputCase):
         self.assertEqual(len(jumps), 1)
         self.assertEqual((image_input.counts["late"], image_input.counts["time_jumps"]), (2, 1))
 
+    def test_an_image_is_overtaken_when_one_of_long_before_has_come_or_the_clock_has_gone_back(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        for newer, overtaken in ((100.1, False), (99.5, False), (20.0, True)):
+            image_input._last_stamp = None
+            self.send(image_input, picture(100.0))
+            frame = image_input.next(5)
+            self.assertFalse(frame.overtaken())
+            self.send(image_input, picture(newer))
+            self.assertEqual(frame.overtaken(), overtaken, newer)
+            image_input.next(0.01)
+        self.send(image_input, picture(100.0))
+        frame = image_input.next(5)
+        with mock.patch.object(inputs.rospy, "get_time", lambda now=rospy.get_time() - 10.0: now):
+            self.assertTrue(frame.overtaken())
+
     def test_stamps_that_run_ahead_of_the_time_are_told(self):
         image_input = self.image_input()
         self.calibrate(image_input, info())

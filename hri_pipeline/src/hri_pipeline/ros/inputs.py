@@ -7,6 +7,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
 from typing import Callable, Deque, Dict, Optional, Tuple, Union
 
 import numpy as np
@@ -69,6 +70,8 @@ class Frame:
 
     bgr: (H, W, 3) uint8. stamp: s, that of header. header: goes with every output that is made of this image.
     depth: (h, w) float32 m, registered to bgr, NaN where unknown; None without one.
+    overtaken: tells whether the time has gone back since; what is found in the image is not to be published then, as
+    frames of the future hide all later ones in the buffers of tf2.
     """
 
     bgr: np.ndarray
@@ -76,6 +79,7 @@ class Frame:
     stamp: float
     header: Header
     depth: Optional[np.ndarray] = None
+    overtaken: Callable[[], bool] = lambda: False
 
 
 class ImageInput(SensorInput):
@@ -240,7 +244,13 @@ class ImageInput(SensorInput):
         depth = None
         if self._depth is not None:
             depth = self._depth.match(stamp, bgr.shape[1], bgr.shape[0], header.frame_id)
-        return Frame(bgr, camera, stamp, header, depth)
+        return Frame(bgr, camera, stamp, header, depth, partial(self._has_gone_back, stamp, self._came[1]))
+
+    def _has_gone_back(self, stamp: float, came: float) -> bool:
+        """Tell whether the time has gone back since an image of `stamp` (s) came at `came` (s, ROS time)."""
+        with self._condition:
+            waiting = self._message.header.stamp.to_sec() if self._message is not None else 0.0
+        return rospy.get_time() < came - JUMP_S or 0.0 < waiting < stamp - JUMP_S
 
     def _stamped(self, header: Header) -> Optional[Header]:
         """Return the header with a stamp, or None for an image that is not newer than the last one."""
