@@ -88,9 +88,12 @@ class ImageInputTest(InputCase):
                      "time enough for more warnings")
             self.assertEqual(len(log.output), 1, log.output)
             self.assertEqual(image_input.status()[2]["images_arrive"], False)
-            for _ in range(2):
-                self.send(image_input, picture(rospy.get_time()))
-                self.assertIsNotNone(image_input.next(5))
+            for is_first in (True, False):
+                with self.assertLogs("rosout", "INFO") as again:
+                    self.send(image_input, picture(rospy.get_time()))
+                    self.assertIsNotNone(image_input.next(5))
+                    rospy.loginfo("end")
+                self.assertEqual(sum("comes in, after" in line for line in again.output), is_first, again.output)
                 self.assertEqual(image_input.status()[2]["images_arrive"], True)
                 wait_for(lambda: time.monotonic() > image_input._heard + 0.25, 5, "calm")
             wait_for(lambda: image_input.next(0.05) is None and len(log.output) == 2, 10, "the camera goes again")
@@ -231,7 +234,9 @@ class ImageInputTest(InputCase):
         self.assertIn(rospy.get_name() + "/fallback_fov = 1.571 rad", text)
         self.calibrate(image_input, info())
         self.send(image_input, picture(rospy.get_time()))
-        self.assertEqual(image_input.next(5).camera.calibration, Calibration.CALIBRATED)
+        with self.assertLogs("rosout", "INFO") as log:
+            self.assertEqual(image_input.next(5).camera.calibration, Calibration.CALIBRATED)
+        self.assertIn("calibrated from now on, focal length 100 px", log.output[-1])
         self.assertEqual(image_input.status()[0], OK)
 
     def test_rectified_images_go_by_the_projection_matrix(self):
@@ -330,7 +335,7 @@ class ImageInputTest(InputCase):
             image_input.next(0.01)
         self.send(image_input, picture(100.0))
         frame = image_input.next(5)
-        with mock.patch.object(inputs.rospy, "get_time", lambda now=rospy.get_time() - 10.0: now):
+        with mock.patch.object(inputs.rospy, "get_time", return_value=rospy.get_time() - 10.0):
             self.assertTrue(frame.overtaken())
 
     def test_stamps_that_run_ahead_of_the_time_are_told(self):

@@ -366,9 +366,13 @@ class CameraInfoInput:
             info = self._info
         key = (width, height) + (_key(info) if info is not None else ())
         if key != self._key or self._model is None:
+            was_guessed = self._model is not None and self._model.calibration is not Calibration.CALIBRATED
             self._model, text = self._build(info, width, height)
             if text != self.problem[1]:
                 self._say_at = 0.0
+                if was_guessed and self._model.calibration is Calibration.CALIBRATED:
+                    rospy.loginfo("%s: the camera is calibrated from now on, focal length %.0f px; people are at "
+                                  "other places than before", self.topic, self._model.matrix[0, 0])
             self.problem = (WARN, text) if text else (OK, "")
             self._key = key
         if self.problem[1] and time.monotonic() >= self._say_at:
