@@ -213,9 +213,8 @@ class ManagerDiagnostics:
         self._matches()
         self._location()
         for plural, feed in self._feeds.items():
-            level, text, values = feed.status()
             # A stack without a microphone or without a body tracker is a legal one.
-            self._diagnostics.set(plural, OK if text.startswith("no publisher") else level, text, values)
+            self._diagnostics.set(plural, *feed.status(optional=True))
 
     def fail(self, error: Exception) -> None:
         """Tell of an error that has ended one cycle."""

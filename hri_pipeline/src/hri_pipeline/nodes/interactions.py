@@ -384,7 +384,7 @@ class InteractionReport:
             "no transform from %s to the reference frame, see /humans/reference_frame" % ", ".join(unconnected)
             if unconnected else "people are compared in %s" % self._frame.name, values)
         for kind, feed in self._people.feeds.items():
-            self._diagnostics.set(kind, *feed.status())
+            self._diagnostics.set(kind, *feed.status(optional=kind != "persons"))
 
     def close(self) -> None:
         """Close the topic. Idempotent."""
