@@ -442,6 +442,14 @@ class ImageInputTest(InputCase):
             if words:
                 self.assertIn("{}: images are {}".format(image_input.topic, words), text)
 
+    def test_the_first_image_of_a_bag_that_begins_anew_is_not_told_as_old_before_the_clock_has_followed(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        for ahead, level in ((-0.5, OK), (-60.0, OK), (-59.9, WARN)):
+            self.send(image_input, picture(rospy.get_time() + ahead))
+            self.assertIsNotNone(image_input.next(5))
+            self.assertEqual(image_input.status()[0], level, image_input.status()[1])
+
     def test_close(self):
         before = held_by(os.getpid()).descriptors
         for _ in range(20):

@@ -260,7 +260,7 @@ class ImageInput(SensorInput):
                                    "driver set header.stamp".format(self.topic))
             now = rospy.Time.now()
             header.stamp = rospy.Time.from_sec(time.time()) if now.is_zero() else now
-        elif abs(self._age) > MOST_AGE_S:
+        elif abs(self._age) > MOST_AGE_S and not self._jumps_back(header):     # the clock may follow in a moment
             self._clock_problem = _CLOCKS.format(
                 self.topic, abs(self._age), "old when they arrive" if self._age > 0.0 else "in the future")
         if self._clock_problem:
@@ -270,7 +270,7 @@ class ImageInput(SensorInput):
             self._lags = lags
             return header
         step = header.stamp.to_sec() - self._last_stamp
-        if step < -JUMP_S:
+        if self._jumps_back(header):
             self.counts["time_jumps"] += 1
             self._lags = lags
             rospy.logwarn("%s: time has gone back by %.1f s (a bag that loops?); tracks start anew", self.topic, -step)
@@ -289,6 +289,9 @@ class ImageInput(SensorInput):
             return None
         self._tell_of_jumps_forward(lags)
         return header
+
+    def _jumps_back(self, header: Header) -> bool:
+        return self._last_stamp is not None and header.stamp.to_sec() < self._last_stamp - JUMP_S
 
     def _tell_of_jumps_forward(self, lags: Tuple[float, float]) -> None:
         """Warn where an image's stamp is nearer to its arrival than that of any before it; lags: as self._lags."""
