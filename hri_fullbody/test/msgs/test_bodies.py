@@ -187,3 +187,11 @@ def test_a_body_that_comes_back_is_not_matched_with_somebody_who_was_forgotten_m
     matches.publish([Reidentification("b3", "b1", 0.95), Reidentification("b4", "b2", 0.95)])
     (match,), _ = matches._publisher.publish.call_args
     assert matches._publisher.publish.call_count == 1 and (match.id1, match.id2) == ("b4", "bob")
+
+
+@pytest.mark.parametrize("overtaken, told", [(False, True), (True, False)])
+def test_nothing_is_told_of_an_image_after_which_the_time_has_gone_back(overtaken, told):
+    processor = MagicMock()
+    processor._up.lookup.return_value = None, None, None
+    bodies.BodyProcessor.process(processor, replace(FRAME, overtaken=lambda: overtaken), {})
+    assert processor._tracked.set.called == processor._publish_models.called == processor._guard.each.called == told

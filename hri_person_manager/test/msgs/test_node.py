@@ -1,13 +1,14 @@
 """The node of the person manager goes on, whatever the master and one bad number do; without a master."""
 
 import threading
+import time
 from unittest.mock import MagicMock
 
 import genpy
 import pytest
 
 from hri_person_manager.core import persons
-from hri_person_manager.core.features import Kind, MatchNode
+from hri_person_manager.core.features import FeaturePose, Kind, MatchNode, PlaceSource
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
@@ -19,6 +20,8 @@ from hri_person_manager.ros.navigation import PeopleTopic
 from hri_person_manager.ros.node import PersonManagerNode, RestartState
 from hri_person_manager.ros.services import GalleryAnswer, PersonServices
 from hri_person_manager.srv import EnrolRequest, ForgetRequest, MergeRequest
+from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.timing import OldTime
 from hri_pipeline.srv import GalleryResponse
 from hri_pipeline.testing import wait_for
 
@@ -194,3 +197,15 @@ def test_a_recording_that_holds_people_is_told_apart_from_another_robot():
         assert "bag.launch" not in double_persons(others)
         assert "persons:=false" in double_persons(others)
         assert all(name in double_persons(others) for name in others)
+
+
+def test_a_place_from_before_the_clock_went_back_places_nobody(monkeypatch):
+    """The last image of a bag that loops: its frame would hide all later ones of the person in the buffers of tf2."""
+    monkeypatch.setattr(module.rospy, "get_time", lambda: 100.2)
+    node = MagicMock(_old_time=OldTime(), _people=None)
+    node._stop.is_set.return_value = False
+    node._manager.on_place.return_value = None
+    node._old_time.went_back(20.0, time.monotonic())
+    old, new = (FeaturePose(PlaceSource.FACE, "abcde", "camera", Pose.identity(), secs, 0) for secs in (119, 100))
+    PersonManagerNode._on_poses(node, [old, new])
+    assert [call.args for call in node._reference.place.call_args_list] == [(new,)]

@@ -1,5 +1,6 @@
 """Transforms of a face, and what the node says about people's privacy at its start."""
 
+from dataclasses import replace
 from unittest.mock import MagicMock
 
 import genpy
@@ -81,3 +82,16 @@ def test_faces_whose_topics_cannot_be_opened_are_listed_and_placed_all_the_same(
     (transforms,), _ = processor._transforms.send.call_args
     assert [transform.child_frame_id for transform in transforms] == ["face_abcde"]
     assert "descriptors" in processor._guard.news()
+
+
+@pytest.mark.parametrize("overtaken, told", [(False, True), (True, False)])
+def test_nothing_is_told_of_an_image_after_which_the_time_has_gone_back(overtaken, told):
+    processor = FaceProcessor.__new__(FaceProcessor)
+    processor._pipeline, processor._topics, processor._tracked, processor._transforms = (MagicMock() for _ in range(4))
+    processor._guard, processor._interface = ItemGuard(), "paper"
+    processor._publish_matches = processor._tell_turned = MagicMock()
+    seen = face(Pose(UPRIGHT, np.array([0.1, 0.2, 1.5])), None)
+    processor._pipeline.update.side_effect = lambda *arguments: arguments[-1]([seen]) or [seen]
+    processor.process(replace(frame(), overtaken=lambda: overtaken), {})
+    assert processor._transforms.send.called == processor._tracked.set.called == told
+    assert processor._topics.publish.called == processor._publish_matches.called == told

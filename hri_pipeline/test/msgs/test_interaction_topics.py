@@ -1,15 +1,24 @@
 """The interactions node: topics that cannot be opened at once, and a time that stands still; without a master."""
 
+import io
 import threading
 import time
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
+import genpy
+import numpy as np
 import pytest
+from tf2_msgs.msg import TFMessage
 
+from hri_pipeline.core.frames import scan
+from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.interactions.engagement import Level
+from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS
 from hri_pipeline.nodes import interactions as module
 from hri_pipeline.nodes.interactions import ENGAGEMENT, InteractionsNode, InteractionTopics
+from hri_pipeline.ros import people_input
+from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.testing import wait_for
 
 
@@ -68,3 +77,20 @@ def test_who_interacts_goes_on_while_time_stands_still(passed, ends, monkeypatch
     node._rest()
     assert node._publish.called is ends
     assert node._engagement.update.called is ends
+
+
+def test_a_frame_from_before_the_clock_went_back_does_not_hide_those_after_it(monkeypatch):
+    """The last image of a bag that loops: 10 s passed until gazes went on."""
+    monkeypatch.setattr(people_input, "IdSubscribers", MagicMock())
+    monkeypatch.setattr(people_input, "TfSubscriber", MagicMock())
+    monkeypatch.setattr(people_input.rospy, "get_time", lambda: 100.2)
+    people = people_input.PeopleInput(INTERACTION_PARAMETERS.resolve({}), MagicMock())
+    people._tf.set_people(["ann"])
+    people._tf.set_feature("ann", "face", "abcde")
+    people.reset(20.0)
+    for stamp in (119.9, 100.1):
+        data = io.BytesIO()
+        TFMessage([transform_to_msg(Pose(np.eye(3), np.ones(3)), genpy.Time.from_sec(stamp), "camera",
+                                    "face_abcde")]).serialize(data)
+        people._on_frames(data.getvalue(), scan(data.getvalue()), False)
+    assert people.stamp == genpy.Time.from_sec(100.1)

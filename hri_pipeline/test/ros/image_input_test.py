@@ -88,9 +88,12 @@ class ImageInputTest(InputCase):
                      "time enough for more warnings")
             self.assertEqual(len(log.output), 1, log.output)
             self.assertEqual(image_input.status()[2]["images_arrive"], False)
-            for _ in range(2):
-                self.send(image_input, picture(rospy.get_time()))
-                self.assertIsNotNone(image_input.next(5))
+            for is_first in (True, False):
+                with self.assertLogs("rosout", "INFO") as again:
+                    self.send(image_input, picture(rospy.get_time()))
+                    self.assertIsNotNone(image_input.next(5))
+                    rospy.loginfo("end")
+                self.assertEqual(sum("comes in, after" in line for line in again.output), is_first, again.output)
                 self.assertEqual(image_input.status()[2]["images_arrive"], True)
                 wait_for(lambda: time.monotonic() > image_input._heard + 0.25, 5, "calm")
             wait_for(lambda: image_input.next(0.05) is None and len(log.output) == 2, 10, "the camera goes again")
@@ -231,7 +234,9 @@ class ImageInputTest(InputCase):
         self.assertIn(rospy.get_name() + "/fallback_fov = 1.571 rad", text)
         self.calibrate(image_input, info())
         self.send(image_input, picture(rospy.get_time()))
-        self.assertEqual(image_input.next(5).camera.calibration, Calibration.CALIBRATED)
+        with self.assertLogs("rosout", "INFO") as log:
+            self.assertEqual(image_input.next(5).camera.calibration, Calibration.CALIBRATED)
+        self.assertIn("calibrated from now on, focal length 100 px", log.output[-1])
         self.assertEqual(image_input.status()[0], OK)
 
     def test_rectified_images_go_by_the_projection_matrix(self):
@@ -316,6 +321,22 @@ class ImageInputTest(InputCase):
         self.assertEqual(taken, [100.0, None, None, 101.0, 20.0, 20.1])
         self.assertEqual(len(jumps), 1)
         self.assertEqual((image_input.counts["late"], image_input.counts["time_jumps"]), (2, 1))
+
+    def test_an_image_is_overtaken_when_one_of_long_before_has_come_or_the_clock_has_gone_back(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        for newer, overtaken in ((100.1, False), (99.5, False), (20.0, True)):
+            image_input._last_stamp = None
+            self.send(image_input, picture(100.0))
+            frame = image_input.next(5)
+            self.assertFalse(frame.overtaken())
+            self.send(image_input, picture(newer))
+            self.assertEqual(frame.overtaken(), overtaken, newer)
+            image_input.next(0.01)
+        self.send(image_input, picture(100.0))
+        frame = image_input.next(5)
+        with mock.patch.object(inputs.rospy, "get_time", return_value=rospy.get_time() - 10.0):
+            self.assertTrue(frame.overtaken())
 
     def test_stamps_that_run_ahead_of_the_time_are_told(self):
         image_input = self.image_input()
@@ -420,6 +441,14 @@ class ImageInputTest(InputCase):
             self.assertEqual(level, WARN if words else OK, text)
             if words:
                 self.assertIn("{}: images are {}".format(image_input.topic, words), text)
+
+    def test_the_first_image_of_a_bag_that_begins_anew_is_not_told_as_old_before_the_clock_has_followed(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        for ahead, level in ((-0.5, OK), (-60.0, OK), (-59.9, WARN)):
+            self.send(image_input, picture(rospy.get_time() + ahead))
+            self.assertIsNotNone(image_input.next(5))
+            self.assertEqual(image_input.status()[0], level, image_input.status()[1])
 
     def test_close(self):
         before = held_by(os.getpid()).descriptors

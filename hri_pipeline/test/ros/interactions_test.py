@@ -207,6 +207,10 @@ class InteractionsTest(unittest.TestCase):
                           "refused transforms")
         self.assertGreater(int(values["transforms refused"]), 0)
         self.assertEqual(state.hardware_id, "/hri_interactions")
+        # A stack without a microphone is a legal one.
+        voices = wait_for(lambda: self.states.get("hri_interactions: voices"), WAIT_S, "diagnostics of voices")
+        self.assertIn("no publisher on /humans/voices/tracked", voices.message)
+        self.assertEqual(voices.level, 0)
         self.assertEqual({item.key: item.value
                           for item in self.states["hri_interactions: interactions"].values}["errors"], "0")
 

@@ -38,6 +38,11 @@ def padded(pixels, padding=5):
     ("mono8", GREY, np.dstack([GREY] * 3)),
     ("8UC1", GREY, np.dstack([GREY] * 3)),
     ("mono16", WIDE, np.dstack([GREY] * 3)),
+    ("8UC4", np.dstack([BGR, GREY]), BGR),
+    ("bgr16", BGR.astype(np.uint16) * 256 + 77, BGR),
+    ("rgb16", BGR[:, :, ::-1].astype(np.uint16) * 256 + 77, BGR),
+    ("bgra16", np.dstack([BGR, GREY]).astype(np.uint16) * 256 + 77, BGR),
+    ("rgba16", np.dstack([BGR[:, :, ::-1], GREY]).astype(np.uint16) * 256 + 77, BGR),
 ])
 @pytest.mark.parametrize("padding", [0, 5])
 def test_exact_encodings_with_and_without_padding(encoding, pixels, expected, padding):
@@ -118,17 +123,19 @@ def test_yuv_of_one_colour(encoding, order):
     np.testing.assert_allclose(result.reshape(-1, 3), [[0, 0, 255]] * 48, atol=3)
 
 
+@pytest.mark.parametrize("bits", [8, 12, 16])
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
-def test_bayer_of_one_colour(pattern):
+def test_bayer_of_one_colour(pattern, bits):
     values = dict(zip("bgr", (30, 120, 220)))
-    tile = np.array([values[letter] for letter in pattern], np.uint8).reshape(2, 2)
-    result = bgr_from_raw(np.tile(tile, (4, 4)).tobytes(), 8, 8, 8, "bayer_{}8".format(pattern))
+    tile = np.array([values[letter] << (bits - 8) for letter in pattern], np.uint8 if bits == 8 else np.uint16)
+    data = np.tile(tile.reshape(2, 2), (4, 4)) | ((1 << (bits - 8)) - 1)
+    result = bgr_from_raw(data.tobytes(), 8, 8, 8 * data.itemsize, "bayer_{}{}".format(pattern, 8 * data.itemsize))
     np.testing.assert_array_equal(result[2:-2, 2:-2].reshape(-1, 3), [[30, 120, 220]] * 16)
 
 
 def test_every_encoding_is_read():
     for encoding in ENCODINGS:
-        assert bgr_from_raw(bytes(8 * 6 * 4), 8, 6, 32, encoding).shape == (6, 8, 3)
+        assert bgr_from_raw(bytes(8 * 6 * 8), 8, 6, 64, encoding).shape == (6, 8, 3)
 
 
 @pytest.mark.parametrize("width, height, step, encoding, length, text", [

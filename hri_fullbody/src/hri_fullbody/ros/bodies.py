@@ -102,6 +102,8 @@ class BodyProcessor:
             up=up, camera_height=height, camera_pose=pose)
         self._tell_turned(up)
         context["bodies"] = bodies
+        if frame.overtaken():
+            return
         ids = self._pipeline.tracked_ids
         self._guard.attempt("topic", self._topics.keep, ids)
         self._tracked.set(ids, frame.header.stamp)

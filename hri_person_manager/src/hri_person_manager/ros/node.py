@@ -38,7 +38,7 @@ from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.process import share_arenas
 from hri_pipeline.core.recognition.gallery import SHARED_ENDINGS
 from hri_pipeline.core.recognition.store import PersonStore, StoreWriter, read_store
-from hri_pipeline.core.timing import JUMP_BACK_S, Order, SourceStamps
+from hri_pipeline.core.timing import JUMP_BACK_S, OldTime, Order, SourceStamps
 from hri_pipeline.ros.conversions import matrix_from_image, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.privacy import PrivacyTopic
@@ -213,9 +213,8 @@ class ManagerDiagnostics:
         self._matches()
         self._location()
         for plural, feed in self._feeds.items():
-            level, text, values = feed.status()
             # A stack without a microphone or without a body tracker is a legal one.
-            self._diagnostics.set(plural, OK if text.startswith("no publisher") else level, text, values)
+            self._diagnostics.set(plural, *feed.status(optional=True))
 
     def fail(self, error: Exception) -> None:
         """Tell of an error that has ended one cycle."""
@@ -304,7 +303,7 @@ class PersonManagerNode:
         self._last_now = rospy.get_time()
         self._next_report = self._next_expiry = 0.0
         self._jumps = 0
-        self._stamps = SourceStamps()
+        self._stamps, self._old_time = SourceStamps(), OldTime()
         self._recognisers = SenderRuns(MATCHES_TOPIC)
         self._sensed = genpy.Time()     # stamp of the newest image or sound of which a list or a transform has come
         self._feeds: Dict[str, IdSubscribers] = {}
@@ -474,6 +473,8 @@ class PersonManagerNode:
             now = rospy.get_time()
             moved: Dict[str, object] = {}
             for pose in poses:
+                if self._old_time.holds(pose.secs + 1e-9 * pose.nsecs, now, time.monotonic()):
+                    continue
                 self._watch_stamps(pose)
                 place = self._reference.place(pose)
                 stamp = place.exact_stamp
@@ -505,6 +506,7 @@ class PersonManagerNode:
             self._jumps += 1
             self._sensed = genpy.Time()
             self._stamps.clear()
+            self._old_time.went_back(self._last_now - now, time.monotonic())
             self._tf_input.reset()
             self._manager.rewind(now)
         self._last_now = now

@@ -72,25 +72,27 @@ def _is_comb(sample: np.ndarray) -> bool:
     return len(values) >= _COMB_VALUES and int(np.gcd.reduce(values)) >= _COMB_STEP
 
 
-_MONO = _Layout(1, np.uint8, _colour(cv2.COLOR_GRAY2BGR))
-_BGR = _Layout(3, np.uint8, np.array)
-
-# OpenCV names a Bayer pattern by the second row and column, ROS by the first.
+# Channels, and how they become BGR, of the encodings that exist with 8 and with 16 bits. OpenCV names a Bayer pattern
+# by the second row and column, ROS by the first.
+_COLOURS: Dict[str, Tuple[int, Callable[[np.ndarray], np.ndarray]]] = {
+    "bgr": (3, np.array),
+    "rgb": (3, _colour(cv2.COLOR_RGB2BGR)),
+    "bgra": (4, _colour(cv2.COLOR_BGRA2BGR)),
+    "rgba": (4, _colour(cv2.COLOR_RGBA2BGR)),
+    "mono": (1, _colour(cv2.COLOR_GRAY2BGR)),
+    "bayer_rggb": (1, _colour(cv2.COLOR_BayerBG2BGR)),
+    "bayer_bggr": (1, _colour(cv2.COLOR_BayerRG2BGR)),
+    "bayer_gbrg": (1, _colour(cv2.COLOR_BayerGR2BGR)),
+    "bayer_grbg": (1, _colour(cv2.COLOR_BayerGB2BGR)),
+}
 _LAYOUTS: Dict[str, _Layout] = {
-    "bgr8": _BGR,
-    "rgb8": _Layout(3, np.uint8, _colour(cv2.COLOR_RGB2BGR)),
-    "bgra8": _Layout(4, np.uint8, _colour(cv2.COLOR_BGRA2BGR)),
-    "rgba8": _Layout(4, np.uint8, _colour(cv2.COLOR_RGBA2BGR)),
-    "mono8": _MONO,
-    "8UC1": _MONO,
-    "8UC3": _BGR,
-    "mono16": _Layout(1, np.uint16, _colour(cv2.COLOR_GRAY2BGR)),
+    **{name + bits: _Layout(channels, depth, convert) for bits, depth in (("8", np.uint8), ("16", np.uint16))
+       for name, (channels, convert) in _COLOURS.items()},
+    "8UC1": _Layout(1, np.uint8, _COLOURS["mono"][1]),
+    "8UC3": _Layout(3, np.uint8, np.array),
+    "8UC4": _Layout(4, np.uint8, _COLOURS["bgra"][1]),
     "yuv422": _Layout(2, np.uint8, _colour(cv2.COLOR_YUV2BGR_UYVY)),
     "yuv422_yuy2": _Layout(2, np.uint8, _colour(cv2.COLOR_YUV2BGR_YUY2)),
-    "bayer_rggb8": _Layout(1, np.uint8, _colour(cv2.COLOR_BayerBG2BGR)),
-    "bayer_bggr8": _Layout(1, np.uint8, _colour(cv2.COLOR_BayerRG2BGR)),
-    "bayer_gbrg8": _Layout(1, np.uint8, _colour(cv2.COLOR_BayerGR2BGR)),
-    "bayer_grbg8": _Layout(1, np.uint8, _colour(cv2.COLOR_BayerGB2BGR)),
 }
 
 ENCODINGS: Tuple[str, ...] = tuple(_LAYOUTS)

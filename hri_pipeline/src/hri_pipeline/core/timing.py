@@ -3,6 +3,7 @@ several sources, each in its own order: what is newer, what only lags, and where
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import OrderedDict, deque
@@ -181,6 +182,24 @@ class SourceStamps:
         """Forget all sources: time has jumped."""
         self._newest.clear()
         self._latest, self._latest_at = (0, 0), 0.0
+
+
+class OldTime:
+    """Knows what is stamped by the time from before the clock went back, as of a bag that loops, and comes after it.
+
+    It was on its way. Taken for new, it would hide all that follows until the clock is there again.
+    """
+
+    def __init__(self) -> None:
+        self._margin, self._until = math.inf, -math.inf
+
+    def went_back(self, seconds: float, now: float) -> None:
+        """Note that the clock has gone back by so much, at `now` (s, of a clock that never jumps)."""
+        self._margin, self._until = 0.5 * seconds, now + ALL_STALE_S
+
+    def holds(self, stamp: float, clock: float, now: float) -> bool:
+        """Tell whether a stamp (s) that comes at `clock` (s) and `now` (as above) is nearer to the time of before."""
+        return now < self._until and stamp > clock + self._margin
 
 
 class CommonTime:

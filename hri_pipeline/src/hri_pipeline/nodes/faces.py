@@ -110,6 +110,8 @@ class FaceProcessor:
         faces = self._pipeline.update(frame.bgr, frame.camera, frame.stamp, getattr(frame, "depth", None), demand,
                                       lambda placed: self._publish_places(placed, frame))
         context["faces"] = faces
+        if frame.overtaken():
+            return
         self._guard.each("face", lambda face: self._topics.publish(face, frame), faces)
         self._publish_matches()
         self._tell_turned()
@@ -152,6 +154,8 @@ class FaceProcessor:
 
     def _publish_places(self, faces: Sequence[FaceObservation], frame: Frame) -> None:
         """Publish who is tracked, and the frames."""
+        if frame.overtaken():
+            return
         ids = self._pipeline.tracked_ids
         self._guard.attempt("topic", self._topics.keep, ids)
         self._tracked.set(ids, frame.header.stamp)

@@ -216,10 +216,11 @@ class InteractionsNode:
     def _watch_clock(self) -> None:
         """Begin anew when time has gone back: the clock (a bag that loops), or the stamps alone."""
         now, jumps = rospy.get_time(), self._people.jumps
-        back = now < self._last_now - JUMP_BACK_S
+        seconds = self._last_now - now
+        back = seconds > JUMP_BACK_S
         self._last_now = now
         if back:
-            self._people.reset()
+            self._people.reset(seconds)
         if back or jumps != self._jumps:
             self._jumps = jumps
             rospy.logwarn("time went back: gazes, groups and engagement start anew")
@@ -384,7 +385,7 @@ class InteractionReport:
             "no transform from %s to the reference frame, see /humans/reference_frame" % ", ".join(unconnected)
             if unconnected else "people are compared in %s" % self._frame.name, values)
         for kind, feed in self._people.feeds.items():
-            self._diagnostics.set(kind, *feed.status())
+            self._diagnostics.set(kind, *feed.status(optional=kind != "persons"))
 
     def close(self) -> None:
         """Close the topic. Idempotent."""

@@ -195,7 +195,7 @@ class FaceBodyMatcherNode(MatcherBase):
         self._last_diagnostics = time.monotonic()
         self._diagnostics.set("matches", OK, "%d faces matched to bodies" % matched, {"matched": matched})
         for kind, feed in zip(("faces", "bodies"), self._feeds):
-            self._diagnostics.set(kind, *feed.status())
+            self._diagnostics.set(kind, *feed.status(optional=True))
 
 
 class VoiceMatcherNode(MatcherBase):
@@ -376,7 +376,7 @@ class VoiceContext:
 
     def statuses(self) -> Dict[str, Status]:
         """Return level, message and values for diagnostics, by task."""
-        return {"faces": self._faces.status(), "persons": self._people.status()}
+        return {"faces": self._faces.status(optional=True), "persons": self._people.status()}
 
     def close(self) -> None:
         """Close all topics. Idempotent."""

@@ -7,6 +7,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
 from typing import Callable, Deque, Dict, Optional, Tuple, Union
 
 import numpy as np
@@ -69,6 +70,8 @@ class Frame:
 
     bgr: (H, W, 3) uint8. stamp: s, that of header. header: goes with every output that is made of this image.
     depth: (h, w) float32 m, registered to bgr, NaN where unknown; None without one.
+    overtaken: tells whether the time has gone back since; what is found in the image is not to be published then, as
+    frames of the future hide all later ones in the buffers of tf2.
     """
 
     bgr: np.ndarray
@@ -76,6 +79,7 @@ class Frame:
     stamp: float
     header: Header
     depth: Optional[np.ndarray] = None
+    overtaken: Callable[[], bool] = lambda: False
 
 
 class ImageInput(SensorInput):
@@ -240,7 +244,13 @@ class ImageInput(SensorInput):
         depth = None
         if self._depth is not None:
             depth = self._depth.match(stamp, bgr.shape[1], bgr.shape[0], header.frame_id)
-        return Frame(bgr, camera, stamp, header, depth)
+        return Frame(bgr, camera, stamp, header, depth, partial(self._has_gone_back, stamp, self._came[1]))
+
+    def _has_gone_back(self, stamp: float, came: float) -> bool:
+        """Tell whether the time has gone back since an image of `stamp` (s) came at `came` (s, ROS time)."""
+        with self._condition:
+            waiting = self._message.header.stamp.to_sec() if self._message is not None else 0.0
+        return rospy.get_time() < came - JUMP_S or 0.0 < waiting < stamp - JUMP_S
 
     def _stamped(self, header: Header) -> Optional[Header]:
         """Return the header with a stamp, or None for an image that is not newer than the last one."""
@@ -250,7 +260,7 @@ class ImageInput(SensorInput):
                                    "driver set header.stamp".format(self.topic))
             now = rospy.Time.now()
             header.stamp = rospy.Time.from_sec(time.time()) if now.is_zero() else now
-        elif abs(self._age) > MOST_AGE_S:
+        elif abs(self._age) > MOST_AGE_S and not self._jumps_back(header):     # the clock may follow in a moment
             self._clock_problem = _CLOCKS.format(
                 self.topic, abs(self._age), "old when they arrive" if self._age > 0.0 else "in the future")
         if self._clock_problem:
@@ -260,7 +270,7 @@ class ImageInput(SensorInput):
             self._lags = lags
             return header
         step = header.stamp.to_sec() - self._last_stamp
-        if step < -JUMP_S:
+        if self._jumps_back(header):
             self.counts["time_jumps"] += 1
             self._lags = lags
             rospy.logwarn("%s: time has gone back by %.1f s (a bag that loops?); tracks start anew", self.topic, -step)
@@ -279,6 +289,9 @@ class ImageInput(SensorInput):
             return None
         self._tell_of_jumps_forward(lags)
         return header
+
+    def _jumps_back(self, header: Header) -> bool:
+        return self._last_stamp is not None and header.stamp.to_sec() < self._last_stamp - JUMP_S
 
     def _tell_of_jumps_forward(self, lags: Tuple[float, float]) -> None:
         """Warn where an image's stamp is nearer to its arrival than that of any before it; lags: as self._lags."""
@@ -356,9 +369,13 @@ class CameraInfoInput:
             info = self._info
         key = (width, height) + (_key(info) if info is not None else ())
         if key != self._key or self._model is None:
+            was_guessed = self._model is not None and self._model.calibration is not Calibration.CALIBRATED
             self._model, text = self._build(info, width, height)
             if text != self.problem[1]:
                 self._say_at = 0.0
+                if was_guessed and self._model.calibration is Calibration.CALIBRATED:
+                    rospy.loginfo("%s: the camera is calibrated from now on, focal length %.0f px; people are at "
+                                  "other places than before", self.topic, self._model.matrix[0, 0])
             self.problem = (WARN, text) if text else (OK, "")
             self._key = key
         if self.problem[1] and time.monotonic() >= self._say_at:

@@ -108,6 +108,7 @@ class SensorInput:
         self._senders = OneSender(timeout)
         self._told: Tuple[str, float] = ("", float("-inf"))
         self._elsewhere = self._told_elsewhere = ""
+        self._silence_told = False
         self._warned: Dict[str, float] = {}
         self._subscribers: List[rospy.Subscriber] = []
         self._carried: Optional[CarriedType] = None
@@ -119,6 +120,9 @@ class SensorInput:
         now = time.monotonic()
         if not self._senders.accepts(sender_of(message), now):
             return False
+        if self._silence_told:
+            rospy.loginfo("%s: %s comes in, after %.0f s without", self.topic, self._what, now - self._heard)
+        self._silence_told = False
         self._heard = now
         self._outage.there(now)
         self._first = self._first or now
@@ -169,7 +173,7 @@ class SensorInput:
         with self._condition:
             is_to_tell = self._outage.is_to_tell()
         if is_to_tell or (self._elsewhere and self._elsewhere != self._told_elsewhere):
-            self._told_elsewhere = self._elsewhere
+            self._told_elsewhere, self._silence_told = self._elsewhere, True
             rospy.logwarn("%s", text)
 
     def _tell(self, problem: str) -> None:

@@ -118,15 +118,16 @@ class IdSubscribers:
         with self._lock:
             return list(self._subscribers)
 
-    def status(self) -> Status:
-        """Return level, message and values for diagnostics."""
+    def status(self, optional: bool = False) -> Status:
+        """Return level, message and values for diagnostics; optional: it is no fault that nobody publishes the list."""
         with self._lock:
             values: Dict[str, object] = {"followed": len(self._subscribers)}
             values.update(self._counts)
             if time.monotonic() - self._problem_at < _REMEMBERED_S:
                 return WARN, self._problem, values
         if not self._tracked.impl or not self._tracked.get_num_connections():
-            return WARN, "no publisher on {}; is its node running?".format(self.topic), values
+            text = "no publisher on {}; is its node running?".format(self.topic)
+            return OK if optional else WARN, text, values
         return OK, "following {} {}".format(values["followed"], self._kind), values
 
     def close(self) -> None:
