@@ -21,6 +21,7 @@ from typing import Dict, List, Sequence, Tuple
 import numpy as np
 
 from hri_fullbody.core import keypoints as kp
+from hri_pipeline.core.image_rotation import ImageRotation
 
 # Acceleration (m/s^2) that a model expects, and the time (s) in which its velocity fades to 1/e.
 _ACCELERATIONS = np.array([1.0, 1.0, 4.0, 14.0])
@@ -178,6 +179,12 @@ class KeypointFilter:
         """Forget everything."""
         self._rows: Dict[str, int] = {}
         self._allocate(0)
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn all bodies with the sensor's frame."""
+        for name in ("_last", "_gated", "_smooth", "_places", "_speeds", "_velocity", "_raw", "_elsewhere"):
+            setattr(self, name, rotation.vectors(getattr(self, name)))
+        self._variance = self._variance @ np.abs(rotation.matrix.T)
 
     def _allocate(self, rows: int) -> None:
         self._stamp = np.full(rows, np.nan)

@@ -73,11 +73,11 @@ class ImageRotation:
 
     def pixels_back(self, points: np.ndarray) -> np.ndarray:
         """Turn such points of the turned image back."""
-        return self._back.pixels(points)
+        return self.back.pixels(points)
 
     def box_back(self, box: np.ndarray) -> np.ndarray:
         """Turn a box (4,) x0, y0, x1, y1 px back."""
-        return self._back.box(box)
+        return self.back.box(box)
 
     def box(self, box: np.ndarray) -> np.ndarray:
         """Turn a box (4,) x0, y0, x1, y1 px."""
@@ -100,7 +100,7 @@ class ImageRotation:
 
     def pose_back(self, pose: Pose) -> Pose:
         """Return a pose in the original optical frame of one in the turned."""
-        return self._back.pose(pose)
+        return self.back.pose(pose)
 
     def of_camera(self, pose: Pose) -> Pose:
         """Return the pose of the turned optical frame, in the frame in which `pose` is that of the original."""
@@ -129,8 +129,13 @@ class ImageRotation:
             velocity=None if body.velocity is None else self.vectors_back(body.velocity),
             hands=None if body.hands is None else self.vectors_back(body.hands))
 
+    def since(self, quarters: int) -> ImageRotation:
+        """Return what turns the image that is turned by `quarters` into the one that is turned by this rotation."""
+        width, height = (self.height, self.width) if quarters % 2 else (self.width, self.height)
+        return ImageRotation((self.quarters - quarters) % 4, width, height)
+
     @cached_property
-    def _back(self) -> ImageRotation:
+    def back(self) -> ImageRotation:
         """The turn of the turned image into the original one."""
         width, height = (self.height, self.width) if self.quarters % 2 else (self.width, self.height)
         return ImageRotation(-self.quarters % 4, width, height)
