@@ -41,7 +41,7 @@ class CameraMounting:
         before = self._rotation.quarters
         quarters = self._rotation.update(context[UP][0])
         if quarters != before:
-            rospy.loginfo("the camera's roll has changed: images are turned by %d degrees clockwise now", 90 * quarters)
+            rospy.loginfo("by the camera's roll, images are turned by %d degrees clockwise from now on", 90 * quarters)
         return replace(frame, quarters=quarters, by_gravity=self._by_frame)
 
     def values(self) -> Dict[str, object]:
