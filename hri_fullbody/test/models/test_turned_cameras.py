@@ -1,5 +1,5 @@
-"""A photograph as cameras see it that are mounted upside down, on their side, or roll while they look: the same people at
-the same places in the room."""
+"""A photograph as cameras see it that are mounted upside down, on their side, or roll while they look: the same people
+at the same places in the room."""
 
 from __future__ import annotations
 
@@ -133,7 +133,8 @@ def test_ignored_regions_are_those_of_the_image_as_it_comes(upright):
         free.see(turned, camera, 180.0)
         ignoring.see(turned, camera, 180.0)
     everybody, left = (watcher.faces[-1] for watcher in (free, ignoring))
-    there = {name: (box[0] + box[2]) / 2.0 / image.shape[1] for name, box in free.boxes[-1].items() if name in everybody}
+    there = {name: (box[0] + box[2]) / 2.0 / image.shape[1] for name, box in free.boxes[-1].items()
+             if name in everybody}
     assert 0 < sum(x > 0.45 for x in there.values()) == len(left) < len(there)
 
 
@@ -151,5 +152,6 @@ def test_people_keep_their_ids_and_places_while_the_camera_rolls(number):
         first = found[start - 1]
         assert len(first) >= 3 and set().union(*found[start:]) == set(first) == set(found[-1])
     first = watcher.faces[start - 1]
-    away = [float(np.linalg.norm(place - first[name])) for seen in watcher.faces[start:] for name, place in seen.items()]
+    away = [float(np.linalg.norm(place - first[name]))
+            for seen in watcher.faces[start:] for name, place in seen.items()]
     assert max(away) < 0.1

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""The node vision with a camera that hangs upside down: people are found, where they are in the images as they come, and
-in the room."""
+"""The node vision with a camera that hangs upside down: people are found, where they are in the images as they come,
+and in the room."""
 
 import unittest
 

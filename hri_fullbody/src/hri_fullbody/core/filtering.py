@@ -180,12 +180,6 @@ class KeypointFilter:
         self._rows: Dict[str, int] = {}
         self._allocate(0)
 
-    def turn(self, rotation: ImageRotation) -> None:
-        """Turn all bodies with the sensor's frame."""
-        for name in ("_last", "_gated", "_smooth", "_places", "_speeds", "_velocity", "_raw", "_elsewhere"):
-            setattr(self, name, rotation.vectors(getattr(self, name)))
-        self._variance = self._variance @ np.abs(rotation.matrix.T)
-
     def _allocate(self, rows: int) -> None:
         self._stamp = np.full(rows, np.nan)
         self._last = np.full((rows, POINTS, 3), np.nan)
@@ -202,6 +196,12 @@ class KeypointFilter:
 
     def _arrays(self) -> List[str]:
         return [name for name, value in vars(self).items() if isinstance(value, np.ndarray)]
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn all bodies with the sensor's frame."""
+        for name in ("_last", "_gated", "_smooth", "_places", "_speeds", "_velocity", "_raw", "_elsewhere"):
+            setattr(self, name, rotation.vectors(getattr(self, name)))
+        self._variance = self._variance @ np.abs(rotation.matrix.T)
 
     def retain(self, ids: Sequence[str]) -> None:
         """Forget all bodies but these."""
