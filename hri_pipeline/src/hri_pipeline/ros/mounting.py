@@ -101,8 +101,9 @@ class UpFrame:
 
     def _problem(self, camera: str) -> str:
         return (
-            "no transform leads from {} to ~up_frame {}; the tilt is guessed from the people. Mend: start what "
-            "publishes it, or set ~up_frame to a frame that exists or to nothing".format(camera, self._name)
+            "no transform leads from {} to ~up_frame {}; images are not turned anew, and the tilt is guessed from the "
+            "people. Mend: start what publishes it, or set ~up_frame to a frame that exists or to nothing".format(
+                camera, self._name)
         )
 
 
