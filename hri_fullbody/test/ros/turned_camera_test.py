@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""The node vision with a camera that hangs upside down: people are found, where they are in the images as they come,
-and in the room."""
+"""Nodes with a camera that is rolled clockwise by ~quarters: people are found, where they are in the images as they
+come, and in the room. ~by: what tells the nodes."""
 
 import unittest
 
@@ -20,21 +20,30 @@ from hri_pipeline.testing import FRAME, Camera, Latest, photograph, wait_for
 
 START_S, WAIT_S = 60.0, 30.0
 HEIGHT_M = 1.5
-# Optical frame of a level camera that looks along x of the map, and is rolled by half a turn.
-CAMERA = Pose(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([0.0, 0.0, HEIGHT_M]))
+# Up in the images, by quarter turns.
+UP = np.array([[0, -1], [-1, 0], [0, 1], [1, 0]])
 SELLION, CHIN, EYES = 27, 8, slice(36, 48)      # of the 70 landmarks
 
 
-class UpsideDownTest(unittest.TestCase):
+def rolled(quarters):
+    """Pose in the map of the optical frame of a camera that looks along x."""
+    up, right = UP[quarters], UP[(quarters - 1) % 4]
+    return Pose(np.array([[0.0, 0.0, 1.0], [-right[0], -right[1], 0.0], [up[0], up[1], 0.0]]),
+                np.array([0.0, 0.0, HEIGHT_M]))
+
+
+class TurnedCameraTest(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        cls.picture = np.ascontiguousarray(np.rot90(photograph(3), 2))
+        cls.quarters = rospy.get_param("~quarters")
+        cls.place = rolled(cls.quarters)
+        cls.picture = np.ascontiguousarray(np.rot90(photograph(3), cls.quarters))
         cls.size = np.array(cls.picture.shape[1::-1])
         cls.static = rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)
-        cls.static.publish(TFMessage([transform_to_msg(CAMERA, rospy.Time.now(), "map", FRAME)]))
+        cls.static.publish(TFMessage([transform_to_msg(cls.place, rospy.Time.now(), "map", FRAME)]))
         cls.camera = Camera(cls.picture)
-        cls.model = CameraModel.from_fov(*cls.size, 1.05)
+        cls.model = CameraModel.from_fov(*cls.size.tolist(), 1.05)
         cls.lists = {kind: Latest("/humans/{}/tracked".format(kind), IdsList) for kind in ("faces", "bodies")}
         cls.poses = {}
         cls.tf = rospy.Subscriber("/tf", TFMessage, cls.take)
@@ -70,7 +79,7 @@ class UpsideDownTest(unittest.TestCase):
 
     def test_faces_are_where_the_images_show_them(self):
         for identity, points in self.landmarks().items():
-            self.assertGreater(points[EYES, 1].mean(), points[CHIN, 1], "heads hang down in these images")
+            self.assertGreater((points[EYES].mean(axis=0) - points[CHIN]) @ UP[self.quarters], 0.0, "heads are turned")
             pose = wait_for(lambda identity=identity: self.poses.get("face_" + identity), WAIT_S, "frame of a face")
             seen = self.model.project(pose.translation[None])[0]
             self.assertLess(np.linalg.norm(seen - points[SELLION]), 15.0)
@@ -81,12 +90,12 @@ class UpsideDownTest(unittest.TestCase):
 
     def test_people_stand_in_the_room(self):
         for identity in self.lists["faces"].value.ids:
-            face = CAMERA.compose(wait_for(lambda identity=identity: self.poses.get("face_" + identity), WAIT_S,
+            face = self.place.compose(wait_for(lambda identity=identity: self.poses.get("face_" + identity), WAIT_S,
                                            "frame of a face"))
             self.assertGreater(face.rotation[2, 2], 0.8, "heads are upright")
             self.assertTrue(0.3 < face.translation[0] < 6.0 and abs(face.translation[2] - HEIGHT_M) < 1.0)
         for identity in self.lists["bodies"].value.ids:
-            body = CAMERA.compose(wait_for(lambda identity=identity: self.poses.get("body_" + identity), WAIT_S,
+            body = self.place.compose(wait_for(lambda identity=identity: self.poses.get("body_" + identity), WAIT_S,
                                            "frame of a body"))
             self.assertGreater(body.rotation[2, 2], 0.7, "bodies are upright")
 
@@ -118,9 +127,10 @@ class UpsideDownTest(unittest.TestCase):
                     for item in status.values if item.key.startswith("image_rotation")}
 
         wait_for(lambda: len(values()) == 2, WAIT_S, "the rotation")
-        self.assertEqual(values(), {"image_rotation_deg": "180", "image_rotation_by": "up_frame"})
+        self.assertEqual(values(), {"image_rotation_deg": str(90 * self.quarters),
+                                    "image_rotation_by": rospy.get_param("~by")})
 
 
 if __name__ == "__main__":
-    rospy.init_node("upside_down_test")
-    rostest.rosrun("hri_fullbody", "upside_down", UpsideDownTest)
+    rospy.init_node("turned_camera_test")
+    rostest.rosrun("hri_fullbody", "turned_camera", TurnedCameraTest)
