@@ -59,13 +59,18 @@ class CamerasTest(unittest.TestCase):
         self.file.write_text(yaml.safe_dump({"reference_frame": "odom", "cameras": cameras}), encoding="utf-8")
 
     def test_1_the_nodes_of_four_cameras(self):
-        self.write({"front": {"place": place_of(CAMERAS[0])}, "rear": {"image": "/r/rgb", "camera_info": "/r/info"},
+        self.write({"front": {"place": place_of(CAMERAS[0])}, "rear": {"image": "/r/rgb", "camera_info": "/r/info",
+                                                                        "image_rotation": 0},
                     "side": None, "door": {"image": "/d/rgb", "camera_info": "/d/info", "frame": "lens",
-                                           "place": place_of(CAMERAS[1])}})
+                                           "image_rotation": 270, "place": place_of(CAMERAS[1])}})
         given = ["roslaunch", "--dump-params", "ros4hri", "two_cameras.launch", *launch_arguments(
             *read_cameras(self.file)), "voices:=false"]
         told = yaml.safe_load(subprocess.run(given, stdout=subprocess.PIPE, check=True).stdout)
         self.assertEqual(told["/hri_person_manager/reference_frame"], "odom")
+        for node in ("hri_faces", "hri_bodies"):
+            self.assertEqual([told["/{}/{}/image_rotation".format(name, node)] for name in ("front", "rear", "door")],
+                             ["auto", "0", "270"])
+            self.assertEqual(told["/door/{}/up_frame".format(node)], "odom")
         nodes = subprocess.run([given[0], "--nodes", *given[2:]], stdout=subprocess.PIPE, check=True).stdout.decode()
         for name in ("front", "rear", "side", "door"):
             self.assertIn("/{}/hri_faces".format(name), nodes.split())
@@ -79,7 +84,8 @@ class CamerasTest(unittest.TestCase):
     def test_2_a_file_that_is_none_says_what_is_wrong(self):
         for cameras, words in (({"one": None}, "two names or more"), ({"a": None, "b": {"topic": "/x"}}, "has topic"),
                                ({"a": None, "b": {"place": [1, 2, 3]}}, "place of camera b"),
-                               ({"a b": None, "c": None}, "no ROS name")):
+                               ({"a b": None, "c": None}, "no ROS name"),
+                               ({"a": None, "b": {"image_rotation": 45}}, "image_rotation 45, wanted one of auto, 0")):
             self.write(cameras)
             with self.assertRaisesRegex(CameraFileError, words):
                 read_cameras(self.file)

@@ -209,4 +209,4 @@ def test_images_of_a_turned_camera_are_told(stages, turn):
         camera = CameraModel.from_fov(turned.shape[1], turned.shape[0], HORIZONTAL_FOV)
         for stamp in range(0, 60, 5):
             bodies.update(turned, camera, float(stamp))
-        assert bodies.turn == told
+        assert bodies.seen_turn == told

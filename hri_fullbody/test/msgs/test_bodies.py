@@ -25,7 +25,7 @@ from hri_fullbody.core.model.human import Dimensions, layout_for
 from hri_fullbody.core.modeller import BodyInput, BodyModeller
 from hri_fullbody.core.tracking.reidentification import Reidentification
 from hri_fullbody.ros import bodies
-from hri_fullbody.ros.bodies import ReidentificationMatches, body_transform, drawn, up_and_height
+from hri_fullbody.ros.bodies import ReidentificationMatches, body_transform, drawn
 from hri_fullbody.ros.topics import crop, joint_state
 from hri_msgs.msg import BodyAttitude, BodyPosture, IdsList
 from hri_msgs.msg import Gesture as GestureMessage
@@ -35,6 +35,7 @@ from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.orientation import turned_problem
 from hri_pipeline.ros.conversions import pose_from_transform, transform_to_msg
 from hri_pipeline.ros.inputs import Frame
+from hri_pipeline.ros.mounting import up_and_height
 
 HEADER = Header(stamp=genpy.Time(12, 345), frame_id="camera")
 FRAME = Frame(np.zeros((4, 4, 3), np.uint8), CameraModel.from_fov(4, 4, 1.0), 12.000000345, HEADER)
@@ -108,6 +109,19 @@ def test_up_is_the_z_axis_of_the_other_frame_and_a_height_must_be_one():
 def test_a_camera_that_is_mounted_turned_is_told_with_the_mend(seen, transform, words):
     text = turned_problem(seen, transform)
     assert text == "" if words is None else words in text and "Mend: " in text
+
+
+@pytest.mark.parametrize("seen, rotation, by_gravity, mend", [
+    (1, 0, False, "set image_rotation:=270, or up_frame"), (2, 0, False, "image_rotation:=180,"),
+    (2, 90, False, "image_rotation:=270,"), (1, 180, True, "correct the transform of the camera to ~up_frame, or set"
+                                                           " image_rotation:=90")])
+def test_the_mend_is_the_rotation_that_makes_the_images_upright(seen, rotation, by_gravity, mend):
+    text = turned_problem(seen, None, rotation, by_gravity)
+    assert mend in text and ("{} degrees clockwise already".format(rotation) in text) == bool(rotation)
+
+
+def test_a_camera_between_two_turns_is_not_told_where_gravity_decides():
+    assert turned_problem(0, 1, 90, True) == turned_problem(None, 1, 0, True) == ""
 
 
 @pytest.mark.parametrize("ours, message", [

@@ -13,9 +13,10 @@ from hri_fullbody.core.kinematics.forward import forward
 from hri_fullbody.core.kinematics.solver import JointSolver
 from hri_fullbody.core.model.anthropometry import SegmentTable
 from hri_fullbody.core.model.human import PAPER, Dimensions
-from hri_fullbody.core.modeller import BodyInput, BodyModeller
+from hri_fullbody.core.modeller import BodyInput, BodyModeller, turned_model
 from hri_fullbody.core.parameters import BODIES
 from hri_fullbody.core.pipeline import BodyPipeline
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.observations import BodyObservation
 
 TABLE = SegmentTable.load()
@@ -239,3 +240,21 @@ def test_a_body_that_cannot_be_told_of_costs_no_other() -> None:
     for body in ("abcde", "klmno"):
         assert pipeline.behaviour(body, 0.0) is not None
     assert pipeline.behaviour("fghij", 0.0) is None
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_modeller_whose_images_turn_goes_on_as_if_they_had_not(quarters: int) -> None:
+    turn, noise = ImageRotation(quarters, 640, 480), np.random.default_rng(3).normal(0.0, 0.01, (40, 18, 3))
+    straight, turned = BodyModeller(table=TABLE), BodyModeller(table=TABLE)
+    for number, error in enumerate(noise):
+        points, stamp = person(0.02 * number) + error, number / 30.0
+        wanted = straight.update([BodyInput("a", points)], stamp, UP)[0]
+        if number == 20:
+            turned.turn(turn)
+        found = (turned_model(turned.update([BodyInput("a", turn.vectors(points))], stamp, turn.vectors(UP))[0],
+                              turn.back) if number >= 20 else
+                 turned.update([BodyInput("a", points)], stamp, UP)[0])
+        assert found.points == pytest.approx(wanted.points, abs=1e-6)
+        assert found.fitted == pytest.approx(wanted.fitted, abs=2e-3)
+        assert found.pose.differs(wanted.pose) == pytest.approx((0.0, 0.0), abs=5e-3)
+        assert found.stature == pytest.approx(wanted.stature, abs=1e-3)

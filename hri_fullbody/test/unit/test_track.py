@@ -3,8 +3,10 @@ import pytest
 from synthetic_people import standing_at
 
 from hri_fullbody.core.detection.pose_estimator import PoseDetection
+from hri_fullbody.core.detection.windows import FaceBox
 from hri_fullbody.core.tracking.reidentification import blend, describe, difference
 from hri_fullbody.core.tracking.track import BodyMotion, BodyTrack, ConstantVelocity
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.tracks import TrackLife
 
 
@@ -33,6 +35,25 @@ def test_velocity_in_metres():
     assert motion.depth_distance(np.array([0.0, 0.0, 3.0]), 2.0) > 3.0
     assert motion.depth_distance(None, 2.0) == 0.0
     assert BodyMotion(np.zeros(2), 1.0, None, 0.0).velocity is None
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_body_is_expected_where_it_goes_in_an_image_that_is_turned_from_now_on(quarters):
+    turn, place = ImageRotation(quarters, 1280, 720), np.linspace(0.0, 1.0, 99).reshape(33, 3)
+    face = FaceBox("f", np.array([500.0, 100.0, 560.0, 180.0]))
+    track = BodyTrack("b", PoseDetection(standing_at(500, 400), place), 0.0, TrackLife(0.0, 0.1, 1.0), face)
+    for number in range(1, 12):
+        track.update(PoseDetection(standing_at(500 + 10 * number, 400), place + (0.05 * number, 0.0, 0.0)),
+                     0.1 * number, True)
+    before, velocity = track.expected(1.3), track.motion.velocity
+    window = track.window(None, 1.3)
+    track.turn(turn)
+    after = track.expected(1.3)
+    assert after.landmarks == pytest.approx(turn.pixels(before.landmarks), abs=1e-6)
+    assert track.motion.velocity == pytest.approx(turn.vectors(velocity)) and velocity[0] > 0.2
+    assert track.detection.points == pytest.approx(turn.vectors(place + (0.55, 0.0, 0.0)))
+    assert track.window(None, 1.3).centre == pytest.approx(turn.pixels(np.array([window.centre]))[0], abs=1e-6)
+    assert track.had_face_at(face.turned(turn), 0.0) and not track.had_face_at(face, 0.0)
 
 
 @pytest.mark.parametrize("last_seen, waited_for", [(1.4, True), (1.2, False)])

@@ -13,6 +13,7 @@ from hri_pipeline.core.faces.mesh import MESH_POINTS, FaceRoi
 from hri_pipeline.core.faces.track import CropAnchor, FaceMeasurement, face_colours
 from hri_pipeline.core.faces.tracker import FaceTracker, explains, same_face, without_duplicates
 from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.image_rotation import ImageRotation
 
 STEP = 1.0 / 15.0
 VIEW = (1280, 720)
@@ -275,6 +276,43 @@ def test_a_moving_face_is_expected_where_it_goes():
     run(faces, *[[face(100.0 + 10.0 * index)] for index in range(30)])
     track, = faces.expected(30 * STEP)
     assert track.predicted_box(30 * STEP)[[0, 2]].mean() == pytest.approx(400.0, abs=2.0)
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_face_is_expected_where_it_goes_in_an_image_that_is_turned_from_now_on(quarters):
+    faces, turn = tracker(), ImageRotation(quarters, *VIEW)
+    run(faces, *[[face(100.0 + 10.0 * index)] for index in range(30)])
+    track, = faces.expected(30 * STEP)
+    before = track.predicted_box(30 * STEP)
+    track.turn(turn)
+    assert track.predicted_box(30 * STEP) == pytest.approx(turn.box(before), abs=1e-6)
+    measured = face(400.0)
+    faces.update([dataclasses.replace(measured, mesh=turn.pixels(measured.mesh))], 30 * STEP, view=VIEW[::-1])
+    assert [one.id for one in faces.tracks] == [track.id] and track.visible
+
+
+def test_the_crop_of_a_face_turns_with_the_images():
+    detected, first = FaceRoi(np.array([200.0, 300.0]), 100.0, 0.1), FaceRoi(np.array([200.0, 300.0]), 120.0, 0.3)
+    anchor, other = CropAnchor(detected, first), CropAnchor(detected, first)
+    anchor.turn(ImageRotation(1, *VIEW))
+    quarter = 0.5 * np.pi
+    # Of a profile the angle is held near the last detection.
+    wanted = other.hold(FaceRoi(np.array([200.0, 300.0]), 80.0, 1.0), 0.3)
+    held = anchor.hold(FaceRoi(np.array([419.0, 200.0]), 80.0, 1.0 + quarter), 0.3)
+    assert held.size == wanted.size and held.angle == pytest.approx(wanted.angle + quarter)
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_flow_goes_on_in_an_image_that_is_turned_from_now_on(quarters):
+    random = np.random.default_rng(7)
+    wide = cv2.GaussianBlur(random.integers(0, 255, (400, 520, 3)).astype(np.uint8), (0, 0), 3.0)
+    first, second = wide[10:370, 10:490], wide[4:364, 2:482]
+    turn, flow = ImageRotation(quarters, 480, 360), FaceFlow()
+    flow.update(first, BOXES, STILL)
+    flow.turn(turn)
+    found = flow.update(turn.image(np.ascontiguousarray(second)), [turn.box(box) for box in BOXES], STILL)
+    for motion in found:
+        assert turn.matrix[:2, :2].T @ motion == pytest.approx([8.0, 6.0], abs=0.5)
 
 
 def test_reset_drops_everybody_and_no_id_comes_again():

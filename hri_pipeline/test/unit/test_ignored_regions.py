@@ -3,6 +3,7 @@ import pytest
 
 from hri_pipeline.core.faces.parameters import FACES
 from hri_pipeline.core.ignored_regions import IgnoredRegions
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.parameters import ParameterError
 
 SIZE = (1280, 720)
@@ -25,6 +26,15 @@ def test_regions_are_shares_of_the_image_whatever_its_size():
     regions = IgnoredRegions(["0.5 0 0.5 1"])
     assert regions.contain(box_at(400, 100), (640, 480))
     assert not regions.contain(box_at(400, 100), (1280, 720))
+
+
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3])
+def test_regions_turn_with_the_images(quarters):
+    regions, turn = IgnoredRegions(["0.6 0.1 0.3 0.2"]), ImageRotation(quarters, *SIZE)
+    regions.turn(quarters)
+    size = SIZE[::-1] if quarters % 2 else SIZE
+    for place, inside in ((box_at(960, 144), True), (box_at(640, 144), False), (box_at(960, 400), False)):
+        assert regions.contain(turn.box(place), size) == inside
 
 
 def test_without_regions_nothing_is_ignored():

@@ -65,6 +65,15 @@ def test_given_values_in_the_type_of_the_default():
     assert values.providers == ["cuda", "cpu"] and values.weights == [1.0, 0.5]
 
 
+def test_a_number_can_be_one_of_the_words():
+    """YAML, and whoever calls roslaunch, makes a number of 90."""
+    turn = Parameter("turn", "auto", "A turn.", choices=("auto", "0", "90"))
+    assert [turn.check(given) for given in ("auto", "90", 90, 0)] == ["auto", "90", "90", "0"]
+    for wrong in (45, False, 90.0):
+        with pytest.raises(ParameterError, match='"auto", "0", "90"'):
+            turn.check(wrong)
+
+
 @pytest.mark.parametrize("given, frame", [("/map", "map"), ("map", "map"), ("", "")])
 def test_a_frame_has_no_leading_slash(given, frame):
     """Older nodes name frames so; tf2 refuses it."""

@@ -29,7 +29,7 @@ LEFT_OUT: Dict[str, Dict[str, str]] = {
         **{name: _CAMERA for name in (
             "sensor", "sensor_namespace",
             "image", "camera_info", "depth", "image_transport", "fallback_fov", "faces", "bodies", "overlay",
-            "one_process", "up_frame",
+            "one_process", "up_frame", "image_rotation",
             "providers", "quality", "vision_rate", "max_people", "ignored_regions", "privacy", "recognition",
             "recognition_model", "faces_config", "bodies_config",
             "vision_config", "overlay_config")},
@@ -39,7 +39,7 @@ LEFT_OUT: Dict[str, Dict[str, str]] = {
         "matcher_config": "the simulator tells the matches", "voice_matcher_config": "the simulator tells the matches"},
     "two_cameras.launch": {
         "sensor": _OF_EACH, "sensor_namespace": _OF_EACH, "image": _OF_EACH, "camera_info": _OF_EACH, "depth": _OF_EACH,
-        "ignored_regions": _OF_EACH,
+        "ignored_regions": _OF_EACH, "image_rotation": _OF_EACH,
         "faces": "without faces nobody is the same for both cameras",
         "persons": "without persons nobody is the same for both cameras", "overlay": "it draws for one camera",
         "overlay_config": "it draws for one camera", "one_process": "one_camera.launch has two processes",

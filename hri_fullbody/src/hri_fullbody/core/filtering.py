@@ -21,6 +21,7 @@ from typing import Dict, List, Sequence, Tuple
 import numpy as np
 
 from hri_fullbody.core import keypoints as kp
+from hri_pipeline.core.image_rotation import ImageRotation
 
 # Acceleration (m/s^2) that a model expects, and the time (s) in which its velocity fades to 1/e.
 _ACCELERATIONS = np.array([1.0, 1.0, 4.0, 14.0])
@@ -195,6 +196,12 @@ class KeypointFilter:
 
     def _arrays(self) -> List[str]:
         return [name for name, value in vars(self).items() if isinstance(value, np.ndarray)]
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn all bodies with the sensor's frame."""
+        for name in ("_last", "_gated", "_smooth", "_places", "_speeds", "_velocity", "_raw", "_elsewhere"):
+            setattr(self, name, rotation.vectors(getattr(self, name)))
+        self._variance = self._variance @ np.abs(rotation.matrix.T)
 
     def retain(self, ids: Sequence[str]) -> None:
         """Forget all bodies but these."""

@@ -6,17 +6,19 @@ The dimensions of a person are estimated continuously, fixed early, and changed 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
 from hri_fullbody.core.filtering import FilteredPoints, FilterSettings, KeypointFilter
 from hri_fullbody.core.kinematics.solver import JointSolver
+from hri_fullbody.core.kinematics.warm_start import WarmStart
 from hri_fullbody.core.model.anthropometry import SEGMENTS, SegmentTable, StatureEstimate, StatureEstimator
 from hri_fullbody.core.model.human import Dimensions, Layout, layout_for
 from hri_fullbody.core.parameters import BodiesSettings
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.image_rotation import ImageRotation
 
 _LEAST_POINTS = 4
 _WORST_RESIDUAL_M = 0.5
@@ -84,6 +86,14 @@ class ModelledBody:
     revision: int
     residual: float
     stature_known: bool = False
+
+
+def turned_model(model: ModelledBody, rotation: ImageRotation) -> ModelledBody:
+    """Return a model in the turned optical frame."""
+    if not rotation.quarters:
+        return model
+    return replace(model, pose=rotation.pose(model.pose), head=rotation.pose(model.head),
+                   points=rotation.vectors(model.points), fitted=rotation.vectors(model.fitted))
 
 
 @dataclass(frozen=True)
@@ -226,6 +236,13 @@ class BodyModeller:
         self._people.clear()
         self._states.clear()
         self.failures, self._stamp = {}, -math.inf
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn all bodies with the optical frame."""
+        self._filter.turn(rotation)
+        if self._states:
+            states = WarmStart.of(list(self._states.values())).turned(rotation).split()
+            self._states = dict(zip(self._states, states))
 
     def retain(self, ids: Sequence[str]) -> None:
         """Forget all bodies but these."""

@@ -104,9 +104,6 @@ class BodyOutputSettings(Settings):
         "a core. 0: every image.", unit="Hz", minimum=0.0, maximum=120.0, live=True)
     state_publishers: bool = parameter(
         True, "Set a URDF for each body and run a robot_state_publisher. false: joint states and body_ID only.")
-    up_frame: str = parameter(
-        "", "TF frame whose z axis points up from the floor, such as `map` or `base_footprint`: gives tilt and height "
-        "of the camera, for places and postures. Empty: none.")
     list_timeout: float = list_timeout_parameter()
 
 

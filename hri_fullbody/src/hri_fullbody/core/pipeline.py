@@ -28,7 +28,7 @@ from hri_fullbody.core.localization.ground import GroundPlane
 from hri_fullbody.core.localization.localizer import BodyLocalizer, SceneContext, place
 from hri_fullbody.core.model.anthropometry import MONOCULAR
 from hri_fullbody.core.model.human import Layout
-from hri_fullbody.core.modeller import BodyInput, BodyModeller, ModelledBody
+from hri_fullbody.core.modeller import BodyInput, BodyModeller, ModelledBody, turned_model
 from hri_fullbody.core.parameters import BodiesSettings
 from hri_fullbody.core.tracking.reidentification import BodyReidentifier, Reidentification, TrackAppearance
 from hri_fullbody.core.tracking.track import BodyTrack
@@ -38,6 +38,7 @@ from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.ignored_regions import IgnoredRegions
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, model_path, models_directory
 from hri_pipeline.core.orientation import ImageOrientation
@@ -310,7 +311,7 @@ class BodyPipeline:
         return told
 
     @property
-    def turn(self) -> Optional[int]:
+    def seen_turn(self) -> Optional[int]:
         """Quarter turns anticlockwise by which people stand upright in the images, None while that is not known."""
         return self._orientation.turn
 
@@ -390,6 +391,21 @@ class BodyPipeline:
         self._tracker.schedule.limit(settings.pose_rate, most=settings.pose_budget, max_age=settings.max_age,
                                      max_rate=settings.max_rate)
         self._tracker.schedule.set_share(settings.cpu_share)
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Take note that the images are turned by `rotation` from now on, against those before; the bodies stay."""
+        self._tracker.turn(rotation)
+        for localizer in self._localizers.values():
+            localizer.turn(rotation)
+        self._ground.reset()
+        self._modeller.turn(rotation)
+        for recognizer in self._recognizers.values():
+            recognizer.forget_places()
+        self._pointers.clear()
+        self._last_models = {
+            name: replace(last, model=turned_model(last.model, rotation),
+                          origin=None if last.origin is None else rotation.vectors(last.origin))
+            for name, last in self._last_models.items()}
 
     def reset(self) -> None:
         """Forget all bodies, for example because time went back."""

@@ -1,25 +1,24 @@
 """The ROS side of the body pipeline: topics, frames, URDFs and diagnostics of all bodies, and what they need besides
-images: the faces that another process tracks, and which way is up."""
+images: the faces that another process tracks."""
 
 from __future__ import annotations
 
 import importlib
 import threading
-import time
 from collections import OrderedDict, deque
 from dataclasses import replace
-from typing import Deque, Dict, Iterable, List, Optional, Sequence, Set, Tuple
+from typing import Deque, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
-import genpy
 import numpy as np
 import rospy
 from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
+from hri_fullbody.core.behaviour.pointing import Pointing, turned_pointing
 from hri_fullbody.core.detection.windows import FaceBox, face_boxes
 from hri_fullbody.core.model.urdf import make_urdf
-from hri_fullbody.core.modeller import ModelledBody
+from hri_fullbody.core.modeller import ModelledBody, turned_model
 from hri_fullbody.core.parameters import BodiesSettings
 from hri_fullbody.core.pipeline import BodyPipeline
 from hri_fullbody.core.tracking.reidentification import Reidentification
@@ -30,6 +29,7 @@ from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.frames import RawTransform, read, scan
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.observations import BodyObservation, FaceObservation
 from hri_pipeline.core.onnx import ModelLog
 from hri_pipeline.core.orientation import quarter_turns, turned_problem
@@ -44,10 +44,11 @@ from hri_pipeline.ros.conversions import (
 from hri_pipeline.ros.diagnostics import OK, WARN, Status
 from hri_pipeline.ros.inputs import Frame
 from hri_pipeline.ros.markers import ShownMarkers
+from hri_pipeline.ros.mounting import UP
 from hri_pipeline.ros.publishers import MATCHES_TOPIC, TrackedList
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.subscriptions import IdSubscribers
-from hri_pipeline.ros.tf import RobotTfListener, TfPublisher
+from hri_pipeline.ros.tf import TfPublisher
 
 _LOG_PERIOD_S = 10.0
 _APPEARANCE_HZ = 1.0
@@ -82,10 +83,10 @@ class BodyProcessor:
         self._markers = rospy.Publisher("visualization/skeletons", MarkerArray, queue_size=1)
         self._pointing = rospy.Publisher("/humans/interactions/pointing", PointingStamped, queue_size=1)
         self._shown = ShownMarkers()
-        self._up = UpFrame(settings.up_frame)
         self._matches = ReidentificationMatches(settings.list_timeout) if settings.body_memory > 0.0 else None
         self._faces = FaceInput(settings.list_timeout) if listen_for_faces else None
         self._no_frame = False
+        self._quarters = 0
         self._turned = ""
         self._closed = False
         # Few limbs need it, and no body has to wait for it.
@@ -94,14 +95,10 @@ class BodyProcessor:
 
     def process(self, frame: Frame, context: dict) -> None:
         """Find the bodies in a frame, publish them, and leave them in context["bodies"]."""
-        up, height, pose = self._up.lookup(frame.header.frame_id, frame.header.stamp)
         if "age" in context:
             self._pipeline.note_timing(context["age"], context["took"])
-        bodies = self._pipeline.update(
-            frame.bgr, frame.camera, frame.stamp, self._face_boxes(frame, context), depth=frame.depth,
-            up=up, camera_height=height, camera_pose=pose)
-        self._tell_turned(up)
-        context["bodies"] = bodies
+        seen = self._find(frame, context)
+        bodies = context["bodies"] = [frame.rotation.body_back(body) for body in seen]
         if frame.overtaken():
             return
         ids = self._pipeline.tracked_ids
@@ -116,11 +113,32 @@ class BodyProcessor:
         if self._publishers is not None:
             self._publishers.keep(ids)
             self._guard.each("body", self._describe, self._pipeline.modelled)
-        self._publish_models(bodies, frame)
+        models = self._models(seen, frame.rotation)
+        pointing = {name: turned_pointing(one, frame.rotation.back) for name, one in self._pipeline.pointing.items()}
+        self._publish_models(bodies, models, frame)
         if self._pointing.get_num_connections():
-            self._pointing.publish(pointing_message(self._pipeline.pointing, frame.header))
+            self._pointing.publish(pointing_message(pointing, frame.header))
         if self._markers.get_num_connections() and not self._no_frame:
-            self._draw(bodies, frame, self._pipeline.up)
+            self._draw([drawn(body, models.get(body.id)) for body in bodies], frame, pointing)
+
+    def _find(self, frame: Frame, context: dict) -> List[BodyObservation]:
+        """The bodies of the turned image."""
+        up, height, pose = context.get(UP, (None, None, None))
+        rotation, upright = frame.rotation, frame.upright
+        if rotation.quarters != self._quarters:
+            self._pipeline.turn(rotation.since(self._quarters))
+            self._quarters = rotation.quarters
+        seen = self._pipeline.update(
+            upright.bgr, upright.camera, frame.stamp, self._face_boxes(frame, context), depth=upright.depth,
+            up=None if up is None else rotation.vectors(up), camera_height=height,
+            camera_pose=None if pose is None else rotation.of_camera(pose))
+        self._tell_turned(frame, up)
+        return seen
+
+    def _models(self, seen: Sequence[BodyObservation], rotation: ImageRotation) -> Dict[str, ModelledBody]:
+        """Models by id, in the optical frame of the image as it came. seen: as they are in the turned image."""
+        models = ((body.id, self._pipeline.model(body)) for body in seen)
+        return {body_id: turned_model(model, rotation.back) for body_id, model in models if model is not None}
 
     def reconfigure(self, settings: BodiesSettings) -> None:
         """Take up the values of the live parameters; the bodies stay."""
@@ -154,8 +172,6 @@ class BodyProcessor:
             return WARN, error, values
         if self._turned:
             return WARN, self._turned, values
-        if level == OK:
-            level, text = self._up.status()
         return level, text or "{} bodies".format(values["tracked"]), values
 
     def close(self) -> None:
@@ -165,7 +181,6 @@ class BodyProcessor:
         self._closed = True
         if self._faces is not None:
             self._faces.close()
-        self._up.close()
         if self._matches is not None:
             self._matches.close()
         self._tracked.close()
@@ -176,9 +191,10 @@ class BodyProcessor:
         release(self._markers)
         release(self._pointing)
 
-    def _tell_turned(self, up: Optional[np.ndarray]) -> None:
+    def _tell_turned(self, frame: Frame, up: Optional[np.ndarray]) -> None:
         """Log once when images come turned. up: (3,) in the camera's frame by ~up_frame, None while it is not known."""
-        text = turned_problem(self._pipeline.turn, None if up is None else quarter_turns(up))
+        transform = None if up is None else quarter_turns(frame.rotation.vectors(up))
+        text = turned_problem(self._pipeline.seen_turn, transform, frame.rotation.degrees, frame.by_gravity)
         if text and not self._turned:
             rospy.logwarn("%s", text)
         self._turned = text
@@ -186,11 +202,13 @@ class BodyProcessor:
     def _face_boxes(self, frame: Frame, context: dict) -> List[FaceBox]:
         observed: Optional[Sequence[FaceObservation]] = context.get("faces")
         if observed is not None:
-            return face_boxes((face.id, face.landmarks, face.pose) for face in observed)
-        if self._faces is None:
+            faces = face_boxes((face.id, face.landmarks, face.pose) for face in observed)
+        elif self._faces is not None:
+            height, width = frame.bgr.shape[:2]
+            faces = self._faces.boxes(frame.stamp, width, height, frame.header.frame_id)
+        else:
             return []
-        height, width = frame.bgr.shape[:2]
-        return self._faces.boxes(frame.stamp, width, height, frame.header.frame_id)
+        return [face.turned(frame.rotation) for face in faces]
 
     def _describe(self, model: ModelledBody) -> None:
         """Hand over the URDF of a body when it is new or has changed."""
@@ -202,15 +220,15 @@ class BodyProcessor:
         if not publishers.set(model.id, urdf, model.revision):
             rospy.logwarn_throttle(_LOG_PERIOD_S, "more bodies than ~max_bodies: %s has no skeleton frames", model.id)
 
-    def _publish_models(self, bodies: Sequence[BodyObservation], frame: Frame) -> None:
+    def _publish_models(self, bodies: Sequence[BodyObservation], models: Mapping[str, ModelledBody],
+                        frame: Frame) -> None:
         self._no_frame = not frame.header.frame_id
         if self._no_frame:
             rospy.logwarn_throttle(_LOG_PERIOD_S, _NO_FRAME)
             return
-        models = {body.id: self._pipeline.model(body) for body in bodies}
         if self._pacer.is_due(frame.stamp):
-            self._publish_joints([model for model in models.values() if model is not None], frame)
-        self._guard.each("body", lambda body: self._publish_model(body, models[body.id], frame), bodies)
+            self._publish_joints(list(models.values()), frame)
+        self._guard.each("body", lambda body: self._publish_model(body, models.get(body.id), frame), bodies)
 
     def _publish_model(self, body: BodyObservation, model: Optional[ModelledBody], frame: Frame) -> None:
         if model is not None:
@@ -219,11 +237,11 @@ class BodyProcessor:
         if behaviour is not None:
             self._topics.publish_behaviour(body.id, behaviour, frame)
 
-    def _draw(self, bodies: Sequence[BodyObservation], frame: Frame, up: np.ndarray) -> None:
+    def _draw(self, bodies: Sequence[BodyObservation], frame: Frame, pointing: Mapping[str, Pointing]) -> None:
         labels = {body.id: self._pipeline.label(body.id) for body in bodies}
-        self._markers.publish(self._shown.update(skeleton_markers(
-            [drawn(body, self._pipeline.model(body)) for body in bodies], frame.header, labels, up,
-            self._pipeline.pointing), frame.header))
+        up = frame.rotation.vectors_back(self._pipeline.up)
+        self._markers.publish(self._shown.update(
+            skeleton_markers(bodies, frame.header, labels, up, pointing), frame.header))
 
     def _publish_joints(self, models: Sequence[ModelledBody], frame: Frame) -> None:
         """Joint states and roots go out together, so that the frames of a stamp make whole skeletons."""
@@ -386,64 +404,3 @@ class FaceInput:
             return None
         nearest = min(fitting, key=lambda transform: abs(transform.stamp - stamp))
         return Pose.from_quaternion(nearest.rotation, nearest.translation)
-
-
-_GRACE_S = 3.0
-_LOWEST_M, _HIGHEST_M = 0.05, 10.0
-
-
-class UpFrame:
-    """Pose of the camera in a frame whose z axis points up and whose z = 0 is the floor.
-
-    name: that frame; empty: there is none, and `lookup` tells nothing.
-    """
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._frames: Optional[RobotTfListener] = RobotTfListener(name) if name else None
-        self._missing_since: Optional[float] = None
-        self._told = False
-
-    def lookup(self, camera: str, stamp: genpy.Time) -> Tuple[Optional[np.ndarray], Optional[float], Optional[Pose]]:
-        """Return up (3,) in the frame `camera`, its height above the floor, m, and its pose; None while not known."""
-        pose = self._frames.lookup(camera, stamp) if self._frames is not None and camera else None
-        if pose is None:
-            self._miss(camera)
-            return None, None, None
-        self._missing_since = None
-        return (*up_and_height(pose), pose)
-
-    def status(self) -> Tuple[int, str]:
-        """Return level and message for diagnostics; the message is empty when all is well."""
-        if self._missing_since is None or time.monotonic() - self._missing_since < _GRACE_S:
-            return OK, ""
-        return WARN, self._problem("the camera")
-
-    def close(self) -> None:
-        """Stop listening. Idempotent."""
-        if self._frames is not None:
-            self._frames.close()
-
-    def _miss(self, camera: str) -> None:
-        if self._frames is None:
-            return
-        if self._missing_since is None:
-            self._missing_since = time.monotonic()
-        elif not self._told and time.monotonic() - self._missing_since > _GRACE_S:
-            self._told = True
-            rospy.logwarn("%s", self._problem(camera))
-
-    def _problem(self, camera: str) -> str:
-        return (
-            "no transform leads from {} to ~up_frame {}; the tilt is guessed from the people. Mend: start what "
-            "publishes it, or set ~up_frame to a frame that exists or to nothing".format(camera, self._name)
-        )
-
-
-def up_and_height(camera: Pose) -> Tuple[np.ndarray, Optional[float]]:
-    """Return up (3,) in the camera's frame and its height (m) of the camera's pose in a frame whose z is up.
-
-    A height that no camera has (below 5 cm, above 10 m) is None: z = 0 is not the floor there.
-    """
-    height = float(camera.translation[2])
-    return camera.rotation[2].copy(), height if _LOWEST_M <= height <= _HIGHEST_M else None

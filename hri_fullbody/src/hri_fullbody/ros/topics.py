@@ -59,7 +59,7 @@ class BodyTopics:
         if self._listened(body.id, "cropped"):
             part = crop(frame.bgr, body.box)
             if part is not None:
-                self._publishers.publish(body.id, "cropped", bgr_to_image(part, frame.header))
+                self._publishers.publish(body.id, "cropped", bgr_to_image(frame.rotation.image(part), frame.header))
 
     def publish_place(self, body_id: str, position: np.ndarray, velocity: Optional[np.ndarray], frame: Frame) -> None:
         """Publish position (3,) m and velocity (3,) m/s of a body in the image's frame, as far as they are known."""

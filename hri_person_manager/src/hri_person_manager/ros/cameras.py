@@ -4,11 +4,11 @@
     cameras:
       left: {image: /left/image_raw, camera_info: /left/camera_info, frame: left_optical_frame,
              place: [0, 0, 1.5, -0.5, 0.5, -0.5, 0.5]}
-      right: {ignored_regions: ["0.7 0 0.3 0.4"]}
+      right: {image_rotation: 180, ignored_regions: ["0.7 0 0.3 0.4"]}
 
 What is left out of a camera is /NAME/image_raw, /NAME/camera_info and NAME_optical_frame; its place is then told by
-others. `place` is x y z (m) and the quaternion x y z w of the optical frame in the reference frame. `ignored_regions`:
-see the node faces.
+others. `place` is x y z (m) and the quaternion x y z w of the optical frame in the reference frame. `image_rotation`,
+degrees clockwise, and `ignored_regions`: see the node faces; by default gravity tells the rotation.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ from hri_person_manager.core.camera_poses import (
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ignored_regions import IgnoredRegions
+from hri_pipeline.core.image_rotation import CHOICES
 from hri_pipeline.core.images import is_rectified
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.ros.conversions import camera_from_info, image_to_bgr, skeleton_from_msg
@@ -54,7 +55,7 @@ _JOINTS = ("nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left
            "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "left_eye", "right_eye",
            "left_ear", "right_ear")
 _SURE = 0.6                 # confidence of a key point that counts
-_KEYS = ("image", "camera_info", "depth", "frame", "place")
+_KEYS = ("image", "camera_info", "depth", "frame", "image_rotation", "place")
 _ALL_KEYS = (*_KEYS, "ignored_regions")
 
 
@@ -64,7 +65,7 @@ class CameraFileError(ValueError):
 
 @dataclass(frozen=True)
 class CameraEntry:
-    """One camera of the file; place: 7 numbers, None: others publish it."""
+    """One camera of the file; place: 7 numbers, None: others publish it. image_rotation: empty: by gravity."""
 
     name: str
     image: str
@@ -72,6 +73,7 @@ class CameraEntry:
     frame: str
     depth: str = ""
     place: Optional[Tuple[float, ...]] = None
+    image_rotation: str = ""
     ignored_regions: Tuple[str, ...] = ()
 
 
@@ -110,18 +112,21 @@ def _entry(path: Path, name: str, given: Mapping[str, object]) -> CameraEntry:
     if unknown:
         raise CameraFileError("{}: camera {} has {}, wanted some of {}".format(
             path, name, unknown[0], ", ".join(_ALL_KEYS)))
-    texts = {key: str(given.get(key) or "") for key in _KEYS[:-1]}
+    texts = {key: "" if given.get(key) is None or given[key] is False else str(given[key]) for key in _KEYS[:-1]}
     odd = [text for text in texts.values() if re.search(r"[\s;,]", text)]
     if odd:
         raise CameraFileError("{}: camera {} has {!r}, which is no ROS name".format(path, name, odd[0]))
+    if texts["image_rotation"] not in ("", *CHOICES):
+        raise CameraFileError("{}: camera {} has the image_rotation {}, wanted one of {}".format(
+            path, name, texts["image_rotation"], ", ".join(CHOICES)))
     place = _place(given.get("place"))
     if place is not None and (len(place) != 7 or not np.isclose(np.linalg.norm(place[3:]), 1.0, 0.0, 0.01)):
         raise CameraFileError("{}: the place of camera {} is not x y z (m) and a unit quaternion x y z w".format(
             path, name))
     return CameraEntry(name, texts["image"] or "/{}/image_raw".format(name),
                        texts["camera_info"] or "/{}/camera_info".format(name),
-                       texts["frame"] or name + "_optical_frame", texts["depth"], place,
-                       ignored_regions=_regions(path, name, given.get("ignored_regions")))
+                       texts["frame"] or name + "_optical_frame", texts["depth"], place, texts["image_rotation"],
+                       _regions(path, name, given.get("ignored_regions")))
 
 
 def _regions(path: Path, name: str, given: object) -> Tuple[str, ...]:
@@ -153,10 +158,11 @@ def launch_arguments(reference_frame: str, cameras: Sequence[CameraEntry]) -> Li
         values = {side: camera.name, side + "_image": camera.image, side + "_camera_info": camera.camera_info,
                   side + "_frame": camera.frame, side + "_depth": camera.depth,
                   side + "_ignored_regions": str(list(camera.ignored_regions)) if camera.ignored_regions else "",
-                  side + "_place": _text(camera.place, " ")}
+                  side + "_image_rotation": camera.image_rotation, side + "_place": _text(camera.place, " ")}
         arguments += ["{}:={}".format(*item) for item in values.items()]
     more = [";".join((camera.name, camera.image, camera.camera_info, camera.frame, camera.depth,
-                      _text(camera.place, ","), "", "|".join(camera.ignored_regions).replace(" ", ",")))
+                      _text(camera.place, ","), camera.image_rotation,
+                      "|".join(camera.ignored_regions).replace(" ", ",")))
             for camera in cameras[2:]]
     return [*arguments, "more:=" + " ".join(more)]
 
@@ -169,7 +175,7 @@ def run_cameras(arguments: Optional[Sequence[str]] = None) -> int:
     """Become `roslaunch ros4hri two_cameras.launch` with the cameras of a file; 1 for a file that is none."""
     parser = argparse.ArgumentParser(prog="cameras", description="Starts the stack for the cameras of a YAML file.")
     parser.add_argument("file", type=Path, help="cameras: {NAME: {image, camera_info, frame, depth, place, "
-                        "ignored_regions}}")
+                        "image_rotation, ignored_regions}}")
     parser.add_argument("rest", nargs="*", metavar="ARG:=VALUE", help="further arguments of two_cameras.launch")
     options = parser.parse_args(arguments)
     try:

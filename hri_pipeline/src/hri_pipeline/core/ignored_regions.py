@@ -22,6 +22,11 @@ class IgnoredRegions:
     def __init__(self, rows: Sequence[str] = ()) -> None:
         self.boxes = [_region(row) for row in rows]
 
+    def turn(self, quarters: int) -> None:
+        """Turn the regions with the images, by so many quarter turns clockwise."""
+        for _ in range(quarters % 4):
+            self._regions = [(1.0 - bottom, left, 1.0 - top, right) for left, top, right, bottom in self._regions]
+
     def contain(self, box: np.ndarray, size: Tuple[int, int]) -> bool:
         """Tell whether the middle of a box (4,) px is in a region of an image of `size` (width, height), px."""
         x, y = (float(box[axis] + box[axis + 2]) / 2.0 / size[axis] for axis in (0, 1))

@@ -9,6 +9,8 @@ from typing import Callable, Dict, NamedTuple, Optional, Tuple, Union
 import cv2
 import numpy as np
 
+from hri_pipeline.core.image_rotation import ImageRotation
+
 MAX_SIDE = 8192
 DEPTH_ENCODINGS: Tuple[str, ...] = ("16UC1", "mono16", "32FC1")
 DEPTH_RANGE = (0.15, 30.0)
@@ -392,6 +394,10 @@ class PictureCuts:
         if float(inner.std()) < _EMPTY:
             return float(np.corrcoef(small.ravel(), last.ravel())[0, 1]) < _CUT
         return float(cv2.matchTemplate(last, inner, cv2.TM_CCOEFF_NORMED).max()) < _CUT
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn the last image."""
+        self._last = None if self._last is None else rotation.image(self._last)
 
     def reset(self) -> None:
         """Forget the last image."""

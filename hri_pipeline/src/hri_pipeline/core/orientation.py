@@ -98,18 +98,24 @@ class FaceOrientation:
 _WORDS = ("upright", "a quarter turn anticlockwise", "half a turn", "a quarter turn clockwise")
 
 
-def turned_problem(seen: Optional[int], transform: Optional[int]) -> str:
+def turned_problem(seen: Optional[int], transform: Optional[int], rotation: int = 0, by_gravity: bool = False) -> str:
     """Return what is wrong with the camera's mounting, and the mend; empty when all is well or not known.
 
-    seen, transform: quarter turns anticlockwise by which images stand upright, as the people in them and the transform
-    to ~up_frame tell; None: not known.
+    seen, transform: quarter turns anticlockwise by which images stand upright that were turned by `rotation` (degrees
+    clockwise), as the people in them and the transform to ~up_frame tell; None: not known. by_gravity: the rotation is
+    that of the transform.
     """
+    transform = None if by_gravity else transform
     if seen == 0 and transform:
         return ("people stand upright in the images, but the transform to ~up_frame says that these are turned: they "
                 "would be upright after {}. Mend: correct the transform of the camera".format(_WORDS[transform]))
     if not (seen or transform):
         return ""
-    return ("the images come turned: {} after {}, so that bodies and faces are missed or at wrong places. Mend: mount "
-            "the camera upright, or turn images, camera_info and the camera's frame before they come here".format(
+    turned = ", which are turned by {} degrees clockwise already".format(rotation) if rotation else ""
+    return ("the images come turned: {} after {}{}, so that bodies and faces are missed or at wrong places. Mend: {}set"
+            " image_rotation:={}{}".format(
                 "people are clear in them only" if seen else "by the transform to ~up_frame they would be upright",
-                _WORDS[seen or transform or 0]))
+                _WORDS[seen or transform or 0], turned,
+                "correct the transform of the camera to ~up_frame, or " if by_gravity else "",
+                (rotation - 90 * (seen or transform or 0)) % 360,
+                "" if by_gravity else ", or up_frame with image_rotation:=auto"))

@@ -139,6 +139,8 @@ class Parameter:
         wanted = self.item_type
         if wanted is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
+        if wanted is str and type(value) is int and str(value) in self.choices:
+            value = str(value)      # YAML makes a number of 90
         # type() and not isinstance(): a bool is an int in Python, but not to whoever wrote the value.
         if type(value) is not wanted:
             raise self._refused(value)

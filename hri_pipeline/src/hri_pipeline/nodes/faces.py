@@ -98,6 +98,7 @@ class FaceProcessor:
         self._match_subscribers = 0
         self._no_frame = False
         self._poseless = 0
+        self._quarters = 0
         self._turned = ""
         self._closed = False
 
@@ -106,15 +107,20 @@ class FaceProcessor:
         demand = self._topics.demand(self._pipeline.tracked_ids)
         if "age" in context:
             self._pipeline.note_timing(context["age"], context["took"])
+        rotation, upright = frame.rotation, frame.upright
+        if rotation.quarters != self._quarters:
+            self._pipeline.turn(rotation.since(self._quarters))
+            self._quarters = rotation.quarters
         # Where somebody is does not wait for the analysis.
-        faces = self._pipeline.update(frame.bgr, frame.camera, frame.stamp, getattr(frame, "depth", None), demand,
-                                      lambda placed: self._publish_places(placed, frame))
-        context["faces"] = faces
+        seen = self._pipeline.update(
+            upright.bgr, upright.camera, frame.stamp, upright.depth, demand,
+            lambda placed: self._publish_places([rotation.face_back(face) for face in placed], frame))
+        faces = context["faces"] = [rotation.face_back(face) for face in seen]
         if frame.overtaken():
             return
         self._guard.each("face", lambda face: self._topics.publish(face, frame), faces)
         self._publish_matches()
-        self._tell_turned()
+        self._tell_turned(frame)
 
     def reconfigure(self, settings: FacePipelineSettings) -> None:
         """Apply the values of the live parameters; the faces stay."""
@@ -170,9 +176,9 @@ class FaceProcessor:
             "face", lambda face: transforms.extend(face_transforms(face, frame, self._interface)), posed)
         self._transforms.send(transforms)
 
-    def _tell_turned(self) -> None:
+    def _tell_turned(self, frame: Frame) -> None:
         """Log once when the images come turned."""
-        text = turned_problem(self._pipeline.turn, None)
+        text = turned_problem(self._pipeline.seen_turn, None, frame.rotation.degrees, frame.by_gravity)
         if text and not self._turned:
             rospy.logwarn("%s", text)
         self._turned = text
@@ -325,7 +331,7 @@ class FacePictures:
         width, height = self._current_size()
         for name in wanted:
             if name == CROPPED:
-                picture = box_crop(frame.bgr, face.box, width, height, MARGIN)
+                picture = box_crop(frame.upright.bgr, frame.rotation.box(face.box), width, height, MARGIN)
             else:
                 side = max(width, height)
                 square = aligned_crop(frame.bgr, face.mesh, side, MARGIN)

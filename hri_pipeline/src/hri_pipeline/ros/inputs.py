@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Callable, Deque, Dict, Optional, Tuple, Union
 
 import numpy as np
@@ -18,6 +18,7 @@ from std_msgs.msg import Header
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 from hri_pipeline.core.error_log import Outage
 from hri_pipeline.core.faces.parameters import DepthCameraSettings
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.images import (
     DEPTH_RANGE,
     GreyBits,
@@ -69,7 +70,8 @@ class Frame:
     """One image to work on.
 
     bgr: (H, W, 3) uint8. stamp: s, that of header. header: goes with every output that is made of this image.
-    depth: (h, w) float32 m, registered to bgr, NaN where unknown; None without one.
+    depth: (h, w) float32 m, registered to bgr, NaN where unknown; None without one. quarters: quarter turns clockwise
+    that make it upright; by_gravity: whether gravity tells them.
     overtaken: tells whether the time has gone back since; what is found in the image is not to be published then, as
     frames of the future hide all later ones in the buffers of tf2.
     """
@@ -80,6 +82,22 @@ class Frame:
     header: Header
     depth: Optional[np.ndarray] = None
     overtaken: Callable[[], bool] = lambda: False
+    quarters: int = 0
+    by_gravity: bool = False
+
+    @cached_property
+    def rotation(self) -> ImageRotation:
+        """The turn that makes the image upright."""
+        return ImageRotation(self.quarters, self.bgr.shape[1], self.bgr.shape[0])
+
+    @cached_property
+    def upright(self) -> Frame:
+        """The frame with image, camera and depth image turned, made once; itself where nothing is turned."""
+        if not self.quarters:
+            return self
+        turn = self.rotation
+        return Frame(turn.image(self.bgr), turn.camera(self.camera), self.stamp, self.header,
+                     None if self.depth is None else turn.image(self.depth))
 
 
 class ImageInput(SensorInput):

@@ -19,6 +19,7 @@ from hri_pipeline.core.setup_check import NO_IMAGE_YET
 from hri_pipeline.core.timing import Pacer, StageTimes
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Status
 from hri_pipeline.ros.inputs import Frame, ImageInput
+from hri_pipeline.ros.mounting import CameraMounting
 from hri_pipeline.ros.privacy import PrivacyTopic
 
 _WAIT_S = 0.5
@@ -177,13 +178,14 @@ class VisionWorker(Worker):
     Diagnostics hold the rate, the age of the images, the dropped images and the time of each stage. When no image comes
     for `silence` s of ROS time, the processors are reset, so that nobody stays tracked; while a bag is paused, ROS time
     stands still, too. max_rate: Hz, 0 for no limit. nice: see set_niceness(); it is set some seconds after the first
-    image.
+    image. mounting: decides by how much images are turned; None: not at all.
     """
 
     def __init__(self, image_input: ImageInput, processors: Sequence[Processor], diagnostics: NodeDiagnostics,
-                 max_rate: float = 0.0, silence: float = _SILENCE_S, nice: int = 0) -> None:
+                 max_rate: float = 0.0, silence: float = _SILENCE_S, nice: int = 0,
+                 mounting: Optional[CameraMounting] = None) -> None:
         super().__init__("image", image_input, diagnostics)
-        self._processors = list(processors)
+        self._processors, self._mounting = list(processors), mounting
         self._pacer = _pacer(max_rate)
         self._silence = silence
         self._nice, self._nice_at = nice, math.inf
@@ -200,8 +202,7 @@ class VisionWorker(Worker):
         if not rospy.Time.now().is_zero():
             context["age"] = (rospy.Time.now() - frame.header.stamp).to_sec()
         with self._lock, self.times("frame"):
-            for processor in self._processors:
-                self._attempt(_name(processor), lambda processor=processor: self._run(processor, frame, context))
+            self._attempt("frame", lambda: self._work(frame, context))
         self._ended.append(time.monotonic())
         self._took = time.monotonic() - began
         now = rospy.Time.now()
@@ -224,6 +225,13 @@ class VisionWorker(Worker):
             for processor in self._processors:
                 processor.reconfigure(settings)
         self._wake.set()
+
+    def _work(self, frame: Frame, context: dict) -> None:
+        """Turn the image upright, and give it to all processors."""
+        if self._mounting is not None:
+            frame = self._mounting.orient(frame, context)
+        for processor in self._processors:
+            self._attempt(_name(processor), lambda processor=processor: self._run(processor, frame, context))
 
     def _run(self, processor: Processor, frame: Frame, context: dict) -> None:
         with self.times(_name(processor)):
@@ -255,7 +263,7 @@ class VisionWorker(Worker):
         return True
 
     def _owned(self) -> Iterable[Any]:
-        return [*self._processors[::-1], *([] if self._privacy is None else [self._privacy])]
+        return [one for one in (*self._processors[::-1], self._mounting, self._privacy) if one is not None]
 
     def _statuses(self) -> Iterable[Tuple[str, Callable[[], Status]]]:
         return [(_name(processor), processor.status) for processor in self._processors if hasattr(processor, "status")]
@@ -263,9 +271,13 @@ class VisionWorker(Worker):
     def _load(self) -> Status:
         rate, counts = self._rate(), self._input.counts
         values: Dict[str, object] = {"rate_hz": rate, "dropped_images": counts["received"] - counts["taken"]}
+        level, text = OK, ""
+        if self._mounting is not None:
+            values.update(self._mounting.values())
+            level, text = self._mounting.status()
         if not self._ended:
             return WARN, NO_IMAGE_YET, values
-        return OK, "{:.1f} images/s".format(rate), values
+        return level, text or "{:.1f} images/s".format(rate), values
 
     def _rate(self) -> float:
         """Images per second over the last 5 s."""

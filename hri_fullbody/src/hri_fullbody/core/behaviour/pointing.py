@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Deque, Mapping, Optional, Tuple
 
 import numpy as np
 
 from hri_fullbody.core import keypoints as kp
+from hri_pipeline.core.image_rotation import ImageRotation
 
 _ARMS = ((kp.LEFT_SHOULDER, kp.LEFT_ELBOW, kp.LEFT_WRIST), (kp.RIGHT_SHOULDER, kp.RIGHT_ELBOW, kp.RIGHT_WRIST))
 _STRAIGHT = math.cos(math.radians(35.0))    # between upper arm and forearm
@@ -42,6 +43,12 @@ class Pointing:
     confidence: float
     receiver: str = ""
     place: Optional[np.ndarray] = None
+
+
+def turned_pointing(pointing: Pointing, rotation: ImageRotation) -> Pointing:
+    """Return the same in the turned optical frame."""
+    return replace(pointing, origin=rotation.vectors(pointing.origin), direction=rotation.vectors(pointing.direction),
+                   place=None if pointing.place is None else rotation.vectors(pointing.place))
 
 
 class PointingEstimator:

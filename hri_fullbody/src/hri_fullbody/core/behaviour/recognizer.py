@@ -69,6 +69,10 @@ class BehaviourRecognizer:
         self._knees, self._legs = KneeSigns(), GuessedLegs()
         self._result = BodyBehaviour(0, 0.0, 0, 0)
 
+    def forget_places(self) -> None:
+        """Forget where key points were, as when the sensor's frame turns."""
+        self._hold = KeypointHold()
+
     def update(self, points: np.ndarray, stature: float, stamp: float,
                up: Union[Sequence[float], np.ndarray], up_sd: float = 0.0,
                confidence: Optional[np.ndarray] = None, hands: Optional[np.ndarray] = None,

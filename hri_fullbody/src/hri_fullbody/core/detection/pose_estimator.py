@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Callable, List, Optional, Protocol, Sequence, Tuple, Union
@@ -20,6 +20,7 @@ from hri_fullbody.core.keypoints import (
     BLAZE_RIGHT_SHOULDER,
 )
 from hri_pipeline.core.geometry import crop_rotated, iou_matrix, median_of_few
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.onnx import OnnxModel
 
 INPUT_SIZE = 256
@@ -81,6 +82,10 @@ class PoseEstimate:
     def trunk_seen(self) -> bool:
         """Whether both shoulders and both hips are seen."""
         return bool(self.confidence[_TRUNK].min() > _SEEN)
+
+    def turned(self, rotation: ImageRotation) -> PoseEstimate:
+        """Return what the network would see in the turned image."""
+        return replace(self, landmarks=rotation.pixels(self.landmarks), world=rotation.vectors(self.world))
 
     def head_box(self) -> np.ndarray:
         """Box (4,) px of the head, around the landmarks of nose, eyes, ears and mouth."""

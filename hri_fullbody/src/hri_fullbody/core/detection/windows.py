@@ -10,6 +10,7 @@ from typing import Iterable, List, Optional, Tuple
 import numpy as np
 
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.image_rotation import ImageRotation
 
 LANDMARK_MARGIN = 1.25
 # Windows for a person's box in the order in which they are worth trying: times how broad the person is at least tall,
@@ -73,6 +74,12 @@ class FaceBox:
         if not np.all(np.isfinite(box)) or np.any(box[2:] - box[:2] < 1.0):
             raise ValueError("landmarks of face {} span no box: {}".format(face_id, box))
         return cls(face_id, box, pose)
+
+    def turned(self, rotation: ImageRotation) -> FaceBox:
+        """Return the face in the turned image and optical frame."""
+        if not rotation.quarters:
+            return self
+        return FaceBox(self.id, rotation.box(self.box), None if self.pose is None else rotation.pose(self.pose))
 
     def distance(self, point: np.ndarray) -> float:
         """How far a point (2,) px lies from the middle, larger of x and y, in face sizes: about 0.5 on the rim."""

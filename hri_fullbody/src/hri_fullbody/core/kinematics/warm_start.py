@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import List, Optional, Sequence
 
 import numpy as np
 
 from hri_fullbody.core.model.human import BRANCHES, LEFT_ARM, RIGHT_ARM, SLOTS, branch_slot
+from hri_pipeline.core.image_rotation import ImageRotation
 
 HOLD_TIME = 0.5
 """Time (s) for which a limb that is not seen keeps its joints before it relaxes."""
@@ -59,6 +60,10 @@ class WarmStart:
         vectors = np.array([_NEW if state is None else state for state in states]).reshape(len(states), STATE_SIZE)
         return cls(np.isfinite(vectors[:, 0]), vectors[:, _ROTATION].reshape(-1, 3, 3), vectors[:, _POSITION],
                    vectors[:, _SLOTS], vectors[:, _SWIVELS].reshape(-1, 4, 3), vectors[:, _UNSEEN])
+
+    def turned(self, rotation: ImageRotation) -> WarmStart:
+        """Return what it is in a turned frame."""
+        return replace(self, rotation=rotation.matrix @ self.rotation, position=rotation.vectors(self.position))
 
     def split(self) -> List[np.ndarray]:
         """One state per body."""

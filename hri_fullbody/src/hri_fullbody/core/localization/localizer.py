@@ -32,6 +32,7 @@ from hri_fullbody.core.keypoints import (
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose, median_of_few
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.images import sample_depth
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.one_euro import OneEuro
@@ -390,6 +391,13 @@ class BodyLocalizer:
     def size(self) -> Optional[Tuple[float, float]]:
         """See BodyScale.measured; None while a depth image measures the body."""
         return None if self.by_depth else self._scale.measured
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn with the images; the filter of the key points begins with the next ones."""
+        self._image.reset()
+        self._pixels = None if self._pixels is None else rotation.pixels(self._pixels)
+        self._points = None if self._points is None else rotation.vectors(self._points)
+        self._face = None if self._face is None else rotation.vectors(self._face)
 
     def observe(self, track: BodyTrack, camera: CameraModel, stamp: float, face: Optional[Pose],
                 context: SceneContext) -> BodyObservation:

@@ -11,6 +11,7 @@ import numpy as np
 from hri_fullbody.core.detection.pose_estimator import PoseDetection, PoseEstimate
 from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, FaceBox, Window, window_from_face
 from hri_fullbody.core.tracking.reidentification import blend
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.tracks import TrackLife
 
 # Standard deviations of the model, measured in body sizes (px) where the image is meant.
@@ -95,6 +96,14 @@ class BodyMotion:
         self.size = float(size)
         self._image.update(centre, noise * _IMAGE_NOISE * size, stamp, _IMAGE_ACCELERATION * size)
         self._locate(root, stamp)
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn with the images; the axes across the view are alike uncertain."""
+        self._image.value = rotation.pixels(self._image.value[None])[0]
+        self._image.velocity = rotation.matrix[:2, :2] @ self._image.velocity
+        if self._space is not None:
+            self._space.value = rotation.vectors(self._space.value)
+            self._space.velocity = rotation.vectors(self._space.velocity)
 
     def predicted_centre(self, stamp: float) -> np.ndarray:
         """Middle of the trunk (2,) px at `stamp`."""
@@ -331,6 +340,18 @@ class BodyTrack:
         known = long_seen and bool(self.box_confirmed or self.face_id is not None)
         self.hidden = bool(known and not self.cut and box[0] > reach and box[2] < width - reach
                            and reach < x < width - reach)
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn with the images: the body is where it was in what they show."""
+        points = self.detection.points
+        self.detection = replace(
+            self.detection, estimate=self.estimate.turned(rotation),
+            points=None if points is None else rotation.vectors(points))
+        self.motion.turn(rotation)
+        self._expected = None
+        self._face_centre, self._face_when_seen = (
+            None if centre is None else rotation.pixels(centre[None])[0]
+            for centre in (self._face_centre, self._face_when_seen))
 
     def cut_off(self, stamp: float) -> None:
         """Note that the image shows something else than the one before: the body is neither there nor hidden, until

@@ -40,6 +40,7 @@ from hri_fullbody.core.tracking.reidentification import describe
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.ignored_regions import IgnoredRegions
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.images import PictureCuts
 from hri_pipeline.core.scheduler import InferenceScheduler, Request
 from hri_pipeline.core.tracks import TrackLife, assign
@@ -112,6 +113,14 @@ class BodyTracker:
         for life in [TrackLife(0.0, birth_delay, death_time)] + [track.life for track in self.tracks]:
             life.limit(birth_delay, death_time)
         self._birth_delay, self._death_time, self._min_score = birth_delay, death_time, min_score
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn what is known of earlier images."""
+        self._ignored.turn(rotation.quarters)
+        self._cuts.turn(rotation)
+        self._candidates.clear()
+        for track in self.tracks:
+            track.turn(rotation)
 
     def reset(self) -> None:
         """Forget all bodies."""

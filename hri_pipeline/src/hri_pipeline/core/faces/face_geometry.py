@@ -23,6 +23,7 @@ from hri_pipeline.core.faces.head_pose import (
 )
 from hri_pipeline.core.faces.mesh import Blendshapes, CanonicalFace, landmarks_from_mesh
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.observations import FaceObservation, GazeEstimate
 
 _SHAPES_AGE = 0.4
@@ -62,6 +63,11 @@ class FaceGeometry:
     def keep(self, ids: Collection[str]) -> None:
         """Forget all faces but these."""
         self._faces = {face_id: face for face_id, face in self._faces.items() if face_id in ids}
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn all faces with the images."""
+        for face in self._faces.values():
+            face.turn(rotation)
 
     def reset(self) -> None:
         """Forget all faces."""
@@ -168,6 +174,15 @@ class _Face:
         self.mesh: Optional[np.ndarray] = None
         self.blendshapes: Optional[np.ndarray] = None
         self.shaped_at = -math.inf
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn with the images; the filters begin with the next measurement."""
+        self.smoother.reset()
+        self.gaze_smoother.forget_direction()
+        self.raw, self.pose = (None if pose is None else rotation.pose(pose) for pose in (self.raw, self.pose))
+        self.mesh = None if self.mesh is None else rotation.pixels(self.mesh)
+        if self.gaze is not None and self.gaze.direction is not None:
+            self.gaze = replace(self.gaze, direction=rotation.vectors(self.gaze.direction))
 
     def set_pose(self, pose: Optional[Pose], mesh: np.ndarray, stamp: float) -> None:
         """Set the pose measured in the image of `stamp` (s), None for no plausible one."""

@@ -11,6 +11,8 @@ from typing import List, Optional, Sequence
 import cv2
 import numpy as np
 
+from hri_pipeline.core.image_rotation import ImageRotation
+
 SHRINK = 2
 """Pixels of the image for one of the picture in which points are followed."""
 _GRID = 4
@@ -66,6 +68,11 @@ class FaceFlow:
             np.asarray(error).reshape(points.shape[:2]) < _OTHER
         )
         return _common(motions, good, (places[:, 2:] - places[:, :2]).min(axis=1))
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn the last image."""
+        self._image = None if self._image is None else rotation.image(self._image)
+        self._picture = None if self._picture is None else rotation.image(self._picture)
 
     def reset(self) -> None:
         """Forget the last image."""

@@ -295,6 +295,10 @@ class GazeSmoother:
         return GazeEstimate(direction / np.linalg.norm(direction), gaze.confidence * min(1.0, 2.0 * (1.0 - closed)),
                             closed, gaze.from_eyes)
 
+    def forget_direction(self) -> None:
+        """Forget where the face looked, but not whether its eyes are closed."""
+        self._direction.reset()
+
 
 def gaze_frame(face: Pose, direction: np.ndarray) -> Pose:
     """Return the gaze frame in the face frame: z along the gaze, y down, at the same place.

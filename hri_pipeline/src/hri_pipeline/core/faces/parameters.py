@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Sequence
 
+from hri_pipeline.core.image_rotation import CHOICES
 from hri_pipeline.core.onnx import PROVIDERS
 from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
 
@@ -109,6 +110,14 @@ class CameraSettings(Settings):
     fallback_fov: float = parameter(
         1.0472, "Horizontal field of view of a camera without calibration. Distances scale with it.", unit="rad",
         minimum=0.1, maximum=3.0)
+    up_frame: str = parameter(
+        "", "TF frame whose z axis points up from the floor, such as `map` or `base_footprint`: gives roll, tilt and "
+        "height of the camera, for `image_rotation`, places and postures. Empty: none.")
+    image_rotation: str = parameter(
+        "auto", "Degrees by which images are turned clockwise so that people stand upright in them: 180 for a camera "
+        "that is mounted upside down, 90 for one that is rolled clockwise, as seen from behind it. `auto`: the nearest "
+        "by `up_frame` at the time of the image, 0 without one. All that is published is of the image as it came, and "
+        "in its frame.", choices=CHOICES)
     ignored_regions: Sequence[str] = parameter(
         [], "Where nobody begins: posters, screens. A text `x y width height` for each region, as shares of the image "
         "from its upper left corner, of a camera that stands still. Who comes from elsewhere is followed through it.")

@@ -47,6 +47,7 @@ from hri_pipeline.core.faces.track import (
 from hri_pipeline.core.faces.tracker import FaceTracker, explains, is_same_or_part
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.ignored_regions import IgnoredRegions
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.images import PictureCuts
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.onnx import model_path
@@ -117,9 +118,9 @@ class FacePipeline:
         return self._tracking.tracked_ids
 
     @property
-    def turn(self) -> Optional[int]:
+    def seen_turn(self) -> Optional[int]:
         """Quarter turns anticlockwise by which faces stand upright in the images, None while that is not known."""
-        return self._tracking.turn
+        return self._tracking.seen_turn
 
     @property
     def recognition(self) -> Optional[FaceRecognition]:
@@ -203,6 +204,11 @@ class FacePipeline:
         """Apply the values of the live parameters; the faces stay."""
         self._tracking.reconfigure(settings)
         self._analysis.reconfigure(settings)
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Take note that the images are turned by `rotation` from now on, against those before; the faces stay."""
+        self._tracking.turn(rotation)
+        self._geometry.turn(rotation)
 
     def reset(self) -> None:
         """Drop every face, as after a jump in time; ids are not used again."""
@@ -304,7 +310,7 @@ class FaceTrackingPipeline:
         return {track.id for track in self._tracker.tracks}
 
     @property
-    def turn(self) -> Optional[int]:
+    def seen_turn(self) -> Optional[int]:
         """Quarter turns anticlockwise by which faces stand upright in the images, None while that is not known."""
         return self._orientation.turn
 
@@ -334,6 +340,15 @@ class FaceTrackingPipeline:
     def take_templates(self, templates: Mapping[str, np.ndarray], stamp: float) -> None:
         """Take templates (D,) by id, which recognition has made of faces in the image of `stamp` (s)."""
         self._tracker.take_templates(templates, stamp)
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn everything that is known of earlier images."""
+        self._ignored.turn(rotation.quarters)
+        self._flow.turn(rotation)
+        self._cuts.turn(rotation)
+        self._detection_scheduler.reset()
+        for track in self._tracker.tracks:
+            track.turn(rotation)
 
     def reset(self) -> None:
         """Drop every face, as after a jump in time; ids are not used again."""

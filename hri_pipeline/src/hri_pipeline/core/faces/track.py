@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Optional, Sequence, Tuple
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from hri_pipeline.core.faces.appearance import FaceLook, FaceMemory
 from hri_pipeline.core.faces.mesh import FaceRoi, bounding_box, eye_share, roi_from_mesh
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.tracks import TrackLife
 
 SIZE_WEIGHT = 0.7
@@ -115,6 +116,11 @@ class CropAnchor:
         before = self._detected
         self._detected = FaceRoi(detected.centre, before.size + _TRUST * (detected.size - before.size),
                                  before.angle + _TRUST * math.remainder(detected.angle - before.angle, math.tau))
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn with the images; the angle between both crops stays."""
+        centre, angle = rotation.pixels(self._detected.centre[None])[0], 0.5 * math.pi * rotation.quarters
+        self._detected = FaceRoi(centre, self._detected.size, math.remainder(self._detected.angle + angle, math.tau))
 
     def hold(self, roi: FaceRoi, share: float) -> FaceRoi:
         """The crop `roi` of a face, held where it leaves the last detection; share: see `mesh.eye_share`."""
@@ -280,6 +286,15 @@ class FaceTrack:
     def add_verification(self, score: float) -> None:
         """Add a verification score, -1 (no face) to 1 (a face)."""
         self.verification = min(MOST_VERIFICATION, max(LEAST_VERIFICATION, self.verification + score))
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn with the images: the face is where it was in what they show."""
+        self.measurement = replace(self.measurement, mesh=rotation.pixels(self.measurement.mesh), crops=None)
+        directions = rotation.matrix[:2, :2]
+        self._velocity, self._moved = directions @ self._velocity, directions @ self._moved
+        self._centre, self._predicted = rotation.pixels(self._centre[None])[0], None
+        if self._anchor is not None:
+            self._anchor.turn(rotation)
 
     def miss(self) -> None:
         """Note that the face was not found in this frame."""
