@@ -29,6 +29,7 @@ from hri_fullbody.core.keypoints import (
     trunk_in_image,
     wrist_to_knuckles,
 )
+from hri_fullbody.core.localization.border import CutRange, is_cut
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose, median_of_few
@@ -379,6 +380,7 @@ class BodyLocalizer:
         self._image = OneEuro(1.5, 6.0)
         self._distance = OneEuro(0.8, 4.0)
         self._scale = BodyScale()
+        self._cut_range = CutRange()
         self._pixels_per_metre: Optional[float] = None
         self._pixels: Optional[np.ndarray] = None
         self._points: Optional[np.ndarray] = None
@@ -438,11 +440,17 @@ class BodyLocalizer:
         pixels = estimate.landmarks[:BODY_LANDMARKS, :2]
         self._pixels = self._image(pixels / self._pixels_per_metre, track.stamp) * self._pixels_per_metre
         points = track.detection.points
-        if points is None:
+        if points is None or not self._is_there(points, track, camera, face is not None or context.depth is not None):
             self._points, self.by_depth = None, False
             self._distance.reset()
         else:
             self._points = self._rescale(points, track, camera, face, context)
+
+    def _is_there(self, points: np.ndarray, track: BodyTrack, camera: CameraModel, sure: bool) -> bool:
+        """Whether a body that the border may cut is where its landmarks (33, 3) m are."""
+        distance = self._scale.value * float(np.linalg.norm(points[_TRUNK].mean(axis=0)))
+        cut = is_cut(track.estimate.box, track.estimate.extent, camera.width)
+        return self._cut_range.is_right(distance, track.stamp, cut, sure)
 
     def _rescale(self, points: np.ndarray, track: BodyTrack, camera: CameraModel, face: Optional[Pose],
                  context: SceneContext) -> np.ndarray:
