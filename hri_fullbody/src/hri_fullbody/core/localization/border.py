@@ -8,9 +8,9 @@ from typing import Optional
 import numpy as np
 
 _REACH = 0.1            # of the body's extent: what comes so near to the border may go on behind it
-_FARTHER = 0.08         # logarithm of the range: as much as ranges of one who is seen whole are apart
-_FARTHER_RATE = 0.05    # the same per s since the last range that was right
-_SPEED = 0.5            # m/s, at which people go away while they are cut
+_FARTHER = 0.08         # logarithm of the range: as much as ranges of one who is seen whole are apart,
+_FARTHER_RATE = 0.02    # and more per s since the last range that was right
+_SPEED = 0.3            # m/s by which the range follows one who is cut; a squeezed one shrinks faster
 
 
 def is_cut(box: np.ndarray, extent: float, width: int) -> bool:
