@@ -5,7 +5,7 @@ import pytest
 from synthetic_people import STANDING
 
 from hri_fullbody.core.detection.pose_estimator import PoseDetection, PoseEstimate
-from hri_fullbody.core.localization.border import CutRange, is_cut
+from hri_fullbody.core.localization.border import CutRange, is_cut, is_leaving
 from hri_fullbody.core.localization.localizer import BodyLocalizer, SceneContext, place
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_pipeline.core.camera import CameraModel
@@ -49,6 +49,7 @@ def test_a_body_that_is_squeezed_at_the_border_has_no_place_until_it_is_itself_a
     person = Person()
     for _ in range(5):
         assert person.seen(WHOLE, face=True).pose is not None
+    assert person.seen(cut, face=True).pose is not None
     for _ in range(5):
         body = person.seen(squeezed(cut))
         assert body.measured and body.pose is None and np.isnan(body.keypoints_3d).all()
@@ -58,11 +59,17 @@ def test_a_body_that_is_squeezed_at_the_border_has_no_place_until_it_is_itself_a
 
 def test_a_face_or_being_seen_whole_tells_that_a_body_is_farther():
     with_face, whole = Person(), Person()
-    for _ in range(5):
-        with_face.seen(WHOLE, face=True)
-        whole.seen(WHOLE, face=True)
+    for person in (with_face, whole):
+        person.seen(WHOLE, face=True)
+        person.seen(AT_RIGHT, face=True)
     assert with_face.seen(squeezed(AT_RIGHT), face=True).pose is not None
     assert whole.seen(squeezed(WHOLE)).pose is not None
+
+
+def test_who_turned_round_and_walks_away_at_the_border_has_a_place():
+    person = Person()
+    person.seen(WHOLE, face=True)
+    assert all(person.seen(np.multiply(AT_RIGHT, size)).pose is not None for size in (1.0, 1.15, 1.3, 1.45))
 
 
 def test_who_is_never_seen_whole_has_a_place():
@@ -70,7 +77,7 @@ def test_who_is_never_seen_whole_has_a_place():
     assert all(person.seen((1.6, 0.3, depth)).pose is not None for depth in (3.0, 3.5, 3.2, 3.9))
 
 
-def test_who_goes_away_slowly_at_the_border_is_followed_and_who_comes_nearer_at_once():
+def test_a_cut_body_is_followed_slowly_and_nearer_at_once():
     known = CutRange()
     assert known.is_right(3.0, 0.0, False, True)
     assert all(known.is_right(3.0 + 0.03 * step, 0.1 * step, True, False) for step in range(1, 30))
@@ -89,3 +96,10 @@ def test_the_lower_border_cuts_nobody():
     assert not is_cut(np.array([400.0, 100.0, 600.0, 720.0]), 600.0, 1280)
     assert is_cut(np.array([400.0, 20.0, 600.0, 720.0]), 600.0, 1280)
     assert is_cut(np.array([900.0, 100.0, 1250.0, 720.0]), 600.0, 1280)
+
+
+@pytest.mark.parametrize("face, leaves", [
+    ((640.0, 360.0), False), ((60.0, 360.0), True), ((1220.0, 360.0), True), ((640.0, 60.0), True),
+    ((640.0, 700.0), True), ((-20.0, 360.0), True), ((200.0, 200.0), False)])
+def test_faces_near_the_border_leave(face, leaves):
+    assert is_leaving(np.array(face), 600.0, (1280, 720)) == leaves
