@@ -341,6 +341,19 @@ def test_whose_thighs_hang_out_of_the_image_stands(pose, trunk, score, posture):
     assert told[-1] == posture
 
 
+@pytest.mark.parametrize("floor, posture", [
+    (None, PostureClass.STANDING), (1.0, PostureClass.STANDING), (0.55, PostureClass.OTHER)],
+    ids=["of unknown height", "stands", "kneels"])
+@pytest.mark.parametrize("hidden", [LEGS, (kp.LEFT_ANKLE, kp.RIGHT_ANKLE)], ids=["thighs leave", "knees are seen"])
+def test_who_has_low_hips_and_no_shanks_is_not_told_to_stand(hidden, floor, posture):
+    """Who kneels with straight thighs looks as if standing, but is lower; floor: below the hips, m."""
+    body, points = BehaviourRecognizer(), people.standing().without(*hidden).seen()
+    height = None if floor is None else floor + float(points[[kp.LEFT_HIP, kp.RIGHT_HIP], 1].mean())
+    told = [body.update(points, STATURE, 0.1 * index, UP, trunk=0.46, leaving=hidden == LEGS, floor=height).posture
+            for index in range(15)]
+    assert told[-1] == posture
+
+
 def test_a_hand_that_the_network_guesses_is_not_on_the_face():
     points = people.on_face("right").seen()
     pixels = np.column_stack([400.0 * points[:, :2] + (640.0, 760.0), np.full(18, 0.9)])

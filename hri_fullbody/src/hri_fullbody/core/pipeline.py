@@ -292,7 +292,8 @@ class BodyPipeline:
             "behaviour of a body",
             lambda one: recognizer.update(
                 points, one.stature, stamp, up, up_sd, confidence, body.hands,
-                1.0 if body.by_depth else GUESSED_DEPTH, body.image_trunk, body.score, body.leaving), [model])
+                1.0 if body.by_depth else GUESSED_DEPTH, body.image_trunk, body.score, body.leaving, self._floor),
+            [model])
         self._last_models[model.id] = _LastModel(
             stamp, model, None if body.pose is None else body.pose.translation, behaviour[0] if behaviour else None)
         if body.head is not None:

@@ -24,7 +24,7 @@ from hri_fullbody.core.keypoints import (
 )
 
 _TRUNK = [LEFT_SHOULDER, RIGHT_SHOULDER, LEFT_HIP, RIGHT_HIP]
-_HIPS, _KNEES = [LEFT_HIP, RIGHT_HIP], [LEFT_KNEE, RIGHT_KNEE]
+_HIPS, _KNEES, _ANKLES = [LEFT_HIP, RIGHT_HIP], [LEFT_KNEE, RIGHT_KNEE], [LEFT_ANKLE, RIGHT_ANKLE]
 
 # Angles in degrees from the vertical, lengths in statures.
 _UPRIGHT, _LYING = 50.0, 60.0
@@ -72,6 +72,7 @@ _KNEE_S, _EITHER_KNEE, _BOTH_KNEES = 0.6, 0.35, 0.9
 # who sit are beyond, and 70 % of 118 of standing ones with hidden legs that look as if they sat (44 % of strangers).
 _LONG_TRUNK, _LOW_SCORE, _TRUNK_S = 0.465, 0.9, 1.0
 _STANDING_TRUNK = 0.45      # m: the trunk of who sits looks shorter
+_STANDING_HIPS = 0.40       # statures above the floor, of who stands .5; of who kneels with straight thighs .3
 _BESIDE_STRAIGHT = 35.0     # degrees of a thigh whose foot is hidden, beside a straight leg: a stool, or a high step
 
 
@@ -113,7 +114,7 @@ class PostureEstimator:
     def update(self, points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray,
                elapsed: float, up_sd: float = 0.0, feet: bool = True,
                unsure: Sequence[bool] = (False, False), guessed: bool = False,
-               leaving: bool = False) -> PostureClass:
+               leaving: bool = False, hips: float = math.nan) -> PostureClass:
         """Take the body `elapsed` s after the last call; see `posture_now`. up_sd: of the pitch of `up`, rad.
 
         feet: whether there is any sign of an ankle. Without one, behind a table or another person, the network bends
@@ -122,11 +123,14 @@ class PostureEstimator:
             two of them are none of crouching.
         guessed: whether the legs are, see GuessedLegs: nobody sits on them.
         leaving: whether thighs_leave_image: who is upright and has no other sign of legs stands.
+        hips: their height above the floor, statures, NaN unknown: with shanks unseen, who kneels looks as if standing.
         """
         seen = (posture_now(points, axes, stature, up) if up_sd <= _EXACT
                 else likely_posture(points, axes, stature, up, up_sd))
         if seen is None and leaving and _degrees(float(axes[2] @ up)) < _UPRIGHT:
             seen = PostureClass.STANDING
+        if seen == PostureClass.STANDING and hips < _STANDING_HIPS and np.isnan(points[_ANKLES, 0]).all():
+            seen = None
         jumps = self._jumps(np.where(np.reshape(unsure, (2, 1)), points[_KNEES] - points[_HIPS], np.nan) / stature,
                             elapsed)
         if not feet and seen in (PostureClass.SITTING, PostureClass.CROUCHING):

@@ -15,12 +15,14 @@ from hri_fullbody.core.behaviour.posture import GUESSED, GuessedLegs, KneeSigns,
 from hri_fullbody.core.keypoints import (
     LEFT_ANKLE,
     LEFT_ELBOW,
+    LEFT_HIP,
     LEFT_KNEE,
     LEFT_SHOULDER,
     LEFT_WRIST,
     NECK,
     RIGHT_ANKLE,
     RIGHT_ELBOW,
+    RIGHT_HIP,
     RIGHT_KNEE,
     RIGHT_SHOULDER,
     RIGHT_WRIST,
@@ -77,7 +79,7 @@ class BehaviourRecognizer:
                up: Union[Sequence[float], np.ndarray], up_sd: float = 0.0,
                confidence: Optional[np.ndarray] = None, hands: Optional[np.ndarray] = None,
                depth_counts: float = 1.0, trunk: float = math.nan, score: float = 1.0,
-               leaving: bool = False) -> BodyBehaviour:
+               leaving: bool = False, floor: Optional[float] = None) -> BodyBehaviour:
         """Take one frame and return what the body expresses.
 
         points: (18, 3) m in a sensor's frame, key points in the order of hri_msgs/Skeleton2D, NaN or infinite
@@ -91,7 +93,8 @@ class BehaviourRecognizer:
         knees; a knee that counts has 0.5, or both have 0.9 together for some time.
         hands: (2, 3) m from the wrist to the knuckles, left and right, NaN unknown; None: along the forearms.
         depth_counts: see arm_features. trunk: m, see trunk_in_image, score: 0 to 1; see GuessedLegs; NaN unknown.
-        leaving: whether thighs_leave_image.
+        leaving: whether thighs_leave_image. floor: height (m) of the sensor above it, None unknown: who kneels with the
+        shanks unseen is not told to stand.
         Raises ValueError for arrays of another shape, a stature outside 0.4 to 2.6 m, a stamp that is not finite and
         an `up` without a direction.
         """
@@ -113,7 +116,8 @@ class BehaviourRecognizer:
         guessed = self._legs.update(trunk, score, elapsed)
         posture = self._posture.update(
             self._hold.without_old(points, stamp, _LEG_HOLD_S), axes, stature, upwards, elapsed, up_sd,
-            *_signs_of_legs(confidence), guessed, leaving and self._legs.stand)
+            *_signs_of_legs(confidence), guessed, leaving and self._legs.stand,
+            _hips_height(points, stature, upwards, floor))
         self._result = BodyBehaviour(
             int(attitude), self._attitude.confidence, int(posture),
             int(gesture_of(attitude, self._attitude.raised, waving)))
@@ -130,6 +134,13 @@ class BehaviourRecognizer:
         if confidence is not None:
             knees = np.array([LEFT_KNEE, RIGHT_KNEE])
             points[knees[~self._knees.update(confidence[knees], elapsed)]] = np.nan
+
+
+def _hips_height(points: np.ndarray, stature: float, up: np.ndarray, floor: Optional[float]) -> float:
+    """Height of the hips above the floor, statures, NaN unknown. floor: see BehaviourRecognizer.update."""
+    if floor is None:
+        return math.nan
+    return (floor + float((points[LEFT_HIP] + points[RIGHT_HIP]) @ up) / 2.0) / stature
 
 
 def _sure_forearms(confidence: Optional[np.ndarray]) -> Tuple[bool, bool]:

@@ -29,6 +29,7 @@ from hri_fullbody.core.keypoints import (
     trunk_in_image,
     wrist_to_knuckles,
 )
+from hri_fullbody.core.localization.border import CutRange, is_cut, is_leaving
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose, median_of_few
@@ -380,6 +381,7 @@ class BodyLocalizer:
         self._image = OneEuro(1.5, 6.0)
         self._distance = OneEuro(0.8, 4.0)
         self._scale = BodyScale()
+        self._cut_range, self._face_leaves = CutRange(), False
         self._pixels_per_metre: Optional[float] = None
         self._pixels: Optional[np.ndarray] = None
         self._points: Optional[np.ndarray] = None
@@ -446,11 +448,25 @@ class BodyLocalizer:
         pixels = estimate.landmarks[:BODY_LANDMARKS, :2]
         self._pixels = self._image(pixels / self._pixels_per_metre, track.stamp) * self._pixels_per_metre
         points = track.detection.points
-        if points is None:
+        if points is None or not self._is_there(points, track, camera, face, context.depth is not None):
             self._points, self.by_depth = None, False
             self._distance.reset()
         else:
             self._points = self._rescale(points, track, camera, face, context)
+
+    def _is_there(self, points: np.ndarray, track: BodyTrack, camera: CameraModel, face: Optional[Pose],
+                  by_depth: bool) -> bool:
+        """Whether a body, which the border may cut, is where its landmarks (33, 3) m are.
+
+        Who turned round, and whose face ended in the image, is there: people walk away.
+        """
+        distance = self._scale.value * float(np.linalg.norm(points[_TRUNK].mean(axis=0)))
+        estimate = track.estimate
+        if face is not None:
+            self._face_leaves = is_leaving(camera.project(face.translation[None])[0], estimate.extent,
+                                           (camera.width, camera.height))
+        cut = self._face_leaves and is_cut(estimate.box, estimate.extent, camera.width)
+        return self._cut_range.is_right(distance, track.stamp, cut, face is not None or by_depth)
 
     def _rescale(self, points: np.ndarray, track: BodyTrack, camera: CameraModel, face: Optional[Pose],
                  context: SceneContext) -> np.ndarray:
