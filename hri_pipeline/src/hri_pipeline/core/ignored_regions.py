@@ -25,7 +25,7 @@ class IgnoredRegions:
     def turn(self, quarters: int) -> None:
         """Turn the regions with the images, by so many quarter turns clockwise."""
         for _ in range(quarters % 4):
-            self._regions = [(1.0 - bottom, left, 1.0 - top, right) for left, top, right, bottom in self._regions]
+            self.boxes = [(1.0 - bottom, left, 1.0 - top, right) for left, top, right, bottom in self.boxes]
 
     def contain(self, box: np.ndarray, size: Tuple[int, int]) -> bool:
         """Tell whether the middle of a box (4,) px is in a region of an image of `size` (width, height), px."""
