@@ -1,6 +1,7 @@
 """The node of the person manager goes on, whatever the master and one bad number do; without a master."""
 
 import threading
+import time
 from unittest.mock import MagicMock
 
 import genpy
@@ -194,3 +195,17 @@ def test_a_recording_that_holds_people_is_told_apart_from_another_robot():
         assert "bag.launch" not in double_persons(others)
         assert "persons:=false" in double_persons(others)
         assert all(name in double_persons(others) for name in others)
+
+
+def test_a_clock_that_has_jumped_is_told_once_and_looked_at_again_soon(monkeypatch):
+    told = MagicMock()
+    monkeypatch.setattr(module.rospy, "logwarn", told)
+    node = PersonManagerNode.__new__(PersonManagerNode)
+    node._register, node._store, node._is_clock_doubted = MagicMock(), MagicMock(clock_problem="1970"), False
+    for _ in range(2):
+        node._expire()
+        assert node._next_expiry - time.monotonic() <= module.DOUBT_S
+    assert told.call_count == 1
+    node._store.clock_problem = ""
+    node._expire()
+    assert node._next_expiry - time.monotonic() > 2 * module.DOUBT_S

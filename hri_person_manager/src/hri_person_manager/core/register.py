@@ -408,6 +408,11 @@ class SqliteRecordStore:
         self._stored = stored | set(change.records)
         return self._without_traces(gone)
 
+    @property
+    def clock_problem(self) -> str:
+        """Why nobody expires, by the last expire(); empty when people do."""
+        return self._store.clock_problem
+
     def expire(self, now: float) -> List[str]:
         """Remove who was not seen for too long (`now`: s), and the oldest of too many; returns their ids."""
         if not self._max_age and not self._max_persons:

@@ -53,7 +53,7 @@ _MOST_RESTORED = 500       # persons
 TICK_S = 0.1
 SWITCH_S = 0.001     # a callback waits no longer than so for a thread that computes; the default of Python is 5 ms
 DIAGNOSTICS_S = 1.0
-EXPIRY_S = 3600.0
+EXPIRY_S, DOUBT_S = 3600.0, 60.0     # who was unseen for too long is looked for so often; while the clock is doubted
 WRITE_S = 0.25       # what has changed of persons is in the store after so long
 _LOG_PERIOD_S = 30.0
 _FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", Kind.BODY, {"appearance": Image}),
@@ -201,15 +201,18 @@ class ManagerDiagnostics:
         self._errors = 0
         self._error_at = -math.inf
 
-    def update(self, snapshot: Snapshot, jumps: int, store_problem: str, waiting: Tuple[int, str]) -> None:
-        """Publish the state; jumps: how often time has gone back; store_problem: empty when what is known is kept.
+    def update(self, snapshot: Snapshot, jumps: int, store_problems: Tuple[str, str], waiting: Tuple[int, str]) -> None:
+        """Publish the state; jumps: how often time has gone back.
 
-        waiting: number of persons whose topics could not be opened, and why.
+        store_problems: why what is known is not kept, and why nobody expires; each empty when that is not so. waiting:
+        number of persons whose topics could not be opened, and why.
         """
         self._persons(snapshot, jumps, *waiting)
         if self._errors and time.monotonic() - self._error_at > _LOG_PERIOD_S:
             self._diagnostics.set("cycle", OK, "goes on", {"errors": self._errors})
-        self._diagnostics.set("store", ERROR if store_problem else OK, store_problem or "nothing waits to be written")
+        unwritten, unexpired = store_problems
+        self._diagnostics.set("store", ERROR if unwritten else WARN if unexpired else OK,
+                              unwritten or unexpired or "nothing waits to be written")
         self._matches()
         self._location()
         for plural, feed in self._feeds.items():
@@ -303,6 +306,7 @@ class PersonManagerNode:
         self._guard = MatchGuard(settings.max_matches_per_second)
         self._last_now = rospy.get_time()
         self._next_report = self._next_expiry = 0.0
+        self._is_clock_doubted = False
         self._jumps = 0
         self._stamps = SourceStamps()
         self._recognisers = SenderRuns(MATCHES_TOPIC)
@@ -350,6 +354,15 @@ class PersonManagerNode:
             self._register.expire(time.time())
         except StoreError as error:
             rospy.logerr("~store: who was not seen for too long is still in it: %s", error)
+        problem = self._clock_problem()
+        if problem:
+            self._next_expiry = time.monotonic() + DOUBT_S
+            if not self._is_clock_doubted:
+                rospy.logwarn("~store_max_age: %s", problem)
+        self._is_clock_doubted = bool(problem)
+
+    def _clock_problem(self) -> str:
+        return self._store.clock_problem if self._store is not None else ""
 
     def _forget_gone(self) -> None:
         """Forget who has expired, and who was forgotten by another process."""
@@ -533,7 +546,8 @@ class PersonManagerNode:
             self._next_report = time.monotonic() + DIAGNOSTICS_S
             if self._writer.problem:
                 rospy.logerr_throttle(_LOG_PERIOD_S, "~store: %s" % self._writer.problem)
-            self._report.update(snapshot, self._jumps, self._writer.problem, self._topics.waiting())
+            self._report.update(snapshot, self._jumps, (self._writer.problem, self._clock_problem()),
+                                self._topics.waiting())
             self._register.keep_demographics(state.id for state in snapshot.persons)
             self._privacy.set(data_use(self._settings, self._register.records))
 

@@ -11,7 +11,7 @@ import json
 import threading
 import time
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import (
     Any,
@@ -35,6 +35,7 @@ import numpy as np
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.recognition.database import PersonDatabase, ReadOnlyDatabase
+from hri_pipeline.core.recognition.retention import StoreClock, judge_retention
 
 PERIOD_S, RETRY_S = 1.0, 1.0
 WAIT_S, CLOSE_S = 30.0, 8.0
@@ -91,6 +92,8 @@ class PersonStore:
                  notify: Optional[Callable[[str], None]] = None, clock: Callable[[], float] = time.time) -> None:
         self._cipher = cipher
         self._is_checked = False
+        self.clock_problem = ""
+        """Why nobody expires, by the last expire(); empty when people do."""
         self._database: Any = PersonDatabase(path, notify, clock)
         try:
             self._seal_plain()
@@ -163,17 +166,36 @@ class PersonStore:
 
     def expire(self, now: float, max_age: float, max_persons: int) -> List[str]:
         """Remove who was not seen for `max_age` (s; 0: no limit), and of more than `max_persons` (0: no limit) those
-        who were not seen for the longest time, without a trace; returns their ids.
+        who were not seen for the longest time, without a trace; returns their ids. Nobody goes by a clock that has
+        jumped (`judge_retention`); `clock_problem` tells.
         """
         with self._database.writing() as database:
-            rows = database.execute("SELECT {} FROM persons ORDER BY id".format(_COLUMNS)).fetchall()
-            seen_last = sorted(((one.id, one.last_seen) for one in map(self._opened, rows)), key=lambda one: -one[1])
-            gone = [name for number, (name, seen) in enumerate(seen_last)
-                    if 0 < max_persons <= number or 0.0 < max_age < now - seen]
-            database.executemany("DELETE FROM persons WHERE id = ?", [(name,) for name in gone])
-            self._database.has_traces |= bool(gone)
+            people = {person.id: person for person in self.load_records()}
+            verdict = judge_retention({name: person.last_seen for name, person in people.items()}, self._load_clock(),
+                                      now, max_age, max_persons)
+            for name in verdict.redated:
+                self.put_record(replace(people[name], last_seen=now), is_new=False)
+            database.executemany("DELETE FROM persons WHERE id = ?", [(name,) for name in verdict.gone])
+            self._put_clock(verdict.clock)
+            self._database.has_traces |= bool(verdict.gone)
+        self.clock_problem = verdict.problem
         self.erase_traces()
-        return gone
+        return verdict.gone
+
+    def _load_clock(self) -> Optional[StoreClock]:
+        with self._database.reading() as database:
+            row = database.execute("SELECT value FROM facts WHERE name = 'clock'").fetchone()
+        try:
+            text = str(row[0]) if row is not None else ""
+            return StoreClock.from_json(text if self._cipher is None else self._cipher.decrypt(text.encode()).decode())
+        except ValueError:
+            return None
+
+    def _put_clock(self, clock: StoreClock) -> None:
+        text = clock.to_json()
+        with self._database.writing() as database:
+            database.execute("INSERT OR REPLACE INTO facts VALUES ('clock', ?)", (
+                text if self._cipher is None else self._cipher.encrypt(text.encode()).decode(),))
 
     def load_templates(self, model: str, dimension: int) -> List[KnownPerson]:
         """Return those who have templates (K, dimension) of a network."""
@@ -274,7 +296,8 @@ class PersonStore:
             rows = database.execute("SELECT {} FROM persons WHERE sealed IS NULL".format(_COLUMNS)).fetchall()
             for person in map(self._opened, rows):
                 self.put_record(person, is_new=False)
-            self._database.has_traces |= bool(rows)
+            clocks = database.execute("DELETE FROM facts WHERE name = 'clock' AND value LIKE '[%'").rowcount
+            self._database.has_traces |= bool(rows or clocks)
         self.erase_traces()
 
     def _unpacked(self, name: str, blob: bytes, dimension: int) -> np.ndarray:
