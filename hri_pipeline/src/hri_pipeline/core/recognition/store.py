@@ -96,6 +96,7 @@ class PersonStore:
         """Why nobody expires, by the last expire(); empty when people do."""
         self._database: Any = PersonDatabase(path, notify, clock)
         try:
+            self._check_key()
             self._seal_plain()
         except BaseException:
             self._database.close()
@@ -278,8 +279,7 @@ class PersonStore:
         told = (name, language, first, last, json.loads(demographics))
         if sealed is not None:
             if self._cipher is None:
-                raise StoreError("what {} knows of people is encrypted; give the key (store_key) it was made with, or "
-                                 "name another file".format(self.path))
+                raise self._keyless()
             try:
                 told = json.loads(self._cipher.decrypt(sealed).decode("utf-8"))
             except ValueError as error:
@@ -287,6 +287,18 @@ class PersonStore:
                                  .format(self.path, person_id, error)) from error
         name, language, first, last, demographics = told
         return StoredPerson(person_id, name, language, bool(enrolled), alias, first, last, demographics)
+
+    def _keyless(self) -> StoreError:
+        return StoreError("what {} knows of people is encrypted; give the key (store_key) it was made with, or name "
+                          "another file".format(self.path))
+
+    def _check_key(self) -> None:
+        """Refuse a store of encrypted templates without the key, also where the records are in plain, as in the first
+        two schemas."""
+        with self._database.reading() as database:
+            found = database.execute("SELECT value FROM facts WHERE name = 'templates'").fetchone()
+        if self._cipher is None and found is not None and found[0] != "plain":
+            raise self._keyless()
 
     def _seal_plain(self) -> None:
         """Encrypt what an earlier version, or a process without the key, has written in plain."""
@@ -313,7 +325,7 @@ class PersonStore:
         return template
 
     def _check_cipher(self) -> None:
-        """See that the templates are read and written as those before. Who uses records only needs no key."""
+        """See that the templates are read and written as those before."""
         if self._is_checked:
             return
         name = self._cipher.name if self._cipher is not None else "plain"
@@ -338,6 +350,7 @@ def read_store(path: Union[str, Path], cipher: Optional[TemplateCipher] = None, 
         with store._database.reading() as database:
             found = database.execute("SELECT value FROM facts WHERE name = 'templates'").fetchone()
         store._cipher = None if found is not None and found[0] == "plain" else cipher
+        store._check_key()
         return store.load_records(), store.load_templates(model, dimension) if model else []
     finally:
         store._database.close()
