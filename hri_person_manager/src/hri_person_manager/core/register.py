@@ -15,7 +15,8 @@ from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Proto
 
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.private_file import StoreError
-from hri_pipeline.core.recognition.store import PermanentPerson, PersonStore, StoredPerson
+from hri_pipeline.core.recognition.store import PersonStore
+from hri_pipeline.core.recognition.stored_person import PermanentPerson, StoredPerson
 
 UNDEFINED, FEMALE, MALE, OTHER = range(4)      # the constants of hri_msgs/AgeAndGender and SoftBiometrics
 AGE_DEVIATION = 6.3        # years, of the estimate from one face: the default model's mean error of 5 years

@@ -98,7 +98,8 @@ def data_use(settings: PersonManagerSettings, records: Sequence[PersonRecord]) -
 def borrowed_records(settings: PersonManagerSettings) -> List[PersonRecord]:
     """Read the stores of the parameter `store_read_only`. Raises ParameterError when one cannot be used."""
     try:
-        return [record_of(row) for path in settings.store_read_only for row in read_store(path, _cipher(settings))[0]]
+        return [record_of(row) for path in settings.store_read_only
+                for row in read_store(path, _cipher(settings), notify=rospy.logwarn)[0]]
     except StoreError as error:
         raise ParameterError("~store_read_only: {}".format(error)) from error
 
