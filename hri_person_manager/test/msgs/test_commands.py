@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rospy
 
 from hri_person_manager.core.camera_poses import CameraPoses
 from hri_person_manager.ros import cameras
 from hri_person_manager.ros.cameras import CameraEntry, run_calibrate, write_cameras
-from hri_person_manager.ros.cli import run_people
+from hri_person_manager.ros.cli import known_table, run_people
+from hri_person_manager.srv import ListKnownResponse
 from hri_pipeline.core.geometry import Pose
 
 LEFT = CameraEntry("left", "/left/image", "/left/camera_info", "left_optical")
@@ -67,3 +69,20 @@ def test_uncertain_places_of_cameras_are_not_written(deviation, code, tmp_path, 
     assert (path.read_bytes() != before) == (code == 0)
     assert "right: " in written.out and "+- 0.05 m, 1.1 deg" in written.out if code == 0 else (
         "the pose of right is uncertain" in written.err and "Walk longer" in written.err)
+
+
+def test_one_human_is_one_line_of_the_known():
+    times = [rospy.Time(86400 * day) for day in (400, 500, 600, 700)]
+    known = ListKnownResponse(
+        ids=["ann", "bob", "old", "who"], aliases=["", "", "ann", "gone"], names=["", "Bob", "Ann", ""],
+        native_languages=["", "", "fr", ""], anonymous=[False, False, False, True],
+        enrolled=[False, False, True, False], tracked=[True, False, False, False], first_seen=times[::-1],
+        last_seen=times)
+    header, *lines = [line.split() for line in known_table(known).splitlines()]
+    assert [line[0] for line in lines] == ["ann", "bob", "who"] and header[-1] == "ALIASES"
+    assert [lines[0][1:5], lines[0][-1]] == [["Ann", "fr", "here", "enrolled"], "old"]
+    assert lines[0][5].startswith("1971-05") and lines[0][7].startswith("1971-08"), "of all of its ids"
+    assert [line[-1] for line in lines[1:]] == ["-", "-"] and lines[2][4] == "anonymous"
+    header, *lines = [line.split() for line in known_table(known, every_id=True).splitlines()]
+    assert [(line[0], line[-1]) for line in lines] == [("ann", "-"), ("bob", "-"), ("old", "ann"), ("who", "gone")]
+    assert known_table(ListKnownResponse()) == "nobody is known"

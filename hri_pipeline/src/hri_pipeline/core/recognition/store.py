@@ -69,7 +69,8 @@ class PersonStore:
                  notify: Optional[Callable[[str], None]] = None, clock: Callable[[], float] = time.time) -> None:
         self._cipher = cipher
         self._is_checked, self._may_write = False, True
-        self._clock, self._notify = clock, notify or (lambda text: None)
+        self._clock = clock
+        self._notify: Callable[[str], object] = notify or (lambda text: None)
         self._told: Set[Tuple[str, str]] = set()
         self.clock_problem = ""
         """Why nobody expires, by the last expire(); empty when people do."""
