@@ -6,6 +6,7 @@ All times are seconds of one clock and are given by the caller. Not thread-safe:
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Callable, Container, Dict, FrozenSet, Iterable, List, Mapping, Optional, Set, Tuple
 
 import numpy as np
@@ -392,10 +393,10 @@ class PersonManager:
             return place
         if source == PlaceSource.VOICE:
             covariance = voice_covariance(place.pose.translation, origin)
-            return Place(place.frame, place.pose, place.stamp, place.exact_stamp, origin, covariance)
+            return replace(place, origin=origin, covariance=covariance)
         covariance = self._cameras.covariance(place.pose.translation, origin, self._errors.get(
             sensor, self._settings.distance_error))
-        return Place(place.frame, place.pose, place.stamp, place.exact_stamp, origin, covariance)
+        return replace(place, origin=origin, covariance=covariance)
 
     def _compare_across_cameras(self, feature: MatchNode, source: PlaceSource, place: Place, sensor: str) -> Place:
         """Take the place of a feature that a camera sees; returns where its human is by all cameras that see it."""
@@ -407,8 +408,7 @@ class PersonManager:
         fused = self._cameras.fused(feature, place.stamp) if not self._cameras.is_idle else None
         if fused is None:
             return place
-        return Place(place.frame, Pose(place.pose.rotation, fused.position), place.stamp, place.exact_stamp,
-                     place.origin, fused.covariance)
+        return replace(place, pose=Pose(place.pose.rotation, fused.position), covariance=fused.covariance)
 
     def _join_across_cameras(self, now: float) -> bool:
         """Join and part persons by what several cameras see; returns whether any merge may have changed."""
