@@ -242,6 +242,15 @@ def test_a_name_does_not_go_where_it_is_not_clear_which_is_the_picture(first, se
     assert scene.person("f1") == person
 
 
+def test_who_was_another_person_for_certain_does_not_take_the_name_of_a_still_one_later():
+    scene = Scene()
+    scene.show({"f1": (1, 0.1)}, 10.0, motion={"f1": PICTURE})
+    person = scene.person("f1")
+    scene.show({"f1": (1, 0.1), "f2": (template(1, 0.3, 7), 0.05)}, 4.0, motion={"f1": PICTURE, "f2": LIVING})
+    scene.show({"f1": (1, 0.1), "f2": (template(1, 0.2, 7), 0.05)}, 30.0, motion={"f1": PICTURE, "f2": LIVING})
+    assert scene.person("f1") == person and scene.gallery.ids() == [person]
+
+
 def test_a_face_that_is_not_looked_at_in_every_image_keeps_its_person():
     """With many faces they take turns: who is not measured in this image is there all the same."""
     scene = Scene()

@@ -390,9 +390,10 @@ def note_pictures(faces: Sequence[FaceIdentity], newest: float, different: float
         if not face.person:
             continue
         for other in there:
-            if not other.person and any(one.person_id == face.person and one.likelihood >= ACCEPT
-                                        for one in other.candidates) and (
-                    not are_different(face, other, different)) and face.motion.is_picture_beside(other.motion):
+            is_alike = face.person not in other.apart and any(
+                one.person_id == face.person and one.likelihood >= ACCEPT for one in other.candidates)
+            if is_alike and not other.person and not are_different(face, other, different) and (
+                    face.motion.is_picture_beside(other.motion)):
                 face.is_picture = True
 
 
