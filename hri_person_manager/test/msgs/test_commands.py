@@ -8,6 +8,7 @@ import pytest
 import roslaunch.config
 import roslaunch.xmlloader
 import rospkg
+import rospy
 
 from hri_person_manager.core.camera_poses import CameraPoses
 from hri_person_manager.ros import cameras
@@ -19,7 +20,8 @@ from hri_person_manager.ros.cameras import (
     run_calibrate,
     write_cameras,
 )
-from hri_person_manager.ros.cli import run_people
+from hri_person_manager.ros.cli import known_table, run_people
+from hri_person_manager.srv import ListKnownResponse
 from hri_pipeline.core.geometry import Pose
 
 LEFT = CameraEntry("left", "/left/image", "/left/camera_info", "left_optical")
@@ -115,3 +117,20 @@ def launched_parameters(file, *arguments):
     folder = Path(rospkg.RosPack().get_path("ros4hri")) / "launch"
     roslaunch.xmlloader.XmlLoader().load(str(folder / file), config, argv=list(arguments), verbose=False)
     return {name: parameter.value for name, parameter in config.params.items()}
+
+
+def test_one_human_is_one_line_of_the_known():
+    times = [rospy.Time(86400 * day) for day in (400, 500, 600, 700)]
+    known = ListKnownResponse(
+        ids=["ann", "bob", "old", "who"], aliases=["", "", "ann", "gone"], names=["", "Bob", "Ann", ""],
+        native_languages=["", "", "fr", ""], anonymous=[False, False, False, True],
+        enrolled=[False, False, True, False], tracked=[True, False, False, False], first_seen=times[::-1],
+        last_seen=times)
+    header, *lines = [line.split() for line in known_table(known).splitlines()]
+    assert [line[0] for line in lines] == ["ann", "bob", "who"] and header[-1] == "ALIASES"
+    assert [lines[0][1:5], lines[0][-1]] == [["Ann", "fr", "here", "enrolled"], "old"]
+    assert lines[0][5].startswith("1971-05") and lines[0][7].startswith("1971-08"), "of all of its ids"
+    assert [line[-1] for line in lines[1:]] == ["-", "-"] and lines[2][4] == "anonymous"
+    header, *lines = [line.split() for line in known_table(known, every_id=True).splitlines()]
+    assert [(line[0], line[-1]) for line in lines] == [("ann", "-"), ("bob", "-"), ("old", "ann"), ("who", "gone")]
+    assert known_table(ListKnownResponse()) == "nobody is known"

@@ -209,3 +209,17 @@ def test_a_place_from_before_the_clock_went_back_places_nobody(monkeypatch):
     old, new = (FeaturePose(PlaceSource.FACE, "abcde", "camera", Pose.identity(), secs, 0) for secs in (119, 100))
     PersonManagerNode._on_poses(node, [old, new])
     assert [call.args for call in node._reference.place.call_args_list] == [(new,)]
+
+
+def test_a_clock_that_has_jumped_is_told_once_and_looked_at_again_soon(monkeypatch):
+    told = MagicMock()
+    monkeypatch.setattr(module.rospy, "logwarn", told)
+    node = PersonManagerNode.__new__(PersonManagerNode)
+    node._register, node._store, node._is_clock_doubted = MagicMock(), MagicMock(clock_problem="1970"), False
+    for _ in range(2):
+        node._expire()
+        assert node._next_expiry - time.monotonic() <= module.DOUBT_S
+    assert told.call_count == 1
+    node._store.clock_problem = ""
+    node._expire()
+    assert node._next_expiry - time.monotonic() > 2 * module.DOUBT_S

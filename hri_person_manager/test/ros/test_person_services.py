@@ -287,6 +287,9 @@ class TestPersonServices(unittest.TestCase):
         self.wait_for(lambda: {"pia", "quy", "ron"} <= set(self.tracked.value.ids), "three persons")
         self.assertIn("quy is an alias of pia", self.call("merge", Merge, "pia", "quy").message)
         self.assertIn("pia is an alias of ron", self.call("merge", Merge, "ron", "quy").message)
+        known = self.known()
+        aliases = dict(zip(known.ids, known.aliases))
+        self.assertEqual([aliases[name] for name in ("pia", "quy", "ron")], ["ron", "ron", ""])
         self.wait_for(lambda: self.tracked.value.ids == ["ron"], "one person")
         exported = json.loads(self.call("export", Export, "").data)["persons"]
         records = {record["id"]: record["alias"] for record in exported}

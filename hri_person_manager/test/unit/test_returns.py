@@ -7,9 +7,10 @@ import pytest
 
 from hri_person_manager.core.features import Kind, MatchNode
 from hri_person_manager.core.location import Place, PlaceSource
-from hri_person_manager.core.manager import RETURN_WAIT_S, PersonManager
+from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
+from hri_person_manager.core.waiting import RETURN_WAIT_S
 from hri_pipeline.core.geometry import Pose
 
 ANN = MatchNode(Kind.PERSON, "ann")

@@ -29,6 +29,13 @@ def view_of(who, distance, view):
     return (np.cos(angle) * who + np.sin(angle) * across / np.linalg.norm(across)).astype(np.float32)
 
 
+def mesh(change, stamp):
+    """A face (478, 3), px, that pans through the image, and whose shape changes."""
+    shape = np.random.RandomState(1).randn(478, 3)
+    moved = np.random.RandomState(int(stamp * 10.0) % 2 ** 31).randn(478, 3)
+    return 40.0 * (shape + change * np.sqrt((shape[:, :2] ** 2).sum(axis=1).mean() / 2.0) * moved) + 20.0 * stamp
+
+
 class Scene:
     """Shows faces to a recogniser, and keeps what a listener would know."""
 
@@ -40,12 +47,16 @@ class Scene:
         self.messages = []
         self.looks = 0
 
-    def show(self, faces, seconds, quality=0.8):
-        """faces: {face id: (person or unit vector, distance)}; every crop is in another direction around it."""
+    def show(self, faces, seconds, quality=0.8, motion=()):
+        """faces: {face id: (person or unit vector, distance)}; every crop is in another direction around it.
+
+        motion: {face id: RMS change of its mesh, as a share of its size}.
+        """
         for _ in range(int(round(seconds / STEP))):
             self.stamp += STEP
             qualities = {face: quality[face] if isinstance(quality, dict) else quality for face in faces}
             due = self.recogniser.seen(qualities, self.stamp, limit=1)
+            self.recogniser.watch({face: mesh(motion[face], self.stamp) for face in motion}, self.stamp)
             self.recogniser.keep(faces)
             templates = [view_of(*faces[face], self.looks + index) for index, face in enumerate(due)]
             self.looks += len(due)
@@ -194,6 +205,50 @@ def test_two_faces_of_one_person_only_one_gets_it_and_the_other_is_nobody_new():
     scene.show({"f1": (1, 0.1), "f2": (1, 0.2)}, 20.0)
     assert scene.person("f1") == person and scene.known("f2") == {}
     assert scene.gallery.ids() == [person]
+
+
+LIVING, PICTURE = 0.06, 0.006
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_who_stands_beside_a_picture_of_himself_gets_the_name(known):
+    scene = Scene()
+    if known:
+        scene.show({"f0": (1, 0.1)}, 4.0)
+    scene.show({"poster": (1, 0.1)}, 10.0, motion={"poster": PICTURE})
+    person = scene.person("poster")
+    both = {"poster": (1, 0.1), "f1": (1, 0.2)}
+    scene.show(both, 20.0, motion={"poster": PICTURE, "f1": LIVING})
+    assert scene.person("f1") == person and scene.known("poster") == {} and scene.gallery.ids() == [person]
+    scene.messages = []
+    scene.show(both, 20.0, motion={"poster": PICTURE, "f1": PICTURE})
+    assert scene.person("f1") == person and scene.messages == [], "who listens without a move keeps it"
+    scene.show({"poster": (1, 0.1)}, 20.0, motion={"poster": PICTURE})
+    assert scene.known("poster") == {} and scene.gallery.ids() == [person], "the picture that is left is nobody"
+    scene.show({"poster": (1, 0.1)}, 20.0, motion={"poster": LIVING})
+    assert scene.person("poster") == person, "what moves was no picture"
+
+
+@pytest.mark.parametrize("first, second, who", [
+    (PICTURE, PICTURE, 1),          # two that do not move
+    (0.02, LIVING, 1),              # both live
+    (0.006, 0.012, 1),              # not by so much
+    (PICTURE, LIVING, template(1, 0.3, 7))])       # kin
+def test_a_name_does_not_go_where_it_is_not_clear_which_is_the_picture(first, second, who):
+    scene = Scene()
+    scene.show({"f1": (1, 0.1)}, 10.0, motion={"f1": first})
+    person = scene.person("f1")
+    scene.show({"f1": (1, 0.1), "f2": (who, 0.1)}, 30.0, motion={"f1": first, "f2": second})
+    assert scene.person("f1") == person
+
+
+def test_who_was_another_person_for_certain_does_not_take_the_name_of_a_still_one_later():
+    scene = Scene()
+    scene.show({"f1": (1, 0.1)}, 10.0, motion={"f1": PICTURE})
+    person = scene.person("f1")
+    scene.show({"f1": (1, 0.1), "f2": (template(1, 0.3, 7), 0.05)}, 4.0, motion={"f1": PICTURE, "f2": LIVING})
+    scene.show({"f1": (1, 0.1), "f2": (template(1, 0.2, 7), 0.05)}, 30.0, motion={"f1": PICTURE, "f2": LIVING})
+    assert scene.person("f1") == person and scene.gallery.ids() == [person]
 
 
 def test_a_face_that_is_not_looked_at_in_every_image_keeps_its_person():

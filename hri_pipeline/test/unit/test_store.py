@@ -23,7 +23,7 @@ from benchmarks.store import no_room
 from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
 from hri_pipeline.core.recognition import database as database_module
 from hri_pipeline.core.recognition import store as store_module
-from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson, StoreWriter
+from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson, StoreWriter, read_store
 
 LONG_S = 60.0
 ANNA = StoredPerson("anna", "Anna Example", "pt-BR", True, "", 10.0, 20.0, {"age": 33.5, "gender": 1})
@@ -190,10 +190,10 @@ def test_traces_that_a_full_disk_has_left_are_erased_later(path, monkeypatch):
     whole = store._database.erase
     monkeypatch.setattr(store._database, "erase", lambda: _without_room(whole))
     with pytest.raises(StoreError, match="make room"):
-        store.expire(400.0, max_age=350.0, max_persons=0)
+        store.expire(150.0, max_age=120.0, max_persons=0)
     monkeypatch.undo()
     assert "anna" not in [record.id for record in store.load_records()]
-    assert store.expire(400.0, max_age=350.0, max_persons=0) == []
+    assert store.expire(150.0, max_age=120.0, max_persons=0) == []
     assert b"Anna Example" not in everything(path.parent)
     store.close()
 
@@ -247,6 +247,33 @@ def test_a_store_of_the_first_schema_is_read_and_brought_to_the_newest(path):
     store.close()
 
 
+@pytest.mark.parametrize("schema", [1, 2, 3])
+def test_a_store_with_encrypted_templates_is_refused_without_the_key(path, tmp_path, schema):
+    """Names and times were in plain in the first two schemas: it opened, and new people were written in plain."""
+    key = TemplateCipher(make_key_file(tmp_path / "key"))
+    path.parent.mkdir(mode=0o700)
+    with sqlite3.connect(str(path)) as old:
+        for statement in (line for lines in database_module.MIGRATIONS[:schema] for line in lines):
+            old.execute(statement)
+        old.execute("INSERT INTO facts VALUES ('templates', 'fernet')")
+        old.execute("INSERT INTO persons VALUES ('anna', 'ANNA', '', 0, '', 1, 2, '{}'%s)" % (
+            ", NULL" if schema > 2 else ""))
+        old.execute("INSERT INTO templates VALUES ('anna', 'net', 0, ?)", (key.encrypt(face(1).tobytes()),))
+        old.execute("PRAGMA user_version = {}".format(schema))
+        old.execute("PRAGMA application_id = {}".format(database_module.APPLICATION_ID))
+    old.close()
+    with pytest.raises(StoreError, match="give the key .store_key. it was made with"):
+        PersonStore(path)
+    if schema == len(database_module.MIGRATIONS):
+        with pytest.raises(StoreError, match="store_key"):
+            read_store(path)
+    store = PersonStore(path, key)
+    assert [record.name for record in store.load_records()] == ["ANNA"]
+    assert np.array_equal(store.load_templates("net", SIZE)[0].templates, face(1)[None])
+    store.close()
+    assert b"ANNA" not in everything(path.parent)
+
+
 def test_a_database_of_another_program_is_left_alone(path):
     path.parent.mkdir(mode=0o700)
     other = sqlite3.connect(str(path))
@@ -276,12 +303,14 @@ def test_two_processes_share_it(path):
 
 def test_templates_can_be_encrypted(path, tmp_path):
     cipher = TemplateCipher(make_key_file(tmp_path / "key"))
+    plain = PersonStore(path)       # it was there before anything was encrypted
     filled(path, cipher=cipher).close()
     assert face(1).tobytes()[:8] not in path.read_bytes()
     store = PersonStore(path, cipher=cipher)
     assert np.array_equal(store.load_templates("net", SIZE)[1].templates[0], face(1))
     store.close()
-    plain = PersonStore(path)
+    with pytest.raises(StoreError, match="store_key"):
+        PersonStore(path)
     with pytest.raises(StoreError, match="store_key"):
         plain.load_records()
     with pytest.raises(StoreError, match="give the key"):
@@ -498,6 +527,7 @@ def test_with_a_key_nothing_tells_who_or_when(path, tmp_path):
     with pytest.raises(StoreError, match="give the key"):
         PersonStore(path, TemplateCipher(make_key_file(tmp_path / "other"))).load_records()
     store = PersonStore(path, key)
-    assert store.expire(4567900.0, 1000000.0, 0) == ["anna"] and len(store.load_records()) == 2
-    assert store.expire(4567900.0, 0.0, 1) == ["bert"]
+    assert store.expire(5678910.0, 2000000.0, 0) == ["anna"] and len(store.load_records()) == 2
+    assert store.expire(5678910.0, 0.0, 1) == ["bert"]
+    assert b"5678910" not in everything(path.parent), "the times at which the store was used"
     store.close()

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.timing import ALL_STALE_S, OldTime, Pacer, StageTimes, StampPacer
+from hri_pipeline.core.timing import ALL_STALE_S, ClockWatch, OldTime, Pacer, StageTimes, StampPacer
 
 
 def test_illegal_rate():
@@ -72,6 +72,12 @@ def test_a_stamp_is_never_taken_twice_and_a_reset_starts_anew():
         StampPacer(-1.0)
     with pytest.raises(ValueError):
         StampPacer(float("nan"))
+
+
+def test_a_clock_that_stands_still_is_told_until_it_goes_on_in_either_direction():
+    watch = ClockWatch()
+    steps = [(0.0, 100.0), (0.0, 103.0), (5.0, 104.0), (5.0, 104.5), (5.0, 120.0), (4.0, 121.0), (4.0, 122.0)]
+    assert [watch.stood_still(*step) for step in steps] == [0.0, 3.0, 0.0, 0.5, 16.0, 0.0, 1.0]
 
 
 def test_another_rate_of_joint_states():

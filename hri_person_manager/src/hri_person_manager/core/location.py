@@ -37,6 +37,7 @@ from typing import (
 
 import numpy as np
 
+from hri_person_manager.core.camera_motion import CameraMotion
 from hri_person_manager.core.features import MatchNode, PlaceSource
 from hri_person_manager.core.sensor_times import LONGEST_PERIOD_S, SensorTimes
 from hri_person_manager.core.triangulation import aged
@@ -164,7 +165,7 @@ class Place:
 
     exact_stamp: the same time as the caller knows it, for the caller; a float of seconds loses nanoseconds. origin:
     where the sensor was, (3,) m in `frame`; None where that is not known. covariance: (3, 3) m^2 of the position in
-    `frame`, None where it is not known.
+    `frame`, None where it is not known. camera: maps the sensor's coordinates to `frame`, None where it is not known.
     """
 
     frame: str
@@ -173,6 +174,7 @@ class Place:
     exact_stamp: object = None
     origin: Optional[np.ndarray] = None
     covariance: Optional[np.ndarray] = None
+    camera: Optional[Pose] = None
 
     @property
     def horizontal(self) -> Tuple[float, float]:
@@ -239,6 +241,7 @@ class CoastingMotion:
         if not coast_time >= 0.0:
             raise ValueError("coast_time is %s s, must not be negative" % coast_time)
         self._coast_time = coast_time
+        self._camera = CameraMotion()
         self._last: Optional[Place] = None
         self._velocity = np.zeros(3)
 
@@ -255,6 +258,11 @@ class CoastingMotion:
             self._velocity = np.zeros(3) if step else self._velocity
             return
         measured = (place.pose.translation - last.pose.translation) / step
+        jump = self._camera.see(place.camera, step)
+        if jump is not None:
+            # Who jumps with all that the camera sees stands before it, or walks as before.
+            beside = (place.pose.translation - jump.apply(last.pose.translation)) / step
+            measured = min(measured, beside, key=np.linalg.norm)
         speed = float(np.linalg.norm(measured))
         measured = measured * min(1.0, HIGHEST_SPEED / speed) if speed > 0.0 else measured
         self._velocity = self._velocity + (1.0 - math.exp(-step / SMOOTHING)) * (measured - self._velocity)
@@ -276,6 +284,7 @@ class CoastingMotion:
         """Forget the velocity."""
         self._last = None
         self._velocity = np.zeros(3)
+        self._camera.see(None, 0.0)
 
 
 @dataclass

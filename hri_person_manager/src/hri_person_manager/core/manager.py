@@ -5,14 +5,14 @@ All times are seconds of one clock and are given by the caller. Not thread-safe:
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 from typing import Callable, Container, Dict, FrozenSet, Iterable, List, Mapping, Optional, Set, Tuple
 
 import numpy as np
 
 from hri_person_manager.core.cross_camera import CrossCamera
 from hri_person_manager.core.features import Kind, MatchNode, PlaceSource, TrackedFeatures
-from hri_person_manager.core.location import Decay, FeaturePlaces, PersonLocation, Place, is_at
+from hri_person_manager.core.location import Decay, FeaturePlaces, PersonLocation, Place
 from hri_person_manager.core.match_graph import Association, CandidateMatch, SaidNames
 from hri_person_manager.core.merges import Merges
 from hri_person_manager.core.parameters import PersonManagerSettings, sensor_errors
@@ -25,16 +25,11 @@ from hri_person_manager.core.persons import (
 )
 from hri_person_manager.core.triangulation import voice_covariance
 from hri_person_manager.core.view_groups import SensedGroup
+from hri_person_manager.core.waiting import waiting_for_matches, waiting_for_names
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
-from hri_pipeline.core.tracks import assign
 
 _ORIGIN = np.zeros(3)
-MATCH_WAIT_S = 5.0            # for which a body at the place of a face that has none, or a face, waits for their match,
-#                               and longer where one of them lags
-PLACE_WAIT_S = 1.5            # for which one without a place yet waits beside a face, or body, that has one
-RETURN_WAIT_S = 1.5           # for which one where somebody was lost waits to be recognised
-MATCH_GATE = 9.0              # squared Mahalanobis distance up to which they are at one place
 MAX_UNSEEN_PERSONS = 32       # permanent persons kept with their topics although nobody sees them
 _KIND_OF_SOURCE = {PlaceSource.FACE: Kind.FACE, PlaceSource.HEAD: Kind.BODY, PlaceSource.BODY: Kind.BODY,
                    PlaceSource.VOICE: Kind.VOICE}
@@ -392,10 +387,10 @@ class PersonManager:
             return place
         if source == PlaceSource.VOICE:
             covariance = voice_covariance(place.pose.translation, origin)
-            return Place(place.frame, place.pose, place.stamp, place.exact_stamp, origin, covariance)
+            return replace(place, origin=origin, covariance=covariance)
         covariance = self._cameras.covariance(place.pose.translation, origin, self._errors.get(
             sensor, self._settings.distance_error))
-        return Place(place.frame, place.pose, place.stamp, place.exact_stamp, origin, covariance)
+        return replace(place, origin=origin, covariance=covariance)
 
     def _compare_across_cameras(self, feature: MatchNode, source: PlaceSource, place: Place, sensor: str) -> Place:
         """Take the place of a feature that a camera sees; returns where its human is by all cameras that see it."""
@@ -407,8 +402,7 @@ class PersonManager:
         fused = self._cameras.fused(feature, place.stamp) if not self._cameras.is_idle else None
         if fused is None:
             return place
-        return Place(place.frame, Pose(place.pose.rotation, fused.position), place.stamp, place.exact_stamp,
-                     place.origin, fused.covariance)
+        return replace(place, pose=Pose(place.pose.rotation, fused.position), covariance=fused.covariance)
 
     def _join_across_cameras(self, now: float) -> bool:
         """Join and part persons by what several cameras see; returns whether any merge may have changed."""
@@ -427,58 +421,10 @@ class PersonManager:
 
     def _hold(self, now: float, due: FrozenSet[MatchNode] = frozenset()) -> None:
         """Let features wait that may well be of somebody who is a person already; those `due` no longer."""
-        self._table.hold(self._cameras.held | self._waiting_for_matches(now) | self._waiting_for_names(now)
-                         | self._places.single(self._table.unassigned), due)
-
-    def _waiting_for_matches(self, now: float) -> Set[MatchNode]:
-        """Features without a person at the place of a face, or body, of one camera that lacks them.
-
-        On a loaded machine their match comes seconds later; until then they are not told as somebody else. A body that
-        has begun anew is listed beside its old id for some images: the old one is nobody else either.
-        """
-        waiting = self._table.unassigned
-        if not waiting:
-            return set()
-        halves: Dict[Kind, List[MatchNode]] = {Kind.FACE: [], Kind.BODY: []}
-        groups = self._association.groups
-        outdated = self._places.outdated([node for group in groups for node in group if node.kind == Kind.BODY],
-                                         MATCH_GATE)
-        for group in groups:
-            seen = [node for node in group if node.kind in halves and node not in outdated]
-            if len(seen) == 1:
-                halves[seen[0].kind].append(seen[0])
-        faces, bodies = halves[Kind.FACE], halves[Kind.BODY]
-        costs = self._places.squared_distances(faces, bodies)
-        for row, column in np.argwhere(costs <= MATCH_GATE).tolist():
-            face, body = faces[row], bodies[column]
-            if not (face in waiting or body in waiting) or self._association.is_refuted(face, body):
-                costs[row, column] = math.inf
-        pairs = [(faces[row], bodies[column]) for row, column in assign(costs, MATCH_GATE)]
-        matched = {node for face, body in pairs for node in [body if body in waiting else face]
-                   if now - waiting[node] <= MATCH_WAIT_S + self._places.match_delay(face, body)}
-        return matched | outdated.intersection(waiting) | self._waiting_for_places(
-            {node for node, since in waiting.items() if now - since <= PLACE_WAIT_S}, faces, bodies)
-
-    def _waiting_for_names(self, now: float) -> Set[MatchNode]:
-        """New features where somebody was lost: when a camera turns back, it is the same people, as a rule, and who
-        knows them by face or clothes says so a moment later."""
-        new = [node for node, since in self._table.unassigned.items() if now - since <= RETURN_WAIT_S]
-        waiting: Set[MatchNode] = set()
-        for person in self._table.persons.values() if new else ():
-            if any(node.kind != Kind.VOICE for node in person.features) or not (
-                    person.location.confidence(now, self._decay) > 0.0):
-                continue
-            place = person.location.place
-            waiting.update(node for node, latest in self._places.of(new) if place is not None and (
-                node.kind == Kind.BODY or not person.anonymous) and is_at(latest.place, place, MATCH_GATE))
-        return waiting
-
-    def _waiting_for_places(self, new: Set[MatchNode], faces: List[MatchNode],
-                            bodies: List[MatchNode]) -> Set[MatchNode]:
-        """Those of the `new` features that have no place yet, while a half of the other kind, without them, has one."""
-        placed = {node for node, _ in self._places.of([*faces, *bodies])}
-        return {node for ones, others in ((faces, bodies), (bodies, faces)) if placed.intersection(others)
-                for node in ones if node in new and node not in placed}
+        new = self._table.unassigned
+        held = waiting_for_matches(new, self._association.groups, self._places, self._association.is_refuted, now)
+        held |= waiting_for_names(new, self._table.persons.values(), self._places, self._decay, now)
+        self._table.hold(self._cameras.held | held | self._places.single(new), due)
 
     def _owner_id(self, feature: MatchNode) -> str:
         owner = self._table.owner(feature)

@@ -15,7 +15,8 @@ from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Proto
 
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.private_file import StoreError
-from hri_pipeline.core.recognition.store import PermanentPerson, PersonStore, StoredPerson
+from hri_pipeline.core.recognition.store import PersonStore
+from hri_pipeline.core.recognition.stored_person import PermanentPerson, StoredPerson
 
 UNDEFINED, FEMALE, MALE, OTHER = range(4)      # the constants of hri_msgs/AgeAndGender and SoftBiometrics
 AGE_DEVIATION = 6.3        # years, of the estimate from one face: the default model's mean error of 5 years
@@ -407,6 +408,11 @@ class SqliteRecordStore:
                     gone.append(record.id)
         self._stored = stored | set(change.records)
         return self._without_traces(gone)
+
+    @property
+    def clock_problem(self) -> str:
+        """Why nobody expires, by the last expire(); empty when people do."""
+        return self._store.clock_problem
 
     def expire(self, now: float) -> List[str]:
         """Remove who was not seen for too long (`now`: s), and the oldest of too many; returns their ids."""

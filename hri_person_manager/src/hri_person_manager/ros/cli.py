@@ -95,7 +95,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--node", default="", help="name of the person manager; default: hri_person_manager here, "
                         "else the only one that runs")
     commands = parser.add_subparsers(dest="command", required=True)
-    commands.add_parser("list", help="list everybody who is known")
+    commands.add_parser("list", help="list everybody who is known, one line each").add_argument(
+        "--all", action="store_true", help="a line for each id, also of who was merged into another")
     commands.add_parser("privacy", help="what is computed and kept of people, by the nodes themselves")
     for command, (_, _, fields, text) in COMMANDS.items():
         added = commands.add_parser(command, help=text, description=text)
@@ -155,7 +156,7 @@ def _enrol_photographs(options: argparse.Namespace) -> int:
 
 def _carry_out(options: argparse.Namespace) -> int:
     if options.command == "list":
-        print(known_table(service(options.node, "list_known", ListKnown)()))
+        print(known_table(service(options.node, "list_known", ListKnown)(), options.all))
         return 0
     if options.command == "privacy":
         uses = collect(PRIVACY_S)
@@ -175,15 +176,30 @@ def _carry_out(options: argparse.Namespace) -> int:
     return 0
 
 
-def known_table(known: ListKnownResponse) -> str:
-    """Return everybody who is known as a table."""
-    rows: List[Sequence[str]] = [("PERSON", "NAME", "LANGUAGE", "NOW", "KIND", "FIRST SEEN", "LAST SEEN")]
-    for number, person_id in enumerate(known.ids):
-        kind = "anonymous" if known.anonymous[number] else "enrolled" if known.enrolled[number] else "known"
-        rows.append((person_id, known.names[number] or "-", known.native_languages[number] or "-",
-                     "here" if known.tracked[number] else "-", kind,
-                     _date(known.first_seen[number].to_sec()), _date(known.last_seen[number].to_sec())))
+def known_table(known: ListKnownResponse, every_id: bool = False) -> str:
+    """Return everybody who is known as a table: a line for each human, or for each id."""
+    place = {person_id: number for number, person_id in enumerate(known.ids)}
+    human = {person_id: alias if alias in place and not every_id else person_id
+             for person_id, alias in zip(known.ids, known.aliases)}
+    rows: List[Sequence[str]] = [("PERSON", "NAME", "LANGUAGE", "NOW", "KIND", "FIRST SEEN", "LAST SEEN",
+                                  "ALIAS OF" if every_id else "ALIASES")]
+    for person_id in (one for one in known.ids if human[one] == one):
+        others = [other for other in known.ids if human[other] == person_id != other]
+        numbers = [place[one] for one in (person_id, *others)]
+        kind = ("enrolled" if any(known.enrolled[number] for number in numbers)
+                else "known" if not all(known.anonymous[number] for number in numbers) else "anonymous")
+        first, last = ([when for when in (times[number].to_sec() for number in numbers) if when > 0.0]
+                       for times in (known.first_seen, known.last_seen))
+        rows.append((person_id, _first(known.names, numbers), _first(known.native_languages, numbers),
+                     "here" if any(known.tracked[number] for number in numbers) else "-", kind,
+                     _date(min(first, default=0.0)), _date(max(last, default=0.0)),
+                     (known.aliases[place[person_id]] if every_id else ", ".join(others)) or "-"))
     return format_columns(rows) if len(rows) > 1 else "nobody is known"
+
+
+def _first(texts: Sequence[str], numbers: Sequence[int]) -> str:
+    """The first text that there is at one of these places, else a dash."""
+    return next((texts[number] for number in numbers if texts[number]), "-")
 
 
 def _date(stamp: float) -> str:

@@ -195,7 +195,8 @@ class ReferenceFrame:
                 self._missing.pop(pose.sensor, None)
         if sensor is None:
             return Place(pose.sensor, pose.pose, stamp.to_sec(), stamp)
-        return Place(self._frame, sensor.compose(pose.pose), stamp.to_sec(), stamp, sensor.translation)
+        return Place(self._frame, sensor.compose(pose.pose), stamp.to_sec(), stamp, sensor.translation,
+                     camera=sensor)
 
     def _miss(self, sensor: str) -> None:
         now = time.monotonic()

@@ -38,7 +38,7 @@ from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.process import share_arenas
 from hri_pipeline.core.recognition.gallery import SHARED_ENDINGS
 from hri_pipeline.core.recognition.store import PersonStore, StoreWriter, read_store
-from hri_pipeline.core.timing import JUMP_BACK_S, OldTime, Order, SourceStamps
+from hri_pipeline.core.timing import JUMP_BACK_S, ClockWatch, OldTime, Order, SourceStamps
 from hri_pipeline.ros.conversions import matrix_from_image, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.privacy import PrivacyTopic
@@ -53,8 +53,9 @@ _MOST_RESTORED = 500       # persons
 TICK_S = 0.1
 SWITCH_S = 0.001     # a callback waits no longer than so for a thread that computes; the default of Python is 5 ms
 DIAGNOSTICS_S = 1.0
-EXPIRY_S = 3600.0
+EXPIRY_S, DOUBT_S = 3600.0, 60.0     # who was unseen for too long is looked for so often; while the clock is doubted
 WRITE_S = 0.25       # what has changed of persons is in the store after so long
+STILL_S = 10.0       # a clock that has stood still for so long while people are listed is told
 _LOG_PERIOD_S = 30.0
 _FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", Kind.BODY, {"appearance": Image}),
           ("voices", Kind.VOICE, {}))
@@ -98,7 +99,8 @@ def data_use(settings: PersonManagerSettings, records: Sequence[PersonRecord]) -
 def borrowed_records(settings: PersonManagerSettings) -> List[PersonRecord]:
     """Read the stores of the parameter `store_read_only`. Raises ParameterError when one cannot be used."""
     try:
-        return [record_of(row) for path in settings.store_read_only for row in read_store(path, _cipher(settings))[0]]
+        return [record_of(row) for path in settings.store_read_only
+                for row in read_store(path, _cipher(settings), notify=rospy.logwarn)[0]]
     except StoreError as error:
         raise ParameterError("~store_read_only: {}".format(error)) from error
 
@@ -200,21 +202,38 @@ class ManagerDiagnostics:
         self._diagnostics = NodeDiagnostics(rospy.get_name())
         self._errors = 0
         self._error_at = -math.inf
+        self._is_still = False
 
-    def update(self, snapshot: Snapshot, jumps: int, store_problem: str, waiting: Tuple[int, str]) -> None:
-        """Publish the state; jumps: how often time has gone back; store_problem: empty when what is known is kept.
+    def update(self, snapshot: Snapshot, jumps: int, store_problems: Tuple[str, str], waiting: Tuple[int, str]) -> None:
+        """Publish the state; jumps: how often time has gone back.
 
-        waiting: number of persons whose topics could not be opened, and why.
+        store_problems: why what is known is not kept, and why nobody expires; each empty when that is not so. waiting:
+        number of persons whose topics could not be opened, and why.
         """
         self._persons(snapshot, jumps, *waiting)
         if self._errors and time.monotonic() - self._error_at > _LOG_PERIOD_S:
             self._diagnostics.set("cycle", OK, "goes on", {"errors": self._errors})
-        self._diagnostics.set("store", ERROR if store_problem else OK, store_problem or "nothing waits to be written")
+        unwritten, unexpired = store_problems
+        self._diagnostics.set("store", ERROR if unwritten else WARN if unexpired else OK,
+                              unwritten or unexpired or "nothing waits to be written")
         self._matches()
         self._location()
         for plural, feed in self._feeds.items():
             # A stack without a microphone or without a body tracker is a legal one.
             self._diagnostics.set(plural, *feed.status(optional=True))
+
+    def clock(self, still: float, tracked: int) -> None:
+        """Say, once in the log, that the clock has stood still for so long (s) while people are listed.
+
+        They stay: the recording may only be paused.
+        """
+        is_still = still >= STILL_S and tracked > 0
+        text = ("/clock has stood still for %.0f s, so the %d tracked persons stay. If the recording has ended: "
+                "`rosparam delete /use_sim_time` and start the nodes again" % (still, tracked))
+        self._diagnostics.set("clock", WARN if is_still else OK, text if is_still else "goes on")
+        if is_still and not self._is_still:
+            rospy.logwarn("%s", text)
+        self._is_still = is_still
 
     def fail(self, error: Exception) -> None:
         """Tell of an error that has ended one cycle."""
@@ -302,8 +321,10 @@ class PersonManagerNode:
         self._guard = MatchGuard(settings.max_matches_per_second)
         self._last_now = rospy.get_time()
         self._next_report = self._next_expiry = 0.0
+        self._is_clock_doubted = False
         self._jumps = 0
         self._stamps, self._old_time = SourceStamps(), OldTime()
+        self._clock = ClockWatch()
         self._recognisers = SenderRuns(MATCHES_TOPIC)
         self._sensed = genpy.Time()     # stamp of the newest image or sound of which a list or a transform has come
         self._feeds: Dict[str, IdSubscribers] = {}
@@ -349,6 +370,15 @@ class PersonManagerNode:
             self._register.expire(time.time())
         except StoreError as error:
             rospy.logerr("~store: who was not seen for too long is still in it: %s", error)
+        problem = self._clock_problem()
+        if problem:
+            self._next_expiry = time.monotonic() + DOUBT_S
+            if not self._is_clock_doubted:
+                rospy.logwarn("~store_max_age: %s", problem)
+        self._is_clock_doubted = bool(problem)
+
+    def _clock_problem(self) -> str:
+        return self._store.clock_problem if self._store is not None else ""
 
     def _forget_gone(self) -> None:
         """Forget who has expired, and who was forgotten by another process."""
@@ -531,11 +561,14 @@ class PersonManagerNode:
         self._restart_state.update(self._present)
         # In wall time: that is what runs, bags and simulations have in common.
         self._register.seen(filter(self._manager.is_permanent, snapshot.tracked), time.time())
+        still = self._clock.stood_still(now, time.monotonic())
         if time.monotonic() >= self._next_report:
             self._next_report = time.monotonic() + DIAGNOSTICS_S
             if self._writer.problem:
                 rospy.logerr_throttle(_LOG_PERIOD_S, "~store: %s" % self._writer.problem)
-            self._report.update(snapshot, self._jumps, self._writer.problem, self._topics.waiting())
+            self._report.update(snapshot, self._jumps, (self._writer.problem, self._clock_problem()),
+                                self._topics.waiting())
+            self._report.clock(still, len(snapshot.tracked))
             self._register.keep_demographics(state.id for state in snapshot.persons)
             self._privacy.set(data_use(self._settings, self._register.records))
 

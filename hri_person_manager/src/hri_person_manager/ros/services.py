@@ -335,6 +335,7 @@ class PersonServices:
             answer = ListKnownResponse(ids=list(snapshot.known))
         for person_id in answer.ids:
             state, record = states.get(person_id), records.get(person_id)
+            answer.aliases.append(state.alias if state else record.alias if record else "")
             answer.names.append(record.name if record else "")
             answer.native_languages.append(record.native_language if record else "")
             answer.anonymous.append(state.anonymous if state else False)

@@ -144,6 +144,20 @@ class Order(Enum):
     BACK = "time has jumped back"
 
 
+class ClockWatch:
+    """Tells for how long a clock, such as that of a recording, has stood still."""
+
+    def __init__(self) -> None:
+        self._now = -1.0
+        self._since = 0.0
+
+    def stood_still(self, now: float, wall: float) -> float:
+        """Return for how long (s of wall time) the clock has shown `now` (s); wall: s, monotonic."""
+        if now != self._now:
+            self._now, self._since = now, wall
+        return wall - self._since
+
+
 class SourceStamps:
     """The newest stamp of each source.
 

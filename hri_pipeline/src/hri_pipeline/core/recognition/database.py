@@ -232,6 +232,7 @@ class PersonDatabase:
     def _connect(self) -> None:
         self._connection = sqlite3.connect(str(self.path), timeout=_BUSY_S, isolation_level=None,
                                            check_same_thread=False)
+        self._connection.text_factory = _text
         for line in ("journal_mode = WAL", "synchronous = FULL", "secure_delete = ON", "foreign_keys = ON",
                      "temp_store = MEMORY", "trusted_schema = OFF"):
             self._connection.execute("PRAGMA " + line).fetchall()
@@ -265,6 +266,11 @@ def _share(path: Path) -> int:
             lock, error)) from error
 
 
+def _text(content: bytes) -> str:
+    """The text of a column; what is no UTF-8, as in a damaged row, becomes surrogates."""
+    return content.decode("utf-8", "surrogateescape")
+
+
 def _page_size(path: Path) -> int:
     """Size of a page (bytes) by the file's header, which stands in bytes 16 and 17; the least there is without one."""
     with open(str(path), "rb") as file:
@@ -283,6 +289,7 @@ class ReadOnlyDatabase:
         try:
             self._connection = sqlite3.connect("{}?{}".format(path.as_uri(), how), uri=True, timeout=_BUSY_S,
                                                check_same_thread=False)
+            self._connection.text_factory = _text
             owner, version = (int(self._connection.execute("PRAGMA " + name).fetchone()[0])
                               for name in ("application_id", "user_version"))
         except sqlite3.Error as error:

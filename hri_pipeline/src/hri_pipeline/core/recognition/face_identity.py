@@ -12,6 +12,7 @@ from typing import AbstractSet, Deque, Dict, List, Mapping, Optional, Sequence, 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from hri_pipeline.core.recognition.face_motion import STILL, FaceMotion
 from hri_pipeline.core.recognition.likelihood import MatchResult, PersonCandidate
 
 MAX_CROPS = 8
@@ -211,6 +212,8 @@ class FaceIdentity:
     result : of the last comparison with the gallery, None before the first one.
     published : likelihood by person, as last published.
     denied : ids of persons that it was told not to be, though nothing was published of them.
+    motion : how its shape changes.
+    is_picture : it is a picture of the person beside it, so it is nobody.
     """
 
     id: str
@@ -227,6 +230,8 @@ class FaceIdentity:
     result: Optional[MatchResult] = None
     published: Dict[str, float] = field(default_factory=dict)
     denied: Set[str] = field(default_factory=set)
+    motion: FaceMotion = field(default_factory=FaceMotion)
+    is_picture: bool = False
 
     @property
     def is_certain(self) -> bool:
@@ -293,6 +298,8 @@ class FaceIdentity:
         likely = {one.person_id: round(one.likelihood, 3) for one in self.candidates}
         if self.person:
             return {self.person: likely[self.person]}
+        if self.is_picture:
+            return {}
         no_more = taken | self.refuted | self.apart.keys()
         return {person_id: min(likelihood, MOST_UNSURE) for person_id, likelihood in likely.items()
                 if likelihood >= LEAST_PUBLISHED and person_id not in no_more}
@@ -326,7 +333,7 @@ def _assigned(faces: Sequence[FaceIdentity], taken: AbstractSet[str]) -> List[Op
 
     It is the linear assignment problem (Kuhn 1955, "The Hungarian method for the assignment problem").
     """
-    options = [{one.person_id: one for one in face.candidates
+    options = [{one.person_id: one for one in (() if face.is_picture else face.candidates)
                 if one.likelihood >= LEAST_PUBLISHED and one.person_id not in taken
                 and one.person_id not in face.apart} for face in faces]
     columns = {name: column for column, name in enumerate(sorted(set().union(*options)))} if options else {}
@@ -369,6 +376,25 @@ def assign_persons(faces: Sequence[FaceIdentity], newest: float) -> None:
         for face, one in zip(group, chosen):
             face.decide(one)
         taken.update(one.person_id for one in chosen if one is not None)
+
+
+def note_pictures(faces: Sequence[FaceIdentity], newest: float, different: float) -> None:
+    """Note which faces are pictures: those with the name of a living one beside them, at `newest` (s), that is as like
+    that person; until they move.
+
+    different : distance from which on two faces are not one human's.
+    """
+    there = [face for face in faces if face.is_there(newest)]
+    for face in there:
+        face.is_picture = face.is_picture and not (face.motion.change() or 0.0) > STILL
+        if not face.person:
+            continue
+        for other in there:
+            is_alike = face.person not in other.apart and any(
+                one.person_id == face.person and one.likelihood >= ACCEPT for one in other.candidates)
+            if is_alike and not other.person and not are_different(face, other, different) and (
+                    face.motion.is_picture_beside(other.motion)):
+                face.is_picture = True
 
 
 def note_beside(faces: Sequence[FaceIdentity], newest: float, different: float) -> List[Tuple[str, str]]:

@@ -577,7 +577,8 @@ def open_gallery(path: str, model: str, dimension: int, calibration: TemplateCal
     StoreError
         A file cannot be used; the text names the file and what to do.
     """
-    others = [(source, read_store(source, cipher, model, dimension)[1]) for source in read_only]
+    tell = notify or (lambda text: None)
+    others = [(source, read_store(source, cipher, model, dimension, tell)[1]) for source in read_only]
     gallery = _own_gallery(path, model, dimension, calibration, cipher, notify)
     for source, people in others:
         gallery.borrow(people, source)

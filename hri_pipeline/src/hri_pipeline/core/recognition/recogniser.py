@@ -31,6 +31,7 @@ from hri_pipeline.core.recognition.face_identity import (
     are_different,
     assign_persons,
     note_beside,
+    note_pictures,
 )
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery, open_gallery
 from hri_pipeline.core.recognition.likelihood import MatchResult
@@ -110,6 +111,13 @@ class Recogniser:
             waiting = [face_id for face_id, quality in qualities.items()
                        if quality >= self._min_quality and self._faces[face_id].is_due(quality, stamp)]
             return sorted(waiting, key=lambda face_id: self._faces[face_id].due)[:limit]
+
+    def watch(self, meshes: Mapping[str, np.ndarray], stamp: float) -> None:
+        """Take the meshes (N, 2 or 3), px, of faces in the image at `stamp` (s): living ones move."""
+        with self._lock:
+            for face_id, mesh in meshes.items():
+                if face_id in self._faces:
+                    self._faces[face_id].motion.add(mesh, stamp)
 
     def update(self, face_ids: Sequence[str], templates: np.ndarray, qualities: Sequence[float],
                stamp: float) -> List[PersonMatch]:
@@ -326,6 +334,7 @@ class Recogniser:
     def _assign(self) -> None:
         """Decide who each face is. What was learnt of a face that had to give its name to one beside it is dropped."""
         before = {face.id: face.person for face in self._faces.values()}
+        note_pictures(list(self._faces.values()), self._newest, self.gallery.calibration.one_human)
         assign_persons(list(self._faces.values()), self._newest)
         limit = self.gallery.calibration.one_human
         there = [face for face in self._faces.values() if face.is_there(self._newest)]
@@ -370,7 +379,7 @@ class Recogniser:
         evidence, calibration = face.evidence, self.gallery.calibration
         if face.barred or evidence.good(LEARN_QUALITY) < LEARN_CROPS or evidence.duration < self.learn_delay:
             return False
-        if evidence.spread() > calibration.midpoint:
+        if face.is_picture or evidence.spread() > calibration.midpoint:
             return False
         # A picture of somebody in view, or a mirror, is like him although it cannot be him.
         others = {other.person for other in self._faces.values()
@@ -441,13 +450,15 @@ class FaceRecognition:
         """The network that makes the templates."""
         return self._embedder
 
-    def due(self, qualities: Mapping[str, float], stamp: float, limit: int = 1) -> bool:
+    def due(self, qualities: Mapping[str, float], stamp: float, limit: int = 1,
+            faces: Sequence[FaceObservation] = ()) -> bool:
         """Note the faces measured in this image; return whether one of them is worth a template now.
 
-        limit: how many templates look() may make.
+        limit: how many templates look() may make. faces: those measured, with their meshes.
         """
         self._qualities, self.made = qualities, {}
         self._due = self.recogniser.seen(qualities, stamp, limit)
+        self.recogniser.watch({face.id: face.mesh for face in faces if face.mesh is not None}, stamp)
         return bool(self._due)
 
     def look(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float) -> List[PersonMatch]:

@@ -11,7 +11,7 @@ import json
 import threading
 import time
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 from typing import (
     Any,
@@ -22,7 +22,6 @@ from typing import (
     Iterable,
     Iterator,
     List,
-    Mapping,
     Optional,
     Sequence,
     Set,
@@ -35,46 +34,25 @@ import numpy as np
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.recognition.database import PersonDatabase, ReadOnlyDatabase
+from hri_pipeline.core.recognition.retention import StoreClock, judge_retention
+from hri_pipeline.core.recognition.stored_person import (
+    COLUMNS,
+    ENCRYPTED,
+    KnownPerson,
+    PersonRow,
+    StoredPerson,
+    as_json,
+    by_person,
+    read_person,
+    template_fault,
+)
 
 PERIOD_S, RETRY_S = 1.0, 1.0
 WAIT_S, CLOSE_S = 30.0, 8.0
 """Times (s) of the StoreWriter: between two writings, after one that failed; for who waits, at the end."""
 
 
-@dataclass(frozen=True)
-class PermanentPerson:
-    """What is kept of one permanent person.
-
-    Times: s of wall time; alias: id of the person that this one was merged into.
-    """
-
-    id: str
-    name: str = ""
-    native_language: str = ""
-    enrolled: bool = False
-    alias: str = ""
-    first_seen: float = 0.0
-    last_seen: float = 0.0
-
-
-@dataclass(frozen=True)
-class StoredPerson(PermanentPerson):
-    """One person as a row of the store. demographics: plain data, empty if unknown."""
-
-    demographics: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class KnownPerson:
-    """The face templates of one person. templates: (K, D) float32 unit vectors; enrolled: agreed to be recognised."""
-
-    id: str
-    templates: np.ndarray
-    enrolled: bool = False
-
-
-_COLUMNS = "id, name, native_language, enrolled, alias, first_seen, last_seen, demographics, sealed"
-_INSERT = "INSERT OR IGNORE INTO persons ({}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)".format(_COLUMNS)
+_INSERT = "INSERT OR IGNORE INTO persons ({}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)".format(COLUMNS)
 
 
 class PersonStore:
@@ -90,9 +68,15 @@ class PersonStore:
     def __init__(self, path: Union[str, Path], cipher: Optional[TemplateCipher] = None,
                  notify: Optional[Callable[[str], None]] = None, clock: Callable[[], float] = time.time) -> None:
         self._cipher = cipher
-        self._is_checked = False
+        self._is_checked, self._may_write = False, True
+        self._clock = clock
+        self._notify: Callable[[str], object] = notify or (lambda text: None)
+        self._told: Set[Tuple[str, str]] = set()
+        self.clock_problem = ""
+        """Why nobody expires, by the last expire(); empty when people do."""
         self._database: Any = PersonDatabase(path, notify, clock)
         try:
+            self._check_key()
             self._seal_plain()
         except BaseException:
             self._database.close()
@@ -113,10 +97,8 @@ class PersonStore:
         return self._database.alone()
 
     def load_records(self) -> List[StoredPerson]:
-        """Return everybody, in the order of ids."""
-        with self._database.reading() as database:
-            rows = database.execute("SELECT {} FROM persons ORDER BY id".format(_COLUMNS)).fetchall()
-        return [self._opened(row) for row in rows]
+        """Return everybody, in the order of ids. What is broken of somebody is set aside, and told."""
+        return list(self._load_people().values())
 
     @contextmanager
     def change(self) -> Iterator[None]:
@@ -163,34 +145,56 @@ class PersonStore:
 
     def expire(self, now: float, max_age: float, max_persons: int) -> List[str]:
         """Remove who was not seen for `max_age` (s; 0: no limit), and of more than `max_persons` (0: no limit) those
-        who were not seen for the longest time, without a trace; returns their ids.
+        who were not seen for the longest time, without a trace; returns their ids. Nobody goes by a clock that has
+        jumped (`judge_retention`); `clock_problem` tells.
         """
         with self._database.writing() as database:
-            rows = database.execute("SELECT {} FROM persons ORDER BY id".format(_COLUMNS)).fetchall()
-            seen_last = sorted(((one.id, one.last_seen) for one in map(self._opened, rows)), key=lambda one: -one[1])
-            gone = [name for number, (name, seen) in enumerate(seen_last)
-                    if 0 < max_persons <= number or 0.0 < max_age < now - seen]
-            database.executemany("DELETE FROM persons WHERE id = ?", [(name,) for name in gone])
-            self._database.has_traces |= bool(gone)
+            people = {person.id: person for person in self.load_records()}
+            verdict = judge_retention({name: person.last_seen for name, person in people.items()}, self._load_clock(),
+                                      now, max_age, max_persons)
+            for name in verdict.redated:
+                self.put_record(replace(people[name], last_seen=now), is_new=False)
+            database.executemany("DELETE FROM persons WHERE id = ?", [(name,) for name in verdict.gone])
+            self._put_clock(verdict.clock)
+            self._database.has_traces |= bool(verdict.gone)
+        self.clock_problem = verdict.problem
         self.erase_traces()
-        return gone
+        return verdict.gone
+
+    def _load_clock(self) -> Optional[StoreClock]:
+        with self._database.reading() as database:
+            row = database.execute("SELECT value FROM facts WHERE name = 'clock'").fetchone()
+        try:
+            text = str(row[0]) if row is not None else ""
+            return StoreClock.from_json(text if self._cipher is None else self._cipher.decrypt(text.encode()).decode())
+        except ValueError:
+            return None
+
+    def _put_clock(self, clock: StoreClock) -> None:
+        text = clock.to_json()
+        with self._database.writing() as database:
+            database.execute("INSERT OR REPLACE INTO facts VALUES ('clock', ?)", (
+                text if self._cipher is None else self._cipher.encrypt(text.encode()).decode(),))
 
     def load_templates(self, model: str, dimension: int) -> List[KnownPerson]:
-        """Return those who have templates (K, dimension) of a network."""
+        """Return those who have templates (K, dimension) of a network. Broken templates are set aside, and told."""
         self._check_cipher()
+        people = self._load_people()
         with self._database.reading() as database:
-            rows = database.execute(
-                "SELECT {}, template FROM templates JOIN persons ON person = id WHERE model = ?"
-                " ORDER BY person, number".format(_COLUMNS), (model,)).fetchall()
+            rows = database.execute("SELECT person, number, template FROM templates WHERE model = ?"
+                                    " ORDER BY person, number", (model,)).fetchall()
         found: Dict[str, List[np.ndarray]] = {}
-        people: Dict[str, StoredPerson] = {}
-        for *row, blob in rows:
-            name = row[0]
-            if name not in people:
-                people[name] = self._opened(row)
-            found.setdefault(name, []).append(self._unpacked(name, blob, dimension))
-        return [KnownPerson(one.id, np.stack(found[one.id]), one.enrolled)
-                for one in sorted(people.values(), key=lambda one: (one.first_seen, one.id))]
+        broken: List[Tuple[str, int, Any, str]] = []
+        for person_id, number, blob in rows:
+            content, fault = self._unpacked(blob, dimension)
+            if fault:
+                broken.append((person_id, number, blob, fault))
+            elif person_id in people:
+                found.setdefault(person_id, []).append(np.frombuffer(content, dtype="<f4").astype(np.float32))
+        if broken:
+            self._set_templates_aside(model, broken, bool(found))
+        ordered = sorted((people[name] for name in found), key=lambda one: (one.first_seen, one.id))
+        return [KnownPerson(one.id, np.stack(found[one.id]), one.enrolled) for one in ordered]
 
     def put_templates(self, person: KnownPerson, model: str, now: float, is_new: bool = True) -> bool:
         """Write the templates of a person, instead of those before; `now` (s): first seen, for somebody new.
@@ -240,7 +244,7 @@ class PersonStore:
         return self._database.damaged_files()
 
     def _row_of(self, person: StoredPerson) -> Tuple[object, ...]:
-        """The values of _COLUMNS: with a key, what tells who somebody is stands in the last one only."""
+        """The values of COLUMNS: with a key, what tells who somebody is stands in the last one only."""
         told = (person.name, person.native_language, float(person.first_seen), float(person.last_seen),
                 dict(person.demographics))
         if self._cipher is None:
@@ -250,47 +254,112 @@ class PersonStore:
         return (person.id, "", "", int(person.enrolled), person.alias, 0.0, 0.0, "{}",
                 self._cipher.encrypt(json.dumps(told).encode("utf-8")))
 
-    def _opened(self, row: Sequence[Any]) -> StoredPerson:
-        """The person of a row of _COLUMNS. StoreError without the key."""
-        person_id, name, language, enrolled, alias, first, last, demographics, sealed = row
-        told = (name, language, first, last, json.loads(demographics))
-        if sealed is not None:
-            if self._cipher is None:
-                raise StoreError("what {} knows of people is encrypted; give the key (store_key) it was made with, or "
-                                 "name another file".format(self.path))
-            try:
-                told = json.loads(self._cipher.decrypt(sealed).decode("utf-8"))
-            except ValueError as error:
-                raise StoreError("{}: what is known of {} cannot be opened ({}); give the key it was written with"
-                                 .format(self.path, person_id, error)) from error
-        name, language, first, last, demographics = told
-        return StoredPerson(person_id, name, language, bool(enrolled), alias, first, last, demographics)
+    def _load_people(self) -> Dict[str, StoredPerson]:
+        """Everybody by id, in the order of ids. StoreError without the key, or with another one."""
+        rows = self._read_rows()
+        if self._may_write and any(read.faults for _, read in rows):
+            with self._database.writing():
+                rows = self._read_rows()        # another process may have been faster
+                for row, read in rows:
+                    if read.faults and is_valid_id(read.person.id):
+                        self._set_aside(read.person.id, row)
+                        self.put_record(read.person, is_new=False)
+        self._tell([(str(read.person.id), fault) for _, read in rows for fault in read.faults])
+        return {read.person.id: read.person for _, read in rows if is_valid_id(read.person.id)}
+
+    def _read_rows(self) -> List[Tuple[Sequence[Any], PersonRow]]:
+        with self._database.reading() as database:
+            rows = database.execute("SELECT {} FROM persons ORDER BY id".format(COLUMNS)).fetchall()
+        if self._cipher is None and any(row[-1] is not None for row in rows):
+            raise self._keyless()
+        decrypt, now = self._cipher.decrypt if self._cipher is not None else None, self._clock()
+        read = [(row, read_person(row, decrypt, now)) for row in rows]
+        sealed = [one for row, one in read if row[-1] is not None]
+        if sealed and all(ENCRYPTED in one.faults for one in sealed):
+            raise StoreError("{}: what is known of {} cannot be opened; give the key it was written with".format(
+                self.path, sealed[0].person.id))
+        return read
+
+    def _set_aside(self, person_id: str, content: Sequence[Any]) -> None:
+        """Keep what is broken of a person in a table of its own, from which it goes with the person."""
+        with self._database.writing() as database:
+            database.execute("CREATE TABLE IF NOT EXISTS damaged (person TEXT NOT NULL REFERENCES persons (id)"
+                             " ON DELETE CASCADE, content BLOB NOT NULL)")
+            written = as_json(content)
+            database.execute("INSERT INTO damaged VALUES (?, ?)", (
+                person_id, written if self._cipher is None else self._cipher.encrypt(written)))
+
+    def _tell(self, faults: Sequence[Tuple[str, str]]) -> None:
+        """Say what is broken of whom; once for each."""
+        for person_id, what in by_person([fault for fault in faults if fault not in self._told]).items():
+            self._told.update((person_id, one) for one in what)
+            self._notify("{}: of the person {}, {} cannot be used and {}; all else is kept. Give it anew (people name, "
+                         "people enrol), or people forget {}".format(
+                             self.path, repr(person_id)[:40], ", ".join(what),
+                             "was set aside" if self._may_write else "is left out", repr(person_id)[:40]))
+
+    def _set_templates_aside(self, model: str, broken: Sequence[Tuple[str, int, Any, str]], are_others: bool) -> None:
+        """Keep broken templates apart. StoreError where all are, as by another key or network."""
+        person_id, _, _, fault = broken[0]
+        if not are_others and "unit" not in fault:
+            raise StoreError("{}: a template of {} {}; give the key it was written with, or forget that person".format(
+                self.path, person_id, fault))
+        if self._may_write:
+            with self._database.writing() as database:
+                for name, number, blob, _ in broken:
+                    gone = database.execute("DELETE FROM templates WHERE person = ? AND model = ? AND number = ? AND"
+                                            " template = ?", (name, model, number, blob))
+                    if gone.rowcount > 0:
+                        self._set_aside(name, (name, model, number, blob))
+        self._tell([(name, "a template that " + fault) for name, _, _, fault in broken])
+
+    def _keyless(self) -> StoreError:
+        return StoreError("what {} knows of people is encrypted; give the key (store_key) it was made with, or name "
+                          "another file".format(self.path))
+
+    def _check_key(self) -> None:
+        """Refuse a store of encrypted templates without the key, also where the records are in plain, as in the first
+        two schemas."""
+        with self._database.reading() as database:
+            found = database.execute("SELECT value FROM facts WHERE name = 'templates'").fetchone()
+        if self._cipher is None and found is not None and found[0] != "plain":
+            raise self._keyless()
 
     def _seal_plain(self) -> None:
         """Encrypt what an earlier version, or a process without the key, has written in plain."""
         if self._cipher is None:
             return
         with self._database.writing() as database:
-            rows = database.execute("SELECT {} FROM persons WHERE sealed IS NULL".format(_COLUMNS)).fetchall()
-            for person in map(self._opened, rows):
-                self.put_record(person, is_new=False)
-            self._database.has_traces |= bool(rows)
+            plain = {row[0] for row in database.execute("SELECT id FROM persons WHERE sealed IS NULL")}
+            for person in self._load_people().values():
+                if person.id in plain:
+                    self.put_record(person, is_new=False)
+            self._seal_damaged()
+            clocks = database.execute("DELETE FROM facts WHERE name = 'clock' AND value LIKE '[%'").rowcount
+            self._database.has_traces |= bool(plain or clocks)
         self.erase_traces()
 
-    def _unpacked(self, name: str, blob: bytes, dimension: int) -> np.ndarray:
+    def _seal_damaged(self) -> None:
+        with self._database.writing() as database:
+            if not database.execute("SELECT name FROM sqlite_master WHERE name = 'damaged'").fetchone():
+                return
+            for (content,) in database.execute("SELECT content FROM damaged").fetchall():
+                if content.startswith(b"[") and self._cipher is not None:       # no token of a cipher does
+                    database.execute("UPDATE damaged SET content = ? WHERE content = ?",
+                                     (self._cipher.encrypt(content), content))
+
+    def _unpacked(self, blob: Any, dimension: int) -> Tuple[bytes, str]:
+        """The bytes of a template, and what is wrong with them."""
+        if not isinstance(blob, bytes):
+            return b"", "is none"
         try:
             content = blob if self._cipher is None else self._cipher.decrypt(blob)
-            template = np.frombuffer(content, dtype="<f4").astype(np.float32)
         except ValueError as error:
-            raise StoreError("{}: a template of {} cannot be opened ({}); give the key it was written with".format(
-                self.path, name, error)) from error
-        if template.shape != (dimension,):
-            raise StoreError("{}: a template of {} has {} numbers instead of {}; give the key it was written with, or "
-                             "forget that person".format(self.path, name, template.size, dimension))
-        return template
+            return b"", "cannot be opened ({})".format(error)
+        return content, template_fault(content, dimension)
 
     def _check_cipher(self) -> None:
-        """See that the templates are read and written as those before. Who uses records only needs no key."""
+        """See that the templates are read and written as those before."""
         if self._is_checked:
             return
         name = self._cipher.name if self._cipher is not None else "plain"
@@ -304,17 +373,20 @@ class PersonStore:
 
 
 def read_store(path: Union[str, Path], cipher: Optional[TemplateCipher] = None, model: str = "", dimension: int = 0,
-               ) -> Tuple[List[StoredPerson], List[KnownPerson]]:
+               notify: Callable[[str], object] = lambda text: None) -> Tuple[List[StoredPerson], List[KnownPerson]]:
     """Return what a store of others tells: all records, and the templates (K, dimension) of a network.
 
-    model: empty for no templates. Raises StoreError; nothing is written, not even a lock.
+    model: empty for no templates. notify: called with one line about what is broken, and left out. Raises StoreError;
+    nothing is written, not even a lock.
     """
     store = PersonStore.__new__(PersonStore)
     store._database, store._is_checked = ReadOnlyDatabase(Path(path).expanduser().absolute()), True
+    store._may_write, store._clock, store._notify, store._told = False, time.time, notify, set()
     try:
         with store._database.reading() as database:
             found = database.execute("SELECT value FROM facts WHERE name = 'templates'").fetchone()
         store._cipher = None if found is not None and found[0] == "plain" else cipher
+        store._check_key()
         return store.load_records(), store.load_templates(model, dimension) if model else []
     finally:
         store._database.close()

@@ -1,0 +1,82 @@
+"""A localisation that corrects itself: all that a camera sees jumps in map, and nobody walks."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hri_person_manager.core.features import Kind, MatchNode, PlaceSource
+from hri_person_manager.core.location import CoastingMotion, Place
+from hri_person_manager.core.manager import PersonManager
+from hri_person_manager.core.match_graph import CandidateMatch
+from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
+from hri_pipeline.core.geometry import Pose
+
+RATES = pytest.mark.parametrize("rate", [8.0, 15.0, 30.0])
+
+
+def turned(angle):
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def speeds(rate, camera, person, seconds=6.0, noise=0.003):
+    """Speeds (m/s) that are told; camera(t): its pose in map; person(t): where somebody is in the room, which the
+    first pose of the camera tells right."""
+    rng, motion, found = np.random.default_rng(5), CoastingMotion(1.0), []
+    for stamp in np.arange(0.0, seconds, 1.0 / rate):
+        told, true = camera(stamp)
+        seen = true.inverse().apply(person(stamp)) + rng.normal(0.0, noise, 3)
+        motion.see(Place("map", Pose(np.eye(3), told.apply(seen)), stamp, origin=told.translation, camera=told))
+        found.append((stamp, float(np.linalg.norm(motion.velocity))))
+    return np.array(found)
+
+
+def localised(jump, drive=lambda stamp: Pose.identity(), at=3.0, lasts=0.0):
+    """A camera on a way, told by a localisation that jumps at a time, at once or within `lasts` s."""
+    def camera(stamp):
+        true = drive(stamp)
+        share = 0.0 if stamp < at else min(1.0, (stamp - at) / lasts) if lasts else 1.0
+        return Pose(turned(share * jump[2]), share * np.array([jump[0], jump[1], 0.0])).compose(true), true
+    return camera
+
+
+def standing(stamp):
+    return np.array([3.0, 0.5, 1.6])
+
+
+@RATES
+@pytest.mark.parametrize("jump", [(0.2, 0.0, 0.0), (-0.3, 0.4, 0.0), (0.2, 0.1, math.radians(5.0))])
+def test_nobody_walks_by_a_jump_of_the_localisation(rate, jump):
+    told = speeds(rate, localised(jump), standing)
+    assert told[:, 1].max() < 0.1
+    assert speeds(rate, localised(jump, lasts=0.1), standing)[:, 1].max() < 0.13, "as tf spreads it over 0.1 s"
+
+
+@RATES
+def test_who_walks_goes_on_with_the_same_speed(rate):
+    told = speeds(rate, localised((0.3, 0.2, 0.0)), lambda stamp: np.array([3.0, 1.0 * stamp - 3.0, 1.6]))
+    assert np.all(np.abs(told[told[:, 0] > 2.5, 1] - 1.0) < 0.2)
+
+
+@RATES
+@pytest.mark.parametrize("speed, wanted", [(0.0, 0.0), (1.0, 1.0)])
+def test_a_robot_that_drives_and_turns_changes_nothing(rate, speed, wanted):
+    def drive(stamp):
+        way = 0.5 * min(stamp, 1.0) ** 2 + max(0.0, stamp - 1.0)      # accelerates for 1 s, then 1 m/s
+        pan = math.radians(45.0) * math.sin(2.0 * stamp)              # up to 90 degrees per second
+        return Pose(turned(pan), np.array([0.4 * way, 0.0, 0.0]))
+    told = speeds(rate, lambda stamp: (drive(stamp),) * 2, lambda stamp: np.array([3.0, speed * stamp, 1.6]))
+    assert np.all(np.abs(told[told[:, 0] > 2.5, 1] - wanted) < 0.12)
+
+
+def test_the_camera_stands_with_the_place_of_a_person():
+    settings = PERSON_MANAGER_PARAMETERS.resolve({})
+    manager = PersonManager(settings)
+    manager.on_tracked(Kind.FACE, ["f1"], 0.0)
+    manager.on_match(CandidateMatch(MatchNode(Kind.FACE, "f1"), MatchNode(Kind.PERSON, "ann"), 0.9), 0.0)
+    camera = Pose(np.eye(3), np.array([1.0, 0.0, 1.2]))
+    place = Place(settings.reference_frame, Pose(np.eye(3), np.array([3.0, 0.0, 1.6])), 0.1, origin=camera.translation,
+                  camera=camera)
+    assert manager.on_place(PlaceSource.FACE, "f1", place, 0.1, "camera") == "ann"
+    assert manager.place("ann").camera is camera

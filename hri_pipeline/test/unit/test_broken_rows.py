@@ -1,0 +1,194 @@
+"""A store that is a sound file with broken rows: told with the person and the mend, the rest kept, nothing lost."""
+
+import json
+import sqlite3
+
+import numpy as np
+import pytest
+
+from benchmarks.recognition import SIZE
+from benchmarks.recognition import template as face
+from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
+from hri_pipeline.core.recognition.gallery import StoredGallery
+from hri_pipeline.core.recognition.likelihood import TemplateCalibration
+from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson, read_store
+
+CALIBRATION = TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)
+NOW = 1.8e9
+ANNA = StoredPerson("anna", "Anna Example", "pt-BR", True, "", 10.0, 20.0, {"age": 33.5, "gender": 1})
+BERT = StoredPerson("bert", "Bert Example", "en", True, "anna", 30.0, 40.0)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "private" / "people.sqlite"
+
+
+@pytest.fixture
+def told():
+    return []
+
+
+@pytest.fixture
+def cipher(tmp_path):
+    return TemplateCipher(make_key_file(tmp_path / "key"))
+
+
+def opened(path, told, cipher=None):
+    return PersonStore(path, cipher, told.append, lambda: NOW)
+
+
+def filled(path, cipher=None):
+    store = opened(path, [], cipher)
+    for person in (ANNA, BERT):
+        store.put_record(person)
+        store.put_templates(KnownPerson(person.id, np.stack([face(1), face(2), face(3)]), True), "net", 1.0)
+    store.close()
+
+
+def spoil(path, statement, *values):
+    with sqlite3.connect(str(path)) as database:
+        assert database.execute(statement, values).rowcount > 0
+    database.close()
+
+
+def set_aside(path):
+    with sqlite3.connect(str(path)) as database:
+        rows = database.execute("SELECT person, content FROM damaged").fetchall()
+    database.close()
+    return rows
+
+
+@pytest.mark.parametrize("column, value, kept", [
+    ("demographics", "{\"age\": 33", {"demographics": {}}),
+    ("demographics", "[1, 2]", {"demographics": {}}),
+    ("demographics", "{\"age\": \"old\"}", {"demographics": {}}),
+    ("demographics", "{\"age\": NaN}", {"demographics": {}}),
+    ("demographics", "[" * 100000, {"demographics": {}}),
+    ("demographics", b"\xff\xfe", {"demographics": {}}),
+    ("name", b"\x00\x01", {"name": ""}),
+    ("native_language", b"pt", {"native_language": ""}),
+    ("enrolled", "yes", {"enrolled": False}),
+    ("alias", "no id!", {"alias": ""}),
+    ("first_seen", "long ago", {"first_seen": 20.0}),
+    ("last_seen", float("inf"), {"last_seen": 10.0}),
+])
+def test_what_is_broken_is_set_aside_and_the_rest_kept(path, told, column, value, kept):
+    filled(path)
+    spoil(path, "UPDATE persons SET {} = ? WHERE id = 'anna'".format(column), value)
+    store = opened(path, told)
+    records = store.load_records()
+    assert records == [StoredPerson(**dict(vars(ANNA), **kept)), BERT]
+    assert len(told) == 1 and str(path) in told[0] and "'anna'" in told[0] and "people forget 'anna'" in told[0]
+    assert "Example" not in told[0], "names do not get into the log"
+    assert {one.id: len(one.templates) for one in store.load_templates("net", SIZE)} == {"anna": 3, "bert": 3}
+    store.close()
+    (person, content), = set_aside(path)
+    row = json.loads(content)
+    was = {"hex": value.hex()} if isinstance(value, bytes) else value
+    assert person == "anna" and was in row and len(row) == 9, "nothing is lost"
+    again = opened(path, told)
+    assert again.load_records() == records and len(told) == 1
+    again.remove_record("anna")
+    again.close()
+    assert set_aside(path) == [] and b"Anna Example" not in path.read_bytes(), "what was set aside goes with the person"
+
+
+def test_text_that_is_no_utf_8_hinders_nobody(path, told):
+    filled(path)
+    spoil(path, "UPDATE persons SET name = CAST(x'41ff42' AS TEXT) WHERE id = 'anna'")
+    store = opened(path, told)
+    assert [record.name for record in store.load_records()] == ["", "Bert Example"] and "the name" in told[0]
+    store.close()
+
+
+def test_a_row_whose_id_is_none_is_left_where_it_is(path, told):
+    filled(path)
+    spoil(path, "UPDATE persons SET id = 'no id!' WHERE id = 'bert'")
+    store = opened(path, told)
+    assert [record.id for record in store.load_records()] == ["anna"] == [record.id for record in store.load_records()]
+    assert len(told) == 1 and "'no id!'" in told[0]
+    store.close()
+    with sqlite3.connect(str(path)) as database:
+        assert database.execute("SELECT name FROM persons WHERE id = 'no id!'").fetchall() == [("Bert Example",)]
+    database.close()
+
+
+@pytest.mark.parametrize("content", [b"gAAAAA", b"", None, "[1, 2]", "{", "[\"Ann\", \"\", NaN, 2, {}]",
+                                     "[\"Ann\", \"\", 1, 2, {\"age\": \"x\"}]"])
+def test_also_where_it_is_encrypted(path, told, cipher, content):
+    filled(path, cipher)
+    if content is None:
+        spoil(path, "UPDATE persons SET sealed = 'text' WHERE id = 'anna'")
+    else:
+        spoil(path, "UPDATE persons SET sealed = ? WHERE id = 'anna'",
+              content if isinstance(content, bytes) else cipher.encrypt(content.encode()))
+    store = opened(path, told, cipher)
+    anna, bert = store.load_records()
+    assert bert == BERT and anna.id == "anna" and anna.enrolled and np.isfinite([anna.first_seen, anna.last_seen]).all()
+    assert anna.name == ("Ann" if content and "Ann" in str(content) else "") and anna.demographics == {}
+    assert len(told) == 1 and "'anna'" in told[0]
+    assert len(store.load_templates("net", SIZE)) == 2
+    store.close()
+    (_, kept), = set_aside(path)
+    assert b"anna" not in kept and json.loads(cipher.decrypt(kept))[0] == "anna"
+
+
+def test_what_was_set_aside_in_plain_is_encrypted_with_the_rest(path, told, cipher):
+    filled(path)
+    spoil(path, "UPDATE persons SET demographics = '{' WHERE id = 'anna'")
+    store = opened(path, told)
+    store.load_records()
+    store.close()
+    spoil(path, "DELETE FROM facts WHERE name = 'templates'")
+    spoil(path, "DELETE FROM templates")
+    store = opened(path, told, cipher)
+    store.close()
+    assert b"Example" not in b"".join(file.read_bytes() for file in path.parent.iterdir())
+    assert b"Anna Example" in cipher.decrypt(set_aside(path)[0][1])
+
+
+def test_another_key_is_no_broken_row(path, told, cipher, tmp_path):
+    filled(path, cipher)
+    with pytest.raises(StoreError, match="give the key"):
+        opened(path, told, TemplateCipher(make_key_file(tmp_path / "other"))).load_records()
+    assert not told
+
+
+@pytest.mark.parametrize("template", [
+    face(2)[:-1].tobytes(), face(2).tobytes()[:-1], b"", np.full(SIZE, np.nan, "<f4").tobytes(),
+    (2.0 * face(2)).tobytes(), np.zeros(SIZE, "<f4").tobytes(), "text", 7])
+@pytest.mark.parametrize("is_encrypted", [False, True])
+def test_a_broken_template_costs_no_other(path, told, cipher, template, is_encrypted):
+    cipher = cipher if is_encrypted else None
+    filled(path, cipher)
+    spoil(path, "UPDATE templates SET template = ? WHERE person = 'anna' AND number = 1",
+          cipher.encrypt(template) if is_encrypted and isinstance(template, bytes) else template)
+    store = opened(path, told, cipher)
+    gallery = StoredGallery(store, "net", SIZE, CALIBRATION)
+    assert gallery.ids() == ["anna", "bert"]
+    assert np.array_equal(gallery.export("anna").templates, np.stack([face(1), face(3)]))
+    assert len(told) == 1 and "'anna'" in told[0] and "template" in told[0]
+    gallery.close()
+    (person, _), = set_aside(path)
+    assert person == "anna"
+
+
+def test_templates_that_are_all_of_another_length_are_another_networks(path, told):
+    filled(path)
+    store = opened(path, told)
+    with pytest.raises(StoreError, match="anna has {} numbers instead of {}".format(SIZE, SIZE + 1)):
+        store.load_templates("net", SIZE + 1)
+    assert len(store.load_templates("net", SIZE)) == 2 and not told
+    store.close()
+
+
+def test_a_read_only_store_is_read_as_far_as_it_can_be(path, told):
+    filled(path)
+    spoil(path, "UPDATE persons SET demographics = '{' WHERE id = 'anna'")
+    spoil(path, "UPDATE templates SET template = x'00' WHERE person = 'bert' AND number = 0")
+    before = path.read_bytes()
+    records, known = read_store(path, None, "net", SIZE, told.append)
+    assert [record.name for record in records] == ["Anna Example", "Bert Example"]
+    assert [len(one.templates) for one in known] == [3, 2]
+    assert len(told) == 2 and "left out" in told[0] and path.read_bytes() == before
