@@ -441,3 +441,12 @@ def test_a_box_in_which_a_second_look_sees_an_animal_starts_no_body_unless_there
     for index in range(10, 20):
         bodies = stage.update(IMAGE, CAMERA, index / 20.0, [face_of(standing_at(400, 400), "f")])
     assert len(bodies) == 1 and len(looks) == asked
+
+
+@pytest.mark.parametrize("other, count", [(650, 2), (800, 0)], ids=["beside", "apart"])
+def test_people_beside_each_other_are_not_looked_at_again_since_the_view_would_show_both(other, count):
+    stage, scene, detector = make([(400, 400), (other, 400)])
+    detector.is_human = lambda image, box: False
+    for index in range(10):
+        bodies = stage.update(IMAGE, CAMERA, index / 20.0)
+    assert len(bodies) == count

@@ -82,8 +82,8 @@ class BodyTracker:
         """birth_delay, death_time: s. min_score: 0 to 1. max_retries: extra windows per image for captured bodies.
 
         schedule: which bodies get an inference; None: all in every image. guard: counts inferences that raised; each
-        costs one body only. ignored: where no body begins. is_human: looks again at a person's box of an image before a
-        body without a face begins there. Raises ValueError for values outside their ranges.
+        costs one body only. ignored: where no body begins. is_human: looks again at a person's box of an image, if it
+        has none beside it, before a body without a face begins. Raises ValueError for values outside their ranges.
         """
         if max_bodies < 1 or max_retries < 0:
             raise ValueError(
@@ -353,13 +353,15 @@ class BodyTracker:
 
     def _seen_again(self, candidate: BodyCandidate, image: np.ndarray, estimate: PoseEstimate,
                     faces: Sequence[FaceBox], stamp: float) -> bool:
-        """Tell whether a person's box shows a human in further looks of the detector, and where it was unsure of the
-        pose network, too."""
+        """Tell whether a person's box shows a human in further looks: of the detector where it is apart from others,
+        and where it was unsure of the pose network."""
         if candidate.box is None:
             return True
-        self.windows += 1
-        return self._is_human(image, candidate.box) and (
-            not candidate.unsure or self._mirrored_too(image, estimate, faces, stamp))
+        if not candidate.in_group:
+            self.windows += 1
+            if not self._is_human(image, candidate.box):
+                return False
+        return not candidate.unsure or self._mirrored_too(image, estimate, faces, stamp)
 
     def _mirrored_too(self, image: np.ndarray, estimate: PoseEstimate, faces: Sequence[FaceBox], stamp: float) -> bool:
         """Tell whether the network sees a body at the same place in mirrored windows of several sizes: of a human it
