@@ -126,3 +126,14 @@ def test_a_face_is_that_of_the_box_where_the_head_of_the_box_is(face, expected):
     queue = CandidateQueue()
     queue.offer_boxes([BOX], [FaceBox("abcde", np.array(face, float))], [BOX], 0.0)
     assert (len(queue) == 0) == expected
+
+
+@pytest.mark.parametrize("other, in_group", [
+    ([0.0, 0.0, 0.0, 0.0], False), ([290.0, 0.0, 290.0, 0.0], True), ([310.0, 0.0, 310.0, 0.0], False),
+    ([110.0, 0.0, 110.0, -160.0], False), ([20.0, 0.0, 20.0, 0.0], False)],
+    ids=["itself", "beside", "apart", "small", "a part"])
+@pytest.mark.parametrize("faint", [True, False])
+def test_a_box_is_in_a_group_when_another_of_its_size_is_beside_it_be_it_faint(other, in_group, faint):
+    queue, beside = CandidateQueue(), BOX + np.array(other)
+    queue.offer_boxes([BOX], [], [BOX] if faint else [BOX, beside], 0.0, unsure=[BOX, beside] if faint else [BOX])
+    assert queue.take().in_group is in_group

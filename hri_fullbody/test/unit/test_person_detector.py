@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from hri_fullbody.core.detection import person_detector
-from hri_fullbody.core.detection.person_detector import CenterNetDetector, decode_centres, network_size
+from hri_fullbody.core.detection.person_detector import CenterNetDetector, decode_centres, near_view, network_size
 
 
 @pytest.mark.parametrize("image, wanted", [
@@ -62,3 +62,48 @@ def test_a_box_that_another_class_claims_with_more_right_is_no_person(monkeypatc
     monkeypatch.setattr(person_detector, "OnnxModel", Network)
     boxes, scores = CenterNetDetector("network.onnx", long_side=128).detect(np.zeros((128, 128, 3), np.uint8))
     assert len(boxes) == len(scores) == people
+
+
+def test_the_view_from_near_by_shows_the_box_and_some_of_its_surroundings_and_grey_outside_the_image():
+    image = np.zeros((200, 300, 3), np.uint8)
+    image[50:150, 0:40] = 255
+    view, box = near_view(image, np.array([0.0, 50.0, 40.0, 150.0]))
+    assert view.shape == (256, 256, 3) and box[3] - box[1] == pytest.approx(256.0 / 1.3)
+    assert box[:2] + box[2:] == pytest.approx([256.0, 256.0])
+    inner, beside = view[128, int(box[0]) + 10:int(box[2]) - 10], view[128, int(box[2]) + 10:]
+    assert np.all(inner == 255) and np.all(beside == 0) and np.all(view[128, :int(box[0]) - 10] == 128)
+
+
+DOG = 16
+
+
+@pytest.mark.parametrize("first, near, human", [
+    ((0.4, 0.1), (0.4, 0.1), True), ((0.4, 0.2), (0.4, 0.2), False), ((0.7, 0.02), (0.3, 0.2), True),
+    ((0.4, 0.1), (0.0, 0.0), False), ((0.25, 0.0), (0.3, 0.1), True)],
+    ids=["twice", "hardly", "far apart at first", "vanishes", "faint without an animal"])
+@pytest.mark.parametrize("animal", [DOG, BEAR])
+def test_a_human_leads_over_animals_and_toys_in_two_looks(monkeypatch, first, near, human, animal):
+    looks = []
+
+    class Network:
+        def __init__(self, *args, **kwargs):
+            pass
+
+        def run(self, inputs):
+            images = inputs["images"]
+            looks.append(images)
+            cells = images.shape[1] // 4
+            heat = np.zeros((len(images), cells, cells, 80), np.float32)
+            extents = np.full((len(images), cells, cells, 4), 50.0 if len(looks) == 1 else 98.0, np.float32)
+            person, rival = first if len(looks) == 1 else near
+            heat[:, cells // 2, cells // 2, 0], heat[:, cells // 2, cells // 2 + 1, animal] = person, rival
+            heat[:, 2, 2, animal] = 0.9     # elsewhere
+            return {"heat": heat, "ltrb": extents}
+
+    monkeypatch.setattr(person_detector, "OnnxModel", Network)
+    detector = CenterNetDetector("network.onnx", threshold=0.15, long_side=128)
+    image = np.random.RandomState(1).randint(0, 255, (128, 128, 3), np.uint8)
+    boxes, scores = detector.detect(image)
+    assert scores == pytest.approx([first[0]])
+    assert detector.is_human(image, boxes[0]) is human
+    assert looks[1].shape == (2, 256, 256, 3) and np.array_equal(looks[1][1], looks[1][0][:, ::-1])

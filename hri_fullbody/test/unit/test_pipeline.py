@@ -30,6 +30,9 @@ class Boxes:
         boxes = np.array([standing_at(x, y).box for x, y in self.scene.people]).reshape(-1, 4)
         return boxes, np.ones(len(boxes))
 
+    def is_human(self, image, box):
+        return True
+
 
 def make(people, **given):
     scene = Scene(people)
@@ -342,7 +345,8 @@ class Flag(Scene):
 def test_a_faint_box_starts_a_body_only_if_the_network_sees_it_in_the_mirror_too(aside, mirror_score, box_score,
                                                                                  count):
     boxes = np.array([standing_at(400, 400).box])
-    detector = SimpleNamespace(threshold=0.15, detect=lambda image: (boxes, np.array([box_score])))
+    detector = SimpleNamespace(threshold=0.15, detect=lambda image: (boxes, np.array([box_score])),
+                               is_human=lambda image, box: True)
     stage = BodyPipeline(BODIES.resolve({}), pose=Flag([(400, 400)], aside, mirror_score), detector=detector)
     assert looks(stage, [])[-1] == count
     # Where there is a face, no box decides.
@@ -424,3 +428,25 @@ def test_who_was_lost_is_remembered_in_the_room_where_the_pose_of_the_camera_is_
     assert np.ptp(bearing) < 4.0
     others = np.array([place for place, _ in remembered_places(False)])
     assert np.ptp(np.degrees(np.arctan2(others[:, 0], others[:, 2]))) > 25.0
+
+
+def test_a_box_in_which_a_second_look_sees_an_animal_starts_no_body_unless_there_is_a_face():
+    stage, scene, detector = make([(400, 400)])
+    looks = []
+    detector.is_human = lambda image, box: looks.append(box)
+    for index in range(10):
+        assert not stage.update(IMAGE, CAMERA, index / 20.0)
+    assert np.allclose(looks[0], standing_at(400, 400).box)
+    asked = len(looks)
+    for index in range(10, 20):
+        bodies = stage.update(IMAGE, CAMERA, index / 20.0, [face_of(standing_at(400, 400), "f")])
+    assert len(bodies) == 1 and len(looks) == asked
+
+
+@pytest.mark.parametrize("other, count", [(650, 2), (800, 0)], ids=["beside", "apart"])
+def test_people_beside_each_other_are_not_looked_at_again_since_the_view_would_show_both(other, count):
+    stage, scene, detector = make([(400, 400), (other, 400)])
+    detector.is_human = lambda image, box: False
+    for index in range(10):
+        bodies = stage.update(IMAGE, CAMERA, index / 20.0)
+    assert len(bodies) == count

@@ -102,6 +102,7 @@ class BodyPipeline:
         self._tracker = BodyTracker(
             self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time, settings.min_body_score,
             settings.max_bodies, guard=self._guard, ignored=IgnoredRegions(settings.ignored_regions),
+            is_human=lambda image, box: self._detector.is_human(image, box),
             schedule=InferenceScheduler(cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share)))
         self._limit_poses(settings)
         self._settings = settings

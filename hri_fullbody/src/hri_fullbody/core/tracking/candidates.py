@@ -28,6 +28,8 @@ _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 8.0
 _MOST_FAILED = 20
 # A box that shares less with each other one stands alone; an unsure one that shares more with one is a part of that.
 _APART, _PART = 0.1, 0.6
+# In longer sides of a box: so near, and of so much of its size or the other way round, is somebody who stands beside.
+_BESIDE, _SIMILAR = 1.0, 0.5
 
 
 # A body out of another window than the first one of a box, or of a box that the detector is unsure of, is believed from
@@ -45,13 +47,15 @@ class BodyCandidate:
     """A face without a body, or a person's box: tried with one window after another, each refined once.
 
     alone: the box has no neighbour. Among others it has one window only: another one may show a neighbour. An
-    unsure one, which the detector takes for nobody by itself, has one window, too.
+    unsure one, which the detector takes for nobody by itself, has one window, too. in_group: another box of its size,
+    be it faint, is beside it.
     """
 
     face_id: Optional[str] = None
     box: Optional[np.ndarray] = None
     alone: bool = False
     unsure: bool = False
+    in_group: bool = False
     attempt: int = 0
     first: Optional[PoseEstimate] = field(default=None, repr=False)
 
@@ -147,8 +151,9 @@ class CandidateQueue:
             doubtful = number >= len(boxes)
             alone = doubtful or (_at(box, failed) is None and all(
                 max(inside(box, other), inside(other, box)) < _APART for other in others if other is not box))
+            in_group = any(_beside(box, other) for other in (*others, *unsure))
             offered.append(replace(BodyCandidate() if known is None else begun[known], box=box, alone=alone,
-                                   unsure=doubtful))
+                                   unsure=doubtful, in_group=in_group))
         # In slow images there may be one inference between two calls of the detector: what has begun is finished.
         self._queue.extend(sorted(offered, key=lambda item: (item.unsure, item.first is None)))
 
@@ -188,6 +193,14 @@ def _at(box: np.ndarray, boxes: Sequence[np.ndarray]) -> Optional[int]:
     overlap = iou_matrix(box[None], np.array(boxes))[0]
     best = int(np.argmax(overlap))
     return best if overlap[best] >= _SAME_BOX else None
+
+
+def _beside(box: np.ndarray, other: np.ndarray) -> bool:
+    """Tell whether another box (4,) px is that of somebody of about the size beside, and no part of this one."""
+    side, its = float(max(box[2:] - box[:2])), float(max(other[2:] - other[:2]))
+    offset = float(np.abs(box[:2] + box[2:] - other[:2] - other[2:]).max()) / 2.0
+    return (offset < _BESIDE * side and _SIMILAR < its / max(side, 1e-6) < 1.0 / _SIMILAR
+            and max(inside(box, other), inside(other, box)) < _PART)
 
 
 def _shows(estimate: PoseEstimate, box: np.ndarray, nose: bool) -> bool:

@@ -46,6 +46,7 @@ from hri_pipeline.core.scheduler import InferenceScheduler, Request
 from hri_pipeline.core.tracks import TrackLife, assign
 
 Locate = Callable[[PoseEstimate], Optional[np.ndarray]]
+IsHuman = Callable[[np.ndarray, np.ndarray], bool]
 
 _SECOND_OFFSET, _SECOND_SHARE = 0.12, 0.75
 _OCCLUDED_SHARE = 0.15
@@ -78,11 +79,12 @@ class BodyTracker:
     def __init__(self, pose: PoseEstimator, new_id: Callable[[], str], birth_delay: float, death_time: float,
                  min_score: float = 0.5, max_bodies: int = 10, max_retries: int = 3,
                  schedule: Optional[InferenceScheduler] = None, guard: Optional[ItemGuard] = None,
-                 ignored: Optional[IgnoredRegions] = None) -> None:
+                 ignored: Optional[IgnoredRegions] = None, is_human: Optional[IsHuman] = None) -> None:
         """birth_delay, death_time: s. min_score: 0 to 1. max_retries: extra windows per image for captured bodies.
 
         schedule: which bodies get an inference; None: all in every image. guard: counts inferences that raised; each
-        costs one body only. ignored: where no body begins. Raises ValueError for values outside their ranges.
+        costs one body only. ignored: where no body begins. is_human: looks again at a person's box of an image, if it
+        has none beside it, before a body without a face begins. Raises ValueError for values outside their ranges.
         """
         if max_bodies < 1 or max_retries < 0:
             raise ValueError(
@@ -94,6 +96,7 @@ class BodyTracker:
         self.schedule = schedule or InferenceScheduler(batches=False)
         self._guard = guard or ItemGuard()
         self._ignored = ignored or IgnoredRegions()
+        self._is_human = is_human or (lambda image, box: True)
         self._candidates = CandidateQueue()
         self._prepared: Dict[str, Tuple[Window, PoseEstimate]] = {}
         self._cuts = PictureCuts()
@@ -353,7 +356,7 @@ class BodyTracker:
         if face is None and candidate.first is None and self._returns(image, estimate, stamp, faces):
             return
         result = candidate.judge(estimate, face, self._min_score)
-        if result.found is not None and candidate.unsure and not self._mirrored_too(image, result.found, faces, stamp):
+        if result.found is not None and not self._seen_again(candidate, image, result.found, faces, stamp):
             result = WindowResult(failed=True)
         if result.found is not None:
             detection = self._make_detection(image, result.found, None, stamp)
@@ -363,6 +366,18 @@ class BodyTracker:
             self._candidates.give_up(candidate.face_id, stamp, candidate.box if candidate.alone else None)
         else:
             self._candidates.put_back(candidate)
+
+    def _seen_again(self, candidate: BodyCandidate, image: np.ndarray, estimate: PoseEstimate,
+                    faces: Sequence[FaceBox], stamp: float) -> bool:
+        """Tell whether a person's box shows a human in further looks: of the detector where it is apart from others,
+        and where it was unsure of the pose network."""
+        if candidate.box is None:
+            return True
+        if not candidate.in_group:
+            self.windows += 1
+            if not self._is_human(image, candidate.box):
+                return False
+        return not candidate.unsure or self._mirrored_too(image, estimate, faces, stamp)
 
     def _mirrored_too(self, image: np.ndarray, estimate: PoseEstimate, faces: Sequence[FaceBox], stamp: float) -> bool:
         """Tell whether the network sees a body at the same place in mirrored windows of several sizes: of a human it
