@@ -279,6 +279,19 @@ def test_new_views_are_learnt_only_when_sure():
     assert len(scene.gallery.export("anna").templates) == 2
 
 
+def test_who_is_only_likely_somebody_does_not_become_sure_by_views_of_the_own_face():
+    scene = Scene()
+    scene.gallery.add_person("anna", template(1)[None])
+    alike = template(1, CALIBRATION.limit(0.85, 1), 5)
+    for _ in range(40):
+        scene.stamp += 0.5
+        due = scene.recogniser.seen({"f1": 0.9}, scene.stamp)
+        scene.listen(scene.recogniser.update(due, np.array([alike] * len(due)).reshape(-1, SIZE), [0.9] * len(due),
+                                             scene.stamp))
+    assert scene.known("f1") == {"anna": pytest.approx(0.85, abs=0.01)}
+    assert len(scene.gallery.export("anna").templates) == 1
+
+
 def test_consent_only_enrolled_people_are_recognised():
     scene = Scene(policy="enrolled")
     scene.gallery.add_person("anna", template(1)[None])

@@ -21,7 +21,6 @@ from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.private_file import TemplateCipher
 from hri_pipeline.core.recognition.embedding import FaceEmbedder, load_face_embedder
 from hri_pipeline.core.recognition.face_identity import (
-    ACCEPT,
     NAMING_CROPS,
     FaceEvidence,
     FaceIdentity,
@@ -42,6 +41,9 @@ NEW_BELOW = 0.4
 """Likelihood, without caution, of being anybody known, below which a face is somebody new."""
 LEARN_CROPS, LEARN_QUALITY = 4, 0.5
 """How many crops of which quality show a face well enough to make a person of it."""
+LEARN_LIKELIHOOD = 0.9
+"""Likelihood from which a face is so surely a person that its views are learnt. From then on it is compared with them,
+too: who is only like that person would be sure to be that person."""
 SAME = 0.95
 """Likelihood that is published of two known persons who are the same by their templates."""
 SHOWN_S = 60.0
@@ -359,7 +361,7 @@ class Recogniser:
     def _learn_view(self, face: FaceIdentity, mean: np.ndarray) -> None:
         first = face.candidates[0]
         near = self.gallery.calibration.midpoint - 4.0 * self.gallery.calibration.scale
-        if first.person_id == face.person and first.likelihood >= ACCEPT and first.distance <= near:
+        if first.person_id == face.person and first.likelihood >= LEARN_LIKELIHOOD and first.distance <= near:
             try:
                 self.gallery.add_template(face.person, mean)
             except GalleryError:
