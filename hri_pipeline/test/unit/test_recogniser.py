@@ -10,10 +10,11 @@ from benchmarks.recognition import SIZE, template
 from benchmarks.store import write_locked
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
 from hri_pipeline.core.recognition.face_identity import FaceEvidence, FaceTemplate, SamePersons
-from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery, open_gallery
+from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.recogniser import SAME, Recogniser
 from hri_pipeline.core.recognition.store import KnownPerson
+from hri_pipeline.core.recognition.stored_gallery import open_gallery
 
 CALIBRATION = TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)
 STEP = 0.1

@@ -31,9 +31,10 @@ from hri_pipeline.core.recognition.face_identity import (
     assign_persons,
     note_beside,
 )
-from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery, open_gallery
+from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import MatchResult
 from hri_pipeline.core.recognition.store import KnownPerson
+from hri_pipeline.core.recognition.stored_gallery import open_gallery
 
 POLICIES = ("learn", "enrolled")
 """learn: an unknown person who is seen well gets an id; enrolled: only people who were enrolled are recognised."""
