@@ -291,6 +291,23 @@ def test_who_is_only_likely_somebody_does_not_become_sure_by_views_of_the_own_fa
                                              scene.stamp))
     assert scene.known("f1") == {"anna": pytest.approx(0.85, abs=0.01)}
     assert len(scene.gallery.export("anna").templates) == 1
+    scene.recogniser.keep([])
+    assert len(scene.gallery.export("anna").templates) == 2, "for the next time"
+
+
+def test_what_waits_to_be_learnt_goes_with_the_name():
+    scene = Scene()
+    scene.gallery.add_person("anna", template(1)[None])
+    alike = template(1, CALIBRATION.limit(0.85, 1), 5)
+    for stamp in np.arange(100.5, 110.0, 0.5):
+        due = scene.recogniser.seen({"f1": 0.9}, stamp)
+        scene.recogniser.update(due, np.array([alike] * len(due)).reshape(-1, SIZE), [0.9] * len(due), stamp)
+    assert scene.recogniser.person_of("f1") == "anna"
+    scene.stamp = 110.0
+    scene.show({"f1": (9, 0.2)}, 8.0)
+    assert scene.recogniser.person_of("f1") != "anna"
+    scene.recogniser.keep([])
+    assert len(scene.gallery.export("anna").templates) == 1
 
 
 def test_consent_only_enrolled_people_are_recognised():

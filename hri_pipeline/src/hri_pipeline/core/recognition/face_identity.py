@@ -211,6 +211,7 @@ class FaceIdentity:
     result : of the last comparison with the gallery, None before the first one.
     published : likelihood by person, as last published.
     denied : ids of persons that it was told not to be, though nothing was published of them.
+    later_view : template (D,) that is learnt of the person once the face has left, None without one.
     """
 
     id: str
@@ -227,6 +228,7 @@ class FaceIdentity:
     result: Optional[MatchResult] = None
     published: Dict[str, float] = field(default_factory=dict)
     denied: Set[str] = field(default_factory=set)
+    later_view: Optional[np.ndarray] = None
 
     @property
     def is_certain(self) -> bool:
@@ -278,6 +280,7 @@ class FaceIdentity:
                 self.evidence.restart(self.doubt.views)
                 self.refuted.add(self.person)
                 self.person = ""
+                self.later_view = None
                 self.denied.clear()
         swapped = self.evidence.swaps != swaps
         if swapped:
@@ -304,6 +307,7 @@ class FaceIdentity:
         is_sure = best is not None and best.likelihood >= enough and len(self.evidence) >= NAMING_CROPS
         self.person = best.person_id if is_sure and best is not None else ""
         if self.person != before:
+            self.later_view = None
             self.doubt.clear()
             self.refuted.discard(self.person)
             if before:
