@@ -25,9 +25,9 @@ import numpy as np
 
 from benchmarks.recognition import SIZE, template
 from hri_pipeline.core.private_file import StoreError
-from hri_pipeline.core.recognition.gallery import StoredGallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson
+from hri_pipeline.core.recognition.stored_gallery import StoredGallery
 
 MODEL = "synthetic"
 CALIBRATION = TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)

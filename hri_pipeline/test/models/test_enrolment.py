@@ -12,8 +12,8 @@ from hri_pipeline.core.onnx import models_directory
 from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
 from hri_pipeline.core.recognition.embedding import KINDS
 from hri_pipeline.core.recognition.enrolment import EnrolmentError, enrol, photographs, templates_of
-from hri_pipeline.core.recognition.gallery import open_gallery
 from hri_pipeline.core.recognition.store import PersonStore
+from hri_pipeline.core.recognition.stored_gallery import open_gallery
 
 PICTURES = models_directory() / "evaluation" / "recognition"
 pytestmark = pytest.mark.skipif(not PICTURES.is_dir(), reason="needs fetch_models --models evaluation")

@@ -25,8 +25,9 @@ from hri_pipeline.core.audio.speakers import (
 from hri_pipeline.core.audio.stream import SoundBlock
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.parameters import ParameterTable
-from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery, StoredGallery
+from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore
+from hri_pipeline.core.recognition.stored_gallery import StoredGallery
 
 TABLE = ParameterTable("activity", VoiceActivitySettings)
 RATE, FRAME, START = 16000, 512, 1000.0

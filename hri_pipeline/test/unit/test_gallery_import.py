@@ -17,10 +17,10 @@ from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
 from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
 from hri_pipeline.core.recognition import gallery_import
-from hri_pipeline.core.recognition.gallery import StoredGallery, open_gallery, store_path
 from hri_pipeline.core.recognition.gallery_import import HEADER, MAGIC, SCHEMA, DamagedStore, read_persons
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson
+from hri_pipeline.core.recognition.stored_gallery import StoredGallery, open_gallery, store_path
 
 CALIBRATION = TemplateCalibration(midpoint=0.36, fair_midpoint=0.40, scale=0.018, near=0.15)
 
@@ -279,7 +279,7 @@ def test_a_file_that_another_process_holds_is_refused_and_left_alone(path, monke
 
 IMPORTER = """
 import sys
-from hri_pipeline.core.recognition.gallery import open_gallery
+from hri_pipeline.core.recognition.stored_gallery import open_gallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 print("ready", flush=True)
 open_gallery(sys.argv[1], "synthetic", {}, TemplateCalibration(0.36, 0.40, 0.018, 0.15)).close()

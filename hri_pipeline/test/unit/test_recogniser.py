@@ -10,10 +10,11 @@ from benchmarks.recognition import SIZE, template
 from benchmarks.store import write_locked
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
 from hri_pipeline.core.recognition.face_identity import FaceEvidence, FaceTemplate, SamePersons
-from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery, open_gallery
+from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.recogniser import SAME, Recogniser
 from hri_pipeline.core.recognition.store import KnownPerson
+from hri_pipeline.core.recognition.stored_gallery import open_gallery
 
 CALIBRATION = TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)
 STEP = 0.1
@@ -332,6 +333,36 @@ def test_new_views_are_learnt_only_when_sure():
         if due:
             scene.recogniser.update(due, template(1, 0.25, 5)[None], [0.9], stamp)
     assert len(scene.gallery.export("anna").templates) == 2
+
+
+def test_who_is_only_likely_somebody_does_not_become_sure_by_views_of_the_own_face():
+    scene = Scene()
+    scene.gallery.add_person("anna", template(1)[None])
+    alike = template(1, CALIBRATION.limit(0.85, 1), 5)
+    for _ in range(40):
+        scene.stamp += 0.5
+        due = scene.recogniser.seen({"f1": 0.9}, scene.stamp)
+        scene.listen(scene.recogniser.update(due, np.array([alike] * len(due)).reshape(-1, SIZE), [0.9] * len(due),
+                                             scene.stamp))
+    assert scene.known("f1") == {"anna": pytest.approx(0.85, abs=0.01)}
+    assert len(scene.gallery.export("anna").templates) == 1
+    scene.recogniser.keep([])
+    assert len(scene.gallery.export("anna").templates) == 2, "for the next time"
+
+
+def test_what_waits_to_be_learnt_goes_with_the_name():
+    scene = Scene()
+    scene.gallery.add_person("anna", template(1)[None])
+    alike = template(1, CALIBRATION.limit(0.85, 1), 5)
+    for stamp in np.arange(100.5, 110.0, 0.5):
+        due = scene.recogniser.seen({"f1": 0.9}, stamp)
+        scene.recogniser.update(due, np.array([alike] * len(due)).reshape(-1, SIZE), [0.9] * len(due), stamp)
+    assert scene.recogniser.person_of("f1") == "anna"
+    scene.stamp = 110.0
+    scene.show({"f1": (9, 0.2)}, 8.0)
+    assert scene.recogniser.person_of("f1") != "anna"
+    scene.recogniser.keep([])
+    assert len(scene.gallery.export("anna").templates) == 1
 
 
 def test_consent_only_enrolled_people_are_recognised():

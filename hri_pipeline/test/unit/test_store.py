@@ -341,8 +341,7 @@ import sys
 import threading
 import time
 import numpy as np
-from hri_pipeline.core.recognition.gallery import KnownPerson
-from hri_pipeline.core.recognition.store import PersonStore, StoredPerson
+from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson
 store = PersonStore(sys.argv[1])
 vectors = np.eye(128, dtype=np.float32)
 print("ready", flush=True)

@@ -9,9 +9,10 @@ from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
 from benchmarks.store import forget_undone, no_room, write_locked
 from hri_pipeline.core.private_file import StoreError
-from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery, StoredGallery, open_gallery
+from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson
+from hri_pipeline.core.recognition.stored_gallery import StoredGallery, open_gallery
 
 CALIBRATION = TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)
 

@@ -36,8 +36,8 @@ from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.process import share_arenas
-from hri_pipeline.core.recognition.gallery import SHARED_ENDINGS
 from hri_pipeline.core.recognition.store import PersonStore, StoreWriter, read_store
+from hri_pipeline.core.recognition.stored_gallery import SHARED_ENDINGS
 from hri_pipeline.core.timing import JUMP_BACK_S, ClockWatch, OldTime, Order, SourceStamps
 from hri_pipeline.ros.conversions import matrix_from_image, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics

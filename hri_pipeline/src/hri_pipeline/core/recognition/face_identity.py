@@ -214,6 +214,7 @@ class FaceIdentity:
     denied : ids of persons that it was told not to be, though nothing was published of them.
     motion : how its shape changes.
     is_picture : it is a picture of the person beside it, so it is nobody.
+    later_view : template (D,) that is learnt of the person once the face has left, None without one.
     """
 
     id: str
@@ -232,6 +233,7 @@ class FaceIdentity:
     denied: Set[str] = field(default_factory=set)
     motion: FaceMotion = field(default_factory=FaceMotion)
     is_picture: bool = False
+    later_view: Optional[np.ndarray] = None
 
     @property
     def is_certain(self) -> bool:
@@ -283,6 +285,7 @@ class FaceIdentity:
                 self.evidence.restart(self.doubt.views)
                 self.refuted.add(self.person)
                 self.person = ""
+                self.later_view = None
                 self.denied.clear()
         swapped = self.evidence.swaps != swaps
         if swapped:
@@ -311,6 +314,7 @@ class FaceIdentity:
         is_sure = best is not None and best.likelihood >= enough and len(self.evidence) >= NAMING_CROPS
         self.person = best.person_id if is_sure and best is not None else ""
         if self.person != before:
+            self.later_view = None
             self.doubt.clear()
             self.refuted.discard(self.person)
             if before:

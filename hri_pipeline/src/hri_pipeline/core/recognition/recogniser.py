@@ -33,9 +33,10 @@ from hri_pipeline.core.recognition.face_identity import (
     note_beside,
     note_pictures,
 )
-from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery, open_gallery
+from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import MatchResult
 from hri_pipeline.core.recognition.store import KnownPerson
+from hri_pipeline.core.recognition.stored_gallery import open_gallery
 
 POLICIES = ("learn", "enrolled")
 """learn: an unknown person who is seen well gets an id; enrolled: only people who were enrolled are recognised."""
@@ -43,6 +44,9 @@ NEW_BELOW = 0.4
 """Likelihood, without caution, of being anybody known, below which a face is somebody new."""
 LEARN_CROPS, LEARN_QUALITY = 4, 0.5
 """How many crops of which quality show a face well enough to make a person of it."""
+LEARN_AT_ONCE = 0.9
+"""Likelihood from which the views of a face with a name are learnt at once. Those of a less sure one are learnt when it
+has left: compared with its own views, who is only like a person would be sure to be that person."""
 SAME = 0.95
 """Likelihood that is published of two known persons who are the same by their templates."""
 SHOWN_S = 60.0
@@ -192,11 +196,13 @@ class Recogniser:
         """Drop all other faces. Their matches are not withdrawn: they were right when the face left."""
         living = set(face_ids)
         with self._lock:
+            self._learn_later_views(face for face_id, face in self._faces.items() if face_id not in living)
             self._faces = {face_id: face for face_id, face in self._faces.items() if face_id in living}
 
     def reset(self) -> None:
         """Drop all faces, as after a jump in time; the gallery stays."""
         with self._lock:
+            self._learn_later_views(self._faces.values())
             self._faces, self._newest = {}, -np.inf
             self._shown.clear()
 
@@ -368,11 +374,24 @@ class Recogniser:
     def _learn_view(self, face: FaceIdentity, mean: np.ndarray) -> None:
         first = face.candidates[0]
         near = self.gallery.calibration.midpoint - 4.0 * self.gallery.calibration.scale
-        if first.person_id == face.person and first.likelihood >= ACCEPT and first.distance <= near:
-            try:
-                self.gallery.add_template(face.person, mean)
-            except GalleryError:
-                pass    # forgotten or merged in this moment, by another thread: the next comparison knows
+        if first.person_id != face.person or first.likelihood < ACCEPT or first.distance > near:
+            return
+        if first.likelihood >= LEARN_AT_ONCE:
+            self._add_view(face.person, mean)
+        else:
+            face.later_view = mean
+
+    def _learn_later_views(self, faces: Iterable[FaceIdentity]) -> None:
+        """Learn what waited until these faces have left."""
+        for face in faces:
+            if face.is_certain and face.later_view is not None:
+                self._add_view(face.person, face.later_view)
+
+    def _add_view(self, person_id: str, template: np.ndarray) -> None:
+        try:
+            self.gallery.add_template(person_id, template)
+        except GalleryError:
+            pass    # forgotten or merged in this moment, by another thread: the next comparison knows
 
     def _is_new(self, face: FaceIdentity) -> bool:
         """Whether a face was seen well, for long enough, and is like nobody, those in view included."""
