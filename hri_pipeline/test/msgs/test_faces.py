@@ -88,7 +88,7 @@ def test_faces_whose_topics_cannot_be_opened_are_listed_and_placed_all_the_same(
 def test_nothing_is_told_of_an_image_after_which_the_time_has_gone_back(overtaken, told):
     processor = FaceProcessor.__new__(FaceProcessor)
     processor._pipeline, processor._topics, processor._tracked, processor._transforms = (MagicMock() for _ in range(4))
-    processor._guard, processor._interface = ItemGuard(), "paper"
+    processor._guard, processor._interface, processor._quarters = ItemGuard(), "paper", 0
     processor._publish_matches = processor._tell_turned = MagicMock()
     seen = face(Pose(UPRIGHT, np.array([0.1, 0.2, 1.5])), None)
     processor._pipeline.update.side_effect = lambda *arguments: arguments[-1]([seen]) or [seen]

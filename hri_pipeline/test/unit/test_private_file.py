@@ -20,7 +20,8 @@ from hri_pipeline.core.recognition.store import KnownPerson, PersonStore
 
 def test_only_who_has_the_key_reads_the_templates(tmp_path):
     key, other = make_key_file(tmp_path / "key"), make_key_file(tmp_path / "other")
-    template = np.linspace(0.0, 1.0, 8, dtype=np.float32)[None] / 2.0
+    template = np.linspace(0.0, 1.0, 8, dtype=np.float32)[None]
+    template /= np.linalg.norm(template)
     path = tmp_path / "store" / "people.sqlite"
     store = PersonStore(path, TemplateCipher(key))
     store.put_templates(KnownPerson("ann", template, True), "net", 1.0)
