@@ -8,10 +8,11 @@ import rospy
 import rostest
 from sensor_msgs.msg import CompressedImage, Image
 
-from hri_pipeline.ros import inputs
+from hri_pipeline.ros import depth_input
 from hri_pipeline.ros.conversions import bgr_to_image, make_header
+from hri_pipeline.ros.depth_input import DepthInput
 from hri_pipeline.ros.diagnostics import OK, WARN
-from hri_pipeline.ros.inputs import DepthInput, ImageInput
+from hri_pipeline.ros.inputs import ImageInput
 from hri_pipeline.testing import wait_for
 
 BGR = np.zeros((48, 64, 3), np.uint8)
@@ -33,8 +34,8 @@ class DepthInputTest(unittest.TestCase):
         self.depths = rospy.Publisher("depth", Image, queue_size=20)
         self.addCleanup(self.images.unregister)
         self.addCleanup(self.depths.unregister)
-        silence = inputs.DEPTH_SILENCE_S
-        self.addCleanup(setattr, inputs, "DEPTH_SILENCE_S", silence)
+        silence = depth_input.DEPTH_SILENCE_S
+        self.addCleanup(setattr, depth_input, "DEPTH_SILENCE_S", silence)
 
     def depth_input(self, slop=0.03):
         depth = DepthInput(slop)
@@ -71,7 +72,7 @@ class DepthInputTest(unittest.TestCase):
 
     def test_out_of_the_slop_there_is_none_and_the_topics_are_named(self):
         depth = self.depth_input(slop=0.01)
-        inputs.DEPTH_SILENCE_S = 0.2
+        depth_input.DEPTH_SILENCE_S = 0.2
 
         def match():
             depth._store(depth_message(5.05, 1000))
@@ -102,7 +103,7 @@ class DepthInputTest(unittest.TestCase):
 
     def test_without_a_publisher_the_mend_is_told(self):
         self.depths.unregister()
-        inputs.DEPTH_SILENCE_S = 0.1
+        depth_input.DEPTH_SILENCE_S = 0.1
         depth = DepthInput(0.03)
         self.addCleanup(depth.close)
         problem = wait_for(depth.problem, 10, "the silence is told")
@@ -112,7 +113,7 @@ class DepthInputTest(unittest.TestCase):
 
     def test_a_topic_of_another_type_is_told(self):
         self.depths.unregister()
-        inputs.DEPTH_SILENCE_S = 0.1
+        depth_input.DEPTH_SILENCE_S = 0.1
         other = rospy.Publisher("depth", CompressedImage, queue_size=20)
         self.addCleanup(other.unregister)
         depth = DepthInput(0.03)

@@ -9,9 +9,9 @@ import pytest
 from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
 from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
-from hri_pipeline.core.recognition.stored_gallery import StoredGallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson, read_store
+from hri_pipeline.core.recognition.stored_gallery import StoredGallery
 
 CALIBRATION = TemplateCalibration(midpoint=0.38, fair_midpoint=0.40, scale=0.018, near=0.15)
 NOW = 1.8e9

@@ -8,10 +8,9 @@ import sys
 import threading
 import time
 import traceback
-import xmlrpc.client
 from collections import OrderedDict
 from pathlib import Path
-from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Dict, List, Mapping, Optional, Sequence, Tuple
 
 import genpy
 import rospy
@@ -20,7 +19,7 @@ from std_srvs.srv import Empty, EmptyRequest, EmptyResponse
 
 from hri_msgs.msg import IdsMatch, SoftBiometrics
 from hri_person_manager.core.display import graph_text
-from hri_person_manager.core.features import FEATURES, MAX_FEATURES, FeaturePose, Kind, MatchNode
+from hri_person_manager.core.features import MAX_FEATURES, FeaturePose, Kind, MatchNode
 from hri_person_manager.core.location import LATE_TIME
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import MatchGuard
@@ -29,9 +28,9 @@ from hri_person_manager.core.persons import ANONYMOUS_PREFIX, Snapshot
 from hri_person_manager.core.register import PersonRecord, PersonRegister, SqliteRecordStore, record_of
 from hri_person_manager.ros.inputs import OtherManagers, ReferenceFrame, TfInput
 from hri_person_manager.ros.navigation import PeopleTopic
+from hri_person_manager.ros.restart import RestartState
 from hri_person_manager.ros.services import PersonServices
 from hri_person_manager.ros.topics import GraphTopic, PersonMarkers, PersonSpaces, PersonTopics
-from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.private_file import StoreError, TemplateCipher
@@ -47,9 +46,6 @@ from hri_pipeline.ros.rospy_compat import address_of_sender, release, sender_of
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import TfPublisher
 
-_RESTART_PERIOD_S = 0.5    # s between two writes of the state for a restart
-_RESTART_REPEAT_S = 10.0   # s; it is written again although nothing has changed: a new master has no parameters
-_MOST_RESTORED = 500       # persons
 TICK_S = 0.1
 SWITCH_S = 0.001     # a callback waits no longer than so for a thread that computes; the default of Python is 5 ms
 DIAGNOSTICS_S = 1.0
@@ -103,92 +99,6 @@ def borrowed_records(settings: PersonManagerSettings) -> List[PersonRecord]:
                 for row in read_store(path, _cipher(settings), notify=rospy.logwarn)[0]]
     except StoreError as error:
         raise ParameterError("~store_read_only: {}".format(error)) from error
-
-
-class RestartState:
-    """Writes who is made of which features whenever that changes; ids only, nothing about the human.
-
-    The parameter stands beside the node's own ones, NODE_memory: those are checked, and cleared by roslaunch. A thread
-    writes it: persons do not wait for a master that a failed network has cut off.
-    """
-
-    def __init__(self) -> None:
-        self._name = rospy.get_name() + "_memory"
-        self._wanted: Dict[str, List[str]] = {}
-        self._is_failed = self._is_due = self._is_writing = self._is_closing = False
-        self._next = self._again = 0.0
-        self._condition = threading.Condition()
-        self._thread = threading.Thread(target=self._run, name="restart state", daemon=True)
-        self._thread.start()
-
-    def read(self) -> Dict[str, List[MatchNode]]:
-        """What an earlier run has left: {person id: features}. What is not of that form is left out."""
-        given = rospy.get_param(self._name, {})
-        if not isinstance(given, dict):
-            return {}
-        found: Dict[str, List[MatchNode]] = {}
-        for person_id, names in list(given.items())[:_MOST_RESTORED]:
-            if is_valid_id(person_id) and isinstance(names, list):
-                found[person_id] = [node for name in names for node in _nodes(name)]
-        return found
-
-    def update(self, persons: Callable[[], Mapping[str, List[MatchNode]]], at_once: bool = False) -> None:
-        """Have the persons with their features, which are asked for, written: twice a second at most, or at once."""
-        now = time.monotonic()
-        if now < self._next and not at_once:
-            return
-        self._next = now + _RESTART_PERIOD_S
-        wanted = {person_id: ["%s %s" % (node.kind.name, node.id) for node in nodes]
-                  for person_id, nodes in persons().items()}
-        with self._condition:
-            # Again and again: a master that was started anew has no parameters.
-            if wanted != self._wanted or self._is_failed or (wanted and now >= self._again):
-                self._wanted, self._again = wanted, now + _RESTART_REPEAT_S
-                self._is_due = True
-                self._condition.notify_all()
-
-    def wait(self, patience: float = _RESTART_PERIOD_S) -> None:
-        """Return when all is written, after `patience` s at most."""
-        with self._condition:
-            self._condition.wait_for(lambda: not (self._is_due or self._is_writing), patience)
-
-    def close(self) -> None:
-        """Take the parameter back: an orderly end is no crash. Idempotent."""
-        with self._condition:
-            self._is_closing = True
-            self._condition.notify_all()
-        self._thread.join(_RESTART_PERIOD_S)
-        try:
-            if rospy.has_param(self._name):
-                rospy.delete_param(self._name)
-        except (OSError, rospy.ROSException, xmlrpc.client.Error):
-            pass            # it went with the master
-
-    def _run(self) -> None:
-        while True:
-            with self._condition:
-                self._condition.wait_for(lambda: self._is_due or self._is_closing)
-                if self._is_closing:
-                    return
-                wanted, self._is_due, self._is_writing = self._wanted, False, True
-            is_failed = not self._write(wanted)
-            with self._condition:
-                self._is_failed, self._is_writing = is_failed, False
-                self._condition.notify_all()
-
-    def _write(self, wanted: Dict[str, List[str]]) -> bool:
-        try:
-            rospy.set_param(self._name, wanted)
-            return True
-        except Exception:       # the master is away, and rospy raises many kinds; the next time may be better
-            return False
-
-
-def _nodes(name: object) -> List[MatchNode]:
-    """The node that a text such as `FACE abcde` names, as a list; empty when it names none."""
-    kind, _, identity = str(name).partition(" ")
-    known = {feature.name: feature for feature in FEATURES}
-    return [MatchNode(Kind(known[kind]), identity)] if kind in known and is_valid_id(identity) else []
 
 
 class ManagerDiagnostics:

@@ -15,6 +15,8 @@ MAX_SIDE = 8192
 DEPTH_ENCODINGS: Tuple[str, ...] = ("16UC1", "mono16", "32FC1")
 DEPTH_RANGE = (0.15, 30.0)
 """Depths (m) out of this range are unknown: no depth camera measures them, and 65535 mm or 0 stand for unknown."""
+ASPECT_TOLERANCE = 0.02
+"""Images whose aspect ratios differ by a larger part do not show the same view."""
 _LEAST_CELLS = 3
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
-from hri_pipeline.core.images import ENCODINGS, other_transport
+from hri_pipeline.core.images import ASPECT_TOLERANCE, ENCODINGS, other_transport
 from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
 
 NO_IMAGE_YET = "no image yet"       # what a pipeline tells in /diagnostics, whatever the reason
 OK, HINT, FAULT = 0, 1, 2
-_ASPECT_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True)
@@ -357,7 +356,7 @@ def _calibration(facts: Facts, settings: CheckSettings) -> List[Finding]:
             )
         ]
     ratio = (calibration.width * picture.height) / max(calibration.height * picture.width, 1)
-    if abs(ratio - 1.0) > _ASPECT_TOLERANCE:
+    if abs(ratio - 1.0) > ASPECT_TOLERANCE:
         return [Finding(FAULT, "{} is for {}x{} px, images are {}x{}".format(
             facts.info.topic, calibration.width, calibration.height, picture.width, picture.height),
             "give the camera_info of this camera: camera_info:=/your/topic, or calibrate this resolution",
