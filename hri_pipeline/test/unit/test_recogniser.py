@@ -350,18 +350,40 @@ def test_who_is_only_likely_somebody_does_not_become_sure_by_views_of_the_own_fa
     assert len(scene.gallery.export("anna").templates) == 2, "for the next time"
 
 
-def test_what_waits_to_be_learnt_goes_with_the_name():
+def with_a_later_view():
+    """A scene in which a face is likely anna, and its view waits to be learnt."""
     scene = Scene()
     scene.gallery.add_person("anna", template(1)[None])
     alike = template(1, CALIBRATION.limit(0.85, 1), 5)
     for stamp in np.arange(100.5, 110.0, 0.5):
         due = scene.recogniser.seen({"f1": 0.9}, stamp)
         scene.recogniser.update(due, np.array([alike] * len(due)).reshape(-1, SIZE), [0.9] * len(due), stamp)
-    assert scene.recogniser.person_of("f1") == "anna"
+    assert scene.recogniser.person_of("f1") == "anna" and scene.recogniser._faces["f1"].later_view is not None
     scene.stamp = 110.0
+    return scene
+
+
+def test_what_waits_to_be_learnt_goes_with_the_name():
+    scene = with_a_later_view()
     scene.show({"f1": (9, 0.2)}, 8.0)
     assert scene.recogniser.person_of("f1") != "anna"
     scene.recogniser.keep([])
+    assert len(scene.gallery.export("anna").templates) == 1
+
+
+@pytest.mark.parametrize("forget", [lambda one: one.forget("anna"), lambda one: one.forget_all()])
+def test_what_waits_to_be_learnt_is_forgotten_before_the_answer(forget):
+    """No image need come any more that would drop it."""
+    scene = with_a_later_view()
+    forget(scene.recogniser)
+    face, = scene.recogniser._faces.values()
+    assert face.later_view is None and face.evidence.mean() is None and not face.doubt.views
+
+
+def test_what_waits_to_be_learnt_of_somebody_is_dropped_when_the_face_is_enrolled_as_another():
+    scene = with_a_later_view()
+    assert scene.recogniser.enrol("f1", confirm=True) != "anna"
+    scene.recogniser.keep([])       # it leaves before it is compared again
     assert len(scene.gallery.export("anna").templates) == 1
 
 

@@ -296,6 +296,13 @@ class FaceIdentity:
             self.doubt.clear()
         self.note_crop(template.stamp, again=swapped or not agrees)
 
+    def forget(self) -> None:
+        """Drop all templates; it is nobody new from now on."""
+        self.evidence.clear()
+        self.doubt.clear()
+        self.later_view = None
+        self.barred = True
+
     def holds(self, taken: AbstractSet[str]) -> Dict[str, float]:
         """Return likelihood by person: the person it is taken for, else the candidates that are not in `taken`."""
         likely = {one.person_id: round(one.likelihood, 3) for one in self.candidates}

@@ -242,6 +242,8 @@ class Recogniser:
             for other in alike + [other for other in face.apart if other in self.gallery]:
                 self.gallery.keep_apart(person_id, other)
             face.barred = False
+            if person_id != face.person:
+                face.later_view = None
             return person_id
 
     def _refuse_to_enrol(self, template: np.ndarray, person_id: str, alike: Sequence[str]) -> None:
@@ -275,16 +277,14 @@ class Recogniser:
             is_known = self.gallery.remove(person_id)
             for face in self._faces.values():
                 if person_id in face.published or face.person == person_id:
-                    face.evidence.clear()
-                    face.barred = True
+                    face.forget()
             return is_known
 
     def forget_all(self) -> None:
         """Forget everybody; faces in view are not learnt again."""
         with self._lock:
             for face in self._faces.values():
-                face.evidence.clear()
-                face.barred = True
+                face.forget()
             self.gallery.clear()
 
     def merge(self, source: str, target: str) -> None:
