@@ -2,13 +2,17 @@
 
 import threading
 import time
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from benchmarks.recognition import SIZE, template
 from benchmarks.store import write_locked
+from hri_pipeline.core.faces.analysis import FaceAnalysis
+from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.recognition.face_identity import FaceEvidence, FaceTemplate, SamePersons
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
@@ -250,6 +254,32 @@ def test_who_was_another_person_for_certain_does_not_take_the_name_of_a_still_on
     scene.show({"f1": (1, 0.1), "f2": (template(1, 0.3, 7), 0.05)}, 4.0, motion={"f1": PICTURE, "f2": LIVING})
     scene.show({"f1": (1, 0.1), "f2": (template(1, 0.2, 7), 0.05)}, 30.0, motion={"f1": PICTURE, "f2": LIVING})
     assert scene.person("f1") == person and scene.gallery.ids() == [person]
+
+
+def test_a_picture_stays_one_when_the_images_turn():
+    """The camera rolls by a quarter: the meshes turn, and nothing has moved."""
+    scene, turn = Scene(), ImageRotation(1, 640, 480)
+    both = {"poster": (1, 0.1), "f1": (1, 0.2)}
+    scene.show({"poster": (1, 0.1)}, 10.0, motion={"poster": PICTURE})
+    scene.show(both, 20.0, motion={"poster": PICTURE, "f1": LIVING})
+    poster = scene.recogniser._faces["poster"]
+    still = poster.motion.change()
+    assert poster.is_picture
+    scene.recogniser.turn(turn)
+    poster.motion.add(turn.pixels(mesh(PICTURE, scene.stamp + 0.3)), scene.stamp + 0.3)
+    assert poster.motion.change() == pytest.approx(still, rel=0.3)
+    scene.recogniser.changes()
+    assert poster.is_picture
+
+
+def test_all_that_knows_earlier_images_is_told_that_they_turn():
+    turn = ImageRotation(1, 640, 480)
+    pipeline, analysis = FacePipeline.__new__(FacePipeline), FaceAnalysis.__new__(FaceAnalysis)
+    pipeline._tracking, pipeline._geometry, pipeline._analysis = Mock(), Mock(), analysis
+    analysis.recognition = Mock()
+    pipeline.turn(turn)
+    for part in (pipeline._tracking.turn, pipeline._geometry.turn, analysis.recognition.recogniser.turn):
+        part.assert_called_once_with(turn)
 
 
 def test_a_face_that_is_not_looked_at_in_every_image_keeps_its_person():

@@ -42,6 +42,7 @@ from hri_pipeline.core.faces.expression import (
 from hri_pipeline.core.faces.mesh import CanonicalFace
 from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.faces.scheduler import CropQualities, TimeBudget, most_overdue, next_turn
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.observations import FaceObservation, SoftBiometrics
 from hri_pipeline.core.onnx import model_path
 from hri_pipeline.core.recognition.face_identity import PersonMatch
@@ -159,6 +160,11 @@ class FaceAnalysis:
         for processor in self._processors():
             processor.keep(ids)
 
+    def turn(self, rotation: ImageRotation) -> None:
+        """Take note that the images are turned by `rotation` from now on, against those before."""
+        if self.recognition is not None:
+            self.recognition.recogniser.turn(rotation)
+
     def reset(self) -> None:
         """Forget all faces; known persons stay."""
         self._units = {}
@@ -229,7 +235,7 @@ class FaceAnalysis:
         if self.recognition is not None and demand.recognition:
             # Recognition has priority: all other results belong to a person who must be known first.
             is_due = self.recognition.due(qualities, stamp, limit=_AT_ONCE if self._time_budget.ample else 1,
-                                               faces=measured)
+                                          faces=measured)
             overdue["recognition"] = 2.0 * _PATIENCE if is_due else 0.0
         name = next_turn(overdue, self._last)
         paid = self._time_budget.next_image(stamp - self._stamp)

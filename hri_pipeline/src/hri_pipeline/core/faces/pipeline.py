@@ -209,6 +209,7 @@ class FacePipeline:
         """Take note that the images are turned by `rotation` from now on, against those before; the faces stay."""
         self._tracking.turn(rotation)
         self._geometry.turn(rotation)
+        self._analysis.turn(rotation)
 
     def reset(self) -> None:
         """Drop every face, as after a jump in time; ids are not used again."""

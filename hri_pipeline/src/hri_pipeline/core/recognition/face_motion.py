@@ -11,6 +11,8 @@ from typing import Deque, Optional, Tuple
 
 import numpy as np
 
+from hri_pipeline.core.image_rotation import ImageRotation
+
 WINDOW_S, SAMPLE_S = 6.0, 0.2
 """Time (s) over which shapes are compared, and the least between two of them."""
 LEAST_SAMPLES = 20
@@ -40,6 +42,10 @@ class FaceMotion:
         self._shapes.append((stamp, points / size))
         while not 0.0 <= stamp - self._shapes[0][0] <= WINDOW_S:
             self._shapes.popleft()
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Turn with the images: the face has not moved."""
+        self._shapes = deque((stamp, shape @ rotation.matrix[:2, :2].T) for stamp, shape in self._shapes)
 
     def change(self) -> Optional[float]:
         """Return the RMS change of the shape, as a share of its size; None before it was seen for long enough."""

@@ -17,6 +17,7 @@ import numpy as np
 
 from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.ids import IdGenerator
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.private_file import TemplateCipher
 from hri_pipeline.core.recognition.embedding import FaceEmbedder, load_face_embedder
@@ -122,6 +123,12 @@ class Recogniser:
             for face_id, mesh in meshes.items():
                 if face_id in self._faces:
                     self._faces[face_id].motion.add(mesh, stamp)
+
+    def turn(self, rotation: ImageRotation) -> None:
+        """Take note that the images are turned by `rotation` from now on, against those before."""
+        with self._lock:
+            for face in self._faces.values():
+                face.motion.turn(rotation)
 
     def update(self, face_ids: Sequence[str], templates: np.ndarray, qualities: Sequence[float],
                stamp: float) -> List[PersonMatch]:
