@@ -12,6 +12,7 @@ from hri_fullbody.core.parameters import BODIES, VISION
 from hri_fullbody.core.pipeline import BodyPipeline, pose_model_path
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.parameters import ParameterError
 
@@ -98,6 +99,13 @@ def test_everybody_is_found_without_faces_in_slow_images(count, interval):
     for index in range(25):
         bodies = stage.update(IMAGE, CAMERA, index * interval)
     assert len(bodies) == count
+
+
+def test_that_people_were_upside_down_does_not_hold_for_images_that_are_turned_from_now_on():
+    stage, _, _ = make([(400, 400)])
+    stage._orientation.turn = 2
+    stage.turn(ImageRotation(2, 1280, 720))
+    assert stage.seen_turn is None
 
 
 def test_time_that_goes_back_starts_afresh():

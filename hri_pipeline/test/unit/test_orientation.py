@@ -81,6 +81,22 @@ def test_faces_that_are_unclear_or_as_clear_in_two_orientations_tell_nothing():
         assert orientation.turn is None and detect.calls == 4 * 6
 
 
+@pytest.mark.parametrize("make, detect", [(ImageOrientation, Clear()), (FaceOrientation, Faces(0.9, 0.7, 0.6, 0.85))])
+def test_what_was_seen_of_turned_images_does_not_hold_for_those_that_are_turned_upright(make, detect):
+    """As where the transform to ~up_frame comes late: what is to be set was told for the images as they came."""
+    orientation = make()
+    for stamp in range(60):
+        of = np.rot90(IMAGE, 2)
+        given = (of, detect(of)[1]) if make is ImageOrientation else (of,)
+        orientation.update(*given, float(stamp), detect)
+    assert orientation.turn == 2
+    orientation.images_turn()
+    assert orientation.turn is None
+    orientation.turn = 0
+    orientation.images_turn()
+    assert orientation.turn == 0, "a camera that rolls shows upright people all the time"
+
+
 @pytest.mark.parametrize("up, turn", [
     ((0.0, -1.0, 0.0), 0), ((0.3, -0.8, -0.5), 0), ((0.0, 1.0, 0.0), 2), ((1.0, 0.0, 0.0), 1), ((-0.9, 0.1, -0.3), 3),
     ((0.1, 0.2, -0.97), None)])

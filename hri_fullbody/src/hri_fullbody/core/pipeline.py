@@ -400,6 +400,7 @@ class BodyPipeline:
         for localizer in self._localizers.values():
             localizer.turn(rotation)
         self._ground.reset()
+        self._orientation.images_turn()
         self._modeller.turn(rotation)
         for recognizer in self._recognizers.values():
             recognizer.forget_places()

@@ -43,6 +43,12 @@ class ImageOrientation:
         self._next: Optional[float] = None
         self._asked = self._seen = 0
 
+    def images_turn(self) -> None:
+        """Take note that images are turned otherwise from now on: of turned people nothing is known any more, and
+        upright ones stay so, as it is gravity that turns the images."""
+        if self.turn != 0:
+            self.reset()
+
     def update(self, image: np.ndarray, scores: np.ndarray, stamp: float, detect: Detect) -> None:
         """Take an image of `stamp` (s) in which `detect` gave people with `scores`; at times `detect` is asked about
         the image as it stands after a turn. Once people were seen upright, the camera is."""
@@ -79,6 +85,12 @@ class FaceOrientation:
         self.turn: Optional[int] = None
         self._next = -math.inf
         self._last: Optional[int] = None
+
+    def images_turn(self) -> None:
+        """Take note that images are turned otherwise from now on: of turned people nothing is known any more, and
+        upright ones stay so, as it is gravity that turns the images."""
+        if self.turn != 0:
+            self.reset()
 
     def update(self, image: np.ndarray, stamp: float, detect: Detect) -> None:
         """Take an image of `stamp` (s); every 10 s `detect` is asked about its four orientations."""

@@ -347,6 +347,7 @@ class FaceTrackingPipeline:
         self._ignored.turn(rotation.quarters)
         self._flow.turn(rotation)
         self._cuts.turn(rotation)
+        self._orientation.images_turn()
         self._detection_scheduler.reset()
         for track in self._tracker.tracks:
             track.turn(rotation)
