@@ -16,7 +16,7 @@ from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.recognition.face_identity import FaceEvidence, FaceTemplate, SamePersons
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
-from hri_pipeline.core.recognition.recogniser import SAME, Recogniser
+from hri_pipeline.core.recognition.recogniser import SAME, FaceRecognition, Recogniser
 from hri_pipeline.core.recognition.store import KnownPerson
 from hri_pipeline.core.recognition.stored_gallery import open_gallery
 
@@ -399,6 +399,16 @@ def test_what_waits_to_be_learnt_goes_with_the_name():
     assert scene.recogniser.person_of("f1") != "anna"
     scene.recogniser.keep([])
     assert len(scene.gallery.export("anna").templates) == 1
+
+
+def test_what_waits_to_be_learnt_is_learnt_when_the_node_ends():
+    scene = with_a_later_view()
+    recognition = FaceRecognition.__new__(FaceRecognition)
+    recognition.recogniser, recognition._gallery = scene.recogniser, Mock()
+    recognition._gallery.close = lambda: learnt.append(len(scene.gallery.export("anna").templates))
+    learnt = []
+    recognition.close()
+    assert learnt == [2], "before the file is written"
 
 
 @pytest.mark.parametrize("forget", [lambda one: one.forget("anna"), lambda one: one.forget_all()])

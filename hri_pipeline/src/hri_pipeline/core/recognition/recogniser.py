@@ -527,5 +527,6 @@ class FaceRecognition:
         return {"recognition_" + name: value for name, value in self.recogniser.status().items()}
 
     def close(self) -> None:
-        """Write and close the gallery. Idempotent."""
+        """Write and close the gallery: all faces have left. Idempotent."""
+        self.recogniser.keep(())
         self._gallery.close()
