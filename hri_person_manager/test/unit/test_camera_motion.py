@@ -1,6 +1,7 @@
 """A localisation that corrects itself: all that a camera sees jumps in map, and nobody walks."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,6 +69,18 @@ def test_a_robot_that_drives_and_turns_changes_nothing(rate, speed, wanted):
         return Pose(turned(pan), np.array([0.4 * way, 0.0, 0.0]))
     told = speeds(rate, lambda stamp: (drive(stamp),) * 2, lambda stamp: np.array([3.0, speed * stamp, 1.6]))
     assert np.all(np.abs(told[told[:, 0] > 2.5, 1] - wanted) < 0.12)
+
+
+def test_the_way_of_a_robot_while_somebody_was_out_of_sight_is_no_jump():
+    """Who walks beside the robot goes on as fast as before, after 2 s behind a pillar, too."""
+    motion, without = CoastingMotion(1.0), CoastingMotion(1.0)
+    for stamp in np.concatenate([np.arange(0.0, 3.0, 0.1), np.arange(5.0, 6.0, 0.1)]):
+        camera = Pose(np.eye(3), np.array([stamp, 0.0, 1.2]))
+        place = Place("map", Pose(np.eye(3), np.array([stamp, 1.5, 1.6])), stamp, origin=camera.translation,
+                      camera=camera)
+        motion.see(place)
+        without.see(replace(place, camera=None))
+        assert motion.velocity == pytest.approx(without.velocity), stamp
 
 
 def test_the_camera_stands_with_the_place_of_a_person():

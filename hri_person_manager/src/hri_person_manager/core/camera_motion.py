@@ -28,6 +28,7 @@ class CameraMotion:
 
     def see(self, pose: Optional[Pose], step: float) -> Optional[Pose]:
         """Take where the camera is (it maps camera coordinates to the reference frame), `step` s after the last time.
+        With a step of 0 it begins anew.
 
         Returns what maps a place before to where it is if it has jumped with the camera, None without a jump.
         """

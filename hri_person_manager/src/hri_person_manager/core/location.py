@@ -250,12 +250,11 @@ class CoastingMotion:
         if self._coast_time <= 0.0:
             return
         last, self._last = self._last, place
-        if last is None or last.frame != place.frame:
-            self._velocity = np.zeros(3)
-            return
-        step = place.stamp - last.stamp
-        if not 0.0 < step <= LONGEST_STEP:
-            self._velocity = np.zeros(3) if step else self._velocity
+        step = math.inf if last is None or last.frame != place.frame else place.stamp - last.stamp
+        if last is None or not 0.0 < step <= LONGEST_STEP:
+            if step:
+                self._velocity = np.zeros(3)
+                self._camera.see(place.camera, 0.0)
             return
         measured = (place.pose.translation - last.pose.translation) / step
         jump = self._camera.see(place.camera, step)
