@@ -101,6 +101,20 @@ def test_everybody_is_found_without_faces_in_slow_images(count, interval):
     assert len(bodies) == count
 
 
+def test_who_has_no_place_has_none_between_two_looks_either():
+    """The border cuts it: the place of before is that of the camera of before, which may have turned."""
+    stage, _, _ = make([(400, 400)])
+    for index in range(10):
+        body, = stage.update(IMAGE, CAMERA, index / 20.0) or [None]
+    assert stage.model(body) is not None and stage.model(replace(body, measured=False)) is not None
+    unplaced = replace(body, measured=True, pose=None, keypoints_3d=np.full((18, 3), np.nan))
+    stage.fit([unplaced], 0.5, stage.up, (1280, 720))
+    assert stage.model(unplaced) is None
+    between = replace(unplaced, measured=False)
+    stage.fit([between], 0.55, stage.up, (1280, 720))
+    assert stage.model(between) is None
+
+
 def test_that_people_were_upside_down_does_not_hold_for_images_that_are_turned_from_now_on():
     stage, _, _ = make([(400, 400)])
     stage._orientation.turn = 2

@@ -320,10 +320,13 @@ class BodyPipeline:
     def model(self, body: BodyObservation) -> Optional[ModelledBody]:
         """Return the model of a body that is in the image, None while there is none.
 
-        One that was not detected in this image keeps its joints and moves as its observation does.
+        One that was not detected in this image keeps its joints and moves as its observation does; where that has no
+        place any more, there is none either.
         """
         last = self._last_models.get(body.id)
         if last is None or body.id in self._modeller.failures:
+            return None
+        if not body.measured and body.pose is None and last.origin is not None:
             return None
         if body.measured or body.pose is None or last.origin is None:
             return last.model
