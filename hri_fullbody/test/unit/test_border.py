@@ -57,6 +57,17 @@ def test_a_body_that_is_squeezed_at_the_border_has_no_place_until_it_is_itself_a
     assert body.pose.translation == pytest.approx(cut, abs=0.1)
 
 
+def test_a_depth_image_that_does_not_reach_the_border_says_nothing_there():
+    """As registered ones, which are narrower than the colour image; one that shows the trunk tells where it is."""
+    blind, seeing = Person(), Person()
+    for person in (blind, seeing):
+        person.seen(WHOLE, face=True)
+        person.seen(AT_RIGHT, face=True)
+    assert blind.seen(squeezed(AT_RIGHT), depth=np.full((720, 1280), np.nan, np.float32)).pose is None
+    body = seeing.seen(squeezed(AT_RIGHT), depth=np.full((720, 1280), AT_RIGHT[2] - 0.1, np.float32))
+    assert body.by_depth and body.pose.translation[2] == pytest.approx(AT_RIGHT[2], abs=0.1)
+
+
 def test_a_face_or_being_seen_whole_tells_that_a_body_is_farther():
     with_face, whole = Person(), Person()
     for person in (with_face, whole):

@@ -448,15 +448,17 @@ class BodyLocalizer:
         pixels = estimate.landmarks[:BODY_LANDMARKS, :2]
         self._pixels = self._image(pixels / self._pixels_per_metre, track.stamp) * self._pixels_per_metre
         points = track.detection.points
-        if points is None or not self._is_there(points, track, camera, face, context.depth is not None):
+        measured = None if points is None else _depth_cue_of(points, track, camera, context)
+        if points is None or not self._is_there(points, track, camera, face, measured is not None):
             self._points, self.by_depth = None, False
             self._distance.reset()
         else:
-            self._points = self._rescale(points, track, camera, face, context)
+            self._points = self._rescale(points, track, camera, face, context, measured)
 
     def _is_there(self, points: np.ndarray, track: BodyTrack, camera: CameraModel, face: Optional[Pose],
                   by_depth: bool) -> bool:
-        """Whether a body, which the border may cut, is where its landmarks (33, 3) m are.
+        """Whether a body, which the border may cut, is where its landmarks (33, 3) m are. by_depth: a depth image tells
+        its distance.
 
         Who turned round, and whose face ended in the image, is there: people walk away.
         """
@@ -469,18 +471,15 @@ class BodyLocalizer:
         return self._cut_range.is_right(distance, track.stamp, cut, face is not None or by_depth)
 
     def _rescale(self, points: np.ndarray, track: BodyTrack, camera: CameraModel, face: Optional[Pose],
-                 context: SceneContext) -> np.ndarray:
+                 context: SceneContext, measured: Optional[ScaleCue]) -> np.ndarray:
         """Landmarks (33, 3) m at the size and the distance that depth image, face, or floor tell, the first that
-        does."""
+        does. measured: the cue of the depth image."""
         pixels = track.estimate.landmarks[:BODY_LANDMARKS, :2]
         confidence = track.estimate.confidence[:BODY_LANDMARKS]
         size = (camera.width, camera.height)
         rays = camera.normalise(pixels)
-        cue: Optional[ScaleCue] = None
-        if context.depth is not None:
-            cue = depth_cue(trunk_ratio(context.depth, pixels, points, confidence, size), points[_TRUNK].mean(axis=0))
-        self.by_depth = cue is not None
-        cue = cue or face_cue(points, face)
+        self.by_depth = measured is not None
+        cue = measured or face_cue(points, face)
         self._scale.update(cue)
         if not self.by_depth and context.up is not None and context.camera_height is not None:
             self._scale.update(self._scale.floor_cue(
@@ -495,6 +494,17 @@ class BodyLocalizer:
             return measured_joints(context.depth, pixels, rays, placed, confidence, size)
         depth = np.array([placed[_HIPS, 2].mean()])
         return placed + anchor / anchor[2] * (self._distance(depth, track.stamp) - depth)
+
+
+def _depth_cue_of(points: np.ndarray, track: BodyTrack, camera: CameraModel, context: SceneContext
+                  ) -> Optional[ScaleCue]:
+    """Cue of the depth image for the landmarks (33, 3) m of a body, None where it does not tell their distance."""
+    if context.depth is None:
+        return None
+    estimate = track.estimate
+    ratio = trunk_ratio(context.depth, estimate.landmarks[:BODY_LANDMARKS, :2], points,
+                        estimate.confidence[:BODY_LANDMARKS], (camera.width, camera.height))
+    return depth_cue(ratio, points[_TRUNK].mean(axis=0))
 
 
 def visible_box(points: np.ndarray, confidence: np.ndarray, width: int, height: int) -> np.ndarray:
