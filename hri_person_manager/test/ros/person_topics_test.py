@@ -60,7 +60,7 @@ class PersonTopicsTest(unittest.TestCase):
         self.assertEqual(self.heard, [""], "who keeps the face until then")
 
     def test_a_name_that_has_no_topic_yet_is_said_later(self):
-        wait_for(lambda: self.update() and self.listed[-1:] == [["ann"]], 20, "the person")
+        wait_for(lambda: self.update() and self.listed[-1:] == [["ann"]] and "f1" in self.heard, 20, "the person")
         self.register.seen(["ann"], time.time())
         self.register.set_name("ann", "Ann")
         self.fails()
