@@ -134,10 +134,11 @@ class CenterNetDetector:
         heat, extents = output["heat"][0], output["ltrb"][0]
         boxes, scores = decode_centres(
             np.ascontiguousarray(heat[:, :, _PERSON_CLASS]), extents, self.threshold)
-        if len(boxes):
-            others = heat[:, :, _PERSON_CLASS + 1:].max(axis=2)
-            kept = ~outdone(boxes, scores, *decode_centres(others, extents, self.threshold))
-            boxes, scores = boxes[kept], scores[kept]
+        if not len(boxes):
+            return boxes, scores
+        others = heat[:, :, _PERSON_CLASS + 1:].max(axis=2)
+        kept = ~outdone(boxes, scores, *decode_centres(others, extents, self.threshold))
+        boxes, scores = boxes[kept], scores[kept]
         animals = claims(heat, extents, _ANIMALS, boxes)
         boxes = boxes * np.array([width / size[0], height / size[1]] * 2)
         boxes = np.clip(boxes, 0.0, [width, height, width, height])
