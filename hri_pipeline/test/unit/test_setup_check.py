@@ -103,6 +103,17 @@ def test_each_fault_is_named_and_nothing_else(facts, words):
     assert all(word in told for word in words), told
 
 
+def test_without_bodies_no_matcher_is_missed_and_the_remedy_names_who_runs():
+    nodes = {"hri_faces": "running", "hri_bodies": "absent", "hri_face_body_matcher": "absent",
+             "hri_person_manager": "running"}
+    fault, = [finding for finding in check(replace(WELL, nodes=nodes), SETTINGS) if finding.level == FAULT]
+    assert "hri_bodies does not run" in fault.what
+    assert fault.hint.endswith('_nodes:="[hri_faces, hri_person_manager]"')
+    matcher, = [finding for finding in check(replace(WELL, nodes=dict(nodes, hri_bodies="running")), SETTINGS)
+                if finding.level == FAULT]
+    assert "hri_face_body_matcher does not run" in matcher.what
+
+
 @pytest.mark.parametrize("facts, word", [
     (image(rate=1.0), "1.0 images/s only"),
     (replace(WELL, info=replace(INFO, types=(), publishers=(), messages=0), calibration=None), "distances are guessed"),

@@ -11,6 +11,7 @@ from hri_pipeline.core.timing import clock_fault
 
 NO_IMAGE_YET = "no image yet"       # what a pipeline tells in /diagnostics, whatever the reason
 OK, HINT, FAULT = 0, 1, 2
+_MATCHER, _MATCHED = "hri_face_body_matcher", ("hri_faces", "hri_bodies")
 
 
 @dataclass(frozen=True)
@@ -232,12 +233,17 @@ def _nodes(facts: Facts, settings: CheckSettings) -> List[Finding]:
             found.append(Finding(FAULT, "the node {} does not run here, but {}".format(name, ", ".join(namesakes)),
                                  "look there: ROS_NAMESPACE={} rosrun hri_pipeline check; or give the names that run "
                                  "in _nodes".format(namesakes[0].rpartition("/")[0] or "/")))
-        elif state == "absent":
+        elif state == "absent" and not (name == _MATCHER and _has_nothing_to_match(facts)):
             found.append(Finding(FAULT, "the node {} does not run".format(name),
                                  "roslaunch ros4hri ros4hri.launch; its messages there say why it ended. If its branch "
                                  "is meant to be off: rosrun hri_pipeline check _nodes:=\"[{}]\"".format(
-                                     ", ".join(other for other in facts.nodes if other != name))))
+                                     ", ".join(other for other, how in facts.nodes.items() if how != "absent"))))
     return found
+
+
+def _has_nothing_to_match(facts: Facts) -> bool:
+    """Tell whether one of both was switched off, so that no matcher is started."""
+    return [facts.nodes.get(name, "running") for name in _MATCHED].count("absent") == 1
 
 
 def _namesakes(name: str, facts: Facts) -> List[str]:
