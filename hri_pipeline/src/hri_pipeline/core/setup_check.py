@@ -63,7 +63,8 @@ class Facts:
     nodes: {name: "running", "dead" (registered, but does not answer) or "absent"}. statuses: {name of the task: (level,
     text)} of /diagnostics. tracked: {kind: ids in the last list, -1 without a list}. tf_reaches: whether transforms
     lead from camera_frame to reference_frame. publishing: nodes, whatever their names, that publish below /humans.
-    managers: those that publish the list of persons. time, wall_time: now, of ROS and of the machine, s. stand_ins: {usual name: nodes of other names that do its work}.
+    managers: those that publish the list of persons. time, wall_time: now, of ROS and of the machine, s. stand_ins:
+    {usual name: nodes of other names that do its work}.
     """
 
     nodes: Dict[str, str] = field(default_factory=dict)

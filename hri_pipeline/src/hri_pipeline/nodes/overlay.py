@@ -1,8 +1,8 @@
 """The overlay node: what the stack sees, drawn on the camera image.
 
 Threads: callbacks of rospy only store (under a lock); pairing, drawing and publishing happen in the caller
-of spin(), which never waits for the master. While nobody subscribes to the overlay, this node subscribes to nothing. Which regions are ignored, the
-parameters of the nodes that take the same images say.
+of spin(), which never waits for the master. While nobody subscribes to the overlay, this node subscribes to nothing.
+Which regions are ignored, the parameters of the nodes that take the same images say.
 """
 
 from __future__ import annotations

@@ -146,15 +146,15 @@ class PersonStore:
         if self._database.has_traces:
             self._database.erase()
 
-    def expire(self, now: float, max_age: float, max_persons: int) -> List[str]:
+    def expire(self, now: float, max_age: float, max_persons: int, is_synchronised: bool = False) -> List[str]:
         """Remove who was not seen for `max_age` (s; 0: no limit), and of more than `max_persons` (0: no limit) those
         who were not seen for the longest time, without a trace; returns their ids. Nobody goes by a clock that has
-        jumped (`judge_retention`); `clock_problem` tells.
+        jumped (`judge_retention`), unless the system says that it is right; `clock_problem` tells.
         """
         with self._database.writing() as database:
             people = {person.id: person for person in self.load_records()}
             verdict = judge_retention({name: person.last_seen for name, person in people.items()}, self._load_clock(),
-                                      now, max_age, max_persons)
+                                      now, max_age, max_persons, is_synchronised)
             for name in verdict.redated:
                 self.put_record(replace(people[name], last_seen=now), is_new=False)
             database.executemany("DELETE FROM persons WHERE id = ?", [(name,) for name in verdict.gone])
