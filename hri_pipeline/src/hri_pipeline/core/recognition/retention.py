@@ -140,5 +140,5 @@ def _problem(clock: StoreClock, max_age: float) -> str:
         return ""
     now, last = (time.strftime("%Y-%m-%d", time.gmtime(span.end)) for span in (clock.doubted, clock.trusted))
     return ("the clock says {}, and the store was used last on {}: nobody expires before it is synchronised (NTP), "
-            "goes on from there, or has gone on without a jump for {:g} days (store_max_age); set it if it is wrong".format(
-                now, last, max_age / DAY_S))
+            "goes on from there, or has gone on without a jump for {:g} days (store_max_age); set it if it is "
+            "wrong".format(now, last, max_age / DAY_S))
