@@ -188,6 +188,24 @@ def test_the_only_row_that_the_key_does_not_open_is_set_aside(path, told, cipher
     store.close()
 
 
+def test_the_mark_of_the_key_is_opened_as_bytes(path, told, cipher, monkeypatch):
+    """The library of ROS Noetic's system refuses text."""
+    decrypt = cipher.decrypt
+
+    def strict(stored):
+        if not isinstance(stored, bytes):
+            raise TypeError("token must be bytes")
+        return decrypt(stored)
+
+    monkeypatch.setattr(cipher, "decrypt", strict)
+    filled(path, cipher)
+    spoil(path, "DELETE FROM templates")
+    spoil(path, "UPDATE persons SET sealed = x'00'")
+    store = opened(path, told, cipher)
+    assert len(store.load_records()) == 2 and len(told) == 2
+    store.close()
+
+
 def test_a_row_that_the_key_does_not_open_beside_templates_that_it_does(path, told, cipher):
     """A store of an earlier version has no mark of its key."""
     filled(path, cipher)

@@ -375,7 +375,8 @@ class PersonStore:
     def _opened(self, content: Any) -> Tuple[bytes, str]:
         """The bytes that were encrypted, or that are as they are without a key, and what is wrong with them."""
         try:
-            return bytes(content) if self._cipher is None else self._cipher.decrypt(content), ""
+            token = content.encode() if isinstance(content, str) else content   # older cryptography takes no text
+            return bytes(token) if self._cipher is None else self._cipher.decrypt(token), ""
         except (TypeError, ValueError) as error:
             return b"", "{} ({})".format(CLOSED, error)
 
