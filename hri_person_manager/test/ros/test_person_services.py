@@ -333,6 +333,17 @@ class TestPersonServices(unittest.TestCase):
         self.assertIn(b"no known person nobody", unknown)
         self.assertNotIn(b"named", unknown)
 
+    def test_a_person_manager_of_another_version_is_told_as_that(self):
+        class Older(ListKnown):
+            _md5sum = "0" * 32
+        other = rospy.Service("/older/hri_person_manager/list_known", Older, lambda request: ListKnownResponse())
+        self.addCleanup(other.shutdown)
+        told = subprocess.run(["rosrun", "hri_person_manager", "people", "--node", "/older/hri_person_manager", "list"],
+                              stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=30, check=False)
+        self.assertEqual(told.returncode, 1)
+        self.assertIn(b"/older/hri_person_manager is of another version than this command", told.stderr)
+        self.assertNotIn(b"md5", told.stderr)
+
     def test_the_person_manager_of_a_namespace_is_found(self):
         def people():
             done = subprocess.run(["rosrun", "hri_person_manager", "people", "list"], stdout=subprocess.PIPE,

@@ -9,7 +9,8 @@ from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 
-from hri_pipeline.ros.master import PublisherAnswer, does_publish, is_alive
+from hri_pipeline.ros import master as module
+from hri_pipeline.ros.master import ForeignNode, MasterWatch, PublisherAnswer, does_publish, is_alive
 
 PATIENCE_S = 0.5
 
@@ -68,3 +69,27 @@ def test_what_nodes_say(node, nobody):
     assert does_publish(node, "/mine") is PublisherAnswer.YES
     assert does_publish(node, "/other") is PublisherAnswer.NO
     assert does_publish(nobody, "/mine") is PublisherAnswer.REFUSED
+
+
+def test_the_start_of_a_node_does_not_wait_for_an_aggregator_that_hangs(monkeypatch):
+    looks, answers, made = threading.Event(), threading.Event(), threading.Event()
+
+    def look(aggregator):
+        looks.set()
+        assert answers.wait(10.0)
+
+    def make():
+        watches.append(MasterWatch())
+        made.set()
+
+    watches = []
+    monkeypatch.setattr(ForeignNode, "look", look)
+    monkeypatch.setattr(module, "register_without_waiting", lambda: None)
+    monkeypatch.setattr(MasterWatch, "_ask", lambda watch: (1, "run"))
+    threading.Thread(target=make, daemon=True).start()
+    try:
+        assert looks.wait(10.0) and made.wait(10.0)
+        assert not answers.is_set(), "it is looked for all the same"
+    finally:
+        answers.set()
+    watches[0].close()

@@ -66,3 +66,15 @@ def test_without_up_frame_nothing_is_turned_and_nothing_listened_to(monkeypatch)
     camera, context = CameraMounting(FACES.resolve({})), {}
     assert camera.orient(frame(), context).quarters == 0 and context[UP] == (None, None, None)
     assert camera.values()["image_rotation_by"] == "auto, without up_frame"
+
+
+def test_with_a_fixed_turn_faces_need_no_transform_and_listen_to_none(monkeypatch):
+    monkeypatch.setattr(mounting, "RobotTfListener", None)
+    settings = FACES.resolve({"up_frame": "map", "image_rotation": "90"})
+    camera, context = CameraMounting(settings, for_rotation_only=True), {}
+    assert camera.orient(frame(), context).quarters == 1 and context[UP] == (None, None, None)
+    assert camera.status()[1] == ""
+    camera.close()
+    monkeypatch.setattr(mounting, "RobotTfListener", Robot)
+    by_gravity = CameraMounting(FACES.resolve({"up_frame": "map"}), for_rotation_only=True)
+    assert by_gravity.orient(frame(), {}).quarters == 2

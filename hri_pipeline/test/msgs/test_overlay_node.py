@@ -88,7 +88,31 @@ def test_ignored_regions_are_those_of_all_nodes_and_stay_while_the_master_is_awa
             raise answer
         return answer
 
+    def told(ignored):
+        ignored.boxes()
+        ignored._asking.join(5.0)
+        return ignored._boxes
+
     monkeypatch.setattr(module, "parameter_of_subscribers", ask)
     monkeypatch.setattr(module, "_ASK_S", 0.0)
     ignored, both = IgnoredByNodes(), [(0.0, 0.0, 0.5, 1.0), (0.5, 0.0, 1.0, 0.5)]
-    assert [ignored.boxes() for _ in range(4)] == [both, both, both, []]
+    assert [told(ignored) for _ in range(4)] == [both, both, both, []]
+
+
+def test_pictures_do_not_wait_for_a_master_that_hangs(monkeypatch):
+    answers, asked = threading.Event(), []
+
+    def ask(*arguments):
+        asked.append(threading.current_thread())
+        assert answers.wait(10.0)
+        return [["0 0 0.5 1"]]
+
+    monkeypatch.setattr(module, "parameter_of_subscribers", ask)
+    monkeypatch.setattr(module, "_ASK_S", 0.0)
+    ignored = IgnoredByNodes()
+    assert [ignored.boxes() for _ in range(3)] == [[], [], []]
+    wait_for(lambda: asked, 5, "the master is asked")
+    answers.set()
+    asked[0].join(5.0)
+    assert len(asked) == 1 and asked[0] is not threading.current_thread()
+    assert ignored.boxes() == [(0.0, 0.0, 0.5, 1.0)]

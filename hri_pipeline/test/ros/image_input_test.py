@@ -442,6 +442,14 @@ class ImageInputTest(InputCase):
             if words:
                 self.assertIn("{}: images are {}".format(image_input.topic, words), text)
 
+    def test_stamps_of_simulated_time_are_told_with_the_remedy(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        self.send(image_input, picture(3.5))
+        self.assertIsNotNone(image_input.next(5))
+        self.assertIn("stamped by simulated time (3.5 s)", image_input.status()[1])
+        self.assertIn("rosparam set /use_sim_time true", image_input.status()[1])
+
     def test_the_first_image_of_a_bag_that_begins_anew_is_not_told_as_old_before_the_clock_has_followed(self):
         image_input = self.image_input()
         self.calibrate(image_input, info())

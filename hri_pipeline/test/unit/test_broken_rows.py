@@ -2,12 +2,14 @@
 
 import json
 import sqlite3
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
+from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson, read_store
@@ -102,16 +104,36 @@ def test_text_that_is_no_utf_8_hinders_nobody(path, told):
     store.close()
 
 
-def test_a_row_whose_id_is_none_is_left_where_it_is(path, told):
+@pytest.mark.parametrize("spoilt", ["'no id!'", "x'00ff'", "CAST(x'41ff42' AS TEXT)", "''"])
+@pytest.mark.parametrize("is_encrypted", [False, True])
+def test_whoever_has_no_legal_id_gets_a_new_one_with_all_that_is_known(path, told, cipher, spoilt, is_encrypted):
+    cipher = cipher if is_encrypted else None
+    filled(path, cipher)
+    with sqlite3.connect(str(path)) as database:
+        for table, column in (("templates", "person"), ("persons", "id")):
+            database.execute("UPDATE {} SET {} = {} WHERE {} = 'bert'".format(table, column, spoilt, column))
+    database.close()
+    store = opened(path, told, cipher)
+    anna, bert = sorted(store.load_records(), key=lambda one: one.first_seen)
+    assert is_valid_id(bert.id) and bert.id not in ("anna", "bert")
+    assert (anna, bert) == (ANNA, replace(BERT, id=bert.id))
+    assert {one.id: len(one.templates) for one in store.load_templates("net", SIZE)} == {"anna": 3, bert.id: 3}
+    assert len(told) == 1 and str(path) in told[0] and bert.id in told[0] and "Example" not in told[0]
+    again = opened(path, told, cipher)
+    assert [one.id for one in again.load_records()] == sorted(["anna", bert.id]) and len(told) == 1
+    again.close()
+    store.remove_record(bert.id)
+    assert [one.id for one in store.load_records()] == ["anna"]
+    store.close()
+    assert b"Bert Example" not in b"".join(file.read_bytes() for file in path.parent.iterdir())
+
+
+def test_whoever_has_no_legal_id_is_left_out_of_a_read_only_store(path, told):
     filled(path)
     spoil(path, "UPDATE persons SET id = 'no id!' WHERE id = 'bert'")
-    store = opened(path, told)
-    assert [record.id for record in store.load_records()] == ["anna"] == [record.id for record in store.load_records()]
-    assert len(told) == 1 and "'no id!'" in told[0]
-    store.close()
-    with sqlite3.connect(str(path)) as database:
-        assert database.execute("SELECT name FROM persons WHERE id = 'no id!'").fetchall() == [("Bert Example",)]
-    database.close()
+    records, known = read_store(path, None, "net", SIZE, told.append)
+    assert [one.id for one in records] == ["anna"] == [one.id for one in known]
+    assert len(told) == 1 and "'no id!'" in told[0] and "left out" in told[0] and "people forget" not in told[0]
 
 
 @pytest.mark.parametrize("content", [b"gAAAAA", b"", None, "[1, 2]", "{", "[\"Ann\", \"\", NaN, 2, {}]",
@@ -153,6 +175,103 @@ def test_another_key_is_no_broken_row(path, told, cipher, tmp_path):
     with pytest.raises(StoreError, match="give the key"):
         opened(path, told, TemplateCipher(make_key_file(tmp_path / "other"))).load_records()
     assert not told
+
+
+def test_the_only_row_that_the_key_does_not_open_is_set_aside(path, told, cipher):
+    store = opened(path, [], cipher)
+    store.put_record(ANNA)
+    store.close()
+    spoil(path, "UPDATE persons SET sealed = x'00'")
+    store = opened(path, told, cipher)
+    assert [(one.id, one.name, one.enrolled) for one in store.load_records()] == [("anna", "", True)]
+    assert len(told) == 1 and "'anna'" in told[0] and len(set_aside(path)) == 1
+    store.close()
+
+
+def test_the_mark_of_the_key_is_opened_as_bytes(path, told, cipher, monkeypatch):
+    """The library of ROS Noetic's system refuses text."""
+    decrypt = cipher.decrypt
+
+    def strict(stored):
+        if not isinstance(stored, bytes):
+            raise TypeError("token must be bytes")
+        return decrypt(stored)
+
+    monkeypatch.setattr(cipher, "decrypt", strict)
+    filled(path, cipher)
+    spoil(path, "DELETE FROM templates")
+    spoil(path, "UPDATE persons SET sealed = x'00'")
+    store = opened(path, told, cipher)
+    assert len(store.load_records()) == 2 and len(told) == 2
+    store.close()
+
+
+def test_a_row_that_the_key_does_not_open_beside_templates_that_it_does(path, told, cipher):
+    """A store of an earlier version has no mark of its key."""
+    filled(path, cipher)
+    spoil(path, "DELETE FROM facts WHERE name = 'key'")
+    spoil(path, "UPDATE persons SET sealed = x'00'")
+    store = opened(path, told, cipher)
+    assert [one.id for one in store.load_records()] == ["anna", "bert"] and len(told) == 2
+    assert len(store.load_templates("net", SIZE)) == 2
+    store.close()
+
+
+@pytest.mark.parametrize("is_marked", [False, True])
+def test_another_key_changes_nothing_in_a_store(path, told, cipher, tmp_path, is_marked):
+    filled(path, cipher)
+    if not is_marked:
+        spoil(path, "DELETE FROM facts WHERE name = 'key'")
+    other = TemplateCipher(make_key_file(tmp_path / "other"))
+    for _ in range(2):
+        with pytest.raises(StoreError, match="give the key"):
+            opened(path, told, other)
+        with pytest.raises(StoreError, match="give the key"):
+            read_store(path, other, "net", SIZE, told.append)
+    store = opened(path, told, cipher)
+    assert store.load_records() == [ANNA, BERT] and len(store.load_templates("net", SIZE)) == 2 and not told
+    store.close()
+
+
+def test_an_empty_store_takes_any_key_and_keeps_it(path, told, cipher, tmp_path):
+    filled(path, cipher)
+    store = opened(path, told, cipher)
+    store.remove_all()
+    store.close()
+    other = TemplateCipher(make_key_file(tmp_path / "other"))
+    filled(path, other)
+    with pytest.raises(StoreError, match="give the key"):
+        opened(path, told, cipher)
+    assert opened(path, told, other).load_records() == [ANNA, BERT] and not told
+
+
+@pytest.mark.parametrize("template", [face(2)[:-1].tobytes(), face(2).tobytes()[:-1], b"", "text",
+                                      np.zeros(SIZE, "<f4").tobytes(), np.zeros(SIZE // 2, "<f4").tobytes()])
+@pytest.mark.parametrize("is_encrypted", [False, True])
+def test_the_only_template_is_set_aside_like_others(path, told, cipher, template, is_encrypted):
+    cipher = cipher if is_encrypted else None
+    store = opened(path, [], cipher)
+    store.put_record(ANNA)
+    store.put_templates(KnownPerson("anna", face(1)[None], True), "net", 1.0)
+    store.close()
+    spoil(path, "UPDATE templates SET template = ?",
+          cipher.encrypt(template) if is_encrypted and isinstance(template, bytes) else template)
+    store = opened(path, told, cipher)
+    gallery = StoredGallery(store, "net", SIZE, CALIBRATION)
+    assert gallery.ids() == [] and store.load_records() == [ANNA]
+    assert len(told) == 1 and "'anna'" in told[0] and "template" in told[0]
+    gallery.close()
+    assert [person for person, _ in set_aside(path)] == ["anna"]
+
+
+def test_the_only_template_that_the_key_does_not_open_is_set_aside(path, told, cipher):
+    store = opened(path, [], cipher)
+    store.put_templates(KnownPerson("anna", face(1)[None], True), "net", 1.0)
+    store.close()
+    spoil(path, "UPDATE templates SET template = x'00'")
+    store = opened(path, told, cipher)
+    assert store.load_templates("net", SIZE) == [] and len(told) == 1 and len(set_aside(path)) == 1
+    store.close()
 
 
 @pytest.mark.parametrize("template", [

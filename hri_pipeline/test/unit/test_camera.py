@@ -28,7 +28,8 @@ def cameras(draw):
     share = draw(st.floats(0.0, 1.0))
     focal, aspect = draw(st.floats(450.0, 2000.0)), draw(st.floats(0.9, 1.1))
     x, y = draw(st.floats(280.0, 360.0)), draw(st.floats(200.0, 280.0))
-    matrix = [focal, 0.0, x, 0.0, focal * aspect, y, 0.0, 0.0, 1.0]
+    skew = draw(st.sampled_from([0.0, 0.0, 3.0, -20.0]))
+    matrix = [focal, skew, x, 0.0, focal * aspect, y, 0.0, 0.0, 1.0]
     return CameraModel.from_calibration(640, 480, matrix, [share * value for value in MODELS[model]], model, 1.0)
 
 
@@ -97,6 +98,16 @@ def test_what_a_fisheye_camera_sees_at_its_edge_stays_on_its_side(distortion):
                    for side in (1.0, -1.0))
     np.testing.assert_allclose(right, left * (-1.0, 1.0), atol=1e-9)
     assert (np.diff(right[:, 0]) > -1e-9).all() and 1.0 < right[-1, 0] < 30.0
+
+
+@pytest.mark.parametrize("model, distortion", [("plumb_bob", []), ("equidistant", []), *sorted(MODELS.items())])
+def test_the_skew_of_k_counts_both_ways(model, distortion):
+    straight = camera(model, distortion)
+    skewed = CameraModel.from_calibration(640, 480, [500.0, 20.0, *K[2:]], distortion, model, 1.0)
+    pixels = straight.project([[0.3, 0.2, 1.0]])
+    expected = pixels + [20.0 * (pixels[0, 1] - 238.5) / 510.0, 0.0]
+    np.testing.assert_allclose(skewed.project([[0.3, 0.2, 1.0]]), expected, atol=1e-9)
+    np.testing.assert_allclose(skewed.normalise(expected), [[0.3, 0.2]], atol=1e-6)
 
 
 def test_without_distortion_it_is_a_pinhole():

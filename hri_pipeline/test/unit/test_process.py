@@ -384,3 +384,15 @@ def test_every_node_and_tool_is_quiet_from_its_first_import_on():
     for path in scripts:
         imports = [line for line in path.read_text().splitlines() if line.startswith(("import ", "from "))]
         assert imports[0] == "from hri_pipeline.core import interrupt  # noqa: F401", path
+
+
+@pytest.mark.parametrize("answer, is_synchronised", [(0, True), (1, True), (5, False), (-1, False), (None, False)])
+def test_whether_the_clock_is_right_says_the_kernel(monkeypatch, answer, is_synchronised):
+    class Library:
+        def __init__(self, name):
+            if answer is not None:
+                self.adjtimex = lambda timex: answer
+
+    assert process.is_clock_synchronised() in (False, True), "of this machine"
+    monkeypatch.setattr(process.ctypes, "CDLL", Library)
+    assert process.is_clock_synchronised() is is_synchronised

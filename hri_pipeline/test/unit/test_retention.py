@@ -89,6 +89,46 @@ def test_a_robot_that_was_off_for_long_expires_people_when_the_clock_has_proved_
     assert gone == {"ann": 231, "bob": 231} and ids(store) == ["eve"] and store.clock_problem == ""
 
 
+def test_a_clock_that_is_synchronised_needs_no_proof(opened):
+    store = filled(opened())
+    store.expire(NOW, MAX_AGE, 0)
+    assert store.expire(NOW + 25 * DAY_S, MAX_AGE, 0) == [] and store.clock_problem, "not yet"
+    assert set(store.expire(NOW + 25 * DAY_S + 60.0, MAX_AGE, 0, True)) == {"ann", "bob"}
+    assert store.clock_problem == "" and ids(store) == ["eve"]
+    assert store.expire(NOW + 300 * DAY_S, MAX_AGE, 0, True) == ["eve"]
+
+
+def test_who_was_seen_by_a_wrong_clock_before_it_was_synchronised_was_seen_lately(opened):
+    store = filled(opened())
+    store.expire(NOW, MAX_AGE, 0)
+    wrong = NOW + 100 * DAY_S
+    store.expire(wrong, MAX_AGE, 0)
+    store.put_record(StoredPerson("bob", last_seen=wrong + 60.0), is_new=False)
+    store.expire(wrong + 120.0, MAX_AGE, 0)
+    assert set(store.expire(NOW + 200 * DAY_S, MAX_AGE, 0, True)) == {"ann", "eve"}
+    assert [record.last_seen for record in store.load_records()] == [NOW + 200 * DAY_S]
+
+
+def test_who_was_seen_since_a_right_jump_keeps_that_time(opened):
+    store = filled(opened())
+    store.expire(NOW, MAX_AGE, 0)
+    store.expire(NOW + 100 * DAY_S, MAX_AGE, 0)
+    store.put_record(StoredPerson("bob", last_seen=NOW + 100 * DAY_S), is_new=False)
+    assert set(store.expire(NOW + 101 * DAY_S, MAX_AGE, 0, True)) == {"ann", "eve"}
+    assert [record.last_seen for record in store.load_records()] == [NOW + 100 * DAY_S]
+
+
+def test_a_synchronised_clock_that_is_behind_counts_from_now_on(opened):
+    store = filled(opened())
+    store.expire(NOW, MAX_AGE, 0)
+    assert store.expire(NOW - 50 * DAY_S, MAX_AGE, 0, True) == [] and store.clock_problem == ""
+    assert ids(store) == ["ann", "bob", "eve"]
+    gone = {}
+    for day in range(-49, 0):
+        gone.update((name, day) for name in store.expire(NOW + day * DAY_S, MAX_AGE, 0, True))
+    assert sorted(gone) == ["ann", "bob", "eve"] and max(gone.values()) < -17, "within 31 days from then"
+
+
 def test_a_clock_that_jumps_at_each_start_proves_nothing(opened):
     store = filled(opened())
     store.expire(NOW, MAX_AGE, 0)

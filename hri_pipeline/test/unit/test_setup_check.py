@@ -70,6 +70,10 @@ def test_nobody_in_view_is_no_fault():
     (image(unreachable=("/camera", ), messages=0), ["cannot be reached", "ROS_IP"]),
     (image(messages=0), ["has a publisher (/camera), but nothing comes"]),
     (image(age=7.5), ["7.5 s old", "clocks"]),
+    (replace(image(age=1.8e9 - 3.0), time=1.8e9, wall_time=1.8e9),
+     ["stamped by simulated time (3.0 s)", "/use_sim_time true"]),
+    (replace(image(age=3.0 - 1.8e9), time=3.0, wall_time=1.8e9, sim_time=True, clock_messages=9),
+     ["stamped by the wall clock", "/use_sim_time false"]),
     (image(age=-3.0), ["3.0 s in the future"]),
     (image(frame=""), ["no frame_id"]),
     (replace(WELL, picture=Picture(encoding="jpeg2000", problem="encoding 'jpeg2000' is not supported")),
@@ -97,6 +101,17 @@ def test_each_fault_is_named_and_nothing_else(facts, words):
     assert len(faults) == 1
     told = faults[0].what + " -> " + faults[0].hint
     assert all(word in told for word in words), told
+
+
+def test_without_bodies_no_matcher_is_missed_and_the_remedy_names_who_runs():
+    nodes = {"hri_faces": "running", "hri_bodies": "absent", "hri_face_body_matcher": "absent",
+             "hri_person_manager": "running"}
+    fault, = [finding for finding in check(replace(WELL, nodes=nodes), SETTINGS) if finding.level == FAULT]
+    assert "hri_bodies does not run" in fault.what
+    assert fault.hint.endswith('_nodes:="[hri_faces, hri_person_manager]"')
+    matcher, = [finding for finding in check(replace(WELL, nodes=dict(nodes, hri_bodies="running")), SETTINGS)
+                if finding.level == FAULT]
+    assert "hri_face_body_matcher does not run" in matcher.what
 
 
 @pytest.mark.parametrize("facts, word", [

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.timing import ALL_STALE_S, ClockWatch, OldTime, Pacer, StageTimes, StampPacer
+from hri_pipeline.core.timing import ALL_STALE_S, ClockWatch, OldTime, Pacer, StageTimes, StampPacer, clock_fault
 
 
 def test_illegal_rate():
@@ -99,3 +99,22 @@ def test_what_was_on_its_way_when_a_bag_began_anew_is_of_the_old_time():
     assert not old.holds(101.0, 100.1, 5.1), "a camera whose clock is a little ahead"
     assert not old.holds(111.5, 111.6, 6.0), "what is new when the bag is played faster"
     assert not old.holds(119.9, 100.1, 5.0 + ALL_STALE_S), "not for ever"
+
+
+WALL = 1795709036.0     # 2026-11-26
+
+
+@pytest.mark.parametrize("stamp, now, simulated, what, remedy", [
+    (WALL - 3.0, WALL, False, "3.0 s old when they arrive", "clocks of the machines"),
+    (WALL + 60.0, WALL, False, "60.0 s in the future", "clocks of the machines"),
+    (0.1, WALL, False, "simulated time (0.1 s)", "rosparam set /use_sim_time true"),
+    (WALL - 400 * 86400.0, WALL, False, "2025-10-22", "--clock"),
+    (WALL - 0.2, 42.5, True, "wall clock", "rosparam set /use_sim_time false"),
+    (WALL - 400 * 86400.0, 42.5, True, "2025-10-22", "/clock"),
+    (40.0, 42.5, True, "2.5 s old when they arrive", "faster than"),
+    (1.0, WALL - 400 * 86400.0, True, "simulated time (1.0 s)", "/clock"),
+])
+def test_stamps_of_another_clock_are_told_with_that_clock(stamp, now, simulated, what, remedy):
+    told, mend = clock_fault(now - stamp, now, WALL, simulated)
+    assert what in told and remedy in mend
+    assert "17957090" not in told and len(told) < 120 and len(mend) < 200

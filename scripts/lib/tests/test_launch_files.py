@@ -136,3 +136,23 @@ def test_nodes_with_parameters_forget_those_of_an_earlier_launch(path: Path) -> 
     for node in read(path).iter("node"):
         if node.findall("param") or node.findall("rosparam"):
             assert node.get("clear_params") == "true", node.get("name")
+
+
+@pytest.mark.parametrize("faces, bodies, one_process, persons, is_started", [
+    (True, True, False, True, True), (True, False, False, True, False), (False, True, False, True, False),
+    (False, False, False, True, True), (True, False, True, True, True), (True, True, False, False, False)])
+def test_faces_are_matched_with_bodies_where_there_may_be_both(
+        faces: bool, bodies: bool, one_process: bool, persons: bool, is_started: bool) -> None:
+    """Without both switches they come from another machine, or another package."""
+    given = {"faces": faces, "bodies": bodies, "one_process": one_process, "persons": persons}
+
+    def value(text: str) -> object:
+        return eval(text[len("$(eval "):-1] if text.startswith("$(eval ") else text[len("$(arg "):-1], dict(given))
+
+    tags = list(read(ROOT / "launch" / STACK).iter())
+    matcher = next(tag for tag in tags if tag.get("file", "").endswith("face_body_matcher.launch"))
+    group = next((tag for tag in tags if tag.tag == "group" and matcher in list(tag)), matcher)
+    conditions = [tag.get("if") for tag in (group, matcher)]
+    assert all(value(text) for text in conditions if text) is is_started
+    expected = next(tag for tag in tags if tag.tag == "arg" and tag.get("name") == "matches")
+    assert bool(value(expected.get("value", ""))) is is_started

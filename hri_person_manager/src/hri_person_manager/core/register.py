@@ -379,9 +379,10 @@ def _worth_writing(before: Optional[DemographicsEstimate], now: Optional[Demogra
 class SqliteRecordStore:
     """A RecordStore in a PersonStore's file, with the limits of how long and how many persons are kept."""
 
-    def __init__(self, store: PersonStore, max_age_days: float = 0.0, max_persons: int = 0) -> None:
-        """max_age_days, max_persons: 0 for no limit."""
-        self._store = store
+    def __init__(self, store: PersonStore, max_age_days: float = 0.0, max_persons: int = 0,
+                 is_synchronised: Callable[[], bool] = lambda: False) -> None:
+        """max_age_days, max_persons: 0 for no limit. is_synchronised: tells whether the clock is right for certain."""
+        self._store, self._is_synchronised = store, is_synchronised
         self._stored: Set[str] = set()      # who was read or written here
         self._gone: List[str] = []          # who is to be told of by the next write() or expire() that returns
         self._max_age = max_age_days * DAY_S
@@ -419,7 +420,7 @@ class SqliteRecordStore:
         if not self._max_age and not self._max_persons:
             return []
         with self._store.change():
-            gone = self._store.expire(now, self._max_age, self._max_persons)
+            gone = self._store.expire(now, self._max_age, self._max_persons, self._is_synchronised())
         return self._without_traces(gone)
 
     def _without_traces(self, gone: Sequence[str]) -> List[str]:

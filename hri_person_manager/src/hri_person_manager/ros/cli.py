@@ -82,8 +82,7 @@ def run_people(arguments: Optional[Sequence[str]] = None) -> int:
     except KeyboardInterrupt:
         return 130
     except (rospy.ROSException, rospy.ServiceException) as error:
-        print("people: {}: {}. Is the person manager running? Its name is given by --node".format(
-            options.node or "hri_person_manager", error), file=sys.stderr)
+        print("people: {}".format(_why(options.node or "hri_person_manager", str(error))), file=sys.stderr)
         return 1
     finally:
         rospy.signal_shutdown("people has ended")
@@ -117,6 +116,14 @@ def _parser() -> argparse.ArgumentParser:
         "file", help="where to; an existing file is left alone")
     commands.add_parser("reset", help="start afresh with those who are tracked; the store is left alone")
     return parser
+
+
+def _why(node: str, error: str) -> str:
+    """Return why a person manager did not do what it was asked for, and the remedy."""
+    if "md5sum" in error:       # the answer of rospy to a request of another type
+        return ("{} is of another version than this command: they describe the service differently. Use `people` of "
+                "the version that runs, or install one version on both machines and start the nodes again".format(node))
+    return "{}: {}. Is the person manager running? Its name is given by --node".format(node, error)
 
 
 def _make_key(path: str) -> int:

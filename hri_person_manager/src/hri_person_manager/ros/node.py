@@ -34,7 +34,7 @@ from hri_person_manager.ros.topics import GraphTopic, PersonMarkers, PersonSpace
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.private_file import StoreError, TemplateCipher
-from hri_pipeline.core.process import share_arenas
+from hri_pipeline.core.process import is_clock_synchronised, share_arenas
 from hri_pipeline.core.recognition.store import PersonStore, StoreWriter, read_store
 from hri_pipeline.core.recognition.stored_gallery import SHARED_ENDINGS
 from hri_pipeline.core.timing import JUMP_BACK_S, ClockWatch, OldTime, Order, SourceStamps
@@ -76,7 +76,7 @@ def open_store(settings: PersonManagerSettings) -> Optional[SqliteRecordStore]:
     rospy.logwarn("persons are kept across runs in %s: ids, names, languages, apparent age and gender, times, "
                   "templates of faces%s. Forget them with `rosrun hri_person_manager people forget ID`", store.path,
                   ", encrypted" if settings.store_key else "")
-    return SqliteRecordStore(store, settings.store_max_age, settings.store_max_persons)
+    return SqliteRecordStore(store, settings.store_max_age, settings.store_max_persons, is_clock_synchronised)
 
 
 def _cipher(settings: PersonManagerSettings) -> Optional[TemplateCipher]:

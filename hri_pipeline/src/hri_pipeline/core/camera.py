@@ -184,12 +184,12 @@ class CameraModel:
         numpy.ndarray, shape (N, 2)
             x/z and y/z; of a fisheye camera at most tan(88 deg) from the axis.
         """
-        pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        pixels = self._sheared(np.asarray(pixels, dtype=np.float64).reshape(-1, 2), -1.0)
         if not np.any(self.distortion):
             rays = np.empty_like(pixels)
             if self.distortion_model != EQUIDISTANT:
                 rays[:, 1] = (pixels[:, 1] - self.matrix[1, 2]) / self.matrix[1, 1]
-                rays[:, 0] = (pixels[:, 0] - self.matrix[0, 2] - self.matrix[0, 1] * rays[:, 1]) / self.matrix[0, 0]
+                rays[:, 0] = (pixels[:, 0] - self.matrix[0, 2]) / self.matrix[0, 0]
                 return rays
         if len(pixels) == 0:
             return np.zeros((0, 2))
@@ -223,7 +223,7 @@ class CameraModel:
             pixels, _ = cv2.fisheye.projectPoints(seen, none, none, self.matrix, self._fisheye())
         else:
             pixels, _ = cv2.projectPoints(seen, none, none, self.matrix, self.distortion)
-        result[ahead] = np.asarray(pixels).reshape(-1, 2)
+        result[ahead] = self._sheared(np.asarray(pixels, dtype=np.float64).reshape(-1, 2), 1.0)
         return result
 
     def resized(self, width: int, height: int) -> "CameraModel":
@@ -233,6 +233,12 @@ class CameraModel:
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return CameraModel(int(width), int(height), scale @ self.matrix, self.distortion,
                            self.distortion_model, self.calibration)
+
+    def _sheared(self, pixels: np.ndarray, way: float) -> np.ndarray:
+        """Return pixels (N, 2) moved by the skew of K, which OpenCV leaves out; way: 1.0 to the image, -1.0 back."""
+        if not self.matrix[0, 1]:
+            return pixels
+        return pixels + np.outer((pixels[:, 1] - self.matrix[1, 2]) / self.matrix[1, 1], [way * self.matrix[0, 1], 0.0])
 
     def _ahead(self, pixels: np.ndarray, rays: np.ndarray) -> np.ndarray:
         """Return rays (N, 2) of a fisheye camera; those of a right angle and more from the axis, which x/z and y/z

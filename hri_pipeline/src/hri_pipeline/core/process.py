@@ -22,6 +22,8 @@ import threadpoolctl
 _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
+# What adjtimex returns for a clock that is not synchronised: TIME_ERROR of timex.h.
+_TIME_ERROR = 5
 # Larger than most images. Older C libraries refuse more (mallopt(3): DEFAULT_MMAP_THRESHOLD_MAX), and then map each
 # image anew.
 _KEEP_BYTES = 2 ** 25
@@ -49,6 +51,17 @@ def share_arenas() -> bool:
         return False
     mallopt.argtypes = (ctypes.c_int, ctypes.c_int)
     return bool(mallopt(_M_ARENA_MAX, 2))
+
+
+def is_clock_synchronised() -> bool:
+    """Tell whether the kernel says that its clock is synchronised, as by NTP (adjtimex(2)); False where it says
+    nothing. It stops to say so some hours after the last correction."""
+    timex = (ctypes.c_long * 64)()      # larger than struct timex; the modes, its first field, are 0: only read
+    try:
+        state = ctypes.CDLL(None).adjtimex(ctypes.byref(timex))
+    except (OSError, AttributeError):
+        return False
+    return 0 <= int(state) < _TIME_ERROR
 
 
 class GarbageCollector:

@@ -7,9 +7,11 @@ from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from hri_pipeline.core.images import ASPECT_TOLERANCE, ENCODINGS, other_transport
 from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
+from hri_pipeline.core.timing import clock_fault
 
 NO_IMAGE_YET = "no image yet"       # what a pipeline tells in /diagnostics, whatever the reason
 OK, HINT, FAULT = 0, 1, 2
+_MATCHER, _MATCHED = "hri_face_body_matcher", ("hri_faces", "hri_bodies")
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,8 @@ class Facts:
     nodes: {name: "running", "dead" (registered, but does not answer) or "absent"}. statuses: {name of the task: (level,
     text)} of /diagnostics. tracked: {kind: ids in the last list, -1 without a list}. tf_reaches: whether transforms
     lead from camera_frame to reference_frame. publishing: nodes, whatever their names, that publish below /humans.
-    managers: those that publish the list of persons. stand_ins: {usual name: nodes of other names that do its work}.
+    managers: those that publish the list of persons. time, wall_time: now, of ROS and of the machine, s. stand_ins:
+    {usual name: nodes of other names that do its work}.
     """
 
     nodes: Dict[str, str] = field(default_factory=dict)
@@ -74,6 +77,8 @@ class Facts:
     calibration: Optional[CalibrationFacts] = None
     sim_time: bool = False
     clock_messages: int = 0
+    time: float = 0.0
+    wall_time: float = 0.0
     camera_frame: str = ""
     reference_frame: str = "map"
     tf_reaches: bool = False
@@ -229,12 +234,17 @@ def _nodes(facts: Facts, settings: CheckSettings) -> List[Finding]:
             found.append(Finding(FAULT, "the node {} does not run here, but {}".format(name, ", ".join(namesakes)),
                                  "look there: ROS_NAMESPACE={} rosrun hri_pipeline check; or give the names that run "
                                  "in _nodes".format(namesakes[0].rpartition("/")[0] or "/")))
-        elif state == "absent":
+        elif state == "absent" and not (name == _MATCHER and _has_nothing_to_match(facts)):
             found.append(Finding(FAULT, "the node {} does not run".format(name),
                                  "roslaunch ros4hri ros4hri.launch; its messages there say why it ended. If its branch "
                                  "is meant to be off: rosrun hri_pipeline check _nodes:=\"[{}]\"".format(
-                                     ", ".join(other for other in facts.nodes if other != name))))
+                                     ", ".join(other for other, how in facts.nodes.items() if how != "absent"))))
     return found
+
+
+def _has_nothing_to_match(facts: Facts) -> bool:
+    """Tell whether one of both was switched off, so that no matcher is started."""
+    return [facts.nodes.get(name, "running") for name in _MATCHED].count("absent") == 1
 
 
 def _namesakes(name: str, facts: Facts) -> List[str]:
@@ -269,10 +279,8 @@ def _image(facts: Facts, settings: CheckSettings) -> List[Finding]:
         found.append(Finding(HINT, "{} comes with {:.1f} images/s only".format(stream.topic, stream.rate),
                              "raise the camera's rate, or use image_transport:=compressed over a network"))
     if stream.age is not None and abs(stream.age) > settings.max_age:
-        found.append(Finding(FAULT, "images on {} are {:.1f} s {}".format(
-            stream.topic, abs(stream.age), "old when they arrive" if stream.age > 0 else "in the future"),
-            "set the clocks of the machines (chrony, ntpdate); play a bag with --clock and /use_sim_time true; "
-            "over a network take image_transport:=compressed"))
+        text, remedy = clock_fault(stream.age, facts.time, facts.wall_time, facts.sim_time)
+        found.append(Finding(FAULT, "images on {} are {}".format(stream.topic, text), remedy))
     if not stream.frame:
         found.append(Finding(FAULT, "images on {} have no frame_id, so that nothing has a place".format(stream.topic),
                              "set the frame_id of the camera driver to its optical frame"))

@@ -18,6 +18,8 @@ Stamp = Tuple[int, int]
 
 JUMP_BACK_S = 0.5
 STALE_S = 0.5       # of a source without a newer stamp: late messages of a moment ago have come by then
+OTHER_CLOCK_S = 86400.0     # stamps that differ by more are of another clock, not late
+_FIRST_DATE_S = 1e9         # earlier times are of a simulation, or of a clock that was never set
 ALL_STALE_S = 10.0  # no source lags by so much: who was seen before the jump may never come again
 MAX_SOURCES = 500
 
@@ -156,6 +158,36 @@ class ClockWatch:
         if now != self._now:
             self._now, self._since = now, wall
         return wall - self._since
+
+
+def clock_fault(age: float, now: float, wall: float, simulated: bool) -> Tuple[str, str]:
+    """Return what is wrong with stamps of another clock, to be read after "images are", and the remedy.
+
+    Parameters
+    ----------
+    age : by how much a stamp is before now, s.
+    now : time of ROS, s.
+    wall : time of the machine, s.
+    simulated : whether the time of ROS is that of /clock (/use_sim_time).
+    """
+    stamp = now - age
+    if abs(age) < OTHER_CLOCK_S:
+        text = "{:.1f} s {}".format(abs(age), "old when they arrive" if age > 0.0 else "in the future")
+        return text, ("play the bag no faster than this machine computes" if simulated else
+                      "set the clocks of the machines (chrony, ntpdate); over a network take "
+                      "image_transport:=compressed")
+    if simulated and abs(stamp - wall) < OTHER_CLOCK_S:
+        return "stamped by the wall clock, and /use_sim_time is true: {:.1f} s on /clock".format(now), (
+            "let the camera driver stamp by the time of ROS; without a simulator or bag: rosparam set /use_sim_time "
+            "false, and start the nodes again")
+    text = ("stamped by simulated time ({:.1f} s)".format(stamp) if stamp < _FIRST_DATE_S else
+            "of " + time.strftime("%Y-%m-%d %H:%M", time.gmtime(stamp)))
+    if simulated:
+        return "{}, and /clock is another time".format(text), (
+            "let one program only, that of the images, publish /clock (a bag: --clock)")
+    return "{}, and /use_sim_time is not true".format(text), (
+        "of a simulator or bag: rosparam set /use_sim_time true, play the bag with --clock, and start the nodes again; "
+        "of a camera: set its clock")
 
 
 class SourceStamps:

@@ -174,6 +174,7 @@ class GraphProbe:
                 image=self._image_stream(image), info=self._stream(info, "sensor_msgs/CameraInfo"),
                 picture=picture, calibration=self._calibration(info),
                 sim_time=bool(rospy.get_param("/use_sim_time", False)), clock_messages=self._clock,
+                time=rospy.get_time(), wall_time=time.time(),
                 camera_frame=camera, reference_frame=reference,
                 tf_reaches=bool(camera) and self._frames.lookup(camera, genpy.Time()) is not None,
                 models_missing=tuple(product.output for product in select(["default"])

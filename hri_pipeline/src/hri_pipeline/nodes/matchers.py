@@ -26,7 +26,7 @@ from hri_pipeline.core.matching.face_body import FaceBodyMatcher, Pair
 from hri_pipeline.core.matching.parameters import FaceBodyMatcherSettings, VoiceMatcherSettings
 from hri_pipeline.core.matching.voice import FACE, VoiceMatcher, opening_of_landmarks, opening_of_units
 from hri_pipeline.core.process import share_arenas
-from hri_pipeline.core.timing import JUMP_BACK_S, StageTimes
+from hri_pipeline.core.timing import JUMP_BACK_S, StageTimes, clock_fault
 from hri_pipeline.ros.conversions import (
     LandmarkArray,
     SkeletonArray,
@@ -306,8 +306,8 @@ class VoiceMatcherNode(MatcherBase):
             if self._context.unconnected:
                 level, text = WARN, "{}; directions are not used".format(self._context.unconnected)
             elif abs(self._context.age) > STALE_S:
-                level, text = WARN, "images of faces are {:.1f} s away from the clock; mouths are not compared. Is " \
-                    "use_sim_time set?".format(self._context.age)
+                level, text = WARN, "images of faces are {}; mouths are not compared; {}".format(*clock_fault(
+                    self._context.age, rospy.get_time(), time.time(), not rospy.rostime.is_wallclock()))
         self._diagnostics.set("matches", level, text, values)
 
 

@@ -1,8 +1,8 @@
 """The overlay node: what the stack sees, drawn on the camera image.
 
 Threads: callbacks of rospy only store (under a lock); pairing, drawing and publishing happen in the caller
-of spin(). While nobody subscribes to the overlay, this node subscribes to nothing. Which regions are ignored, the
-parameters of the nodes that take the same images say.
+of spin(), which never waits for the master. While nobody subscribes to the overlay, this node subscribes to nothing.
+Which regions are ignored, the parameters of the nodes that take the same images say.
 """
 
 from __future__ import annotations
@@ -54,21 +54,29 @@ class IgnoredByNodes:
 
     def __init__(self) -> None:
         self._asked = float("-inf")
+        self._asking: Optional[threading.Thread] = None
         self._boxes: Boxes = []
 
     def boxes(self) -> Boxes:
-        """Left, top, right, bottom of each, shares of the image; a node that was started anew is heard after 5 s."""
+        """Left, top, right, bottom of each, shares of the image; a node that was started anew is heard after 5 s.
+
+        The master is asked in a thread of its own; until it has answered what was known counts on.
+        """
         now = time.monotonic()
-        if now >= self._asked + _ASK_S:
+        if now >= self._asked + _ASK_S and not (self._asking is not None and self._asking.is_alive()):
             self._asked = now
-            topics = [rospy.resolve_name(name) for name in ("image", "image/compressed")]
-            try:
-                given = parameter_of_subscribers(topics, "ignored_regions", _PATIENCE_S)
-                rows = {row for rows in given if isinstance(rows, list) for row in rows if isinstance(row, str)}
-                self._boxes = IgnoredRegions(sorted(rows)).boxes
-            except (MasterAway, ParameterError):    # what was known counts on; the nodes refuse a wrong one
-                pass
+            self._asking = threading.Thread(target=self._ask, name="ignored regions", daemon=True)
+            self._asking.start()
         return self._boxes
+
+    def _ask(self) -> None:
+        topics = [rospy.resolve_name(name) for name in ("image", "image/compressed")]
+        try:
+            given = parameter_of_subscribers(topics, "ignored_regions", _PATIENCE_S)
+            rows = {row for rows in given if isinstance(rows, list) for row in rows if isinstance(row, str)}
+            self._boxes = IgnoredRegions(sorted(rows)).boxes
+        except (MasterAway, ParameterError):    # what was known counts on; the nodes refuse a wrong one
+            pass
 
 
 class OverlayInputs:

@@ -18,6 +18,7 @@ from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 from hri_pipeline.core.faces.parameters import DepthCameraSettings
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.images import ASPECT_TOLERANCE, GreyBits, ImageError, is_rectified, other_transport
+from hri_pipeline.core.timing import clock_fault
 from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
 from hri_pipeline.ros.depth_input import DepthInput
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
@@ -31,8 +32,7 @@ BUFFER_BYTES = 2 ** 24
 JUMP_S = 1.0
 # An image whose stamp differs by more from the time of its arrival comes from another clock, or over a slow network.
 MOST_AGE_S = 2.0
-_CLOCKS = ("{}: images are {:.1f} s {}, so that rviz and tf do not show people where they are now; set the clocks of "
-           "camera and robot by NTP, or play bags with --clock and /use_sim_time")
+_CLOCKS = "{}: images are {}, so that rviz and tf do not show people where they are now; {}"
 # How long the master is waited for.
 _MASTER_S = 1.0
 # How long the first image waits for its camera_info.
@@ -262,8 +262,8 @@ class ImageInput(SensorInput):
             now = rospy.Time.now()
             header.stamp = rospy.Time.from_sec(time.time()) if now.is_zero() else now
         elif abs(self._age) > MOST_AGE_S and not self._jumps_back(header):     # the clock may follow in a moment
-            self._clock_problem = _CLOCKS.format(
-                self.topic, abs(self._age), "old when they arrive" if self._age > 0.0 else "in the future")
+            self._clock_problem = _CLOCKS.format(self.topic, *clock_fault(
+                self._age, header.stamp.to_sec() + self._age, time.time(), not rospy.rostime.is_wallclock()))
         if self._clock_problem:
             rospy.logwarn_throttle(LOG_PERIOD_S, "%s", self._clock_problem)
         lags = (self._came[0] - header.stamp.to_sec(), self._came[1] - header.stamp.to_sec())

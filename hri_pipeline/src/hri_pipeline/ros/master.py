@@ -181,7 +181,6 @@ class MasterWatch:
     def __init__(self, period: float = _PERIOD_S, parameters: Optional[OwnParameters] = None) -> None:
         self._parameters = parameters
         self._aggregator = ForeignNode(AGGREGATOR)
-        self._aggregator.look()
         register_without_waiting()
         snapshot = self._read()
         self._identity = self._ask()
@@ -203,6 +202,7 @@ class MasterWatch:
         self._thread.join(timeout=5.0)
 
     def _watch(self, period: float) -> None:
+        self._aggregator.look()     # may take as long as a machine that cannot be reached
         for count in itertools.count(1):
             if self._closed.wait(period):
                 return

@@ -27,12 +27,13 @@ _LOWEST_M, _HIGHEST_M = 0.05, 10.0
 class CameraMounting:
     """Tells the processors how the camera is mounted, and by how much its images are turned: once for all of them.
 
-    settings: `up_frame` and `image_rotation`.
+    settings: `up_frame` and `image_rotation`. for_rotation_only: no processor needs to know where up is, so that a
+    fixed rotation needs no transform.
     """
 
-    def __init__(self, settings: CameraSettings) -> None:
+    def __init__(self, settings: CameraSettings, for_rotation_only: bool = False) -> None:
         self._rotation = RotationChooser(settings.image_rotation)
-        self._up = UpFrame(settings.up_frame)
+        self._up = UpFrame("" if for_rotation_only and not self._rotation.auto else settings.up_frame)
         self._by_frame = self._rotation.auto and bool(settings.up_frame)
 
     def orient(self, frame: Frame, context: dict) -> Frame:

@@ -2,7 +2,8 @@
 
 A computer without a battery for its clock starts in 1970, or years ahead, until it hears the time from a network. So
 nobody expires by a time that the store has not seen come: `StoreClock` remembers the span over which the clock went on
-without a jump, and `judge_retention` compares the times of that span only.
+without a jump, and `judge_retention` compares the times of that span only, unless the system says that its clock is
+synchronised.
 """
 
 from __future__ import annotations
@@ -79,11 +80,11 @@ class RetentionVerdict:
 
 
 def judge_retention(last_seen: Mapping[str, float], clock: Optional[StoreClock], now: float, max_age: float,
-                    max_persons: int) -> RetentionVerdict:
+                    max_persons: int, is_synchronised: bool = False) -> RetentionVerdict:
     """Decide who stays.
 
-    While the clock is doubted nobody expires by age. It is trusted again when it is back at the time of before, or has
-    gone on for `max_age` since it jumped: who was not seen in all that time has expired by any clock.
+    While the clock is doubted nobody expires by age. It is trusted again when it is synchronised, is back at the time
+    of before, or has gone on for `max_age` since it jumped: who was not seen in all that time has expired by any clock.
 
     Parameters
     ----------
@@ -92,12 +93,13 @@ def judge_retention(last_seen: Mapping[str, float], clock: Optional[StoreClock],
     now : time (s).
     max_age : greatest time (s) unseen; 0: no limit.
     max_persons : most people; 0: no limit.
+    is_synchronised : whether the system says that its clock is right, as by NTP.
     """
     if clock is None:
         known = list(last_seen.values()) or [now]
         clock = StoreClock(Span(min(known), max(known)))
     before = clock
-    clock = _at(clock, now, max_age)
+    clock = _at(clock, now, max_age, is_synchronised)
     ages = {person: _age(when, before, clock, now) for person, when in last_seen.items()}
     # Who was seen since the clock jumped has no age while it is doubted, and was seen last.
     order = sorted(last_seen, key=lambda person: (ages[person] is not None or clock.doubted is None,
@@ -108,19 +110,24 @@ def judge_retention(last_seen: Mapping[str, float], clock: Optional[StoreClock],
     return RetentionVerdict(gone, redated, clock, _problem(clock, max_age))
 
 
-def _at(clock: StoreClock, now: float, max_age: float) -> StoreClock:
+def _at(clock: StoreClock, now: float, max_age: float, is_synchronised: bool) -> StoreClock:
     step = min(LARGEST_STEP_S, max_age / 2.0) if max_age else LARGEST_STEP_S
     if clock.trusted.goes_on(now, step):
         return StoreClock(clock.trusted.until(now))
+    if is_synchronised and now > clock.trusted.end:
+        return StoreClock(clock.trusted.until(now))
     doubted = clock.doubted
     doubted = doubted.until(now) if doubted is not None and doubted.goes_on(now, step) else Span(now, now)
-    if doubted.end - doubted.start > (max_age or LARGEST_STEP_S):
+    if is_synchronised or doubted.end - doubted.start > (max_age or LARGEST_STEP_S):
         return StoreClock(doubted)
     return StoreClock(clock.trusted, doubted)
 
 
 def _age(when: float, before: StoreClock, clock: StoreClock, now: float) -> Optional[float]:
     """Time (s) since somebody was seen; None where no clock that was trusted has told that."""
+    wrong = before.doubted if clock.trusted.start == before.trusted.start else None
+    if wrong is not None and wrong.end + LARGEST_STEP_S < now and when in wrong and when not in before.trusted:
+        return None
     if when in clock.trusted:
         return max(0.0, now - when)
     if clock.doubted is None and clock.trusted.start != before.trusted.start and when in before.trusted:
@@ -132,6 +139,6 @@ def _problem(clock: StoreClock, max_age: float) -> str:
     if clock.doubted is None or not max_age:
         return ""
     now, last = (time.strftime("%Y-%m-%d", time.gmtime(span.end)) for span in (clock.doubted, clock.trusted))
-    return ("the clock says {}, and the store was used last on {}: nobody expires before it goes on from there, or has "
-            "gone on without a jump for {:g} days (store_max_age); set it if it is wrong".format(
-                now, last, max_age / DAY_S))
+    return ("the clock says {}, and the store was used last on {}: nobody expires before it is synchronised (NTP), "
+            "goes on from there, or has gone on without a jump for {:g} days (store_max_age); set it if it is "
+            "wrong".format(now, last, max_age / DAY_S))

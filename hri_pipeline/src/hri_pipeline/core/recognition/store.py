@@ -31,11 +31,12 @@ from typing import (
 
 import numpy as np
 
-from hri_pipeline.core.ids import is_valid_id
+from hri_pipeline.core.ids import IdGenerator, is_valid_id
 from hri_pipeline.core.private_file import StoreError, TemplateCipher
 from hri_pipeline.core.recognition.database import PersonDatabase, ReadOnlyDatabase
 from hri_pipeline.core.recognition.retention import StoreClock, judge_retention
 from hri_pipeline.core.recognition.stored_person import (
+    CLOSED,
     COLUMNS,
     ENCRYPTED,
     KnownPerson,
@@ -43,6 +44,7 @@ from hri_pipeline.core.recognition.stored_person import (
     StoredPerson,
     as_json,
     by_person,
+    is_of_another_network,
     read_person,
     template_fault,
 )
@@ -77,6 +79,7 @@ class PersonStore:
         self._database: Any = PersonDatabase(path, notify, clock)
         try:
             self._check_key()
+            self._note_key()
             self._seal_plain()
         except BaseException:
             self._database.close()
@@ -143,15 +146,15 @@ class PersonStore:
         if self._database.has_traces:
             self._database.erase()
 
-    def expire(self, now: float, max_age: float, max_persons: int) -> List[str]:
+    def expire(self, now: float, max_age: float, max_persons: int, is_synchronised: bool = False) -> List[str]:
         """Remove who was not seen for `max_age` (s; 0: no limit), and of more than `max_persons` (0: no limit) those
         who were not seen for the longest time, without a trace; returns their ids. Nobody goes by a clock that has
-        jumped (`judge_retention`); `clock_problem` tells.
+        jumped (`judge_retention`), unless the system says that it is right; `clock_problem` tells.
         """
         with self._database.writing() as database:
             people = {person.id: person for person in self.load_records()}
             verdict = judge_retention({name: person.last_seen for name, person in people.items()}, self._load_clock(),
-                                      now, max_age, max_persons)
+                                      now, max_age, max_persons, is_synchronised)
             for name in verdict.redated:
                 self.put_record(replace(people[name], last_seen=now), is_new=False)
             database.executemany("DELETE FROM persons WHERE id = ?", [(name,) for name in verdict.gone])
@@ -259,9 +262,10 @@ class PersonStore:
         rows = self._read_rows()
         if self._may_write and any(read.faults for _, read in rows):
             with self._database.writing():
+                self._give_ids()
                 rows = self._read_rows()        # another process may have been faster
                 for row, read in rows:
-                    if read.faults and is_valid_id(read.person.id):
+                    if read.faults:
                         self._set_aside(read.person.id, row)
                         self.put_record(read.person, is_new=False)
         self._tell([(str(read.person.id), fault) for _, read in rows for fault in read.faults])
@@ -275,10 +279,37 @@ class PersonStore:
         decrypt, now = self._cipher.decrypt if self._cipher is not None else None, self._clock()
         read = [(row, read_person(row, decrypt, now)) for row in rows]
         sealed = [one for row, one in read if row[-1] is not None]
-        if sealed and all(ENCRYPTED in one.faults for one in sealed):
+        if sealed and all(ENCRYPTED in one.faults for one in sealed) and not self._is_own_key():
             raise StoreError("{}: what is known of {} cannot be opened; give the key it was written with".format(
-                self.path, sealed[0].person.id))
+                self.path, repr(sealed[0].person.id)[:40]))
         return read
+
+    def _give_ids(self) -> None:
+        """Give whoever has no legal id a new one, with all that is known; of the old one nothing else can be told, and
+        nobody could be asked to be forgotten by it."""
+        with self._database.writing() as database:
+            ids = [row[0] for row in database.execute("SELECT id FROM persons").fetchall()]
+            for person_id in (one for one in ids if not is_valid_id(one)):
+                new = next(name for name in iter(IdGenerator().new, None) if name not in ids)
+                # Text that is no UTF-8 has surrogates, which SQLite does not take back.
+                is_text = isinstance(person_id, str)
+                old = person_id.encode("utf-8", "surrogateescape") if is_text else person_id
+                given = "CAST(? AS TEXT)" if is_text else "?"
+                database.execute("INSERT INTO persons SELECT ?, {} FROM persons WHERE id = {}".format(
+                    COLUMNS.partition(", ")[2], given), (new, old))
+                for table, column in self._references():
+                    database.execute("UPDATE {0} SET {1} = ? WHERE {1} = {2}".format(table, column, given), (new, old))
+                database.execute("DELETE FROM persons WHERE id = {}".format(given), (old,))
+                self._database.has_traces = True
+                self._notify("{}: the id {} of a person is none, as of a row that was damaged, and is {} now; all that "
+                             "is known of the person is kept".format(self.path, repr(person_id)[:40], new))
+
+    def _references(self) -> List[Tuple[str, str]]:
+        """The tables and columns that name persons."""
+        named = [("templates", "person"), ("apart", "first"), ("apart", "second")]
+        with self._database.reading() as database:
+            is_there = database.execute("SELECT name FROM sqlite_master WHERE name = 'damaged'").fetchone()
+        return named + ([("damaged", "person")] if is_there else [])
 
     def _set_aside(self, person_id: str, content: Sequence[Any]) -> None:
         """Keep what is broken of a person in a table of its own, from which it goes with the person."""
@@ -293,15 +324,17 @@ class PersonStore:
         """Say what is broken of whom; once for each."""
         for person_id, what in by_person([fault for fault in faults if fault not in self._told]).items():
             self._told.update((person_id, one) for one in what)
-            self._notify("{}: of the person {}, {} cannot be used and {}; all else is kept. Give it anew (people name, "
-                         "people enrol), or people forget {}".format(
-                             self.path, repr(person_id)[:40], ", ".join(what),
-                             "was set aside" if self._may_write else "is left out", repr(person_id)[:40]))
+            remedy = "Give it anew (people name, people enrol), or people forget {}".format(repr(person_id)[:40])
+            self._notify("{}: of the person {}, {} cannot be used and {}; all else is kept. {}".format(
+                self.path, repr(person_id)[:40], ", ".join(what),
+                "was set aside" if self._may_write else "is left out",
+                remedy if self._may_write else "Where it is written that is mended"))
 
     def _set_templates_aside(self, model: str, broken: Sequence[Tuple[str, int, Any, str]], are_others: bool) -> None:
         """Keep broken templates apart. StoreError where all are, as by another key or network."""
         person_id, _, _, fault = broken[0]
-        if not are_others and "unit" not in fault:
+        contents = [] if are_others else [self._unpacked(blob, 0)[0] for _, _, blob, _ in broken]
+        if is_of_another_network(contents) or (CLOSED in fault and not self._is_own_key()):
             raise StoreError("{}: a template of {} {}; give the key it was written with, or forget that person".format(
                 self.path, person_id, fault))
         if self._may_write:
@@ -316,6 +349,36 @@ class PersonStore:
     def _keyless(self) -> StoreError:
         return StoreError("what {} knows of people is encrypted; give the key (store_key) it was made with, or name "
                           "another file".format(self.path))
+
+    def _is_own_key(self) -> bool:
+        """Tell whether the store was written with this key: by the mark of that, in a store of an earlier version by
+        anything that it opens."""
+        with self._database.reading() as database:
+            found = database.execute("SELECT value FROM facts WHERE name = 'key'").fetchall()
+            found += database.execute("SELECT sealed FROM persons WHERE sealed IS NOT NULL").fetchall()
+            found += database.execute("SELECT template FROM templates").fetchall()
+        return self._cipher is None or any(not self._opened(row[0])[1] for row in found)
+
+    def _note_key(self) -> None:
+        """Mark the store as written with this key, where it is, or where nothing is encrypted in it."""
+        if self._cipher is None:
+            return
+        with self._database.writing() as database:
+            mark = database.execute("SELECT value FROM facts WHERE name = 'key'").fetchone()
+            is_empty = not database.execute("SELECT 1 FROM persons WHERE sealed IS NOT NULL UNION ALL"
+                                            " SELECT 1 FROM templates LIMIT 1").fetchone()
+            is_marked = mark is not None and not self._opened(mark[0])[1]
+            if not is_marked and (is_empty or self._is_own_key()):
+                database.execute("INSERT OR REPLACE INTO facts VALUES ('key', ?)", (
+                    self._cipher.encrypt(b"key").decode(),))
+
+    def _opened(self, content: Any) -> Tuple[bytes, str]:
+        """The bytes that were encrypted, or that are as they are without a key, and what is wrong with them."""
+        try:
+            token = content.encode() if isinstance(content, str) else content   # older cryptography takes no text
+            return bytes(token) if self._cipher is None else self._cipher.decrypt(token), ""
+        except (TypeError, ValueError) as error:
+            return b"", "{} ({})".format(CLOSED, error)
 
     def _check_key(self) -> None:
         """Refuse a store of encrypted templates without the key, also where the records are in plain, as in the first
@@ -352,11 +415,8 @@ class PersonStore:
         """The bytes of a template, and what is wrong with them."""
         if not isinstance(blob, bytes):
             return b"", "is none"
-        try:
-            content = blob if self._cipher is None else self._cipher.decrypt(blob)
-        except ValueError as error:
-            return b"", "cannot be opened ({})".format(error)
-        return content, template_fault(content, dimension)
+        content, fault = self._opened(blob)
+        return content, fault or template_fault(content, dimension)
 
     def _check_cipher(self) -> None:
         """See that the templates are read and written as those before."""

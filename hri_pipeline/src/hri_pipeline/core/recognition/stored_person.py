@@ -15,6 +15,9 @@ from hri_pipeline.core.recognition.retention import LATEST_S
 
 ENCRYPTED = "what is encrypted"
 """The fault of a row that the key does not open."""
+CLOSED = "cannot be opened"
+"""The same of a template."""
+_STEP = 32      # of the lengths of the templates of networks
 
 
 @dataclass(frozen=True)
@@ -131,6 +134,13 @@ def template_fault(content: bytes, dimension: int) -> str:
     length = float(np.linalg.norm(np.frombuffer(content, dtype="<f4")))
     # Also false for what is no number.
     return "" if abs(length - 1.0) <= UNIT_TOLERANCE else "is no unit vector"
+
+
+def is_of_another_network(contents: Sequence[bytes]) -> bool:
+    """Tell whether the bytes of templates of a wrong length are sound ones of another network."""
+    numbers = {len(content) // 4 for content in contents}
+    return len(numbers) == 1 and all(
+        len(content) % (4 * _STEP) == 0 and not template_fault(content, len(content) // 4) for content in contents)
 
 
 def as_json(values: Sequence[Any]) -> bytes:
