@@ -311,7 +311,7 @@ class ImageInputTest(InputCase):
 
     def test_time(self):
         jumps = []
-        image_input = self.image_input(on_time_jump=lambda: jumps.append(1))
+        image_input = self.image_input(on_restart=lambda: jumps.append(1))
         self.calibrate(image_input, info())
         taken = []
         for stamp in (100.0, 100.0, 99.5, 101.0, 20.0, 20.1):
@@ -321,6 +321,22 @@ class ImageInputTest(InputCase):
         self.assertEqual(taken, [100.0, None, None, 101.0, 20.0, 20.1])
         self.assertEqual(len(jumps), 1)
         self.assertEqual((image_input.counts["late"], image_input.counts["time_jumps"]), (2, 1))
+
+    def test_tracks_start_anew_with_images_of_another_size(self):
+        restarts = []
+        image_input = self.image_input(on_restart=lambda: restarts.append(image_input.counts["taken"]))
+        self.calibrate(image_input, info())
+        small = bgr_to_image(np.ascontiguousarray(BGR[::2, ::2]), make_header(0.0, "camera_optical"))
+        with self.assertLogs("rosout", "WARNING") as log:
+            for number, message in enumerate((picture(0.0), picture(0.0), small, small, picture(0.0))):
+                message.header.stamp = rospy.Time.from_sec(rospy.get_time())
+                self.send(image_input, message)
+                self.assertEqual(image_input.next(5).bgr.shape[1], message.width)
+                self.assertEqual("px now, before" in image_input.status()[1], number > 1, number)
+        self.assertEqual(restarts, [2, 4])
+        told = [line for line in log.output if "images are 32x24 px now, before 64x48" in line]
+        self.assertEqual(len(told), 1, log.output)
+        self.assertEqual((image_input.status()[0], image_input.counts["size_changes"]), (WARN, 2))
 
     def test_an_image_is_overtaken_when_one_of_long_before_has_come_or_the_clock_has_gone_back(self):
         image_input = self.image_input()

@@ -87,9 +87,10 @@ class ImageInput(SensorInput):
     """Keeps the newest message of `image` (or `image/compressed`) and the latest of `camera_info`.
 
     The callback only stores; `next` decodes in the thread of the worker. An image that is not newer than the last one
-    is skipped. When stamps go back by more than JUMP_S, on_time_jump is called, and the new stamps are accepted. An
-    image without stamp gets the time of its arrival, as equal stamps would stop every track. A leading slash of the
-    frame is left out, as tf2 refuses such names. One publisher is used at a time (OneSender).
+    is skipped. When stamps go back by more than JUMP_S, on_restart is called, and the new stamps are accepted; it is
+    called, too, before an image of another size than the last one. An image without stamp gets the time of its arrival,
+    as equal stamps would stop every track. A leading slash of the frame is left out, as tf2 refuses such names. One
+    publisher is used at a time (OneSender).
 
     Parameters
     ----------
@@ -99,8 +100,8 @@ class ImageInput(SensorInput):
         Horizontal field of view, rad, of a camera without calibration.
     fov_parameter : str
         Name of the parameter that holds it, for texts.
-    on_time_jump : callable, optional
-        Called when stamps have gone back.
+    on_restart : callable, optional
+        Called when what was seen before says nothing of the images that come now.
     depth : DepthInput, optional
         Input of the depth images; it is closed with this input.
 
@@ -115,7 +116,7 @@ class ImageInput(SensorInput):
         transport: str = "raw",
         fallback_hfov: float = 1.047,
         fov_parameter: str = "~fallback_fov",
-        on_time_jump: Optional[Callable[[], None]] = None,
+        on_restart: Optional[Callable[[], None]] = None,
         depth: Optional[DepthInput] = None,
     ) -> None:
         kinds = {"raw": ("image", ReceivedImage, ReceivedImage.BUFFER_BYTES),
@@ -125,7 +126,7 @@ class ImageInput(SensorInput):
         name, kind, buffer_bytes = kinds[transport]
         super().__init__(name, "image", "camera", ("start the camera or remap `image`", "is the camera running?"),
                          SENDER_S)
-        self.on_time_jump = on_time_jump
+        self.on_restart = on_restart
         self._depth = depth
         self._grey = GreyBits()
         self._decode = image_to_bgr if transport == "raw" else compressed_to_bgr
@@ -136,11 +137,13 @@ class ImageInput(SensorInput):
         # The least lags so far of arrivals behind the stamps, s, by those clocks.
         self._lags = (math.inf, math.inf)
         self._frame_id: Optional[str] = None
+        self._size: Optional[Tuple[int, int]] = None
+        self._resized: Tuple[str, float] = ("", -math.inf)
         self._problem: Tuple[int, str] = (OK, "")
         self._clock_problem = ""
         self._age = 0.0
         self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0,
-                                       "forward_jumps": 0}
+                                       "forward_jumps": 0, "size_changes": 0}
         self._asked = float("-inf")
         self._camera = CameraInfoInput(fallback_hfov, fov_parameter, is_rectified(self.topic))
         receive_without_copies()
@@ -170,7 +173,7 @@ class ImageInput(SensorInput):
             return ERROR, silent, values
         level, text = self._problem
         if level == OK:
-            text = self._other_sender() or self._camera.problem[1] or self._clock_problem
+            text = self._other_sender() or self._size_problem() or self._camera.problem[1] or self._clock_problem
             level = WARN if text else OK
         if self._depth is not None:
             depth_level, depth_text, depth_values = self._depth.status()
@@ -238,6 +241,7 @@ class ImageInput(SensorInput):
         with self._condition:
             self._senders.was_read(sender_of(message), True, time.monotonic())
         self._problem = (OK, "")
+        self._compare_size((bgr.shape[1], bgr.shape[0]))
         camera = self._camera.model(bgr.shape[1], bgr.shape[0])
         self._last_stamp = stamp = header.stamp.to_sec()
         self._taken_at = self._came
@@ -278,8 +282,8 @@ class ImageInput(SensorInput):
             self._last_stamp = None
             if self._depth is not None:
                 self._depth.reset()
-            if self.on_time_jump is not None:
-                self.on_time_jump()
+            if self.on_restart is not None:
+                self.on_restart()
             return header
         if step <= 0.0:
             self.counts["late"] += 1
@@ -303,6 +307,24 @@ class ImageInput(SensorInput):
             self.counts["forward_jumps"] += 1
             self._warn("forward", "{}: stamps have gone forward by {:.1f} s more than the time (a cut recording, or a "
                        "camera whose clock was set?); who was seen before may get a new id".format(self.topic, ahead))
+
+    def _compare_size(self, size: Tuple[int, int]) -> None:
+        """Start anew where an image has another size (width, height) px than the last one: what was at a pixel is
+        elsewhere, and a body that was somewhere would take the place, and the name, of who stands there now."""
+        before, self._size = self._size, size
+        if before in (None, size):
+            return
+        self.counts["size_changes"] += 1
+        self._resized = ("{}: images are {}x{} px now, before {}x{}: tracks start anew, and who is not recognised gets a "
+                         "new id; one topic is to carry images of one size".format(self.topic, *size, *before),
+                         time.monotonic())
+        self._warn("size", self._resized[0])
+        if self.on_restart is not None:
+            self.on_restart()
+
+    def _size_problem(self) -> str:
+        """Return what was said of a change of size a moment ago, empty without one."""
+        return self._resized[0] if time.monotonic() - self._resized[1] < LOG_PERIOD_S else ""
 
     def _name_frame(self, header: Header) -> None:
         """Leave out a leading slash of the frame, and tell when the frame is another one than before."""
