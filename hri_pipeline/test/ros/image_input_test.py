@@ -63,7 +63,7 @@ class InputCase(unittest.TestCase):
 
     def calibrate(self, image_input, message):
         self.infos.publish(message)
-        wait_for(lambda: image_input._camera._info == message, 10, "camera_info is received")
+        wait_for(lambda: image_input._camera.newest == message, 10, "camera_info is received")
 
 
 class ImageInputTest(InputCase):
@@ -272,10 +272,42 @@ class ImageInputTest(InputCase):
         self.assertEqual((camera.width, camera.height, camera.matrix[0, 0]), (64, 48, 100.0))
         self.assertIn("the calibration is scaled", image_input.status()[1])
 
+    def test_the_calibration_of_another_frame_is_told_and_used(self):
+        image_input = self.image_input()
+        for given, words in (("depth_optical", "it is of the frame 'depth_optical', images are in 'camera_optical'"),
+                             ("/camera_optical", ""), ("", "")):
+            message = info()
+            message.header.frame_id = given
+            self.calibrate(image_input, message)
+            self.send(image_input, picture(rospy.get_time()))
+            self.assertEqual(image_input.next(5).camera.calibration, Calibration.CALIBRATED)
+            level, text, _ = image_input.status()
+            self.assertEqual(level, WARN if words else OK, text)
+            self.assertIn(words, text)
+
+    def test_the_calibration_of_the_images_own_sender_goes_before_that_of_others(self):
+        image_input = self.image_input()
+        other = subprocess.Popen(["rostopic", "pub", "-r", "50", "camera_info", "sensor_msgs/CameraInfo",
+                                  "{width: 64, height: 48, K: [300, 0, 32, 0, 300, 24, 0, 0, 1]}"],
+                                 stdout=subprocess.DEVNULL)
+        self.addCleanup(other.wait)
+        self.addCleanup(other.kill)
+
+        def focal():
+            self.send(image_input, picture(rospy.get_time()))
+            return image_input.next(5).camera.matrix[0, 0]
+        wait_for(lambda: focal() == 300.0, 20, "what another node tells is used where there is nothing else")
+        self.infos.publish(info())
+        wait_for(lambda: focal() == 100.0, 10, "the camera's own is used")
+        heard = []
+        self.addCleanup(rospy.Subscriber("camera_info", CameraInfo, heard.append).unregister)
+        wait_for(lambda: sum(message.K[0] == 300.0 for message in heard) > 5, 20, "the other one goes on")
+        self.assertEqual({focal() for _ in range(5)}, {100.0})
+
     def calibrate_nan_safe(self, image_input, message):
-        old = image_input._camera._info
+        old = image_input._camera.newest
         self.infos.publish(message)
-        wait_for(lambda: image_input._camera._info is not old, 10, "camera_info is received")
+        wait_for(lambda: image_input._camera.newest is not old, 10, "camera_info is received")
 
     def test_no_camera_info_at_all(self):
         self.infos.unregister()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Callable, Dict, Optional, Tuple, Union
@@ -44,6 +45,7 @@ _SETTLED_S = 2.0
 # Longer than JUMP_S: images that only came late, and a stamp that went back a little, pass.
 _STANDSTILL_S = 2.0
 _CAMERA_LOG_PERIOD_S = 30.0
+_MOST_INFOS = 8
 
 ImageMessage = Union[Image, CompressedImage]
 
@@ -242,7 +244,7 @@ class ImageInput(SensorInput):
             self._senders.was_read(sender_of(message), True, time.monotonic())
         self._problem = (OK, "")
         self._compare_size((bgr.shape[1], bgr.shape[0]))
-        camera = self._camera.model(bgr.shape[1], bgr.shape[0])
+        camera = self._camera.model(bgr.shape[1], bgr.shape[0], sender_of(message), header.frame_id)
         self._last_stamp = stamp = header.stamp.to_sec()
         self._taken_at = self._came
         self.counts["taken"] += 1
@@ -315,9 +317,9 @@ class ImageInput(SensorInput):
         if before in (None, size):
             return
         self.counts["size_changes"] += 1
-        self._resized = ("{}: images are {}x{} px now, before {}x{}: tracks start anew, and who is not recognised gets a "
-                         "new id; one topic is to carry images of one size".format(self.topic, *size, *before),
-                         time.monotonic())
+        text = "{}: images are {}x{} px now, before {}x{}: tracks start anew, and who is not recognised gets a new " \
+            "id; one topic is to carry images of one size".format(self.topic, *size, *before)
+        self._resized = text, time.monotonic()
         self._warn("size", self._resized[0])
         if self.on_restart is not None:
             self.on_restart()
@@ -372,7 +374,7 @@ class CameraInfoInput:
         self._hint = "using the field of view {} = {:.3f} rad; distances are only as good as that".format(
             rospy.resolve_name(fov_parameter), fallback_hfov)
         self._lock = threading.Lock()
-        self._info: Optional[CameraInfo] = None
+        self._infos: "OrderedDict[str, CameraInfo]" = OrderedDict()
         self._key: Optional[tuple] = None
         self._model: Optional[CameraModel] = None
         self._say_at = 0.0
@@ -386,14 +388,26 @@ class CameraInfoInput:
         """Wait until the first camera_info has come, timeout s at most; tell whether it has."""
         return self._heard.wait(max(0.0, timeout))
 
-    def model(self, width: int, height: int) -> CameraModel:
-        """Return the model for an image of width x height px, made of the newest camera_info."""
+    @property
+    def newest(self) -> Optional[CameraInfo]:
+        """The camera_info that came last, None before the first one."""
         with self._lock:
-            info = self._info
-        key = (width, height) + (_key(info) if info is not None else ())
+            return next(reversed(list(self._infos.values())), None)
+
+    def model(self, width: int, height: int, sender: str = "", frame: str = "") -> CameraModel:
+        """Return the model for an image of width x height px.
+
+        It is made of the newest camera_info of the node that sends the images, `sender`, else of the newest one. frame:
+        that of the images.
+        """
+        with self._lock:
+            info = self._infos.get(sender)
+        info = info or self.newest
+        key = (width, height, frame) + (_key(info) if info is not None else ())
         if key != self._key or self._model is None:
             was_guessed = self._model is not None and self._model.calibration is not Calibration.CALIBRATED
             self._model, text = self._build(info, width, height)
+            text = text or self._other_frame(info, frame)
             if text != self.problem[1]:
                 self._say_at = 0.0
                 if was_guessed and self._model.calibration is Calibration.CALIBRATED:
@@ -423,8 +437,20 @@ class CameraInfoInput:
 
     def _store(self, info: CameraInfo) -> None:
         with self._lock:
-            self._info = info
+            sender = sender_of(info)
+            self._infos[sender] = info
+            self._infos.move_to_end(sender)
+            while len(self._infos) > _MOST_INFOS:
+                self._infos.popitem(last=False)
         self._heard.set()
+
+    def _other_frame(self, info: Optional[CameraInfo], frame: str) -> str:
+        """Tell where camera_info is of another frame than the images; it is used, as names may differ by mistake."""
+        given = "" if info is None else info.header.frame_id.lstrip("/")
+        if not given or not frame or given == frame:
+            return ""
+        return "{}: it is of the frame {!r}, images are in {!r}: is it that of another camera? Then distances are " \
+            "wrong; remap `camera_info`, or correct the driver's frame_id".format(self.topic, given, frame)
 
     def _build(self, info: Optional[CameraInfo], width: int, height: int) -> Tuple[CameraModel, str]:
         """Return a model of this image size and what is wrong with camera_info, empty when nothing is."""
@@ -451,5 +477,5 @@ class CameraInfoInput:
 def _key(info: CameraInfo) -> tuple:
     """Everything in the message that the model depends on. NaN is unlike itself, hence the text."""
     roi = info.roi
-    return (info.width, info.height, str(info.K), str(info.P), str(info.D), info.distortion_model, info.binning_x,
-            info.binning_y, roi.x_offset, roi.y_offset, roi.width, roi.height)
+    return (info.header.frame_id, info.width, info.height, str(info.K), str(info.P), str(info.D),
+            info.distortion_model, info.binning_x, info.binning_y, roi.x_offset, roi.y_offset, roi.width, roi.height)
