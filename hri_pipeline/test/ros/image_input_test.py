@@ -272,6 +272,18 @@ class ImageInputTest(InputCase):
         self.assertEqual((camera.width, camera.height, camera.matrix[0, 0]), (64, 48, 100.0))
         self.assertIn("the calibration is scaled", image_input.status()[1])
 
+    def test_an_image_without_stamp_has_the_time_of_its_arrival_however_late_it_is_taken(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        for _ in range(2):
+            before = rospy.get_time()
+            self.send(image_input, picture(0.0))
+            after = rospy.get_time()
+            wait_for(lambda after=after: rospy.get_time() > after + 0.2, 5, "a worker that is busy")
+            frame = image_input.next(5)
+            self.assertTrue(before <= frame.stamp <= after, (before, frame.stamp, after))
+            self.assertEqual(frame.header.stamp.to_sec(), frame.stamp)
+
     def test_the_calibration_of_another_frame_is_told_and_used(self):
         image_input = self.image_input()
         for given, words in (("depth_optical", "it is of the frame 'depth_optical', images are in 'camera_optical'"),
@@ -439,7 +451,8 @@ class ImageInputTest(InputCase):
         self.assertEqual(image_input.counts["forward_jumps"], 0)
 
     def test_frames_of_images(self):
-        image_input = self.image_input()
+        restarts = []
+        image_input = self.image_input(on_restart=lambda: restarts.append(image_input.counts["taken"]))
         self.calibrate(image_input, info())
         for stamp, given, used, words in (
                 (1.0, "/eye_optical", "eye_optical", "begins with a slash"), (1.1, "eye_optical", "eye_optical", ""),
@@ -450,6 +463,7 @@ class ImageInputTest(InputCase):
                 rospy.logwarn("the end")
             told = [line for line in log.output if "frame" in line]
             self.assertEqual([words in line and image_input.topic in line for line in told], [True] if words else [])
+        self.assertEqual(restarts, [2], "what was seen by another camera is elsewhere")
 
     def test_a_camera_whose_stamp_stands_still_is_told(self):
         image_input = self.image_input()

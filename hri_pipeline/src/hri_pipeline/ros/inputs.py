@@ -90,9 +90,9 @@ class ImageInput(SensorInput):
 
     The callback only stores; `next` decodes in the thread of the worker. An image that is not newer than the last one
     is skipped. When stamps go back by more than JUMP_S, on_restart is called, and the new stamps are accepted; it is
-    called, too, before an image of another size than the last one. An image without stamp gets the time of its arrival,
-    as equal stamps would stop every track. A leading slash of the frame is left out, as tf2 refuses such names. One
-    publisher is used at a time (OneSender).
+    called, too, before an image of another size, or in another frame, than the last one. An image without stamp gets
+    the time of its arrival, as equal stamps would stop every track. A leading slash of the frame is left out, as tf2
+    refuses such names. One publisher is used at a time (OneSender).
 
     Parameters
     ----------
@@ -265,8 +265,7 @@ class ImageInput(SensorInput):
         if header.stamp.is_zero():
             self._clock_problem = ("{}: images have no stamp; the time of arrival is used instead. Let the camera "
                                    "driver set header.stamp".format(self.topic))
-            now = rospy.Time.now()
-            header.stamp = rospy.Time.from_sec(time.time()) if now.is_zero() else now
+            header.stamp = rospy.Time.from_sec(self._came[1] or time.time())
         elif abs(self._age) > MOST_AGE_S and not self._jumps_back(header):     # the clock may follow in a moment
             self._clock_problem = _CLOCKS.format(
                 self.topic, abs(self._age), "old when they arrive" if self._age > 0.0 else "in the future")
@@ -284,8 +283,7 @@ class ImageInput(SensorInput):
             self._last_stamp = None
             if self._depth is not None:
                 self._depth.reset()
-            if self.on_restart is not None:
-                self.on_restart()
+            self._restart()
             return header
         if step <= 0.0:
             self.counts["late"] += 1
@@ -321,8 +319,7 @@ class ImageInput(SensorInput):
             "id; one topic is to carry images of one size".format(self.topic, *size, *before)
         self._resized = text, time.monotonic()
         self._warn("size", self._resized[0])
-        if self.on_restart is not None:
-            self.on_restart()
+        self._restart()
 
     def _size_problem(self) -> str:
         """Return what was said of a change of size a moment ago, empty without one."""
@@ -338,9 +335,14 @@ class ImageInput(SensorInput):
             self._warn("slash", "{}: the frame_id {!r} begins with a slash, which tf2 refuses; {!r} is used. Set the "
                        "camera driver's frame_id".format(self.topic, given, header.frame_id))
         if self._frame_id is not None and header.frame_id != self._frame_id.lstrip("/"):
-            self._warn("frame", "{}: images are in the frame {!r} now, before in {!r}; one topic is to carry the "
-                       "images of one camera".format(self.topic, given, self._frame_id))
+            self._warn("frame", "{}: images are in the frame {!r} now, before in {!r}: tracks start anew; one topic is "
+                       "to carry the images of one camera".format(self.topic, given, self._frame_id))
+            self._restart()
         self._frame_id = given
+
+    def _restart(self) -> None:
+        if self.on_restart is not None:
+            self.on_restart()
 
 
 def image_input_of(settings: DepthCameraSettings) -> ImageInput:
