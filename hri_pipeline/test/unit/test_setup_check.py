@@ -137,6 +137,22 @@ def test_what_follows_from_a_silent_camera_stands_below_it():
     assert lines[-1] == "1 fault found"
 
 
+def test_who_has_no_camera_is_told_how_to_leave_all_that_sees_out_and_then_nothing_of_images():
+    voices = {"hri_voices: input": (0, "sound comes in")}
+    heard = Facts(nodes={"hri_faces": "absent", "hri_bodies": "absent", "hri_face_body_matcher": "running",
+                         "hri_person_manager": "running"}, publishing=("/hri_person_manager", "/hri_voices"),
+                  image=Stream("/image", "sensor_msgs/Image"), info=Stream("/camera_info", "sensor_msgs/CameraInfo"),
+                  models_directory="models", statuses=voices, tracked={"voices": 1, "persons": 1})
+    faults = [finding for finding in check(heard, SETTINGS) if finding.level == FAULT]
+    mends = [finding.hint for finding in faults if "does not run" in finding.what]
+    assert len(mends) == 2
+    assert all("_nodes:=\"[hri_face_body_matcher, hri_person_manager]\"" in mend for mend in mends)
+    followed = replace(heard, nodes={name: state for name, state in heard.nodes.items() if state == "running"})
+    assert is_well(check(followed, SETTINGS)), as_text(check(followed, SETTINGS))
+    eyes = replace(followed, nodes={**followed.nodes, "eyes": "running"})
+    assert any("nobody publishes /image" in finding.what for finding in check(eyes, SETTINGS))
+
+
 def test_the_calibration_of_another_camera_is_a_hint():
     found, = [finding for finding in check(replace(WELL, info=replace(INFO, frame="depth_optical")), SETTINGS)
               if finding.level > 0]

@@ -182,6 +182,8 @@ def as_text(findings: List[Finding]) -> str:
 _LISTS = {"hri_faces": "/humans/faces/tracked", "hri_bodies": "/humans/bodies/tracked",
           "hri_person_manager": "/humans/persons/tracked"}
 _MATCHER, MATCHES = "hri_face_body_matcher", "/humans/candidate_matches"
+_BLIND = (_MATCHER, "hri_person_manager", "hri_voices", "hri_voice_matcher", "hri_interactions")
+"""Nodes that take no images: where no other is wanted, none have to come."""
 
 
 def stand_ins(name: str, published: Mapping[str, Sequence[str]], subscribed: Mapping[str, Sequence[str]]) -> List[str]:
@@ -235,7 +237,7 @@ def _nodes(facts: Facts, settings: CheckSettings) -> List[Finding]:
             found.append(Finding(FAULT, "the node {} does not run".format(name),
                                  "roslaunch ros4hri ros4hri.launch; its messages there say why it ended. If its branch "
                                  "is meant to be off: rosrun hri_pipeline check _nodes:=\"[{}]\"".format(
-                                     ", ".join(other for other in facts.nodes if other != name))))
+                                     ", ".join(other for other, there in facts.nodes.items() if there != "absent"))))
     return found
 
 
@@ -262,7 +264,9 @@ def _models(facts: Facts, settings: CheckSettings) -> List[Finding]:
 
 def _image(facts: Facts, settings: CheckSettings) -> List[Finding]:
     stream = facts.image
-    if stream is None or (_nothing_runs(facts) and not stream.publishers):
+    is_blind = bool(facts.nodes) and all(name.rpartition("/")[2] in _BLIND for name in facts.nodes)
+    is_needed = not _nothing_runs(facts) and not is_blind
+    if stream is None or not (is_needed or stream.publishers):
         return []
     found = _stream(stream, "image")
     if found or not stream.messages:
