@@ -154,6 +154,7 @@ def changed(index, value):
     (changed(1, 1e300), [], "plumb_bob", "skew"),
     (changed(2, 1e300), [], "plumb_bob", "principal point"),
     (changed(5, -5000.0), [], "plumb_bob", "principal point"),
+    ([500.0, 0, 0, 0, 510.0, 0, 0, 0, 1], [], "plumb_bob", "principal point in K, 0, 0, is a corner"),
     ([5e-324 * (number != 0.0) for number in K], [], "plumb_bob", "0 0 1"),
     (K, [1e300] * 5, "plumb_bob", "beyond"),
     (K, [-1e5] * 4, "equidistant", "beyond"),

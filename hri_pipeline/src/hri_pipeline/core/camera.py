@@ -284,6 +284,8 @@ def _check_sensor(matrix: np.ndarray, width: int, height: int, roi: Tuple[int, i
         raise CameraError("the region of interest {}x{} at {}, {} lies outside of {}x{} px; {}".format(
             roi[2], roi[3], roi[0], roi[1], width, height, _HINT))
     _check_matrix(matrix)
+    if not matrix[0, 2] and not matrix[1, 2]:
+        raise CameraError("the principal point in K, 0, 0, is a corner of the sensor; {}".format(_HINT))
     off = abs(matrix[0, 2] - width / 2.0) / max(width, 1), abs(matrix[1, 2] - height / 2.0) / max(height, 1)
     if max(off) > _MAX_OFF_CENTRE:
         raise CameraError("the principal point in K, {:g}, {:g}, lies far outside of {}x{} px; {}".format(
