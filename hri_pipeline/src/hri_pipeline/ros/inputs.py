@@ -310,7 +310,7 @@ class ImageInput(SensorInput):
 
     def _compare_size(self, size: Tuple[int, int]) -> None:
         """Start anew where an image has another size (width, height) px than the last one: what was at a pixel is
-        elsewhere, and a body that was somewhere would take the place, and the name, of who stands there now."""
+        elsewhere, and a body would take the place of who stands there now, with its own id."""
         before, self._size = self._size, size
         if before in (None, size):
             return
