@@ -235,8 +235,8 @@ def bgr_from_compressed(data: Union[bytes, bytearray, memoryview], grey: Optiona
         raise ImageError("the compressed image cannot be decoded: {}".format(error)) from error
     if image is None:
         raise ImageError("the compressed image ({} bytes) is damaged".format(values.size))
-    image = (grey or GreyBits()).upper(image) if image.dtype == np.uint16 else image
-    return _demosaiced(image, encoding) if encoding.startswith("bayer") else image
+    bgr = (grey or GreyBits()).upper(image) if image.dtype == np.uint16 else np.asarray(image)
+    return _demosaiced(bgr, encoding) if encoding.startswith("bayer") else bgr
 
 
 def _demosaiced(image: np.ndarray, encoding: str) -> np.ndarray:
