@@ -97,6 +97,13 @@ def test_columns_are_as_wide_as_their_longest_cell():
     assert format_columns([("id", "name"), ("longer", "x"), ("a", "")]) == "id      name\nlonger  x\na"
 
 
+def test_columns_stand_below_each_other_with_names_of_all_scripts():
+    """As a terminal shows them: letters of East Asia are two wide, accents and joiners of their own have no width."""
+    lines = format_columns([("a", "NAME", "x"), ("b", "\u5c0f\u6797\u3000\u5065", "x"), ("c", "Noe\u0308l", "x"),
+                            ("d", "\u0639\u0644\u06cc\u200c\u0631\u0636\u0627", "x")]).split("\n")
+    assert [line.index("x") for line in lines] == [13, 9, 14, 14]
+
+
 def test_who_has_no_place_yet_has_no_confidence_of_one():
     text = format_table([PersonRow("ann", "fabcd", "babcd", "", 1.0, None, "", None)], 15.0, 15.0)
     assert text.split("\n")[1].split() == ["ann", "fabcd", "babcd", "-", "-", "-", "-", "-"]

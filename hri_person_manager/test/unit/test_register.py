@@ -55,6 +55,26 @@ def register():
     return made, shelf
 
 
+@pytest.mark.parametrize("name", [
+    "\u0639\u0644\u06cc\u200c\u0631\u0636\u0627", "\u0d28\u0d28\u0d4d\u200d\u0d26\u0d41", "O'Neill",
+    "Jean-Luc d\u2019Arc", "\u5c0f\u6797\u3000\u5065",
+    "No\u00ebl", "Noe\u0308l"])
+def test_names_of_all_scripts_are_kept_as_they_are_written(name):
+    """Persian and Indic names are written with joiners and non-joiners of no width."""
+    first, shelf = register()
+    first.set_name("ann", name)
+    first.flush()
+    assert PersonRegister(shelf).get("ann").name == name
+
+
+@pytest.mark.parametrize("name", ["\u200c", "a\u200db", "ann\u200c", "\u202eann", "a\u2066b", "a\u200bb"])
+def test_letters_of_no_width_where_no_script_has_them_are_refused(name):
+    """Two names that look the same would be two."""
+    first, _ = register()
+    with pytest.raises(RegisterError, match="printable"):
+        first.set_name("ann", name)
+
+
 def test_what_is_set_is_there_in_the_next_run():
     first, shelf = register()
     first.set_name("ann", "  Ann Øre ")

@@ -85,6 +85,9 @@ def test_compressed():
         conversions.compressed_to_bgr(CompressedImage(format="16UC1; png compressed ", data=data))
     with pytest.raises(ImageError):
         conversions.compressed_to_bgr(CompressedImage())
+    mosaic = np.tile(np.array([[200, 120], [120, 40]], np.uint8), (6, 8))
+    raw = CompressedImage(format="bayer_rggb8; png compressed ", data=cv2.imencode(".png", mosaic)[1].tobytes())
+    assert conversions.compressed_to_bgr(raw)[5, 5].tolist() == [40, 120, 200]
 
 
 def test_camera():

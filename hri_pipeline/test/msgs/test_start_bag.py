@@ -13,7 +13,13 @@ import pytest
 import rospy
 
 from hri_pipeline.nodes import start_bag
-from hri_pipeline.nodes.start_bag import PausedPlayer
+from hri_pipeline.nodes.start_bag import PausedPlayer, fault_of_file
+
+
+def test_a_recording_that_was_cut_off_is_told_before_anything_starts(tmp_path):
+    path = tmp_path / "cut.bag"
+    path.write_bytes(b"#ROSBAG V2.0\n" + (21).to_bytes(4, "little") + b"\x11\x00\x00\x00index_pos=" + bytes(7))
+    assert "was not closed" in fault_of_file(str(path)) and "rosbag reindex " + str(path) in fault_of_file(str(path))
 
 
 class Failing:

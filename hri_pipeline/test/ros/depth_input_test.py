@@ -70,6 +70,13 @@ class DepthInputTest(unittest.TestCase):
         self.addCleanup(timer.shutdown)
         self.assertAlmostEqual(float(depth.match(1.1, 64, 48, "camera_optical")[0, 0]), 2.0, places=5)
 
+    def test_a_depth_image_without_stamp_has_the_time_of_its_arrival_as_images_do(self):
+        depth = self.depth_input(slop=0.5)
+        self.send(depth, depth_message(0.0, 1000))
+        found = depth.match(rospy.get_time(), 64, 48, "camera_optical")
+        self.assertIsNotNone(found)
+        self.assertAlmostEqual(float(found[0, 0]), 1.0, places=5)
+
     def test_out_of_the_slop_there_is_none_and_the_topics_are_named(self):
         depth = self.depth_input(slop=0.01)
         depth_input.DEPTH_SILENCE_S = 0.2

@@ -63,7 +63,7 @@ class InputCase(unittest.TestCase):
 
     def calibrate(self, image_input, message):
         self.infos.publish(message)
-        wait_for(lambda: image_input._camera._info == message, 10, "camera_info is received")
+        wait_for(lambda: image_input._camera.newest == message, 10, "camera_info is received")
 
 
 class ImageInputTest(InputCase):
@@ -272,10 +272,54 @@ class ImageInputTest(InputCase):
         self.assertEqual((camera.width, camera.height, camera.matrix[0, 0]), (64, 48, 100.0))
         self.assertIn("the calibration is scaled", image_input.status()[1])
 
+    def test_an_image_without_stamp_has_the_time_of_its_arrival_however_late_it_is_taken(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        for _ in range(2):
+            before = rospy.get_time()
+            self.send(image_input, picture(0.0))
+            after = rospy.get_time()
+            wait_for(lambda after=after: rospy.get_time() > after + 0.2, 5, "a worker that is busy")
+            frame = image_input.next(5)
+            self.assertTrue(before <= frame.stamp <= after, (before, frame.stamp, after))
+            self.assertEqual(frame.header.stamp.to_sec(), frame.stamp)
+
+    def test_the_calibration_of_another_frame_is_told_and_used(self):
+        image_input = self.image_input()
+        for given, words in (("depth_optical", "it is of the frame 'depth_optical', images are in 'camera_optical'"),
+                             ("/camera_optical", ""), ("", "")):
+            message = info()
+            message.header.frame_id = given
+            self.calibrate(image_input, message)
+            self.send(image_input, picture(rospy.get_time()))
+            self.assertEqual(image_input.next(5).camera.calibration, Calibration.CALIBRATED)
+            level, text, _ = image_input.status()
+            self.assertEqual(level, WARN if words else OK, text)
+            self.assertIn(words, text)
+
+    def test_the_calibration_of_the_images_own_sender_goes_before_that_of_others(self):
+        image_input = self.image_input()
+        other = subprocess.Popen(["rostopic", "pub", "-r", "50", "camera_info", "sensor_msgs/CameraInfo",
+                                  "{width: 64, height: 48, K: [300, 0, 32, 0, 300, 24, 0, 0, 1]}"],
+                                 stdout=subprocess.DEVNULL)
+        self.addCleanup(other.wait)
+        self.addCleanup(other.kill)
+
+        def focal():
+            self.send(image_input, picture(rospy.get_time()))
+            return image_input.next(5).camera.matrix[0, 0]
+        wait_for(lambda: focal() == 300.0, 20, "what another node tells is used where there is nothing else")
+        self.infos.publish(info())
+        wait_for(lambda: focal() == 100.0, 10, "the camera's own is used")
+        heard = []
+        self.addCleanup(rospy.Subscriber("camera_info", CameraInfo, heard.append).unregister)
+        wait_for(lambda: sum(message.K[0] == 300.0 for message in heard) > 5, 20, "the other one goes on")
+        self.assertEqual({focal() for _ in range(5)}, {100.0})
+
     def calibrate_nan_safe(self, image_input, message):
-        old = image_input._camera._info
+        old = image_input._camera.newest
         self.infos.publish(message)
-        wait_for(lambda: image_input._camera._info is not old, 10, "camera_info is received")
+        wait_for(lambda: image_input._camera.newest is not old, 10, "camera_info is received")
 
     def test_no_camera_info_at_all(self):
         self.infos.unregister()
@@ -311,7 +355,7 @@ class ImageInputTest(InputCase):
 
     def test_time(self):
         jumps = []
-        image_input = self.image_input(on_time_jump=lambda: jumps.append(1))
+        image_input = self.image_input(on_restart=lambda: jumps.append(1))
         self.calibrate(image_input, info())
         taken = []
         for stamp in (100.0, 100.0, 99.5, 101.0, 20.0, 20.1):
@@ -321,6 +365,22 @@ class ImageInputTest(InputCase):
         self.assertEqual(taken, [100.0, None, None, 101.0, 20.0, 20.1])
         self.assertEqual(len(jumps), 1)
         self.assertEqual((image_input.counts["late"], image_input.counts["time_jumps"]), (2, 1))
+
+    def test_tracks_start_anew_with_images_of_another_size(self):
+        restarts = []
+        image_input = self.image_input(on_restart=lambda: restarts.append(image_input.counts["taken"]))
+        self.calibrate(image_input, info())
+        small = bgr_to_image(np.ascontiguousarray(BGR[::2, ::2]), make_header(0.0, "camera_optical"))
+        with self.assertLogs("rosout", "WARNING") as log:
+            for number, message in enumerate((picture(0.0), picture(0.0), small, small, picture(0.0))):
+                message.header.stamp = rospy.Time.from_sec(rospy.get_time())
+                self.send(image_input, message)
+                self.assertEqual(image_input.next(5).bgr.shape[1], message.width)
+                self.assertEqual("px now, before" in image_input.status()[1], number > 1, number)
+        self.assertEqual(restarts, [2, 4])
+        told = [line for line in log.output if "images are 32x24 px now, before 64x48" in line]
+        self.assertEqual(len(told), 1, log.output)
+        self.assertEqual((image_input.status()[0], image_input.counts["size_changes"]), (WARN, 2))
 
     def test_an_image_is_overtaken_when_one_of_long_before_has_come_or_the_clock_has_gone_back(self):
         image_input = self.image_input()
@@ -391,7 +451,8 @@ class ImageInputTest(InputCase):
         self.assertEqual(image_input.counts["forward_jumps"], 0)
 
     def test_frames_of_images(self):
-        image_input = self.image_input()
+        restarts = []
+        image_input = self.image_input(on_restart=lambda: restarts.append(image_input.counts["taken"]))
         self.calibrate(image_input, info())
         for stamp, given, used, words in (
                 (1.0, "/eye_optical", "eye_optical", "begins with a slash"), (1.1, "eye_optical", "eye_optical", ""),
@@ -402,6 +463,7 @@ class ImageInputTest(InputCase):
                 rospy.logwarn("the end")
             told = [line for line in log.output if "frame" in line]
             self.assertEqual([words in line and image_input.topic in line for line in told], [True] if words else [])
+        self.assertEqual(restarts, [2], "what was seen by another camera is elsewhere")
 
     def test_a_camera_whose_stamp_stands_still_is_told(self):
         image_input = self.image_input()

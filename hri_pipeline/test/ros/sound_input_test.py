@@ -94,6 +94,26 @@ class SoundInputTest(unittest.TestCase):
             self.assertAlmostEqual(block.stamp, begin + number * 0.02, places=3)
         self.assertEqual(sound.counts["messages"], 50)
 
+    def test_stamps_of_another_clock_are_told_when_they_stay(self):
+        self.addCleanup(setattr, sound_input, "_SETTLED_S", sound_input._SETTLED_S)
+        sound_input._SETTLED_S = 0.2
+        kind = genpy.dynamic.generate_dynamic("audio_common_msgs/AudioDataStamped", STAMPED)
+        stamped, plain = kind["audio_common_msgs/AudioDataStamped"], kind["audio_common_msgs/AudioData"]
+        with mock.patch.object(sound_input, "AudioDataStamped", stamped):
+            sound = self.open(use_audio_info=False)
+        publisher = self.connect(self.advertise("audio_stamped", stamped))
+        for lag, words in ((0.0, ""), (30.0, "30.0 s old when it arrives"), (0.0, ""), (-30.0, "30.0 s in the future")):
+            with self.assertLogs("rosout", "WARNING") as log:
+                def told(lag=lag, words=words):
+                    header = Header(stamp=rospy.Time.from_sec(rospy.get_time() - lag))
+                    publisher.publish(stamped(header=header, audio=plain(data=chunk())))
+                    sound.next(0.02)
+                    text = sound.status()[1]
+                    return words in text if words else "arrives" not in text and "future" not in text
+                wait_for(told, LIMIT, words)
+                rospy.logwarn("the end")
+            self.assertEqual(any("NTP" in line for line in log.output), words.endswith("arrives"), log.output)
+
     def test_without_the_type_there_is_one_input(self):
         with mock.patch.object(sound_input, "AudioDataStamped", None):
             sound = self.open(use_audio_info=False)

@@ -267,6 +267,19 @@ def test_a_wrong_rate_is_named(real, said, words):
     assert stream.values()["measured_rate_hz"] == pytest.approx(real, rel=0.02)
 
 
+@pytest.mark.parametrize("said, real, words", [
+    ((1, 16000), (2, 16000), ["32000", "2 channels of 16000"]), ((1, 16000), (6, 16000), ["6 channels of 16000"]),
+    ((1, 16000), (2, 44100), ["2 channels of 44100"]), ((1, 44100), (2, 44100), ["2 channels of 44100"]),
+    ((2, 16000), (1, 16000), ["1 channel of 16000"]), ((6, 16000), (1, 48000), ["1 channel of 48000"]),
+    ((1, 16000), (1, 44100), ["44100"]), ((2, 48000), (2, 16000), ["16000"])])
+def test_where_the_number_of_channels_may_be_wrong_the_rate_is_not_told_alone(said, real, words):
+    stream = SoundStream(SoundFormat(*said))
+    deliver(stream, tone(6.0, real[1], real[0]), real[1])
+    told = stream.problem()
+    assert all(word in told for word in words), told
+    assert ("channel" in told.split("instead")[1]) == (said[0] != real[0]), told
+
+
 def test_the_latency_is_taken_from_the_stamps():
     stream = SoundStream(SoundFormat(), latency=0.1)
     assert stream.add(encode_s16(tone(0.02)), BEGIN + 0.02)[0].stamp == pytest.approx(BEGIN - 0.1)

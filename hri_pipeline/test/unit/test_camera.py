@@ -130,6 +130,22 @@ def test_all_zero_k_is_uncalibrated_and_falls_back():
     assert camera().calibration is Calibration.CALIBRATED
 
 
+@pytest.mark.parametrize("model, distortion, like, taken", [
+    ("plumb_bob", MODELS["rational_polynomial"], "rational_polynomial", MODELS["rational_polynomial"]),
+    ("plumb_bob", MODELS["plumb_bob"] + [0.0] * 3, "plumb_bob", MODELS["plumb_bob"]),
+    ("equidistant", MODELS["equidistant"] + [0.0], "equidistant", MODELS["equidistant"]),
+    ("rational_polynomial", MODELS["plumb_bob"] + [0.0], "plumb_bob", MODELS["plumb_bob"]),
+    ("plumb_bob", [0.1] + [0.0] * 6, "plumb_bob", [0.1, 0.0, 0.0, 0.0]),
+    ("equidistant", [0.0] * 5, "equidistant", []),
+])
+def test_coefficients_that_drivers_send_too_many_of(model, distortion, like, taken):
+    """As image_geometry does, plumb_bob takes the longer rows of OpenCV, too; zeros at the end are none."""
+    given, wanted = camera(model, distortion), camera(like, taken)
+    np.testing.assert_allclose(given.normalise(PIXELS), wanted.normalise(PIXELS), atol=1e-12)
+    rays = np.array([[0.3, -0.2, 1.0], [-0.4, 0.1, 2.0]])
+    np.testing.assert_allclose(given.project(rays), wanted.project(rays), atol=1e-9)
+
+
 def changed(index, value):
     return [value if i == index else number for i, number in enumerate(K)]
 
@@ -140,6 +156,7 @@ def changed(index, value):
     (changed(8, 0.0), [], "plumb_bob", "0 0 1"),
     (K[:8], [], "plumb_bob", "instead of 9"),
     (K, [0.1], "plumb_bob", "coefficients"),
+    (K, [0.1] * 6, "plumb_bob", "coefficients"),
     (K, [0.1] * 5, "equidistant", "coefficients"),
     (K, [np.nan] * 5, "plumb_bob", "not finite"),
     (K, [], "barrel", "unknown distortion model"),
@@ -148,6 +165,7 @@ def changed(index, value):
     (changed(1, 1e300), [], "plumb_bob", "skew"),
     (changed(2, 1e300), [], "plumb_bob", "principal point"),
     (changed(5, -5000.0), [], "plumb_bob", "principal point"),
+    ([500.0, 0, 0, 0, 510.0, 0, 0, 0, 1], [], "plumb_bob", "principal point in K, 0, 0, is a corner"),
     ([5e-324 * (number != 0.0) for number in K], [], "plumb_bob", "0 0 1"),
     (K, [1e300] * 5, "plumb_bob", "beyond"),
     (K, [-1e5] * 4, "equidistant", "beyond"),

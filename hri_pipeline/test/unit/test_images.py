@@ -184,6 +184,30 @@ def test_grey_and_deep_png_come_out_as_bgr8():
         assert bgr_from_compressed(png.tobytes()).shape == (6, 8, 3)
 
 
+@pytest.mark.parametrize("pattern, red", [("rggb", (0, 0)), ("bggr", (1, 1)), ("gbrg", (1, 0)), ("grbg", (0, 1))])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_compressed_mosaics_have_their_colours(pattern, red, bits):
+    """image_transport compresses the raw pixels of a Bayer camera, and says by the format which they are."""
+    mosaic = np.full((12, 16), 120, np.uint8)
+    mosaic[red[0]::2, red[1]::2] = 200
+    mosaic[1 - red[0]::2, 1 - red[1]::2] = 40
+    name = "bayer_{}{}".format(pattern, bits)
+    png = cv2.imencode(".png", mosaic if bits == 8 else mosaic.astype(np.uint16) << 8)[1].tobytes()
+    found = bgr_from_compressed(png, encoding=name)
+    np.testing.assert_array_equal(found, bgr_from_raw(mosaic.tobytes(), 16, 12, 16, "bayer_" + pattern + "8"))
+    assert found[5, 5].tolist() == [40, 120, 200]
+    jpeg = cv2.imencode(".jpg", mosaic, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+    np.testing.assert_allclose(bgr_from_compressed(jpeg, encoding=name)[3:-3, 3:-3].mean(axis=(0, 1)),
+                               (40, 120, 200), atol=6)
+
+
+def test_colours_that_were_made_before_the_compression_stay():
+    png = cv2.imencode(".png", BGR)[1].tobytes()
+    np.testing.assert_array_equal(bgr_from_compressed(png, encoding="bayer_rggb8"), BGR)
+    grey = cv2.imencode(".png", BGR[:, :, 0])[1].tobytes()
+    np.testing.assert_array_equal(bgr_from_compressed(grey, encoding="mono8")[:, :, 2], BGR[:, :, 0])
+
+
 def test_compressed_refused():
     ok, png = cv2.imencode(".png", BGR)
     with pytest.raises(ImageError, match="empty"):

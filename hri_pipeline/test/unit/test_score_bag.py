@@ -10,7 +10,7 @@ from scene_bag import SceneBag, upright
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.simulation.scene_file import parse_scene
 from hri_pipeline.core.simulation.world import World
-from hri_pipeline.score.bag import RecordError, read_bag
+from hri_pipeline.score.bag import RecordError, is_closed, read_bag
 from hri_pipeline.score.command import main, score
 
 BASE, RATE, SECONDS = 1000.0, 10.0, 12.0
@@ -162,6 +162,22 @@ def test_files_that_are_no_bags(tmp_path, capsys, name, content):
         read_bag(path)
     assert main([str(path)]) == 1
     assert name in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name, index", [("a.bag", 0), ("a.bag", 10 ** 9), ("a.bag.active", 0)])
+def test_a_recording_that_was_cut_off_is_told_with_the_mend(tmp_path, name, index):
+    path = tmp_path / name
+    head = b"\x12\x00\x00\x00index_pos=" + index.to_bytes(8, "little") + b"\x04\x00\x00\x00op=\x03"
+    path.write_bytes(b"#ROSBAG V2.0\n" + len(head).to_bytes(4, "little") + head + bytes(4096))
+    assert not is_closed(path)
+    with pytest.raises(RecordError, match="was not closed.*rosbag reindex"):
+        read_bag(path)
+
+
+def test_a_recording_that_was_closed(tmp_path):
+    with SceneBag(tmp_path / "a.bag") as bag:
+        bag.transforms("/tf", [("map", "person_pa", upright((1.0, 2.0, 0.0)))], BASE)
+    assert is_closed(tmp_path / "a.bag")
 
 
 def test_messages_of_another_type_are_damaged_ones(tmp_path):

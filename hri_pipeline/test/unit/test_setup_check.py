@@ -152,6 +152,32 @@ def test_what_follows_from_a_silent_camera_stands_below_it():
     assert lines[-1] == "1 fault found"
 
 
+def test_who_has_no_camera_is_told_how_to_leave_all_that_sees_out_and_then_nothing_of_images():
+    voices = {"hri_voices: input": (0, "sound comes in")}
+    heard = Facts(nodes={"hri_faces": "absent", "hri_bodies": "absent", "hri_face_body_matcher": "running",
+                         "hri_person_manager": "running"}, publishing=("/hri_person_manager", "/hri_voices"),
+                  image=Stream("/image", "sensor_msgs/Image"), info=Stream("/camera_info", "sensor_msgs/CameraInfo"),
+                  models_directory="models", statuses=voices, tracked={"voices": 1, "persons": 1})
+    faults = [finding for finding in check(heard, SETTINGS) if finding.level == FAULT]
+    mends = [finding.hint for finding in faults if "does not run" in finding.what]
+    assert len(mends) == 2
+    assert all("_nodes:=\"[hri_face_body_matcher, hri_person_manager]\"" in mend for mend in mends)
+    followed = replace(heard, nodes={name: state for name, state in heard.nodes.items() if state == "running"})
+    assert is_well(check(followed, SETTINGS)), as_text(check(followed, SETTINGS))
+    eyes = replace(followed, nodes={**followed.nodes, "eyes": "running"})
+    assert any("nobody publishes /image" in finding.what for finding in check(eyes, SETTINGS))
+
+
+def test_the_calibration_of_another_camera_is_a_hint():
+    found, = [finding for finding in check(replace(WELL, info=replace(INFO, frame="depth_optical")), SETTINGS)
+              if finding.level > 0]
+    assert found.level == HINT and "depth_optical" in found.what and "images are in optical" in found.what
+    assert "camera_info:=" in found.hint
+    for frames in (("", "optical"), ("depth_optical", "")):
+        facts = replace(WELL, info=replace(INFO, frame=frames[0]), image=replace(IMAGE, frame=frames[1]))
+        assert not [finding for finding in check(facts, SETTINGS) if "camera_info is of" in finding.what]
+
+
 def test_a_node_with_another_topic_keeps_its_own_fault():
     other = {"hri_faces: input": (2, "no publisher on /camera/image_raw/left for 12 s; start the camera"),
              "hri_faces: pipeline": (1, NO_IMAGE_YET)}
@@ -180,6 +206,10 @@ def test_images_of_the_other_transport_are_told_with_what_to_set(wanted, there, 
     (replace(WELL, picture=Picture(1280, 720, "bgr8", "", 4.0, 3.0)),
      (1, "/camera/image_raw: /left, /right send too, only /left is heard"), 2),
     (image(rate=1.0), (2, "/camera/image_raw: broken"), 2),
+    (replace(WELL, info=replace(INFO, frame="depth_optical")),
+     (1, "/camera/camera_info: it is of the frame 'depth_optical', images are in 'optical'"), 1),
+    (replace(WELL, calibration=CalibrationFacts(1280, 720, 900.0, "K holds numbers that are not finite")),
+     (1, "/camera/camera_info: K holds numbers that are not finite"), 1),
 ])
 def test_the_same_fault_is_told_once_and_others_are_not_hidden(facts, status, count):
     findings = check(replace(facts, statuses={"hri_faces: input": status}), SETTINGS)

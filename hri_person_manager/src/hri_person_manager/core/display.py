@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections import deque
 from dataclasses import asdict, dataclass
 from typing import Deque, Dict, Iterable, List, Optional, Sequence, Tuple
@@ -119,8 +120,15 @@ class CameraStatus:
 
 def format_columns(rows: Sequence[Sequence[str]]) -> str:
     """Return rows of text in columns as wide as they need to be, without a newline at the end."""
-    widths = [max(len(cell) for cell in column) for column in zip(*rows)]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows)
+    widths = [max(map(_shown_width, column)) for column in zip(*rows)]
+    return "\n".join("  ".join(cell + " " * (width - _shown_width(cell)) for cell, width in zip(row, widths)).rstrip()
+                     for row in rows)
+
+
+def _shown_width(text: str) -> int:
+    """Return how many columns of a terminal a text takes: names may be of any script."""
+    return sum(0 if unicodedata.category(letter) in ("Mn", "Me", "Cf") else
+               2 if unicodedata.east_asian_width(letter) in "WF" else 1 for letter in text)
 
 
 class Redrawing:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 import threading
+import unicodedata
 from collections import OrderedDict
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Protocol, Sequence, Set, Tuple
@@ -455,6 +456,8 @@ def _estimate(mapping: Mapping[str, Any]) -> Optional[DemographicsEstimate]:
 
 
 LONGEST_TAG = 64
+_JOINERS = "\u200c\u200d"
+_JOINED = ("Lo", "Mn", "Mc", "So")
 _LANGUAGE = re.compile(r"(?P<language>[a-z]{2,3})(-(?P<extended>[a-z]{3}))?(-(?P<script>[a-z]{4}))?"
                        r"(-(?P<region>[a-z]{2}|[0-9]{3}))?(?P<variants>(-([a-z0-9]{5,8}|[0-9][a-z0-9]{3}))*)"
                        r"(?P<extensions>(-[0-9a-wy-z](-[a-z0-9]{2,8})+)*)(?P<private>-x(-[a-z0-9]{1,8})+)?", re.ASCII)
@@ -464,9 +467,18 @@ _PRIVATE = re.compile(r"x(-[a-z0-9]{1,8})+", re.ASCII)
 def legal_name(name: str) -> str:
     """Return a name without spaces around it; RegisterError for one that cannot be kept."""
     name = name.strip()
-    if len(name) > LONGEST_NAME or not all(letter.isprintable() for letter in name):
+    if len(name) > LONGEST_NAME or not all(_is_printable(name, index) for index in range(len(name))):
         raise RegisterError("a name has at most {} printable characters".format(LONGEST_NAME))
     return name
+
+
+def _is_printable(name: str, index: int) -> bool:
+    """Tell whether the letter at `index` shows: spaces of all scripts do, and joiners of no width where two letters of
+    a script without capitals (Persian, Hindi) or two parts of a sign are beside them."""
+    if name[index] in _JOINERS:
+        return all(unicodedata.category(beside) in _JOINED for beside in (name[index - 1:index] or " ",
+                                                                          name[index + 1:index + 2] or " "))
+    return name[index].isprintable() or unicodedata.category(name[index]) == "Zs"
 
 
 def is_storable(text: str) -> bool:

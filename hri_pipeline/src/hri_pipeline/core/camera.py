@@ -14,8 +14,9 @@ PLUMB_BOB = "plumb_bob"
 RATIONAL = "rational_polynomial"
 EQUIDISTANT = "equidistant"
 
-# Legal numbers of coefficients; none means no distortion.
-_COEFFICIENTS = {PLUMB_BOB: (0, 4, 5), RATIONAL: (0, 4, 5, 8, 12, 14), EQUIDISTANT: (0, 4)}
+# Legal numbers of coefficients; none means no distortion. Drivers send the longer rows as plumb_bob, too, which
+# image_geometry gives to OpenCV as they are.
+_COEFFICIENTS = {PLUMB_BOB: (0, 4, 5, 8, 12, 14), RATIONAL: (0, 4, 5, 8, 12, 14), EQUIDISTANT: (0, 4)}
 # Limits of every real camera: focal length in image widths, aspect ratio of a pixel, distance of the optical axis from
 # the middle of the sensor in sensor sizes, distortion coefficients, and size of the sensor, px.
 _FOCAL_WIDTHS = (0.02, 500.0)
@@ -77,6 +78,7 @@ class CameraModel:
         matrix = np.asarray(self.matrix, dtype=np.float64).reshape(3, 3)
         distortion = np.asarray(self.distortion, dtype=np.float64).reshape(-1)
         model = _ALIASES.get(self.distortion_model, self.distortion_model)
+        distortion = _without_zeros(model, distortion)
         _check_matrix(matrix)
         _check_distortion(model, distortion)
         _check_focal(matrix, self.width)
@@ -288,10 +290,21 @@ def _check_sensor(matrix: np.ndarray, width: int, height: int, roi: Tuple[int, i
         raise CameraError("the region of interest {}x{} at {}, {} lies outside of {}x{} px; {}".format(
             roi[2], roi[3], roi[0], roi[1], width, height, _HINT))
     _check_matrix(matrix)
+    if not matrix[0, 2] and not matrix[1, 2]:
+        raise CameraError("the principal point in K, 0, 0, is a corner of the sensor; {}".format(_HINT))
     off = abs(matrix[0, 2] - width / 2.0) / max(width, 1), abs(matrix[1, 2] - height / 2.0) / max(height, 1)
     if max(off) > _MAX_OFF_CENTRE:
         raise CameraError("the principal point in K, {:g}, {:g}, lies far outside of {}x{} px; {}".format(
             matrix[0, 2], matrix[1, 2], width, height, _HINT))
+
+
+def _without_zeros(model: str, distortion: np.ndarray) -> np.ndarray:
+    """Return so many of the coefficients as the model may have, if those behind are zeros; else all of them."""
+    used = len(np.trim_zeros(distortion, "b"))
+    legal = _COEFFICIENTS.get(model, ())
+    if distortion.size in legal:
+        return distortion
+    return distortion[:min((count for count in legal if used <= count <= distortion.size), default=distortion.size)]
 
 
 def _check_distortion(model: str, distortion: np.ndarray) -> None:

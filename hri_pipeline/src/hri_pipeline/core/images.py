@@ -198,7 +198,8 @@ def raw_rows(data: Union[bytes, bytearray, memoryview, np.ndarray], width: int, 
     return np.ascontiguousarray(np.lib.stride_tricks.as_strided(values, (height, row), (step, 1), writeable=False))
 
 
-def bgr_from_compressed(data: Union[bytes, bytearray, memoryview], grey: Optional[GreyBits] = None) -> np.ndarray:
+def bgr_from_compressed(data: Union[bytes, bytearray, memoryview], grey: Optional[GreyBits] = None,
+                        encoding: str = "") -> np.ndarray:
     """Return a BGR image of JPEG or PNG data. Orientation tags are ignored, as camera_info knows none.
 
     Parameters
@@ -207,6 +208,8 @@ def bgr_from_compressed(data: Union[bytes, bytearray, memoryview], grey: Optiona
         A whole file.
     grey : GreyBits, optional
         As for bgr_from_raw().
+    encoding : str
+        Of the image before it was compressed: a grey picture may be the raw pixels of a Bayer camera.
 
     Returns
     -------
@@ -232,7 +235,16 @@ def bgr_from_compressed(data: Union[bytes, bytearray, memoryview], grey: Optiona
         raise ImageError("the compressed image cannot be decoded: {}".format(error)) from error
     if image is None:
         raise ImageError("the compressed image ({} bytes) is damaged".format(values.size))
-    return (grey or GreyBits()).upper(image) if image.dtype == np.uint16 else image
+    bgr = (grey or GreyBits()).upper(image) if image.dtype == np.uint16 else np.asarray(image)
+    return _demosaiced(bgr, encoding) if encoding.startswith("bayer") else bgr
+
+
+def _demosaiced(image: np.ndarray, encoding: str) -> np.ndarray:
+    """Return a decoded image (H, W, 3) in its colours, where it is grey: the raw pixels of a Bayer pattern."""
+    layout, pixels = _LAYOUTS.get(encoding), image[:, :, 0]
+    if layout is None or min(pixels.shape) < 2 or not (image == pixels[:, :, None]).all():
+        return image
+    return layout.convert(np.ascontiguousarray(pixels))
 
 
 def depth_from_raw(

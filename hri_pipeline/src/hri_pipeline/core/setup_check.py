@@ -49,11 +49,13 @@ class Picture:
 
 @dataclass(frozen=True)
 class CalibrationFacts:
-    """The last camera_info. focal: px, 0 while the camera is not calibrated."""
+    """The last camera_info. width, height: of the images that it is for, px. focal: px, 0 while the camera is not
+    calibrated. problem: why no camera has these numbers, empty where one may."""
 
     width: int = 0
     height: int = 0
     focal: float = 0.0
+    problem: str = ""
 
 
 @dataclass(frozen=True)
@@ -185,6 +187,8 @@ def as_text(findings: List[Finding]) -> str:
 _LISTS = {"hri_faces": "/humans/faces/tracked", "hri_bodies": "/humans/bodies/tracked",
           "hri_person_manager": "/humans/persons/tracked"}
 _MATCHER, MATCHES = "hri_face_body_matcher", "/humans/candidate_matches"
+_BLIND = (_MATCHER, "hri_person_manager", "hri_voices", "hri_voice_matcher", "hri_interactions")
+"""Nodes that take no images: where no other is wanted, none have to come."""
 
 
 def stand_ins(name: str, published: Mapping[str, Sequence[str]], subscribed: Mapping[str, Sequence[str]]) -> List[str]:
@@ -270,7 +274,9 @@ def _models(facts: Facts, settings: CheckSettings) -> List[Finding]:
 
 def _image(facts: Facts, settings: CheckSettings) -> List[Finding]:
     stream = facts.image
-    if stream is None or (_nothing_runs(facts) and not stream.publishers):
+    is_blind = bool(facts.nodes) and all(name.rpartition("/")[2] in _BLIND for name in facts.nodes)
+    is_needed = not _nothing_runs(facts) and not is_blind
+    if stream is None or not (is_needed or stream.publishers):
         return []
     found = _stream(stream, "image")
     if found or not stream.messages:
@@ -352,6 +358,10 @@ def _calibration(facts: Facts, settings: CheckSettings) -> List[Finding]:
     calibration, picture = facts.calibration, facts.picture
     if calibration is None or picture is None or picture.problem:
         return []
+    if calibration.problem:
+        return [Finding(FAULT, "{}: {}".format(facts.info.topic, calibration.problem),
+                        "correct it; until then distances are guessed from the parameter fallback_fov",
+                        facts.info.topic)]
     if calibration.focal <= 0.0:
         return [
             Finding(
@@ -368,6 +378,11 @@ def _calibration(facts: Facts, settings: CheckSettings) -> List[Finding]:
         return [Finding(FAULT, "{} is for {}x{} px, images are {}x{}".format(
             facts.info.topic, calibration.width, calibration.height, picture.width, picture.height),
             "give the camera_info of this camera: camera_info:=/your/topic, or calibrate this resolution",
+            facts.info.topic)]
+    if facts.info.frame and facts.image.frame and facts.info.frame != facts.image.frame:
+        return [Finding(HINT, "{}: camera_info is of the frame {}, images are in {}: is it that of another "
+                        "camera?".format(facts.info.topic, facts.info.frame, facts.image.frame),
+            "give the camera_info of this camera: camera_info:=/your/topic, or correct the driver's frame_id",
             facts.info.topic)]
     return [Finding(OK, "{}: focal length {:.0f} px".format(facts.info.topic, calibration.focal))]
 

@@ -21,6 +21,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo
 
 from hri_msgs.msg import IdsList
+from hri_pipeline.core.camera import Calibration, CameraError
 from hri_pipeline.core.images import ImageError, other_transport
 from hri_pipeline.core.onnx import models_directory
 from hri_pipeline.core.parameters import ParameterError
@@ -37,7 +38,7 @@ from hri_pipeline.core.setup_check import (
     stand_ins,
 )
 from hri_pipeline.models.catalogue import select
-from hri_pipeline.ros.conversions import compressed_to_bgr, image_to_bgr
+from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
 from hri_pipeline.ros.master import IMAGE_TYPES, MasterAway, ask_master, is_alive, is_published
 from hri_pipeline.ros.node import read_parameters
 from hri_pipeline.ros.rospy_compat import release
@@ -45,6 +46,7 @@ from hri_pipeline.ros.tf import RobotTfListener
 
 KINDS = ("persons", "faces", "bodies", "voices")
 _ANSWER_S = 2.0
+_ANY_FOV = 1.0
 _PLACERS = ("hri_person_manager", "hri_interactions")
 """Nodes that have a reference frame."""
 _MASTER = ("FAULT  no ROS master answers at {}: nothing runs there\n"
@@ -281,9 +283,7 @@ class GraphProbe:
 
     def _calibration(self, topic: str) -> Optional[CalibrationFacts]:
         message = self._counters[topic].message()
-        if not isinstance(message, CameraInfo):
-            return None
-        return CalibrationFacts(message.width, message.height, message.K[0])
+        return calibration_facts(message) if isinstance(message, CameraInfo) else None
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         ours = {rospy.resolve_name(name).strip("/") for name in [*self._settings.nodes, "hri_vision"]}
@@ -301,6 +301,16 @@ class GraphProbe:
 
     def _on_tracked(self, message: IdsList, kind: str) -> None:
         self._tracked[kind] = len(message.ids)
+
+
+def calibration_facts(message: CameraInfo) -> CalibrationFacts:
+    """Return what a camera_info says of the images that belong to it."""
+    try:
+        camera = camera_from_info(message, _ANY_FOV)
+    except CameraError as error:
+        return CalibrationFacts(message.width, message.height, message.K[0], str(error) if any(message.K) else "")
+    focal = camera.matrix[0, 0] if camera.calibration is Calibration.CALIBRATED else 0.0
+    return CalibrationFacts(camera.width, camera.height, float(focal))
 
 
 def _shown(name: str) -> str:

@@ -24,12 +24,12 @@ from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.master import node_at
 from hri_pipeline.ros.node import end_simulated_time, wait_for_master
 from hri_pipeline.ros.rospy_compat import release
+from hri_pipeline.score.bag import is_closed, is_recording, not_closed
 
 LOOK_S = 0.1
 AGAIN_S = 0.5           # until a question without an answer is asked again,
 _ASKED = 3              # so many times in all
 _SAY_S = 5.0
-_MAGIC = b"#ROSBAG V2.0"
 _TRANSFORMS = {"/tf", "/tf_static"}
 
 _Answer = TypeVar("_Answer")
@@ -73,11 +73,13 @@ def fault_of_file(path: str) -> str:
     if not os.path.isfile(path):
         return "there is no recording {}; give bag:= its path".format(path)
     try:
-        with open(path, "rb") as file:
-            is_bag = file.read(len(_MAGIC)) == _MAGIC
+        is_bag = is_recording(path)
+        closed = is_bag and is_closed(path)
     except OSError as error:
         return "the recording {} cannot be read: {}".format(path, error.strerror)
-    return "" if is_bag else "{} is no recording of rosbag".format(path)
+    if not is_bag:
+        return "{} is no recording of rosbag".format(path)
+    return "" if closed else "the recording " + not_closed(path)
 
 
 class Mount:

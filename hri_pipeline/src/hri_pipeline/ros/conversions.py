@@ -85,8 +85,9 @@ def compressed_to_bgr(msg: CompressedImage, grey: Optional[GreyBits] = None) -> 
     if "compressedDepth" in msg.format:
         raise ImageError("format {!r} is a depth image; give the compressed topic of the colour image".format(
             msg.format))
-    check_colour(msg.format.partition(";")[0].strip())
-    return bgr_from_compressed(msg.data, grey)
+    encoding = msg.format.partition(";")[0].strip()
+    check_colour(encoding)
+    return bgr_from_compressed(msg.data, grey, encoding)
 
 
 def bgr_to_image(bgr: np.ndarray, header: Header) -> Image:

@@ -149,6 +149,9 @@ class DepthInput:
                 return
             self._heard = time.monotonic()
             self.counts["depth_received"] += 1
+            if message.header.stamp.is_zero():
+                # As images without stamp: by the time of their arrival.
+                message.header.stamp = rospy.Time.now()
             self._messages.append(message)
             self._condition.notify_all()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Callable, Dict, Optional, Tuple, Union
@@ -44,6 +45,7 @@ _SETTLED_S = 2.0
 # Longer than JUMP_S: images that only came late, and a stamp that went back a little, pass.
 _STANDSTILL_S = 2.0
 _CAMERA_LOG_PERIOD_S = 30.0
+_MOST_INFOS = 8
 
 ImageMessage = Union[Image, CompressedImage]
 
@@ -87,9 +89,10 @@ class ImageInput(SensorInput):
     """Keeps the newest message of `image` (or `image/compressed`) and the latest of `camera_info`.
 
     The callback only stores; `next` decodes in the thread of the worker. An image that is not newer than the last one
-    is skipped. When stamps go back by more than JUMP_S, on_time_jump is called, and the new stamps are accepted. An
-    image without stamp gets the time of its arrival, as equal stamps would stop every track. A leading slash of the
-    frame is left out, as tf2 refuses such names. One publisher is used at a time (OneSender).
+    is skipped. When stamps go back by more than JUMP_S, on_restart is called, and the new stamps are accepted; it is
+    called, too, before an image of another size, or in another frame, than the last one. An image without stamp gets
+    the time of its arrival, as equal stamps would stop every track. A leading slash of the frame is left out, as tf2
+    refuses such names. One publisher is used at a time (OneSender).
 
     Parameters
     ----------
@@ -99,8 +102,8 @@ class ImageInput(SensorInput):
         Horizontal field of view, rad, of a camera without calibration.
     fov_parameter : str
         Name of the parameter that holds it, for texts.
-    on_time_jump : callable, optional
-        Called when stamps have gone back.
+    on_restart : callable, optional
+        Called when what was seen before says nothing of the images that come now.
     depth : DepthInput, optional
         Input of the depth images; it is closed with this input.
 
@@ -115,7 +118,7 @@ class ImageInput(SensorInput):
         transport: str = "raw",
         fallback_hfov: float = 1.047,
         fov_parameter: str = "~fallback_fov",
-        on_time_jump: Optional[Callable[[], None]] = None,
+        on_restart: Optional[Callable[[], None]] = None,
         depth: Optional[DepthInput] = None,
     ) -> None:
         kinds = {"raw": ("image", ReceivedImage, ReceivedImage.BUFFER_BYTES),
@@ -125,7 +128,7 @@ class ImageInput(SensorInput):
         name, kind, buffer_bytes = kinds[transport]
         super().__init__(name, "image", "camera", ("start the camera or remap `image`", "is the camera running?"),
                          SENDER_S)
-        self.on_time_jump = on_time_jump
+        self.on_restart = on_restart
         self._depth = depth
         self._grey = GreyBits()
         self._decode = image_to_bgr if transport == "raw" else compressed_to_bgr
@@ -136,11 +139,13 @@ class ImageInput(SensorInput):
         # The least lags so far of arrivals behind the stamps, s, by those clocks.
         self._lags = (math.inf, math.inf)
         self._frame_id: Optional[str] = None
+        self._size: Optional[Tuple[int, int]] = None
+        self._resized: Tuple[str, float] = ("", -math.inf)
         self._problem: Tuple[int, str] = (OK, "")
         self._clock_problem = ""
         self._age = 0.0
         self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0,
-                                       "forward_jumps": 0}
+                                       "forward_jumps": 0, "size_changes": 0}
         self._asked = float("-inf")
         self._camera = CameraInfoInput(fallback_hfov, fov_parameter, is_rectified(self.topic))
         receive_without_copies()
@@ -170,7 +175,7 @@ class ImageInput(SensorInput):
             return ERROR, silent, values
         level, text = self._problem
         if level == OK:
-            text = self._other_sender() or self._camera.problem[1] or self._clock_problem
+            text = self._other_sender() or self._size_problem() or self._camera.problem[1] or self._clock_problem
             level = WARN if text else OK
         if self._depth is not None:
             depth_level, depth_text, depth_values = self._depth.status()
@@ -238,7 +243,8 @@ class ImageInput(SensorInput):
         with self._condition:
             self._senders.was_read(sender_of(message), True, time.monotonic())
         self._problem = (OK, "")
-        camera = self._camera.model(bgr.shape[1], bgr.shape[0])
+        self._compare_size((bgr.shape[1], bgr.shape[0]))
+        camera = self._camera.model(bgr.shape[1], bgr.shape[0], sender_of(message), header.frame_id)
         self._last_stamp = stamp = header.stamp.to_sec()
         self._taken_at = self._came
         self.counts["taken"] += 1
@@ -259,8 +265,7 @@ class ImageInput(SensorInput):
         if header.stamp.is_zero():
             self._clock_problem = ("{}: images have no stamp; the time of arrival is used instead. Let the camera "
                                    "driver set header.stamp".format(self.topic))
-            now = rospy.Time.now()
-            header.stamp = rospy.Time.from_sec(time.time()) if now.is_zero() else now
+            header.stamp = rospy.Time.from_sec(self._came[1] or time.time())
         elif abs(self._age) > MOST_AGE_S and not self._jumps_back(header):     # the clock may follow in a moment
             self._clock_problem = _CLOCKS.format(self.topic, *clock_fault(
                 self._age, header.stamp.to_sec() + self._age, time.time(), not rospy.rostime.is_wallclock()))
@@ -278,8 +283,7 @@ class ImageInput(SensorInput):
             self._last_stamp = None
             if self._depth is not None:
                 self._depth.reset()
-            if self.on_time_jump is not None:
-                self.on_time_jump()
+            self._restart()
             return header
         if step <= 0.0:
             self.counts["late"] += 1
@@ -304,6 +308,23 @@ class ImageInput(SensorInput):
             self._warn("forward", "{}: stamps have gone forward by {:.1f} s more than the time (a cut recording, or a "
                        "camera whose clock was set?); who was seen before may get a new id".format(self.topic, ahead))
 
+    def _compare_size(self, size: Tuple[int, int]) -> None:
+        """Start anew where an image has another size (width, height) px than the last one: what was at a pixel is
+        elsewhere, and a body would take the place of who stands there now, with its own id."""
+        before, self._size = self._size, size
+        if before in (None, size):
+            return
+        self.counts["size_changes"] += 1
+        text = "{}: images are {}x{} px now, before {}x{}: tracks start anew, and who is not recognised gets a new " \
+            "id; one topic is to carry images of one size".format(self.topic, *size, *before)
+        self._resized = text, time.monotonic()
+        self._warn("size", self._resized[0])
+        self._restart()
+
+    def _size_problem(self) -> str:
+        """Return what was said of a change of size a moment ago, empty without one."""
+        return self._resized[0] if time.monotonic() - self._resized[1] < LOG_PERIOD_S else ""
+
     def _name_frame(self, header: Header) -> None:
         """Leave out a leading slash of the frame, and tell when the frame is another one than before."""
         given = header.frame_id
@@ -314,9 +335,14 @@ class ImageInput(SensorInput):
             self._warn("slash", "{}: the frame_id {!r} begins with a slash, which tf2 refuses; {!r} is used. Set the "
                        "camera driver's frame_id".format(self.topic, given, header.frame_id))
         if self._frame_id is not None and header.frame_id != self._frame_id.lstrip("/"):
-            self._warn("frame", "{}: images are in the frame {!r} now, before in {!r}; one topic is to carry the "
-                       "images of one camera".format(self.topic, given, self._frame_id))
+            self._warn("frame", "{}: images are in the frame {!r} now, before in {!r}: tracks start anew; one topic is "
+                       "to carry the images of one camera".format(self.topic, given, self._frame_id))
+            self._restart()
         self._frame_id = given
+
+    def _restart(self) -> None:
+        if self.on_restart is not None:
+            self.on_restart()
 
 
 def image_input_of(settings: DepthCameraSettings) -> ImageInput:
@@ -350,7 +376,7 @@ class CameraInfoInput:
         self._hint = "using the field of view {} = {:.3f} rad; distances are only as good as that".format(
             rospy.resolve_name(fov_parameter), fallback_hfov)
         self._lock = threading.Lock()
-        self._info: Optional[CameraInfo] = None
+        self._infos: "OrderedDict[str, CameraInfo]" = OrderedDict()
         self._key: Optional[tuple] = None
         self._model: Optional[CameraModel] = None
         self._say_at = 0.0
@@ -364,14 +390,26 @@ class CameraInfoInput:
         """Wait until the first camera_info has come, timeout s at most; tell whether it has."""
         return self._heard.wait(max(0.0, timeout))
 
-    def model(self, width: int, height: int) -> CameraModel:
-        """Return the model for an image of width x height px, made of the newest camera_info."""
+    @property
+    def newest(self) -> Optional[CameraInfo]:
+        """The camera_info that came last, None before the first one."""
         with self._lock:
-            info = self._info
-        key = (width, height) + (_key(info) if info is not None else ())
+            return next(reversed(list(self._infos.values())), None)
+
+    def model(self, width: int, height: int, sender: str = "", frame: str = "") -> CameraModel:
+        """Return the model for an image of width x height px.
+
+        It is made of the newest camera_info of the node that sends the images, `sender`, else of the newest one. frame:
+        that of the images.
+        """
+        with self._lock:
+            info = self._infos.get(sender)
+        info = info or self.newest
+        key = (width, height, frame) + (_key(info) if info is not None else ())
         if key != self._key or self._model is None:
             was_guessed = self._model is not None and self._model.calibration is not Calibration.CALIBRATED
             self._model, text = self._build(info, width, height)
+            text = text or self._other_frame(info, frame)
             if text != self.problem[1]:
                 self._say_at = 0.0
                 if was_guessed and self._model.calibration is Calibration.CALIBRATED:
@@ -401,8 +439,20 @@ class CameraInfoInput:
 
     def _store(self, info: CameraInfo) -> None:
         with self._lock:
-            self._info = info
+            sender = sender_of(info)
+            self._infos[sender] = info
+            self._infos.move_to_end(sender)
+            while len(self._infos) > _MOST_INFOS:
+                self._infos.popitem(last=False)
         self._heard.set()
+
+    def _other_frame(self, info: Optional[CameraInfo], frame: str) -> str:
+        """Tell where camera_info is of another frame than the images; it is used, as names may differ by mistake."""
+        given = "" if info is None else info.header.frame_id.lstrip("/")
+        if not given or not frame or given == frame:
+            return ""
+        return "{}: it is of the frame {!r}, images are in {!r}: is it that of another camera? Then distances are " \
+            "wrong; remap `camera_info`, or correct the driver's frame_id".format(self.topic, given, frame)
 
     def _build(self, info: Optional[CameraInfo], width: int, height: int) -> Tuple[CameraModel, str]:
         """Return a model of this image size and what is wrong with camera_info, empty when nothing is."""
@@ -429,5 +479,5 @@ class CameraInfoInput:
 def _key(info: CameraInfo) -> tuple:
     """Everything in the message that the model depends on. NaN is unlike itself, hence the text."""
     roi = info.roi
-    return (info.width, info.height, str(info.K), str(info.P), str(info.D), info.distortion_model, info.binning_x,
-            info.binning_y, roi.x_offset, roi.y_offset, roi.width, roi.height)
+    return (info.header.frame_id, info.width, info.height, str(info.K), str(info.P), str(info.D),
+            info.distortion_model, info.binning_x, info.binning_y, roi.x_offset, roi.y_offset, roi.width, roi.height)

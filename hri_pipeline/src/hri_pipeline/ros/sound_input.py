@@ -28,6 +28,10 @@ BUFFER_BYTES = 2 ** 20
 JUMP_S = 1.0
 INFO_GRACE_S = 1.0
 MAX_WAITING_S = 5.0
+# Sound whose stamps differ by more from the time of its arrival, for so long, comes from another clock.
+_MOST_AGE_S, _SETTLED_S = 2.0, 2.0
+_CLOCKS = ("{}: sound is {:.1f} s {}, so that voices are found at the times of other images; set the clocks of "
+           "microphone and robot by NTP, or play bags with --clock and /use_sim_time")
 _BAD_S = 2.0
 _GAP_SHOWN_S = 5.0
 _MOST_INFOS = 8
@@ -66,6 +70,7 @@ class SoundInput(SensorInput):
         self._stream: Optional[SoundStream] = None
         self._last: Optional[float] = None
         self._stamped_at = float("-inf")
+        self._age, self._in_time = 0.0, time.monotonic()
         self._bad: Tuple[str, float] = ("", float("-inf"))
         self._gap: Tuple[str, float] = ("", float("-inf"))
         self._dropped_bytes = 0
@@ -89,6 +94,7 @@ class SoundInput(SensorInput):
             self._warn_of_silence()
             return []
         self._warn("others", self._other_sender())
+        self._warn("clock", self._clock_problem())
         if not self._info_is_awaited():
             return self._blocks(chunk)
         with self._condition:
@@ -129,12 +135,23 @@ class SoundInput(SensorInput):
 
     def _on_audio(self, message: AudioData) -> None:
         if time.monotonic() - self._stamped_at > SILENCE_S:
+            self._age = 0.0
             self._store(message.data, message, rospy.get_time())
 
     def _on_stamped(self, message: "AudioDataStamped") -> None:
-        self._stamped_at = time.monotonic()
+        self._stamped_at, now, stamp = time.monotonic(), rospy.get_time(), message.header.stamp.to_sec()
+        self._age = now - stamp if now and stamp else 0.0
+        if abs(self._age) <= _MOST_AGE_S:
+            self._in_time = self._stamped_at
         # The stamp is taken as the time of the end of the message.
-        self._store(message.audio.data, message, message.header.stamp.to_sec() or rospy.get_time())
+        self._store(message.audio.data, message, stamp or now)
+
+    def _clock_problem(self) -> str:
+        """Return that the stamps are of another clock, empty where they are not."""
+        if abs(self._age) <= _MOST_AGE_S or time.monotonic() - self._in_time < _SETTLED_S:
+            return ""
+        return _CLOCKS.format(rospy.resolve_name("audio_stamped"), abs(self._age),
+                              "old when it arrives" if self._age > 0.0 else "in the future")
 
     def _store(self, data: bytes, message: genpy.Message, arrival: float) -> None:
         if not arrival:
@@ -236,7 +253,7 @@ class SoundInput(SensorInput):
             return ERROR, silent
         if time.monotonic() - self._bad[1] < _BAD_S:
             return ERROR, self._bad[0]
-        other = self._other_sender()
+        other = self._other_sender() or self._clock_problem()
         if other:
             return WARN, other
         trouble = self._stream.problem() if self._stream is not None else ""

@@ -191,7 +191,7 @@ class VisionWorker(Worker):
         self._nice, self._nice_at = nice, math.inf
         self._took = 0.0
         self._ended: Deque[float] = deque(maxlen=300)
-        image_input.on_time_jump = self.reset
+        image_input.on_restart = self.reset
         uses = [processor.data_use for processor in self._processors if hasattr(processor, "data_use")]
         self._privacy = PrivacyTopic(joined(uses)) if uses else None
 

@@ -92,6 +92,41 @@ class Record:
     damaged: int = 0
 
 
+_MAGIC = b"#ROSBAG V2.0"
+_LONGEST_HEADER = 4096
+
+
+def is_recording(path: Union[str, Path]) -> bool:
+    """Tell whether a file begins as every recording of rosbag does. Raises OSError when it cannot be read."""
+    with open(path, "rb") as file:
+        return file.read(len(_MAGIC)) == _MAGIC
+
+
+def is_closed(path: Union[str, Path]) -> bool:
+    """Tell whether a recording was brought to its end: its header tells where in the file its index is.
+
+    The header stands behind the first line: its length, and of each field the length, the name, = and the value (wiki:
+    Bags/Format/2.0). Raises OSError when the file cannot be read.
+    """
+    with open(path, "rb") as file:
+        begin = file.read(len(_MAGIC) + 1 + 4 + _LONGEST_HEADER)
+    at = len(_MAGIC) + 1
+    end = min(len(begin), at + 4 + int.from_bytes(begin[at:at + 4], "little"))
+    at += 4
+    while at + 4 <= end:
+        size = int.from_bytes(begin[at:at + 4], "little")
+        name, _, value = begin[at + 4:at + 4 + size].partition(b"=")
+        if name == b"index_pos":
+            return 0 < int.from_bytes(value, "little") < Path(path).stat().st_size
+        at += 4 + size
+    return False
+
+
+def not_closed(path: Union[str, Path]) -> str:
+    """Return what to say of a recording that is not closed."""
+    return "{0} was not closed: it runs still, or was cut off; end it, or: rosbag reindex {0}".format(path)
+
+
 def read_bag(path: Union[str, Path], truth: str = "/scene/truth") -> Record:
     """Read a bag. truth: namespace of the truth.
 
@@ -103,6 +138,8 @@ def read_bag(path: Union[str, Path], truth: str = "/scene/truth") -> Record:
     file = Path(path).expanduser()
     if not file.is_file():
         raise RecordError("{}: there is no such bag".format(file))
+    if is_recording(file) and not is_closed(file):
+        raise RecordError(not_closed(file))
     if file.suffix != ".bag":
         raise RecordError("{}: the name of a ROS 1 bag ends in .bag".format(file))
     try:

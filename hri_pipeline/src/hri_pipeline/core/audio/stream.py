@@ -325,6 +325,9 @@ class SampleClock:
 
 
 _WRONG_SPEED = 0.1
+# What microphones have, where the number of channels may be wrong and not the rate.
+_USUAL_CHANNELS = (1, 2, 4, 6, 8)
+_MICROPHONE_RATES = (16000, 44100, 48000)
 
 
 @dataclass(frozen=True)
@@ -439,15 +442,25 @@ class SoundStream:
         speed = self._clock.speed()
         if speed and abs(speed - 1.0) > _WRONG_SPEED:
             came = speed * self.form.sample_rate
-            usual, is_near = nearest_rate(came)
-            hint = "set ~sample_rate (or the AudioInfo) to {}".format(usual) if is_near else \
-                "is ~sample_rate (or the AudioInfo), ~channels or ~sample_format right, or is sound lost on its way?"
-            return "{:.0f} samples a second come instead of {}: {}".format(came, self.form.sample_rate, hint)
+            return "{:.0f} samples a second come instead of {}: {}".format(came, self.form.sample_rate,
+                                                                           self._rate_hint(came))
         if self._missing:
             return "~microphone_channels names channel {}, and the sound has {} channel{} (from 0 on): all are used; " \
                    "is it the right device, and its firmware?".format(
                        self._missing[0], self.form.channels, "" if self.form.channels == 1 else "s")
         return self._level.problem()
+
+    def _rate_hint(self, came: float) -> str:
+        """Return how to correct the format where `came` samples a second come of each channel that is told."""
+        usual, is_near = nearest_rate(came)
+        if not is_near:
+            return "is ~sample_rate (or the AudioInfo), ~channels or ~sample_format right, or is sound lost on its way?"
+        hint = "set ~sample_rate (or the AudioInfo) to {}".format(usual)
+        rates = {count: nearest_rate(came * self.form.channels / count) for count in _USUAL_CHANNELS
+                 if count != self.form.channels}
+        others = ["{} channel{} of {}".format(count, "" if count == 1 else "s", rate)
+                  for count, (rate, near) in rates.items() if near and rate in _MICROPHONE_RATES]
+        return hint + "; or are these {}? Then correct ~channels".format(", or ".join(others)) if others else hint
 
     def values(self) -> Dict[str, object]:
         """Return the values for diagnostics."""
