@@ -1,12 +1,14 @@
 """The face stage on photographs of groups: counts, identities, poses. Needs the models and their pictures."""
 
 import shutil
+import threading
 
 import cv2
 import numpy as np
 import pytest
 
 from hri_pipeline.core.camera import CameraError, CameraModel
+from hri_pipeline.core.faces.analysis import FaceDemand
 from hri_pipeline.core.faces.head_pose import yaw_pitch_roll
 from hri_pipeline.core.faces.mesh import load_canonical_face
 from hri_pipeline.core.faces.parameters import FACES, FacesSettings
@@ -463,3 +465,26 @@ def test_no_face_begins_in_an_ignored_region_and_one_that_moves_through_it_stays
     seen = watch(stage, [image] * 20 + moved)
     assert set(ids(seen[19])) <= set(ids(seen[-1])), "who walks in front of it is followed"
     assert any(np.mean(face.box[[0, 2]]) < border * image.shape[1] for face in seen[-1])
+
+
+def test_threads_change_nothing_of_what_is_seen():
+    """A camera that pans over four people, whom each image shows to all networks."""
+    picture = photograph("sample6")
+    images = [np.ascontiguousarray(picture[:, shift:picture.shape[1] - 60 + shift]) for shift in range(0, 60, 3)]
+    before, seen = threading.active_count(), []
+    for threads in (1, 3):
+        stage = FacePipeline(FACES.resolve({"face_budget": 1000.0, "face_mesh_rate": 0.0, "max_age": 10.0,
+                                            "threads": threads}))
+        camera = CameraModel.from_fov(images[0].shape[1], images[0].shape[0], HFOV)
+        seen.append([stage.update(image, camera, index * STEP, demand=FaceDemand.everything(stage.tracked_ids))
+                     for index, image in enumerate(images)])
+        assert (threading.active_count() > before) == (threads > 1)
+        stage.close()
+        assert threading.active_count() == before
+    assert len(seen[0][-1]) >= 3
+    for alone, shared in zip(*seen):
+        assert len(alone) == len(shared)
+        for one, other in zip(alone, shared):
+            np.testing.assert_array_equal(one.landmarks, other.landmarks)
+            np.testing.assert_array_equal(one.pose.rotation, other.pose.rotation)
+            assert one.score == other.score and one.measured == other.measured

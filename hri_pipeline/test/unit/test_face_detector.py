@@ -13,10 +13,13 @@ from hri_pipeline.core.faces.detector import (
     weighted_nms,
     wide_region,
 )
+from hri_pipeline.core.process import ONE_THREAD
 
 
 class OneFace:
     """Stands for the network: it puts one face over the given anchor of each input."""
+
+    threads = ONE_THREAD
 
     def __init__(self, anchor, logit):
         self.anchor, self.logit = anchor, logit

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import os
+import threading
 from pathlib import Path
 from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple, Union
 
 import numpy as np
 import onnxruntime
+
+from hri_pipeline.core.process import ONE_THREAD, Threads
 
 FETCH_HINT = "get it with `rosrun hri_pipeline fetch_models`"
 MODELS_VARIABLE = "ROS4HRI_MODELS"
@@ -101,6 +104,7 @@ class ModelLog:
     def __init__(self, notify: Callable[[str], None]) -> None:
         self._notify = notify
         self._told: Set[str] = set()
+        self._lock = threading.Lock()
         self.providers: Dict[str, str] = {}
         """Keys of PROVIDERS by the names of the models."""
         self.inferences: Dict[str, int] = {}
@@ -111,6 +115,11 @@ class ModelLog:
         if text not in self._told:
             self._told.add(text)
             self._notify(text)
+
+    def count(self, model: str, items: int) -> None:
+        """Note that a model has worked on so many items."""
+        with self._lock:
+            self.inferences[model] = self.inferences.get(model, 0) + items
 
     @property
     def summary(self) -> str:
@@ -143,6 +152,8 @@ class OnnxModel:
         Names that the model must have; `run` returns `outputs` only, or all outputs when none are named.
     notify : callable, optional
         Called with a text; a ModelLog notes the provider as well.
+    threads : Threads, optional
+        Those that its user shares batches among; `threads` is one thread on a GPU, whose batches are not divided.
 
     Raises
     ------
@@ -157,12 +168,15 @@ class OnnxModel:
         inputs: Sequence[str] = (),
         outputs: Sequence[str] = (),
         notify: Optional[Callable[[str], None]] = None,
+        threads: Threads = ONE_THREAD,
     ) -> None:
         self._path = Path(path)
+        self._threads_within = threads.within
         self._notify = notify or (lambda text: None)
         self._session = self._load(providers)
         self.name = self._path.stem
         self.provider = _short_name(self._session.get_providers()[0])
+        self.threads = threads if self.provider == "cpu" else ONE_THREAD
         self.input_names = [tensor.name for tensor in self._session.get_inputs()]
         self.input_shapes = {tensor.name: list(tensor.shape) for tensor in self._session.get_inputs()}
         self.output_names = [tensor.name for tensor in self._session.get_outputs()]
@@ -174,7 +188,8 @@ class OnnxModel:
             self._warm_up()
         self._log = notify if isinstance(notify, ModelLog) else None
         if self._log is not None:
-            self._log.providers[self.name], self._log.inferences[self.name] = self.provider, 0
+            self._log.providers[self.name] = self.provider
+            self._log.count(self.name, 0)
 
     def run(self, feed: Dict[str, np.ndarray], outputs: Optional[Sequence[str]] = None) -> Dict[str, np.ndarray]:
         """Run the model.
@@ -204,7 +219,7 @@ class OnnxModel:
             raise ModelError("model {} refused input {}: {}".format(
                 self._path, shapes, first_line(error))) from error
         if self._log is not None:
-            self._log.inferences[self.name] += len(next(iter(feed.values())))
+            self._log.count(self.name, len(next(iter(feed.values()))))
         return dict(zip(wanted, values))
 
     def _run_batched(self, feed: Dict[str, np.ndarray], wanted: List[str]) -> List[np.ndarray]:
@@ -274,7 +289,7 @@ class OnnxModel:
 
     def _session_on(self, providers: List[str]) -> onnxruntime.InferenceSession:
         options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
+        options.intra_op_num_threads = self._threads_within
         options.inter_op_num_threads = 1
         # Waiting threads that spin take a core from the other nodes of the robot.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")

@@ -11,6 +11,7 @@ import numpy as np
 
 from hri_pipeline.core.geometry import iou_matrix
 from hri_pipeline.core.onnx import OnnxModel
+from hri_pipeline.core.process import ONE_THREAD, Threads
 
 _STEP = 32
 _STRIDE = 4
@@ -113,13 +114,17 @@ class CenterNetDetector:
         notify: Optional[Callable[[str], None]] = None,
         threshold: float = 0.3,
         long_side: int = 512,
+        threads: Threads = ONE_THREAD,
     ) -> None:
-        """threshold: 0 to 1. long_side: px of the network's input. Raises ValueError outside of these."""
+        """threshold: 0 to 1. long_side: px of the network's input. threads: those that may run it beside other
+        networks. Raises ValueError outside of these."""
         if not 0.0 < threshold < 1.0:
             raise ValueError("threshold {} must lie between 0 and 1".format(threshold))
         if long_side < _STEP:
             raise ValueError("long_side is {} px, legal range {} and more".format(long_side, _STEP))
-        self._model = OnnxModel(path, providers, inputs=("images",), outputs=("heat", "ltrb"), notify=notify)
+        self._model = OnnxModel(path, providers, inputs=("images",), outputs=("heat", "ltrb"), notify=notify,
+                                threads=threads)
+        self.threads = self._model.threads
         self.threshold = threshold
         self._long_side = long_side
         self._leads: Deque[Tuple[bytes, float]] = deque(maxlen=_REMEMBERED)

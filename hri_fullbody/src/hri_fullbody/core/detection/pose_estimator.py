@@ -22,6 +22,7 @@ from hri_fullbody.core.keypoints import (
 from hri_pipeline.core.geometry import crop_rotated, iou_matrix, median_of_few
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.onnx import OnnxModel
+from hri_pipeline.core.process import ONE_THREAD, Threads
 
 INPUT_SIZE = 256
 LANDMARKS = 39
@@ -151,10 +152,10 @@ class BatchPoseEstimator(PoseEstimator, Protocol):
 
 
 class BlazePose:
-    """The pose network. Not for several threads.
+    """The pose network. Not to be called by several threads.
 
-    takes_batches: several windows at once are faster. They are on a GPU; on a CPU a window takes 0.98 of the time in a
-    batch of three (measured).
+    takes_batches: several windows at once are faster. They are on a GPU, and where several threads share them; in one
+    thread of a CPU a window takes 0.98 of the time in a batch of three (measured).
     """
 
     def __init__(
@@ -162,11 +163,14 @@ class BlazePose:
         path: Union[str, Path],
         providers: Sequence[str] = ("cpu",),
         notify: Optional[Callable[[str], None]] = None,
+        threads: Threads = ONE_THREAD,
     ) -> None:
         self._model = OnnxModel(path, providers, inputs=("input_1",),
-                                outputs=(_LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT), notify=notify)
+                                outputs=(_LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT), notify=notify,
+                                threads=threads)
+        self.threads = self._model.threads
         self._feed = np.empty((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        self.takes_batches = self._model.provider in ("cuda", "tensorrt")
+        self.takes_batches = self._model.provider in ("cuda", "tensorrt") or self.threads.count > 1
 
     def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
                  shown: Optional[np.ndarray] = None, mirrored: bool = False) -> PoseEstimate:
@@ -174,12 +178,18 @@ class BlazePose:
         return self.estimate_all(image, [PoseWindow(window, hidden, shown, mirrored)])[0]
 
     def estimate_all(self, image: np.ndarray, windows: Sequence[PoseWindow]) -> List[PoseEstimate]:
-        """Find the body in each window of `image` (H, W, 3) BGR, in one run of the network."""
+        """Find the body in each window of `image` (H, W, 3) BGR, in one run of the network, or shared by its
+        threads."""
         if not windows:
             return []
         if len(windows) > len(self._feed):
             self._feed = np.empty((len(windows), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        feed, affines = self._feed[:len(windows)], []
+        return self.threads.in_parts(lambda part: self._run(image, [windows[index] for index in part], self._feed[
+            part.start:part.stop]), range(len(windows)))
+
+    def _run(self, image: np.ndarray, windows: Sequence[PoseWindow], feed: np.ndarray) -> List[PoseEstimate]:
+        """Run the network once; feed: (len(windows), 256, 256, 3) float32, its input."""
+        affines = []
         for place, one in zip(feed, windows):
             patch, affine = crop_rotated(image, one.window.centre, one.window.size, one.window.angle, INPUT_SIZE)
             _hide(patch, affine, one.hidden, one.shown)

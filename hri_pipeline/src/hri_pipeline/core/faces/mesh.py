@@ -265,7 +265,7 @@ class FaceMesh:
         self._model = model
 
     def run(self, bgr: np.ndarray, rois: Sequence[FaceRoi]) -> List[FaceMeshResult]:
-        """Run the network; one result per crop, in order.
+        """Run the network; one result per crop, in order. The model's threads share the crops.
 
         Parameters
         ----------
@@ -279,8 +279,9 @@ class FaceMesh:
         ModelError
             When the network fails.
         """
-        if not rois:
-            return []
+        return self._model.threads.in_parts(lambda part: self._run(bgr, part), rois) if rois else []
+
+    def _run(self, bgr: np.ndarray, rois: Sequence[FaceRoi]) -> List[FaceMeshResult]:
         batch = np.empty((len(rois), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
         affines = []
         for crop, roi in zip(batch, rois):
