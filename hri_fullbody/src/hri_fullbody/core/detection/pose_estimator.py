@@ -184,8 +184,8 @@ class BlazePose:
             return []
         if len(windows) > len(self._feed):
             self._feed = np.empty((len(windows), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        return self.threads.in_parts(lambda part: self._run(image, [windows[index] for index in part], self._feed[
-            part.start:part.stop]), range(len(windows)))
+        return self.threads.in_parts(lambda part: self._run(
+            image, windows[part[0]:part[-1] + 1], self._feed[part[0]:part[-1] + 1]), range(len(windows)))
 
     def _run(self, image: np.ndarray, windows: Sequence[PoseWindow], feed: np.ndarray) -> List[PoseEstimate]:
         """Run the network once; feed: (len(windows), 256, 256, 3) float32, its input."""
