@@ -6,8 +6,8 @@ import unittest
 import numpy as np
 import rospy
 import rostest
-
 from diagnostic_msgs.msg import DiagnosticArray
+
 from hri_msgs.msg import FacialLandmarks, IdsList, Skeleton2D
 from hri_pipeline.testing import Camera, Latest, photograph, wait_for
 

@@ -182,36 +182,40 @@ class Threads:
         return time.thread_time() + getattr(self._helped, "seconds", 0.0)
 
     def in_parts(self, work: Callable[[Sequence[Item]], Sequence[Result]], items: Sequence[Item]) -> List[Result]:
-        """Return what `work` makes of the items, one result for each: of all at once, or of each in some thread.
+        """Return what `work` makes of the items, one result for each: of all at once, or of as many parts as threads.
 
-        An error of `work` is raised here; of several, that of the first item. Items that nobody has begun then are
-        left out.
+        A part is as large as it can be: the mesh network takes a fifth less time for a face of three than for one
+        alone. An error of `work` is raised here; of several, that of the first part. Parts that nobody has begun then
+        are left out.
         """
         if self._pool is None or len(items) < 2:
             return list(work(items))
-        waiting, found, errors = deque(range(len(items))), {}, {}       # type: ignore[var-annotated]
+        size = -(-len(items) // self.count)
+        waiting = deque(range(0, len(items), size))
+        found: Dict[int, Sequence[Result]] = {}
+        errors: Dict[int, Exception] = {}
 
         def serve() -> float:
             began = time.thread_time()
             while True:
                 try:
-                    number = waiting.popleft()
+                    first = waiting.popleft()
                 except IndexError:
                     return time.thread_time() - began
                 try:
-                    found[number] = work(items[number:number + 1])
+                    found[first] = work(items[first:first + size])
                 except Exception as error:
-                    errors[number] = error
+                    errors[first] = error
                     waiting.clear()
 
-        others = [self._submit(serve) for _ in range(min(self.count, len(items)) - 1)]
+        others = [self._submit(serve) for _ in range(len(waiting) - 1)]
         serve()
         # One that has not begun is not waited for: the threads may be busy with something else, which may call this.
         helped = sum(other.result() for other in others if other is not None and not other.cancel())
         self._helped.seconds = getattr(self._helped, "seconds", 0.0) + helped
         if errors:
             raise errors[min(errors)]
-        return [result for number in range(len(items)) for result in found[number]]
+        return [result for first in sorted(found) for result in found[first]]
 
     def start(self, work: Callable[..., Result], *arguments: Any) -> Callable[[], Result]:
         """Begin something beside the caller; what is returned waits for it and returns its result, or raises its
