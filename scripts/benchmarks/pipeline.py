@@ -30,7 +30,9 @@ NOT_STACK = ("benchmark_probe", "image_source", "moving_people", "load")
 ERRORS = {"landmark": "landmark_error", "landmark_px": "landmark_error_px",
           "face_direction": "face_direction_error_deg", "skeleton": "skeleton_error"}
 """What the probe measures, and the keys of its median in JSON; `moving_` before them is that while people move."""
-NO_GPU = "not measured: the networks were asked to run on {}"
+GPU_PEOPLE = 10
+NO_GPU = "not measured: the networks of {} ran on {}"
+NO_GPU_SCENE = "not measured: no scene of {} people, or not both faces and bodies were seen".format(GPU_PEOPLE)
 LOAD = "while True: pass"
 LOADED_PEOPLE = 3
 LAUNCH = """<launch>
@@ -154,6 +156,7 @@ def measure(stack: StackRun, people: int, arguments: Sequence[str], options: arg
     stack.start_master()
     launch_file = stack.folder / "pipeline.launch"
     launch_file.write_text(LAUNCH, encoding="utf-8")
+    started = time.time()
     launch = stack.start("roslaunch", ["roslaunch", str(launch_file), *arguments])
     scene, reference = (str(stack.folder / "{}.{}".format(people, kind)) for kind in ("png", "npz"))
     stack.start("moving_people", [sys.executable, "-m", "benchmarks.moving_people", scene, reference, str(options.rate),
@@ -179,7 +182,7 @@ def measure(stack: StackRun, people: int, arguments: Sequence[str], options: arg
         expect(b"loaded\n")
         load.kill()
     probe.wait(timeout=60.0 + 4.0 * options.moving_seconds)
-    seen = dict(json.loads(result.read_text(encoding="utf-8")))
+    seen = dict(json.loads(result.read_text(encoding="utf-8")), started=started)
     seen["cpu_percent"] = {name: round(100.0 * (used - before.get(name, 0.0)) / passed, 1)
                            for name, used in sorted(after.items(), key=lambda item: -item[1])}
     seen["rss_mb"] = {name: round(memory[name], 1) for name in seen["cpu_percent"]}
@@ -211,7 +214,7 @@ def figures(people: int, seen: dict) -> dict:
         "cpu_percent": round(sum(value for name, value in cpu.items() if name not in NOT_STACK), 1),
         "cpu_percent_by_process": cpu, "rss_mb_by_process": seen.get("rss_mb", {}),
         "rss_mb": round(sum(value for name, value in seen.get("rss_mb", {}).items() if name not in NOT_STACK), 1),
-        "stages_ms": seen["stages_ms"], "seconds": round(seen["seconds"], 2),
+        "stages_ms": seen["stages_ms"], "seconds": round(seen["seconds"], 2), "gpu": gpu(seen),
         "errors": {prefix + key + ending: value for prefix, found in seen.get("errors", {}).items()
                    for name, key in ERRORS.items()
                    for ending, value in zip(("", "_p95"), _middle_and_high(np.array(found[name] or [np.nan]), 4))},
@@ -222,6 +225,24 @@ def loaded(seen: dict) -> dict:
     """Return age (ms) and people found while something else used a whole core; seen: as of the probe."""
     import numpy as np
     return {"age_p95_ms": _middle_and_high(1e3 * np.array(seen["ages"] or [np.nan]), 1)[1], "found": seen["found"]}
+
+
+def gpu(seen: dict) -> dict:
+    """Return how long an image takes on a card, the longest stall and the start; None, with the reason, without a card.
+
+    An image: the medians of the nodes' times per image, together. A stall: time between two images with faces, or
+    bodies, since the first of them. The start: from roslaunch until both faces and bodies are there.
+    """
+    stages, began = seen.get("stages_ms", {}), seen.get("began", {})
+    nodes = sorted(node for node, used in seen.get("networks", {}).items() if "frame" in stages.get(node, {}))
+    elsewhere = [NO_GPU.format(node, seen["networks"][node].split(":")[0]) for node in nodes
+                 if not {"cuda", "tensorrt"} & {part.split(":")[0] for part in seen["networks"][node].split("; ")}]
+    if elsewhere or not nodes or not {"face", "body"} <= set(began):
+        return {"ms_per_image": None, "stall_s": None, "start_s": None,
+                "reason": "; ".join(elsewhere) or NO_GPU_SCENE}
+    return {"ms_per_image": round(sum(stages[node]["frame"]["median"] for node in nodes), 1),
+            "stall_s": round(max(seen["stall_s"].values()), 3),
+            "start_s": round(max(began["face"], began["body"]) - seen["started"], 1)}
 
 
 def _middle_and_high(values: np.ndarray, digits: int) -> List[Optional[float]]:
@@ -252,8 +273,9 @@ def as_json(rows: Sequence[dict], before: dict, described: dict, starts: Optiona
         result["stages_ms"][str(number)] = row["stages_ms"]
         if row["loaded"] is not None:
             result["loaded"] = {"{}_{}".format(key, number): value for key, value in row["loaded"].items()}
-    result["gpu"] = {"ms_per_image_10": None, "stall_s": None, "start_s": None,
-                     "reason": NO_GPU.format(described.get("providers", "cpu"))}
+    card = next((dict(row["gpu"]) for row in rows if row["people"] == GPU_PEOPLE),
+                {"ms_per_image": None, "stall_s": None, "start_s": None, "reason": NO_GPU_SCENE})
+    result["gpu"] = dict({"ms_per_image_{}".format(GPU_PEOPLE): card.pop("ms_per_image")}, **card)
     return result
 
 
@@ -290,6 +312,9 @@ def as_table(rows: Sequence[dict], before: dict, described: dict) -> str:
         if row["loaded"] is not None:
             lines.append("  beside a load of one core: {found} found, age p95 {age}".format(
                 found=row["loaded"]["found"], age=_ms(row["loaded"]["age_p95_ms"])))
+        if row["gpu"]["ms_per_image"] is not None:
+            lines.append("  on a card: {ms_per_image} ms per image of faces and bodies, longest stall {stall_s} s, "
+                         "start {start_s} s".format(**row["gpu"]))
     for row in rows:
         lines += ["", "{} people: processor, % of one core; memory, MB".format(row["people"])]
         lines += ["  {:28s} {:6.1f} {:7.0f}".format(name, value, row["rss_mb_by_process"].get(name, 0.0))

@@ -49,6 +49,12 @@ class Probe:
         self.stages: Dict[str, Dict[str, Dict[str, float]]] = {}
         self.inferences: Dict[str, List[Tuple[float, int]]] = defaultdict(list)
         """Stamp (s) of the diagnostics and how often each network has run until then."""
+        self.networks: Dict[str, str] = {}
+        """On which provider the networks of each node run, as its diagnostics tell."""
+        self.began: Dict[str, float] = {}
+        """Time (s since the epoch) at which the first face, and the first body, came."""
+        self.stalls: Dict[str, Tuple[float, float]] = {}
+        """Arrival (s) of the last face, and body, and the longest time (s) between two."""
         self.subscribers = [
             rospy.Subscriber("/tf", TFMessage, self.on_tf, queue_size=1000, buff_size=2**22, tcp_nodelay=True),
             rospy.Subscriber("/diagnostics", DiagnosticArray, self.on_diagnostics, queue_size=100)]
@@ -61,6 +67,11 @@ class Probe:
         """Note stamp and age of each frame of a person, face or body."""
         now = time.time()
         with self.lock:
+            for kind in {transform.child_frame_id.split("_")[0] for transform in message.transforms} - {"person"}:
+                if kind in KINDS:
+                    self.began.setdefault(kind, now)
+                    last, longest = self.stalls.get(kind, (now, 0.0))
+                    self.stalls[kind] = now, max(longest, now - last)
             if not (self.watching or self.keeps_faces):
                 return
             for transform in message.transforms:
@@ -92,6 +103,8 @@ class Probe:
         with self.lock:
             for status in message.status:
                 for value in status.values:
+                    if value.key == "networks":
+                        self.networks[status.name.split(":")[0]] = value.value
                     if value.key.startswith("inferences_") and self.watching:
                         self.inferences[value.key[len("inferences_"):]].append(
                             (message.header.stamp.to_sec(), int(float(value.value))))
@@ -113,7 +126,8 @@ class Probe:
                 "ages": [age for stamp, age in self.ages if stamp in images],
                 "rates": {kind: sorted((len(stamps & images) / seconds for stamps in frames.values()), reverse=True)
                           for kind, frames in self.stamps.items()},
-                "stages_ms": self.stages,
+                "stages_ms": self.stages, "networks": self.networks, "began": self.began,
+                "stall_s": {kind: longest for kind, (_, longest) in self.stalls.items()},
                 "inferences_hz": {network: rate(counts) for network, counts in self.inferences.items()}}
 
     def measure_errors(self, truth: Truth, seconds: float, size: Tuple[int, int], moving: bool) -> Errors:
