@@ -16,6 +16,7 @@ from hri_pipeline.core.onnx import (
     model_path,
     models_directory,
 )
+from hri_pipeline.core.process import Threads
 
 onnx = pytest.importorskip("onnx")
 
@@ -157,7 +158,7 @@ def test_a_gpu_gets_batches_of_a_few_sizes_that_were_warmed_up(doubler, machine)
     sessions = machine("CUDAExecutionProvider")
     log = ModelLog(lambda text: None)
     model = OnnxModel(doubler, ["cuda"], notify=log)
-    assert model.provider == "cuda" and sessions.batches == list(BATCH_SIZES)
+    assert model.provider == "cuda" and sorted(sessions.batches) == list(BATCH_SIZES)
     name, options = sessions.asked[0][0]
     assert name == "CUDAExecutionProvider"
     assert options["cudnn_conv_algo_search"] == "HEURISTIC" and options["use_tf32"] == "0"
@@ -169,6 +170,53 @@ def test_a_gpu_gets_batches_of_a_few_sizes_that_were_warmed_up(doubler, machine)
         np.testing.assert_array_equal(found["z"], x * x)
         assert set(sessions.batches) <= set(BATCH_SIZES) and sum(sessions.batches) >= count
     assert log.inferences == {"doubler": 63}
+
+
+def test_one_item_may_run_on_the_cpu_beside_a_gpu(doubler, machine):
+    sessions = machine("CUDAExecutionProvider")
+    model = OnnxModel(doubler, ["cuda"], batch_sizes=(3,), one_on_cpu=True)
+    assert [name for name, _ in sessions.asked[1]] == ["CPUExecutionProvider"] and sessions.batches == [3]
+    x = np.array([[1.0, 2.0]], np.float32)
+    np.testing.assert_array_equal(model.run({"x": x})["y"], 2 * x)
+    assert sessions.batches == [3, 1]
+    model.run({"x": np.concatenate([x, x])})
+    assert sessions.batches == [3, 1, 3]
+    plain = machine("CPUExecutionProvider")
+    OnnxModel(doubler, ["cpu"], one_on_cpu=True)
+    assert len(plain.asked) == 1
+
+
+def test_a_gpu_has_a_session_for_each_shape_that_is_warmed_up(doubler, machine, monkeypatch):
+    monkeypatch.setattr(OnnxModel, "_takes_batches", lambda self: False)
+    sessions, told = machine("CUDAExecutionProvider"), []
+    model = OnnxModel(doubler, ["cuda"], notify=told.append, shapes=[(1, 2), (2, 2)])
+    assert sessions.batches == [1, 2] and len(sessions.asked) == 2
+    for count in (1, 2, 1, 3, 2, 3):
+        x = np.ones((count, 2), np.float32)
+        np.testing.assert_array_equal(model.run({"x": x})["y"], 2 * x)
+    assert sessions.batches == [1, 2, 1, 2, 1, 3, 3, 2, 3] and len(sessions.asked) == 3
+    assert told[-1] == "doubler.onnx: cuda prepares inputs of (3, 2)"
+    for count in range(4, 20):      # a camera that changes its size for ever
+        model.run({"x": np.ones((count, 2), np.float32)})
+    assert len(model._shaped) == 6
+
+
+@pytest.mark.parametrize(("provider", "count", "batches"), [
+    ("CUDAExecutionProvider", 1, [4]), ("CUDAExecutionProvider", 3, [4]), ("CPUExecutionProvider", 1, [4]),
+    ("CPUExecutionProvider", 3, [2, 2])])
+def test_threads_prepare_items_and_divide_the_batch_on_a_cpu_only(doubler, machine, provider, count, batches):
+    sessions, threads = machine(provider), Threads(count)
+    model = OnnxModel(doubler, ["cuda", "cpu"], threads=threads)
+    del sessions.batches[:]
+
+    def prepare(item, place):
+        place[:] = item
+        return -item
+
+    prepared, found = model.run_items([3, 1, 4, 5], prepare, np.empty((6, 2), np.float32)[:4])
+    threads.close()
+    assert prepared == [-3, -1, -4, -5] and sorted(sessions.batches) == sorted(batches)
+    np.testing.assert_array_equal(found["y"], [[6, 6], [2, 2], [8, 8], [10, 10]])
 
 
 def test_missing_libraries_are_those_that_the_loader_does_not_find():

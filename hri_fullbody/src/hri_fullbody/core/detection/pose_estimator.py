@@ -170,7 +170,7 @@ class BlazePose:
                                 threads=threads)
         self.threads = self._model.threads
         self._feed = np.empty((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        self.takes_batches = self._model.provider in ("cuda", "tensorrt") or self.threads.count > 1
+        self.takes_batches = self._model.on_card or self.threads.count > 1
 
     def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
                  shown: Optional[np.ndarray] = None, mirrored: bool = False) -> PoseEstimate:
@@ -184,23 +184,20 @@ class BlazePose:
             return []
         if len(windows) > len(self._feed):
             self._feed = np.empty((len(windows), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        return self.threads.in_parts(lambda part: self._run(
-            image, windows[part[0]:part[-1] + 1], self._feed[part[0]:part[-1] + 1]), range(len(windows)))
-
-    def _run(self, image: np.ndarray, windows: Sequence[PoseWindow], feed: np.ndarray) -> List[PoseEstimate]:
-        """Run the network once; feed: (len(windows), 256, 256, 3) float32, its input."""
-        affines = []
-        for place, one in zip(feed, windows):
-            patch, affine = crop_rotated(image, one.window.centre, one.window.size, one.window.angle, INPUT_SIZE)
-            _hide(patch, affine, one.hidden, one.shown)
-            patch = cv2.flip(patch, 1) if one.mirrored else patch
-            np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB), np.float32(1.0 / 255.0), out=place)
-            affines.append(affine)
-        output = self._model.run({"input_1": feed})
+        affines, output = self._model.run_items(windows, lambda one, place: _crop(image, one, place), self._feed[:len(windows)])
         scores = np.asarray(output[_SCORE_OUTPUT]).reshape(len(windows), -1)
         return [decode(landmarks, float(score[0]), world, affine, one.window.angle, one.mirrored)
                 for landmarks, score, world, affine, one in zip(
                     output[_LANDMARK_OUTPUT], scores, output[_WORLD_OUTPUT], affines, windows)]
+
+
+def _crop(image: np.ndarray, one: PoseWindow, out: np.ndarray) -> np.ndarray:
+    """Write a window as RGB in [0, 1] to `out` (S, S, 3); returns the affine (2, 3) from it to the image."""
+    patch, affine = crop_rotated(image, one.window.centre, one.window.size, one.window.angle, INPUT_SIZE)
+    _hide(patch, affine, one.hidden, one.shown)
+    patch = cv2.flip(patch, 1) if one.mirrored else patch
+    np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB), np.float32(1.0 / 255.0), out=out)
+    return affine
 
 
 def _hide(patch: np.ndarray, affine: np.ndarray, hidden: Sequence[np.ndarray], shown: Optional[np.ndarray]) -> None:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from hri_pipeline.core.geometry import iou_matrix
-from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel, model_path
+from hri_pipeline.core.onnx import BATCH_SIZES, FETCH_HINT, ModelError, OnnxModel, model_path
 from hri_pipeline.core.process import ONE_THREAD, Threads
 
 INPUT_SIZE = 192
@@ -195,15 +195,11 @@ class FaceDetector:
         return found
 
     def _search(self, bgr: np.ndarray, regions: Sequence[Region]) -> List[Found]:
-        """What the network says of each region, shared by the model's threads."""
-        def search(part: Sequence[Region]) -> List[Found]:
-            batch = np.empty((len(part), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-            placements = [_letterbox(bgr, region, crop) for region, crop in zip(part, batch)]
-            out = self._model.run({"input_1": batch})
-            return [self._decode(out["Identity"][i], out["Identity_1"][i, :, 0], scale, offset)
-                    for i, (scale, offset) in enumerate(placements)]
-
-        return self.threads.in_parts(search, regions)
+        """What the network says of each region."""
+        batch = np.empty((len(regions), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
+        places, out = self._model.run_items(regions, lambda region, crop: _letterbox(bgr, region, crop), batch)
+        return [self._decode(out["Identity"][i], out["Identity_1"][i, :, 0], scale, offset)
+                for i, (scale, offset) in enumerate(places)]
 
     def _decode(
         self, regressors: np.ndarray, logits: np.ndarray, scale: float, offset: np.ndarray
@@ -253,13 +249,16 @@ def _letterbox(bgr: np.ndarray, region: Region, out: np.ndarray) -> Tuple[float,
 
 
 def load_face_network(configured: str, default: str, outputs: Mapping[str, int], providers: Sequence[str],
-                      notify: Optional[Callable[[str], None]], threads: Threads = ONE_THREAD) -> OnnxModel:
+                      notify: Optional[Callable[[str], None]], threads: Threads = ONE_THREAD,
+                      batch_sizes: Sequence[int] = BATCH_SIZES, one_on_cpu: bool = False) -> OnnxModel:
     """Load the detector or the mesh network, and run it once: this warms it up, and tells a wrong model.
 
-    outputs: numbers in each output for one image. threads: see OnnxModel. Raises ModelError naming the file.
+    outputs: numbers in each output for one image. threads, batch_sizes and one_on_cpu: see OnnxModel. Raises ModelError naming
+    the file.
     """
     path = model_path(configured, default)
-    model = OnnxModel(path, providers, inputs=("input_1",), outputs=tuple(outputs), notify=notify, threads=threads)
+    model = OnnxModel(path, providers, inputs=("input_1",), outputs=tuple(outputs), notify=notify, threads=threads,
+                      batch_sizes=batch_sizes, one_on_cpu=one_on_cpu)
     trial = model.run({"input_1": np.zeros((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)})
     for name, size in outputs.items():
         if trial[name].size != size:

@@ -279,18 +279,11 @@ class FaceMesh:
         ModelError
             When the network fails.
         """
-        return self._model.threads.in_parts(lambda part: self._run(bgr, part), rois) if rois else []
-
-    def _run(self, bgr: np.ndarray, rois: Sequence[FaceRoi]) -> List[FaceMeshResult]:
+        if not rois:
+            return []
         batch = np.empty((len(rois), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        affines = []
-        for crop, roi in zip(batch, rois):
-            patch, affine = crop_rotated(bgr, roi.centre.tolist(), roi.size, roi.angle, INPUT_SIZE)
-            crop[...] = cv2.cvtColor(patch, cv2.COLOR_BGR2RGB)
-            affines.append(affine)
-        batch *= 1.0 / 255.0
-        out = {name: values.reshape(len(rois), -1).astype(np.float64)
-               for name, values in self._model.run({"input_1": batch}).items()}
+        affines, found = self._model.run_items(rois, lambda roi, place: _crop(bgr, roi, place), batch)
+        out = {name: values.reshape(len(rois), -1).astype(np.float64) for name, values in found.items()}
         results = []
         for i, (roi, affine) in enumerate(zip(rois, affines)):
             points = _assemble({name: values[i] for name, values in out.items()})
@@ -299,6 +292,13 @@ class FaceMesh:
             logit = min(50.0, max(-50.0, float(out["conv_faceflag"][i, 0])))
             results.append(FaceMeshResult(1.0 / (1.0 + np.exp(-logit)), points))
         return results
+
+
+def _crop(bgr: np.ndarray, roi: FaceRoi, out: np.ndarray) -> np.ndarray:
+    """Write a crop as RGB in [0, 1] to `out` (S, S, 3); returns the affine (2, 3) from it to the image."""
+    patch, affine = crop_rotated(bgr, roi.centre.tolist(), roi.size, roi.angle, INPUT_SIZE)
+    np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB), np.float32(1.0 / 255.0), out=out)
+    return affine
 
 
 def _assemble(out: Dict[str, np.ndarray]) -> np.ndarray:

@@ -266,9 +266,9 @@ class FaceTrackingPipeline:
                  clock: Optional[Callable[[], float]] = None, judge: Optional[AppearanceJudge] = None) -> None:
         self._threads = Threads.of_node(settings.threads, settings.cpu_share)
         detector = load_face_network(settings.face_detector_model, "face_detection_full_range.onnx",
-                                     FaceDetector.OUTPUTS, settings.providers, notify, self._threads)
+                                     FaceDetector.OUTPUTS, settings.providers, notify, self._threads, (4,))
         mesh = load_face_network(settings.face_mesh_model, "face_landmarks_attention.onnx", FaceMesh.OUTPUTS,
-                                 settings.providers, notify, self._threads)
+                                 settings.providers, notify, self._threads, (12,), one_on_cpu=True)
         self._detector = FaceDetector(detector)
         self._detection_scheduler = DetectionScheduler(settings.face_detection_period, settings.face_detection_tiles)
         self._mesh = FaceMesh(mesh)
