@@ -15,6 +15,8 @@ from hri_pipeline.core.faces.parameters import FACES, FacesSettings
 from hri_pipeline.core.faces.pipeline import FacePipeline, FaceTrackingPipeline
 from hri_pipeline.core.onnx import ModelError, models_directory
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.process import Threads
+from hri_pipeline.core.recognition.embedding import load_face_embedder
 from hri_pipeline.core.sources.image_sources import PictureMotion
 from hri_pipeline.core.timing import StageTimes
 
@@ -488,3 +490,12 @@ def test_threads_change_nothing_of_what_is_seen():
             np.testing.assert_array_equal(one.landmarks, other.landmarks)
             np.testing.assert_array_equal(one.pose.rotation, other.pose.rotation)
             assert one.score == other.score and one.measured == other.measured
+
+
+def test_threads_change_nothing_of_templates():
+    crops = np.random.default_rng(5).integers(0, 256, (5, 150, 150, 3), dtype=np.uint8)
+    threads = Threads(2)
+    alone, shared = load_face_embedder(), load_face_embedder(threads=threads)
+    for count in range(len(crops) + 1):
+        np.testing.assert_array_equal(alone.embed(crops[:count]), shared.embed(crops[:count]))
+    threads.close()

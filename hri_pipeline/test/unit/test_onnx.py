@@ -157,7 +157,8 @@ def test_a_provider_that_does_not_load_is_named_with_what_is_missing(doubler, ma
 def test_a_gpu_gets_batches_of_a_few_sizes_that_were_warmed_up(doubler, machine):
     sessions = machine("CUDAExecutionProvider")
     log = ModelLog(lambda text: None)
-    model = OnnxModel(doubler, ["cuda"], notify=log)
+    model = OnnxModel(doubler, ["cuda"], notify=log, threads=Threads(3))
+    assert model.threads.count == 1, "its batches are not divided"
     assert model.provider == "cuda" and sorted(sessions.batches) == list(BATCH_SIZES)
     name, options = sessions.asked[0][0]
     assert name == "CUDAExecutionProvider"
@@ -217,6 +218,33 @@ def test_threads_prepare_items_and_divide_the_batch_on_a_cpu_only(doubler, machi
     threads.close()
     assert prepared == [-3, -1, -4, -5] and sorted(sessions.batches) == sorted(batches)
     np.testing.assert_array_equal(found["y"], [[6, 6], [2, 2], [8, 8], [10, 10]])
+
+
+def test_several_threads_run_one_model_and_each_item_is_counted(doubler):
+    log, threads = ModelLog(lambda text: None), Threads(4)
+    model = OnnxModel(doubler, outputs=["y"], notify=log, threads=threads)
+    x = np.arange(200, dtype=np.float32).reshape(100, 2)
+    for _ in range(50):
+        found = model.threads.in_parts(lambda part: list(model.run({"x": part})["y"]), x)
+        np.testing.assert_array_equal(found, 2 * x)
+    assert log.inferences == {"doubler": 5000}
+    with pytest.raises(ModelError, match="refused input"):
+        model.threads.in_parts(lambda part: list(model.run({"x": part})["y"]), x[:, :1])
+    threads.close()
+
+
+def test_threads_may_be_those_of_one_inference_instead(doubler, monkeypatch):
+    made = []
+    real = onnxruntime.InferenceSession
+    monkeypatch.setattr(onnx_models.onnxruntime, "InferenceSession",
+                        lambda path, options, providers: made.append(options.intra_op_num_threads) or real(
+                            path, options, providers=providers))
+    for by_items, within in ((True, 1), (False, 3)):
+        monkeypatch.setattr(Threads, "BY_ITEMS", by_items)
+        threads = Threads(3)
+        OnnxModel(doubler, threads=threads)
+        assert made.pop() == threads.within == within
+        threads.close()
 
 
 def test_missing_libraries_are_those_that_the_loader_does_not_find():

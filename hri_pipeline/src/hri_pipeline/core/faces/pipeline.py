@@ -51,7 +51,7 @@ from hri_pipeline.core.images import PictureCuts
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.onnx import model_path
 from hri_pipeline.core.orientation import FaceOrientation
-from hri_pipeline.core.process import Threads
+from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.recognition.face_identity import PersonMatch
 from hri_pipeline.core.recognition.recogniser import FaceRecognition
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler, Request
@@ -107,8 +107,10 @@ class FacePipeline:
         blendshapes = Blendshapes(model_path(settings.face_blendshapes_model, "face_blendshapes.onnx"),
                                   settings.providers, notify)
         self._geometry = FaceGeometry(canonical, blendshapes)
-        self._analysis = FaceAnalysis(settings, canonical, self.times, notify)
-        self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify, judge=self._judge())
+        self._threads = Threads.of_node(settings.threads, settings.cpu_share)
+        self._analysis = FaceAnalysis(settings, canonical, self.times, notify, self._threads)
+        self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify, judge=self._judge(),
+                                              threads=self._threads)
         self._last_stamp = -np.inf
         self._published = self._predicted = 0
 
@@ -232,7 +234,7 @@ class FacePipeline:
     def close(self) -> None:
         """Release all resources. Idempotent."""
         self._analysis.close()
-        self._tracking.close()
+        self._threads.close()
 
 
 class FaceTrackingPipeline:
@@ -254,6 +256,8 @@ class FaceTrackingPipeline:
         Processor time in s, used for the time budget; by default that of all threads that work for this one.
     judge
         Compares the looks of faces; by default by small pictures alone.
+    threads
+        Share the faces of an image, and run the detector beside the mesh network.
 
     Raises
     ------
@@ -263,12 +267,12 @@ class FaceTrackingPipeline:
 
     def __init__(self, settings: FacePipelineSettings, times: StageTimes, ids: Optional[IdGenerator] = None,
                  notify: Optional[Callable[[str], None]] = None,
-                 clock: Optional[Callable[[], float]] = None, judge: Optional[AppearanceJudge] = None) -> None:
-        self._threads = Threads.of_node(settings.threads, settings.cpu_share)
+                 clock: Optional[Callable[[], float]] = None, judge: Optional[AppearanceJudge] = None,
+                 threads: Threads = ONE_THREAD) -> None:
         detector = load_face_network(settings.face_detector_model, "face_detection_full_range.onnx",
-                                     FaceDetector.OUTPUTS, settings.providers, notify, self._threads, (4,))
+                                     FaceDetector.OUTPUTS, settings.providers, notify, threads, (4,))
         mesh = load_face_network(settings.face_mesh_model, "face_landmarks_attention.onnx", FaceMesh.OUTPUTS,
-                                 settings.providers, notify, self._threads, (12,), one_on_cpu=True)
+                                 settings.providers, notify, threads, (12,), one_on_cpu=True)
         self._detector = FaceDetector(detector)
         self._detection_scheduler = DetectionScheduler(settings.face_detection_period, settings.face_detection_tiles)
         self._mesh = FaceMesh(mesh)
@@ -341,10 +345,6 @@ class FaceTrackingPipeline:
         if self._tracker.replaced:
             self._search_anew(stamp)
         return [self._tracked_face(track, stamp) for track in seen]
-
-    def close(self) -> None:
-        """End the threads. Idempotent."""
-        self._threads.close()
 
     def take_templates(self, templates: Mapping[str, np.ndarray], stamp: float) -> None:
         """Take templates (D,) by id, which recognition has made of faces in the image of `stamp` (s)."""
