@@ -418,10 +418,14 @@ class BodyLocalizer:
         self._face = None if self._face is None else rotation.vectors(self._face)
         self._still = None
 
+    def measures(self, track: BodyTrack, stamp: float) -> bool:
+        """Tell whether `observe` takes up a detection at `stamp` (s): else it needs no scene."""
+        return track.stamp == stamp or self._pixels is None
+
     def observe(self, track: BodyTrack, camera: CameraModel, stamp: float, face: Optional[Pose],
                 context: SceneContext) -> BodyObservation:
         """Make the observation of a body at `stamp` (s). face: the pose of its own tracked face."""
-        measured = track.stamp == stamp or self._pixels is None
+        measured = self.measures(track, stamp)
         if measured:
             self._measure(track, camera, face, context)
             self._face, self._still = None if face is None else face.translation, None
