@@ -296,9 +296,15 @@ class BodyPipeline:
             self._localizers = {key: localizer for key, localizer in self._localizers.items() if key in living}
             poses: Dict[str, Optional[Pose]] = {face.id: face.pose for face in faces}
             return self._guard.each(
-                "body", lambda track: self._localizers.setdefault(track.id, BodyLocalizer()).observe(
-                    track, camera, stamp, poses.get(track.face_id or ""), self._context_of(track.id, context)),
+                "body", lambda track: self._observe(track, camera, stamp, poses.get(track.face_id or ""), context),
                 self._tracker.published(stamp))
+
+    def _observe(self, track: BodyTrack, camera: CameraModel, stamp: float, face: Optional[Pose],
+                 context: SceneContext) -> BodyObservation:
+        localizer = self._localizers.setdefault(track.id, BodyLocalizer())
+        if localizer.measures(track, stamp):
+            context = self._context_of(track.id, context)
+        return localizer.observe(track, camera, stamp, face, context)
 
     def _express(self, model: ModelledBody, body: BodyObservation, stamp: float, up: np.ndarray,
                  size: Tuple[int, int], up_sd: float) -> None:

@@ -19,7 +19,7 @@ from hri_fullbody.core.keypoints import (
     BLAZE_RIGHT_HIP,
     BLAZE_RIGHT_SHOULDER,
 )
-from hri_pipeline.core.geometry import crop_rotated, iou_matrix, median_of_few
+from hri_pipeline.core.geometry import crop_rotated, median_of_few
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.onnx import OnnxModel
 from hri_pipeline.core.process import ONE_THREAD, Threads
@@ -316,11 +316,15 @@ def covers(estimate: PoseEstimate, box: np.ndarray) -> bool:
     """Tell whether a person's box (4,) px is that of this body: it is seen there, or its head is where that of the box
     should be and what is seen of it lies in the box."""
     box = np.asarray(box)
-    if iou_matrix(estimate.box[None], box[None])[0, 0] > _SAME_IOU:
+    # Plain numbers: this runs for every pair of a body and a box, and arrays of four are slow.
+    (x0, y0, x1, y1), (a0, b0, a1, b1) = estimate.box.tolist(), box.tolist()
+    width, height = a1 - a0, b1 - b0
+    common = max(min(x1, a1) - max(x0, a0), 0.0) * max(min(y1, b1) - max(y0, b0), 0.0)
+    both = max(x1 - x0, 0.0) * max(y1 - y0, 0.0) + max(width, 0.0) * max(height, 0.0) - common
+    if common > _SAME_IOU * both:
         return True
-    width, height = box[2:] - box[:2]
-    aside, down = np.abs(estimate.nose[0] - 0.5 * (box[0] + box[2])), estimate.nose[1] - box[1]
-    return bool(aside < _HEAD_ASIDE * width and 0.0 <= down < _HEAD_DOWN * height
+    x, y = estimate.nose.tolist()
+    return bool(abs(x - 0.5 * (a0 + a1)) < _HEAD_ASIDE * width and 0.0 <= y - b0 < _HEAD_DOWN * height
                 and inside(estimate.box, box) > _MOSTLY and estimate.extent >= LEAST_SHARE * max(width, height))
 
 
