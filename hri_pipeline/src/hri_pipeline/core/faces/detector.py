@@ -253,8 +253,8 @@ def load_face_network(configured: str, default: str, outputs: Mapping[str, int],
                       batch_sizes: Sequence[int] = BATCH_SIZES, one_on_cpu: bool = False) -> OnnxModel:
     """Load the detector or the mesh network, and run it once: this warms it up, and tells a wrong model.
 
-    outputs: numbers in each output for one image. threads, batch_sizes and one_on_cpu: see OnnxModel. Raises ModelError naming
-    the file.
+    outputs: numbers in each output for one image. threads, batch_sizes and one_on_cpu: see OnnxModel. Raises ModelError
+    naming the file.
     """
     path = model_path(configured, default)
     model = OnnxModel(path, providers, inputs=("input_1",), outputs=tuple(outputs), notify=notify, threads=threads,
