@@ -173,17 +173,21 @@ def test_a_gpu_gets_batches_of_a_few_sizes_that_were_warmed_up(doubler, machine)
     assert log.inferences == {"doubler": 63}
 
 
-def test_one_item_may_run_on_the_cpu_beside_a_gpu(doubler, machine):
+@pytest.mark.parametrize(("cpu", "card", "few"), [
+    (4.0, {3: 8.5, 6: 9.0}, 2), (9.0, {3: 8.5, 6: 9.1}, 0), (1.0, {3: 30.0, 6: 5.0}, 5), (1.0, {3: 30.0, 6: 60.0}, 6)])
+def test_a_few_items_run_on_the_cpu_beside_a_gpu_while_that_is_as_fast(doubler, machine, monkeypatch, cpu, card, few):
     sessions = machine("CUDAExecutionProvider")
-    model = OnnxModel(doubler, ["cuda"], batch_sizes=(3,), one_on_cpu=True)
-    assert [name for name, _ in sessions.asked[1]] == ["CPUExecutionProvider"] and sessions.batches == [3]
-    x = np.array([[1.0, 2.0]], np.float32)
-    np.testing.assert_array_equal(model.run({"x": x})["y"], 2 * x)
-    assert sessions.batches == [3, 1]
-    model.run({"x": np.concatenate([x, x])})
-    assert sessions.batches == [3, 1, 3]
+    monkeypatch.setattr(OnnxModel, "_seconds", lambda self, session, size: cpu if size == 1 else card[size])
+    model = OnnxModel(doubler, ["cuda"], batch_sizes=(3, 6), few_on_cpu=True)
+    assert [name for name, _ in sessions.asked[-1]] == ["CPUExecutionProvider"]
+    for count in range(1, 8):
+        del sessions.batches[:]
+        x = np.ones((count, 2), np.float32)
+        np.testing.assert_array_equal(model.run({"x": x})["y"], 2 * x)
+        expected = [count] if count <= few else [3] if count <= 3 else [6] if count <= 6 else [6, 3]
+        assert sessions.batches == expected
     plain = machine("CPUExecutionProvider")
-    OnnxModel(doubler, ["cpu"], one_on_cpu=True)
+    OnnxModel(doubler, ["cpu"], few_on_cpu=True)
     assert len(plain.asked) == 1
 
 

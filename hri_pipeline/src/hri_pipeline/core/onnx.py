@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import threading
+import time
 from pathlib import Path
 from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple, TypeVar, Union
 
@@ -34,6 +35,7 @@ BATCH_SIZES = (4, 12)
 """Batches that a GPU is given: smaller ones are filled up, as it prepares itself for each size, which takes seconds for
 one of 1. On an H100 a batch of 12 takes 1.2 (mesh) to 2.4 times (pose) as long as one of 1."""
 _MOST_SHAPES = 6
+_TRIALS = 3
 LIBRARIES: Dict[str, Tuple[Tuple[str, Tuple[str, ...]], ...]] = {
     "cuda": (("the NVIDIA driver", ("libcuda.so.1",)), ("libcudart", ("libcudart.so.12", "libcudart.so.13")),
              ("libcublas", ("libcublas.so.12", "libcublas.so.13")), ("cuDNN", ("libcudnn.so.9", "libcudnn.so.8"))),
@@ -163,8 +165,9 @@ class OnnxModel:
     shapes : sequence of tuple of int
         Of the only input, where its other lengths are free, too: a GPU prepares itself for them when the model loads,
         for others when they come.
-    one_on_cpu : bool
-        Batches of one run on the CPU where there is a GPU: it is faster there.
+    few_on_cpu : bool
+        Small batches run on the CPU where there is a GPU, as long as its one thread is as fast: measured when the
+        model loads.
 
     Raises
     ------
@@ -182,7 +185,7 @@ class OnnxModel:
         threads: Threads = ONE_THREAD,
         batch_sizes: Sequence[int] = BATCH_SIZES,
         shapes: Sequence[Tuple[int, ...]] = (),
-        one_on_cpu: bool = False,
+        few_on_cpu: bool = False,
     ) -> None:
         self._path = Path(path)
         self._all_threads, self._sizes = threads, tuple(batch_sizes)
@@ -200,10 +203,13 @@ class OnnxModel:
         self._wanted = list(outputs) or self.output_names
         self._batched: Dict[int, onnxruntime.InferenceSession] = {}
         self._shaped: Dict[Tuple[int, ...], onnxruntime.InferenceSession] = {}
-        self._one = self._session_on([PROVIDERS["cpu"]]) if one_on_cpu and self.on_card else None
+        self._beside: Optional[onnxruntime.InferenceSession] = None
+        self._few = 0
         self._preparing = threading.Lock()
         if self.on_card and self._takes_batches():
             self._warm_up()
+            if few_on_cpu:
+                self._compare()
         elif self.on_card and shapes:
             for shape in shapes:
                 self._session_for(shape)
@@ -291,8 +297,8 @@ class OnnxModel:
     def _run_batched(self, feed: Dict[str, np.ndarray], wanted: List[str]) -> List[np.ndarray]:
         """Run batches of the prepared sizes; what was filled up is left out of the outputs."""
         count = len(next(iter(feed.values())))
-        if count == 1 and self._one is not None:
-            return list(self._one.run(wanted, feed))
+        if self._beside is not None and 0 < count <= self._few:
+            return list(self._beside.run(wanted, feed))
         parts = []
         for start in range(0, max(count, 1), self._sizes[-1]):
             part = {name: value[start:start + self._sizes[-1]] for name, value in feed.items()}
@@ -314,10 +320,27 @@ class OnnxModel:
         for size in reversed(self._sizes):
             self._notify("{}: {} prepares batches of {}".format(self._path.name, self.provider, size))
             session = self._session if size == self._sizes[-1] else self._session_on(self._session.get_providers())
-            session.run(self._wanted, {
-                tensor.name: np.zeros([size] + list(tensor.shape[1:]), _TYPES.get(tensor.type, np.float32))
-                for tensor in session.get_inputs()})
+            self._seconds(session, size)
             self._batched[size] = session
+
+    def _compare(self) -> None:
+        """Find out how many items the CPU runs as fast."""
+        self._beside = self._session_on([PROVIDERS["cpu"]])
+        self._seconds(self._beside, 1)
+        one = min(self._seconds(self._beside, 1) for _ in range(_TRIALS))
+        for size in self._sizes:
+            card = min(self._seconds(self._batched[size], size) for _ in range(_TRIALS))
+            if self._few + 1 > int(card / one):
+                break
+            self._few = min(size, int(card / one))
+
+    def _seconds(self, session: onnxruntime.InferenceSession, size: int) -> float:
+        """Run a batch of nothing; return the time, s."""
+        feed = {tensor.name: np.zeros([size] + list(tensor.shape[1:]), _TYPES.get(tensor.type, np.float32))
+                for tensor in session.get_inputs()}
+        began = time.perf_counter()
+        session.run(self._wanted, feed)
+        return time.perf_counter() - began
 
     def _session_of(self, feed: Dict[str, np.ndarray]) -> onnxruntime.InferenceSession:
         """The session for what is fed: on a GPU each shape has its own."""

@@ -405,7 +405,7 @@ class Blendshapes:
     def __init__(self, path: Union[str, Path], providers: Sequence[str] = ("cpu",),
                  notify: Optional[Callable[[str], None]] = None) -> None:
         """path: face_blendshapes.onnx. Raises ModelError naming the file when it is missing or another model."""
-        self._model = OnnxModel(path, providers, inputs=(_INPUT,), outputs=(_OUTPUT,), notify=notify)
+        self._model = OnnxModel(path, providers, inputs=(_INPUT,), outputs=(_OUTPUT,), notify=notify, few_on_cpu=True)
         trial = self._model.run({_INPUT: np.ones((1, len(POINTS), 2), np.float32)})[_OUTPUT]
         if trial.shape != (1, COUNT):
             raise ModelError("model file {} gives {} instead of {} blendshapes; it is another model: {}".format(

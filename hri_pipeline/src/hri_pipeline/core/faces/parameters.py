@@ -130,7 +130,7 @@ class CameraSettings(Settings):
         "processor, it is given back within a second. 0: never.", minimum=0.0, maximum=1.0, live=True)
     threads: int = parameter(
         0, "Threads of the networks, which share the people of an image. 0: half of `cpu_share` of the cores, eight "
-        "at most, one on two cores. More look at everybody more often, and take more memory. On a GPU it is one.",
+        "at most, one on two cores. With more, everybody is looked at more often. On a GPU it is one.",
         minimum=0, maximum=64)
     max_age: float = parameter(
         0.1, "Age of an image up to which more people get an inference; each gets two per second all the same.",
