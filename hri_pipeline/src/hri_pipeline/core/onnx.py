@@ -38,7 +38,8 @@ _MOST_SHAPES = 6
 _TRIALS = 3
 LIBRARIES: Dict[str, Tuple[Tuple[str, Tuple[str, ...]], ...]] = {
     "cuda": (("the NVIDIA driver", ("libcuda.so.1",)), ("libcudart", ("libcudart.so.12", "libcudart.so.13")),
-             ("libcublas", ("libcublas.so.12", "libcublas.so.13")), ("cuDNN", ("libcudnn.so.9", "libcudnn.so.8"))),
+             ("libcublas", ("libcublas.so.12", "libcublas.so.13")), ("libcurand", ("libcurand.so.10",)),
+             ("cuDNN", ("libcudnn.so.9", "libcudnn.so.8"))),
     "tensorrt": (("the NVIDIA driver", ("libcuda.so.1",)), ("TensorRT", ("libnvinfer.so.10", "libnvinfer.so.8"))),
     "openvino": (("OpenVINO", ("libopenvino.so",)),),
 }
