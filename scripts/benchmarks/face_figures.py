@@ -59,7 +59,7 @@ def cpu_ms(scene: np.ndarray, people: int, seconds: float = 10.0) -> float:
     is tracked.
     """
     cv2.setNumThreads(1)
-    stage = FacePipeline(FACES.resolve({}))
+    stage = FacePipeline(FACES.resolve({"threads": 1}))
     camera = CameraModel.from_fov(WIDTH, HEIGHT, 1.0)
     spent, faces = [], []
     for stamp, image in pan(scene, WARM_UP_S + seconds):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,7 @@ import pytest
 
 from hri_fullbody.core.detection.pose_estimator import SAME_BODY, BlazePose, body_distance
 from hri_fullbody.core.detection.windows import FaceBox
-from hri_fullbody.core.parameters import VISION
+from hri_fullbody.core.parameters import BODIES, VISION
 from hri_fullbody.core.pipeline import BodyPipeline
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.pipeline import FacePipeline
@@ -210,3 +211,22 @@ def test_images_of_a_turned_camera_are_told(stages, turn):
         for stamp in range(0, 60, 5):
             bodies.update(turned, camera, float(stamp))
         assert bodies.seen_turn == told
+
+
+def test_threads_change_nothing_of_what_is_seen():
+    image = photograph(6)
+    before, seen = threading.active_count(), []
+    for threads in (1, 3):
+        stage = BodyPipeline(BODIES.resolve({"pose_rate": 0.0, "pose_budget": 0, "max_age": 10.0, "threads": threads}))
+        camera = CameraModel.from_fov(image.shape[1] - 60, image.shape[0], HORIZONTAL_FOV)
+        seen.append([stage.update(np.ascontiguousarray(image[:, shift:image.shape[1] - 60 + shift]), camera,
+                                  shift / 3.0 / RATE) for shift in range(0, 60, 3)])
+        assert (threading.active_count() > before) == (threads > 1)
+        stage.close()
+        assert threading.active_count() == before
+    assert len(seen[0][-1]) >= 3
+    for alone, shared in zip(*seen):
+        assert len(alone) == len(shared)
+        for one, other in zip(alone, shared):
+            np.testing.assert_array_equal(one.keypoints, other.keypoints)
+            np.testing.assert_array_equal(one.keypoints_3d, other.keypoints_3d)

@@ -6,6 +6,7 @@ import unittest
 import numpy as np
 import rospy
 import rostest
+from diagnostic_msgs.msg import DiagnosticArray
 
 from hri_msgs.msg import FacialLandmarks, IdsList, Skeleton2D
 from hri_pipeline.testing import Camera, Latest, photograph, wait_for
@@ -20,6 +21,13 @@ class TwoProcessesTest(unittest.TestCase):
         self.addCleanup(self.camera.close)
         self.lists = {kind: Latest("/humans/{}/tracked".format(kind), IdsList) for kind in ("faces", "bodies")}
         self.topics = {}
+        self.threads = {}
+        subscriber = rospy.Subscriber("/diagnostics", DiagnosticArray, self.on_diagnostics)
+        self.addCleanup(subscriber.unregister)
+
+    def on_diagnostics(self, message):
+        self.threads.update({status.name: value.value for status in message.status for value in status.values
+                             if value.key == "threads"})
 
     def newest(self, kind, name, message):
         """Follow the tracked ids of a kind and return what they last published."""
@@ -47,6 +55,7 @@ class TwoProcessesTest(unittest.TestCase):
         wait_for(lambda: len(self.camera.stamps) > seen + 12, START_S, "two more seconds of images")
         self.assertEqual(self.lists["bodies"].value.ids, ids)
         self.assertEqual(self.noses_per_face(), [1, 1, 1, 1])
+        wait_for(lambda: sorted(self.threads.values()) == ["3", "3"], START_S, "the threads of both")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """Size and distance by face, floor and depth image."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -209,6 +211,26 @@ def test_a_predicted_observation_moves_with_the_body_and_says_so():
     assert later.keypoints[0, 0] > seen.keypoints[0, 0] + 15.0
     assert later.keypoints[0, 2] < seen.keypoints[0, 2]
     assert np.isfinite(later.keypoints_3d).sum() == np.isfinite(seen.keypoints_3d).sum()
+
+
+def test_a_body_without_an_inference_is_moved_on_as_a_whole():
+    _, estimate = human(1.0, np.array([0.0, 0.0, 3.0]))
+    points = place(CAMERA.normalise(estimate.landmarks[:33, :2]), estimate.world, np.ones(33, bool))
+    face = Pose(np.eye(3), points[[1, 4]].mean(axis=0))
+    track = BodyTrack("b", PoseDetection(estimate, points), 0.0, TrackLife(0.0, 0.0, 1.0))
+    shape, way = BodyLocalizer(), np.array([0.05, 0.01, -0.02])
+    seen = shape.observe(track, CAMERA, 0.0, face, SceneContext())
+    later = shape.observe(track, CAMERA, 0.1, Pose(np.eye(3), face.translation + way), SceneContext())
+    assert later.pose.translation - seen.pose.translation == pytest.approx(way)
+    assert later.keypoints_3d - seen.keypoints_3d == pytest.approx(np.tile(way, (18, 1)), nan_ok=True)
+    assert later.pose.rotation == pytest.approx(seen.pose.rotation)
+    assert later.hands == pytest.approx(seen.hands)
+    # It is detected anew, but not shown in that image: what is guessed is known from then on.
+    unsure = np.where(np.arange(39) == 16, 0.1, SURE)
+    track.update(PoseDetection(replace(estimate, confidence=unsure), points), 0.2, False)
+    guessed = shape.observe(track, CAMERA, 0.3, None, SceneContext())
+    assert np.isnan(guessed.keypoints_3d[4]).all() and np.isfinite(later.keypoints_3d[4]).all()
+    assert np.isnan(guessed.hands[1]).all() and np.isfinite(guessed.hands[0]).all()
 
 
 def test_key_points_in_space_are_not_filtered():

@@ -1,18 +1,22 @@
 """The face stage on photographs of groups: counts, identities, poses. Needs the models and their pictures."""
 
 import shutil
+import threading
 
 import cv2
 import numpy as np
 import pytest
 
 from hri_pipeline.core.camera import CameraError, CameraModel
+from hri_pipeline.core.faces.analysis import FaceDemand
 from hri_pipeline.core.faces.head_pose import yaw_pitch_roll
 from hri_pipeline.core.faces.mesh import load_canonical_face
 from hri_pipeline.core.faces.parameters import FACES, FacesSettings
 from hri_pipeline.core.faces.pipeline import FacePipeline, FaceTrackingPipeline
 from hri_pipeline.core.onnx import ModelError, models_directory
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.process import Threads
+from hri_pipeline.core.recognition.embedding import load_face_embedder
 from hri_pipeline.core.sources.image_sources import PictureMotion
 from hri_pipeline.core.timing import StageTimes
 
@@ -463,3 +467,35 @@ def test_no_face_begins_in_an_ignored_region_and_one_that_moves_through_it_stays
     seen = watch(stage, [image] * 20 + moved)
     assert set(ids(seen[19])) <= set(ids(seen[-1])), "who walks in front of it is followed"
     assert any(np.mean(face.box[[0, 2]]) < border * image.shape[1] for face in seen[-1])
+
+
+def test_threads_change_nothing_of_what_is_seen():
+    """A camera that pans over four people, whom each image shows to all networks."""
+    picture = photograph("sample6")
+    images = [np.ascontiguousarray(picture[:, shift:picture.shape[1] - 60 + shift]) for shift in range(0, 60, 3)]
+    before, seen = threading.active_count(), []
+    for threads in (1, 3):
+        stage = FacePipeline(FACES.resolve({"face_budget": 1000.0, "face_mesh_rate": 0.0, "max_age": 10.0,
+                                            "threads": threads}))
+        camera = CameraModel.from_fov(images[0].shape[1], images[0].shape[0], HFOV)
+        seen.append([stage.update(image, camera, index * STEP, demand=FaceDemand.everything(stage.tracked_ids))
+                     for index, image in enumerate(images)])
+        assert (threading.active_count() > before) == (threads > 1)
+        stage.close()
+        assert threading.active_count() == before
+    assert len(seen[0][-1]) >= 3
+    for alone, shared in zip(*seen):
+        assert len(alone) == len(shared)
+        for one, other in zip(alone, shared):
+            np.testing.assert_array_equal(one.landmarks, other.landmarks)
+            np.testing.assert_array_equal(one.pose.rotation, other.pose.rotation)
+            assert one.score == other.score and one.measured == other.measured
+
+
+def test_threads_change_nothing_of_templates():
+    crops = np.random.default_rng(5).integers(0, 256, (5, 150, 150, 3), dtype=np.uint8)
+    threads = Threads(2)
+    alone, shared = load_face_embedder(), load_face_embedder(threads=threads)
+    for count in range(len(crops) + 1):
+        np.testing.assert_array_equal(alone.embed(crops[:count]), shared.embed(crops[:count]))
+    threads.close()

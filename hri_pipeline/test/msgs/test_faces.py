@@ -12,8 +12,8 @@ from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.faces.parameters import FACES
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.observations import FaceObservation, GazeEstimate
-from hri_pipeline.nodes.faces import FaceProcessor, face_transforms, privacy_line
+from hri_pipeline.core.observations import FaceObservation, GazeEstimate, SoftBiometrics
+from hri_pipeline.nodes.faces import FaceProcessor, FaceTopics, face_transforms, privacy_line
 from hri_pipeline.ros.conversions import pose_from_transform
 from hri_pipeline.ros.inputs import Frame
 
@@ -68,6 +68,20 @@ def test_privacy_line():
     strict = privacy_line(FACES.resolve(
         {"action_units": False, "expression": False, "age_gender": False, "recognition": False}))
     assert strict.startswith("inferred about people: nothing; switched off: action_units") and "templates" not in strict
+
+
+def test_age_and_gender_are_told_where_they_change_and_once_a_second():
+    topics = FaceTopics.__new__(FaceTopics)
+    topics._publishers, topics._told = MagicMock(), {}
+    seen, told = face(None, None), []
+    for stamp, age in ((12.0, 30.0), (12.1, 30.0), (12.2, 31.0), (12.3, 31.0), (13.1, 31.0), (13.3, 31.0), (9.0, 31.0)):
+        estimate = SoftBiometrics(age, 0.8, 0.2, 0.8)
+        topics._publish_biometrics(replace(seen, soft_biometrics=estimate), replace(frame(), stamp=stamp))
+        told.append(topics._publishers.publish.call_count)
+    assert told == [1, 1, 2, 2, 2, 3, 4], "a new value, a second without one, and a time that has gone back"
+    topics._publish_biometrics(replace(seen, id="other", soft_biometrics=estimate), frame())
+    topics._publish_biometrics(seen, frame())
+    assert topics._publishers.publish.call_count == 5, "each face by itself, and nothing where nothing is known"
 
 
 def test_faces_whose_topics_cannot_be_opened_are_listed_and_placed_all_the_same():

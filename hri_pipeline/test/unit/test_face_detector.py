@@ -13,6 +13,7 @@ from hri_pipeline.core.faces.detector import (
     weighted_nms,
     wide_region,
 )
+from hri_pipeline.core.process import ONE_THREAD
 
 
 class OneFace:
@@ -22,8 +23,12 @@ class OneFace:
         self.anchor, self.logit = anchor, logit
         self.inputs = []
 
-    def run(self, feed):
-        batch = feed["input_1"]
+    threads = ONE_THREAD
+
+    def run_items(self, items, prepare, batch):
+        return [prepare(item, place) for item, place in zip(items, batch)], self.run(batch)
+
+    def run(self, batch):
         self.inputs.append(batch.copy())
         regressors = np.zeros((len(batch), 2304, 16), np.float32)
         logits = np.full((len(batch), 2304, 1), -20.0, np.float32)

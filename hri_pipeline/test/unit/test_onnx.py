@@ -16,6 +16,7 @@ from hri_pipeline.core.onnx import (
     model_path,
     models_directory,
 )
+from hri_pipeline.core.process import Threads
 
 onnx = pytest.importorskip("onnx")
 
@@ -156,8 +157,9 @@ def test_a_provider_that_does_not_load_is_named_with_what_is_missing(doubler, ma
 def test_a_gpu_gets_batches_of_a_few_sizes_that_were_warmed_up(doubler, machine):
     sessions = machine("CUDAExecutionProvider")
     log = ModelLog(lambda text: None)
-    model = OnnxModel(doubler, ["cuda"], notify=log)
-    assert model.provider == "cuda" and sessions.batches == list(BATCH_SIZES)
+    model = OnnxModel(doubler, ["cuda"], notify=log, threads=Threads(3))
+    assert model.threads.count == 1, "its batches are not divided"
+    assert model.provider == "cuda" and sorted(sessions.batches) == list(BATCH_SIZES)
     name, options = sessions.asked[0][0]
     assert name == "CUDAExecutionProvider"
     assert options["cudnn_conv_algo_search"] == "HEURISTIC" and options["use_tf32"] == "0"
@@ -169,6 +171,84 @@ def test_a_gpu_gets_batches_of_a_few_sizes_that_were_warmed_up(doubler, machine)
         np.testing.assert_array_equal(found["z"], x * x)
         assert set(sessions.batches) <= set(BATCH_SIZES) and sum(sessions.batches) >= count
     assert log.inferences == {"doubler": 63}
+
+
+@pytest.mark.parametrize(("cpu", "card", "few"), [
+    (4.0, {3: 8.5, 6: 9.0}, 2), (9.0, {3: 8.5, 6: 9.1}, 0), (1.0, {3: 30.0, 6: 5.0}, 5), (1.0, {3: 30.0, 6: 60.0}, 6)])
+def test_a_few_items_run_on_the_cpu_beside_a_gpu_while_that_is_as_fast(doubler, machine, monkeypatch, cpu, card, few):
+    sessions = machine("CUDAExecutionProvider")
+    monkeypatch.setattr(OnnxModel, "_seconds", lambda self, session, size: cpu if size == 1 else card[size])
+    model = OnnxModel(doubler, ["cuda"], batch_sizes=(3, 6), few_on_cpu=True)
+    assert [name for name, _ in sessions.asked[-1]] == ["CPUExecutionProvider"]
+    for count in range(1, 8):
+        del sessions.batches[:]
+        x = np.ones((count, 2), np.float32)
+        np.testing.assert_array_equal(model.run({"x": x})["y"], 2 * x)
+        expected = [count] if count <= few else [3] if count <= 3 else [6] if count <= 6 else [6, 3]
+        assert sessions.batches == expected
+    plain = machine("CPUExecutionProvider")
+    OnnxModel(doubler, ["cpu"], few_on_cpu=True)
+    assert len(plain.asked) == 1
+
+
+def test_a_gpu_has_a_session_for_each_shape_that_is_warmed_up(doubler, machine, monkeypatch):
+    monkeypatch.setattr(OnnxModel, "_takes_batches", lambda self: False)
+    sessions, told = machine("CUDAExecutionProvider"), []
+    model = OnnxModel(doubler, ["cuda"], notify=told.append, shapes=[(1, 2), (2, 2)])
+    assert sessions.batches == [1, 2] and len(sessions.asked) == 2
+    for count in (1, 2, 1, 3, 2, 3):
+        x = np.ones((count, 2), np.float32)
+        np.testing.assert_array_equal(model.run({"x": x})["y"], 2 * x)
+    assert sessions.batches == [1, 2, 1, 2, 1, 3, 3, 2, 3] and len(sessions.asked) == 3
+    assert told[-1] == "doubler.onnx: cuda prepares inputs of (3, 2)"
+    for count in range(4, 20):      # a camera that changes its size for ever
+        model.run({"x": np.ones((count, 2), np.float32)})
+    assert len(model._shaped) == 6
+
+
+@pytest.mark.parametrize(("provider", "count", "batches"), [
+    ("CUDAExecutionProvider", 1, [4]), ("CUDAExecutionProvider", 3, [4]), ("CPUExecutionProvider", 1, [4]),
+    ("CPUExecutionProvider", 3, [2, 2])])
+def test_threads_prepare_items_and_divide_the_batch_on_a_cpu_only(doubler, machine, provider, count, batches):
+    sessions, threads = machine(provider), Threads(count)
+    model = OnnxModel(doubler, ["cuda", "cpu"], threads=threads)
+    del sessions.batches[:]
+
+    def prepare(item, place):
+        place[:] = item
+        return -item
+
+    prepared, found = model.run_items([3, 1, 4, 5], prepare, np.empty((6, 2), np.float32)[:4])
+    threads.close()
+    assert prepared == [-3, -1, -4, -5] and sorted(sessions.batches) == sorted(batches)
+    np.testing.assert_array_equal(found["y"], [[6, 6], [2, 2], [8, 8], [10, 10]])
+
+
+def test_several_threads_run_one_model_and_each_item_is_counted(doubler):
+    log, threads = ModelLog(lambda text: None), Threads(4)
+    model = OnnxModel(doubler, outputs=["y"], notify=log, threads=threads)
+    x = np.arange(200, dtype=np.float32).reshape(100, 2)
+    for _ in range(50):
+        found = model.threads.in_parts(lambda part: list(model.run({"x": part})["y"]), x)
+        np.testing.assert_array_equal(found, 2 * x)
+    assert log.inferences == {"doubler": 5000}
+    with pytest.raises(ModelError, match="refused input"):
+        model.threads.in_parts(lambda part: list(model.run({"x": part})["y"]), x[:, :1])
+    threads.close()
+
+
+def test_threads_may_be_those_of_one_inference_instead(doubler, monkeypatch):
+    made = []
+    real = onnxruntime.InferenceSession
+    monkeypatch.setattr(onnx_models.onnxruntime, "InferenceSession",
+                        lambda path, options, providers: made.append(options.intra_op_num_threads) or real(
+                            path, options, providers=providers))
+    for by_items, within in ((True, 1), (False, 3)):
+        monkeypatch.setattr(Threads, "BY_ITEMS", by_items)
+        threads = Threads(3)
+        OnnxModel(doubler, threads=threads)
+        assert made.pop() == threads.within == within
+        threads.close()
 
 
 def test_missing_libraries_are_those_that_the_loader_does_not_find():

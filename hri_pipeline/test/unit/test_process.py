@@ -23,6 +23,7 @@ from hri_pipeline.core.process import (
     ChildProcess,
     GarbageCollector,
     RestartPolicy,
+    Threads,
     ends_with_parent,
     identity_of,
     is_alive,
@@ -396,3 +397,103 @@ def test_whether_the_clock_is_right_says_the_kernel(monkeypatch, answer, is_sync
     assert process.is_clock_synchronised() in (False, True), "of this machine"
     monkeypatch.setattr(process.ctypes, "CDLL", Library)
     assert process.is_clock_synchronised() is is_synchronised
+
+
+def test_threads_share_items_and_keep_their_order():
+    threads, callers = Threads(3), set()
+    all_here = threading.Barrier(3, timeout=20.0)
+
+    def square(part):
+        callers.add(threading.current_thread())
+        all_here.wait()         # only three threads at once come past it
+        return [number * number for number in part]
+
+    assert threads.in_parts(square, range(20)) == [number * number for number in range(20)]
+    assert len(callers) == 3 and threading.current_thread() in callers
+    threads.close()
+
+
+def test_with_one_thread_the_caller_does_all_at_once_and_when_it_is_asked_for():
+    before, calls = threading.active_count(), []
+    threads = Threads(1)
+    assert threads.in_parts(lambda part: calls.append(list(part)) or part, [1, 2, 3]) == [1, 2, 3]
+    result = threads.start(calls.append, "later")
+    assert calls == [[1, 2, 3]]
+    result()
+    assert calls == [[1, 2, 3], "later"] and threading.active_count() == before
+
+
+def test_threads_begin_beside_the_caller_and_end_with_close():
+    before, begun, go = threading.active_count(), threading.Event(), threading.Event()
+    threads = Threads(2)
+
+    def work(value):
+        begun.set()
+        assert go.wait(20.0)
+        return 2 * value
+
+    result = threads.start(work, 4)
+    assert begun.wait(20.0), "before it is asked for"
+    go.set()
+    assert result() == 8
+    threads.close()
+    threads.close()
+    assert threading.active_count() == before
+    assert threads.in_parts(lambda part: part, [1, 2, 3]) == [1, 2, 3]
+    assert threads.start(lambda: 5)() == 5
+
+
+def test_an_error_of_a_thread_is_that_of_the_first_item():
+    threads = Threads(4)
+
+    def fail(part):
+        if part[0] > 0:
+            raise KeyError(part[0])
+        return part
+
+    for _ in range(20):
+        with pytest.raises(KeyError, match="^2$"):
+            threads.in_parts(fail, range(8))
+    with pytest.raises(ZeroDivisionError):
+        threads.start(lambda: 1 // 0)()
+    assert threads.in_parts(lambda part: part, [1, 2]) == [1, 2], "and they go on"
+    threads.close()
+
+
+def test_threads_that_are_busy_with_what_shares_items_itself_do_not_wait_for_each_other():
+    threads = Threads(2)
+    result = threads.start(threads.in_parts, lambda part: part, range(5))
+    assert threads.in_parts(lambda part: part, range(5)) == list(range(5))
+    assert result() == list(range(5))
+    threads.close()
+
+
+def test_the_time_of_threads_is_that_of_all_who_work_for_the_caller():
+    threads = Threads(3)
+    used = []
+
+    def work(part):
+        began = time.thread_time()
+        while time.thread_time() - began < 0.02:
+            pass
+        used.append(time.thread_time() - began)
+        return part
+
+    began = threads.time()
+    threads.in_parts(work, range(6))
+    assert sum(used) <= threads.time() - began < 1.5 * sum(used)
+    threads.close()
+
+
+@pytest.mark.parametrize("cores, share, count", [
+    (1, 0.75, 1), (2, 0.75, 1), (2, 1.0, 1), (3, 0.75, 2), (4, 0.75, 2), (4, 0.5, 1), (8, 0.75, 3), (8, 0.0, 1),
+    (16, 0.75, 6), (16, 1.0, 8), (64, 0.75, 8)])
+def test_a_node_has_threads_for_half_of_the_share_of_the_cores(monkeypatch, cores, share, count):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(cores)))
+    assert Threads.of_node(0, share).count == count
+    assert Threads.of_node(5, share).count == 5, "as told"
+
+
+def test_no_threads_are_refused():
+    with pytest.raises(ValueError, match="1 and more"):
+        Threads(0)

@@ -1,9 +1,11 @@
 """Who gets the network in an image, and what a node spends of the time that the machine leaves idle."""
 
+import time
 from collections import Counter
 
 import pytest
 
+from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler, Request
 
 FACES = ["f%d" % number for number in range(10)]
@@ -228,13 +230,14 @@ class Machine:
         return counts, used
 
 
-def faces_node(machine, count, share=0.75, max_age=1.0):
-    schedule = InferenceScheduler(10.0, 0.010, cost=0.003, idle=machine.share(share), max_age=max_age)
+def faces_node(machine, count, share=0.75, max_age=1.0, threads=ONE_THREAD):
+    schedule = InferenceScheduler(10.0, 0.010, cost=0.003, idle=machine.share(share), max_age=max_age, threads=threads)
     return schedule, count, 1, 0.008
 
 
-def bodies_node(machine, count, share=0.75):
-    schedule = InferenceScheduler(10.0, most=3, cost=0.012, batches=False, idle=machine.share(share), max_age=1.0)
+def bodies_node(machine, count, share=0.75, threads=ONE_THREAD):
+    schedule = InferenceScheduler(10.0, most=3, cost=0.012, batches=False, idle=machine.share(share), max_age=1.0,
+                                  threads=threads)
     return schedule, count, 2, 0.015
 
 
@@ -284,6 +287,63 @@ def test_no_image_is_left_out_for_more_inferences():
     machine.run(5.0, node)
     (count,), _ = machine.run(5.0, node)
     assert 0.5 < count * 0.003 / (5.0 * 30) / (0.8 / 30.0 - 0.008) < 1.02
+
+
+def test_with_threads_ten_people_get_what_one_has():
+    machine, threads = Machine(16), Threads(6)
+    faces, bodies = faces_node(machine, 10, threads=threads), bodies_node(machine, 10, threads=threads)
+    machine.run(10.0, faces, bodies)
+    counts, used = machine.run(5.0, faces, bodies)
+    assert counts == [pytest.approx(10 * 30 * 5, rel=0.05), pytest.approx(10 * 15 * 5, rel=0.05)]
+    assert faces[0].spare > 0.5 and bodies[0].spare > 1.0 and used < 12.0
+
+
+def test_threads_take_no_more_of_an_image_than_its_time_and_no_more_cores_than_they_are():
+    """Ten inferences of 12 ms in each of 30 images a second: two threads have 2 x (27 - 8) ms."""
+    machine, threads = Machine(16), Threads(2)
+    schedule = InferenceScheduler(10.0, 0.010, cost=0.012, idle=machine.share(), max_age=1.0, threads=threads)
+    machine.run(10.0, (schedule, 10, 1, 0.008))
+    (count,), _ = machine.run(5.0, (schedule, 10, 1, 0.008))
+    assert 0.8 < count * 0.012 / (5.0 * 30) / (2 * (0.8 / 30.0 - 0.008)) < 1.02
+    assert schedule.spare <= 2.0
+
+
+def test_with_threads_it_gives_way_within_a_second_and_keeps_its_least_budget():
+    machine, threads = Machine(8), Threads(3)
+    faces, bodies = faces_node(machine, 10, threads=threads), bodies_node(machine, 10, threads=threads)
+    machine.run(20.0, faces, bodies)
+    assert faces[0].spare + bodies[0].spare > 1.5
+    machine.others = 7.0
+    machine.run(1.0, faces, bodies)
+    assert faces[0].spare == bodies[0].spare == 0.0
+    counts, _ = machine.run(5.0, faces, bodies)
+    assert counts == [pytest.approx(3.33 * 30 * 5, rel=0.06), pytest.approx(3 * 15 * 5, rel=0.06)], "as on two cores"
+
+
+def test_with_threads_an_image_gets_as_much_older_as_one_of_them_works():
+    schedule = InferenceScheduler(0.0, 1.0, cost=0.005, max_age=0.05, threads=Threads(2))
+    for _ in range(20):
+        schedule.note_timing(0.01, 0.02)
+    assert len(choose(schedule, FACES, 1.0)) == 8, "two times 0.05 s less 0.03 s"
+    schedule.note_timing(0.2, 0.02)
+    assert len(choose(schedule, FACES, 1.04)) == 1
+
+
+def test_the_cost_is_the_time_of_all_threads():
+    threads = Threads(3)
+    schedule = InferenceScheduler(cost=0.02, threads=threads)
+
+    def work(part):
+        began = time.thread_time()
+        while time.thread_time() - began < 0.02 * len(part):
+            pass
+        return part
+
+    for _ in range(5):
+        with schedule.measure() as count:
+            count(len(threads.in_parts(work, range(6))))
+    assert schedule.cost == pytest.approx(0.02, rel=0.2)
+    threads.close()
 
 
 def test_the_age_is_not_exceeded_but_by_one_inference():

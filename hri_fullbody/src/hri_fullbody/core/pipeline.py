@@ -43,6 +43,7 @@ from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, model_path, models_directory
 from hri_pipeline.core.orientation import ImageOrientation
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler
 from hri_pipeline.core.timing import StageTimes
 
@@ -55,6 +56,10 @@ _HIDDEN_SHARE, _HIDDEN_NEW = 0.3, 2     # of the detector's period, and windows 
 _FAINT = 0.5
 _FIRST_COST_S = 0.015   # guess of the time of one inference of the pose network
 _HEAD_SAMPLES = 200
+
+
+Search = Callable[[], Tuple[np.ndarray, np.ndarray]]
+"""Waits for the person detector: boxes (N, 4) px and scores (N,)."""
 
 
 @dataclass(frozen=True)
@@ -94,16 +99,19 @@ class BodyPipeline:
         ValueError
             Illegal settings.
         """
-        self._pose = pose or BlazePose(pose_model_path(settings.pose_model), settings.providers, notify=notify)
+        self._threads = Threads.of_node(settings.threads, settings.cpu_share)
+        self._pose = pose or BlazePose(pose_model_path(settings.pose_model), settings.providers, notify, self._threads)
         self._detector = detector or CenterNetDetector(
             model_path(settings.person_detector_model, DETECTOR_MODEL), threshold=_FAINT * settings.min_person_score,
-            long_side=settings.person_detection_size, providers=settings.providers, notify=notify)
+            long_side=settings.person_detection_size, providers=settings.providers, notify=notify,
+            threads=self._threads)
         self._guard = guard or ItemGuard()
         self._tracker = BodyTracker(
             self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time, settings.min_body_score,
             settings.max_bodies, guard=self._guard, ignored=IgnoredRegions(settings.ignored_regions),
             is_human=lambda image, box: self._detector.is_human(image, box),
-            schedule=InferenceScheduler(cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share)))
+            schedule=InferenceScheduler(cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share),
+                                        threads=getattr(self._pose, "threads", ONE_THREAD)))
         self._limit_poses(settings)
         self._settings = settings
         self._localizers: Dict[str, BodyLocalizer] = {}
@@ -156,8 +164,9 @@ class BodyPipeline:
         self._last_stamp = stamp
         height, width = bgr.shape[:2]
         camera = camera.resized(width, height)
+        search = self._start_search(bgr, stamp)
         self._follow_known(bgr, camera, stamp, faces, slow)
-        self._search_new(bgr, stamp, faces, slow)
+        self._search_new(bgr, stamp, faces, slow, search)
         self._reidentify(stamp)
         if up is None:
             self._learn_ground(stamp, faces)
@@ -195,7 +204,15 @@ class BodyPipeline:
             self._tracker.follow(bgr, stamp, faces, lambda estimate: self._solve_pnp(estimate, camera),
                                  _SLOW_NEW if slow else 0)
 
-    def _search_new(self, bgr: np.ndarray, stamp: float, faces: Sequence[FaceBox], slow: bool) -> None:
+    def _start_search(self, bgr: np.ndarray, stamp: float) -> Search:
+        """Let the person detector begin, beside the pose network, when it is due whatever that finds; return what
+        gives its boxes."""
+        threads: Threads = getattr(self._detector, "threads", ONE_THREAD)
+        if stamp - self._last_detection >= self._settings.person_detection_period:
+            return threads.start(self._detector.detect, bgr)
+        return lambda: self._detector.detect(bgr)
+
+    def _search_new(self, bgr: np.ndarray, stamp: float, faces: Sequence[FaceBox], slow: bool, search: Search) -> None:
         """Search for new bodies: with the person detector when it is due, else in a few of the candidate windows.
 
         When the detector is due in every image, or images are slow, both are done in each. It is asked at once for a
@@ -207,7 +224,7 @@ class BodyPipeline:
         if due:
             self._last_detection = stamp
             with self.times("person detector"):
-                boxes, scores = self._detector.detect(bgr)
+                boxes, scores = search()
                 self._orientation.update(bgr, scores, stamp, self._detector.detect)
             self._tracker.propose(list(boxes[scores >= self._settings.min_person_score]), faces, stamp, list(boxes))
             if not detected_before and not slow:
@@ -279,9 +296,15 @@ class BodyPipeline:
             self._localizers = {key: localizer for key, localizer in self._localizers.items() if key in living}
             poses: Dict[str, Optional[Pose]] = {face.id: face.pose for face in faces}
             return self._guard.each(
-                "body", lambda track: self._localizers.setdefault(track.id, BodyLocalizer()).observe(
-                    track, camera, stamp, poses.get(track.face_id or ""), self._context_of(track.id, context)),
+                "body", lambda track: self._observe(track, camera, stamp, poses.get(track.face_id or ""), context),
                 self._tracker.published(stamp))
+
+    def _observe(self, track: BodyTrack, camera: CameraModel, stamp: float, face: Optional[Pose],
+                 context: SceneContext) -> BodyObservation:
+        localizer = self._localizers.setdefault(track.id, BodyLocalizer())
+        if localizer.measures(track, stamp):
+            context = self._context_of(track.id, context)
+        return localizer.observe(track, camera, stamp, face, context)
 
     def _express(self, model: ModelledBody, body: BodyObservation, stamp: float, up: np.ndarray,
                  size: Tuple[int, int], up_sd: float) -> None:
@@ -366,7 +389,7 @@ class BodyPipeline:
         """Return values for diagnostics: numbers of bodies, statures, times."""
         values: Dict[str, object] = {
             "tracked": len(self.tracked_ids), "pose_ms": 1e3 * self._tracker.schedule.cost,
-            "spare_percent": 100.0 * self._tracker.schedule.spare,
+            "spare_percent": 100.0 * self._tracker.schedule.spare, "threads": self._tracker.schedule.threads,
             "placed_by_depth": sum(localizer.by_depth for localizer in list(self._localizers.values())),
             "modelled": len(self._last_models),
             "statures_m": ", ".join(
@@ -425,6 +448,10 @@ class BodyPipeline:
         self._forget_all_but([])
         self._last_stamp = self._last_detection = -math.inf
         self._detected_before = False
+
+    def close(self) -> None:
+        """End the threads. Idempotent."""
+        self._threads.close()
 
     def _forget_all_but(self, ids: Sequence[str]) -> None:
         self._modeller.retain(ids)

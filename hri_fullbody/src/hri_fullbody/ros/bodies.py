@@ -188,6 +188,7 @@ class BodyProcessor:
             self._publishers.close()
         self._topics.close()
         self._transforms.close()
+        self._pipeline.close()
         release(self._markers)
         release(self._pointing)
 

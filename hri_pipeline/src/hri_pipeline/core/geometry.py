@@ -232,25 +232,20 @@ def crop_rotated(
     ValueError
         For a size that is not positive, or a number that is not finite.
     """
-    values = np.array([centre_xy[0], centre_xy[1], size_px, angle_rad], dtype=np.float64)
-    if not np.all(np.isfinite(values)) or size_px <= 0.0 or output_size < 1:
+    # Plain numbers: this runs several times in each image, and arrays of two are slow.
+    x, y = float(centre_xy[0]), float(centre_xy[1])
+    if not all(map(math.isfinite, (x, y, size_px, angle_rad))) or size_px <= 0.0 or output_size < 1:
         raise ValueError("cannot crop centre {}, size {} px, angle {} rad to {} px".format(
             tuple(centre_xy), size_px, angle_rad, output_size))
     scale = float(size_px) / output_size
-    cosine, sine = scale * np.cos(angle_rad), scale * np.sin(angle_rad)
-    turn = np.array([[cosine, -sine], [sine, cosine]])
+    cosine, sine = scale * math.cos(angle_rad), scale * math.sin(angle_rad)
     # Continuous coordinates have (0, 0) at the corner of the first pixel, OpenCV at its centre.
-    middle = np.full(2, (output_size - 1) / 2.0)
-    offset = np.asarray(centre_xy, dtype=np.float64)[:2] - 0.5 - turn @ middle
-    affine = np.hstack([turn, offset[:, None]])
+    half = output_size / 2.0
+    left, top = x - half * (cosine - sine), y - half * (sine + cosine)
+    affine = np.array(((cosine, -sine, left), (sine, cosine, top)))
+    between_centres = affine.copy()
+    between_centres[:, 2] += (0.5 * (cosine - sine) - 0.5, 0.5 * (sine + cosine) - 0.5)
     patch = cv2.warpAffine(
-        image, affine, (output_size, output_size),
+        image, between_centres, (output_size, output_size),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE)
-    return patch, _to_continuous(affine)
-
-
-def _to_continuous(affine: np.ndarray) -> np.ndarray:
-    """Change a (2, 3) map between pixel centres to one between continuous pixel coordinates."""
-    changed = affine.copy()
-    changed[:, 2] += 0.5 - affine[:, :2] @ np.full(2, 0.5)
-    return changed
+    return patch, affine

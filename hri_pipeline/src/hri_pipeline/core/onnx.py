@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import ctypes
 import os
+import threading
+import time
 from pathlib import Path
-from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple, Union
+from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple, TypeVar, Union
 
 import numpy as np
 import onnxruntime
+
+from hri_pipeline.core.process import ONE_THREAD, Threads
 
 FETCH_HINT = "get it with `rosrun hri_pipeline fetch_models`"
 MODELS_VARIABLE = "ROS4HRI_MODELS"
@@ -27,17 +31,23 @@ PROVIDER_OPTIONS: Dict[str, Dict[str, str]] = {
                               "arena_extend_strategy": "kSameAsRequested"},
 }
 """Options of onnxruntime's execution providers, by its names of them."""
-BATCH_SIZES = (1, 4, 12)
-"""Batches that a GPU is given: smaller ones are filled up, so that it prepares itself for three sizes only."""
+BATCH_SIZES = (4, 12)
+"""Batches that a GPU is given: smaller ones are filled up, as it prepares itself for each size, which takes seconds for
+one of 1. On an H100 a batch of 12 takes 1.2 (mesh) to 2.4 times (pose) as long as one of 1."""
+_MOST_SHAPES = 6
+_TRIALS = 3
 LIBRARIES: Dict[str, Tuple[Tuple[str, Tuple[str, ...]], ...]] = {
     "cuda": (("the NVIDIA driver", ("libcuda.so.1",)), ("libcudart", ("libcudart.so.12", "libcudart.so.13")),
-             ("libcublas", ("libcublas.so.12", "libcublas.so.13")), ("cuDNN", ("libcudnn.so.9", "libcudnn.so.8"))),
+             ("libcublas", ("libcublas.so.12", "libcublas.so.13")), ("libcurand", ("libcurand.so.10",)),
+             ("cuDNN", ("libcudnn.so.9", "libcudnn.so.8"))),
     "tensorrt": (("the NVIDIA driver", ("libcuda.so.1",)), ("TensorRT", ("libnvinfer.so.10", "libnvinfer.so.8"))),
     "openvino": (("OpenVINO", ("libopenvino.so",)),),
 }
 """What a provider loads: its name, and the files of which one is enough."""
 WHEELS = {"cuda": "onnxruntime-gpu", "tensorrt": "onnxruntime-gpu", "openvino": "onnxruntime-openvino"}
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 _FATAL_ONLY = 4
 
 
@@ -101,6 +111,7 @@ class ModelLog:
     def __init__(self, notify: Callable[[str], None]) -> None:
         self._notify = notify
         self._told: Set[str] = set()
+        self._lock = threading.Lock()
         self.providers: Dict[str, str] = {}
         """Keys of PROVIDERS by the names of the models."""
         self.inferences: Dict[str, int] = {}
@@ -111,6 +122,11 @@ class ModelLog:
         if text not in self._told:
             self._told.add(text)
             self._notify(text)
+
+    def count(self, model: str, items: int) -> None:
+        """Note that a model has worked on so many items."""
+        with self._lock:
+            self.inferences[model] = self.inferences.get(model, 0) + items
 
     @property
     def summary(self) -> str:
@@ -129,8 +145,8 @@ class ModelLog:
 class OnnxModel:
     """One loaded ONNX model. `run` is safe from several threads.
 
-    On a GPU batches are filled up to one of BATCH_SIZES, with a session for each size that is warmed up when the model
-    loads: cuDNN prepares itself anew for each size, which takes seconds.
+    On a GPU batches are filled up to one of a few sizes, with a session for each that is warmed up when the model
+    loads: cuDNN prepares itself anew whenever a session sees another shape, which takes up to seconds.
 
     Parameters
     ----------
@@ -143,6 +159,16 @@ class OnnxModel:
         Names that the model must have; `run` returns `outputs` only, or all outputs when none are named.
     notify : callable, optional
         Called with a text; a ModelLog notes the provider as well.
+    threads : Threads, optional
+        Those that its user shares batches among; `threads` is one thread on a GPU, whose batches are not divided.
+    batch_sizes : sequence of int
+        Batches on a GPU, in rising order, where only the number of items is free.
+    shapes : sequence of tuple of int
+        Of the only input, where its other lengths are free, too: a GPU prepares itself for them when the model loads,
+        for others when they come.
+    few_on_cpu : bool
+        Small batches run on the CPU where there is a GPU, as long as its one thread is as fast: measured when the
+        model loads.
 
     Raises
     ------
@@ -157,12 +183,19 @@ class OnnxModel:
         inputs: Sequence[str] = (),
         outputs: Sequence[str] = (),
         notify: Optional[Callable[[str], None]] = None,
+        threads: Threads = ONE_THREAD,
+        batch_sizes: Sequence[int] = BATCH_SIZES,
+        shapes: Sequence[Tuple[int, ...]] = (),
+        few_on_cpu: bool = False,
     ) -> None:
         self._path = Path(path)
+        self._all_threads, self._sizes = threads, tuple(batch_sizes)
+        self._threads_within = threads.within
         self._notify = notify or (lambda text: None)
         self._session = self._load(providers)
         self.name = self._path.stem
         self.provider = _short_name(self._session.get_providers()[0])
+        self.threads = threads if self.provider == "cpu" else ONE_THREAD
         self.input_names = [tensor.name for tensor in self._session.get_inputs()]
         self.input_shapes = {tensor.name: list(tensor.shape) for tensor in self._session.get_inputs()}
         self.output_names = [tensor.name for tensor in self._session.get_outputs()]
@@ -170,11 +203,66 @@ class OnnxModel:
         self._require("output", outputs, self.output_names)
         self._wanted = list(outputs) or self.output_names
         self._batched: Dict[int, onnxruntime.InferenceSession] = {}
-        if self.provider in ("cuda", "tensorrt") and self._takes_batches():
+        self._shaped: Dict[Tuple[int, ...], onnxruntime.InferenceSession] = {}
+        self._beside: Optional[onnxruntime.InferenceSession] = None
+        self._few = 0
+        self._preparing = threading.Lock()
+        if self.on_card and self._takes_batches():
             self._warm_up()
+            if few_on_cpu:
+                self._compare()
+        elif self.on_card and shapes:
+            for shape in shapes:
+                self._session_for(shape)
         self._log = notify if isinstance(notify, ModelLog) else None
         if self._log is not None:
-            self._log.providers[self.name], self._log.inferences[self.name] = self.provider, 0
+            self._log.providers[self.name] = self.provider
+            self._log.count(self.name, 0)
+
+    @property
+    def on_card(self) -> bool:
+        """Whether it runs on a GPU."""
+        return self.provider in ("cuda", "tensorrt")
+
+    def run_items(self, items: Sequence[Item], prepare: Callable[[Item, np.ndarray], Result],
+                  batch: np.ndarray) -> Tuple[List[Result], Dict[str, np.ndarray]]:
+        """Prepare items and run the model on them, shared by its threads; on a GPU they only prepare.
+
+        Parameters
+        ----------
+        items : sequence
+            At least one.
+        prepare : callable
+            Writes an item into its place of the batch; several threads call it.
+        batch : numpy.ndarray
+            (len(items), ...), the input.
+
+        Returns
+        -------
+        prepared : list
+            What `prepare` returns.
+        outputs : dict of str to numpy.ndarray
+            As of `run`.
+
+        Raises
+        ------
+        ModelError
+            As `run`.
+        """
+        name = self.input_names[0]
+
+        def fill(part: Sequence[int]) -> List[Result]:
+            return [prepare(items[index], batch[index]) for index in part]
+
+        def fill_and_run(part: Sequence[int]) -> List[Tuple[Result, Dict[str, np.ndarray]]]:
+            prepared, found = fill(part), self.run({name: batch[part[0]:part[-1] + 1]})
+            return [(one, {key: value[i:i + 1] for key, value in found.items()}) for i, one in enumerate(prepared)]
+
+        numbers = range(len(items))
+        if self.threads.count == 1:
+            return self._all_threads.in_parts(fill, numbers), self.run({name: batch[:len(items)]})
+        done = self.threads.in_parts(fill_and_run, numbers)
+        return [one for one, _ in done], {key: np.concatenate([found[key] for _, found in done]) for key in done[0][1]}
 
     def run(self, feed: Dict[str, np.ndarray], outputs: Optional[Sequence[str]] = None) -> Dict[str, np.ndarray]:
         """Run the model.
@@ -198,23 +286,25 @@ class OnnxModel:
         """
         wanted = self._wanted if outputs is None else list(outputs)
         try:
-            values = self._run_batched(feed, wanted) if self._batched else self._session.run(wanted, feed)
+            values = self._run_batched(feed, wanted) if self._batched else self._session_of(feed).run(wanted, feed)
         except Exception as error:  # onnxruntime's errors have no common base class but Exception
             shapes = {name: getattr(value, "shape", None) for name, value in feed.items()}
             raise ModelError("model {} refused input {}: {}".format(
                 self._path, shapes, first_line(error))) from error
         if self._log is not None:
-            self._log.inferences[self.name] += len(next(iter(feed.values())))
+            self._log.count(self.name, len(next(iter(feed.values()))))
         return dict(zip(wanted, values))
 
     def _run_batched(self, feed: Dict[str, np.ndarray], wanted: List[str]) -> List[np.ndarray]:
         """Run batches of the prepared sizes; what was filled up is left out of the outputs."""
         count = len(next(iter(feed.values())))
+        if self._beside is not None and 0 < count <= self._few:
+            return list(self._beside.run(wanted, feed))
         parts = []
-        for start in range(0, max(count, 1), BATCH_SIZES[-1]):
-            part = {name: value[start:start + BATCH_SIZES[-1]] for name, value in feed.items()}
+        for start in range(0, max(count, 1), self._sizes[-1]):
+            part = {name: value[start:start + self._sizes[-1]] for name, value in feed.items()}
             length = len(next(iter(part.values())))
-            size = next(size for size in BATCH_SIZES if size >= length)
+            size = next(size for size in self._sizes if size >= length)
             filled = {name: value if length == size else np.concatenate(
                 [value, np.zeros((size - length,) + value.shape[1:], value.dtype)]) for name, value in part.items()}
             parts.append([value[:length] for value in self._batched[size].run(wanted, filled)])
@@ -227,15 +317,47 @@ class OnnxModel:
                    and all(isinstance(length, int) for length in tensor.shape[1:]) for tensor in tensors)
 
     def _warm_up(self) -> None:
-        """Make a session for each size and run it once."""
-        usable = self._session.get_providers()
-        for size in BATCH_SIZES:
+        """Make a session for each size, the largest first, and run it once."""
+        for size in reversed(self._sizes):
             self._notify("{}: {} prepares batches of {}".format(self._path.name, self.provider, size))
-            session = self._session if size == 1 else self._session_on(usable)
-            session.run(self._wanted, {
-                tensor.name: np.zeros([size] + list(tensor.shape[1:]), _TYPES.get(tensor.type, np.float32))
-                for tensor in session.get_inputs()})
+            session = self._session if size == self._sizes[-1] else self._session_on(self._session.get_providers())
+            self._seconds(session, size)
             self._batched[size] = session
+
+    def _compare(self) -> None:
+        """Find out how many items the CPU runs as fast."""
+        self._beside = self._session_on([PROVIDERS["cpu"]])
+        self._seconds(self._beside, 1)
+        one = min(self._seconds(self._beside, 1) for _ in range(_TRIALS))
+        for size in self._sizes:
+            card = min(self._seconds(self._batched[size], size) for _ in range(_TRIALS))
+            if self._few + 1 > int(card / one):
+                break
+            self._few = min(size, int(card / one))
+
+    def _seconds(self, session: onnxruntime.InferenceSession, size: int) -> float:
+        """Run a batch of nothing; return the time, s."""
+        feed = {tensor.name: np.zeros([size] + list(tensor.shape[1:]), _TYPES.get(tensor.type, np.float32))
+                for tensor in session.get_inputs()}
+        began = time.perf_counter()
+        session.run(self._wanted, feed)
+        return time.perf_counter() - began
+
+    def _session_of(self, feed: Dict[str, np.ndarray]) -> onnxruntime.InferenceSession:
+        """The session for what is fed: on a GPU each shape has its own."""
+        return self._session_for(next(iter(feed.values())).shape) if self._shaped else self._session
+
+    def _session_for(self, shape: Tuple[int, ...]) -> onnxruntime.InferenceSession:
+        """The session for a shape of the only input, warmed up."""
+        with self._preparing:
+            if shape not in self._shaped:
+                self._notify("{}: {} prepares inputs of {}".format(self._path.name, self.provider, shape))
+                session = self._session_on(self._session.get_providers()) if self._shaped else self._session
+                session.run(self._wanted, {self.input_names[0]: np.zeros(shape, np.float32)})
+                if len(self._shaped) >= _MOST_SHAPES:
+                    self._shaped.pop(next(iter(self._shaped)))
+                self._shaped[shape] = session
+            return self._shaped[shape]
 
     def _load(self, providers: Sequence[str]) -> onnxruntime.InferenceSession:
         if not self._path.is_file():
@@ -274,7 +396,7 @@ class OnnxModel:
 
     def _session_on(self, providers: List[str]) -> onnxruntime.InferenceSession:
         options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
+        options.intra_op_num_threads = self._threads_within
         options.inter_op_num_threads = 1
         # Waiting threads that spin take a core from the other nodes of the robot.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Callable, Deque, Dict, Iterator, List, Optional, Sequence, Tuple
 
-from hri_pipeline.core.process import idle_time
+from hri_pipeline.core.process import ONE_THREAD, Threads, idle_time
 
 _SAMPLE_S = 0.25
 """Time (s) between two measurements of the idle time: 25 clock ticks of a core."""
@@ -74,9 +74,9 @@ class IdleShare:
             raise ValueError("a share of {} of the cores' time, legal range 0 to 1".format(share))
         self._share = share
 
-    def update(self, usable: float) -> float:
-        """Return the time, in cores; usable: the most (cores) that could be used now."""
-        usable = min(max(usable, 0.0), 1.0)
+    def update(self, usable: float, threads: int = 1) -> float:
+        """Return the time, in cores; usable: the most (cores) that could be used now, by so many threads."""
+        usable = min(max(usable, 0.0), float(threads))
         if self._share == 0.0 or usable == 0.0:
             self.cores, self._last = 0.0, None
             return 0.0
@@ -120,13 +120,15 @@ class InferenceScheduler:
     """
 
     def __init__(self, rate: float = 0.0, budget: float = math.inf, most: int = 0, cost: float = 0.005,
-                 batches: bool = True, idle: Optional[IdleShare] = None, max_age: float = math.inf) -> None:
+                 batches: bool = True, idle: Optional[IdleShare] = None, max_age: float = math.inf,
+                 threads: Threads = ONE_THREAD) -> None:
         """rate, budget, most, max_age and errors: see limit.
 
-        cost: first guess of the time of one inference, s. batches: who is due soon comes along with who is due; else
-        the images get an even load. idle: what may be spent beyond the budget.
+        cost: first guess of the processor time of one inference, s. batches: who is due soon comes along with who is
+        due; else the images get an even load. idle: what may be spent beyond the budget. threads: share the inferences
+        of an image, so that it gets older by those of one of them only; budgets are of the time of all.
         """
-        self._cost, self._batches, self._idle = cost, batches, idle
+        self._cost, self._batches, self._idle, self._threads = cost, batches, idle, threads
         self.limit(rate, budget, most, max_age)
         self.reset()
         self._rest = self._mean_rest = self._took = 0.0
@@ -185,6 +187,11 @@ class InferenceScheduler:
         return self._cost
 
     @property
+    def threads(self) -> int:
+        """How many threads share the inferences of an image."""
+        return self._threads.count
+
+    @property
     def spare(self) -> float:
         """What is spent beyond the least budget, in cores."""
         return 0.0 if self._idle is None else self._idle.cores
@@ -237,8 +244,12 @@ class InferenceScheduler:
             self._cost = _COST_MEMORY * self._cost + (1.0 - _COST_MEMORY) * seconds / count
 
     @contextmanager
-    def measure(self, clock: Callable[[], float] = time.thread_time) -> Iterator[Callable[[int], None]]:
-        """Measure the inferences in the body of a `with` statement, which says how many there were."""
+    def measure(self, clock: Optional[Callable[[], float]] = None) -> Iterator[Callable[[int], None]]:
+        """Measure the inferences in the body of a `with` statement, which says how many there were.
+
+        clock: processor time, s; by default that of the threads.
+        """
+        clock = clock or self._threads.time
         counts: List[int] = []
         began, wall = clock(), time.perf_counter()
         yield counts.append
@@ -246,16 +257,20 @@ class InferenceScheduler:
         self.spent(used, sum(counts))
         self._took += wall
         if used > 1e-4:
-            self._stretch += 0.1 * (max(1.0, wall / used) - self._stretch)
+            self._stretch += 0.1 * (max(1.0, wall / (used * self._of_one_thread(sum(counts)))) - self._stretch)
+
+    def _of_one_thread(self, count: int) -> float:
+        """Part of `count` inferences that the thread with the most of them makes."""
+        return math.ceil(count / self._threads.count) / count if count else 1.0
 
     def _extra(self, count: int) -> float:
         """Time (s) per image beyond the least budget."""
         if self._idle is None or self._age is None or self._rate == 0.0 or not math.isfinite(self._interval):
             return 0.0
         missing = count * self._cost - self._least(count)
-        room = _OF_INTERVAL * self._interval - self._mean_rest - self._least(count) * self._stretch
-        usable = min(missing, room / self._stretch) / self._interval
-        return self._idle.update(usable) * self._interval
+        room = (_OF_INTERVAL * self._interval - self._mean_rest) * self._threads.count
+        usable = min(missing, (room - self._least(count) * self._stretch) / self._stretch) / self._interval
+        return self._idle.update(usable, self._threads.count) * self._interval
 
     def _least(self, count: int) -> float:
         """Time (s) per image that `count` items at the least rate take of the least budget."""
@@ -314,8 +329,8 @@ class InferenceScheduler:
             count = max(1, int(spendable / self._cost + 1e-9))
             self._left = max(0.0, spendable - count * self._cost) if due > count else 0.0
         if self._most:
-            count = min(count, max(1, self._most + int(extra / self._cost) - reserved))
+            count = min(count, max(1, self._most + int(extra / self._cost + 1e-6) - reserved))
         if self._age is not None:
             left = (self._max_age - self._age - self._rest) / self._stretch
-            count = min(count, max(1, least, int(left / self._cost)))
+            count = min(count, max(1, least, int(left / self._cost) * self._threads.count))
         return count

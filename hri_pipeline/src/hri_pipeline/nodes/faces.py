@@ -19,6 +19,7 @@ from hri_pipeline.core.faces.gaze import gaze_frame
 from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.observations import FaceObservation
+from hri_pipeline.core.observations import SoftBiometrics as FaceBiometrics
 from hri_pipeline.core.onnx import ModelLog
 from hri_pipeline.core.orientation import turned_problem
 from hri_pipeline.core.parameters import ParameterError
@@ -56,6 +57,8 @@ SIZE_PARAMETERS = ("/humans/faces/width", "/humans/faces/height")
 DEFAULT_SIZE = 128
 MARGIN = 1.3
 _REFRESH_S = 5.0
+_BIOMETRICS_S = 1.0
+"""Time (s) after which apparent age and gender are published again: the network looks once in 20 s at last."""
 _SIZE_WARNING_PERIOD_S = 30.0
 
 
@@ -241,10 +244,13 @@ class FaceTopics:
         specs.update({name: TopicSpec(_ANALYSIS[name][1]) for name in self._analysis})
         self._publishers = IdPublishers(NAMESPACE, specs)
         self._pictures = FacePictures(self._publishers)
+        self._told: Dict[str, Tuple[FaceBiometrics, float]] = {}
         self._matches = rospy.Publisher(MATCHES_TOPIC, IdsMatch, queue_size=100) if settings.recognition else None
 
     def keep(self, ids: Iterable[str]) -> None:
         """Advertise the topics of these faces and unadvertise those of all others."""
+        kept = set(ids)
+        self._told = {face_id: told for face_id, told in self._told.items() if face_id in kept}
         self._publishers.keep(ids)
 
     def demand(self, ids: Sequence[str]) -> FaceDemand:
@@ -271,8 +277,15 @@ class FaceTopics:
             expression = face.expression
             publishers.publish(face.id, "expression", expression_to_msg(
                 expression.category, expression.valence, expression.arousal, expression.confidence, header))
-        if face.soft_biometrics is not None:
-            publishers.publish(face.id, "softbiometrics", soft_biometrics_to_msg(face.soft_biometrics, header))
+        self._publish_biometrics(face, frame)
+
+    def _publish_biometrics(self, face: FaceObservation, frame: Frame) -> None:
+        """Publish apparent age and gender of one face where they have changed, and again after a while."""
+        estimate, (told, told_at) = face.soft_biometrics, self._told.get(face.id, (None, float("-inf")))
+        if estimate is None or (estimate == told and 0.0 <= frame.stamp - told_at < _BIOMETRICS_S):
+            return
+        self._told[face.id] = estimate, frame.stamp
+        self._publishers.publish(face.id, "softbiometrics", soft_biometrics_to_msg(estimate, frame.header))
 
     def publish_matches(self, matches: Sequence[PersonMatch]) -> None:
         """Publish matches of faces with persons; likelihood 0 withdraws one."""
@@ -296,6 +309,7 @@ class FaceTopics:
 
     def close_ids(self) -> None:
         """Unadvertise the topics of all faces."""
+        self._told.clear()
         self._publishers.close_all()
 
     def close(self) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from hri_pipeline.core.geometry import iou_matrix
 from hri_pipeline.core.onnx import OnnxModel
+from hri_pipeline.core.process import ONE_THREAD, Threads
 
 _STEP = 32
 _STRIDE = 4
@@ -103,6 +104,12 @@ def near_view(image: np.ndarray, box: np.ndarray) -> Tuple[np.ndarray, np.ndarra
     return view, box * scale + np.array([x, y, x, y])
 
 
+def _shapes(long_side: int) -> List[Tuple[int, ...]]:
+    """Shapes of the network's input for usual cameras, 16:9 and 4:3, and for a look from near by."""
+    sizes = [network_size(*camera, long_side) for camera in ((1280, 720), (640, 480))]
+    return [(1, height, width, 3) for width, height in sizes] + [(2, _NEAR_SIZE, _NEAR_SIZE, 3)]
+
+
 class CenterNetDetector:
     """CenterNet on MobileNetV3, trained on COCO: people, and not what its 79 other classes claim with more right."""
 
@@ -113,13 +120,17 @@ class CenterNetDetector:
         notify: Optional[Callable[[str], None]] = None,
         threshold: float = 0.3,
         long_side: int = 512,
+        threads: Threads = ONE_THREAD,
     ) -> None:
-        """threshold: 0 to 1. long_side: px of the network's input. Raises ValueError outside of these."""
+        """threshold: 0 to 1. long_side: px of the network's input. threads: those that may run it beside other
+        networks. Raises ValueError outside of these."""
         if not 0.0 < threshold < 1.0:
             raise ValueError("threshold {} must lie between 0 and 1".format(threshold))
         if long_side < _STEP:
             raise ValueError("long_side is {} px, legal range {} and more".format(long_side, _STEP))
-        self._model = OnnxModel(path, providers, inputs=("images",), outputs=("heat", "ltrb"), notify=notify)
+        self._model = OnnxModel(path, providers, inputs=("images",), outputs=("heat", "ltrb"), notify=notify,
+                                threads=threads, shapes=_shapes(long_side))
+        self.threads = threads
         self.threshold = threshold
         self._long_side = long_side
         self._leads: Deque[Tuple[bytes, float]] = deque(maxlen=_REMEMBERED)

@@ -19,9 +19,10 @@ from hri_fullbody.core.keypoints import (
     BLAZE_RIGHT_HIP,
     BLAZE_RIGHT_SHOULDER,
 )
-from hri_pipeline.core.geometry import crop_rotated, iou_matrix, median_of_few
+from hri_pipeline.core.geometry import crop_rotated, median_of_few
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.onnx import OnnxModel
+from hri_pipeline.core.process import ONE_THREAD, Threads
 
 INPUT_SIZE = 256
 LANDMARKS = 39
@@ -151,10 +152,10 @@ class BatchPoseEstimator(PoseEstimator, Protocol):
 
 
 class BlazePose:
-    """The pose network. Not for several threads.
+    """The pose network. Not to be called by several threads.
 
-    takes_batches: several windows at once are faster. They are on a GPU; on a CPU a window takes 0.98 of the time in a
-    batch of three (measured).
+    takes_batches: several windows at once are faster. They are on a GPU, and where several threads share them; in one
+    thread of a CPU a window takes 0.98 of the time in a batch of three (measured).
     """
 
     def __init__(
@@ -162,11 +163,14 @@ class BlazePose:
         path: Union[str, Path],
         providers: Sequence[str] = ("cpu",),
         notify: Optional[Callable[[str], None]] = None,
+        threads: Threads = ONE_THREAD,
     ) -> None:
         self._model = OnnxModel(path, providers, inputs=("input_1",),
-                                outputs=(_LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT), notify=notify)
+                                outputs=(_LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT), notify=notify,
+                                threads=threads)
+        self.threads = self._model.threads
         self._feed = np.empty((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        self.takes_batches = self._model.provider in ("cuda", "tensorrt")
+        self.takes_batches = self._model.on_card or self.threads.count > 1
 
     def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
                  shown: Optional[np.ndarray] = None, mirrored: bool = False) -> PoseEstimate:
@@ -174,23 +178,27 @@ class BlazePose:
         return self.estimate_all(image, [PoseWindow(window, hidden, shown, mirrored)])[0]
 
     def estimate_all(self, image: np.ndarray, windows: Sequence[PoseWindow]) -> List[PoseEstimate]:
-        """Find the body in each window of `image` (H, W, 3) BGR, in one run of the network."""
+        """Find the body in each window of `image` (H, W, 3) BGR, in one run of the network, or shared by its
+        threads."""
         if not windows:
             return []
         if len(windows) > len(self._feed):
             self._feed = np.empty((len(windows), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        feed, affines = self._feed[:len(windows)], []
-        for place, one in zip(feed, windows):
-            patch, affine = crop_rotated(image, one.window.centre, one.window.size, one.window.angle, INPUT_SIZE)
-            _hide(patch, affine, one.hidden, one.shown)
-            patch = cv2.flip(patch, 1) if one.mirrored else patch
-            np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB), np.float32(1.0 / 255.0), out=place)
-            affines.append(affine)
-        output = self._model.run({"input_1": feed})
+        affines, output = self._model.run_items(windows, lambda one, place: _crop(image, one, place),
+                                                self._feed[:len(windows)])
         scores = np.asarray(output[_SCORE_OUTPUT]).reshape(len(windows), -1)
         return [decode(landmarks, float(score[0]), world, affine, one.window.angle, one.mirrored)
                 for landmarks, score, world, affine, one in zip(
                     output[_LANDMARK_OUTPUT], scores, output[_WORLD_OUTPUT], affines, windows)]
+
+
+def _crop(image: np.ndarray, one: PoseWindow, out: np.ndarray) -> np.ndarray:
+    """Write a window as RGB in [0, 1] to `out` (S, S, 3); returns the affine (2, 3) from it to the image."""
+    patch, affine = crop_rotated(image, one.window.centre, one.window.size, one.window.angle, INPUT_SIZE)
+    _hide(patch, affine, one.hidden, one.shown)
+    patch = cv2.flip(patch, 1) if one.mirrored else patch
+    np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB), np.float32(1.0 / 255.0), out=out)
+    return affine
 
 
 def _hide(patch: np.ndarray, affine: np.ndarray, hidden: Sequence[np.ndarray], shown: Optional[np.ndarray]) -> None:
@@ -309,11 +317,15 @@ def covers(estimate: PoseEstimate, box: np.ndarray) -> bool:
     """Tell whether a person's box (4,) px is that of this body: it is seen there, or its head is where that of the box
     should be and what is seen of it lies in the box."""
     box = np.asarray(box)
-    if iou_matrix(estimate.box[None], box[None])[0, 0] > _SAME_IOU:
+    # Plain numbers: this runs for every pair of a body and a box, and arrays of four are slow.
+    (x0, y0, x1, y1), (a0, b0, a1, b1) = estimate.box.tolist(), box.tolist()
+    width, height = a1 - a0, b1 - b0
+    common = max(min(x1, a1) - max(x0, a0), 0.0) * max(min(y1, b1) - max(y0, b0), 0.0)
+    both = max(x1 - x0, 0.0) * max(y1 - y0, 0.0) + max(width, 0.0) * max(height, 0.0) - common
+    if common > _SAME_IOU * both:
         return True
-    width, height = box[2:] - box[:2]
-    aside, down = np.abs(estimate.nose[0] - 0.5 * (box[0] + box[2])), estimate.nose[1] - box[1]
-    return bool(aside < _HEAD_ASIDE * width and 0.0 <= down < _HEAD_DOWN * height
+    x, y = estimate.nose.tolist()
+    return bool(abs(x - 0.5 * (a0 + a1)) < _HEAD_ASIDE * width and 0.0 <= y - b0 < _HEAD_DOWN * height
                 and inside(estimate.box, box) > _MOSTLY and estimate.extent >= LEAST_SHARE * max(width, height))
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Dict, List, Optional, Tuple
+from typing import Dict, Optional, Tuple
 
 import numpy as np
 
@@ -36,6 +36,8 @@ _SIZE_SD = 0.065            # of the logarithm of statures, and of the network's
 _HEIGHT_NOISE = 0.04
 _HEIGHT_RANGE_M = (0.3, 4.0)
 _MOST_PEOPLE = 30
+_Rows = Tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Equations of pitch and roll: gradients (R, 2), values (R,) and their standard deviations (R,)."""
 
 
 @dataclass
@@ -92,11 +94,9 @@ class GroundPlane:
         """Estimate `up` and the camera's height at `stamp` (s)."""
         self._people = {name: person for name, person in self._people.items() if stamp - person.stamp < _OLDEST_S}
         state, prior = _MOUNTING.copy(), np.diag(_MOUNTING_SD ** -2.0)
-        axes = self._axis_rows(stamp)
+        axes, feet = self._axis_rows(stamp), self._feet()
         for _ in range(_ROUNDS):
-            rows = axes + self._floor_rows(state)
-            gradients = np.array([gradient for gradient, _, _ in rows]).reshape(-1, 2)
-            values, sds = np.array([row[1:] for row in rows]).reshape(-1, 2).T
+            gradients, values, sds = (np.concatenate(both) for both in zip(axes, _floor_rows(feet, state)))
             error = np.abs(values - gradients @ state) / sds
             weighted = gradients.T * (np.minimum(1.0, _HUBER / np.maximum(error, 1e-9)) / sds ** 2)
             information = prior + weighted @ gradients
@@ -113,36 +113,23 @@ class GroundPlane:
         weights = others[:, 1] ** -2.0
         return math.exp(float(weights @ others[:, 0] / weights.sum())), math.sqrt(1.0 / float(weights.sum()))
 
-    def _axis_rows(self, stamp: float) -> List[Tuple[np.ndarray, float, float]]:
-        """Gradient (2,), value (rad) and sd (rad) of each angle that a person's up direction tells."""
-        rows = []
+    def _axis_rows(self, stamp: float) -> _Rows:
+        """Gradients, values (rad) and sd (rad) of the angles that the people's up directions tell, two of each."""
+        axes, sds = [], []
         for person in self._people.values():
-            # Who was seen to stand tells it better than the same person's trunk.
-            kinds = [kind for kind in person.axes if kind != "trunk" or "standing" not in person.axes]
-            for axis, seen, sd in ((*person.axes[kind], _AXIS_SD[kind]) for kind in kinds):
-                spread = math.hypot(sd, _FADING * (stamp - seen))
-                x, y, z = (axis / np.linalg.norm(axis)).tolist()
-                rows.append((np.array([1.0, 0.0]), math.atan2(-z, -y), spread))
-                rows.append((np.array([0.0, 1.0]), math.asin(max(-1.0, min(1.0, x))), spread))
-        return rows
+            for kind, (axis, seen) in person.axes.items():
+                # Who was seen to stand tells it better than the same person's trunk.
+                if kind != "trunk" or "standing" not in person.axes:
+                    axes.append(axis)
+                    sds.append(math.hypot(_AXIS_SD[kind], _FADING * (stamp - seen)))
+        directions = np.array(axes).reshape(-1, 3)
+        x, y, z = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).T
+        values = np.stack([np.arctan2(-z, -y), np.arcsin(np.minimum(np.maximum(x, -1.0), 1.0))], axis=1)
+        return np.tile(np.eye(2), (len(axes), 1)), values.ravel(), np.repeat(sds, 2)
 
-    def _floor_rows(self, state: np.ndarray) -> List[Tuple[np.ndarray, float, float]]:
-        """The same of the feet, which are at one height: one row for each person but the last."""
-        feet = [person.foot for person in self._people.values() if person.foot is not None]
-        if len(feet) < 2:
-            return []
-        pitch, roll = state
-        up = up_of(pitch, roll)
-        by_pitch = np.array([0.0, math.cos(roll) * math.sin(pitch), -math.cos(roll) * math.cos(pitch)])
-        by_roll = np.array([math.cos(roll), math.sin(roll) * math.cos(pitch), math.sin(roll) * math.sin(pitch)])
-        middle, rows = np.mean(feet, axis=0), []
-        for foot in feet[:-1]:
-            offset = foot - middle
-            gradient = np.array([float(by_pitch @ offset), float(by_roll @ offset)])
-            sd = math.hypot(_SIZE_SD * abs(float(foot @ up)), 0.05)
-            # Linear about the state: the residual that would be 0 at the right angles.
-            rows.append((gradient, float(gradient @ state) - float(up @ offset), sd))
-        return rows
+    def _feet(self) -> np.ndarray:
+        """The people's feet (N, 3) m."""
+        return np.array([person.foot for person in self._people.values() if person.foot is not None]).reshape(-1, 3)
 
     def _measure_heights(self) -> None:
         for name, person in self._people.items():
@@ -155,6 +142,19 @@ class GroundPlane:
                 self._heights[name] = math.log(height), math.sqrt(_SIZE_SD ** 2 + _HEIGHT_NOISE ** 2 + far ** 2)
         while len(self._heights) > _MOST_PEOPLE:
             del self._heights[next(iter(self._heights))]
+
+
+def _floor_rows(feet: np.ndarray, state: np.ndarray) -> _Rows:
+    """Rows of the feet (N, 3) m, which are at one height, about pitch and roll (2,): one for each but the last."""
+    pitch, roll = state
+    up = up_of(pitch, roll)
+    by_pitch = np.array([0.0, math.cos(roll) * math.sin(pitch), -math.cos(roll) * math.cos(pitch)])
+    by_roll = np.array([math.cos(roll), math.sin(roll) * math.cos(pitch), math.sin(roll) * math.sin(pitch)])
+    offsets = (feet - feet.sum(axis=0) / max(len(feet), 1))[:-1]
+    gradients = offsets @ np.stack([by_pitch, by_roll], axis=1)
+    sds = np.hypot(_SIZE_SD * np.abs(feet[:-1] @ up), 0.05)
+    # Linear about the state: the residual that would be 0 at the right angles.
+    return gradients, gradients @ state - offsets @ up, sds
 
 
 def up_of(pitch: float, roll: float) -> np.ndarray:

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Deque, Dict, Optional, Tuple
+from typing import Deque, Dict, NamedTuple, Optional, Tuple
 
 import cv2
 import numpy as np
 
-from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS
+from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, PoseDetection
 from hri_fullbody.core.keypoints import (
     BLAZE_INNER_EYES,
     BLAZE_LEFT_ANKLE,
@@ -372,6 +372,21 @@ class SceneContext:
     height_sd: float = 0.0
 
 
+class _Still(NamedTuple):
+    """What the images after a measurement have in common: between two of them a body is only moved on.
+
+    keypoints: (18, 2) px. box: see visible_box. in_space: (18, 3) m, NaN unknown; None, like pose and hands (see
+    `keypoints.wrist_to_knuckles`), where the body has no place.
+    """
+
+    detection: PoseDetection
+    keypoints: np.ndarray
+    box: np.ndarray
+    in_space: Optional[np.ndarray]
+    pose: Optional[Pose]
+    hands: Optional[np.ndarray]
+
+
 class BodyLocalizer:
     """Filters of one body. The key points in the image go through a one euro filter, 1.5 Hz and 6 per m/s, which lags
     21 ms behind a waving wrist. In space only the distance is filtered, and only where no depth image gives it: it
@@ -386,6 +401,7 @@ class BodyLocalizer:
         self._pixels: Optional[np.ndarray] = None
         self._points: Optional[np.ndarray] = None
         self._face: Optional[np.ndarray] = None
+        self._still: Optional[_Still] = None
         self.by_depth = False
         """Whether a depth image gave the distance of the last detection."""
 
@@ -400,36 +416,51 @@ class BodyLocalizer:
         self._pixels = None if self._pixels is None else rotation.pixels(self._pixels)
         self._points = None if self._points is None else rotation.vectors(self._points)
         self._face = None if self._face is None else rotation.vectors(self._face)
+        self._still = None
+
+    def measures(self, track: BodyTrack, stamp: float) -> bool:
+        """Tell whether `observe` takes up a detection at `stamp` (s): else it needs no scene."""
+        return track.stamp == stamp or self._pixels is None
 
     def observe(self, track: BodyTrack, camera: CameraModel, stamp: float, face: Optional[Pose],
                 context: SceneContext) -> BodyObservation:
         """Make the observation of a body at `stamp` (s). face: the pose of its own tracked face."""
-        measured = track.stamp == stamp or self._pixels is None
+        measured = self.measures(track, stamp)
         if measured:
             self._measure(track, camera, face, context)
-            self._face = None if face is None else face.translation
-        assert self._pixels is not None
+            self._face, self._still = None if face is None else face.translation, None
+        still = self._standing_still(track)
         estimate = track.expected(stamp)
-        confidence = estimate.confidence[:BODY_LANDMARKS]
         age = max(0.0, stamp - track.stamp)
         velocity = track.motion.velocity
         velocity = None if velocity is None else velocity * self._scale.value
-        pixels: np.ndarray = self._pixels if measured else self._pixels + track.moved_with_face(stamp)
-        in_space, pose, hands = np.full((18, 3), np.nan), None, None
-        sure = confidence_18(confidence)
-        known = confidence_18(track.estimate.confidence[:BODY_LANDMARKS]) >= _KNOWN
-        if self._points is not None:
-            points = self._points + self._shift(measured, velocity, age, face)
-            in_space[known] = to_18_points(points)[known]
-            hands = wrist_to_knuckles(points, track.estimate.confidence[:BODY_LANDMARKS], _KNOWN)
-            pose = body_pose(points)
-        box = visible_box(pixels, track.estimate.confidence[:BODY_LANDMARKS], camera.width, camera.height)
+        moved = np.zeros(2) if measured else track.moved_with_face(stamp)
+        in_space, pose = np.full((18, 3), np.nan), None
+        if still.in_space is not None:
+            way = self._shift(measured, velocity, age, face)
+            in_space = still.in_space + way
+            pose = None if still.pose is None else Pose(still.pose.rotation, still.pose.translation + way)
+        keypoints = np.column_stack([still.keypoints + moved, confidence_18(estimate.confidence[:BODY_LANDMARKS])])
         # What a body expresses is told of measured ones only.
         last = track.estimate
         trunk = trunk_in_image(last.landmarks, last.world) if measured else math.nan
         leaving = measured and thighs_leave_image(last.landmarks, last.world, camera.height)
-        return BodyObservation(track.id, box, estimate.score, np.column_stack([to_18_points(pixels), sure]), in_space,
-                               pose, face, velocity, measured, self.by_depth, hands, trunk, leaving)
+        return BodyObservation(track.id, _in_image(still.box + np.tile(moved, 2), camera.width, camera.height),
+                               estimate.score, keypoints, in_space, pose, face, velocity, measured, self.by_depth,
+                               still.hands, trunk, leaving)
+
+    def _standing_still(self, track: BodyTrack) -> _Still:
+        """The body as it was measured last, made once for all images until the next measurement."""
+        if self._still is None or self._still.detection is not track.detection:
+            assert self._pixels is not None
+            confidence = track.estimate.confidence[:BODY_LANDMARKS]
+            in_space, pose, hands = None, None, None
+            if self._points is not None:
+                in_space = np.where((confidence_18(confidence) >= _KNOWN)[:, None], to_18_points(self._points), np.nan)
+                pose, hands = body_pose(self._points), wrist_to_knuckles(self._points, confidence, _KNOWN)
+            self._still = _Still(track.detection, to_18_points(self._pixels),
+                                 visible_box(self._pixels, confidence), in_space, pose, hands)
+        return self._still
 
     def _shift(self, measured: bool, velocity: Optional[np.ndarray], age: float, face: Optional[Pose]) -> np.ndarray:
         """Way (3,) m since the body was measured: that of its face, else by its velocity (m/s) in `age` s."""
@@ -507,10 +538,14 @@ def _depth_cue_of(points: np.ndarray, track: BodyTrack, camera: CameraModel, con
     return depth_cue(ratio, points[_TRUNK].mean(axis=0))
 
 
-def visible_box(points: np.ndarray, confidence: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Box (4,) px, inside the image, of the points (N, 2) px that are seen, with a margin of 4 % of its longer side."""
+def visible_box(points: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+    """Box (4,) px of the points (N, 2) px that are seen, with a margin of 4 % of its longer side."""
     seen = confidence > _KNOWN
     points = points[seen] if seen.sum() >= 4 else points
     low, high = points.min(axis=0), points.max(axis=0)
     margin = _BOX_MARGIN * float((high - low).max())
-    return np.minimum(np.maximum(np.concatenate([low - margin, high + margin]), 0.0), [width, height, width, height])
+    return np.concatenate([low - margin, high + margin])
+
+
+def _in_image(box: np.ndarray, width: int, height: int) -> np.ndarray:
+    return np.minimum(np.maximum(box, 0.0), [width, height, width, height])

@@ -11,7 +11,6 @@ recognised in one image. Where several networks are due, they take turns. Nothin
 from __future__ import annotations
 
 import dataclasses
-import time
 from typing import (
     AbstractSet,
     Any,
@@ -45,6 +44,7 @@ from hri_pipeline.core.faces.scheduler import CropQualities, TimeBudget, most_ov
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.observations import FaceObservation, SoftBiometrics
 from hri_pipeline.core.onnx import model_path
+from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.recognition.face_identity import PersonMatch
 from hri_pipeline.core.recognition.recogniser import FaceRecognition
 from hri_pipeline.core.timing import StageTimes
@@ -98,6 +98,8 @@ class FaceAnalysis:
         Where the time of each analysis is noted.
     notify
         Called with one line of text for each execution provider that is skipped.
+    threads
+        Share the faces that are recognised in one image.
 
     Raises
     ------
@@ -106,7 +108,8 @@ class FaceAnalysis:
     """
 
     def __init__(self, settings: FacePipelineSettings, canonical: CanonicalFace, times: StageTimes,
-                 notify: Optional[Callable[[str], None]] = None) -> None:
+                 notify: Optional[Callable[[str], None]] = None, threads: Threads = ONE_THREAD) -> None:
+        self._threads = threads
         self.enabled = [name for name in STAGES if getattr(settings, name)]
         needs_units = settings.action_units or settings.expression
         self._measures = FaceMeasures(canonical) if needs_units else None
@@ -114,7 +117,7 @@ class FaceAnalysis:
         self._publishes_units = settings.action_units
         self._expression = ExpressionProcessor(settings, notify) if settings.expression else None
         self._age_gender = AgeGenderProcessor(settings, notify) if settings.age_gender else None
-        self.recognition = FaceRecognition(settings, notify) if settings.recognition else None
+        self.recognition = FaceRecognition(settings, notify, threads) if settings.recognition else None
         self._qualities = CropQualities()
         self._times = times
         self._time_budget = TimeBudget(1e-3 * _SHARE * settings.face_budget, _SAVED_S)
@@ -246,11 +249,11 @@ class FaceAnalysis:
         elif not paid:
             self._waits += 1
             name = ""
-        began = time.thread_time()
+        began = self._threads.time()
         self.matches = self._run_network(name, bgr, measured, qualities, stamp, demand)
         if name:
             self._last = name
-            self._time_budget.spent(time.thread_time() - began)
+            self._time_budget.spent(self._threads.time() - began)
 
     def _run_network(self, name: str, bgr: np.ndarray, faces: Sequence[FaceObservation], qualities: Mapping[str, float],
                      stamp: float, demand: FaceDemand) -> List[PersonMatch]:

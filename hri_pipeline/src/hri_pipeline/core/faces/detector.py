@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 
 from hri_pipeline.core.geometry import iou_matrix
-from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel, model_path
+from hri_pipeline.core.onnx import BATCH_SIZES, FETCH_HINT, ModelError, OnnxModel, model_path
+from hri_pipeline.core.process import ONE_THREAD, Threads
 
 INPUT_SIZE = 192
 ANCHOR_STRIDES = (4,)
@@ -30,6 +31,7 @@ AGAIN_NEAR, AGAIN_LEAST, AGAIN_MOST = 0.4, 0.5, 1.6
 """Distance of the face that is found again, and its least and largest width, in sizes of the first one."""
 
 Region = Tuple[int, int, int, int]
+Found = Tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,7 @@ class FaceDetector:
 
     def __init__(self, model: OnnxModel, min_score: float = 0.6) -> None:
         """model: face_detection_full_range.onnx; min_score and errors: see set_min_score."""
-        self._model = model
+        self._model, self.threads = model, model.threads
         self._anchors = ssd_anchors(INPUT_SIZE, ANCHOR_STRIDES, ANCHORS_PER_CELL)
         self.set_min_score(min_score)
 
@@ -140,7 +142,7 @@ class FaceDetector:
         bgr
             (H, W, 3) uint8.
         regions
-            x0, y0, x1, y1 px each; they overlap the image. All are searched in one batch.
+            x0, y0, x1, y1 px each; they overlap the image. All are searched in one batch, or by the model's threads.
 
         Returns
         -------
@@ -154,12 +156,7 @@ class FaceDetector:
         """
         if not regions:
             return []
-        batch = np.empty((len(regions), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        placements = [_letterbox(bgr, region, batch[i]) for i, region in enumerate(regions)]
-        out = self._model.run({"input_1": batch})
-        found = [self._decode(out["Identity"][i], out["Identity_1"][i, :, 0], scale, offset)
-                 for i, (scale, offset) in enumerate(placements)]
-        boxes, keypoints, scores = (np.concatenate(part) for part in zip(*found))
+        boxes, keypoints, scores = (np.concatenate(part) for part in zip(*self._search(bgr, regions)))
         return weighted_nms(boxes, keypoints, scores)
 
     def look_again(self, bgr: np.ndarray, boxes: Sequence[np.ndarray]) -> List[Optional[FaceDetection]]:
@@ -186,24 +183,27 @@ class FaceDetector:
         """
         if not len(boxes):
             return []
-        batch = np.empty((len(boxes), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
         sizes = [float((box[2:] - box[:2]).max()) for box in boxes]
         centres = [(box[:2] + box[2:]) / 2.0 for box in boxes]
-        placements = [_letterbox(bgr, _square(centre, AGAIN * size, bgr.shape), crop)
-                      for centre, size, crop in zip(centres, sizes, batch)]
-        out = self._model.run({"input_1": batch})
+        seen = self._search(bgr, [_square(centre, AGAIN * size, bgr.shape) for centre, size in zip(centres, sizes)])
         found: List[Optional[FaceDetection]] = []
-        for index, (centre, size) in enumerate(zip(centres, sizes)):
-            near = [detection for detection in weighted_nms(*self._decode(
-                out["Identity"][index], out["Identity_1"][index, :, 0], *placements[index]))
+        for centre, size, one in zip(centres, sizes, seen):
+            near = [detection for detection in weighted_nms(*one)
                 if float(np.linalg.norm((detection.box[:2] + detection.box[2:]) / 2.0 - centre)) < AGAIN_NEAR * size
                 and AGAIN_LEAST * size < detection.box[2] - detection.box[0] < AGAIN_MOST * size]
             found.append(near[0] if near else None)
         return found
 
+    def _search(self, bgr: np.ndarray, regions: Sequence[Region]) -> List[Found]:
+        """What the network says of each region."""
+        batch = np.empty((len(regions), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
+        places, out = self._model.run_items(regions, lambda region, crop: _letterbox(bgr, region, crop), batch)
+        return [self._decode(out["Identity"][i], out["Identity_1"][i, :, 0], scale, offset)
+                for i, (scale, offset) in enumerate(places)]
+
     def _decode(
         self, regressors: np.ndarray, logits: np.ndarray, scale: float, offset: np.ndarray
-    ) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    ) -> Found:
         """Boxes (n, 4) px, key points (n, 6, 2) px and scores (n,) of one region."""
         kept = np.flatnonzero(logits > self._min_logit)
         raw = regressors[kept].astype(np.float64).reshape(-1, 2 + KEYPOINTS, 2)
@@ -249,13 +249,16 @@ def _letterbox(bgr: np.ndarray, region: Region, out: np.ndarray) -> Tuple[float,
 
 
 def load_face_network(configured: str, default: str, outputs: Mapping[str, int], providers: Sequence[str],
-                      notify: Optional[Callable[[str], None]]) -> OnnxModel:
+                      notify: Optional[Callable[[str], None]], threads: Threads = ONE_THREAD,
+                      batch_sizes: Sequence[int] = BATCH_SIZES, few_on_cpu: bool = False) -> OnnxModel:
     """Load the detector or the mesh network, and run it once: this warms it up, and tells a wrong model.
 
-    outputs: numbers in each output for one image. Raises ModelError naming the file.
+    outputs: numbers in each output for one image. threads, batch_sizes and few_on_cpu: see OnnxModel. Raises ModelError
+    naming the file.
     """
     path = model_path(configured, default)
-    model = OnnxModel(path, providers, inputs=("input_1",), outputs=tuple(outputs), notify=notify)
+    model = OnnxModel(path, providers, inputs=("input_1",), outputs=tuple(outputs), notify=notify, threads=threads,
+                      batch_sizes=batch_sizes, few_on_cpu=few_on_cpu)
     trial = model.run({"input_1": np.zeros((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)})
     for name, size in outputs.items():
         if trial[name].size != size:

@@ -265,7 +265,7 @@ class FaceMesh:
         self._model = model
 
     def run(self, bgr: np.ndarray, rois: Sequence[FaceRoi]) -> List[FaceMeshResult]:
-        """Run the network; one result per crop, in order.
+        """Run the network; one result per crop, in order. The model's threads share the crops.
 
         Parameters
         ----------
@@ -282,14 +282,8 @@ class FaceMesh:
         if not rois:
             return []
         batch = np.empty((len(rois), INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        affines = []
-        for crop, roi in zip(batch, rois):
-            patch, affine = crop_rotated(bgr, roi.centre.tolist(), roi.size, roi.angle, INPUT_SIZE)
-            crop[...] = cv2.cvtColor(patch, cv2.COLOR_BGR2RGB)
-            affines.append(affine)
-        batch *= 1.0 / 255.0
-        out = {name: values.reshape(len(rois), -1).astype(np.float64)
-               for name, values in self._model.run({"input_1": batch}).items()}
+        affines, found = self._model.run_items(rois, lambda roi, place: _crop(bgr, roi, place), batch)
+        out = {name: values.reshape(len(rois), -1).astype(np.float64) for name, values in found.items()}
         results = []
         for i, (roi, affine) in enumerate(zip(rois, affines)):
             points = _assemble({name: values[i] for name, values in out.items()})
@@ -298,6 +292,13 @@ class FaceMesh:
             logit = min(50.0, max(-50.0, float(out["conv_faceflag"][i, 0])))
             results.append(FaceMeshResult(1.0 / (1.0 + np.exp(-logit)), points))
         return results
+
+
+def _crop(bgr: np.ndarray, roi: FaceRoi, out: np.ndarray) -> np.ndarray:
+    """Write a crop as RGB in [0, 1] to `out` (S, S, 3); returns the affine (2, 3) from it to the image."""
+    patch, affine = crop_rotated(bgr, roi.centre.tolist(), roi.size, roi.angle, INPUT_SIZE)
+    np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB), np.float32(1.0 / 255.0), out=out)
+    return affine
 
 
 def _assemble(out: Dict[str, np.ndarray]) -> np.ndarray:
@@ -404,7 +405,7 @@ class Blendshapes:
     def __init__(self, path: Union[str, Path], providers: Sequence[str] = ("cpu",),
                  notify: Optional[Callable[[str], None]] = None) -> None:
         """path: face_blendshapes.onnx. Raises ModelError naming the file when it is missing or another model."""
-        self._model = OnnxModel(path, providers, inputs=(_INPUT,), outputs=(_OUTPUT,), notify=notify)
+        self._model = OnnxModel(path, providers, inputs=(_INPUT,), outputs=(_OUTPUT,), notify=notify, few_on_cpu=True)
         trial = self._model.run({_INPUT: np.ones((1, len(POINTS), 2), np.float32)})[_OUTPUT]
         if trial.shape != (1, COUNT):
             raise ModelError("model file {} gives {} instead of {} blendshapes; it is another model: {}".format(

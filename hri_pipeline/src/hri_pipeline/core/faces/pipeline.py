@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
@@ -52,6 +51,7 @@ from hri_pipeline.core.images import PictureCuts
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.onnx import model_path
 from hri_pipeline.core.orientation import FaceOrientation
+from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.recognition.face_identity import PersonMatch
 from hri_pipeline.core.recognition.recogniser import FaceRecognition
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler, Request
@@ -107,8 +107,10 @@ class FacePipeline:
         blendshapes = Blendshapes(model_path(settings.face_blendshapes_model, "face_blendshapes.onnx"),
                                   settings.providers, notify)
         self._geometry = FaceGeometry(canonical, blendshapes)
-        self._analysis = FaceAnalysis(settings, canonical, self.times, notify)
-        self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify, judge=self._judge())
+        self._threads = Threads.of_node(settings.threads, settings.cpu_share)
+        self._analysis = FaceAnalysis(settings, canonical, self.times, notify, self._threads)
+        self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify, judge=self._judge(),
+                                              threads=self._threads)
         self._last_stamp = -np.inf
         self._published = self._predicted = 0
 
@@ -222,6 +224,7 @@ class FacePipeline:
         """Return values for diagnostics, since the last call."""
         values: Dict[str, object] = {"tracked": len(self.tracked_ids), "mesh_ms": 1e3 * self._tracking.scheduler.cost,
                                      "spare_percent": 100.0 * self._tracking.scheduler.spare,
+                                     "threads": self._tracking.scheduler.threads,
                                      "predicted_percent": 100.0 * self._predicted / max(1, self._published)}
         self._published = self._predicted = 0
         values.update(self._analysis.status())
@@ -231,6 +234,7 @@ class FacePipeline:
     def close(self) -> None:
         """Release all resources. Idempotent."""
         self._analysis.close()
+        self._threads.close()
 
 
 class FaceTrackingPipeline:
@@ -249,9 +253,11 @@ class FaceTrackingPipeline:
     notify
         Called with one line of text for each execution provider that is skipped.
     clock
-        Processor time in s, used for the time budget.
+        Processor time in s, used for the time budget; by default that of all threads that work for this one.
     judge
         Compares the looks of faces; by default by small pictures alone.
+    threads
+        Share the faces of an image, and run the detector beside the mesh network.
 
     Raises
     ------
@@ -261,15 +267,16 @@ class FaceTrackingPipeline:
 
     def __init__(self, settings: FacePipelineSettings, times: StageTimes, ids: Optional[IdGenerator] = None,
                  notify: Optional[Callable[[str], None]] = None,
-                 clock: Callable[[], float] = time.thread_time, judge: Optional[AppearanceJudge] = None) -> None:
+                 clock: Optional[Callable[[], float]] = None, judge: Optional[AppearanceJudge] = None,
+                 threads: Threads = ONE_THREAD) -> None:
         detector = load_face_network(settings.face_detector_model, "face_detection_full_range.onnx",
-                                     FaceDetector.OUTPUTS, settings.providers, notify)
+                                     FaceDetector.OUTPUTS, settings.providers, notify, threads, (4,))
         mesh = load_face_network(settings.face_mesh_model, "face_landmarks_attention.onnx", FaceMesh.OUTPUTS,
-                                 settings.providers, notify)
+                                 settings.providers, notify, threads, (12,), few_on_cpu=True)
         self._detector = FaceDetector(detector)
         self._detection_scheduler = DetectionScheduler(settings.face_detection_period, settings.face_detection_tiles)
         self._mesh = FaceMesh(mesh)
-        self._mesh_scheduler = InferenceScheduler(idle=IdleShare(settings.cpu_share))
+        self._mesh_scheduler = InferenceScheduler(idle=IdleShare(settings.cpu_share), threads=mesh.threads)
         self._limit_mesh(settings)
         self._tracker = FaceTracker(ids=ids, judge=judge, **_limits(settings))
         self._cuts = PictureCuts()
@@ -331,8 +338,9 @@ class FaceTrackingPipeline:
             chosen = {track.id for track in expected}
             self._search_anew(stamp)
         skipped = {track.id for track in expected} - chosen
+        search = self._start_search(bgr, stamp)
         measured = self._measure_tracks(bgr, [track for track in expected if track.id in chosen], stamp)
-        measured += self._detect(bgr, measured, skipped, stamp)
+        measured += self._detect(bgr, search, measured, skipped, stamp)
         seen = self._tracker.update(measured, stamp, skipped, (bgr.shape[1], bgr.shape[0]), cut)
         if self._tracker.replaced:
             self._search_anew(stamp)
@@ -413,16 +421,20 @@ class FaceTrackingPipeline:
         score."""
         return min(1.0, detection.score / self._min_score) ** 2
 
-    def _detect(self, bgr: np.ndarray, measured: Sequence[FaceMeasurement], skipped: Set[str],
-                stamp: float) -> List[FaceMeasurement]:
-        """Run the detector when it is due; returns the measurements of new and of lost faces."""
+    def _start_search(self, bgr: np.ndarray, stamp: float) -> Optional[Callable[[], List[FaceDetection]]]:
+        """Let the detector begin when it is due, beside the mesh network where there are threads."""
         regions = self._detection_scheduler.due(bgr, stamp, self._unconfirmed(stamp), self._is_stable(),
                                                 0.0 <= stamp - self._panned_at <= _PANNED_S)
         self.detected = bool(regions)
-        if not regions:
+        return self._detector.threads.start(self._detector.detect, bgr, regions) if regions else None
+
+    def _detect(self, bgr: np.ndarray, search: Optional[Callable[[], List[FaceDetection]]],
+                measured: Sequence[FaceMeasurement], skipped: Set[str], stamp: float) -> List[FaceMeasurement]:
+        """Take what the detector has found; returns the measurements of new and of lost faces."""
+        if search is None:
             return []
         with self._times("face_detection"):
-            detections = self._detector.detect(bgr, regions)
+            detections = search()
             self._orientation.update(bgr, stamp, self._detect_anywhere)
         hits = self._tracker.add_detections([detection.box for detection in detections], stamp,
                                             [self._hit_weight(detection) for detection in detections],

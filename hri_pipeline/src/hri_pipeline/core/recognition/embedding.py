@@ -14,12 +14,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable, Dict, Optional, Sequence, Tuple, Union
+from typing import Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 import cv2
 import numpy as np
 
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel, model_path
+from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 
 DEFAULT_FILE = "face_recognition.onnx"
@@ -108,7 +109,7 @@ class FaceEmbedder:
     Parameters
     ----------
     path : the ONNX file.
-    providers, notify : see OnnxModel.
+    providers, notify, threads : see OnnxModel.
 
     Raises
     ------
@@ -117,8 +118,8 @@ class FaceEmbedder:
     """
 
     def __init__(self, path: Union[str, Path], providers: Sequence[str] = ("cpu",),
-                 notify: Optional[Callable[[str], None]] = None) -> None:
-        model = OnnxModel(path, providers, notify=notify)
+                 notify: Optional[Callable[[str], None]] = None, threads: Threads = ONE_THREAD) -> None:
+        model = OnnxModel(path, providers, notify=notify, threads=threads)
         self._kind = _kind_of(model, path)
         self._model = model
         self.kind = self._kind.name
@@ -144,10 +145,14 @@ class FaceEmbedder:
 
         A crop of another size is scaled. Raises ValueError for a crop that is no colour image.
         """
-        vectors = [self._run(self._batch(crops[start:start + MAX_BATCH])) for start in range(0, len(crops), MAX_BATCH)]
-        if not vectors:
+        if not len(crops):
             return np.empty((0, self.dimension), np.float32)
-        return unit(np.concatenate(vectors))
+        return unit(np.stack(self._model.threads.in_parts(self._vectors, crops)))
+
+    def _vectors(self, crops: Sequence[np.ndarray]) -> List[np.ndarray]:
+        """What the network says of each crop: (dimension,)."""
+        return [vector for start in range(0, len(crops), MAX_BATCH)
+                for vector in self._run(self._batch(crops[start:start + MAX_BATCH]))]
 
     def _batch(self, crops: Sequence[np.ndarray]) -> np.ndarray:
         batch = np.empty((len(crops), self.size, self.size, 3), np.float32)
@@ -167,13 +172,14 @@ class FaceEmbedder:
 
 
 def load_face_embedder(configured: str = "", providers: Sequence[str] = ("cpu",),
-                       notify: Optional[Callable[[str], None]] = None) -> FaceEmbedder:
+                       notify: Optional[Callable[[str], None]] = None,
+                       threads: Threads = ONE_THREAD) -> FaceEmbedder:
     """Load the network of a parameter: one of KINDS by its name, or a file; empty for face_recognition.onnx.
 
     Raises ModelError that names the file and what to do.
     """
     file, configured = (configured + ".onnx", "") if configured in KINDS else (DEFAULT_FILE, configured)
-    return FaceEmbedder(model_path(configured, file), providers, notify=notify)
+    return FaceEmbedder(model_path(configured, file), providers, notify, threads)
 
 
 def face_chip(bgr: np.ndarray, mesh: np.ndarray, size: int, border: float = BORDER,

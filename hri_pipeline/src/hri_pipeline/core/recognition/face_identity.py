@@ -414,15 +414,21 @@ def note_beside(faces: Sequence[FaceIdentity], newest: float, different: float) 
     A face that was beside a named one for BESIDE is not that person, now and after the other has left. Two views of one
     face (a mirror, a second detection) are no two people: faces nearer to each other than `different` do not count.
     """
-    there = [face for face in faces if face.is_there(newest) and face.evidence.mean() is not None]
-    ids, pairs = {face.id for face in there}, []
+    there = [(face, mean) for face, mean in ((face, face.evidence.mean()) for face in faces if face.is_there(newest))
+             if mean is not None]
+    ids = {face.id for face, _ in there}
+    pairs: List[Tuple[str, str]] = []
     for face in faces:
-        face.beside = {other: since for other, since in face.beside.items() if face in there and other in ids}
-    for index, face in enumerate(there):
-        for other in there[:index]:
+        face.beside = {other: since for other, since in face.beside.items() if face.id in ids and other in ids}
+    if len(there) < 2:
+        return pairs
+    means = np.stack([mean for _, mean in there])
+    different_people = (np.linalg.norm(means[:, None] - means, axis=2) >= different).tolist()
+    for index, (face, _) in enumerate(there):
+        for (other, _), are_two in zip(there[:index], different_people[index]):
             since = face.beside.setdefault(other.id, newest)
             other.beside[face.id] = since
-            if newest - since < BESIDE or not are_different(face, other, different):
+            if newest - since < BESIDE or not are_two:
                 continue
             for one, two in ((face, other), (other, face)):
                 if one.is_certain and one.person != two.person:

@@ -20,6 +20,7 @@ from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.private_file import TemplateCipher
+from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.recognition.embedding import FaceEmbedder, load_face_embedder
 from hri_pipeline.core.recognition.face_identity import (
     ACCEPT,
@@ -449,6 +450,7 @@ class FaceRecognition:
     ----------
     settings : those of faces.parameters.ANALYSIS_PARAMETERS and `providers`.
     notify : called with one line about the gallery's file and about the network's execution provider.
+    threads : share the faces of an image.
 
     Raises
     ------
@@ -458,8 +460,9 @@ class FaceRecognition:
         The gallery's file cannot be used.
     """
 
-    def __init__(self, settings: FacePipelineSettings, notify: Optional[Notify] = None) -> None:
-        self._embedder = load_face_embedder(settings.recognition_model, settings.providers, notify)
+    def __init__(self, settings: FacePipelineSettings, notify: Optional[Notify] = None,
+                 threads: Threads = ONE_THREAD) -> None:
+        self._embedder = load_face_embedder(settings.recognition_model, settings.providers, notify, threads)
         embedder = self._embedder
         cipher = TemplateCipher(settings.gallery_key) if settings.gallery_key else None
         self._gallery = open_gallery(settings.gallery, embedder.kind, embedder.dimension, embedder.calibration,
