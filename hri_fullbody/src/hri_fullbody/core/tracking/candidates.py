@@ -43,9 +43,9 @@ _OVERLAP, _LEAST_FACES = 0.5, 6.0
 _TRUNK_FILLS = 0.25
 
 
-# Refused places: how many are remembered; the longer side (px) of what is kept of each, with how much around the box (in
-# its longer sides); the overlap of boxes of what has not moved, and the grey values by which 5 x 5 px of it differ less.
-# Of 12 things before a camera with noise 95 % stayed below 2.7; people who breathe and sway differ by 2 to 19 in 1 s.
+# Refused places: how many are remembered; the longer side (px) of what is kept of each, and how much around the box, in
+# its longer sides; overlap of boxes of what has not moved, and grey values by which 5 x 5 px of it differ less. Of 12
+# things before a camera with noise 95 % stayed below 2.7; people who breathe and sway differ by 2 to 19 within 1 s.
 _MOST_REFUSED, _VIEW, _AROUND = 20, 64, 0.1
 _UNMOVED, _SMOOTH, _CHANGED = 0.7, 5, 3.0
 

@@ -90,8 +90,9 @@ class BodyTracker:
         """birth_delay, death_time: s. min_score: 0 to 1. max_retries: extra windows per image for captured bodies.
 
         schedule: which bodies get an inference; None: all in every image. guard: counts inferences that raised; each
-        costs one body only. ignored: where no body begins. is_human: looks again at a person's box of an image, if no
-        human is known beside it, before a body without a face begins. Raises ValueError for values outside their ranges.
+        costs one body only. ignored: where no body begins. is_human: looks again at a person's box of an image, if
+        no human is known beside it, before a body without a face begins. Raises ValueError for values outside their
+        ranges.
         """
         if max_bodies < 1 or max_retries < 0:
             raise ValueError(
@@ -251,8 +252,8 @@ class BodyTracker:
             if candidate is None:
                 return
             face = by_id.get(candidate.face_id) if candidate.face_id is not None else None
-            if candidate.box is not None and (self._has_track(candidate.box, stamp)
-                                              or self._stays_refused(candidate, image, stamp)):
+            if candidate.box is not None and (self._has_track(candidate.box, stamp) or self._stays_refused(
+                    candidate, candidate.box, image, stamp)):
                 continue
             box = candidate.box if face is None else face.box
             if box is not None and self._ignored.contain(box, (image.shape[1], image.shape[0])):
@@ -390,7 +391,7 @@ class BodyTracker:
         it, and where it was unsure of the pose network."""
         if candidate.box is None:
             return True
-        if not self._accompanied(candidate, stamp):
+        if not self._accompanied(candidate, candidate.box, stamp):
             if self._refused.contain(image, candidate.box):
                 return False
             self.windows += 1
@@ -398,15 +399,15 @@ class BodyTracker:
                 return False
         return not candidate.unsure or self._mirrored_too(image, estimate, faces, stamp)
 
-    def _accompanied(self, candidate: BodyCandidate, stamp: float) -> bool:
+    def _accompanied(self, candidate: BodyCandidate, box: np.ndarray, stamp: float) -> bool:
         """Tell whether a human of about the size is known beside a person's box: the look from near by shows both."""
-        return candidate.accompanied or any(track.visible and beside(candidate.box, track.expected(stamp).box)
+        return candidate.accompanied or any(track.visible and beside(box, track.expected(stamp).box)
                                             for track in self.tracks)
 
-    def _stays_refused(self, candidate: BodyCandidate, image: np.ndarray, stamp: float) -> bool:
+    def _stays_refused(self, candidate: BodyCandidate, box: np.ndarray, image: np.ndarray, stamp: float) -> bool:
         """Tell whether a person's box was refused and nothing has changed; who is hidden may come back there."""
         return (candidate.first is None and all(track.visible for track in self.tracks)
-                and not self._accompanied(candidate, stamp) and self._refused.contain(image, candidate.box))
+                and not self._accompanied(candidate, box, stamp) and self._refused.contain(image, box))
 
     def _mirrored_too(self, image: np.ndarray, estimate: PoseEstimate, faces: Sequence[FaceBox], stamp: float) -> bool:
         """Tell whether the network sees a body at the same place in mirrored windows of several sizes: of a human it
