@@ -47,7 +47,7 @@ _TRUNK_FILLS = 0.25
 # its longer sides; overlap of boxes of what has not moved, and grey values by which 5 x 5 px of it differ less. Of 12
 # things before a camera with noise 95 % stayed below 2.7; people who breathe and sway differ by 2 to 19 within 1 s.
 _MOST_REFUSED, _VIEW, _AROUND = 20, 64, 0.1
-_UNMOVED, _SMOOTH, _CHANGED = 0.7, 5, 3.0
+_UNMOVED, _SMOOTH, _CHANGED = 0.7, 5, 1.5
 
 
 @dataclass
