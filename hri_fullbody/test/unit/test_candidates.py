@@ -2,12 +2,13 @@
 
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
 from hri_fullbody.core.detection.windows import PERSON_BOX_WINDOWS, FaceBox
 from hri_fullbody.core.tracking import candidates
-from hri_fullbody.core.tracking.candidates import CandidateQueue
+from hri_fullbody.core.tracking.candidates import CandidateQueue, RefusedPlaces
 
 BOX = np.array([100.0, 100.0, 200.0, 400.0])
 BESIDE = np.array([180.0, 100.0, 280.0, 400.0])
@@ -137,3 +138,57 @@ def test_a_box_is_in_a_group_when_another_of_its_size_is_beside_it_be_it_faint(o
     queue, beside = CandidateQueue(), BOX + np.array(other)
     queue.offer_boxes([BOX], [], [BOX] if faint else [BOX, beside], 0.0, unsure=[BOX, beside] if faint else [BOX])
     assert queue.take().in_group is in_group
+
+
+ROOM = np.random.RandomState(0).randint(60, 200, (480, 640, 3)).astype(np.uint8)
+SHIRT = np.clip(128.0 + 10.0 * (cv2.GaussianBlur(ROOM, (0, 0), 6.0).astype(float) - 130.0), 0, 255).astype(np.uint8)
+
+
+def with_arm(image, by):
+    moved = image.copy()
+    moved[200 + by:230 + by, 110:190] = 30
+    return moved
+
+
+@pytest.mark.parametrize("now, stays", [
+    (SHIRT, True),
+    (np.clip(SHIRT + np.random.RandomState(2).normal(0.0, 3.0, SHIRT.shape), 0, 255).astype(np.uint8), True),
+    ((0.9 * SHIRT + 8.0).astype(np.uint8), True),
+    (np.hstack([SHIRT[:, :250], ROOM[:, 250:]]), True),
+    (with_arm(SHIRT, 0), False),
+    (np.roll(SHIRT, 6, axis=1), False),
+    (np.roll(SHIRT, 6, axis=0), False),
+    (SHIRT[:300, :150], False),
+], ids=["same", "noise", "light", "beside it", "arm", "to the side", "down", "another image size"])
+def test_a_refused_place_stays_refused_while_nothing_changes_in_it(now, stays):
+    places = RefusedPlaces()
+    places.add(SHIRT, BOX)
+    assert places.contain(now, BOX) is stays
+    assert len(places) == stays
+
+
+def test_an_arm_that_sinks_by_two_px_in_a_box_of_300_px_is_a_change():
+    places = RefusedPlaces()
+    places.add(with_arm(SHIRT, 0), BOX)
+    assert not places.contain(with_arm(SHIRT, 2), BOX)
+
+
+@pytest.mark.parametrize("box, stays", [
+    (BOX + 4.0, True), (BOX + [0.0, 0.0, 0.0, -120.0], False), (BOX + [30.0, 0.0, 30.0, 0.0], False)],
+    ids=["jitter", "smaller", "moved"])
+def test_a_box_of_another_size_or_place_is_not_refused(box, stays):
+    places = RefusedPlaces()
+    places.add(SHIRT, BOX)
+    assert places.contain(SHIRT, box) is stays
+
+
+def test_of_too_many_refused_places_the_oldest_go_and_one_is_kept_once():
+    places = RefusedPlaces()
+    boxes = [np.array([20.0 * index, 10.0, 20.0 * index + 18.0, 60.0]) for index in range(30)]
+    for box in [*boxes, boxes[-1]]:
+        places.add(SHIRT, box)
+    assert len(places) == 20
+    assert [places.contain(SHIRT, box) for box in (boxes[0], boxes[9], boxes[10], boxes[29])] == [
+        False, False, True, True]
+    places.clear()
+    assert not places.contain(SHIRT, boxes[29])

@@ -465,10 +465,51 @@ def test_a_box_in_which_a_second_look_sees_an_animal_starts_no_body_unless_there
     assert len(bodies) == 1 and len(looks) == asked
 
 
-@pytest.mark.parametrize("other, count", [(650, 2), (800, 0)], ids=["beside", "apart"])
-def test_people_beside_each_other_are_not_looked_at_again_since_the_view_would_show_both(other, count):
+@pytest.mark.parametrize("other, human, faces, count", [
+    (650, 400, False, 2), (650, 650, False, 2), (650, None, True, 2), (650, None, False, 0), (800, 400, False, 1)],
+    ids=["first is known", "second is known", "a face", "nobody is known", "apart"])
+def test_who_stands_beside_a_known_human_needs_no_second_look_since_the_view_would_show_both(
+        other, human, faces, count):
     stage, scene, detector = make([(400, 400), (other, 400)])
-    detector.is_human = lambda image, box: False
+    detector.is_human = lambda image, box: human is not None and box[0] < human < box[2]
     for index in range(10):
-        bodies = stage.update(IMAGE, CAMERA, index / 20.0)
+        bodies = stage.update(IMAGE, CAMERA, index / 20.0, [face_of(standing_at(400, 400), "f")] if faces else ())
     assert len(bodies) == count
+
+
+def still_room():
+    return np.random.RandomState(1).randint(60, 200, IMAGE.shape).astype(np.uint8)
+
+
+def refused(scene, stage, detector, images, start=0.0):
+    """How often a second look is asked that sees no human, of images 0.1 s apart."""
+    asked = []
+    detector.is_human = lambda image, box: asked.append(box)
+    for index, image in enumerate(images):
+        assert not stage.update(image, CAMERA, start + 0.1 * index)
+    return len(asked)
+
+
+def test_what_was_refused_is_not_asked_again_until_it_moves_or_something_moves_in_it():
+    stage, scene, detector = make([(400, 400)], person_detection_period=0.3)
+    room = still_room()
+    assert refused(scene, stage, detector, [room] * 40) == 1
+    nodded = room.copy()
+    nodded[360:420, 380:430] = 20
+    assert refused(scene, stage, detector, [nodded] * 40, 4.0) == 1
+    scene.people = [(460, 400)]
+    assert refused(scene, stage, detector, [nodded] * 40, 8.0) == 1
+    assert refused(scene, stage, detector, [np.roll(nodded, 3 * step, axis=1) for step in range(40)], 12.0) > 5
+    detector.is_human = lambda image, box: True
+    for index in range(10):
+        bodies = stage.update(room, CAMERA, 16.0 + 0.1 * index)
+    assert len(bodies) == 1
+
+
+def test_a_face_where_a_body_was_refused_begins_one_in_the_same_picture():
+    stage, scene, detector = make([(400, 400)])
+    room = still_room()
+    assert refused(scene, stage, detector, [room] * 20) == 1
+    for index in range(10):
+        bodies = stage.update(room, CAMERA, 2.0 + 0.1 * index, [face_of(standing_at(400, 400), "f")])
+    assert len(bodies) == 1

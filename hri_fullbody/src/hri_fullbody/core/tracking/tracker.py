@@ -35,7 +35,14 @@ from hri_fullbody.core.tracking.association import (
     nearest_face,
     waiting_in,
 )
-from hri_fullbody.core.tracking.candidates import PROMISING, BodyCandidate, CandidateQueue, WindowResult
+from hri_fullbody.core.tracking.candidates import (
+    PROMISING,
+    BodyCandidate,
+    CandidateQueue,
+    RefusedPlaces,
+    WindowResult,
+    beside,
+)
 from hri_fullbody.core.tracking.reidentification import describe
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_pipeline.core.error_log import ItemGuard
@@ -83,8 +90,9 @@ class BodyTracker:
         """birth_delay, death_time: s. min_score: 0 to 1. max_retries: extra windows per image for captured bodies.
 
         schedule: which bodies get an inference; None: all in every image. guard: counts inferences that raised; each
-        costs one body only. ignored: where no body begins. is_human: looks again at a person's box of an image, if it
-        has none beside it, before a body without a face begins. Raises ValueError for values outside their ranges.
+        costs one body only. ignored: where no body begins. is_human: looks again at a person's box of an image, if
+        no human is known beside it, before a body without a face begins. Raises ValueError for values outside their
+        ranges.
         """
         if max_bodies < 1 or max_retries < 0:
             raise ValueError(
@@ -98,6 +106,7 @@ class BodyTracker:
         self._ignored = ignored or IgnoredRegions()
         self._is_human = is_human or (lambda image, box: True)
         self._candidates = CandidateQueue()
+        self._refused = RefusedPlaces()
         self._prepared: Dict[str, Tuple[Window, PoseEstimate]] = {}
         self._cuts = PictureCuts()
         self._shown_faces: Set[str] = set()
@@ -122,6 +131,7 @@ class BodyTracker:
         self._ignored.turn(rotation.quarters)
         self._cuts.turn(rotation)
         self._candidates.clear()
+        self._refused.clear()
         for track in self.tracks:
             track.turn(rotation)
 
@@ -129,6 +139,7 @@ class BodyTracker:
         """Forget all bodies."""
         self.tracks = []
         self._candidates.clear()
+        self._refused.clear()
         self._cuts.reset()
         self._stale_until = self._followed_at = -math.inf
         self.schedule.reset()
@@ -241,7 +252,8 @@ class BodyTracker:
             if candidate is None:
                 return
             face = by_id.get(candidate.face_id) if candidate.face_id is not None else None
-            if candidate.box is not None and self._has_track(candidate.box, stamp):
+            if candidate.box is not None and (self._has_track(candidate.box, stamp) or self._stays_refused(
+                    candidate, candidate.box, image, stamp)):
                 continue
             box = candidate.box if face is None else face.box
             if box is not None and self._ignored.contain(box, (image.shape[1], image.shape[0])):
@@ -357,6 +369,12 @@ class BodyTracker:
             return
         result = candidate.judge(estimate, face, self._min_score)
         if result.found is not None and not self._seen_again(candidate, image, result.found, faces, stamp):
+            assert candidate.box is not None
+            self._refused.add(image, candidate.box)
+            if candidate.in_group and not candidate.looked:
+                # Of those beside one may be known as a human by then.
+                self._candidates.put_last(replace(candidate, looked=True))
+                return
             result = WindowResult(failed=True)
         if result.found is not None:
             detection = self._make_detection(image, result.found, None, stamp)
@@ -369,15 +387,27 @@ class BodyTracker:
 
     def _seen_again(self, candidate: BodyCandidate, image: np.ndarray, estimate: PoseEstimate,
                     faces: Sequence[FaceBox], stamp: float) -> bool:
-        """Tell whether a person's box shows a human in further looks: of the detector where it is apart from others,
-        and where it was unsure of the pose network."""
+        """Tell whether a person's box shows a human in further looks: of the detector where no human is known beside
+        it, and where it was unsure of the pose network."""
         if candidate.box is None:
             return True
-        if not candidate.in_group:
+        if not self._accompanied(candidate, candidate.box, stamp):
+            if self._refused.contain(image, candidate.box):
+                return False
             self.windows += 1
             if not self._is_human(image, candidate.box):
                 return False
         return not candidate.unsure or self._mirrored_too(image, estimate, faces, stamp)
+
+    def _accompanied(self, candidate: BodyCandidate, box: np.ndarray, stamp: float) -> bool:
+        """Tell whether a human of about the size is known beside a person's box: the look from near by shows both."""
+        return candidate.accompanied or any(track.visible and beside(box, track.expected(stamp).box)
+                                            for track in self.tracks)
+
+    def _stays_refused(self, candidate: BodyCandidate, box: np.ndarray, image: np.ndarray, stamp: float) -> bool:
+        """Tell whether a person's box was refused and nothing has changed; who is hidden may come back there."""
+        return (candidate.first is None and all(track.visible for track in self.tracks)
+                and not self._accompanied(candidate, box, stamp) and self._refused.contain(image, box))
 
     def _mirrored_too(self, image: np.ndarray, estimate: PoseEstimate, faces: Sequence[FaceBox], stamp: float) -> bool:
         """Tell whether the network sees a body at the same place in mirrored windows of several sizes: of a human it
