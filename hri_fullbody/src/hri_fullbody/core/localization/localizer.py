@@ -452,7 +452,7 @@ class BodyLocalizer:
         points = track.detection.points
         measured = None if points is None else _depth_cue_of(points, track, camera, context)
         self._had_face = self._had_face or face is not None
-        awaited = context.faces and not self._had_face and measured is None and track.face_comes
+        awaited = context.faces and not self._had_face and measured is None and track.face_comes(camera.height)
         if points is None or awaited or not self._is_there(points, track, camera, face, measured is not None):
             self._points, self.by_depth = None, False
             self._distance.reset()
