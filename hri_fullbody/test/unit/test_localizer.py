@@ -191,6 +191,36 @@ def test_a_trunk_half_hidden_by_something_else_is_no_measurement(hidden, ratio):
     assert found is None if ratio is None else found == pytest.approx(ratio, abs=0.05)
 
 
+def newborn(shape, turned_away=False, face=None, stamps=(0.0,), distance=3.0, **around):
+    """Whether a body has a place at each of some times (s) since it began."""
+    _, estimate = human(1.0, np.array([0.0, 0.0, distance]))
+    world = estimate.world * (-1.0, 1.0, -1.0) if turned_away else estimate.world
+    detection = PoseDetection(PoseEstimate(0.95, estimate.landmarks, SURE, world), place(
+        CAMERA.normalise(estimate.landmarks[:33, :2]), estimate.world, np.ones(33, bool)))
+    track, placed = BodyTrack("b", detection, 0.0, TrackLife(0.0, 0.0, 1.0)), []
+    for stamp in stamps:
+        track.update(detection, stamp, False)
+        placed.append(shape.observe(track, CAMERA, stamp, face, SceneContext(**around)).pose is not None)
+    return placed
+
+
+def test_who_turns_to_the_camera_has_a_place_once_the_face_comes():
+    """Until then the pose network alone tells the distance; with the face, the body would jump."""
+    shape, face = BodyLocalizer(), Pose(np.eye(3), (STANDING + (0.0, 0.0, 3.0))[[1, 4]].mean(axis=0))
+    assert newborn(shape, faces=True) == [False]
+    assert newborn(shape, face=face, faces=True) == [True]
+    assert newborn(shape, faces=True) == [True], "a face that was lost has told it"
+
+
+def test_who_has_no_face_has_a_place_after_a_moment_and_from_behind_or_far_away_at_once():
+    assert newborn(BodyLocalizer(), stamps=(0.0, 0.3, 0.7), faces=True) == [False, False, True]
+    assert newborn(BodyLocalizer(), turned_away=True, faces=True) == [True]
+    assert newborn(BodyLocalizer(), distance=6.0, faces=True) == [True], "who is seen whole is there"
+    assert newborn(BodyLocalizer(), faces=False) == [True], "without faces there is nothing to wait for"
+    depth = np.full((720, 1280), 3.0, np.float32)
+    assert newborn(BodyLocalizer(), faces=True, depth=depth) == [True]
+
+
 def test_a_predicted_observation_moves_with_the_body_and_says_so():
     shape = BodyLocalizer()
     _, estimate = human(1.0, np.array([0.0, 0.0, 3.0]))

@@ -101,6 +101,18 @@ def test_everybody_is_found_without_faces_in_slow_images(count, interval):
     assert len(bodies) == count
 
 
+@pytest.mark.parametrize("with_face", [False, True])
+def test_bodies_wait_for_their_faces_only_where_faces_are_looked_for(with_face):
+    stage, _, _ = make([(400, 400), (800, 380)])
+    face = replace(face_of(standing_at(400, 400), "f0"), pose=Pose(np.eye(3), np.array([0.0, 0.0, 4.0])))
+    near, placed = CameraModel.from_fov(1280, 560, 1.05), {}
+    for index in range(30):
+        for body in stage.update(IMAGE[:560], near, index * 0.05, [face] if with_face else []):
+            placed.setdefault("face" if body.head is not None else body.box[0] > 600, []).append(body.pose is not None)
+    assert placed[True][0] != with_face and all(placed[True][15:])
+    assert all(placed["face" if with_face else False])
+
+
 def test_who_has_no_place_has_none_between_two_looks_either():
     """The border cuts it: the place of before is that of the camera of before, which may have turned."""
     stage, _, _ = make([(400, 400)])

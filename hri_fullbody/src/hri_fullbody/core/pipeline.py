@@ -137,7 +137,7 @@ class BodyPipeline:
         """Models of the bodies that were detected in the last image."""
         self._orientation = ImageOrientation()
         self._last_stamp = self._last_detection = -math.inf
-        self._detected_before = False
+        self._detected_before = self._faces_come = False
         self.times = StageTimes()
 
     def update(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Sequence[FaceBox] = (),
@@ -170,7 +170,8 @@ class BodyPipeline:
         self._reidentify(stamp)
         if up is None:
             self._learn_ground(stamp, faces)
-        bodies = self._localize(camera, stamp, faces, SceneContext(depth, up, camera_height))
+        self._faces_come = self._faces_come or any(face.pose is not None for face in faces)
+        bodies = self._localize(camera, stamp, faces, SceneContext(depth, up, camera_height, faces=self._faces_come))
         self._forget_all_but(self.tracked_ids)
         learnt = self._ground.camera_height("") if up is None else None
         self._floor = camera_height if learnt is None else learnt[0]

@@ -363,13 +363,15 @@ class SceneContext:
     """What else is known of an image.
 
     depth: (h, w) m, registered to it. up: (3,) unit, in the optical frame. camera_height: m above the floor;
-    height_sd: standard deviation of its logarithm.
+    height_sd: standard deviation of its logarithm. faces: faces are looked for, so that whoever turns to the camera
+    will have one.
     """
 
     depth: Optional[np.ndarray] = None
     up: Optional[np.ndarray] = None
     camera_height: Optional[float] = None
     height_sd: float = 0.0
+    faces: bool = False
 
 
 class _Still(NamedTuple):
@@ -396,7 +398,7 @@ class BodyLocalizer:
         self._image = OneEuro(1.5, 6.0)
         self._distance = OneEuro(0.8, 4.0)
         self._scale = BodyScale()
-        self._cut_range, self._face_leaves = CutRange(), False
+        self._cut_range, self._face_leaves, self._had_face = CutRange(), False, False
         self._pixels_per_metre: Optional[float] = None
         self._pixels: Optional[np.ndarray] = None
         self._points: Optional[np.ndarray] = None
@@ -480,7 +482,9 @@ class BodyLocalizer:
         self._pixels = self._image(pixels / self._pixels_per_metre, track.stamp) * self._pixels_per_metre
         points = track.detection.points
         measured = None if points is None else _depth_cue_of(points, track, camera, context)
-        if points is None or not self._is_there(points, track, camera, face, measured is not None):
+        self._had_face = self._had_face or face is not None
+        awaited = context.faces and not self._had_face and measured is None and track.face_comes(camera.height)
+        if points is None or awaited or not self._is_there(points, track, camera, face, measured is not None):
             self._points, self.by_depth = None, False
             self._distance.reset()
         else:

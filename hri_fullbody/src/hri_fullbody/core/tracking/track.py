@@ -10,6 +10,7 @@ import numpy as np
 
 from hri_fullbody.core.detection.pose_estimator import PoseDetection, PoseEstimate
 from hri_fullbody.core.detection.windows import FACE_WINDOW_SIZES, FaceBox, Window, window_from_face
+from hri_fullbody.core.keypoints import BLAZE_EARS, BLAZE_NOSE
 from hri_fullbody.core.tracking.reidentification import blend
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.tracks import TrackLife
@@ -159,6 +160,10 @@ _LEAST_MISSES = 2
 _HIDDEN_PATIENCE = 3.0
 _SHORT_GAP_S = 0.3          # after a longer one a single detection may be somebody else
 _SURE_S = 1.0               # of which it was seen before
+# Faces come within this time after the body. Until then bodies above 0.83 of the image's height, which cuts them
+# somewhere, were 0.25 m off in 81 of 151 places, smaller ones in 1 of 18. Whoever is below the second is there at once.
+_FACE_COMES_S, _NEAR = 0.6, 0.6
+_FACING = 0.4               # cosine between the head's forward direction and the way to the camera
 _EDGE = 0.15                # body sizes from the side of the image, within which it may have left
 # A body slower than this (sizes per second) stays where it was: what seems to move a little is the network's noise, and
 # a window that follows it would drift away.
@@ -217,6 +222,15 @@ class BodyTrack:
     def estimate(self) -> PoseEstimate:
         """The body as it was last seen."""
         return self.detection.estimate
+
+    def face_comes(self, height: float) -> bool:
+        """Tell whether the body has just begun, is near, and turns its head to the camera: its face will tell how far
+        away it is. height: of the image, px."""
+        if self.stamp - self.born_at >= _FACE_COMES_S or self.estimate.extent < _NEAR * height:
+            return False
+        head = self.estimate.world
+        forward = head[BLAZE_NOSE] - head[list(BLAZE_EARS)].mean(axis=0)
+        return -float(forward[2]) > _FACING * float(np.linalg.norm(forward))
 
     def link(self, face: FaceBox, stamp: float) -> None:
         """Note that `face` is this body's own."""
