@@ -104,7 +104,7 @@ def near_view(image: np.ndarray, box: np.ndarray) -> Tuple[np.ndarray, np.ndarra
     return view, box * scale + np.array([x, y, x, y])
 
 
-def _shapes(long_side: int) -> List[Tuple[int, ...]]:
+def _shapes(long_side: int) -> Sequence[Tuple[int, ...]]:
     """Shapes of the network's input for usual cameras, 16:9 and 4:3, and for a look from near by."""
     sizes = [network_size(*camera, long_side) for camera in ((1280, 720), (640, 480))]
     return [(1, height, width, 3) for width, height in sizes] + [(2, _NEAR_SIZE, _NEAR_SIZE, 3)]
