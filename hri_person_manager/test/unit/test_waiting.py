@@ -8,6 +8,7 @@ from hri_person_manager.core.location import Decay, FeaturePlaces, PersonLocatio
 from hri_person_manager.core.persons import PersonEntry
 from hri_person_manager.core.waiting import (
     MATCH_WAIT_S,
+    PARTED_WAIT_S,
     PLACE_WAIT_S,
     RETURN_WAIT_S,
     waiting_for_matches,
@@ -52,6 +53,16 @@ def test_a_body_at_the_place_of_a_face_waits_for_their_match():
 @pytest.mark.parametrize("age, wanted", [(0.0, {BODY}), (MATCH_WAIT_S - 0.01, {BODY}), (MATCH_WAIT_S + 20.0, set())])
 def test_no_longer_than_a_match_takes(age, wanted):
     assert matches({BODY: 10.0}, [[FACE, ANN], [BODY]], places(f=0.0, b=0.1), now=10.0 + age) == wanted
+
+
+@pytest.mark.parametrize("age, waits", [(0.0, True), (PARTED_WAIT_S - 0.01, True), (PARTED_WAIT_S + 0.01, False)])
+def test_a_body_whose_face_has_got_another_one_waits_a_moment(age, waits):
+    """Of two women side by side the network made one body; when the right one came, it was a fourth person for 2 s."""
+    right, where = MatchNode(Kind.BODY, "b2"), places(f=0.0, b=0.4, b2=0.0)
+    now, parted = 10.0 + age, [(FACE, BODY)]
+    assert matches({BODY: 10.0}, [[FACE, right, ANN], [BODY]], where, now, parted) == ({BODY} if waits else set())
+    assert matches({BODY: 10.0}, [[FACE, right, ANN], [BODY]], where, now) == set(), "never said to be one"
+    assert matches({BODY: 10.0}, [[FACE, ANN], [BODY]], where, now, parted) == set(), "its face has no other body"
 
 
 def test_of_two_that_are_new_the_face_goes_first():

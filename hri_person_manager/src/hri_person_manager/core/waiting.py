@@ -20,6 +20,7 @@ from hri_pipeline.core.tracks import assign
 MATCH_WAIT_S = 5.0            # for which a body at the place of a face that has none, or a face, waits for their match,
 #                               and longer where one of them lags
 PLACE_WAIT_S = 1.5            # for which one without a place yet waits beside a face, or body, that has one
+PARTED_WAIT_S = 2.5           # for which a body waits whose face has got another one: mostly there is nobody
 RETURN_WAIT_S = 1.5           # for which one where somebody was lost waits to be recognised
 MATCH_GATE = 9.0              # squared Mahalanobis distance up to which they are at one place
 
@@ -56,8 +57,21 @@ def waiting_for_matches(new: Mapping[MatchNode, float], groups: Iterable[FrozenS
     pairs = [(faces[row], bodies[column]) for row, column in assign(costs, MATCH_GATE)]
     matched = {node for face, body in pairs for node in [body if body in new else face]
                if now - new[node] <= MATCH_WAIT_S + places.match_delay(face, body)}
-    return matched | outdated.intersection(new) | waiting_for_places(
+    parted = parted_from_faces([node for node, since in new.items() if now - since <= PARTED_WAIT_S], groups, is_refuted)
+    return matched | parted | outdated.intersection(new) | waiting_for_places(
         {node for node, since in new.items() if now - since <= PLACE_WAIT_S}, faces, bodies, places)
+
+
+def parted_from_faces(new: Iterable[MatchNode], groups: Iterable[FrozenSet[MatchNode]],
+                      is_refuted: Callable[[MatchNode, MatchNode], bool]) -> Set[MatchNode]:
+    """Return the new bodies that are said not to be a face's which has another body.
+
+    A body that the network makes out of two who stand side by side is first taken for one of them, and goes on for a
+    moment when the right one has come.
+    """
+    faces = [node for group in groups if any(node.kind == Kind.BODY for node in group)
+             for node in group if node.kind == Kind.FACE]
+    return {body for body in new if body.kind == Kind.BODY and any(is_refuted(face, body) for face in faces)}
 
 
 def waiting_for_places(new: Set[MatchNode], faces: List[MatchNode], bodies: List[MatchNode],
