@@ -82,6 +82,20 @@ def test_nobody_is_waited_for_behind_a_cut_of_the_picture():
     assert tracker.tracks == []
 
 
+@pytest.mark.parametrize("aside, face, looked_at", [(40, True, ["b0"]), (40, False, []), (400, True, [])])
+def test_who_overlaps_a_new_body_with_a_face_is_looked_at_in_the_next_image(monkeypatch, aside, face, looked_at):
+    """It may be a body that the network made of two: beside a load it went on for seconds."""
+    scene = Scene([(600 + aside, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 10, boxes=[box_of(600 + aside, 400)])
+    renewed = []
+    monkeypatch.setattr(tracker.schedule, "renew", renewed.append)
+    scene.people.append((600, 400))
+    faces = [face_of(standing_at(600, 400), "f0")] if face else []
+    run(tracker, stamp, 3, faces=faces, boxes=[box_of(600, 400)])
+    assert [track.id for track in tracker.tracks] == ["b0", "b1"] and renewed == looked_at
+
+
 NOISE = np.random.default_rng(1).integers(0, 255, (9, 16, 3)).astype(np.uint8).repeat(80, 0).repeat(80, 1)
 
 

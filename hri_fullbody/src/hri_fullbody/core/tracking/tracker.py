@@ -468,7 +468,16 @@ class BodyTracker:
             rival = None if box is None or face is not None else waiting_in(self.tracks, box, stamp)
             track = BodyTrack(self._new_id(), detection, stamp, life, face, anchor, boxed or None)
             track.rival = None if rival is None else rival.id
+            if face is not None:
+                self._look_beside(track, stamp)
             self.tracks.append(track)
+
+    def _look_beside(self, new: BodyTrack, stamp: float) -> None:
+        """Let who overlaps a new body with a face, and has none, be looked at in the next image: it may be a body that
+        the network made of this human and a neighbour before."""
+        for track in self.tracks:
+            if track.visible and track.face_id is None and _at_one_place(track.expected(stamp), new.estimate):
+                self.schedule.renew(track.id)
 
     @staticmethod
     def _is_duplicate(track: BodyTrack, detection: PoseDetection, stamp: float, face: Optional[FaceBox]) -> bool:
