@@ -82,7 +82,7 @@ def test_nobody_is_waited_for_behind_a_cut_of_the_picture():
     assert tracker.tracks == []
 
 
-@pytest.mark.parametrize("aside, face, looked_at", [(40, True, ["b0"]), (40, False, []), (400, True, [])])
+@pytest.mark.parametrize("aside, face, looked_at", [(40, True, ["b0"]), (60, False, []), (400, True, [])])
 def test_who_overlaps_a_new_body_with_a_face_is_looked_at_in_the_next_image(monkeypatch, aside, face, looked_at):
     """It may be a body that the network made of two: beside a load it went on for seconds."""
     scene = Scene([(600 + aside, 400)])

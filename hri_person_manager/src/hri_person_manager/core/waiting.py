@@ -57,7 +57,8 @@ def waiting_for_matches(new: Mapping[MatchNode, float], groups: Iterable[FrozenS
     pairs = [(faces[row], bodies[column]) for row, column in assign(costs, MATCH_GATE)]
     matched = {node for face, body in pairs for node in [body if body in new else face]
                if now - new[node] <= MATCH_WAIT_S + places.match_delay(face, body)}
-    parted = parted_from_faces([node for node, since in new.items() if now - since <= PARTED_WAIT_S], groups, is_refuted)
+    parted = parted_from_faces({node for node, since in new.items() if now - since <= PARTED_WAIT_S}, groups,
+                               is_refuted)
     return matched | parted | outdated.intersection(new) | waiting_for_places(
         {node for node, since in new.items() if now - since <= PLACE_WAIT_S}, faces, bodies, places)
 
