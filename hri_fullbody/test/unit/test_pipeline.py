@@ -1,5 +1,6 @@
 import itertools
 import math
+import threading
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.process import Threads
 
 IMAGE = np.zeros((720, 1280, 3), np.uint8)
 CAMERA = CameraModel.from_fov(1280, 720, 1.05)
@@ -63,6 +65,30 @@ def test_the_detector_runs_by_time_and_not_with_new_windows():
     for index in range(1, 40):
         stage.update(IMAGE, CAMERA, index * 0.05)
     assert detector.calls == 4
+
+
+def test_a_detector_that_runs_beside_ends_with_the_image_also_when_the_bodies_fail():
+    stage, _, detector = make([(400, 400)])
+    detector.threads, begun, failed, running = Threads(2), threading.Event(), threading.Event(), []
+
+    def detect(image):
+        running.append(image)
+        begun.set()
+        assert failed.wait(20.0)
+        np.linalg.svd(np.ones((300, 300)))      # still at work
+        running.pop()
+        return np.empty((0, 4)), np.empty(0)
+
+    def follow(*arguments):
+        assert begun.wait(20.0), "it runs beside"
+        failed.set()
+        raise KeyError("a body")
+
+    detector.detect, stage._tracker.follow = detect, follow
+    with pytest.raises(KeyError):
+        stage.update(IMAGE, CAMERA, 0.0)
+    assert not running
+    detector.threads.close()
 
 
 @pytest.mark.parametrize("period, interval", [(0.0, 0.05), (1.0, 1.4)])
