@@ -415,17 +415,17 @@ def test_threads_share_items_and_keep_their_order():
 
 
 def test_with_one_thread_the_caller_does_all_at_once_and_when_it_is_asked_for():
-    before, calls = threading.active_count(), []
+    before, calls = set(threading.enumerate()), []
     threads = Threads(1)
     assert threads.in_parts(lambda part: calls.append(list(part)) or part, [1, 2, 3]) == [1, 2, 3]
     with threads.beside(calls.append, "later") as result:
         assert calls == [[1, 2, 3]]
         result()
-    assert calls == [[1, 2, 3], "later"] and threading.active_count() == before
+    assert calls == [[1, 2, 3], "later"] and not set(threading.enumerate()) - before
 
 
 def test_threads_begin_beside_the_caller_and_end_with_close():
-    before, begun, go = threading.active_count(), threading.Event(), threading.Event()
+    before, begun, go = set(threading.enumerate()), threading.Event(), threading.Event()
     threads = Threads(2)
 
     def work(value):
@@ -439,7 +439,7 @@ def test_threads_begin_beside_the_caller_and_end_with_close():
         assert result() == 8
     threads.close()
     threads.close()
-    assert threading.active_count() == before
+    assert not set(threading.enumerate()) - before
     assert threads.in_parts(lambda part: part, [1, 2, 3]) == [1, 2, 3]
     with threads.beside(lambda: 5) as result:
         assert result() == 5

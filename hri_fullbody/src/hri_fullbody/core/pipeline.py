@@ -112,7 +112,7 @@ class BodyPipeline:
             settings.max_bodies, guard=self._guard, ignored=IgnoredRegions(settings.ignored_regions),
             is_human=lambda image, box: self._detector.is_human(image, box),
             schedule=InferenceScheduler(cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share),
-                                        threads=getattr(self._pose, "threads", ONE_THREAD)))
+                                        threads=getattr(self._pose, "threads", ONE_THREAD), clock=self._threads.time))
         self._limit_poses(settings)
         self._settings = settings
         self._localizers: Dict[str, BodyLocalizer] = {}

@@ -279,14 +279,14 @@ class FaceTrackingPipeline:
         self._detector = FaceDetector(detector)
         self._detection_scheduler = DetectionScheduler(settings.face_detection_period, settings.face_detection_tiles)
         self._mesh = FaceMesh(mesh)
-        self._mesh_scheduler = InferenceScheduler(idle=IdleShare(settings.cpu_share), threads=mesh.threads)
+        self._mesh_scheduler = InferenceScheduler(idle=IdleShare(settings.cpu_share), threads=mesh.threads,
+                                                  clock=clock or threads.time)
         self._limit_mesh(settings)
         self._tracker = FaceTracker(ids=ids, judge=judge, **_limits(settings))
         self._cuts = PictureCuts()
         self._orientation = FaceOrientation()
         self._anew_at = self._panned_at = -np.inf
         self._ignored = IgnoredRegions(settings.ignored_regions)
-        self._clock = clock
         self._times = times
         self._flow = FaceFlow()
         self._stamp = 0.0
@@ -406,7 +406,7 @@ class FaceTrackingPipeline:
         if not tracks:
             return []
         with self._times("face_mesh"):
-            with self._mesh_scheduler.measure(self._clock) as count:
+            with self._mesh_scheduler.measure() as count:
                 rois = [track.roi(stamp) for track in tracks]
                 results = self._mesh.run(bgr, rois)
                 count(len(rois))
