@@ -509,6 +509,8 @@ def test_what_was_begun_beside_and_not_asked_for_ends_with_the_caller_s_step():
     assert done == ["first"], "nothing reads the image any more"
     with threads.beside(lambda: 1 // 0):
         pass        # an error of what nobody wants any more
+    with pytest.raises(SystemExit), threads.beside(sys.exit, 3) as result:
+        result()    # nobody waits for ever
     threads.close()
 
 

@@ -264,7 +264,7 @@ class Threads:
                 _raise_niceness(nice)
             try:
                 future.set_result(work(*arguments))
-            except Exception as error:
+            except BaseException as error:  # as in any pool: whoever waits does not wait for ever
                 future.set_exception(error)
 
         if pool is None:
