@@ -209,13 +209,13 @@ def test_a_gpu_has_a_session_for_each_shape_that_is_warmed_up(doubler, machine, 
     assert told.count("doubler.onnx: cuda prepares inputs of (2, 2)") == 1, "what comes again and again stays"
 
 
-def test_a_gpu_that_cannot_be_prepared_is_told_with_the_remedy(doubler, machine, monkeypatch):
+@pytest.mark.parametrize("batches", [True, False])
+def test_a_gpu_that_cannot_be_prepared_is_told_with_the_remedy(doubler, machine, monkeypatch, batches):
     machine("CUDAExecutionProvider")
-    for batches in (True, False):
-        monkeypatch.setattr(OnnxModel, "_takes_batches", lambda self: batches)
-        monkeypatch.setattr(OnnxModel, "_seconds", lambda self, session, size: 1 // 0)
-        with pytest.raises(ModelError, match="doubler.onnx cannot be prepared on cuda .* leave cuda out"):
-            OnnxModel(doubler, ["cuda"], shapes=[(1, 3)])
+    monkeypatch.setattr(OnnxModel, "_takes_batches", lambda self: batches)
+    monkeypatch.setattr(OnnxModel, "_seconds", lambda self, session, size: 1 // 0)
+    with pytest.raises(ModelError, match="doubler.onnx cannot be prepared on cuda .* leave cuda out"):
+        OnnxModel(doubler, ["cuda"], shapes=[(1, 3)])
 
 
 @pytest.mark.parametrize(("provider", "count", "batches"), [

@@ -119,8 +119,10 @@ class ModelLog:
 
     def __call__(self, text: str) -> None:
         """Tell a line, unless it was told before."""
-        if text not in self._told:
+        with self._lock:
+            is_new = text not in self._told
             self._told.add(text)
+        if is_new:
             self._notify(text)
 
     def count(self, model: str, items: int) -> None:
@@ -322,9 +324,9 @@ class OnnxModel:
                 for shape in shapes:
                     self._session_for(shape)
         except Exception as error:  # too little memory, or a model of another shape
-            raise ModelError("model {} cannot be prepared on {} ({}); leave {} out of the parameter `providers`, or take "
-                             "another model".format(self._path, self.provider, first_line(error),
-                                                    self.provider)) from error
+            raise ModelError("model {} cannot be prepared on {} ({}); leave {} out of the parameter `providers`, or "
+                             "take another model".format(self._path, self.provider, first_line(error),
+                                                         self.provider)) from error
 
     def _warm_up(self) -> None:
         """Make a session for each size, the largest first, and run it once."""
