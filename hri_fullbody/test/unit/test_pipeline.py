@@ -1,5 +1,7 @@
 import itertools
 import math
+import threading
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,6 +17,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.process import ONE_THREAD, Threads
 
 IMAGE = np.zeros((720, 1280, 3), np.uint8)
 CAMERA = CameraModel.from_fov(1280, 720, 1.05)
@@ -63,6 +66,55 @@ def test_the_detector_runs_by_time_and_not_with_new_windows():
     for index in range(1, 40):
         stage.update(IMAGE, CAMERA, index * 0.05)
     assert detector.calls == 4
+
+
+def test_a_detector_that_runs_beside_ends_with_the_image_also_when_the_bodies_fail():
+    stage, _, detector = make([(400, 400)])
+    detector.threads, begun, failed, running = Threads(2), threading.Event(), threading.Event(), []
+
+    def detect(image):
+        running.append(image)
+        begun.set()
+        assert failed.wait(20.0)
+        np.linalg.svd(np.ones((300, 300)))      # still at work
+        running.pop()
+        return np.empty((0, 4)), np.empty(0)
+
+    def follow(*arguments):
+        assert begun.wait(20.0), "it runs beside"
+        failed.set()
+        raise KeyError("a body")
+
+    detector.detect, stage._tracker.follow = detect, follow
+    with pytest.raises(KeyError):
+        stage.update(IMAGE, CAMERA, 0.0)
+    assert not running
+    detector.threads.close()
+
+
+def test_the_cost_of_a_body_has_the_time_of_those_who_cut_the_windows_for_a_card():
+    """The batches of a card are not divided, the windows are cut by several threads."""
+    stage, scene, _ = make([(400, 400), (800, 380), (1100, 400)], threads=3, pose_rate=0.0, pose_budget=0)
+    all_here, sizes = threading.Barrier(3, timeout=20.0), []
+
+    def cut(windows):
+        all_here.wait()
+        began = time.thread_time()
+        while time.thread_time() - began < 0.03:
+            pass
+        return windows
+
+    def estimate_all(image, windows):
+        sizes.append(len(windows))
+        if len(windows) == 3:
+            stage._threads.in_parts(cut, windows)
+        return [scene.estimate(image, one.window, one.hidden, one.shown) for one in windows]
+
+    scene.threads, scene.takes_batches, scene.estimate_all = ONE_THREAD, True, estimate_all
+    for index in range(25):
+        stage.update(IMAGE, CAMERA, index / 15.0)
+    stage.close()
+    assert sizes.count(3) > 15 and stage.status()["pose_ms"] > 20.0
 
 
 @pytest.mark.parametrize("period, interval", [(0.0, 0.05), (1.0, 1.4)])

@@ -3,8 +3,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hri_fullbody.core.detection.pose_estimator import covers, decode
+from hri_fullbody.core.detection.pose_estimator import BlazePose, covers, decode
 from hri_pipeline.core.geometry import crop_rotated
+from hri_pipeline.core.process import Threads
 
 
 def raw_landmarks(points, visibility=4.0, presence=4.0):
@@ -60,3 +61,21 @@ def test_what_the_network_says_of_a_mirrored_input_is_turned_back():
 def test_the_box_of_a_body_is_known_by_its_head(seen, nose, extent, covered):
     estimate = SimpleNamespace(box=np.array(seen, float), nose=np.array(nose, float), extent=extent)
     assert covers(estimate, np.array([100.0, 110.0, 210.0, 410.0])) == covered
+
+
+@pytest.mark.parametrize("first, together", [("N", True), (1, False)])
+def test_a_network_of_one_s_own_that_takes_one_window_gets_one_whatever_the_threads(tmp_path, first, together):
+    onnx = pytest.importorskip("onnx")
+    tensor, kind = onnx.helper.make_tensor_value_info, onnx.TensorProto.FLOAT
+    outputs = {"Identity": 195, "Identity_1": 1, "Identity_4": 117}
+    nodes = [onnx.helper.make_node("Constant", [], [name], value=onnx.numpy_helper.from_array(
+        np.ones((1, size), np.float32))) for name, size in outputs.items()]
+    graph = onnx.helper.make_graph(nodes, "pose", [tensor("input_1", kind, [first, 256, 256, 3])],
+                                   [tensor(name, kind, [1, size]) for name, size in outputs.items()])
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 13)])
+    model.ir_version = 8
+    onnx.save(model, str(tmp_path / "pose.onnx"))
+    threads = Threads(3)
+    pose = BlazePose(tmp_path / "pose.onnx", threads=threads)
+    assert (pose.takes_batches, pose.threads.count) == (together, 3 if together else 1)
+    threads.close()

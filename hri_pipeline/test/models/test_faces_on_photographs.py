@@ -473,16 +473,16 @@ def test_threads_change_nothing_of_what_is_seen():
     """A camera that pans over four people, whom each image shows to all networks."""
     picture = photograph("sample6")
     images = [np.ascontiguousarray(picture[:, shift:picture.shape[1] - 60 + shift]) for shift in range(0, 60, 3)]
-    before, seen = threading.active_count(), []
+    before, seen = set(threading.enumerate()), []
     for threads in (1, 3):
         stage = FacePipeline(FACES.resolve({"face_budget": 1000.0, "face_mesh_rate": 0.0, "max_age": 10.0,
                                             "threads": threads}))
         camera = CameraModel.from_fov(images[0].shape[1], images[0].shape[0], HFOV)
         seen.append([stage.update(image, camera, index * STEP, demand=FaceDemand.everything(stage.tracked_ids))
                      for index, image in enumerate(images)])
-        assert (threading.active_count() > before) == (threads > 1)
+        assert bool(set(threading.enumerate()) - before) == (threads > 1)
         stage.close()
-        assert threading.active_count() == before
+        assert not set(threading.enumerate()) - before
     assert len(seen[0][-1]) >= 3
     for alone, shared in zip(*seen):
         assert len(alone) == len(shared)

@@ -82,6 +82,8 @@ def test_age_and_gender_are_told_where_they_change_and_once_a_second():
     topics._publish_biometrics(replace(seen, id="other", soft_biometrics=estimate), frame())
     topics._publish_biometrics(seen, frame())
     assert topics._publishers.publish.call_count == 5, "each face by itself, and nothing where nothing is known"
+    topics.keep(iter(["other"]))
+    assert list(topics._told) == ["other"] == list(topics._publishers.keep.call_args[0][0])
 
 
 def test_faces_whose_topics_cannot_be_opened_are_listed_and_placed_all_the_same():

@@ -180,6 +180,7 @@ def test_a_few_items_run_on_the_cpu_beside_a_gpu_while_that_is_as_fast(doubler, 
     monkeypatch.setattr(OnnxModel, "_seconds", lambda self, session, size: cpu if size == 1 else card[size])
     model = OnnxModel(doubler, ["cuda"], batch_sizes=(3, 6), few_on_cpu=True)
     assert [name for name, _ in sessions.asked[-1]] == ["CPUExecutionProvider"]
+    assert (model._beside is None) == (few == 0), "nothing is held for nothing"
     for count in range(1, 8):
         del sessions.batches[:]
         x = np.ones((count, 2), np.float32)
@@ -203,7 +204,18 @@ def test_a_gpu_has_a_session_for_each_shape_that_is_warmed_up(doubler, machine, 
     assert told[-1] == "doubler.onnx: cuda prepares inputs of (3, 2)"
     for count in range(4, 20):      # a camera that changes its size for ever
         model.run({"x": np.ones((count, 2), np.float32)})
+        model.run({"x": np.ones((2, 2), np.float32)})
     assert len(model._shaped) == 6
+    assert told.count("doubler.onnx: cuda prepares inputs of (2, 2)") == 1, "what comes again and again stays"
+
+
+@pytest.mark.parametrize("batches", [True, False])
+def test_a_gpu_that_cannot_be_prepared_is_told_with_the_remedy(doubler, machine, monkeypatch, batches):
+    machine("CUDAExecutionProvider")
+    monkeypatch.setattr(OnnxModel, "_takes_batches", lambda self: batches)
+    monkeypatch.setattr(OnnxModel, "_seconds", lambda self, session, size: 1 // 0)
+    with pytest.raises(ModelError, match="doubler.onnx cannot be prepared on cuda .* leave cuda out"):
+        OnnxModel(doubler, ["cuda"], shapes=[(1, 3)])
 
 
 @pytest.mark.parametrize(("provider", "count", "batches"), [

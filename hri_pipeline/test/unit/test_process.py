@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -414,17 +415,17 @@ def test_threads_share_items_and_keep_their_order():
 
 
 def test_with_one_thread_the_caller_does_all_at_once_and_when_it_is_asked_for():
-    before, calls = threading.active_count(), []
+    before, calls = set(threading.enumerate()), []
     threads = Threads(1)
     assert threads.in_parts(lambda part: calls.append(list(part)) or part, [1, 2, 3]) == [1, 2, 3]
-    result = threads.start(calls.append, "later")
-    assert calls == [[1, 2, 3]]
-    result()
-    assert calls == [[1, 2, 3], "later"] and threading.active_count() == before
+    with threads.beside(calls.append, "later") as result:
+        assert calls == [[1, 2, 3]]
+        result()
+    assert calls == [[1, 2, 3], "later"] and not set(threading.enumerate()) - before
 
 
 def test_threads_begin_beside_the_caller_and_end_with_close():
-    before, begun, go = threading.active_count(), threading.Event(), threading.Event()
+    before, begun, go = set(threading.enumerate()), threading.Event(), threading.Event()
     threads = Threads(2)
 
     def work(value):
@@ -432,15 +433,16 @@ def test_threads_begin_beside_the_caller_and_end_with_close():
         assert go.wait(20.0)
         return 2 * value
 
-    result = threads.start(work, 4)
-    assert begun.wait(20.0), "before it is asked for"
-    go.set()
-    assert result() == 8
+    with threads.beside(work, 4) as result:
+        assert begun.wait(20.0), "before it is asked for"
+        go.set()
+        assert result() == 8
     threads.close()
     threads.close()
-    assert threading.active_count() == before
+    assert not set(threading.enumerate()) - before
     assert threads.in_parts(lambda part: part, [1, 2, 3]) == [1, 2, 3]
-    assert threads.start(lambda: 5)() == 5
+    with threads.beside(lambda: 5) as result:
+        assert result() == 5
 
 
 def test_an_error_of_a_thread_is_that_of_the_first_item():
@@ -454,17 +456,93 @@ def test_an_error_of_a_thread_is_that_of_the_first_item():
     for _ in range(20):
         with pytest.raises(KeyError, match="^2$"):
             threads.in_parts(fail, range(8))
-    with pytest.raises(ZeroDivisionError):
-        threads.start(lambda: 1 // 0)()
+    with pytest.raises(ZeroDivisionError), threads.beside(lambda: 1 // 0) as result:
+        result()
     assert threads.in_parts(lambda part: part, [1, 2]) == [1, 2], "and they go on"
     threads.close()
 
 
 def test_threads_that_are_busy_with_what_shares_items_itself_do_not_wait_for_each_other():
     threads = Threads(2)
-    result = threads.start(threads.in_parts, lambda part: part, range(5))
-    assert threads.in_parts(lambda part: part, range(5)) == list(range(5))
-    assert result() == list(range(5))
+    with threads.beside(threads.in_parts, lambda part: part, range(5)) as result:
+        assert threads.in_parts(lambda part: part, range(5)) == list(range(5))
+        assert result() == list(range(5))
+    threads.close()
+
+
+def test_threads_follow_the_niceness_that_the_caller_gets_later():
+    """A node lowers its priority some seconds after its first image, when all its threads have begun."""
+    threads, seen = Threads(2), []
+
+    def look():
+        return os.getpriority(os.PRIO_PROCESS, 0)
+
+    def node():     # in a thread of its own: what it gives up it does not get back
+        for extra in (0, 1):
+            os.setpriority(os.PRIO_PROCESS, 0, look() + extra)
+            with threads.beside(look) as result:
+                seen.append((look(), result()))
+
+    caller = threading.Thread(target=node)
+    caller.start()
+    caller.join()
+    threads.close()
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    assert seen == [(before, before), (before + 1, before + 1)]
+
+
+def test_what_was_begun_beside_and_not_asked_for_ends_with_the_caller_s_step():
+    threads, begun, go, done = Threads(2), threading.Event(), threading.Event(), []
+
+    def work():
+        begun.set()
+        assert go.wait(20.0)
+        done.append("first")
+
+    with pytest.raises(KeyError):
+        with threads.beside(work):
+            assert begun.wait(20.0)
+            with threads.beside(done.append, "never begun, as the thread is busy"):
+                pass
+            go.set()
+            raise KeyError("in between")
+    assert done == ["first"], "nothing reads the image any more"
+    with threads.beside(lambda: 1 // 0):
+        pass        # an error of what nobody wants any more
+    with pytest.raises(SystemExit), threads.beside(sys.exit, 3) as result:
+        result()    # nobody waits for ever
+    threads.close()
+
+
+class NoMoreThreads(ThreadPoolExecutor):
+    """A process that may have no more threads: the pool says so, and keeps the work all the same for those it has."""
+
+    begun = threading.Event()
+
+    def submit(self, *work):
+        super().submit(*work)
+        assert self.begun.wait(20.0)
+        raise RuntimeError("can't start new thread")
+
+
+def test_where_no_more_threads_start_nothing_is_lost_and_nothing_done_twice(monkeypatch):
+    monkeypatch.setattr(process, "ThreadPoolExecutor", NoMoreThreads)
+    threads, caller, go, done = Threads(3), threading.current_thread(), threading.Event(), []
+
+    def work(part):
+        if threading.current_thread() is caller:
+            if len(done) == 3:
+                go.set()
+        else:
+            NoMoreThreads.begun.set()
+            assert go.wait(20.0)
+        done.extend(part)
+        return part
+
+    assert threads.in_parts(work, range(9)) == list(range(9)) and sorted(done) == list(range(9))
+    with threads.beside(done.append, 9) as result:
+        result()
+    assert sorted(done) == list(range(10))
     threads.close()
 
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 import os
 from collections import deque
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Callable, Deque, Dict, List, Optional, Sequence, Tuple
+from typing import Callable, ContextManager, Deque, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -111,7 +112,7 @@ class BodyPipeline:
             settings.max_bodies, guard=self._guard, ignored=IgnoredRegions(settings.ignored_regions),
             is_human=lambda image, box: self._detector.is_human(image, box),
             schedule=InferenceScheduler(cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share),
-                                        threads=getattr(self._pose, "threads", ONE_THREAD)))
+                                        threads=getattr(self._pose, "threads", ONE_THREAD), clock=self._threads.time))
         self._limit_poses(settings)
         self._settings = settings
         self._localizers: Dict[str, BodyLocalizer] = {}
@@ -164,9 +165,9 @@ class BodyPipeline:
         self._last_stamp = stamp
         height, width = bgr.shape[:2]
         camera = camera.resized(width, height)
-        search = self._start_search(bgr, stamp)
-        self._follow_known(bgr, camera, stamp, faces, slow)
-        self._search_new(bgr, stamp, faces, slow, search)
+        with self._begin_search(bgr, stamp) as search:
+            self._follow_known(bgr, camera, stamp, faces, slow)
+            self._search_new(bgr, stamp, faces, slow, search)
         self._reidentify(stamp)
         if up is None:
             self._learn_ground(stamp, faces)
@@ -205,13 +206,12 @@ class BodyPipeline:
             self._tracker.follow(bgr, stamp, faces, lambda estimate: self._solve_pnp(estimate, camera),
                                  _SLOW_NEW if slow else 0)
 
-    def _start_search(self, bgr: np.ndarray, stamp: float) -> Search:
-        """Let the person detector begin, beside the pose network, when it is due whatever that finds; return what
-        gives its boxes."""
+    def _begin_search(self, bgr: np.ndarray, stamp: float) -> ContextManager[Search]:
+        """Let the person detector begin, beside the pose network, when it is due whatever that finds."""
         threads: Threads = getattr(self._detector, "threads", ONE_THREAD)
         if stamp - self._last_detection >= self._settings.person_detection_period:
-            return threads.start(self._detector.detect, bgr)
-        return lambda: self._detector.detect(bgr)
+            return threads.beside(self._detector.detect, bgr)
+        return nullcontext(lambda: self._detector.detect(bgr))
 
     def _search_new(self, bgr: np.ndarray, stamp: float, faces: Sequence[FaceBox], slow: bool, search: Search) -> None:
         """Search for new bodies: with the person detector when it is due, else in a few of the candidate windows.

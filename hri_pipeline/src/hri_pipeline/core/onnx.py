@@ -119,8 +119,10 @@ class ModelLog:
 
     def __call__(self, text: str) -> None:
         """Tell a line, unless it was told before."""
-        if text not in self._told:
+        with self._lock:
+            is_new = text not in self._told
             self._told.add(text)
+        if is_new:
             self._notify(text)
 
     def count(self, model: str, items: int) -> None:
@@ -207,13 +209,8 @@ class OnnxModel:
         self._beside: Optional[onnxruntime.InferenceSession] = None
         self._few = 0
         self._preparing = threading.Lock()
-        if self.on_card and self._takes_batches():
-            self._warm_up()
-            if few_on_cpu:
-                self._compare()
-        elif self.on_card and shapes:
-            for shape in shapes:
-                self._session_for(shape)
+        if self.on_card:
+            self._prepare(shapes, few_on_cpu)
         self._log = notify if isinstance(notify, ModelLog) else None
         if self._log is not None:
             self._log.providers[self.name] = self.provider
@@ -316,6 +313,21 @@ class OnnxModel:
         return all(len(tensor.shape) > 0 and not isinstance(tensor.shape[0], int)
                    and all(isinstance(length, int) for length in tensor.shape[1:]) for tensor in tensors)
 
+    def _prepare(self, shapes: Sequence[Tuple[int, ...]], few_on_cpu: bool) -> None:
+        """Let the GPU prepare itself for its batches, or shapes."""
+        try:
+            if self._takes_batches():
+                self._warm_up()
+                if few_on_cpu:
+                    self._compare()
+            else:
+                for shape in shapes:
+                    self._session_for(shape)
+        except Exception as error:  # too little memory, or a model of another shape
+            raise ModelError("model {} cannot be prepared on {} ({}); leave {} out of the parameter `providers`, or "
+                             "take another model".format(self._path, self.provider, first_line(error),
+                                                         self.provider)) from error
+
     def _warm_up(self) -> None:
         """Make a session for each size, the largest first, and run it once."""
         for size in reversed(self._sizes):
@@ -326,14 +338,15 @@ class OnnxModel:
 
     def _compare(self) -> None:
         """Find out how many items the CPU runs as fast."""
-        self._beside = self._session_on([PROVIDERS["cpu"]])
-        self._seconds(self._beside, 1)
-        one = min(self._seconds(self._beside, 1) for _ in range(_TRIALS))
+        beside = self._session_on([PROVIDERS["cpu"]])
+        self._seconds(beside, 1)
+        one = min(self._seconds(beside, 1) for _ in range(_TRIALS))
         for size in self._sizes:
             card = min(self._seconds(self._batched[size], size) for _ in range(_TRIALS))
             if self._few + 1 > int(card / one):
                 break
             self._few = min(size, int(card / one))
+        self._beside = beside if self._few else None
 
     def _seconds(self, session: onnxruntime.InferenceSession, size: int) -> float:
         """Run a batch of nothing; return the time, s."""
@@ -356,8 +369,10 @@ class OnnxModel:
                 session.run(self._wanted, {self.input_names[0]: np.zeros(shape, np.float32)})
                 if len(self._shaped) >= _MOST_SHAPES:
                     self._shaped.pop(next(iter(self._shaped)))
-                self._shaped[shape] = session
-            return self._shaped[shape]
+            else:
+                session = self._shaped.pop(shape)
+            self._shaped[shape] = session       # the last of them: which has not come for longest is given up
+            return session
 
     def _load(self, providers: Sequence[str]) -> onnxruntime.InferenceSession:
         if not self._path.is_file():

@@ -15,8 +15,9 @@ import subprocess
 import threading
 import time
 from collections import deque
-from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple, TypeVar
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager, suppress
+from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple, TypeVar
 
 import cv2
 import threadpoolctl
@@ -164,7 +165,8 @@ class Threads:
     """The threads that the networks of a node have: they share the items of a batch, and work beside the caller.
 
     Results are those of one thread, in the same order. With one thread there is no other than the caller's, and
-    nothing is done earlier or later. The others start when they are first needed, with the niceness of the caller.
+    nothing is done earlier or later. The others start when they are first needed; they have the niceness of the caller,
+    also that which it gets later.
     """
 
     BY_ITEMS = True
@@ -230,11 +232,19 @@ class Threads:
             raise errors[min(errors)]
         return [result for first in sorted(found) for result in found[first]]
 
-    def start(self, work: Callable[..., Result], *arguments: Any) -> Callable[[], Result]:
-        """Begin something beside the caller; what is returned waits for it and returns its result, or raises its
-        error. With one thread it is done then, and not now."""
+    @contextmanager
+    def beside(self, work: Callable[..., Result], *arguments: Any) -> Iterator[Callable[[], Result]]:
+        """Begin something beside the body of a `with` statement, which gets what returns its result, or raises its
+        error. With one thread it is done then, and not now.
+
+        It ends with the body, also when that raises: nothing reads the arguments any more.
+        """
         future = self._submit(work, *arguments)
-        return (lambda: work(*arguments)) if future is None else future.result
+        try:
+            yield (lambda: work(*arguments)) if future is None else future.result
+        finally:
+            if future is not None and not future.cancel():
+                wait([future])
 
     def close(self) -> None:
         """End the other threads. Idempotent; what comes later is done by the caller."""
@@ -244,11 +254,28 @@ class Threads:
 
     def _submit(self, work: Callable[..., Result], *arguments: Any) -> "Optional[Future[Result]]":
         """Hand work to another thread; None where there is none."""
-        pool = self._pool
-        try:
-            return None if pool is None else pool.submit(work, *arguments)
-        except RuntimeError:        # closed meanwhile
+        pool, nice = self._pool, os.getpriority(os.PRIO_PROCESS, 0)
+        future: "Future[Result]" = Future()
+
+        def run() -> None:
+            if not future.set_running_or_notify_cancel():
+                return
+            with suppress(OSError):
+                _raise_niceness(nice)
+            try:
+                future.set_result(work(*arguments))
+            except BaseException as error:  # as in any pool: whoever waits does not wait for ever
+                future.set_exception(error)
+
+        if pool is None:
             return None
+        try:
+            pool.submit(run)
+        except RuntimeError:        # closed meanwhile, or the process may have no more threads; the pool may do it yet
+            self._pool = None
+            pool.shutdown(wait=False)
+            return None if future.cancel() else future
+        return future
 
 
 def automatic_threads(share: float, cores: int) -> int:
@@ -279,13 +306,18 @@ def set_niceness(nice: int) -> bool:
     if nice == 0:
         return True
     try:
-        if os.getpriority(os.PRIO_PROCESS, 0) < nice:
-            os.setpriority(os.PRIO_PROCESS, 0, nice)
+        _raise_niceness(nice)
         if os.getsid(0) == os.getpid():
             _set_session_niceness(nice)
         return True
     except OSError:
         return False
+
+
+def _raise_niceness(nice: int) -> None:
+    """Set the niceness of this thread, unless it has a larger one. Raises OSError where the kernel refuses it."""
+    if os.getpriority(os.PRIO_PROCESS, 0) < nice:
+        os.setpriority(os.PRIO_PROCESS, 0, nice)
 
 
 def _set_session_niceness(nice: int) -> None:

@@ -121,14 +121,16 @@ class InferenceScheduler:
 
     def __init__(self, rate: float = 0.0, budget: float = math.inf, most: int = 0, cost: float = 0.005,
                  batches: bool = True, idle: Optional[IdleShare] = None, max_age: float = math.inf,
-                 threads: Threads = ONE_THREAD) -> None:
+                 threads: Threads = ONE_THREAD, clock: Optional[Callable[[], float]] = None) -> None:
         """rate, budget, most, max_age and errors: see limit.
 
         cost: first guess of the processor time of one inference, s. batches: who is due soon comes along with who is
         due; else the images get an even load. idle: what may be spent beyond the budget. threads: share the inferences
-        of an image, so that it gets older by those of one of them only; budgets are of the time of all.
+        of an image, so that it gets older by those of one of them only; budgets are of the time of all. clock:
+        processor time, s; by default that of these threads.
         """
         self._cost, self._batches, self._idle, self._threads = cost, batches, idle, threads
+        self._clock = clock or threads.time
         self.limit(rate, budget, most, max_age)
         self.reset()
         self._rest = self._mean_rest = self._took = 0.0
@@ -244,16 +246,12 @@ class InferenceScheduler:
             self._cost = _COST_MEMORY * self._cost + (1.0 - _COST_MEMORY) * seconds / count
 
     @contextmanager
-    def measure(self, clock: Optional[Callable[[], float]] = None) -> Iterator[Callable[[int], None]]:
-        """Measure the inferences in the body of a `with` statement, which says how many there were.
-
-        clock: processor time, s; by default that of the threads.
-        """
-        clock = clock or self._threads.time
+    def measure(self) -> Iterator[Callable[[int], None]]:
+        """Measure the inferences in the body of a `with` statement, which says how many there were."""
         counts: List[int] = []
-        began, wall = clock(), time.perf_counter()
+        began, wall = self._clock(), time.perf_counter()
         yield counts.append
-        used, wall = clock() - began, time.perf_counter() - wall
+        used, wall = self._clock() - began, time.perf_counter() - wall
         self.spent(used, sum(counts))
         self._took += wall
         if used > 1e-4:

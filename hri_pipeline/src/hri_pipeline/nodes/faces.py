@@ -249,9 +249,9 @@ class FaceTopics:
 
     def keep(self, ids: Iterable[str]) -> None:
         """Advertise the topics of these faces and unadvertise those of all others."""
-        kept = set(ids)
+        kept = list(ids)
         self._told = {face_id: told for face_id, told in self._told.items() if face_id in kept}
-        self._publishers.keep(ids)
+        self._publishers.keep(kept)
 
     def demand(self, ids: Sequence[str]) -> FaceDemand:
         """Return which results of these faces have subscribers."""

@@ -129,8 +129,9 @@ class CameraSettings(Settings):
         "budgets say: up to every image, who moves, speaks, is near or uncertain before others. When others need the "
         "processor, it is given back within a second. 0: never.", minimum=0.0, maximum=1.0, live=True)
     threads: int = parameter(
-        0, "Threads of the networks, which share the people of an image. 0: half of `cpu_share` of the cores, eight "
-        "at most, one on two cores. With more, everybody is looked at more often. On a GPU it is one.",
+        0, "Threads of the networks, which share the people of an image. 0: half of `cpu_share` of the cores (at the "
+        "start), eight at most, one on two cores. With more, everybody is looked at more often. For a GPU they only "
+        "cut the images.",
         minimum=0, maximum=64)
     max_age: float = parameter(
         0.1, "Age of an image up to which more people get an inference; each gets two per second all the same.",

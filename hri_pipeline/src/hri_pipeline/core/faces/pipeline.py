@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple
+from contextlib import nullcontext
+from typing import Any, Callable, ContextManager, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -57,6 +58,8 @@ from hri_pipeline.core.recognition.recogniser import FaceRecognition
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler, Request
 from hri_pipeline.core.timing import StageTimes
 
+Search = Callable[[], List[FaceDetection]]
+"""Waits for the face detector."""
 NOTHING = FaceDemand()
 KEEP_RATIO = 0.2
 """A tracked face is kept down to this fraction of the presence that a new one needs: in profile its presence
@@ -276,14 +279,14 @@ class FaceTrackingPipeline:
         self._detector = FaceDetector(detector)
         self._detection_scheduler = DetectionScheduler(settings.face_detection_period, settings.face_detection_tiles)
         self._mesh = FaceMesh(mesh)
-        self._mesh_scheduler = InferenceScheduler(idle=IdleShare(settings.cpu_share), threads=mesh.threads)
+        self._mesh_scheduler = InferenceScheduler(idle=IdleShare(settings.cpu_share), threads=mesh.threads,
+                                                  clock=clock or threads.time)
         self._limit_mesh(settings)
         self._tracker = FaceTracker(ids=ids, judge=judge, **_limits(settings))
         self._cuts = PictureCuts()
         self._orientation = FaceOrientation()
         self._anew_at = self._panned_at = -np.inf
         self._ignored = IgnoredRegions(settings.ignored_regions)
-        self._clock = clock
         self._times = times
         self._flow = FaceFlow()
         self._stamp = 0.0
@@ -338,9 +341,9 @@ class FaceTrackingPipeline:
             chosen = {track.id for track in expected}
             self._search_anew(stamp)
         skipped = {track.id for track in expected} - chosen
-        search = self._start_search(bgr, stamp)
-        measured = self._measure_tracks(bgr, [track for track in expected if track.id in chosen], stamp)
-        measured += self._detect(bgr, search, measured, skipped, stamp)
+        with self._begin_search(bgr, stamp) as search:
+            measured = self._measure_tracks(bgr, [track for track in expected if track.id in chosen], stamp)
+            measured += self._detect(bgr, search, measured, skipped, stamp)
         seen = self._tracker.update(measured, stamp, skipped, (bgr.shape[1], bgr.shape[0]), cut)
         if self._tracker.replaced:
             self._search_anew(stamp)
@@ -403,7 +406,7 @@ class FaceTrackingPipeline:
         if not tracks:
             return []
         with self._times("face_mesh"):
-            with self._mesh_scheduler.measure(self._clock) as count:
+            with self._mesh_scheduler.measure() as count:
                 rois = [track.roi(stamp) for track in tracks]
                 results = self._mesh.run(bgr, rois)
                 count(len(rois))
@@ -421,15 +424,15 @@ class FaceTrackingPipeline:
         score."""
         return min(1.0, detection.score / self._min_score) ** 2
 
-    def _start_search(self, bgr: np.ndarray, stamp: float) -> Optional[Callable[[], List[FaceDetection]]]:
+    def _begin_search(self, bgr: np.ndarray, stamp: float) -> "ContextManager[Optional[Search]]":
         """Let the detector begin when it is due, beside the mesh network where there are threads."""
         regions = self._detection_scheduler.due(bgr, stamp, self._unconfirmed(stamp), self._is_stable(),
                                                 0.0 <= stamp - self._panned_at <= _PANNED_S)
         self.detected = bool(regions)
-        return self._detector.threads.start(self._detector.detect, bgr, regions) if regions else None
+        return self._detector.threads.beside(self._detector.detect, bgr, regions) if regions else nullcontext()
 
-    def _detect(self, bgr: np.ndarray, search: Optional[Callable[[], List[FaceDetection]]],
-                measured: Sequence[FaceMeasurement], skipped: Set[str], stamp: float) -> List[FaceMeasurement]:
+    def _detect(self, bgr: np.ndarray, search: Optional[Search], measured: Sequence[FaceMeasurement],
+                skipped: Set[str], stamp: float) -> List[FaceMeasurement]:
         """Take what the detector has found; returns the measurements of new and of lost faces."""
         if search is None:
             return []
