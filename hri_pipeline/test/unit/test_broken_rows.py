@@ -11,6 +11,7 @@ from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
+from hri_pipeline.core.recognition import store as module
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson, read_store
 from hri_pipeline.core.recognition.stored_gallery import StoredGallery
@@ -230,6 +231,36 @@ def test_another_key_changes_nothing_in_a_store(path, told, cipher, tmp_path, is
             read_store(path, other, "net", SIZE, told.append)
     store = opened(path, told, cipher)
     assert store.load_records() == [ANNA, BERT] and len(store.load_templates("net", SIZE)) == 2 and not told
+    store.close()
+
+
+def test_another_key_encrypts_no_records_in_plain_beside_templates_that_it_does_not_open(path, told, cipher, tmp_path):
+    """As the first two schemas have left them."""
+    filled(path, cipher)
+    spoil(path, "DELETE FROM facts WHERE name = 'key'")
+    spoil(path, "UPDATE persons SET sealed = NULL, name = 'Plain Example'")
+    other = TemplateCipher(make_key_file(tmp_path / "other"))
+    for _ in range(2):
+        with pytest.raises(StoreError, match="give the key"):
+            opened(path, told, other)
+    store = opened(path, told, cipher)
+    assert [one.name for one in store.load_records()] == ["Plain Example"] * 2
+    assert [len(one.templates) for one in store.load_templates("net", SIZE)] == [3, 3] and not told
+    store.close()
+
+
+def test_two_who_are_apart_can_be_joined_after_one_got_a_new_id(path, told, monkeypatch):
+    monkeypatch.setattr(module.IdGenerator, "new", lambda generator: "aaaaa")
+    filled(path)
+    with sqlite3.connect(str(path)) as database:
+        database.execute("INSERT INTO apart VALUES ('anna', 'no id!')")
+        database.execute("UPDATE persons SET id = 'no id!' WHERE id = 'bert'")
+    database.close()
+    store, pair = opened(path, told), frozenset(["anna", "aaaaa"])
+    store.load_records()
+    assert store.load_apart() == {pair}
+    store.put_apart([], [pair])
+    assert store.load_apart() == set()
     store.close()
 
 

@@ -299,6 +299,8 @@ class PersonStore:
                     COLUMNS.partition(", ")[2], given), (new, old))
                 for table, column in self._references():
                     database.execute("UPDATE {0} SET {1} = ? WHERE {1} = {2}".format(table, column, given), (new, old))
+                # The ids of a pair stand in their order.
+                database.execute("UPDATE OR REPLACE apart SET first = second, second = first WHERE first > second")
                 database.execute("DELETE FROM persons WHERE id = {}".format(given), (old,))
                 self._database.has_traces = True
                 self._notify("{}: the id {} of a person is none, as of a row that was damaged, and is {} now; all that "
@@ -394,6 +396,9 @@ class PersonStore:
             return
         with self._database.writing() as database:
             plain = {row[0] for row in database.execute("SELECT id FROM persons WHERE sealed IS NULL")}
+            if plain and self._has_closed_templates():
+                raise StoreError("{}: the templates cannot be opened; give the key they were written with".format(
+                    self.path))
             for person in self._load_people().values():
                 if person.id in plain:
                     self.put_record(person, is_new=False)
@@ -401,6 +406,13 @@ class PersonStore:
             clocks = database.execute("DELETE FROM facts WHERE name = 'clock' AND value LIKE '[%'").rowcount
             self._database.has_traces |= bool(plain or clocks)
         self.erase_traces()
+
+    def _has_closed_templates(self) -> bool:
+        """Tell whether there are encrypted templates, and the key is not that of the store."""
+        with self._database.reading() as database:
+            found = database.execute("SELECT 1 FROM templates, facts WHERE name = 'templates' AND value != 'plain'"
+                                     " LIMIT 1").fetchone()
+        return found is not None and not self._is_own_key()
 
     def _seal_damaged(self) -> None:
         with self._database.writing() as database:
