@@ -10,6 +10,7 @@ from scene_bag import SceneBag, upright
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.simulation.scene_file import parse_scene
 from hri_pipeline.core.simulation.world import World
+from hri_pipeline.score import bag as module
 from hri_pipeline.score.bag import RecordError, is_closed, read_bag
 from hri_pipeline.score.command import main, score
 
@@ -172,6 +173,24 @@ def test_a_recording_that_was_cut_off_is_told_with_the_mend(tmp_path, name, inde
     assert not is_closed(path)
     with pytest.raises(RecordError, match="was not closed.*rosbag reindex"):
         read_bag(path)
+
+
+def test_a_recording_that_was_closed_before_anything_came(tmp_path):
+    path = tmp_path / "a.bag"
+    head = b"\x12\x00\x00\x00index_pos=" + (4117).to_bytes(8, "little") + b"\x04\x00\x00\x00op=\x03"
+    head = len(head).to_bytes(4, "little") + head
+    path.write_bytes((b"#ROSBAG V2.0\n" + head).ljust(4117))      # as rosbag.Bag(path, "w").close() leaves it
+    assert is_closed(path)
+
+
+def test_a_bag_that_may_not_be_read(tmp_path, monkeypatch):
+    def refuse(path):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(module, "is_recording", refuse)
+    (tmp_path / "a.bag").write_bytes(b"")
+    with pytest.raises(RecordError, match="a.bag cannot be read: Permission denied"):
+        read_bag(tmp_path / "a.bag")
 
 
 def test_a_recording_that_was_closed(tmp_path):
