@@ -177,10 +177,14 @@ def test_a_recording_that_was_cut_off_is_told_with_the_mend(tmp_path, name, inde
 
 def test_a_recording_that_was_closed_before_anything_came(tmp_path):
     path = tmp_path / "a.bag"
-    head = b"\x12\x00\x00\x00index_pos=" + (4117).to_bytes(8, "little") + b"\x04\x00\x00\x00op=\x03"
-    head = len(head).to_bytes(4, "little") + head
-    path.write_bytes((b"#ROSBAG V2.0\n" + head).ljust(4117))      # as rosbag.Bag(path, "w").close() leaves it
+    fields = {b"op": b"\x03", b"index_pos": (4117).to_bytes(8, "little"), b"conn_count": bytes(4), b"chunk_count": bytes(4)}
+    head = b"".join((len(name) + 1 + len(value)).to_bytes(4, "little") + name + b"=" + value
+                    for name, value in fields.items())
+    head = b"#ROSBAG V2.0\n" + len(head).to_bytes(4, "little") + head
+    path.write_bytes(head + (4113 - len(head)).to_bytes(4, "little") + b" " * (4113 - len(head)))     # as rosbag does
     assert is_closed(path)
+    with pytest.raises(RecordError, match="nothing was recorded"):
+        read_bag(path)
 
 
 def test_a_bag_that_may_not_be_read(tmp_path, monkeypatch):

@@ -148,6 +148,8 @@ def read_bag(path: Union[str, Path], truth: str = "/scene/truth") -> Record:
         raise RecordError("{}: the name of a ROS 1 bag ends in .bag".format(file))
     try:
         with AnyReader([file]) as reader:
+            if not reader.message_count:
+                raise RecordError("{}: nothing was recorded".format(file))
             return _Reading(reader, truth.rstrip("/")).record()
     except (AnyReaderError, ReaderError) as error:
         raise RecordError("{}: {}".format(file, error)) from error
