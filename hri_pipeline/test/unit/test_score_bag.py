@@ -177,7 +177,8 @@ def test_a_recording_that_was_cut_off_is_told_with_the_mend(tmp_path, name, inde
 
 def test_a_recording_that_was_closed_before_anything_came(tmp_path):
     path = tmp_path / "a.bag"
-    fields = {b"op": b"\x03", b"index_pos": (4117).to_bytes(8, "little"), b"conn_count": bytes(4), b"chunk_count": bytes(4)}
+    fields = {b"op": b"\x03", b"index_pos": (4117).to_bytes(8, "little"), b"conn_count": bytes(4),
+              b"chunk_count": bytes(4)}
     head = b"".join((len(name) + 1 + len(value)).to_bytes(4, "little") + name + b"=" + value
                     for name, value in fields.items())
     head = b"#ROSBAG V2.0\n" + len(head).to_bytes(4, "little") + head
