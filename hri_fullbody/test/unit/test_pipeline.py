@@ -570,6 +570,18 @@ def test_what_was_refused_is_not_asked_again_until_it_moves_or_something_moves_i
     assert len(bodies) == 1
 
 
+def test_refused_places_do_not_delay_who_comes():
+    others = [(150, 300), (1000, 300), (150, 650), (1000, 650)]
+    stage, scene, detector = make(others, person_detection_period=1.0, new_windows_per_image=1)
+    room = still_room()
+    assert refused(scene, stage, detector, [room] * 30) == len(others)
+    scene.people = [*others, (560, 400)]
+    detector.is_human = lambda image, box: box[0] < 560 < box[2]
+    stage.update(room, CAMERA, 4.1)     # the detector sees all
+    bodies = [stage.update(room, CAMERA, 4.2 + 0.1 * index) for index in range(6)]
+    assert sum(map(bool, bodies)) >= 4, [len(found) for found in bodies]
+
+
 def test_a_face_where_a_body_was_refused_begins_one_in_the_same_picture():
     stage, scene, detector = make([(400, 400)])
     room = still_room()

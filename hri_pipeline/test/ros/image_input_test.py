@@ -463,6 +463,7 @@ class ImageInputTest(InputCase):
                 rospy.logwarn("the end")
             told = [line for line in log.output if "frame" in line]
             self.assertEqual([words in line and image_input.topic in line for line in told], [True] if words else [])
+        self.assertIn("images are in the frame 'other_optical' now", image_input.status()[1])
         self.assertEqual(restarts, [2], "what was seen by another camera is elsewhere")
 
     def test_a_camera_whose_stamp_stands_still_is_told(self):

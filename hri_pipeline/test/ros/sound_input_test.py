@@ -114,6 +114,25 @@ class SoundInputTest(unittest.TestCase):
                 rospy.logwarn("the end")
             self.assertEqual(any("NTP" in line for line in log.output), words.endswith("arrives"), log.output)
 
+    def test_the_clock_is_that_of_the_sender_who_is_heard(self):
+        self.addCleanup(setattr, sound_input, "_SETTLED_S", sound_input._SETTLED_S)
+        sound_input._SETTLED_S = 0.0
+
+        def send(name, stamp):
+            message = mock.Mock(header=Header(stamp=rospy.Time.from_sec(stamp)), audio=AudioData(data=chunk()))
+            message._connection_header = {"callerid": name}
+            sound._on_stamped(message)
+        for wrong, words in ((rospy.get_time() - 30.0, " s old when it arrives"),
+                             (3.5, "sound is stamped by simulated time (3.5 s), and /use_sim_time is not true")):
+            sound = self.open(use_audio_info=False)
+            send("/heard", wrong)
+            send("/other", rospy.get_time())
+            self.assertIn(words, sound._clock_problem())
+            sound = self.open(use_audio_info=False)
+            send("/heard", rospy.get_time())
+            send("/other", wrong)
+            self.assertEqual(sound._clock_problem(), "")
+
     def test_without_the_type_there_is_one_input(self):
         with mock.patch.object(sound_input, "AudioDataStamped", None):
             sound = self.open(use_audio_info=False)

@@ -11,6 +11,7 @@ from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
+from hri_pipeline.core.recognition import store as module
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson, read_store
 from hri_pipeline.core.recognition.stored_gallery import StoredGallery
@@ -128,6 +129,41 @@ def test_whoever_has_no_legal_id_gets_a_new_one_with_all_that_is_known(path, tol
     assert b"Bert Example" not in b"".join(file.read_bytes() for file in path.parent.iterdir())
 
 
+@pytest.mark.parametrize("is_encrypted", [False, True])
+def test_templates_stay_with_whoever_gets_a_new_id_where_only_the_id_is_damaged(path, told, cipher, is_encrypted):
+    cipher = cipher if is_encrypted else None
+    filled(path, cipher)
+    spoil(path, "UPDATE persons SET id = 'no id!' WHERE id = 'bert'")
+    store = opened(path, told, cipher)
+    new, = {one.id for one in store.load_records()} - {"anna"}
+    assert {one.id: len(one.templates) for one in store.load_templates("net", SIZE)} == {"anna": 3, new: 3}
+    store.remove_record(new)
+    store.close()
+    with sqlite3.connect(str(path)) as database:
+        assert {row[0] for row in database.execute("SELECT person FROM templates")} == {"anna"}
+    database.close()
+
+
+@pytest.mark.parametrize("statement", [
+    "UPDATE templates SET person = 'nobody' WHERE person = 'bert'",
+    "UPDATE templates SET person = 'no id!', template = x'00' WHERE person = 'bert' AND number = 1",
+    "UPDATE persons SET id = id || '!'",
+    "UPDATE templates SET person = CASE number WHEN 0 THEN 'no id!' ELSE 'nobody' END WHERE person = 'bert'"])
+def test_templates_of_nobody_go_and_hinder_nobody(path, told, statement):
+    filled(path)
+    spoil(path, statement)
+    store = opened(path, told)
+    assert len(store.load_records()) == 2
+    known = {one.id: len(one.templates) for one in store.load_templates("net", SIZE)}
+    ids = {one.id for one in store.load_records()}
+    assert set(known) <= ids and sum("of an id that nobody has" in line for line in told) == 1
+    store.close()
+    with sqlite3.connect(str(path)) as database:
+        assert {row[0] for row in database.execute("SELECT person FROM templates")} <= ids, "who is forgotten is"
+    database.close()
+    assert opened(path, told).load_templates("net", SIZE) is not None and len(told) <= 3
+
+
 def test_whoever_has_no_legal_id_is_left_out_of_a_read_only_store(path, told):
     filled(path)
     spoil(path, "UPDATE persons SET id = 'no id!' WHERE id = 'bert'")
@@ -230,6 +266,36 @@ def test_another_key_changes_nothing_in_a_store(path, told, cipher, tmp_path, is
             read_store(path, other, "net", SIZE, told.append)
     store = opened(path, told, cipher)
     assert store.load_records() == [ANNA, BERT] and len(store.load_templates("net", SIZE)) == 2 and not told
+    store.close()
+
+
+def test_another_key_encrypts_no_records_in_plain_beside_templates_that_it_does_not_open(path, told, cipher, tmp_path):
+    """As the first two schemas have left them."""
+    filled(path, cipher)
+    spoil(path, "DELETE FROM facts WHERE name = 'key'")
+    spoil(path, "UPDATE persons SET sealed = NULL, name = 'Plain Example'")
+    other = TemplateCipher(make_key_file(tmp_path / "other"))
+    for _ in range(2):
+        with pytest.raises(StoreError, match="give the key"):
+            opened(path, told, other)
+    store = opened(path, told, cipher)
+    assert [one.name for one in store.load_records()] == ["Plain Example"] * 2
+    assert [len(one.templates) for one in store.load_templates("net", SIZE)] == [3, 3] and not told
+    store.close()
+
+
+def test_two_who_are_apart_can_be_joined_after_one_got_a_new_id(path, told, monkeypatch):
+    monkeypatch.setattr(module.IdGenerator, "new", lambda generator: "aaaaa")
+    filled(path)
+    with sqlite3.connect(str(path)) as database:
+        database.execute("INSERT INTO apart VALUES ('anna', 'no id!')")
+        database.execute("UPDATE persons SET id = 'no id!' WHERE id = 'bert'")
+    database.close()
+    store, pair = opened(path, told), frozenset(["anna", "aaaaa"])
+    store.load_records()
+    assert store.load_apart() == {pair}
+    store.put_apart([], [pair])
+    assert store.load_apart() == set()
     store.close()
 
 

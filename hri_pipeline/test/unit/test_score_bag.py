@@ -10,6 +10,7 @@ from scene_bag import SceneBag, upright
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.simulation.scene_file import parse_scene
 from hri_pipeline.core.simulation.world import World
+from hri_pipeline.score import bag as module
 from hri_pipeline.score.bag import RecordError, is_closed, read_bag
 from hri_pipeline.score.command import main, score
 
@@ -172,6 +173,29 @@ def test_a_recording_that_was_cut_off_is_told_with_the_mend(tmp_path, name, inde
     assert not is_closed(path)
     with pytest.raises(RecordError, match="was not closed.*rosbag reindex"):
         read_bag(path)
+
+
+def test_a_recording_that_was_closed_before_anything_came(tmp_path):
+    path = tmp_path / "a.bag"
+    fields = {b"op": b"\x03", b"index_pos": (4117).to_bytes(8, "little"), b"conn_count": bytes(4),
+              b"chunk_count": bytes(4)}
+    head = b"".join((len(name) + 1 + len(value)).to_bytes(4, "little") + name + b"=" + value
+                    for name, value in fields.items())
+    head = b"#ROSBAG V2.0\n" + len(head).to_bytes(4, "little") + head
+    path.write_bytes(head + (4113 - len(head)).to_bytes(4, "little") + b" " * (4113 - len(head)))     # as rosbag does
+    assert is_closed(path)
+    with pytest.raises(RecordError, match="nothing was recorded"):
+        read_bag(path)
+
+
+def test_a_bag_that_may_not_be_read(tmp_path, monkeypatch):
+    def refuse(path):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(module, "is_recording", refuse)
+    (tmp_path / "a.bag").write_bytes(b"")
+    with pytest.raises(RecordError, match="a.bag cannot be read: Permission denied"):
+        read_bag(tmp_path / "a.bag")
 
 
 def test_a_recording_that_was_closed(tmp_path):

@@ -106,7 +106,9 @@ WALL = 1795709036.0     # 2026-11-26
 
 @pytest.mark.parametrize("stamp, now, simulated, what, remedy", [
     (WALL - 3.0, WALL, False, "3.0 s old when they arrive", "clocks of the machines"),
+    (WALL - 7200.0, WALL, False, "7200.0 s old when they arrive", "--clock and /use_sim_time true"),
     (WALL + 60.0, WALL, False, "60.0 s in the future", "clocks of the machines"),
+    (50.0, 42.5, True, "7.5 s in the future", "publish /clock"),
     (0.1, WALL, False, "simulated time (0.1 s)", "rosparam set /use_sim_time true"),
     (WALL - 400 * 86400.0, WALL, False, "2025-10-22", "--clock"),
     (WALL - 0.2, 42.5, True, "wall clock", "rosparam set /use_sim_time false"),

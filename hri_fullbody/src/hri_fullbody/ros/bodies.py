@@ -146,7 +146,7 @@ class BodyProcessor:
         self._pacer.set_rate(settings.joint_state_rate)
 
     def reset(self) -> None:
-        """Forget all bodies: time has jumped back."""
+        """Forget all bodies: time has jumped back, or the images have changed."""
         self._pipeline.reset()
         if self._publishers is not None:
             self._publishers.keep([])

@@ -11,7 +11,6 @@ from hri_pipeline.core.timing import clock_fault
 
 NO_IMAGE_YET = "no image yet"       # what a pipeline tells in /diagnostics, whatever the reason
 OK, HINT, FAULT = 0, 1, 2
-_MATCHER, _MATCHED = "hri_face_body_matcher", ("hri_faces", "hri_bodies")
 
 
 @dataclass(frozen=True)
@@ -186,7 +185,8 @@ def as_text(findings: List[Finding]) -> str:
 
 _LISTS = {"hri_faces": "/humans/faces/tracked", "hri_bodies": "/humans/bodies/tracked",
           "hri_person_manager": "/humans/persons/tracked"}
-_MATCHER, MATCHES = "hri_face_body_matcher", "/humans/candidate_matches"
+_MATCHER, _MATCHED = "hri_face_body_matcher", ("hri_faces", "hri_bodies")
+MATCHES = "/humans/candidate_matches"
 _BLIND = (_MATCHER, "hri_person_manager", "hri_voices", "hri_voice_matcher", "hri_interactions")
 """Nodes that take no images: where no other is wanted, none have to come."""
 

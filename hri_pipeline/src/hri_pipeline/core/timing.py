@@ -161,7 +161,7 @@ class ClockWatch:
 
 
 def clock_fault(age: float, now: float, wall: float, simulated: bool) -> Tuple[str, str]:
-    """Return what is wrong with stamps of another clock, to be read after "images are", and the remedy.
+    """Return what is wrong with stamps of another clock, to be read after "images are" or "sound is", and the remedy.
 
     Parameters
     ----------
@@ -172,13 +172,17 @@ def clock_fault(age: float, now: float, wall: float, simulated: bool) -> Tuple[s
     """
     stamp = now - age
     if abs(age) < OTHER_CLOCK_S:
-        text = "{:.1f} s {}".format(abs(age), "old when they arrive" if age > 0.0 else "in the future")
-        return text, ("play the bag no faster than this machine computes" if simulated else
-                      "set the clocks of the machines (chrony, ntpdate); over a network take "
-                      "image_transport:=compressed")
+        if age <= 0.0:
+            return "{:.1f} s in the future".format(-age), (
+                "let one program only, that of the images, publish /clock (a bag: --clock)" if simulated else
+                "set the clocks of the machines (chrony, ntpdate)")
+        return "{:.1f} s old when they arrive".format(age), (
+            "play the bag no faster than this machine computes" if simulated else
+            "set the clocks of the machines (chrony, ntpdate); over a network take image_transport:=compressed; play a "
+            "bag with --clock and /use_sim_time true")
     if simulated and abs(stamp - wall) < OTHER_CLOCK_S:
         return "stamped by the wall clock, and /use_sim_time is true: {:.1f} s on /clock".format(now), (
-            "let the camera driver stamp by the time of ROS; without a simulator or bag: rosparam set /use_sim_time "
+            "let the driver stamp by the time of ROS; without a simulator or bag: rosparam set /use_sim_time "
             "false, and start the nodes again")
     text = ("stamped by simulated time ({:.1f} s)".format(stamp) if stamp < _FIRST_DATE_S else
             "of " + time.strftime("%Y-%m-%d %H:%M", time.gmtime(stamp)))
@@ -187,7 +191,7 @@ def clock_fault(age: float, now: float, wall: float, simulated: bool) -> Tuple[s
             "let one program only, that of the images, publish /clock (a bag: --clock)")
     return "{}, and /use_sim_time is not true".format(text), (
         "of a simulator or bag: rosparam set /use_sim_time true, play the bag with --clock, and start the nodes again; "
-        "of a camera: set its clock")
+        "of a device: set its clock")
 
 
 class SourceStamps:

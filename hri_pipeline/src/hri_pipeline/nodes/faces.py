@@ -130,7 +130,7 @@ class FaceProcessor:
         self._pipeline.reconfigure(settings)
 
     def reset(self) -> None:
-        """Drop all faces: time has jumped back."""
+        """Drop all faces: time has jumped back, or the images have changed."""
         self._pipeline.reset()
         self._tracked.clear()
         self._topics.close_ids()

@@ -140,7 +140,7 @@ class ImageInput(SensorInput):
         self._lags = (math.inf, math.inf)
         self._frame_id: Optional[str] = None
         self._size: Optional[Tuple[int, int]] = None
-        self._resized: Tuple[str, float] = ("", -math.inf)
+        self._changed: Tuple[str, float] = ("", -math.inf)
         self._problem: Tuple[int, str] = (OK, "")
         self._clock_problem = ""
         self._age = 0.0
@@ -175,7 +175,7 @@ class ImageInput(SensorInput):
             return ERROR, silent, values
         level, text = self._problem
         if level == OK:
-            text = self._other_sender() or self._size_problem() or self._camera.problem[1] or self._clock_problem
+            text = self._other_sender() or self._change_problem() or self._camera.problem[1] or self._clock_problem
             level = WARN if text else OK
         if self._depth is not None:
             depth_level, depth_text, depth_values = self._depth.status()
@@ -317,13 +317,17 @@ class ImageInput(SensorInput):
         self.counts["size_changes"] += 1
         text = "{}: images are {}x{} px now, before {}x{}: tracks start anew, and who is not recognised gets a new " \
             "id; one topic is to carry images of one size".format(self.topic, *size, *before)
-        self._resized = text, time.monotonic()
-        self._warn("size", self._resized[0])
+        self._tell_change("size", text)
+
+    def _tell_change(self, kind: str, text: str) -> None:
+        """Start anew, and say why."""
+        self._changed = text, time.monotonic()
+        self._warn(kind, text)
         self._restart()
 
-    def _size_problem(self) -> str:
-        """Return what was said of a change of size a moment ago, empty without one."""
-        return self._resized[0] if time.monotonic() - self._resized[1] < LOG_PERIOD_S else ""
+    def _change_problem(self) -> str:
+        """Return what was said of a change of size or frame a moment ago, empty without one."""
+        return self._changed[0] if time.monotonic() - self._changed[1] < LOG_PERIOD_S else ""
 
     def _name_frame(self, header: Header) -> None:
         """Leave out a leading slash of the frame, and tell when the frame is another one than before."""
@@ -335,9 +339,8 @@ class ImageInput(SensorInput):
             self._warn("slash", "{}: the frame_id {!r} begins with a slash, which tf2 refuses; {!r} is used. Set the "
                        "camera driver's frame_id".format(self.topic, given, header.frame_id))
         if self._frame_id is not None and header.frame_id != self._frame_id.lstrip("/"):
-            self._warn("frame", "{}: images are in the frame {!r} now, before in {!r}: tracks start anew; one topic is "
-                       "to carry the images of one camera".format(self.topic, given, self._frame_id))
-            self._restart()
+            self._tell_change("frame", "{}: images are in the frame {!r} now, before in {!r}: tracks start anew; one "
+                              "topic is to carry the images of one camera".format(self.topic, given, self._frame_id))
         self._frame_id = given
 
     def _restart(self) -> None:

@@ -17,6 +17,7 @@ from std_msgs.msg import Bool
 from hri_pipeline.core.audio.own_voice import RobotSpeech
 from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.stream import SoundBlock, SoundError, SoundFormat, SoundStream
+from hri_pipeline.core.timing import OTHER_CLOCK_S, clock_fault
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
 from hri_pipeline.ros.rospy_compat import release, sender_of
 from hri_pipeline.ros.sensor_input import LOG_PERIOD_S, SILENCE_S, SensorInput
@@ -30,8 +31,8 @@ INFO_GRACE_S = 1.0
 MAX_WAITING_S = 5.0
 # Sound whose stamps differ by more from the time of its arrival, for so long, comes from another clock.
 _MOST_AGE_S, _SETTLED_S = 2.0, 2.0
-_CLOCKS = ("{}: sound is {:.1f} s {}, so that voices are found at the times of other images; set the clocks of "
-           "microphone and robot by NTP, or play bags with --clock and /use_sim_time")
+_CLOCKS = "{}: sound is {}, so that voices are found at the times of other images; {}"
+_MEND = "set the clocks of microphone and robot by NTP, or play bags with --clock and /use_sim_time"
 _BAD_S = 2.0
 _GAP_SHOWN_S = 5.0
 _MOST_INFOS = 8
@@ -70,7 +71,7 @@ class SoundInput(SensorInput):
         self._stream: Optional[SoundStream] = None
         self._last: Optional[float] = None
         self._stamped_at = float("-inf")
-        self._age, self._in_time = 0.0, time.monotonic()
+        self._age, self._came, self._in_time = 0.0, 0.0, time.monotonic()
         self._bad: Tuple[str, float] = ("", float("-inf"))
         self._gap: Tuple[str, float] = ("", float("-inf"))
         self._dropped_bytes = 0
@@ -134,37 +135,41 @@ class SoundInput(SensorInput):
             self._condition.notify_all()
 
     def _on_audio(self, message: AudioData) -> None:
-        if time.monotonic() - self._stamped_at > SILENCE_S:
+        if time.monotonic() - self._stamped_at > SILENCE_S and self._store(message.data, message, rospy.get_time()):
             self._age = 0.0
-            self._store(message.data, message, rospy.get_time())
 
     def _on_stamped(self, message: "AudioDataStamped") -> None:
         self._stamped_at, now, stamp = time.monotonic(), rospy.get_time(), message.header.stamp.to_sec()
-        self._age = now - stamp if now and stamp else 0.0
-        if abs(self._age) <= _MOST_AGE_S:
-            self._in_time = self._stamped_at
         # The stamp is taken as the time of the end of the message.
-        self._store(message.audio.data, message, stamp or now)
+        if self._store(message.audio.data, message, stamp or now):
+            self._age, self._came = now - stamp if now and stamp else 0.0, now
+            if abs(self._age) <= _MOST_AGE_S:
+                self._in_time = self._stamped_at
 
     def _clock_problem(self) -> str:
         """Return that the stamps are of another clock, empty where they are not."""
-        if abs(self._age) <= _MOST_AGE_S or time.monotonic() - self._in_time < _SETTLED_S:
+        age = self._age
+        if abs(age) <= _MOST_AGE_S or time.monotonic() - self._in_time < _SETTLED_S:
             return ""
-        return _CLOCKS.format(rospy.resolve_name("audio_stamped"), abs(self._age),
-                              "old when it arrives" if self._age > 0.0 else "in the future")
+        fault = ("{:.1f} s {}".format(abs(age), "old when it arrives" if age > 0.0 else "in the future"), _MEND)
+        if abs(age) >= OTHER_CLOCK_S:
+            fault = clock_fault(age, self._came, time.time(), not rospy.rostime.is_wallclock())
+        return _CLOCKS.format(rospy.resolve_name("audio_stamped"), *fault)
 
-    def _store(self, data: bytes, message: genpy.Message, arrival: float) -> None:
+    def _store(self, data: bytes, message: genpy.Message, arrival: float) -> bool:
+        """Keep a message until it is its turn; tell whether it is used."""
         if not arrival:
-            return  # simulated time has not begun
+            return False    # simulated time has not begun
         with self._condition:
             if not self._accepts(message):
-                return
+                return False
             self._senders.was_read(sender_of(message), True, self._heard)
             self.counts["messages"] += 1
             self._chunks.append(_Chunk(bytes(data), arrival))
             self._waiting_bytes += len(data)
             self._drop_old()
             self._condition.notify()
+        return True
 
     def _drop_old(self) -> None:
         """Drop messages that have waited too long, the oldest first."""

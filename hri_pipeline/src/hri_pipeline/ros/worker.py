@@ -43,7 +43,7 @@ class Processor(Protocol):
         """Apply new values of the live parameters."""
 
     def reset(self) -> None:
-        """Forget all tracks: time has jumped back."""
+        """Forget all tracks: time has jumped back, or the images have changed."""
 
     def close(self) -> None:
         """Give everything back."""

@@ -117,7 +117,7 @@ def is_closed(path: Union[str, Path]) -> bool:
         size = int.from_bytes(begin[at:at + 4], "little")
         name, _, value = begin[at + 4:at + 4 + size].partition(b"=")
         if name == b"index_pos":
-            return 0 < int.from_bytes(value, "little") < Path(path).stat().st_size
+            return 0 < int.from_bytes(value, "little") <= Path(path).stat().st_size     # without messages it is empty
         at += 4 + size
     return False
 
@@ -138,12 +138,18 @@ def read_bag(path: Union[str, Path], truth: str = "/scene/truth") -> Record:
     file = Path(path).expanduser()
     if not file.is_file():
         raise RecordError("{}: there is no such bag".format(file))
-    if is_recording(file) and not is_closed(file):
+    try:
+        was_cut = is_recording(file) and not is_closed(file)
+    except OSError as error:
+        raise RecordError("{} cannot be read: {}".format(file, error.strerror)) from error
+    if was_cut:
         raise RecordError(not_closed(file))
     if file.suffix != ".bag":
         raise RecordError("{}: the name of a ROS 1 bag ends in .bag".format(file))
     try:
         with AnyReader([file]) as reader:
+            if not reader.message_count:
+                raise RecordError("{}: nothing was recorded".format(file))
             return _Reading(reader, truth.rstrip("/")).record()
     except (AnyReaderError, ReaderError) as error:
         raise RecordError("{}: {}".format(file, error)) from error

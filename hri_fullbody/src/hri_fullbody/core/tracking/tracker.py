@@ -247,7 +247,8 @@ class BodyTracker:
         alone = [face for face in faces if self._owner(face) is None]
         self._candidates.offer_faces(alone, stamp)
         by_id = {face.id: face for face in alone}
-        for _ in range(max_windows):
+        tried = 0       # what needs no inference delays nobody
+        while tried < max_windows:
             candidate = self._candidates.take()
             if candidate is None:
                 return
@@ -259,6 +260,7 @@ class BodyTracker:
             if box is not None and self._ignored.contain(box, (image.shape[1], image.shape[0])):
                 self._candidates.give_up(candidate.face_id, stamp)
                 continue
+            tried += 1
             if not self._guard.attempt("place of a new body", self._try_candidate, candidate, image, stamp, face,
                                        faces):
                 self._candidates.give_up(candidate.face_id, stamp)

@@ -186,13 +186,18 @@ class PersonStore:
         with self._database.reading() as database:
             rows = database.execute("SELECT person, number, template FROM templates WHERE model = ?"
                                     " ORDER BY person, number", (model,)).fetchall()
+        if self._may_write and any(row[0] not in people for row in rows):
+            self._settle_orphans([])
+            self.erase_traces()
         found: Dict[str, List[np.ndarray]] = {}
         broken: List[Tuple[str, int, Any, str]] = []
         for person_id, number, blob in rows:
             content, fault = self._unpacked(blob, dimension)
+            if person_id not in people:
+                continue
             if fault:
                 broken.append((person_id, number, blob, fault))
-            elif person_id in people:
+            else:
                 found.setdefault(person_id, []).append(np.frombuffer(content, dtype="<f4").astype(np.float32))
         if broken:
             self._set_templates_aside(model, broken, bool(found))
@@ -289,6 +294,7 @@ class PersonStore:
         nobody could be asked to be forgotten by it."""
         with self._database.writing() as database:
             ids = [row[0] for row in database.execute("SELECT id FROM persons").fetchall()]
+            given_ids: List[str] = []
             for person_id in (one for one in ids if not is_valid_id(one)):
                 new = next(name for name in iter(IdGenerator().new, None) if name not in ids)
                 # Text that is no UTF-8 has surrogates, which SQLite does not take back.
@@ -303,6 +309,26 @@ class PersonStore:
                 self._database.has_traces = True
                 self._notify("{}: the id {} of a person is none, as of a row that was damaged, and is {} now; all that "
                              "is known of the person is kept".format(self.path, repr(person_id)[:40], new))
+                given_ids.append(new)
+            self._settle_orphans(given_ids)
+
+    def _settle_orphans(self, given: Sequence[str]) -> None:
+        """Give templates of an id that nobody has to the one person who has just got a new id; where that is not sure,
+        remove them, as nobody could be asked to be forgotten by them."""
+        alone = "{} NOT IN (SELECT id FROM persons)"
+        with self._database.writing() as database:
+            lost = database.execute("SELECT DISTINCT person FROM templates WHERE " + alone.format("person")).fetchall()
+            has_own = database.execute("SELECT 1 FROM templates WHERE person = ?", (given or [""])[:1]).fetchone()
+            if len(lost) == len(given) == 1 and not has_own:
+                for table, column in self._references():
+                    database.execute("UPDATE {} SET {} = ? WHERE {}".format(table, column, alone.format(column)), given)
+            elif lost:
+                database.execute("DELETE FROM templates WHERE " + alone.format("person"))
+                self._database.has_traces = True
+                self._notify("{}: templates of an id that nobody has are removed, as of rows that were damaged; enrol "
+                             "who is not recognised any more".format(self.path))
+            # The ids of a pair stand in their order.
+            database.execute("UPDATE OR REPLACE apart SET first = second, second = first WHERE first > second")
 
     def _references(self) -> List[Tuple[str, str]]:
         """The tables and columns that name persons."""
@@ -394,6 +420,9 @@ class PersonStore:
             return
         with self._database.writing() as database:
             plain = {row[0] for row in database.execute("SELECT id FROM persons WHERE sealed IS NULL")}
+            if plain and self._has_closed_templates():
+                raise StoreError("{}: the templates cannot be opened; give the key they were written with".format(
+                    self.path))
             for person in self._load_people().values():
                 if person.id in plain:
                     self.put_record(person, is_new=False)
@@ -401,6 +430,13 @@ class PersonStore:
             clocks = database.execute("DELETE FROM facts WHERE name = 'clock' AND value LIKE '[%'").rowcount
             self._database.has_traces |= bool(plain or clocks)
         self.erase_traces()
+
+    def _has_closed_templates(self) -> bool:
+        """Tell whether there are encrypted templates, and the key is not that of the store."""
+        with self._database.reading() as database:
+            found = database.execute("SELECT 1 FROM templates, facts WHERE name = 'templates' AND value != 'plain'"
+                                     " LIMIT 1").fetchone()
+        return found is not None and not self._is_own_key()
 
     def _seal_damaged(self) -> None:
         with self._database.writing() as database:
