@@ -247,20 +247,23 @@ class BodyTracker:
         alone = [face for face in faces if self._owner(face) is None]
         self._candidates.offer_faces(alone, stamp)
         by_id = {face.id: face for face in alone}
-        tried = 0       # what needs no inference delays nobody
+        tried = 0       # places that stay refused delay nobody
         while tried < max_windows:
             candidate = self._candidates.take()
             if candidate is None:
                 return
             face = by_id.get(candidate.face_id) if candidate.face_id is not None else None
-            if candidate.box is not None and (self._has_track(candidate.box, stamp) or self._stays_refused(
-                    candidate, candidate.box, image, stamp)):
+            has_track = candidate.box is not None and self._has_track(candidate.box, stamp)
+            if candidate.box is not None and not has_track and self._stays_refused(
+                    candidate, candidate.box, image, stamp):
+                continue
+            tried += 1
+            if has_track:
                 continue
             box = candidate.box if face is None else face.box
             if box is not None and self._ignored.contain(box, (image.shape[1], image.shape[0])):
                 self._candidates.give_up(candidate.face_id, stamp)
                 continue
-            tried += 1
             if not self._guard.attempt("place of a new body", self._try_candidate, candidate, image, stamp, face,
                                        faces):
                 self._candidates.give_up(candidate.face_id, stamp)
