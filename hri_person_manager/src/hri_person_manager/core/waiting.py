@@ -57,22 +57,24 @@ def waiting_for_matches(new: Mapping[MatchNode, float], groups: Iterable[FrozenS
     pairs = [(faces[row], bodies[column]) for row, column in assign(costs, MATCH_GATE)]
     matched = {node for face, body in pairs for node in [body if body in new else face]
                if now - new[node] <= MATCH_WAIT_S + places.match_delay(face, body)}
-    parted = parted_from_faces({node for node, since in new.items() if now - since <= PARTED_WAIT_S}, groups,
-                               is_refuted)
+    parted = parted_from_faces({node for node, since in new.items() if node.kind == Kind.BODY
+                                and now - since <= PARTED_WAIT_S}, groups, is_refuted)
     return matched | parted | outdated.intersection(new) | waiting_for_places(
         {node for node, since in new.items() if now - since <= PLACE_WAIT_S}, faces, bodies, places)
 
 
-def parted_from_faces(new: Iterable[MatchNode], groups: Iterable[FrozenSet[MatchNode]],
+def parted_from_faces(bodies: Set[MatchNode], groups: Iterable[FrozenSet[MatchNode]],
                       is_refuted: Callable[[MatchNode, MatchNode], bool]) -> Set[MatchNode]:
-    """Return the new bodies that are said not to be a face's which has another body.
+    """Return those of the new bodies that are said not to be a face's which has another body.
 
     A body that the network makes out of two who stand side by side is first taken for one of them, and goes on for a
     moment when the right one has come.
     """
+    if not bodies:
+        return set()
     faces = [node for group in groups if any(node.kind == Kind.BODY for node in group)
              for node in group if node.kind == Kind.FACE]
-    return {body for body in new if body.kind == Kind.BODY and any(is_refuted(face, body) for face in faces)}
+    return {body for body in bodies if any(is_refuted(face, body) for face in faces)}
 
 
 def waiting_for_places(new: Set[MatchNode], faces: List[MatchNode], bodies: List[MatchNode],

@@ -192,7 +192,6 @@ class OnnxModel:
     ) -> None:
         self._path = Path(path)
         self._all_threads, self._sizes = threads, tuple(batch_sizes)
-        self._threads_within = threads.within
         self._notify = notify or (lambda text: None)
         self._session = self._load(providers)
         self.name = self._path.stem
@@ -411,7 +410,7 @@ class OnnxModel:
 
     def _session_on(self, providers: List[str]) -> onnxruntime.InferenceSession:
         options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = self._threads_within
+        options.intra_op_num_threads = self._all_threads.within
         options.inter_op_num_threads = 1
         # Waiting threads that spin take a core from the other nodes of the robot.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")

@@ -254,7 +254,10 @@ class Threads:
 
     def _submit(self, work: Callable[..., Result], *arguments: Any) -> "Optional[Future[Result]]":
         """Hand work to another thread; None where there is none."""
-        pool, nice = self._pool, os.getpriority(os.PRIO_PROCESS, 0)
+        pool = self._pool
+        if pool is None:
+            return None
+        nice = os.getpriority(os.PRIO_PROCESS, 0)
         future: "Future[Result]" = Future()
 
         def run() -> None:
@@ -267,8 +270,6 @@ class Threads:
             except BaseException as error:  # as in any pool: whoever waits does not wait for ever
                 future.set_exception(error)
 
-        if pool is None:
-            return None
         try:
             pool.submit(run)
         except RuntimeError:        # closed meanwhile, or the process may have no more threads; the pool may do it yet
