@@ -118,8 +118,9 @@ def test_what_is_found_of_faces_does_not_hang_on_when_they_are_placed():
         image, stamp = motion.view(index / 10.0), 1000.0 + index / 10.0
         both = [stage.update(image, CAMERA, stamp, None, FaceDemand()) for stage in (early, late)]
         boxes = [[face.box.tolist() for face in faces] for faces in both]
-        poses = [[face.pose.translation.tolist() for face in faces] for faces in both]
-        assert boxes[0] == boxes[1] and poses[0] == poses[1], index
+        assert boxes[0] == boxes[1], index
+        poses = [np.array([face.pose.translation for face in faces]) for faces in both]
+        np.testing.assert_allclose(poses[0], poses[1], atol=1e-6)     # they are solved in other batches
     assert len(both[0]) >= 3
 
 
