@@ -68,6 +68,26 @@ def test_the_detector_runs_by_time_and_not_with_new_windows():
     assert detector.calls == 4
 
 
+def test_known_bodies_do_not_wait_for_the_search_of_others():
+    stage, scene, detector = make([(400, 400)], person_detection_period=0.5)
+    told, searched, detect = [], [], detector.detect
+    detector.detect = lambda image: searched.append(len(told)) or detect(image)
+    for index in range(40):
+        bodies = stage.update(IMAGE, CAMERA, index * 0.05, seen=told.append)
+        assert told[-1] is bodies and len(told) == index + 1
+    assert len(bodies) == 1 and searched[1:], "the detector ran while the body was known"
+    assert all(before == image for before, image in zip(searched, [1, 11, 21, 31])), searched
+
+
+def test_who_is_found_in_slow_images_is_there_in_the_same_image():
+    stage, _, detector = make([(400, 400)], person_detection_period=10.0, body_birth_delay=0.0)
+    order, detect = [], detector.detect
+    detector.detect = lambda image: order.append("search") or detect(image)
+    for index in range(4):
+        stage.update(IMAGE, CAMERA, index * 1.0, seen=lambda bodies: order.append(len(bodies)))
+    assert "search" in order and order[-1] == 1 and order.index(1) <= 4, order
+
+
 def test_a_detector_that_runs_beside_ends_with_the_image_also_when_the_bodies_fail():
     stage, _, detector = make([(400, 400)])
     detector.threads, begun, failed, running = Threads(2), threading.Event(), threading.Event(), []
@@ -480,8 +500,8 @@ def test_the_pipeline_takes_up_every_live_parameter():
         threshold=0.5, detect=lambda image: (np.zeros((0, 4)), np.zeros(0))))
     changed = Reads(BODIES.changed(settings, {"min_person_score": 0.4}))
     pipeline.reconfigure(changed)
-    pipeline.update(np.zeros((48, 64, 3), np.uint8), SimpleNamespace(resized=lambda width, height: None), 0.0)
-    pipeline.update(np.zeros((48, 64, 3), np.uint8), SimpleNamespace(resized=lambda width, height: None), 0.1)
+    pipeline.update(np.zeros((48, 64, 3), np.uint8), CAMERA, 0.0)
+    pipeline.update(np.zeros((48, 64, 3), np.uint8), CAMERA, 0.1)
     of_the_node = {"max_rate", "joint_state_rate"}
     assert {parameter.name for parameter in BODIES.live} - of_the_node <= changed.read
     assert pipeline._detector.threshold == 0.2     # what is fainter than 0.4 starts no body, and confirms one

@@ -143,7 +143,8 @@ class BodyPipeline:
 
     def update(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Sequence[FaceBox] = (),
                depth: Optional[np.ndarray] = None, up: Optional[np.ndarray] = None,
-               camera_height: Optional[float] = None, camera_pose: Optional[Pose] = None) -> List[BodyObservation]:
+               camera_height: Optional[float] = None, camera_pose: Optional[Pose] = None,
+               seen: Optional[Callable[[List[BodyObservation]], None]] = None) -> List[BodyObservation]:
         """Process one image and return its confirmed bodies.
 
         Bodies without an inference in this image are where their motion takes them, with `measured` False.
@@ -157,6 +158,7 @@ class BodyPipeline:
         camera_height : m above the floor; None: with `up` the floor is not used, without it it is learnt, too.
         camera_pose : of the optical frame in one that stands still and whose z axis points up, while the camera moves:
             who was lost is expected there. None: the camera stands.
+        seen : called with the bodies before new ones are searched for, which begin in the next image.
         """
         self._camera_pose = camera_pose
         if stamp < self._last_stamp:
@@ -167,17 +169,29 @@ class BodyPipeline:
         camera = camera.resized(width, height)
         with self._begin_search(bgr, stamp) as search:
             self._follow_known(bgr, camera, stamp, faces, slow)
-            self._search_new(bgr, stamp, faces, slow, search)
+            if slow:        # the next image is far away
+                self._search_new(bgr, stamp, faces, slow, search)
+            bodies = self._observe_all(camera, stamp, faces, SceneContext(depth, up, camera_height))
+            if seen is not None:
+                seen(bodies)
+            if not slow:
+                self._search_new(bgr, stamp, faces, slow, search)
+        return bodies
+
+    def _observe_all(self, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
+                     context: SceneContext) -> List[BodyObservation]:
+        """Observe all bodies of this image, and fit their models."""
+        up = context.up
         self._reidentify(stamp)
         if up is None:
             self._learn_ground(stamp, faces)
         self._faces_come = self._faces_come or any(face.pose is not None for face in faces)
-        bodies = self._localize(camera, stamp, faces, SceneContext(depth, up, camera_height, faces=self._faces_come))
+        bodies = self._localize(camera, stamp, faces, replace(context, faces=self._faces_come))
         self._forget_all_but(self.tracked_ids)
         learnt = self._ground.camera_height("") if up is None else None
-        self._floor = camera_height if learnt is None else learnt[0]
+        self._floor = context.camera_height if learnt is None else learnt[0]
         self.up = self._ground.up if up is None else up
-        self.fit(bodies, stamp, self.up, (width, height), self._ground.up_sd if up is None else 0.0)
+        self.fit(bodies, stamp, self.up, (camera.width, camera.height), self._ground.up_sd if up is None else 0.0)
         return bodies
 
     def fit(self, bodies: Sequence[BodyObservation], stamp: float, up: np.ndarray, size: Tuple[int, int],

@@ -7,7 +7,7 @@ import importlib
 import threading
 from collections import OrderedDict, deque
 from dataclasses import replace
-from typing import Deque, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Callable, Deque, Dict, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 import rospy
@@ -97,7 +97,12 @@ class BodyProcessor:
         """Find the bodies in a frame, publish them, and leave them in context["bodies"]."""
         if "age" in context:
             self._pipeline.note_timing(context["age"], context["took"])
-        seen = self._find(frame, context)
+        # Where somebody is does not wait for the search of others.
+        self._find(frame, context, lambda seen: self._publish(seen, frame, context))
+        self._tell_turned(frame, context.get(UP, (None,))[0])
+
+    def _publish(self, seen: Sequence[BodyObservation], frame: Frame, context: dict) -> None:
+        """Publish the bodies of the turned image, and leave them in context["bodies"] as they are in the frame."""
         bodies = context["bodies"] = [frame.rotation.body_back(body) for body in seen]
         if frame.overtaken():
             return
@@ -121,19 +126,17 @@ class BodyProcessor:
         if self._markers.get_num_connections() and not self._no_frame:
             self._draw([drawn(body, models.get(body.id)) for body in bodies], frame, pointing)
 
-    def _find(self, frame: Frame, context: dict) -> List[BodyObservation]:
-        """The bodies of the turned image."""
+    def _find(self, frame: Frame, context: dict, seen: Callable[[List[BodyObservation]], None]) -> None:
+        """Find the bodies of the turned image, and hand over those that are known."""
         up, height, pose = context.get(UP, (None, None, None))
         rotation, upright = frame.rotation, frame.upright
         if rotation.quarters != self._quarters:
             self._pipeline.turn(rotation.since(self._quarters))
             self._quarters = rotation.quarters
-        seen = self._pipeline.update(
+        self._pipeline.update(
             upright.bgr, upright.camera, frame.stamp, self._face_boxes(frame, context), depth=upright.depth,
             up=None if up is None else rotation.vectors(up), camera_height=height,
-            camera_pose=None if pose is None else rotation.of_camera(pose))
-        self._tell_turned(frame, up)
-        return seen
+            camera_pose=None if pose is None else rotation.of_camera(pose), seen=seen)
 
     def _models(self, seen: Sequence[BodyObservation], rotation: ImageRotation) -> Dict[str, ModelledBody]:
         """Models by id, in the optical frame of the image as it came. seen: as they are in the turned image."""

@@ -114,11 +114,12 @@ class FaceProcessor:
         if rotation.quarters != self._quarters:
             self._pipeline.turn(rotation.since(self._quarters))
             self._quarters = rotation.quarters
-        # Where somebody is does not wait for the analysis.
+        # Where somebody is does not wait for the search of others, nor for the analysis.
         seen = self._pipeline.update(
             upright.bgr, upright.camera, frame.stamp, upright.depth, demand,
             lambda placed: self._publish_places([rotation.face_back(face) for face in placed], frame))
         faces = context["faces"] = [rotation.face_back(face) for face in seen]
+        self._poseless = sum(face.pose is None for face in faces)
         if frame.overtaken():
             return
         self._guard.each("face", lambda face: self._topics.publish(face, frame), faces)
@@ -169,7 +170,6 @@ class FaceProcessor:
         self._guard.attempt("topic", self._topics.keep, ids)
         self._tracked.set(ids, frame.header.stamp)
         posed = [face for face in faces if face.pose is not None]
-        self._poseless = len(faces) - len(posed)
         self._no_frame = not frame.header.frame_id
         if self._no_frame:
             rospy.logwarn_throttle(_LOG_PERIOD_S, _NO_FRAME)

@@ -155,7 +155,8 @@ class FacePipeline:
         demand
             Which results of the analysis are wanted; none by default.
         placed
-            Called with the faces when their poses are known, before the analysis.
+            Called with faces when their poses are known, before the analysis; where the detector searches this image,
+            with those that were known before it does, and then with the others.
 
         Raises
         ------
@@ -169,15 +170,22 @@ class FacePipeline:
         camera = camera.resized(width, height)
         if depth is not None and depth.shape[:2] != (height, width):
             depth = None
-        tracked = self._tracking.update(bgr, stamp)
-        self._forget_dropped()
-        with self.times("face_pose"):
+        observed: Dict[str, FaceObservation] = {}
+
+        def place(found: Sequence[TrackedFace]) -> None:
             # Unconfirmed faces get a pose, too: when they are confirmed, it may not be their turn for a measurement.
-            observed = self._geometry.observe(tracked, camera, stamp, depth)
-        faces = [observation for observation, face in zip(observed, tracked) if face.confirmed]
+            new = [face for face in found if face.id not in observed]
+            with self.times("face_pose"):
+                poses = self._geometry.observe(new, camera, stamp, depth)
+            observed.update((face.id, face) for face in poses)
+            if placed is not None:
+                placed([observation for observation, face in zip(poses, new) if face.confirmed])
+
+        tracked = self._tracking.update(bgr, stamp, place)
+        self._forget_dropped()
+        place(tracked)
+        faces = [observed[face.id] for face in tracked if face.confirmed]
         self._count(faces)
-        if placed is not None:
-            placed(faces)
         faces = self._analysis.update(bgr, faces, stamp, demand, self._tracking.detected)
         if self.recognition is not None:
             self._tracking.take_templates(self.recognition.made, stamp)
@@ -330,8 +338,20 @@ class FaceTrackingPipeline:
         """Who gets the mesh network."""
         return self._mesh_scheduler
 
-    def update(self, bgr: np.ndarray, stamp: float) -> List[TrackedFace]:
-        """Return the faces seen in the (H, W, 3) uint8 image of `stamp` (s), oldest first, unconfirmed ones too."""
+    def update(self, bgr: np.ndarray, stamp: float,
+               followed: Optional[Callable[[List[TrackedFace]], None]] = None) -> List[TrackedFace]:
+        """Return the faces seen in an image, oldest first, unconfirmed ones too.
+
+        Parameters
+        ----------
+        bgr
+            (H, W, 3) uint8.
+        stamp
+            Time of the image, s.
+        followed
+            Called before the detector searches the image, with the published faces that are where they were expected:
+            they need not wait for it.
+        """
         with self._times("face_flow"):
             cut = self._cuts.update(bgr)
         self._predict(bgr, stamp)
@@ -342,7 +362,10 @@ class FaceTrackingPipeline:
             self._search_anew(stamp)
         skipped = {track.id for track in expected} - chosen
         with self._begin_search(bgr, stamp) as search:
-            measured = self._measure_tracks(bgr, [track for track in expected if track.id in chosen], stamp)
+            found = self._measure_tracks(bgr, [track for track in expected if track.id in chosen], stamp)
+            if followed is not None and search is not None and not cut:
+                followed(self._followed(expected, skipped, found, stamp))
+            measured = list(found.values())
             measured += self._detect(bgr, search, measured, skipped, stamp)
         seen = self._tracker.update(measured, stamp, skipped, (bgr.shape[1], bgr.shape[0]), cut)
         if self._tracker.replaced:
@@ -401,18 +424,36 @@ class FaceTrackingPipeline:
             self._panned_at = stamp
         self._stamp = stamp
 
-    def _measure_tracks(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> List[FaceMeasurement]:
-        """Run the mesh network at the predicted places of tracks."""
+    def _measure_tracks(self, bgr: np.ndarray, tracks: Sequence[FaceTrack],
+                        stamp: float) -> Dict[str, FaceMeasurement]:
+        """Run the mesh network at the predicted places of tracks; returns what it finds by their ids."""
         if not tracks:
-            return []
+            return {}
         with self._times("face_mesh"):
             with self._mesh_scheduler.measure() as count:
                 rois = [track.roi(stamp) for track in tracks]
                 results = self._mesh.run(bgr, rois)
                 count(len(rois))
         height, width = bgr.shape[:2]
-        return [self._measurement(bgr, result, track.score) for track, result in zip(tracks, results)
-                if is_face(result, width, height, self._least_presence(track))]
+        return {track.id: self._measurement(bgr, result, track.score) for track, result in zip(tracks, results)
+                if is_face(result, width, height, self._least_presence(track))}
+
+    def _followed(self, tracks: Sequence[FaceTrack], skipped: Set[str], found: Mapping[str, FaceMeasurement],
+                  stamp: float) -> List[TrackedFace]:
+        """Published faces of which nothing that the detector may find can tell that they are somebody else, or
+        elsewhere: alone, seen in the last image, and looking as they did."""
+        crowded = set(self._overlapping(tracks, stamp))
+        faces = []
+        for track in tracks:
+            if not track.published or not track.visible or track.id in crowded:
+                continue
+            if track.id in skipped:
+                faces.append(self._tracked_face(track, stamp))
+            elif track.id in found and found[track.id].presence >= SURE and not track.is_unusual(
+                    found[track.id], stamp):
+                one = found[track.id]
+                faces.append(TrackedFace(track.id, one.mesh, one.box, one.presence, True, True))
+        return faces
 
     def _least_presence(self, track: FaceTrack) -> float:
         """Presence from which a track goes on: higher while the detector has seen it once at most, with a low score."""
