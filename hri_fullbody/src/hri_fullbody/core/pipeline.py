@@ -81,7 +81,7 @@ class BodyPipeline:
 
     def __init__(self, settings: BodiesSettings, notify: Optional[Callable[[str], None]] = None,
                  pose: Optional[PoseEstimator] = None, detector: Optional[PersonDetector] = None,
-                 guard: Optional[ItemGuard] = None) -> None:
+                 guard: Optional[ItemGuard] = None, threads: Optional[Threads] = None) -> None:
         """Load the networks.
 
         Parameters
@@ -90,6 +90,7 @@ class BodyPipeline:
         notify : gets one line of text when an execution provider is missing.
         pose, detector : used instead of the networks of the settings.
         guard : counts errors; an error costs one body at most.
+        threads : of the networks; by default as the settings say. They are closed by close().
 
         Raises
         ------
@@ -100,21 +101,16 @@ class BodyPipeline:
         ValueError
             Illegal settings.
         """
-        self._threads = Threads.of_node(settings.threads, settings.cpu_share)
+        self._settings = settings
+        self._threads = threads or Threads.of_node(settings.threads, settings.cpu_share)
         self._pose = pose or BlazePose(pose_model_path(settings.pose_model), settings.providers, notify, self._threads)
         self._detector = detector or CenterNetDetector(
             model_path(settings.person_detector_model, DETECTOR_MODEL), threshold=_FAINT * settings.min_person_score,
             long_side=settings.person_detection_size, providers=settings.providers, notify=notify,
             threads=self._threads)
         self._guard = guard or ItemGuard()
-        self._tracker = BodyTracker(
-            self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time, settings.min_body_score,
-            settings.max_bodies, guard=self._guard, ignored=IgnoredRegions(settings.ignored_regions),
-            is_human=lambda image, box: self._detector.is_human(image, box),
-            schedule=InferenceScheduler(cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share),
-                                        threads=getattr(self._pose, "threads", ONE_THREAD), clock=self._threads.time))
+        self._tracker = self._make_tracker(settings)
         self._limit_poses(settings)
-        self._settings = settings
         self._localizers: Dict[str, BodyLocalizer] = {}
         self._reidentifier = BodyReidentifier(settings.body_memory)
         self._camera_pose: Optional[Pose] = None
@@ -140,6 +136,15 @@ class BodyPipeline:
         self._last_stamp = self._last_detection = -math.inf
         self._detected_before = self._faces_come = False
         self.times = StageTimes()
+
+    def _make_tracker(self, settings: BodiesSettings) -> BodyTracker:
+        """Return what follows the bodies by the networks."""
+        schedule = InferenceScheduler(cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share),
+                                      threads=getattr(self._pose, "threads", ONE_THREAD), clock=self._threads.time)
+        return BodyTracker(
+            self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time, settings.min_body_score,
+            settings.max_bodies, guard=self._guard, ignored=IgnoredRegions(settings.ignored_regions),
+            is_human=lambda image, box: self._detector.is_human(image, box), schedule=schedule)
 
     def update(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Sequence[FaceBox] = (),
                depth: Optional[np.ndarray] = None, up: Optional[np.ndarray] = None,

@@ -34,6 +34,7 @@ from hri_pipeline.core.observations import BodyObservation, FaceObservation
 from hri_pipeline.core.onnx import ModelLog
 from hri_pipeline.core.orientation import quarter_turns, turned_problem
 from hri_pipeline.core.privacy import DataUse
+from hri_pipeline.core.process import Threads
 from hri_pipeline.core.timing import StampPacer
 from hri_pipeline.ros.conversions import (
     LandmarkArray,
@@ -60,7 +61,8 @@ class BodyProcessor:
     """Runs BodyPipeline on each frame and publishes its results. A body that cannot be published costs no other.
 
     settings: the values of `parameters.BODIES`. listen_for_faces: follow the faces of another process; with False only
-    those that a processor before this one has put into context["faces"] are used.
+    those that a processor before this one has put into context["faces"] are used. threads: of the networks; by default
+    as the settings say.
     Raises ModelError when a network is missing or damaged, ParameterError for a segments file that cannot be used.
     """
 
@@ -68,10 +70,11 @@ class BodyProcessor:
     data_use = DataUse(("key points", "skeletons", "statures", "clothes, for some seconds", "attitudes", "postures",
                         "gestures"))
 
-    def __init__(self, settings: BodiesSettings, listen_for_faces: bool = True) -> None:
+    def __init__(self, settings: BodiesSettings, listen_for_faces: bool = True,
+                 threads: Optional[Threads] = None) -> None:
         self._guard = ItemGuard(rospy.logerr)
         self._networks = ModelLog(rospy.logwarn)
-        self._pipeline = BodyPipeline(settings, notify=self._networks, guard=self._guard)
+        self._pipeline = BodyPipeline(settings, notify=self._networks, guard=self._guard, threads=threads)
         self._publishers: Optional[StatePublishers] = None
         if settings.state_publishers:
             self._publishers = StatePublishers(settings.max_bodies, settings.joint_state_rate)

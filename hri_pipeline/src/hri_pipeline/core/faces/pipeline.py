@@ -96,6 +96,8 @@ class FacePipeline:
         Generator of the faces' ids; a new one by default.
     notify
         Called with one line of text for each execution provider that is skipped.
+    threads
+        Of the networks; by default as the settings say. They are closed by close().
 
     Raises
     ------
@@ -104,13 +106,13 @@ class FacePipeline:
     """
 
     def __init__(self, settings: FacePipelineSettings, ids: Optional[IdGenerator] = None,
-                 notify: Optional[Callable[[str], None]] = None) -> None:
+                 notify: Optional[Callable[[str], None]] = None, threads: Optional[Threads] = None) -> None:
         self.times = StageTimes()
         canonical = load_canonical_face(model_path(settings.canonical_face, "canonical_face.npz"))
         blendshapes = Blendshapes(model_path(settings.face_blendshapes_model, "face_blendshapes.onnx"),
                                   settings.providers, notify)
         self._geometry = FaceGeometry(canonical, blendshapes)
-        self._threads = Threads.of_node(settings.threads, settings.cpu_share)
+        self._threads = threads or Threads.of_node(settings.threads, settings.cpu_share)
         self._analysis = FaceAnalysis(settings, canonical, self.times, notify, self._threads)
         self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify, judge=self._judge(),
                                               threads=self._threads)
