@@ -18,6 +18,7 @@ from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.process import ONE_THREAD, Threads
+from hri_pipeline.core.timing import StageTimes
 
 IMAGE = np.zeros((720, 1280, 3), np.uint8)
 CAMERA = CameraModel.from_fov(1280, 720, 1.05)
@@ -89,7 +90,28 @@ def test_a_detector_that_runs_beside_ends_with_the_image_also_when_the_bodies_fa
     with pytest.raises(KeyError):
         stage.update(IMAGE, CAMERA, 0.0)
     assert not running
+    again = []
+    detector.detect = lambda image: again.append(image) or (np.empty((0, 4)), np.empty(0))
+    stage._tracker.follow = lambda *arguments: None
+    stage.update(IMAGE, CAMERA, 0.05)
+    assert again, "what it found was lost"
     detector.threads.close()
+
+
+def test_the_time_of_a_detector_that_runs_beside_is_its_own_and_not_how_long_it_is_waited_for():
+    stage, _, detector = make([(400, 400)])
+    detector.threads, now, done = Threads(2), [0.0], threading.Event()
+    stage.times = StageTimes(clock=lambda: now[0])
+
+    def detect(image):
+        now[0] += 5.0
+        done.set()
+        return np.empty((0, 4)), np.empty(0)
+
+    detector.detect, stage._tracker.follow = detect, lambda *arguments: done.wait(20.0)
+    stage.update(IMAGE, CAMERA, 0.0)
+    detector.threads.close()
+    assert stage.times.summary()["person detector"] == (5000.0, 5000.0)
 
 
 def test_the_cost_of_a_body_has_the_time_of_those_who_cut_the_windows_for_a_card():

@@ -215,8 +215,13 @@ class BodyPipeline:
         """Let the person detector begin, beside the pose network, when it is due whatever that finds."""
         threads: Threads = getattr(self._detector, "threads", ONE_THREAD)
         if stamp - self._last_detection >= self._settings.person_detection_period:
-            return threads.beside(self._detector.detect, bgr)
-        return nullcontext(lambda: self._detector.detect(bgr))
+            return threads.beside(self._run_detector, bgr)
+        return nullcontext(lambda: self._run_detector(bgr))
+
+    def _run_detector(self, bgr: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """Run the person detector, whose time is its own, also where it runs beside and is hardly waited for."""
+        with self.times("person detector"):
+            return self._detector.detect(bgr)
 
     def _search_new(self, bgr: np.ndarray, stamp: float, faces: Sequence[FaceBox], slow: bool, search: Search) -> None:
         """Search for new bodies: with the person detector when it is due, else in a few of the candidate windows.
@@ -229,9 +234,8 @@ class BodyPipeline:
         detected_before, self._detected_before = self._detected_before, due
         if due:
             self._last_detection = stamp
-            with self.times("person detector"):
-                boxes, scores = search()
-                self._orientation.update(bgr, scores, stamp, self._detector.detect)
+            boxes, scores = search()
+            self._orientation.update(bgr, scores, stamp, self._run_detector)
             self._tracker.propose(list(boxes[scores >= self._settings.min_person_score]), faces, stamp, list(boxes))
             if not detected_before and not slow:
                 return
