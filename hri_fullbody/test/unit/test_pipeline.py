@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from synthetic_people import Scene, face_of, standing_at
 
-from hri_fullbody.core.detection.windows import face_boxes
+from hri_fullbody.core.detection.windows import FaceBox, face_boxes
 from hri_fullbody.core.parameters import BODIES, VISION
 from hri_fullbody.core.pipeline import BodyPipeline, pose_model_path
 from hri_pipeline.core.camera import CameraModel
@@ -185,6 +185,16 @@ def test_bodies_wait_for_their_faces_only_where_faces_are_looked_for(with_face):
             placed.setdefault("face" if body.head is not None else body.box[0] > 600, []).append(body.pose is not None)
     assert placed[True][0] != with_face and all(placed[True][15:])
     assert all(placed["face" if with_face else False])
+
+
+def test_nobody_waits_for_a_face_once_faces_are_looked_for_no_more():
+    stage, _, _ = make([(400, 400)])
+    awaited, localize = [], stage._localize
+    stage._localize = lambda *about: awaited.append(about[-1].faces) or localize(*about)
+    face = FaceBox("abcde", np.array([370.0, 100.0, 430.0, 170.0]), Pose(np.eye(3), np.array([0.0, 0.0, 2.0])))
+    for faces in ((), [replace(face, pose=None)], [face], (), None, (), [face], ()):
+        stage.update(IMAGE, CAMERA, 0.05 * len(awaited), faces)
+    assert awaited == [False, False, True, True, False, False, True, True]
 
 
 def test_who_has_no_place_has_none_between_two_looks_either():

@@ -146,7 +146,7 @@ class BodyPipeline:
             settings.max_bodies, guard=self._guard, ignored=IgnoredRegions(settings.ignored_regions),
             is_human=lambda image, box: self._detector.is_human(image, box), schedule=schedule)
 
-    def update(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Sequence[FaceBox] = (),
+    def update(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Optional[Sequence[FaceBox]] = (),
                depth: Optional[np.ndarray] = None, up: Optional[np.ndarray] = None,
                camera_height: Optional[float] = None, camera_pose: Optional[Pose] = None) -> List[BodyObservation]:
         """Process one image and return its confirmed bodies.
@@ -157,6 +157,7 @@ class BodyPipeline:
         ----------
         bgr : (H, W, 3) image, taken by `camera` at `stamp` (s). A stamp older than the last one starts afresh.
         faces : those of this image or a moment before; optional, but they keep neighbours apart and give the distance.
+            None: nobody looks for faces, so that no body waits for its own.
         depth : (h, w) m, registered to the image, NaN or 0 where unknown.
         up : (3,) unit vector against gravity in the optical frame; None: learnt from the people, see GroundPlane.
         camera_height : m above the floor; None: with `up` the floor is not used, without it it is learnt, too.
@@ -168,6 +169,8 @@ class BodyPipeline:
             self.reset()
         slow = SLOW_S < stamp - self._last_stamp < math.inf
         self._last_stamp = stamp
+        self._faces_come = faces is not None and (self._faces_come or any(face.pose is not None for face in faces))
+        faces = faces or ()
         height, width = bgr.shape[:2]
         camera = camera.resized(width, height)
         with self._begin_search(bgr, stamp) as search:
@@ -176,7 +179,6 @@ class BodyPipeline:
         self._reidentify(stamp)
         if up is None:
             self._learn_ground(stamp, faces)
-        self._faces_come = self._faces_come or any(face.pose is not None for face in faces)
         bodies = self._localize(camera, stamp, faces, SceneContext(depth, up, camera_height, faces=self._faces_come))
         self._forget_all_but(self.tracked_ids)
         learnt = self._ground.camera_height("") if up is None else None

@@ -4,6 +4,7 @@ images: the faces that another process tracks."""
 from __future__ import annotations
 
 import importlib
+import math
 import threading
 from collections import OrderedDict, deque
 from dataclasses import replace
@@ -157,6 +158,8 @@ class BodyProcessor:
         self._appearance_pacer.reset()
         self._tracked.clear()
         self._topics.close()
+        if self._faces is not None:
+            self._faces.reset()
 
     def status(self) -> Status:
         """Return level, message and values for diagnostics."""
@@ -203,15 +206,16 @@ class BodyProcessor:
             rospy.logwarn("%s", text)
         self._turned = text
 
-    def _face_boxes(self, frame: Frame, context: dict) -> List[FaceBox]:
+    def _face_boxes(self, frame: Frame, context: dict) -> Optional[List[FaceBox]]:
+        """Faces of the turned image, None while nobody looks for them."""
         observed: Optional[Sequence[FaceObservation]] = context.get("faces")
         if observed is not None:
             faces = face_boxes((face.id, face.landmarks, face.pose) for face in observed)
-        elif self._faces is not None:
+        elif self._faces is not None and self._faces.is_published:
             height, width = frame.bgr.shape[:2]
             faces = self._faces.boxes(frame.stamp, width, height, frame.header.frame_id)
         else:
-            return []
+            return None
         return [face.turned(frame.rotation) for face in faces]
 
     def _describe(self, model: ModelledBody) -> None:
@@ -333,6 +337,7 @@ class FaceInput:
         self._landmarks: Dict[str, Tuple[float, str, np.ndarray]] = {}
         self._poses: Dict[str, Deque[RawTransform]] = {}
         self._ids: List[str] = []
+        self._since: Optional[float] = -math.inf
         self._feed = IdSubscribers("faces", {"landmarks": LandmarkArray}, self._store, self._keep,
                                    list_timeout=list_timeout)
         self._transforms = rospy.Subscriber("/tf", rospy.AnyMsg, self._on_transforms, queue_size=100)
@@ -345,13 +350,26 @@ class FaceInput:
         `frame_id` is known within 0.2 s of `stamp`.
         """
         with self._lock:
-            known = dict(self._landmarks)
+            self._since = stamp if self._since is None else self._since
+            known = {identity: value for identity, value in self._landmarks.items() if value[0] >= self._since}
             poses = {identity: self._pose_near(identity, stamp, frame_id) for identity in known}
         camera = frame_id.lstrip("/")
         return face_boxes(
             (identity, landmarks[:, :2] * np.array([width, height]), poses[identity])
             for identity, (seen, frame, landmarks) in known.items()
             if abs(seen - stamp) <= MAX_AGE_S and (not camera or frame in ("", camera)))
+
+    @property
+    def is_published(self) -> bool:
+        """Whether anybody looks for faces."""
+        return self._feed.is_published
+
+    def reset(self) -> None:
+        """Forget all faces: those before the next image are of other images, or of another time."""
+        with self._lock:
+            self._landmarks.clear()
+            self._poses.clear()
+            self._since = None
 
     def close(self) -> None:
         """Stop listening. Idempotent."""
