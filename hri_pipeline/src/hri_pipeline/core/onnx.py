@@ -453,8 +453,8 @@ class OnnxModel:
         absent = missing_libraries(name)
         self._notify("execution provider {} does not load here, the networks run on {}: {}; see docs/gpu.md".format(
             name, _short_name(used), "the loader does not find " + ", ".join(absent) if absent else
-            "its libraries are there, so their versions do not fit this onnxruntime ({}) or the driver, or the card has "
-            "no memory left".format(onnxruntime.__version__)))
+            "its libraries are there, so their versions do not fit this onnxruntime ({}) or the driver, or the card "
+            "has no memory left".format(onnxruntime.__version__)))
 
     def _session_on(self, providers: List[str]) -> onnxruntime.InferenceSession:
         options = onnxruntime.SessionOptions()
