@@ -127,6 +127,18 @@ def test_quotas_that_change_and_groups_that_go_are_followed(machine):
     assert found.count == 8.0 and len(found.times()) == 1
 
 
+@pytest.mark.parametrize("file, content", [
+    ("cgroup", "0::/a\nnonsense\n"), ("cgroup", "\xff\xfe"), ("mountinfo", "\n"), ("mountinfo", "1 2 3 - cgroup2\n"),
+    ("mountinfo", "30 24 0:26 / /x rw - cgroup\n")])
+def test_what_cannot_be_read_is_no_quota(machine, file, content):
+    machine.mount(("0::/a", "1:cpu:/a"), "/a", MOUNT_2)
+    machine.v2("a", "200000 100000")
+    assert machine.cores().count == 2.0
+    (machine.proc / file).write_text(content, encoding="latin-1")
+    found = machine.cores()
+    assert found.count == 8.0 and len(found.times()) == 1 and found.values() == {"cores": 8.0}
+
+
 def test_mounts_with_spaces(machine, tmp_path):
     machine.groups = tmp_path / "with space"
     machine.mount(V2, "/", MOUNT_2, point=str(machine.groups).replace(" ", "\\040"))

@@ -98,25 +98,24 @@ def _control_groups(proc: Path) -> List[Tuple[Path, Optional[Path]]]:
     Each with that of the group of the same name in version 1 of the controller `cpuacct`, which counts the time; None
     for version 2, whose groups have both.
     """
+    paths: Dict[str, str] = {}
     try:
-        lines = (proc / "cgroup").read_text().splitlines()
+        for line in (proc / "cgroup").read_text().splitlines():
+            _, names, path = line.split(":", 2)
+            paths.update((name, path) for name in names.split(","))
         mounts = (proc / "mountinfo").read_text().splitlines()
-    except (OSError, ValueError):
+        places = {name: _mounted(name, paths[name], mounts) for name in (_VERSION_2, _CPU, _USAGE) if name in paths}
+    except (OSError, ValueError, LookupError):      # a system without them, or another one
         return []
-    paths = {name: path for line in lines if line.count(":") >= 2
-             for names, path in [line.split(":", 2)[1:]] for name in names.split(",")}
-    places = {name: place for name, place in ((name, _mounted(name, path, mounts)) for name, path in paths.items())
-              if place is not None}
     found: List[Tuple[Path, Optional[Path]]] = []
     for name in (_VERSION_2, _CPU):
-        if name not in places:
+        place, counting = places.get(name), places.get(_USAGE)
+        if place is None:
             continue
-        mount, own = places[name]
-        counted = mount
-        if paths.get(_USAGE) == paths[name] and _USAGE in places:
-            counted = places[_USAGE][0]
-        for place in [PurePosixPath(own), *PurePosixPath(own).parents]:
-            found.append((mount / place, None if name == _VERSION_2 else counted / place))
+        mount, own = place
+        counted = counting[0] if counting is not None and paths[_USAGE] == paths[name] else mount
+        for group in [PurePosixPath(own), *PurePosixPath(own).parents]:
+            found.append((mount / group, None if name == _VERSION_2 else counted / group))
     return found
 
 
