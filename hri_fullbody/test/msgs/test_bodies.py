@@ -25,7 +25,7 @@ from hri_fullbody.core.model.human import Dimensions, layout_for
 from hri_fullbody.core.modeller import BodyInput, BodyModeller
 from hri_fullbody.core.tracking.reidentification import Reidentification
 from hri_fullbody.ros import bodies
-from hri_fullbody.ros.bodies import ReidentificationMatches, body_transform, drawn
+from hri_fullbody.ros.bodies import BodyProcessor, ReidentificationMatches, body_transform, drawn
 from hri_fullbody.ros.topics import crop, joint_state
 from hri_msgs.msg import BodyAttitude, BodyPosture, IdsList
 from hri_msgs.msg import Gesture as GestureMessage
@@ -209,3 +209,14 @@ def test_nothing_is_told_of_an_image_after_which_the_time_has_gone_back(overtake
     processor._up.lookup.return_value = None, None, None
     bodies.BodyProcessor.process(processor, replace(FRAME, overtaken=lambda: overtaken), {})
     assert processor._tracked.set.called == processor._publish_models.called == processor._guard.each.called == told
+
+
+def test_faces_of_another_process_are_forgotten_with_the_bodies_and_none_are_expected_without_it():
+    processor = MagicMock()
+    BodyProcessor.reset(processor)
+    processor._faces.reset.assert_called_once_with()
+    processor._faces.boxes.return_value = []
+    for is_published, found in ((True, []), (False, None)):
+        processor._faces.is_published = is_published
+        assert BodyProcessor._face_boxes(processor, FRAME, {}) == found
+    assert BodyProcessor._face_boxes(processor, FRAME, {"faces": []}) == [], "of the same process"

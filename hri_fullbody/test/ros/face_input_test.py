@@ -86,6 +86,32 @@ class FaceInputTest(unittest.TestCase):
         self.assertAlmostEqual(pose.translation[2], 2.0)
         self.assertEqual(len(self.feed._poses["abcde"]), 1)
 
+    def test_faces_of_the_images_before_a_change_are_no_faces_of_those_after_it(self):
+        """Their landmarks are shares of another image; what is still on its way comes after the change."""
+        self.track("abcde", "fghij")
+        self.show("abcde", 10.0)
+        self.feed.reset()
+        self.assertEqual(self.feed.boxes(10.125, 640, 480, CAMERA), [])
+        publisher = self.advertise("/humans/faces/fghij/landmarks", FacialLandmarks)
+        wait_for(publisher.get_num_connections, 10, "the feed listens to the face")
+        for stamp in (10.0625, 10.125):
+            publisher.publish(landmarks_to_msg(
+                landmarks(300.0), Header(stamp=rospy.Time.from_sec(stamp), frame_id=CAMERA), 1280, 720))
+            wait_for(lambda stamp=stamp: self.feed._landmarks.get("fghij", [0.0])[0] == stamp, 10, "it has come")
+            found = self.feed.boxes(10.25, 640, 480, CAMERA)
+            self.assertEqual([face.id for face in found], ["fghij"] if stamp == 10.125 else [])
+        self.feed.reset()       # time jumps back
+        self.assertEqual(self.feed.boxes(1.0, 640, 480, CAMERA), [])
+        self.show("fghij", 1.01)
+
+    def test_whether_faces_are_looked_for_ends_with_their_node(self):
+        self.assertFalse(self.feed.is_published)
+        self.track("abcde")
+        self.track()
+        self.assertTrue(self.feed.is_published, "nobody is there, but would be seen")
+        self.tracked.unregister()
+        wait_for(lambda: not self.feed.is_published, 20, "the node of the faces has ended")
+
     def test_a_face_that_has_gone_is_forgotten(self):
         self.track("abcde")
         self.show("abcde", 10.0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from synthetic_people import Scene, face_of, standing_at
 
-from hri_fullbody.core.detection.windows import face_boxes
+from hri_fullbody.core.detection.windows import FaceBox, face_boxes
 from hri_fullbody.core.parameters import BODIES, VISION
 from hri_fullbody.core.pipeline import BodyPipeline, pose_model_path
 from hri_pipeline.core.camera import CameraModel
@@ -18,6 +18,7 @@ from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.process import ONE_THREAD, Threads
+from hri_pipeline.core.timing import StageTimes
 
 IMAGE = np.zeros((720, 1280, 3), np.uint8)
 CAMERA = CameraModel.from_fov(1280, 720, 1.05)
@@ -109,7 +110,28 @@ def test_a_detector_that_runs_beside_ends_with_the_image_also_when_the_bodies_fa
     with pytest.raises(KeyError):
         stage.update(IMAGE, CAMERA, 0.0)
     assert not running
+    again = []
+    detector.detect = lambda image: again.append(image) or (np.empty((0, 4)), np.empty(0))
+    stage._tracker.follow = lambda *arguments: None
+    stage.update(IMAGE, CAMERA, 0.05)
+    assert again, "what it found was lost"
     detector.threads.close()
+
+
+def test_the_time_of_a_detector_that_runs_beside_is_its_own_and_not_how_long_it_is_waited_for():
+    stage, _, detector = make([(400, 400)])
+    detector.threads, now, done = Threads(2), [0.0], threading.Event()
+    stage.times = StageTimes(clock=lambda: now[0])
+
+    def detect(image):
+        now[0] += 5.0
+        done.set()
+        return np.empty((0, 4)), np.empty(0)
+
+    detector.detect, stage._tracker.follow = detect, lambda *arguments: done.wait(20.0)
+    stage.update(IMAGE, CAMERA, 0.0)
+    detector.threads.close()
+    assert stage.times.summary()["person detector"] == (5000.0, 5000.0)
 
 
 def test_the_cost_of_a_body_has_the_time_of_those_who_cut_the_windows_for_a_card():
@@ -183,6 +205,16 @@ def test_bodies_wait_for_their_faces_only_where_faces_are_looked_for(with_face):
             placed.setdefault("face" if body.head is not None else body.box[0] > 600, []).append(body.pose is not None)
     assert placed[True][0] != with_face and all(placed[True][15:])
     assert all(placed["face" if with_face else False])
+
+
+def test_nobody_waits_for_a_face_once_faces_are_looked_for_no_more():
+    stage, _, _ = make([(400, 400)])
+    awaited, localize = [], stage._localize
+    stage._localize = lambda *about: awaited.append(about[-1].faces) or localize(*about)
+    face = FaceBox("abcde", np.array([370.0, 100.0, 430.0, 170.0]), Pose(np.eye(3), np.array([0.0, 0.0, 2.0])))
+    for faces in ((), [replace(face, pose=None)], [face], (), None, (), [face], ()):
+        stage.update(IMAGE, CAMERA, 0.05 * len(awaited), faces)
+    assert awaited == [False, False, True, True, False, False, True, True]
 
 
 def test_who_has_no_place_has_none_between_two_looks_either():

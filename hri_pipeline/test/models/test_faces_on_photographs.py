@@ -492,6 +492,56 @@ def test_threads_change_nothing_of_what_is_seen():
             assert one.score == other.score and one.measured == other.measured
 
 
+@pytest.mark.parametrize("count", [1, 3])
+def test_an_error_of_the_mesh_costs_no_search_of_the_detector(count):
+    """Where the detector was due in the image of the error, it is in the next one, for the same regions."""
+    image, threads, asked = cv2.resize(photograph("sample3"), (960, 640)), Threads(count), []
+    finder = FaceTrackingPipeline(FACES.resolve({"face_budget": 1000.0, "face_mesh_rate": 0.0}), StageTimes(),
+                                  threads=threads)
+    due, run = finder._detection_scheduler.due, finder._mesh.run
+    finder._detection_scheduler.due = lambda *about: asked.append(due(*about)) or asked[-1]
+    for index in range(3):
+        finder.update(image, 0.0333 * index)
+    assert finder.all_ids
+
+    def fail(bgr, rois):
+        raise ModelError("out of memory")
+
+    stamps, lost = iter(np.arange(0.1, 20.0, 0.0333)), 0
+    while lost < 4:
+        finder._mesh.run = fail
+        with pytest.raises(ModelError):
+            finder.update(image, next(stamps))
+        if not finder.detected:
+            continue
+        lost += 1
+        finder._mesh.run = run
+        finder.update(image, next(stamps))
+        assert finder.detected and asked[-1] == asked[-2] != []
+        finder.update(image, next(stamps))
+        assert not finder.detected
+    threads.close()
+
+
+def test_the_time_of_a_detector_that_runs_beside_is_its_own_and_not_how_long_it_is_waited_for():
+    image, threads, now, done = photograph("sample3"), Threads(2), [0.0], threading.Event()
+    times = StageTimes(clock=lambda: now[0])
+    finder = FaceTrackingPipeline(FACES.resolve({"face_budget": 1000.0}), times, threads=threads)
+    finder.update(image, 0.0)
+    times.clear()
+
+    def detect(bgr, regions):
+        now[0] += 5.0
+        done.set()
+        return []
+
+    finder._detector.detect = detect
+    finder._measure_tracks = lambda *arguments: [] if done.wait(20.0) else None
+    finder.update(image, 10.0)
+    threads.close()
+    assert times.summary()["face_detection"] == (5000.0, 5000.0)
+
+
 def test_threads_change_nothing_of_templates():
     crops = np.random.default_rng(5).integers(0, 256, (5, 150, 150, 3), dtype=np.uint8)
     threads = Threads(2)

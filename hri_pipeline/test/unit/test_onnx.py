@@ -1,6 +1,8 @@
 """Loading of models: missing, damaged, another model, providers that are not there."""
 
 
+import threading
+
 import numpy as np
 import onnxruntime
 import pytest
@@ -113,18 +115,31 @@ def test_model_path(monkeypatch, tmp_path, doubler):
 
 
 class Sessions:
-    """Makes sessions that run on the CPU and say that they run on `provider`, as onnxruntime falls back in silence."""
+    """Makes sessions that run on the CPU and say that they run on `provider`, as onnxruntime falls back in silence.
+
+    Those on a card raise what `fault` returns for a batch, if anything; asked for the CPU, they say so.
+    """
 
     def __init__(self, provider):
-        self._real, self._provider = onnxruntime.InferenceSession, provider
-        self.asked, self.batches = [], []
+        self._real, self.provider = onnxruntime.InferenceSession, provider
+        self.asked, self.batches, self.made, self.fault = [], [], [], lambda size: None
 
     def __call__(self, path, options, providers):
         self.asked.append(providers)
         session = self._real(path, options, providers=["CPUExecutionProvider"])
         run = session.run
-        session.get_providers = lambda: [self._provider, "CPUExecutionProvider"]
-        session.run = lambda wanted, feed: self.batches.append(len(feed["x"])) or run(wanted, feed)
+        used = self.provider if providers[0][0] != "CPUExecutionProvider" else "CPUExecutionProvider"
+
+        def run_or_fail(wanted, feed):
+            self.batches.append(len(feed["x"]))
+            error = None if used == "CPUExecutionProvider" else self.fault(len(feed["x"]))
+            if error is not None:
+                raise error
+            return run(wanted, feed)
+
+        session.get_providers = lambda: list(dict.fromkeys([used, "CPUExecutionProvider"]))
+        session.run = run_or_fail
+        self.made.append(session)
         return session
 
 
@@ -209,13 +224,96 @@ def test_a_gpu_has_a_session_for_each_shape_that_is_warmed_up(doubler, machine, 
     assert told.count("doubler.onnx: cuda prepares inputs of (2, 2)") == 1, "what comes again and again stays"
 
 
+def out_of_memory(size):
+    return RuntimeError("Failed to allocate memory for requested buffer of size 123\nmore")
+
+
 @pytest.mark.parametrize("batches", [True, False])
-def test_a_gpu_that_cannot_be_prepared_is_told_with_the_remedy(doubler, machine, monkeypatch, batches):
-    machine("CUDAExecutionProvider")
+def test_a_gpu_that_cannot_be_prepared_is_told_and_the_model_runs_on_the_cpu(doubler, machine, monkeypatch, batches):
+    """As where another process has taken the memory of the card."""
+    sessions, told = machine("CUDAExecutionProvider"), []
     monkeypatch.setattr(OnnxModel, "_takes_batches", lambda self: batches)
-    monkeypatch.setattr(OnnxModel, "_seconds", lambda self, session, size: 1 // 0)
-    with pytest.raises(ModelError, match="doubler.onnx cannot be prepared on cuda .* leave cuda out"):
-        OnnxModel(doubler, ["cuda"], shapes=[(1, 3)])
+    sessions.fault = lambda size: out_of_memory(size) if len(sessions.batches) > 1 else None
+    threads = Threads(2)
+    log = ModelLog(told.append)
+    model = OnnxModel(doubler, ["cuda"], notify=log, threads=threads, shapes=[(1, 2), (2, 2)], few_on_cpu=True)
+    assert (model.provider, model.on_card, model.threads, log.providers) == ("cpu", False, threads, {"doubler": "cpu"})
+    assert told[-1] == ("doubler.onnx cannot be prepared on cuda (Failed to allocate memory for requested buffer of "
+                        "size 123); it runs on the CPU from now on")
+    for count in (1, 7):
+        x = np.ones((count, 2), np.float32)
+        np.testing.assert_array_equal(model.run({"x": x})["y"], 2 * x)
+        assert sessions.batches[-1] == count, "as it comes"
+    assert "cpu prepares" not in " ".join(told)
+    threads.close()
+
+
+@pytest.mark.parametrize("batches", [True, False])
+@pytest.mark.parametrize("bad", [lambda size: True, lambda size: size == 12])
+def test_a_gpu_that_fails_while_it_runs_is_given_up_for_the_cpu_without_losing_an_image(
+        doubler, machine, monkeypatch, batches, bad):
+    """A card that fell off the bus, was lost in a suspend, or has no memory left for one size of batches."""
+    sessions, told = machine("CUDAExecutionProvider"), []
+    monkeypatch.setattr(OnnxModel, "_takes_batches", lambda self: batches)
+    threads, log = Threads(2), ModelLog(told.append)
+    model = OnnxModel(doubler, ["cuda"], notify=log, threads=threads, shapes=[(3, 2)])
+    x = np.arange(24, dtype=np.float32).reshape(12, 2)
+    np.testing.assert_array_equal(model.run({"x": x[:3]})["y"], 2 * x[:3])
+    assert model.provider == "cuda"
+    del told[:]
+    sessions.fault = lambda size: RuntimeError("CUDA failure 700: illegal access") if bad(size) else None
+    for _ in range(3):
+        np.testing.assert_array_equal(model.run({"x": x})["z"], x * x)
+    assert [line for line in told if "prepares" not in line] == [
+        "doubler.onnx: cuda has failed (CUDA failure 700: illegal access); it runs on the CPU from now on"]
+    assert (model.provider, model.on_card, model.threads) == ("cpu", False, threads)
+    assert log.summary == "cpu: doubler" and log.inferences == {"doubler": 39}
+    del sessions.batches[:], told[:]
+    prepared, found = model.run_items(list(x), lambda item, place: np.copyto(place, item), np.empty_like(x))
+    np.testing.assert_array_equal(found["y"], 2 * x)
+    assert sessions.batches == [6, 6] and not told, "shared by the threads as on any CPU, and the card is left alone"
+    threads.close()
+
+
+def test_input_that_the_cpu_refuses_too_is_no_fault_of_the_gpu(doubler, machine):
+    sessions, told = machine("CUDAExecutionProvider"), []
+    model = OnnxModel(doubler, ["cuda"], notify=told.append)
+    del told[:]
+    for _ in range(2):
+        with pytest.raises(ModelError, match=r"refused input .*\(1, 3\)"):
+            model.run({"x": np.zeros((1, 3), np.float32)})
+    assert model.provider == "cuda" and not told and len(sessions.asked) == len(BATCH_SIZES) + 1
+    assert model.run({"x": np.ones((1, 2), np.float32)})["y"].tolist() == [[2.0, 2.0]]
+    assert sessions.batches[-1] == BATCH_SIZES[0]
+
+
+def test_several_threads_that_see_a_gpu_fail_all_get_their_results_and_it_is_told_once(doubler, machine):
+    sessions, told, threads = machine("CUDAExecutionProvider"), [], Threads(4)
+    model = OnnxModel(doubler, ["cuda"], notify=told.append)
+    del told[:]
+    all_here = threading.Barrier(4, timeout=20.0)
+
+    def fault(size):
+        all_here.wait()
+        return out_of_memory(size)
+
+    sessions.fault = fault
+    x = np.arange(8, dtype=np.float32).reshape(4, 2)
+    np.testing.assert_array_equal(threads.in_parts(lambda part: list(model.run({"x": part})["y"]), x), 2 * x)
+    threads.close()
+    assert len(told) == 1 and model.provider == "cpu"
+
+
+def test_a_session_that_comes_on_the_cpu_in_silence_is_none_on_the_gpu(doubler, machine, monkeypatch):
+    """onnxruntime makes one on the CPU where the card has no memory for another; batches were filled up for it."""
+    sessions, told = machine("CUDAExecutionProvider"), []
+    monkeypatch.setattr(OnnxModel, "_takes_batches", lambda self: False)
+    model = OnnxModel(doubler, ["cuda"], notify=told.append, shapes=[(1, 2)])
+    sessions.provider = "CPUExecutionProvider"
+    assert model.run({"x": np.ones((5, 2), np.float32)})["y"].shape == (5, 2)
+    assert model.provider == "cpu" and "cuda has failed (onnxruntime has made it on" in told[-1]
+    # Nor does a session change its provider itself, which nobody would know of.
+    assert not any(session._enable_fallback for session in sessions.made)
 
 
 @pytest.mark.parametrize(("provider", "count", "batches"), [

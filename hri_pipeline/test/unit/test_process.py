@@ -565,11 +565,17 @@ def test_the_time_of_threads_is_that_of_all_who_work_for_the_caller():
 
 @pytest.mark.parametrize("cores, share, count", [
     (1, 0.75, 1), (2, 0.75, 1), (2, 1.0, 1), (3, 0.75, 2), (4, 0.75, 2), (4, 0.5, 1), (8, 0.75, 3), (8, 0.0, 1),
-    (16, 0.75, 6), (16, 1.0, 8), (64, 0.75, 8)])
+    (16, 0.75, 6), (16, 1.0, 8), (64, 0.75, 8), (0.5, 0.75, 1), (3.5, 0.75, 2), (5.5, 0.75, 3)])
 def test_a_node_has_threads_for_half_of_the_share_of_the_cores(monkeypatch, cores, share, count):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(cores)))
+    monkeypatch.setattr(process.Cores, "count", cores)
     assert Threads.of_node(0, share).count == count
     assert Threads.of_node(5, share).count == 5, "as told"
+
+
+@pytest.mark.parametrize("cores, count", [(1, 1), (2, 1), (3, 3), (4, 3), (8, 6), (16, 8)])
+def test_a_node_whose_parts_take_turns_has_threads_for_all_of_the_share(monkeypatch, cores, count):
+    monkeypatch.setattr(process.Cores, "count", cores)
+    assert Threads.of_node(0, 0.75, nodes=1).count == count
 
 
 def test_no_threads_are_refused():

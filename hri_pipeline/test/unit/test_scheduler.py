@@ -5,6 +5,7 @@ from collections import Counter
 
 import pytest
 
+from hri_pipeline.core.cores import CoreTime
 from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler, Request
 
@@ -201,29 +202,32 @@ def test_under_a_tight_budget_the_urgent_come_more_often_and_nobody_starves(batc
 
 
 class Machine:
-    """Cores whose time goes to nodes and to others, image by image."""
+    """Cores whose time goes to nodes and to others, image by image. quota: cores that the nodes may use together."""
 
-    def __init__(self, cores=2):
+    def __init__(self, cores=2, quota=None):
         self.cores, self.now, self.idle, self.others = cores, 0.0, 0.0, 0.0
+        self.quota, self.used = quota, 0.0
 
-    def idle_time(self):
-        return self.idle, self.cores
+    def times(self):
+        of_quota = [] if self.quota is None else [CoreTime(self.quota, self.quota * self.now - self.used)]
+        return [CoreTime(self.cores, self.idle), *of_quota]
 
     def share(self, share=0.75):
-        return IdleShare(share, self.idle_time, lambda: self.now)
+        return IdleShare(share, self.times, lambda: self.now)
 
     def run(self, seconds, *nodes):
         """Let the nodes work; return their inferences, and the use of all cores in the last half of the time."""
         counts, used, steps = [0] * len(nodes), 0.0, int(seconds * 30)
         for step in range(steps):
-            busy = self.others / 30.0
+            busy = 0.0
             for number, (schedule, count, every, rest) in enumerate(nodes):
                 if step % every == 0:
                     chosen = choose(schedule, FACES[:count], self.now)
                     counts[number] += len(chosen)
                     busy += rest + len(chosen) * schedule.cost
                     schedule.note_timing(0.005, rest)
-            busy = min(busy, self.cores / 30.0)
+            self.used += busy
+            busy = min(busy + self.others / 30.0, self.cores / 30.0)
             self.idle += self.cores / 30.0 - busy
             used += busy * 30.0 / (steps / 2) if step >= steps / 2 else 0.0
             self.now += 1.0 / 30.0
@@ -263,6 +267,32 @@ def test_a_quarter_of_the_cores_stays_free_and_both_nodes_get_of_it():
     counts, used = machine.run(10.0, faces, bodies)
     assert used == pytest.approx(1.5, abs=0.12)
     assert counts[0] > 1.1 * 6 * 10 * 10 and counts[1] > 1.1 * 3 * 10 * 10
+
+
+def test_of_a_quota_a_quarter_stays_free_though_the_machine_is_idle():
+    machine = Machine(16, quota=2.0)
+    faces, bodies = faces_node(machine, 6), bodies_node(machine, 3)
+    machine.run(10.0, faces, bodies)
+    counts, used = machine.run(10.0, faces, bodies)
+    assert used == pytest.approx(1.5, abs=0.12)
+    assert counts[0] > 1.1 * 6 * 10 * 10 and counts[1] > 1.1 * 3 * 10 * 10
+    machine.others = 15.5
+    machine.run(1.0, faces, bodies)
+    assert faces[0].spare == bodies[0].spare == 0.0, "no quota, but no core"
+
+
+def test_a_quota_that_changes_is_followed_without_a_leap():
+    machine = Machine(16, quota=8.0)
+    node = faces_node(machine, 10)
+    machine.run(200.0, node)        # a quota of more would have given so much more in all this time
+    machine.quota = 0.25
+    machine.run(1.0, node)
+    assert node[0].spare == 0.0
+    machine.quota = 0.75
+    machine.run(0.2, node)
+    assert node[0].spare < 0.3
+    _, used = machine.run(20.0, node)
+    assert used == pytest.approx(0.75 * 0.75, abs=0.1)
 
 
 def test_it_gives_way_within_a_second_and_keeps_its_least_budget():

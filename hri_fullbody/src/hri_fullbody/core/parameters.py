@@ -136,6 +136,8 @@ class VisionSettings(FacePipelineSettings, BodiesSettings):
         BodiesSettings, "interface", " With `rep155` gaze_ID goes on while the eyes are closed, with the direction of "
         "the head.")
     nice: int = parameter_like(BodiesSettings, "nice", default=0)
+    threads: int = parameter_like(
+        CameraSettings, "threads", " Here all of `cpu_share` instead of half: faces and bodies take turns.")
 
 
 BODIES = ParameterTable("bodies", BodiesSettings, includes=(FACES,))

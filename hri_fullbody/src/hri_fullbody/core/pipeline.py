@@ -81,7 +81,7 @@ class BodyPipeline:
 
     def __init__(self, settings: BodiesSettings, notify: Optional[Callable[[str], None]] = None,
                  pose: Optional[PoseEstimator] = None, detector: Optional[PersonDetector] = None,
-                 guard: Optional[ItemGuard] = None) -> None:
+                 guard: Optional[ItemGuard] = None, threads: Optional[Threads] = None) -> None:
         """Load the networks.
 
         Parameters
@@ -90,6 +90,7 @@ class BodyPipeline:
         notify : gets one line of text when an execution provider is missing.
         pose, detector : used instead of the networks of the settings.
         guard : counts errors; an error costs one body at most.
+        threads : of the networks; by default as the settings say. They are closed by close().
 
         Raises
         ------
@@ -100,21 +101,16 @@ class BodyPipeline:
         ValueError
             Illegal settings.
         """
-        self._threads = Threads.of_node(settings.threads, settings.cpu_share)
+        self._settings = settings
+        self._threads = threads or Threads.of_node(settings.threads, settings.cpu_share)
         self._pose = pose or BlazePose(pose_model_path(settings.pose_model), settings.providers, notify, self._threads)
         self._detector = detector or CenterNetDetector(
             model_path(settings.person_detector_model, DETECTOR_MODEL), threshold=_FAINT * settings.min_person_score,
             long_side=settings.person_detection_size, providers=settings.providers, notify=notify,
             threads=self._threads)
         self._guard = guard or ItemGuard()
-        self._tracker = BodyTracker(
-            self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time, settings.min_body_score,
-            settings.max_bodies, guard=self._guard, ignored=IgnoredRegions(settings.ignored_regions),
-            is_human=lambda image, box: self._detector.is_human(image, box),
-            schedule=InferenceScheduler(cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share),
-                                        threads=getattr(self._pose, "threads", ONE_THREAD), clock=self._threads.time))
+        self._tracker = self._make_tracker(settings)
         self._limit_poses(settings)
-        self._settings = settings
         self._localizers: Dict[str, BodyLocalizer] = {}
         self._reidentifier = BodyReidentifier(settings.body_memory)
         self._camera_pose: Optional[Pose] = None
@@ -141,7 +137,16 @@ class BodyPipeline:
         self._detected_before = self._faces_come = False
         self.times = StageTimes()
 
-    def update(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Sequence[FaceBox] = (),
+    def _make_tracker(self, settings: BodiesSettings) -> BodyTracker:
+        """Return what follows the bodies by the networks."""
+        schedule = InferenceScheduler(cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share),
+                                      threads=getattr(self._pose, "threads", ONE_THREAD), clock=self._threads.time)
+        return BodyTracker(
+            self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time, settings.min_body_score,
+            settings.max_bodies, guard=self._guard, ignored=IgnoredRegions(settings.ignored_regions),
+            is_human=lambda image, box: self._detector.is_human(image, box), schedule=schedule)
+
+    def update(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Optional[Sequence[FaceBox]] = (),
                depth: Optional[np.ndarray] = None, up: Optional[np.ndarray] = None,
                camera_height: Optional[float] = None, camera_pose: Optional[Pose] = None,
                seen: Optional[Callable[[List[BodyObservation]], None]] = None) -> List[BodyObservation]:
@@ -153,6 +158,7 @@ class BodyPipeline:
         ----------
         bgr : (H, W, 3) image, taken by `camera` at `stamp` (s). A stamp older than the last one starts afresh.
         faces : those of this image or a moment before; optional, but they keep neighbours apart and give the distance.
+            None: nobody looks for faces, so that no body waits for its own.
         depth : (h, w) m, registered to the image, NaN or 0 where unknown.
         up : (3,) unit vector against gravity in the optical frame; None: learnt from the people, see GroundPlane.
         camera_height : m above the floor; None: with `up` the floor is not used, without it it is learnt, too.
@@ -165,6 +171,8 @@ class BodyPipeline:
             self.reset()
         slow = SLOW_S < stamp - self._last_stamp < math.inf
         self._last_stamp = stamp
+        self._faces_come = faces is not None and (self._faces_come or any(face.pose is not None for face in faces))
+        faces = faces or ()
         height, width = bgr.shape[:2]
         camera = camera.resized(width, height)
         with self._begin_search(bgr, stamp) as search:
@@ -185,7 +193,6 @@ class BodyPipeline:
         self._reidentify(stamp)
         if up is None:
             self._learn_ground(stamp, faces)
-        self._faces_come = self._faces_come or any(face.pose is not None for face in faces)
         bodies = self._localize(camera, stamp, faces, replace(context, faces=self._faces_come))
         self._forget_all_but(self.tracked_ids)
         learnt = self._ground.camera_height("") if up is None else None
@@ -224,8 +231,13 @@ class BodyPipeline:
         """Let the person detector begin, beside the pose network, when it is due whatever that finds."""
         threads: Threads = getattr(self._detector, "threads", ONE_THREAD)
         if stamp - self._last_detection >= self._settings.person_detection_period:
-            return threads.beside(self._detector.detect, bgr)
-        return nullcontext(lambda: self._detector.detect(bgr))
+            return threads.beside(self._run_detector, bgr)
+        return nullcontext(lambda: self._run_detector(bgr))
+
+    def _run_detector(self, bgr: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """Run the person detector, whose time is its own, also where it runs beside and is hardly waited for."""
+        with self.times("person detector"):
+            return self._detector.detect(bgr)
 
     def _search_new(self, bgr: np.ndarray, stamp: float, faces: Sequence[FaceBox], slow: bool, search: Search) -> None:
         """Search for new bodies: with the person detector when it is due, else in a few of the candidate windows.
@@ -238,9 +250,8 @@ class BodyPipeline:
         detected_before, self._detected_before = self._detected_before, due
         if due:
             self._last_detection = stamp
-            with self.times("person detector"):
-                boxes, scores = search()
-                self._orientation.update(bgr, scores, stamp, self._detector.detect)
+            boxes, scores = search()
+            self._orientation.update(bgr, scores, stamp, self._run_detector)
             self._tracker.propose(list(boxes[scores >= self._settings.min_person_score]), faces, stamp, list(boxes))
             if not detected_before and not slow:
                 return

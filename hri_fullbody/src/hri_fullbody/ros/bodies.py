@@ -4,6 +4,7 @@ images: the faces that another process tracks."""
 from __future__ import annotations
 
 import importlib
+import math
 import threading
 from collections import OrderedDict, deque
 from dataclasses import replace
@@ -34,6 +35,7 @@ from hri_pipeline.core.observations import BodyObservation, FaceObservation
 from hri_pipeline.core.onnx import ModelLog
 from hri_pipeline.core.orientation import quarter_turns, turned_problem
 from hri_pipeline.core.privacy import DataUse
+from hri_pipeline.core.process import Threads
 from hri_pipeline.core.timing import StampPacer
 from hri_pipeline.ros.conversions import (
     LandmarkArray,
@@ -60,7 +62,8 @@ class BodyProcessor:
     """Runs BodyPipeline on each frame and publishes its results. A body that cannot be published costs no other.
 
     settings: the values of `parameters.BODIES`. listen_for_faces: follow the faces of another process; with False only
-    those that a processor before this one has put into context["faces"] are used.
+    those that a processor before this one has put into context["faces"] are used. threads: of the networks; by default
+    as the settings say.
     Raises ModelError when a network is missing or damaged, ParameterError for a segments file that cannot be used.
     """
 
@@ -68,10 +71,11 @@ class BodyProcessor:
     data_use = DataUse(("key points", "skeletons", "statures", "clothes, for some seconds", "attitudes", "postures",
                         "gestures"))
 
-    def __init__(self, settings: BodiesSettings, listen_for_faces: bool = True) -> None:
+    def __init__(self, settings: BodiesSettings, listen_for_faces: bool = True,
+                 threads: Optional[Threads] = None) -> None:
         self._guard = ItemGuard(rospy.logerr)
         self._networks = ModelLog(rospy.logwarn)
-        self._pipeline = BodyPipeline(settings, notify=self._networks, guard=self._guard)
+        self._pipeline = BodyPipeline(settings, notify=self._networks, guard=self._guard, threads=threads)
         self._publishers: Optional[StatePublishers] = None
         if settings.state_publishers:
             self._publishers = StatePublishers(settings.max_bodies, settings.joint_state_rate)
@@ -157,6 +161,8 @@ class BodyProcessor:
         self._appearance_pacer.reset()
         self._tracked.clear()
         self._topics.close()
+        if self._faces is not None:
+            self._faces.reset()
 
     def status(self) -> Status:
         """Return level, message and values for diagnostics."""
@@ -203,15 +209,16 @@ class BodyProcessor:
             rospy.logwarn("%s", text)
         self._turned = text
 
-    def _face_boxes(self, frame: Frame, context: dict) -> List[FaceBox]:
+    def _face_boxes(self, frame: Frame, context: dict) -> Optional[List[FaceBox]]:
+        """Faces of the turned image, None while nobody looks for them."""
         observed: Optional[Sequence[FaceObservation]] = context.get("faces")
         if observed is not None:
             faces = face_boxes((face.id, face.landmarks, face.pose) for face in observed)
-        elif self._faces is not None:
+        elif self._faces is not None and self._faces.is_published:
             height, width = frame.bgr.shape[:2]
             faces = self._faces.boxes(frame.stamp, width, height, frame.header.frame_id)
         else:
-            return []
+            return None
         return [face.turned(frame.rotation) for face in faces]
 
     def _describe(self, model: ModelledBody) -> None:
@@ -333,6 +340,7 @@ class FaceInput:
         self._landmarks: Dict[str, Tuple[float, str, np.ndarray]] = {}
         self._poses: Dict[str, Deque[RawTransform]] = {}
         self._ids: List[str] = []
+        self._since: Optional[float] = -math.inf
         self._feed = IdSubscribers("faces", {"landmarks": LandmarkArray}, self._store, self._keep,
                                    list_timeout=list_timeout)
         self._transforms = rospy.Subscriber("/tf", rospy.AnyMsg, self._on_transforms, queue_size=100)
@@ -345,13 +353,26 @@ class FaceInput:
         `frame_id` is known within 0.2 s of `stamp`.
         """
         with self._lock:
-            known = dict(self._landmarks)
+            self._since = stamp if self._since is None else self._since
+            known = {identity: value for identity, value in self._landmarks.items() if value[0] >= self._since}
             poses = {identity: self._pose_near(identity, stamp, frame_id) for identity in known}
         camera = frame_id.lstrip("/")
         return face_boxes(
             (identity, landmarks[:, :2] * np.array([width, height]), poses[identity])
             for identity, (seen, frame, landmarks) in known.items()
             if abs(seen - stamp) <= MAX_AGE_S and (not camera or frame in ("", camera)))
+
+    @property
+    def is_published(self) -> bool:
+        """Whether anybody looks for faces."""
+        return self._feed.is_published
+
+    def reset(self) -> None:
+        """Forget all faces: those before the next image are of other images, or of another time."""
+        with self._lock:
+            self._landmarks.clear()
+            self._poses.clear()
+            self._since = None
 
     def close(self) -> None:
         """Stop listening. Idempotent."""

@@ -150,6 +150,9 @@ class OnnxModel:
     On a GPU batches are filled up to one of a few sizes, with a session for each that is warmed up when the model
     loads: cuDNN prepares itself anew whenever a session sees another shape, which takes up to seconds.
 
+    Where the GPU fails, when the model loads or later (no memory left, another process, a suspend), the model says so
+    and runs on the CPU from then on; `provider`, `on_card` and `threads` change.
+
     Parameters
     ----------
     path : str or pathlib.Path
@@ -191,12 +194,11 @@ class OnnxModel:
         few_on_cpu: bool = False,
     ) -> None:
         self._path = Path(path)
+        self.name = self._path.stem
         self._all_threads, self._sizes = threads, tuple(batch_sizes)
         self._notify = notify or (lambda text: None)
-        self._session = self._load(providers)
-        self.name = self._path.stem
-        self.provider = _short_name(self._session.get_providers()[0])
-        self.threads = threads if self.provider == "cpu" else ONE_THREAD
+        self._log = notify if isinstance(notify, ModelLog) else None
+        self._use(self._load(providers))
         self.input_names = [tensor.name for tensor in self._session.get_inputs()]
         self.input_shapes = {tensor.name: list(tensor.shape) for tensor in self._session.get_inputs()}
         self.output_names = [tensor.name for tensor in self._session.get_outputs()]
@@ -207,13 +209,10 @@ class OnnxModel:
         self._shaped: Dict[Tuple[int, ...], onnxruntime.InferenceSession] = {}
         self._beside: Optional[onnxruntime.InferenceSession] = None
         self._few = 0
+        self._lost: List[object] = []
         self._preparing = threading.Lock()
         if self.on_card:
             self._prepare(shapes, few_on_cpu)
-        self._log = notify if isinstance(notify, ModelLog) else None
-        if self._log is not None:
-            self._log.providers[self.name] = self.provider
-            self._log.count(self.name, 0)
 
     @property
     def on_card(self) -> bool:
@@ -282,7 +281,7 @@ class OnnxModel:
         """
         wanted = self._wanted if outputs is None else list(outputs)
         try:
-            values = self._run_batched(feed, wanted) if self._batched else self._session_of(feed).run(wanted, feed)
+            values = self._run(feed, wanted)
         except Exception as error:  # onnxruntime's errors have no common base class but Exception
             shapes = {name: getattr(value, "shape", None) for name, value in feed.items()}
             raise ModelError("model {} refused input {}: {}".format(
@@ -290,6 +289,46 @@ class OnnxModel:
         if self._log is not None:
             self._log.count(self.name, len(next(iter(feed.values()))))
         return dict(zip(wanted, values))
+
+    def _run(self, feed: Dict[str, np.ndarray], wanted: List[str]) -> List[np.ndarray]:
+        """Run on the provider; where it fails, and the CPU does not, on the CPU from now on."""
+        provider = self.provider
+        try:
+            return self._run_batched(feed, wanted) if self._batched else self._session_of(feed).run(wanted, feed)
+        except Exception as error:
+            if provider == "cpu":
+                raise
+            values = list(self._cpu_session().run(wanted, feed))
+            # To free memory of a card that has failed may end the process (onnxruntime throws where it must not).
+            self._lost += [self._session, self._batched, self._shaped]
+            self._give_up("{}: {} has failed ({})".format(self._path.name, provider, first_line(error)))
+            return values
+
+    def _use(self, session: onnxruntime.InferenceSession) -> None:
+        """Run on this session from now on."""
+        self._session = session
+        self.threads = self._all_threads if session.get_providers()[0] == PROVIDERS["cpu"] else ONE_THREAD
+        self.provider = _short_name(session.get_providers()[0])
+        if self._log is not None:
+            self._log.providers[self.name] = self.provider
+            self._log.count(self.name, 0)
+
+    def _cpu_session(self) -> onnxruntime.InferenceSession:
+        """A session on the CPU beside those of the provider; made when it is first needed."""
+        with self._preparing:
+            if self._beside is None:
+                self._beside = self._session_on([PROVIDERS["cpu"]])
+            return self._beside
+
+    def _give_up(self, why: str) -> None:
+        """Run on the CPU from now on, and say why, once."""
+        session = self._cpu_session()
+        with self._preparing:
+            if self.provider == "cpu":
+                return
+            self._batched, self._shaped = {}, {}
+            self._use(session)      # the last: who sees this provider runs on nothing else
+        self._notify("{}; it runs on the CPU from now on".format(why))
 
     def _run_batched(self, feed: Dict[str, np.ndarray], wanted: List[str]) -> List[np.ndarray]:
         """Run batches of the prepared sizes; what was filled up is left out of the outputs."""
@@ -323,15 +362,14 @@ class OnnxModel:
                 for shape in shapes:
                     self._session_for(shape)
         except Exception as error:  # too little memory, or a model of another shape
-            raise ModelError("model {} cannot be prepared on {} ({}); leave {} out of the parameter `providers`, or "
-                             "take another model".format(self._path, self.provider, first_line(error),
-                                                         self.provider)) from error
+            self._give_up("{} cannot be prepared on {} ({})".format(
+                self._path.name, self.provider, first_line(error)))
 
     def _warm_up(self) -> None:
         """Make a session for each size, the largest first, and run it once."""
         for size in reversed(self._sizes):
             self._notify("{}: {} prepares batches of {}".format(self._path.name, self.provider, size))
-            session = self._session if size == self._sizes[-1] else self._session_on(self._session.get_providers())
+            session = self._session if size == self._sizes[-1] else self._session_like_it()
             self._seconds(session, size)
             self._batched[size] = session
 
@@ -362,9 +400,11 @@ class OnnxModel:
     def _session_for(self, shape: Tuple[int, ...]) -> onnxruntime.InferenceSession:
         """The session for a shape of the only input, warmed up."""
         with self._preparing:
+            if not self.on_card:        # given up meanwhile
+                return self._session
             if shape not in self._shaped:
                 self._notify("{}: {} prepares inputs of {}".format(self._path.name, self.provider, shape))
-                session = self._session_on(self._session.get_providers()) if self._shaped else self._session
+                session = self._session_like_it() if self._shaped else self._session
                 session.run(self._wanted, {self.input_names[0]: np.zeros(shape, np.float32)})
                 if len(self._shaped) >= _MOST_SHAPES:
                     self._shaped.pop(next(iter(self._shaped)))
@@ -372,6 +412,14 @@ class OnnxModel:
                 session = self._shaped.pop(shape)
             self._shaped[shape] = session       # the last of them: which has not come for longest is given up
             return session
+
+    def _session_like_it(self) -> onnxruntime.InferenceSession:
+        """Another session on the same provider. Raises RuntimeError where onnxruntime makes one on another."""
+        wanted = self._session.get_providers()
+        session = self._session_on(wanted)
+        if session.get_providers()[0] != wanted[0]:
+            raise RuntimeError("onnxruntime has made it on {} only".format(_short_name(session.get_providers()[0])))
+        return session
 
     def _load(self, providers: Sequence[str]) -> onnxruntime.InferenceSession:
         if not self._path.is_file():
@@ -405,8 +453,8 @@ class OnnxModel:
         absent = missing_libraries(name)
         self._notify("execution provider {} does not load here, the networks run on {}: {}; see docs/gpu.md".format(
             name, _short_name(used), "the loader does not find " + ", ".join(absent) if absent else
-            "its libraries are there, so their versions do not fit this onnxruntime ({}) or the driver".format(
-                onnxruntime.__version__)))
+            "its libraries are there, so their versions do not fit this onnxruntime ({}) or the driver, or the card "
+            "has no memory left".format(onnxruntime.__version__)))
 
     def _session_on(self, providers: List[str]) -> onnxruntime.InferenceSession:
         options = onnxruntime.SessionOptions()
@@ -416,8 +464,10 @@ class OnnxModel:
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         options.add_session_config_entry("session.inter_op.allow_spinning", "0")
         options.log_severity_level = _FATAL_ONLY
-        return onnxruntime.InferenceSession(
+        session = onnxruntime.InferenceSession(
             str(self._path), options, providers=[(name, PROVIDER_OPTIONS.get(name, {})) for name in providers])
+        session.disable_fallback()      # in the middle of a run, and unknown to all but standard output
+        return session
 
     def _damaged(self, error: Exception) -> ModelError:
         return ModelError("model file {} cannot be loaded ({}); it may be damaged: delete it and {}".format(

@@ -1,5 +1,5 @@
-"""What a process asks of the system: its memory, the threads of its libraries and of its networks, idle cores, its
-niceness; and its child processes: started, read, ended, and recognised again after their process id was reused."""
+"""What a process asks of the system: its memory, the threads of its libraries and of its networks, its niceness; and
+its child processes: started, read, ended, and recognised again after their process id was reused."""
 
 from __future__ import annotations
 
@@ -17,10 +17,12 @@ import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
-from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Tuple, TypeVar
+from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, TypeVar
 
 import cv2
 import threadpoolctl
+
+from hri_pipeline.core.cores import Cores
 
 # Parameters of mallopt in glibc's malloc.h.
 _M_TRIM_THRESHOLD = -1
@@ -142,25 +144,6 @@ def one_thread_each() -> None:
         threadpoolctl.threadpool_limits(limits=1, user_api="blas")
 
 
-def idle_time() -> Tuple[float, int]:
-    """Return how long (s) the cores that this process may use have been idle since the start of the system, and their
-    number.
-
-    From /proc/stat, see proc(5): the 4th and 5th number of each core are clock ticks without work. Raises OSError where
-    there is no such file.
-    """
-    cores = {"cpu%d" % core for core in os.sched_getaffinity(0)}
-    ticks = 0
-    with open("/proc/stat", encoding="ascii") as file:
-        for line in file:
-            if not line.startswith("cpu"):
-                break
-            name, *numbers = line.split()
-            if name in cores:
-                ticks += int(numbers[3]) + int(numbers[4])
-    return ticks / os.sysconf("SC_CLK_TCK"), len(cores)
-
-
 class Threads:
     """The threads that the networks of a node have: they share the items of a batch, and work beside the caller.
 
@@ -186,9 +169,12 @@ class Threads:
             self._pool = ThreadPoolExecutor(count - 1, "networks")
 
     @classmethod
-    def of_node(cls, wanted: int, share: float) -> Threads:
-        """Return the threads of a node whose parameters `threads` and `cpu_share` these are."""
-        return cls(wanted or automatic_threads(share, len(os.sched_getaffinity(0))))
+    def of_node(cls, wanted: int, share: float, nodes: int = _NODES) -> Threads:
+        """Return the threads of a node whose parameters `threads` and `cpu_share` these are.
+
+        nodes: how many such nodes work at the same time: 1 where faces and bodies take turns in one.
+        """
+        return cls(wanted or automatic_threads(share, Cores().count, nodes))
 
     def time(self) -> float:
         """Processor time (s) of the calling thread, and of the others for it; only differences mean anything."""
@@ -279,12 +265,12 @@ class Threads:
         return future
 
 
-def automatic_threads(share: float, cores: int) -> int:
-    """Return how many threads the networks of a node have: half of the share (0 to 1) of the cores, as faces and
-    bodies work at the same time; one where there are only two cores."""
+def automatic_threads(share: float, cores: float, nodes: int = _NODES) -> int:
+    """Return how many threads the networks of one of so many nodes that work at the same time have: its part of the
+    share (0 to 1) of the cores; one where there are only two cores."""
     if cores <= _FEW_CORES:
         return 1
-    return max(1, min(_MOST_THREADS, int(math.ceil(share * cores / _NODES - 1e-9))))
+    return max(1, min(_MOST_THREADS, int(math.ceil(share * cores / nodes - 1e-9))))
 
 
 ONE_THREAD = Threads()

@@ -16,7 +16,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Callable, Deque, Dict, Iterator, List, Optional, Sequence, Tuple
 
-from hri_pipeline.core.process import ONE_THREAD, Threads, idle_time
+from hri_pipeline.core.cores import Cores, CoreTime
+from hri_pipeline.core.process import ONE_THREAD, Threads
 
 _SAMPLE_S = 0.25
 """Time (s) between two measurements of the idle time: 25 clock ticks of a core."""
@@ -52,19 +53,20 @@ mean, which says how much time is free, has the second weight for both."""
 
 
 class IdleShare:
-    """How many cores' time a node may spend beyond its least budget, so that `share` of the machine is used in all.
+    """How many cores' time a node may spend beyond its least budget, so that `share` of the machine is used in all, and
+    of each quota that the node is under.
 
     Grows slowly while there is idle time, and gives up what is too much at the next measurement.
     """
 
-    def __init__(self, share: float, idle: Callable[[], Tuple[float, int]] = idle_time,
+    def __init__(self, share: float, idle: Optional[Callable[[], Sequence[CoreTime]]] = None,
                  clock: Callable[[], float] = time.monotonic) -> None:
         """share: 0 (nothing beyond the least budget) to 1, of the time of all cores, for all processes together.
 
-        idle: see process.idle_time; clock: s. Raises ValueError for another share.
+        idle: by default Cores.times of this process; clock: s. Raises ValueError for another share.
         """
-        self._idle, self._clock = idle, clock
-        self._last: Optional[Tuple[float, float]] = None
+        self._idle, self._clock = idle or Cores().times, clock
+        self._last: Optional[Tuple[float, Sequence[CoreTime]]] = None
         self.cores = 0.0
         self.set_share(share)
 
@@ -86,20 +88,27 @@ class IdleShare:
         elif now - self._last[0] >= _SAMPLE_S:
             fresh = self._read(now)
             if fresh is not None:
-                spare = (fresh[1] - self._last[1]) / (fresh[0] - self._last[0]) - (1.0 - self._share) * self._count
+                spare = self._spare(self._last[1], fresh[1], now - self._last[0])
                 self.cores = max(0.0, self.cores + (_GROWTH if spare > 0.0 else 1.0) * spare)
             self._last = fresh
         self.cores = min(self.cores, usable)
         return self.cores
 
-    def _read(self, now: float) -> Optional[Tuple[float, float]]:
-        """Time of the measurement and idle time, s; None, and nothing beyond the least budget, where it is unknown."""
+    def _spare(self, before: Sequence[CoreTime], after: Sequence[CoreTime], seconds: float) -> float:
+        """How many cores more could be used: the least of what the machine and the quotas leave; 0 when these have
+        changed."""
+        if [one.cores for one in before] != [one.cores for one in after]:
+            return 0.0
+        return min((new.idle - old.idle) / seconds - (1.0 - self._share) * new.cores for old, new in zip(before, after))
+
+    def _read(self, now: float) -> Optional[Tuple[float, Sequence[CoreTime]]]:
+        """Time of the measurement (s) and what is idle; None, and nothing beyond the least budget, where it is
+        unknown."""
         try:
-            idle, self._count = self._idle()
+            return now, self._idle()
         except (OSError, ValueError):
             self.cores = 0.0
             return None
-        return now, idle
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ frames."""
 from __future__ import annotations
 
 import time
-from typing import Dict, Iterable, List, Sequence, Set, Tuple
+from typing import Dict, Iterable, List, Optional, Sequence, Set, Tuple
 
 import rospy
 from geometry_msgs.msg import TransformStamped
@@ -25,6 +25,7 @@ from hri_pipeline.core.orientation import turned_problem
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.process import Threads
 from hri_pipeline.core.recognition.face_identity import PersonMatch, SamePersons
 from hri_pipeline.core.recognition.recogniser import SAME
 from hri_pipeline.ros.conversions import (
@@ -70,6 +71,8 @@ class FaceProcessor:
     ----------
     settings
         The values of core.faces.parameters.FACES.
+    threads
+        Of the networks; by default as the settings say.
 
     Raises
     ------
@@ -81,13 +84,13 @@ class FaceProcessor:
 
     name = "faces"
 
-    def __init__(self, settings: FacePipelineSettings) -> None:
+    def __init__(self, settings: FacePipelineSettings, threads: Optional[Threads] = None) -> None:
         is_kept = settings.recognition and settings.gallery
         (rospy.logwarn if is_kept else rospy.loginfo)("%s", privacy_line(settings))
         self.data_use = data_use(settings)
         self._networks = ModelLog(rospy.logwarn)
         try:
-            self._pipeline = FacePipeline(settings, notify=self._networks)
+            self._pipeline = FacePipeline(settings, notify=self._networks, threads=threads)
         except StoreError as error:
             raise ParameterError("~gallery, ~gallery_key: {}".format(error)) from error
         self._interface = settings.interface

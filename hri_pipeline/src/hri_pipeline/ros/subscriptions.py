@@ -118,6 +118,12 @@ class IdSubscribers:
         with self._lock:
             return list(self._subscribers)
 
+    @property
+    def is_published(self) -> bool:
+        """Whether anybody publishes the list, an empty one too."""
+        with self._lock:
+            return any(not heard.is_away for heard in self._lists.values())
+
     def status(self, optional: bool = False) -> Status:
         """Return level, message and values for diagnostics; optional: it is no fault that nobody publishes the list."""
         with self._lock:

@@ -11,6 +11,7 @@ from typing import Any, Callable, Deque, Dict, Iterable, List, Optional, Protoco
 
 import rospy
 
+from hri_pipeline.core.cores import Cores
 from hri_pipeline.core.error_log import NewErrors
 from hri_pipeline.core.faces.parameters import CameraSettings
 from hri_pipeline.core.privacy import joined
@@ -175,7 +176,8 @@ class Worker:
 class VisionWorker(Worker):
     """Gives the newest image to all processors in turn.
 
-    Diagnostics hold the rate, the age of the images, the dropped images and the time of each stage. When no image comes
+    Diagnostics hold the rate, the age of the images, the dropped images, the time of each stage, and the cores that may
+    be used. When no image comes
     for `silence` s of ROS time, the processors are reset, so that nobody stays tracked; while a bag is paused, ROS time
     stands still, too. max_rate: Hz, 0 for no limit. nice: see set_niceness(); it is set some seconds after the first
     image. mounting: decides by how much images are turned; None: not at all.
@@ -190,6 +192,7 @@ class VisionWorker(Worker):
         self._silence = silence
         self._nice, self._nice_at = nice, math.inf
         self._took = 0.0
+        self._cores = Cores()
         self._ended: Deque[float] = deque(maxlen=300)
         image_input.on_restart = self.reset
         uses = [processor.data_use for processor in self._processors if hasattr(processor, "data_use")]
@@ -271,6 +274,7 @@ class VisionWorker(Worker):
     def _load(self) -> Status:
         rate, counts = self._rate(), self._input.counts
         values: Dict[str, object] = {"rate_hz": rate, "dropped_images": counts["received"] - counts["taken"]}
+        values.update(self._cores.values())
         level, text = OK, ""
         if self._mounting is not None:
             values.update(self._mounting.values())

@@ -125,13 +125,14 @@ class CameraSettings(Settings):
         30.0, "Most images processed per second; the others are skipped, which leaves more of the processor to "
         "others. 0: as fast as they come.", unit="Hz", minimum=0.0, maximum=1000.0, live=True)
     cpu_share: float = parameter(
-        0.75, "Load of all cores (0 to 1, all processes) up to which people get more inferences than the rates and "
-        "budgets say: up to every image, who moves, speaks, is near or uncertain before others. When others need the "
-        "processor, it is given back within a second. 0: never.", minimum=0.0, maximum=1.0, live=True)
+        0.75, "Load of all cores (0 to 1, all processes), and of a container's quota, up to which people get more "
+        "inferences than the rates and budgets say: up to every image, who moves, speaks, is near or uncertain before "
+        "others. When others need the processor, it is given back within a second. 0: never.", minimum=0.0, maximum=1.0,
+        live=True)
     threads: int = parameter(
         0, "Threads of the networks, which share the people of an image. 0: half of `cpu_share` of the cores (at the "
         "start), eight at most, one on two cores. With more, everybody is looked at more often. For a GPU they only "
-        "cut the images.",
+        "cut the images. Cores are those that the process may use: affinity, and quotas of containers and of systemd.",
         minimum=0, maximum=64)
     max_age: float = parameter(
         0.1, "Age of an image up to which more people get an inference; each gets two per second all the same.",

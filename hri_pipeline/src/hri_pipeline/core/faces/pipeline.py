@@ -17,7 +17,7 @@ import numpy as np
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.analysis import FaceAnalysis, FaceDemand
 from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook
-from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector, load_face_network, wide_region
+from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector, Region, load_face_network, wide_region
 from hri_pipeline.core.faces.face_geometry import FaceGeometry, TrackedFace
 from hri_pipeline.core.faces.flow import FaceFlow
 from hri_pipeline.core.faces.mesh import (
@@ -96,6 +96,8 @@ class FacePipeline:
         Generator of the faces' ids; a new one by default.
     notify
         Called with one line of text for each execution provider that is skipped.
+    threads
+        Of the networks; by default as the settings say. They are closed by close().
 
     Raises
     ------
@@ -104,13 +106,13 @@ class FacePipeline:
     """
 
     def __init__(self, settings: FacePipelineSettings, ids: Optional[IdGenerator] = None,
-                 notify: Optional[Callable[[str], None]] = None) -> None:
+                 notify: Optional[Callable[[str], None]] = None, threads: Optional[Threads] = None) -> None:
         self.times = StageTimes()
         canonical = load_canonical_face(model_path(settings.canonical_face, "canonical_face.npz"))
         blendshapes = Blendshapes(model_path(settings.face_blendshapes_model, "face_blendshapes.onnx"),
                                   settings.providers, notify)
         self._geometry = FaceGeometry(canonical, blendshapes)
-        self._threads = Threads.of_node(settings.threads, settings.cpu_share)
+        self._threads = threads or Threads.of_node(settings.threads, settings.cpu_share)
         self._analysis = FaceAnalysis(settings, canonical, self.times, notify, self._threads)
         self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify, judge=self._judge(),
                                               threads=self._threads)
@@ -429,11 +431,17 @@ class FaceTrackingPipeline:
         """Run the mesh network at the predicted places of tracks; returns what it finds by their ids."""
         if not tracks:
             return {}
-        with self._times("face_mesh"):
-            with self._mesh_scheduler.measure() as count:
+        try:
+            with self._times("face_mesh"), self._mesh_scheduler.measure() as count:
                 rois = [track.roi(stamp) for track in tracks]
                 results = self._mesh.run(bgr, rois)
                 count(len(rois))
+        except Exception:       # this image is lost, and what the detector finds in it
+            if self.detected:
+                self._detection_scheduler.lose()
+            for track in tracks:
+                self._mesh_scheduler.renew(track.id)
+            raise
         height, width = bgr.shape[:2]
         return {track.id: self._measurement(bgr, result, track.score) for track, result in zip(tracks, results)
                 if is_face(result, width, height, self._least_presence(track))}
@@ -470,16 +478,20 @@ class FaceTrackingPipeline:
         regions = self._detection_scheduler.due(bgr, stamp, self._unconfirmed(stamp), self._is_stable(),
                                                 0.0 <= stamp - self._panned_at <= _PANNED_S)
         self.detected = bool(regions)
-        return self._detector.threads.beside(self._detector.detect, bgr, regions) if regions else nullcontext()
+        return self._detector.threads.beside(self._run_detector, bgr, regions) if regions else nullcontext()
+
+    def _run_detector(self, bgr: np.ndarray, regions: Sequence[Region]) -> List[FaceDetection]:
+        """Run the detector, whose time is its own, also where it runs beside and is hardly waited for."""
+        with self._times("face_detection"):
+            return self._detector.detect(bgr, regions)
 
     def _detect(self, bgr: np.ndarray, search: Optional[Search], measured: Sequence[FaceMeasurement],
                 skipped: Set[str], stamp: float) -> List[FaceMeasurement]:
         """Take what the detector has found; returns the measurements of new and of lost faces."""
         if search is None:
             return []
-        with self._times("face_detection"):
-            detections = search()
-            self._orientation.update(bgr, stamp, self._detect_anywhere)
+        detections = search()
+        self._orientation.update(bgr, stamp, self._detect_anywhere)
         hits = self._tracker.add_detections([detection.box for detection in detections], stamp,
                                             [self._hit_weight(detection) for detection in detections],
                                             [detection.score for detection in detections],
@@ -494,7 +506,7 @@ class FaceTrackingPipeline:
 
     def _detect_anywhere(self, bgr: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
         """Boxes (N, 4) px and scores (N,) of all faces of an image."""
-        found = self._detector.detect(bgr, [wide_region(bgr.shape[1], bgr.shape[0])])
+        found = self._run_detector(bgr, [wide_region(bgr.shape[1], bgr.shape[0])])
         return np.array([one.box for one in found]), np.array([one.score for one in found])
 
     def _without_known(self, detections: Sequence[FaceDetection], measured: Sequence[FaceMeasurement],

@@ -98,6 +98,11 @@ class DetectionScheduler:
         self._searched: List[float] = []
         self._thumbs: List[Optional[np.ndarray]] = []
         self._size = (0, 0)
+        self._keep_state()
+
+    def lose(self) -> None:
+        """Take note that nothing came of the last search: the next image gets it."""
+        self._next, self._whole_next, self._size, self._searched, self._thumbs = self._before
 
     def hurry(self, stamp: float) -> None:
         """Run the detector again one (short) period after `stamp` (s): there may be a new face."""
@@ -122,6 +127,7 @@ class DetectionScheduler:
         """
         if stamp < self._next:
             return []
+        self._keep_state()
         height, width = bgr.shape[:2]
         whole = (0, 0, width, height)
         tiles = tile_regions(width, height, self._tiles)
@@ -143,6 +149,10 @@ class DetectionScheduler:
             return []
         self._searched[chosen], self._thumbs[chosen] = stamp, thumb
         return [tiles[chosen]]
+
+    def _keep_state(self) -> None:
+        """Note what `lose` goes back to."""
+        self._before = (self._next, self._whole_next, self._size, list(self._searched), list(self._thumbs))
 
     def _step(self, quiet: bool) -> float:
         period = self._period * (QUIET_FACTOR if quiet else 1.0)
