@@ -100,6 +100,21 @@ def test_a_hidden_person_is_not_published_and_comes_back_with_the_id():
     assert film.ids() == before
 
 
+@pytest.mark.parametrize("onwards", [-1.0, 1.0], ids=["goes on", "goes back"])
+@pytest.mark.parametrize("colours", [(RED, BLUE), (RED, RED)], ids=["unlike", "alike"])
+def test_who_stands_before_a_seated_person_for_two_seconds_keeps_both_ids(colours, onwards):
+    """At a walk, 1.2 m/s; images at 10 Hz."""
+    seated = (500.0, 400.0)
+    film = Film(Walkers([seated, (1000.0, 420.0)], colours), rate=10.0)
+    film.run(1.0)
+    before = film.ids()
+    film.run(2.0, lambda time: [seated, (1000.0 - 240.0 * time, 420.0)])
+    film.run(2.0, lambda time: [seated, (520.0, 420.0)])
+    assert film.ids() == [before[1]]
+    film.run(1.5, lambda time: [seated, (520.0 + onwards * 240.0 * time, 420.0)])
+    assert film.ids() == before
+
+
 def test_who_is_found_again_among_many_is_looked_at_again_at_once():
     """Else the turn is that of a hidden body, up to a second away, and the place drifts with a guessed velocity."""
     others = [(100.0 + 150.0 * number, 400.0) for number in range(7)]

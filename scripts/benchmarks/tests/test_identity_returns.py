@@ -9,6 +9,7 @@ from benchmarks.identity_returns import (
     film_returns,
     frames_of,
     read_labels,
+    spread_of,
     world_returns,
 )
 from benchmarks.identity_worlds import World, human, seen_clothes
@@ -61,6 +62,19 @@ def test_a_match_on_the_film_is_right_for_one_human(stays):
     track = perfect(stays, {stay.name: stay.name for stay in stays})
     told = [(610, "red.2", "red.1", 0.95), (580, "jeans.2", "bald.1", 0.95), (0, "nobody", "nobody else", 0.95)]
     assert film_returns(FilmTrack(track.boxes, told), stays) == {"right": 1, "wrong": 2, "returns": 9}
+
+
+def test_who_finds_all_from_a_later_start_on_has_missed_nobody(stays):
+    track = perfect(stays, {stay.name: stay.name for stay in stays})
+    later = FilmTrack([{}] * 760 + track.boxes[760:], [], 760)
+    found = crossing_figures(frames_of(later, stays), 35 / 600.0)
+    assert len(frames_of(later, stays)) == 35 and (found["idf1"], found["misses"]) == (1.0, 0)
+
+
+def test_several_runs_have_a_mean_and_a_spread():
+    found = spread_of([{"idf1": 0.9, "ids": 20}, {"idf1": 0.94, "ids": 23}])
+    assert found["mean"] == {"idf1": 0.92, "ids": 21.5} and found["sd"] == {"idf1": 0.028, "ids": 2.121}
+    assert found["runs"]["0"] == {"idf1": 0.9, "ids": 20}
 
 
 def test_simulated_clothes_differ_as_they_were_measured():
