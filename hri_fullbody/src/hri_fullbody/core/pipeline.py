@@ -179,7 +179,8 @@ class BodyPipeline:
             self._follow_known(bgr, camera, stamp, faces, slow)
             if slow:        # the next image is far away
                 self._search_new(bgr, stamp, faces, slow, search)
-            bodies = self._observe_all(camera, stamp, faces, SceneContext(depth, up, camera_height))
+            bodies = self._observe_all(camera, stamp, faces,
+                                       SceneContext(depth, up, camera_height, faces=self._faces_come))
             if seen is not None:
                 seen(bodies)
             if not slow:
@@ -193,7 +194,7 @@ class BodyPipeline:
         self._reidentify(stamp)
         if up is None:
             self._learn_ground(stamp, faces)
-        bodies = self._localize(camera, stamp, faces, replace(context, faces=self._faces_come))
+        bodies = self._localize(camera, stamp, faces, context)
         self._forget_all_but(self.tracked_ids)
         learnt = self._ground.camera_height("") if up is None else None
         self._floor = context.camera_height if learnt is None else learnt[0]
