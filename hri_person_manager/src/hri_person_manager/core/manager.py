@@ -13,7 +13,7 @@ import numpy as np
 from hri_person_manager.core.cross_camera import CrossCamera
 from hri_person_manager.core.features import Kind, MatchNode, PlaceSource, TrackedFeatures
 from hri_person_manager.core.location import Decay, FeaturePlaces, PersonLocation, Place
-from hri_person_manager.core.match_graph import Association, CandidateMatch, SaidNames
+from hri_person_manager.core.match_graph import Association, CandidateMatch, ChangeLimit, SaidNames
 from hri_person_manager.core.merges import Merges
 from hri_person_manager.core.parameters import PersonManagerSettings, sensor_errors
 from hri_person_manager.core.persons import (
@@ -61,7 +61,7 @@ class PersonManager:
         self._published = PublishedPersons(self._table, self._merges, self._decay)
         self._association = Association(self._threshold, self._is_present, self._make_permanent)
         self._cameras = CrossCamera(*_camera_limits(self._settings))
-        self._said = SaidNames()
+        self._said, self._limit = SaidNames(), ChangeLimit()
         self._recalled: Dict[MatchNode, str] = {}       # names from before a restart that nobody has said since
 
     def reconfigure(self, settings: PersonManagerSettings, now: float) -> None:
@@ -149,7 +149,11 @@ class PersonManager:
                 return self._match_anonymous(feature, person.id, match.likelihood, now)
         arrived = self._begin_inferred(nodes, now) if match.likelihood > 0.0 else []
         worth = self._association.add(match)
+        if worth and not arrived and self._limit.holds(nodes, now):
+            worth = False
         changed = self._association.solve(nodes) if worth or arrived else False
+        if changed:
+            self._limit.note(nodes, now)
         if self._end_inferred(nodes) or arrived or changed or (worth and Kind.VOICE in {node.kind for node in nodes}):
             self._associate(now)
             return True
@@ -314,7 +318,7 @@ class PersonManager:
 
     def tick(self, now: float) -> None:
         """Let time pass: unassigned features become persons, places fade, forgotten persons go."""
-        expired = self._expire_inferred(now) | self._association.solve_refuted(now)
+        expired = self._expire_inferred(now) | self._association.solve_refuted(now) | self._solve_held(now)
         self._hold(now)
         waiting = self._table.waiting_until()
         if expired or (waiting is not None and now >= waiting):
@@ -327,6 +331,14 @@ class PersonManager:
             self._table.remove(person_id)
         if self._join_across_cameras(now) or gone:
             self._update_merges(now)
+
+    def _solve_held(self, now: float) -> bool:
+        """Decide anew where matches contradict each other too often; returns whether a group has changed. now: s."""
+        due = self._limit.due(now)
+        changed = self._association.solve(due) if due else False
+        if changed:
+            self._limit.note(due, now)
+        return changed
 
     def _forget_outdated(self, now: float) -> None:
         """Forget whom no recogniser will name any more, once nothing of them is tracked."""
@@ -501,7 +513,8 @@ class PersonManager:
         moved = self._table.associate(self._association.assignable, now)
         self._update_merges(now)
         self._places.retain(self._tracked.__contains__)
-        self._said.retain(self._tracked.__contains__)
+        for kept in (self._said, self._limit):
+            kept.retain(self._tracked.__contains__)
         self._place_moved(moved)
 
     def _place_moved(self, features: Iterable[MatchNode]) -> None:

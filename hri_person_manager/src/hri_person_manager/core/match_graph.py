@@ -32,6 +32,7 @@ MAX_CUTS = 6
 MAX_PENDING_MATCHES = 1000      # matches kept for features that are not tracked (yet)
 MAX_SAID = 1000       # pairs of a feature and a recogniser whose names for it are kept
 MAX_SAID_NAMES = 10
+MOST_CHANGES, CHANGES_PER_S = 8.0, 0.5      # of who belongs to a feature, by matches: at once, and in the long run
 Group = FrozenSet[MatchNode]
 
 
@@ -118,6 +119,44 @@ class MatchGuard:
 
     def _is_late(self, id1: str, id2: str, now: float) -> bool:
         return any(now - self._forgotten[name] <= UNDER_WAY_S for name in (id1, id2) if name in self._forgotten)
+
+
+class ChangeLimit:
+    """Lets matches change who belongs to a feature MOST_CHANGES times at once, then CHANGES_PER_S: of matches that
+    contradict each other, as of two matchers, those that come often would move it back and forth with each message."""
+
+    def __init__(self) -> None:
+        self._spent: Dict[MatchNode, Tuple[float, float]] = {}      # changes that count still, and when (s)
+        self._waiting: Set[MatchNode] = set()
+
+    def note(self, nodes: Iterable[MatchNode], now: float) -> None:
+        """Note that a match of these nodes has changed who belongs together, at `now` (s)."""
+        self._spent.update((node, (self._count(node, now) + 1.0, now)) for node in nodes if node.kind != Kind.PERSON)
+
+    def holds(self, nodes: Iterable[MatchNode], now: float) -> bool:
+        """Tell whether a match of these nodes may change nothing at `now` (s); due() names them when it may."""
+        if not any(self._is_spent(node, now) for node in nodes):
+            return False
+        self._waiting.update(nodes)
+        return True
+
+    def due(self, now: float) -> List[MatchNode]:
+        """Return the nodes of held matches, once each, that may change at `now` (s)."""
+        found = sorted(node for node in self._waiting if not self._is_spent(node, now))
+        self._waiting.difference_update(found)
+        return found
+
+    def retain(self, is_tracked: Callable[[MatchNode], bool]) -> None:
+        """Forget features that have gone."""
+        self._spent = {node: spent for node, spent in self._spent.items() if is_tracked(node)}
+        self._waiting = {node for node in self._waiting if node.kind == Kind.PERSON or is_tracked(node)}
+
+    def _is_spent(self, node: MatchNode, now: float) -> bool:
+        return node in self._spent and self._count(node, now) > MOST_CHANGES - 1.0
+
+    def _count(self, node: MatchNode, now: float) -> float:
+        count, at = self._spent.get(node, (0.0, now))
+        return max(0.0, count - CHANGES_PER_S * max(0.0, now - at))
 
 
 class SaidNames:
