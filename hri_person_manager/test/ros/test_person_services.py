@@ -280,6 +280,23 @@ class TestPersonServices(unittest.TestCase):
         self.wait_for(enrolled, "the voice is enrolled")
         self.assertEqual(asked[-2:], [("enrol", "tim", self.face), ("enrol", "tim", voice)])
 
+    def test_who_is_only_heard_is_enrolled_by_voice(self):
+        asked = []
+
+        def answer(request):
+            asked.append((request.command, request.id, request.other))
+            return GalleryResponse(success=True, id="eva", message="enrolled")
+        service = rospy.Service("/recogniser/gallery", Gallery, answer)
+        self.addCleanup(service.shutdown)
+        voice = "v" + self.face
+        self.show("faces")
+        self.show("voices", voice)
+        self.wait_for(lambda: len(self.tracked.value.ids) == 1, "the speaker")
+        answered = self.call("enrol", Enrol, self.tracked.value.ids[0], "Eva")
+        self.assertTrue(answered.success, answered.message)
+        self.assertIn("by voice", answered.message)
+        self.assertEqual((answered.id, asked), ("eva", [("enrol", "", voice)]))
+
     def test_merging_through_an_alias_is_answered_as_it_is_done(self):
         for number, person in enumerate(("pia", "quy", "ron")):
             self.recognise("z%d" % number, person)

@@ -50,8 +50,8 @@ if TYPE_CHECKING:     # scipy takes most of a second, which no command has to wa
 
 GALLERY_SUFFIX = "/gallery"
 GALLERY_PATIENCE_S = 2.0
-_NO_RECOGNISER = ("no recogniser can learn a face: no service ~gallery is offered. Start the node faces with "
-                  "recognition on")
+_NO_RECOGNISER = ("no recogniser can learn a face or voice: no service ~gallery is offered. Start the node faces with "
+                  "recognition on, or voices with voice_identity")
 SERVICE_PATIENCE_S = 5.0
 COMMANDS: Dict[str, Tuple[str, type, Tuple[str, ...], str]] = {
     "name": ("set_name", SetName, ("id", "name"), "give a known person a name; '' takes it away"),
@@ -60,7 +60,7 @@ COMMANDS: Dict[str, Tuple[str, type, Tuple[str, ...], str]] = {
     "merge": ("merge", Merge, ("id", "other"), "two ids are one human: OTHER becomes an alias of ID"),
     "split": ("split", Split, ("id",), "undo a merge"),
     "forget": ("forget", Forget, ("id",), "remove everything that is known of a person"),
-    "enrol": ("enrol", Enrol, ("id", "name"), "the person ID, who is seen now, agrees to be recognised"),
+    "enrol": ("enrol", Enrol, ("id", "name"), "the person ID, who is seen or heard now, agrees to be recognised"),
     "enrol-new": ("enrol_new", Enrol, ("id", "name"), "the same, as a new person although the face looks like "
                                                       "somebody who is known"),
     "export": ("export", Export, ("id",), "print everything that is known of a person, or of all, as JSON"),
@@ -306,26 +306,28 @@ class PersonServices:
         with self._lock:
             state = next((state for state in self._manager.snapshot(rospy.get_time()).persons
                           if state.id == request.id), None)
-        if state is None or not state.face:
-            raise RegisterError("the person {!r} has no face that is seen now".format(request.id[:40]))
+        if state is None or not (state.face or state.voice):
+            raise RegisterError("the person {!r} has no face that is seen now, and no voice that is heard".format(
+                request.id[:40]))
         known = "" if state.anonymous or is_new else state.id
         command = GalleryRequest.ENROL_NEW if is_new else GalleryRequest.ENROL
-        answers = self._galleries.call(command, known, state.face)
+        answers = self._galleries.call(command, known, state.face or state.voice)
         learned = [answer.response.id for answer in answers
                    if answer.response.success and is_valid_id(answer.response.id)]
         if not learned:
             raise RegisterError(_first_lines(answers) if answers else _NO_RECOGNISER)
+        means = ["face" if state.face else "voice"]
         # Whoever recognises voices learns this one as well; recognisers of faces know no such face.
-        voices = self._galleries.call(GalleryRequest.ENROL, learned[0], state.voice) if state.voice else []
-        by_voice = any(answer.response.success and answer.response.id for answer in voices)
+        if state.face and state.voice and any(answer.response.success and answer.response.id for answer in
+                                              self._galleries.call(GalleryRequest.ENROL, learned[0], state.voice)):
+            means.append("voice")
         with self._lock:
             self._manager.know(learned[:1])
             self._register.set_enrolled(learned[0], True, time.time())
             if request.name:
                 self._register.set_name(learned[0], request.name)
             self._changed()
-        return EnrolResponse(True, "{} is enrolled by face{}".format(learned[0], " and voice" if by_voice else ""),
-                             learned[0])
+        return EnrolResponse(True, "{} is enrolled by {}".format(learned[0], " and ".join(means)), learned[0])
 
     def _list_known(self, request: ListKnownRequest) -> ListKnownResponse:
         with self._lock:
