@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import unittest
 from pathlib import Path
 
@@ -242,6 +243,32 @@ class TestPersonServices(unittest.TestCase):
         self.assertFalse(answer.success)
         self.assertIn("/broken/gallery: the disk", answer.message)
         self.assertNotIn("somebody_else", answer.message)
+
+    def test_a_recogniser_that_hangs_is_told_and_holds_nobody_up_twice(self):
+        released, asked = threading.Event(), []
+
+        def answer(request):
+            asked.append(request.id)
+            released.wait()
+            return GalleryResponse(success=True)
+        service = rospy.Service("/hanging/gallery", Gallery, answer)
+        self.addCleanup(service.shutdown)
+        self.addCleanup(released.set)
+        self.someone(self.face, "kai")
+        answers = []
+
+        def forget(person):
+            before = len(answers)
+            threading.Thread(target=lambda: answers.append(self.call("forget", Forget, person)), daemon=True).start()
+            self.wait_for(lambda: len(answers) > before, "an answer", 40.0)
+            self.assertFalse(answers[-1].success)
+            self.assertIn("/hanging/gallery does not answer", answers[-1].message)
+        forget("kai")
+        self.assertNotIn("kai", self.known().ids)
+        forget("kai")
+        self.assertEqual(asked, ["kai"])
+        released.set()
+        self.wait_for(lambda: self.call("forget", Forget, "kai").success, "it answers again")
 
     def test_enrolling_somebody_alike_is_refused_and_done_as_somebody_new(self):
         asked = []

@@ -50,6 +50,7 @@ if TYPE_CHECKING:     # scipy takes most of a second, which no command has to wa
 
 GALLERY_SUFFIX = "/gallery"
 GALLERY_PATIENCE_S = 2.0
+GALLERY_ANSWER_S = 10.0     # it may wait for its disk
 _NO_RECOGNISER = ("no recogniser can learn a face or voice: no service ~gallery is offered. Start the node faces with "
                   "recognition on, or voices with voice_identity")
 SERVICE_PATIENCE_S = 5.0
@@ -120,26 +121,49 @@ class GalleryAnswer(NamedTuple):
             return None
 
 
+def _unanswered(name: str, why: str) -> GalleryAnswer:
+    return GalleryAnswer(name, GalleryResponse(success=False, message="{} does not answer: {}".format(name, why)))
+
+
 class Galleries:
-    """Finds the services when they are needed: recognisers come and go."""
+    """Finds the services when they are needed: recognisers come and go. Safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._overdue: Dict[str, threading.Thread] = {}     # calls that are not answered yet, by service
 
     def call(self, command: str, person_id: str = "", other: str = "") -> List[GalleryAnswer]:
         """Give a command to every gallery. One that does not answer, answers with success false and says so.
 
         Services of another type are left alone, whatever they are called.
         """
-        answers = []
-        for name in self.names():
-            try:
-                rospy.wait_for_service(name, GALLERY_PATIENCE_S)
-                if rosservice.get_service_type(name) not in (Gallery._type, None):
-                    continue
-                proxy = rospy.ServiceProxy(name, Gallery)
-                answers.append(GalleryAnswer(name, proxy(GalleryRequest(command=command, id=person_id, other=other))))
-            except (rospy.ROSException, rospy.ServiceException, rosservice.ROSServiceException) as error:
-                answers.append(GalleryAnswer(name, GalleryResponse(
-                    success=False, message="{} does not answer: {}".format(name, error))))
-        return answers
+        request = GalleryRequest(command=command, id=person_id, other=other)
+        return [answer for name in self.names() for answer in self._ask_in_time(name, request)]
+
+    def _ask_in_time(self, name: str, request: GalleryRequest) -> List[GalleryAnswer]:
+        """Ask a gallery in a thread: rospy waits for ever for one whose disk hangs. While it owes an answer it is not
+        asked again."""
+        found: List[GalleryAnswer] = []
+        overdue = self._overdue.get(name)
+        if overdue is None or not overdue.is_alive():
+            thread = threading.Thread(target=lambda: found.extend(self._ask(name, request)), daemon=True,
+                                      name="gallery")
+            thread.start()
+            thread.join(GALLERY_ANSWER_S)
+            if not thread.is_alive():
+                return found
+            self._overdue[name] = thread
+        return [_unanswered(name, "it is busy with what it was asked before")]
+
+    @staticmethod
+    def _ask(name: str, request: GalleryRequest) -> List[GalleryAnswer]:
+        """Return what a gallery says; nothing for a service of another type."""
+        try:
+            rospy.wait_for_service(name, GALLERY_PATIENCE_S)
+            if rosservice.get_service_type(name) not in (Gallery._type, None):
+                return []
+            return [GalleryAnswer(name, rospy.ServiceProxy(name, Gallery)(request))]
+        except (rospy.ROSException, rospy.ServiceException, rosservice.ROSServiceException) as error:
+            return [_unanswered(name, str(error))]
 
     @staticmethod
     def known_to(recogniser: str) -> Optional[Set[str]]:
