@@ -281,3 +281,20 @@ def test_matches_of_one_moment_do_not_wait_for_each_other():
                   ("f1", "b1", 0.0), ("f1", "b2", 0.9)):
         match(manager, *words, 1.0)
     assert people(manager, 1.0)["ann"] == ("f1", "b2", "v2")
+
+
+@pytest.mark.parametrize("delay, others", [(2.0, 3), (4.0, 0)])
+def test_an_enrolled_voice_that_nobody_sees_is_one_person_in_all_turns(delay, others):
+    manager = make(voice_person_delay=delay)
+    told = set()
+    for turn in range(3):
+        for step in range(100):
+            now = 10.0 * turn + 0.1 * step
+            see(manager, now, voices=["v%d" % turn] if step < 80 else [])
+            if step == 34:      # after 3.2 s of speech
+                match(manager, "v%d" % turn, "p:ann", 0.95, now)
+            manager.tick(now)
+            told.update(manager.snapshot(now).tracked)
+            if 34 <= step < 80:
+                assert people(manager, now) == {"ann": ("", "", "v%d" % turn)}
+    assert "ann" in told and len(told) == 1 + others
