@@ -273,6 +273,39 @@ def test_two_clients_that_contradict_each_other_a_hundred_times_a_second_move_a_
     assert of_the_voice(manager) != A1, "later on nothing waits"
 
 
+@pytest.mark.parametrize("said", [
+    lambda turn: [("f1", "p:ann", 0.9), ("f2", "p:bob", 0.9), ("p:ann", "p:bob", 0.9 if turn else 0.0)],
+    lambda turn: [("f2", "p:" + A1, 0.9 if turn else 0.0)],
+    lambda turn: [("f1", "p:ann", 0.9 if turn else 0.6), ("f1", "p:bob", 0.6 if turn else 0.9)],
+    lambda turn: [("f1", "b1", 0.9 if turn else 0.0)]],
+    ids=["of two names", "of somebody anonymous", "of a face's name", "of face and body"])
+def test_contradictions_do_not_change_what_is_published_with_each_message(said):
+    manager = make()
+    see(manager, 0.0, faces=["f1", "f2"], bodies=["b1"])
+    manager.tick(0.5)
+    states = []
+    for step in range(1000):
+        now = 1.0 + 0.01 * step
+        for words in said(step % 2):
+            match(manager, *words, now)
+        if step % 10 == 5:
+            manager.tick(now)
+        states.append([state[:4] + (state.alias, ) for state in manager.snapshot(now).persons])
+    assert sum(one != other for one, other in zip(states, states[1:])) <= 20
+    for turn in (0, 1, 0):      # the last word counts, whatever was said before
+        now += 30.0
+        for words in said(turn):
+            match(manager, *words, now)
+        expected = people(manager, now)
+        for step in range(10):
+            for words in said(step % 2 if turn else 1 - step % 2):
+                match(manager, *words, now + 0.1 * step)
+        for words in said(turn):
+            match(manager, *words, now + 1.0)
+        manager.tick(now + 6.0)
+        assert people(manager, now + 6.0) == expected
+
+
 def test_matches_of_one_moment_do_not_wait_for_each_other():
     manager = make()
     see(manager, 0.0, faces=["f1"], bodies=["b1", "b2"], voices=["v1", "v2"])

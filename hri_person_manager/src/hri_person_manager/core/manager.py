@@ -142,18 +142,19 @@ class PersonManager:
         self._association.refute(match, now)
         self._note_name(match, sender)
         if nodes[0].kind == nodes[1].kind == Kind.PERSON:
-            changed = self._merges.set(nodes[0].id, nodes[1].id, match.likelihood)
+            changed = self._merges.report(nodes[0].id, nodes[1].id, match.likelihood, now)
             return self._update_merges(now) and changed
         for feature, person in (nodes, nodes[::-1]):
             if person.kind == Kind.PERSON and person.id.startswith(ANONYMOUS_PREFIX):
                 return self._match_anonymous(feature, person.id, match.likelihood, now)
         arrived = self._begin_inferred(nodes, now) if match.likelihood > 0.0 else []
         worth = self._association.add(match)
-        if worth and not arrived and self._limit.holds(nodes, now):
+        features = tuple(node for node in nodes if node.kind != Kind.PERSON)
+        if worth and not arrived and self._limit.holds(features, now):
             worth = False
         changed = self._association.solve(nodes) if worth or arrived else False
         if changed:
-            self._limit.note(nodes, now)
+            self._limit.note(features, now)
         if self._end_inferred(nodes) or arrived or changed or (worth and Kind.VOICE in {node.kind for node in nodes}):
             self._associate(now)
             return True
@@ -329,7 +330,7 @@ class PersonManager:
             if self._table.persons[person_id].anonymous:
                 self._merges.remove(person_id)
             self._table.remove(person_id)
-        if self._join_across_cameras(now) or gone:
+        if self._merges.report_held(now) | self._join_across_cameras(now) or gone:
             self._update_merges(now)
 
     def _solve_held(self, now: float) -> bool:
@@ -505,7 +506,7 @@ class PersonManager:
                 self.representative(owner.id) != other):
             return False        # two whom a recogniser tells apart are not one because of a body
         if owner.id != person_id:
-            self._merges.set(owner.id, person_id, likelihood)
+            self._merges.report(owner.id, person_id, likelihood, now)
         self._update_merges(now)
         return True
 
@@ -513,8 +514,7 @@ class PersonManager:
         moved = self._table.associate(self._association.assignable, now)
         self._update_merges(now)
         self._places.retain(self._tracked.__contains__)
-        for kept in (self._said, self._limit):
-            kept.retain(self._tracked.__contains__)
+        self._said.retain(self._tracked.__contains__)
         self._place_moved(moved)
 
     def _place_moved(self, features: Iterable[MatchNode]) -> None:

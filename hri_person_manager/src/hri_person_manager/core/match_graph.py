@@ -15,7 +15,20 @@ from __future__ import annotations
 from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Callable, Container, Dict, FrozenSet, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import (
+    Callable,
+    Container,
+    Dict,
+    FrozenSet,
+    Hashable,
+    Iterable,
+    List,
+    Mapping,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 from typing import Counter as CounterType
 
 from hri_person_manager.core.features import Kind, MatchNode
@@ -122,41 +135,41 @@ class MatchGuard:
 
 
 class ChangeLimit:
-    """Lets matches change who belongs to a feature MOST_CHANGES times at once, then CHANGES_PER_S: of matches that
-    contradict each other, as of two matchers, those that come often would move it back and forth with each message."""
+    """Lets matches change who belongs together MOST_CHANGES times at once, then CHANGES_PER_S: of matches that
+    contradict each other, as of two matchers, those that come often would change it with each message.
+
+    Keys are features, or pairs of persons.
+    """
 
     def __init__(self) -> None:
-        self._spent: Dict[MatchNode, Tuple[float, float]] = {}      # changes that count still, and when (s)
-        self._waiting: Set[MatchNode] = set()
+        self._spent: Dict[Hashable, Tuple[float, float]] = {}      # changes that count still, and when (s)
+        self._waiting: Dict[Tuple[Hashable, ...], None] = {}
 
-    def note(self, nodes: Iterable[MatchNode], now: float) -> None:
-        """Note that a match of these nodes has changed who belongs together, at `now` (s)."""
-        self._spent.update((node, (self._count(node, now) + 1.0, now)) for node in nodes if node.kind != Kind.PERSON)
+    def note(self, keys: Iterable[Hashable], now: float) -> None:
+        """Note that a match about these has changed who belongs together, at `now` (s)."""
+        self._spent.update((key, (self._count(key, now) + 1.0, now)) for key in keys)
 
-    def holds(self, nodes: Iterable[MatchNode], now: float) -> bool:
-        """Tell whether a match of these nodes may change nothing at `now` (s); due() names them when it may."""
-        if not any(self._is_spent(node, now) for node in nodes):
+    def holds(self, keys: Tuple[Hashable, ...], now: float) -> bool:
+        """Tell whether a match about these may change nothing at `now` (s); due() names them when it may."""
+        if not self._spent or not self._is_spent(keys, now):
             return False
-        self._waiting.update(nodes)
+        self._waiting[keys] = None
         return True
 
-    def due(self, now: float) -> List[MatchNode]:
-        """Return the nodes of held matches, once each, that may change at `now` (s)."""
-        found = sorted(node for node in self._waiting if not self._is_spent(node, now))
-        self._waiting.difference_update(found)
-        return found
+    def due(self, now: float) -> List:
+        """Return, once each, what held matches are about that may change something at `now` (s)."""
+        found = [keys for keys in self._waiting if not self._is_spent(keys, now)]
+        for keys in found:
+            del self._waiting[keys]
+        self._spent = {key: spent for key, spent in self._spent.items() if self._count(key, now) > 0.0}
+        return list(dict.fromkeys(key for keys in found for key in keys))
 
-    def retain(self, is_tracked: Callable[[MatchNode], bool]) -> None:
-        """Forget features that have gone."""
-        self._spent = {node: spent for node, spent in self._spent.items() if is_tracked(node)}
-        self._waiting = {node for node in self._waiting if node.kind == Kind.PERSON or is_tracked(node)}
+    def _is_spent(self, keys: Iterable[Hashable], now: float) -> bool:
+        return any(self._count(key, now) > MOST_CHANGES - 1.0 for key in keys)
 
-    def _is_spent(self, node: MatchNode, now: float) -> bool:
-        return node in self._spent and self._count(node, now) > MOST_CHANGES - 1.0
-
-    def _count(self, node: MatchNode, now: float) -> float:
-        count, at = self._spent.get(node, (0.0, now))
-        return max(0.0, count - CHANGES_PER_S * max(0.0, now - at))
+    def _count(self, key: Hashable, now: float) -> float:
+        count, at = self._spent.get(key, (0.0, now))
+        return max(0.0, count - CHANGES_PER_S * (now - at)) if now >= at else 0.0       # else time has gone back
 
 
 class SaidNames:
