@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import unittest
 from pathlib import Path
 
@@ -243,6 +244,32 @@ class TestPersonServices(unittest.TestCase):
         self.assertIn("/broken/gallery: the disk", answer.message)
         self.assertNotIn("somebody_else", answer.message)
 
+    def test_a_recogniser_that_hangs_is_told_and_holds_nobody_up_twice(self):
+        released, asked = threading.Event(), []
+
+        def answer(request):
+            asked.append(request.id)
+            released.wait()
+            return GalleryResponse(success=True)
+        service = rospy.Service("/hanging/gallery", Gallery, answer)
+        self.addCleanup(service.shutdown)
+        self.addCleanup(released.set)
+        self.someone(self.face, "kai")
+        answers = []
+
+        def forget(person):
+            before = len(answers)
+            threading.Thread(target=lambda: answers.append(self.call("forget", Forget, person)), daemon=True).start()
+            self.wait_for(lambda: len(answers) > before, "an answer", 40.0)
+            self.assertFalse(answers[-1].success)
+            self.assertIn("/hanging/gallery does not answer", answers[-1].message)
+        forget("kai")
+        self.assertNotIn("kai", self.known().ids)
+        forget("kai")
+        self.assertEqual(asked, ["kai"])
+        released.set()
+        self.wait_for(lambda: self.call("forget", Forget, "kai").success, "it answers again")
+
     def test_enrolling_somebody_alike_is_refused_and_done_as_somebody_new(self):
         asked = []
 
@@ -279,6 +306,23 @@ class TestPersonServices(unittest.TestCase):
             return ("enrol", "tim", voice) in asked
         self.wait_for(enrolled, "the voice is enrolled")
         self.assertEqual(asked[-2:], [("enrol", "tim", self.face), ("enrol", "tim", voice)])
+
+    def test_who_is_only_heard_is_enrolled_by_voice(self):
+        asked = []
+
+        def answer(request):
+            asked.append((request.command, request.id, request.other))
+            return GalleryResponse(success=True, id="eva", message="enrolled")
+        service = rospy.Service("/recogniser/gallery", Gallery, answer)
+        self.addCleanup(service.shutdown)
+        voice = "v" + self.face
+        self.show("faces")
+        self.show("voices", voice)
+        self.wait_for(lambda: len(self.tracked.value.ids) == 1, "the speaker")
+        answered = self.call("enrol", Enrol, self.tracked.value.ids[0], "Eva")
+        self.assertTrue(answered.success, answered.message)
+        self.assertIn("by voice", answered.message)
+        self.assertEqual((answered.id, asked), ("eva", [("enrol", "", voice)]))
 
     def test_merging_through_an_alias_is_answered_as_it_is_done(self):
         for number, person in enumerate(("pia", "quy", "ron")):

@@ -238,3 +238,96 @@ def test_thousands_of_turns_leave_nothing_behind():
     # Of those who left, 2000 are remembered so that a late match does not bring them back.
     assert counts[3999] <= counts[1999] + 20
     assert set(people(manager, 8000.0)) == {A1} and people(manager, 8000.0)[A1][0] == "f1"
+
+
+def of_the_voice(manager):
+    return manager.person_of(MatchNode(Kind.VOICE, "v1"))
+
+
+@pytest.mark.parametrize("said", [
+    lambda turn: [("v1", "f1", 0.9 if turn else 0.0)],
+    lambda turn: [("v1", "f1", 0.9 if turn else 0.7), ("v1", "f2", 0.7 if turn else 0.9)],
+    lambda turn: [("v1", "f1", 0.9 if turn else 0.0), ("v1", "f2", 0.0 if turn else 0.9)]],
+    ids=["yes and no", "now this one, now that one", "withdrawn for the other one"])
+def test_two_clients_that_contradict_each_other_a_hundred_times_a_second_move_a_voice_a_few_times_only(said):
+    manager = make()
+    see(manager, 0.0, faces=["f1", "f2"], voices=["v1"])
+    manager.tick(0.5)
+    owners = []
+    for step in range(1000):
+        now = 1.0 + 0.01 * step
+        for words in said(step % 2):
+            match(manager, *words, now)
+        if step % 10 == 0:
+            manager.tick(now)
+        owners.append(of_the_voice(manager))
+    assert sum(one != other for one, other in zip(owners, owners[1:])) <= 14
+    # The last word counts when one of them is silent.
+    for words in said(1):
+        match(manager, *words, 11.0)
+    manager.tick(13.1)
+    assert of_the_voice(manager) == A1
+    manager.tick(30.0)
+    for words in said(0):
+        match(manager, *words, 30.0)
+    assert of_the_voice(manager) != A1, "later on nothing waits"
+
+
+@pytest.mark.parametrize("said", [
+    lambda turn: [("f1", "p:ann", 0.9), ("f2", "p:bob", 0.9), ("p:ann", "p:bob", 0.9 if turn else 0.0)],
+    lambda turn: [("f2", "p:" + A1, 0.9 if turn else 0.0)],
+    lambda turn: [("f1", "p:ann", 0.9 if turn else 0.6), ("f1", "p:bob", 0.6 if turn else 0.9)],
+    lambda turn: [("f1", "b1", 0.9 if turn else 0.0)]],
+    ids=["of two names", "of somebody anonymous", "of a face's name", "of face and body"])
+def test_contradictions_do_not_change_what_is_published_with_each_message(said):
+    manager = make()
+    see(manager, 0.0, faces=["f1", "f2"], bodies=["b1"])
+    manager.tick(0.5)
+    states = []
+    for step in range(1000):
+        now = 1.0 + 0.01 * step
+        for words in said(step % 2):
+            match(manager, *words, now)
+        if step % 10 == 5:
+            manager.tick(now)
+        states.append([state[:4] + (state.alias, ) for state in manager.snapshot(now).persons])
+    assert sum(one != other for one, other in zip(states, states[1:])) <= 20
+    for turn in (0, 1, 0):      # the last word counts, whatever was said before
+        now += 30.0
+        for words in said(turn):
+            match(manager, *words, now)
+        expected = people(manager, now)
+        for step in range(10):
+            for words in said(step % 2 if turn else 1 - step % 2):
+                match(manager, *words, now + 0.1 * step)
+        for words in said(turn):
+            match(manager, *words, now + 1.0)
+        manager.tick(now + 6.0)
+        assert people(manager, now + 6.0) == expected
+
+
+def test_matches_of_one_moment_do_not_wait_for_each_other():
+    manager = make()
+    see(manager, 0.0, faces=["f1"], bodies=["b1", "b2"], voices=["v1", "v2"])
+    manager.tick(0.5)
+    for words in (("f1", "b1", 0.9), ("v1", "f1", 0.8), ("f1", "p:ann", 0.9), ("v1", "f1", 0.0), ("v2", "f1", 0.9),
+                  ("f1", "b1", 0.0), ("f1", "b2", 0.9)):
+        match(manager, *words, 1.0)
+    assert people(manager, 1.0)["ann"] == ("f1", "b2", "v2")
+
+
+@pytest.mark.parametrize("delay, others", [(2.0, 3), (4.0, 0)])
+def test_an_enrolled_voice_that_nobody_sees_is_one_person_in_all_turns(delay, others):
+    manager = make(voice_person_delay=delay)
+    told = set()
+    for turn in range(3):
+        for step in range(100):
+            now = 10.0 * turn + 0.1 * step
+            see(manager, now, voices=["v%d" % turn] if step < 80 else [])
+            if step == 34:      # after 3.2 s of speech
+                match(manager, "v%d" % turn, "p:ann", 0.95, now)
+            manager.tick(now)
+            told.update(manager.snapshot(now).tracked)
+            if 34 <= step < 80:
+                assert people(manager, now) == {"ann": ("", "", "v%d" % turn)}
+    assert "ann" in told and len(told) == 1 + others

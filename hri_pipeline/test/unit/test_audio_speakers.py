@@ -176,17 +176,36 @@ def test_what_was_told_is_withdrawn_when_the_voice_becomes_another():
     assert say(identity, "first", 1.5, 20.0) == [VoicePerson("first", "anna", 0.0)]
 
 
-def test_a_voice_alone_makes_nobody_known():
+def test_a_voice_that_is_not_heard_or_has_said_little_is_not_enrolled():
     identity = make()
-    say(identity, "first", 0.0)
-    with pytest.raises(GalleryError, match="by face"):
-        identity.enrol("first", "")
     with pytest.raises(GalleryError, match="not tracked"):
         identity.enrol("second", "anna")
     say(identity, "third", 0.0, ENOUGH - 0.1)
     with pytest.raises(GalleryError, match="has not spoken"):
-        identity.enrol("third", "anna")
+        identity.enrol("third", "")
     assert identity.list_known() == []
+
+
+def test_who_has_no_face_is_enrolled_by_voice_alone_and_is_one_person_in_all_turns():
+    identity = make()
+    say(identity, "first", 0.0)
+    person = identity.enrol("first", "")
+    assert identity.list_known() == [person]
+    assert identity.changes() == [VoicePerson("first", person, 0.95)]
+    assert identity.enrol("first", "") == person, "who it is taken for"
+    assert say(identity, "second", 0.1) == [VoicePerson("second", person, 0.95)]
+    assert say(identity, "third", 1.5) == []
+    assert identity.enrol("third", "") != person
+
+
+def test_a_voice_like_one_that_is_known_is_somebody_new_only_when_that_is_confirmed():
+    identity = known(("anna", 0.0))
+    near = 0.65                     # of a product of .796: too little to be told, too much to be somebody else
+    assert say(identity, "first", near) == []
+    with pytest.raises(GalleryError, match="sounds like anna"):
+        identity.enrol("first", "")
+    assert identity.list_known() == ["anna"]
+    assert identity.enrol("first", "", confirm=True) not in ("", "anna")
 
 
 def test_forgetting_withdraws_and_forgets():

@@ -13,7 +13,7 @@ import numpy as np
 from hri_person_manager.core.cross_camera import CrossCamera
 from hri_person_manager.core.features import Kind, MatchNode, PlaceSource, TrackedFeatures
 from hri_person_manager.core.location import Decay, FeaturePlaces, PersonLocation, Place
-from hri_person_manager.core.match_graph import Association, CandidateMatch, SaidNames
+from hri_person_manager.core.match_graph import Association, CandidateMatch, ChangeLimit, SaidNames
 from hri_person_manager.core.merges import Merges
 from hri_person_manager.core.parameters import PersonManagerSettings, sensor_errors
 from hri_person_manager.core.persons import (
@@ -61,7 +61,7 @@ class PersonManager:
         self._published = PublishedPersons(self._table, self._merges, self._decay)
         self._association = Association(self._threshold, self._is_present, self._make_permanent)
         self._cameras = CrossCamera(*_camera_limits(self._settings))
-        self._said = SaidNames()
+        self._said, self._limit = SaidNames(), ChangeLimit()
         self._recalled: Dict[MatchNode, str] = {}       # names from before a restart that nobody has said since
 
     def reconfigure(self, settings: PersonManagerSettings, now: float) -> None:
@@ -142,14 +142,19 @@ class PersonManager:
         self._association.refute(match, now)
         self._note_name(match, sender)
         if nodes[0].kind == nodes[1].kind == Kind.PERSON:
-            changed = self._merges.set(nodes[0].id, nodes[1].id, match.likelihood)
+            changed = self._merges.report(nodes[0].id, nodes[1].id, match.likelihood, now)
             return self._update_merges(now) and changed
         for feature, person in (nodes, nodes[::-1]):
             if person.kind == Kind.PERSON and person.id.startswith(ANONYMOUS_PREFIX):
                 return self._match_anonymous(feature, person.id, match.likelihood, now)
         arrived = self._begin_inferred(nodes, now) if match.likelihood > 0.0 else []
         worth = self._association.add(match)
+        features = tuple(node for node in nodes if node.kind != Kind.PERSON)
+        if worth and not arrived and self._limit.holds(features, now):
+            worth = False
         changed = self._association.solve(nodes) if worth or arrived else False
+        if changed:
+            self._limit.note(features, now)
         if self._end_inferred(nodes) or arrived or changed or (worth and Kind.VOICE in {node.kind for node in nodes}):
             self._associate(now)
             return True
@@ -314,7 +319,7 @@ class PersonManager:
 
     def tick(self, now: float) -> None:
         """Let time pass: unassigned features become persons, places fade, forgotten persons go."""
-        expired = self._expire_inferred(now) | self._association.solve_refuted(now)
+        expired = self._expire_inferred(now) | self._association.solve_refuted(now) | self._solve_held(now)
         self._hold(now)
         waiting = self._table.waiting_until()
         if expired or (waiting is not None and now >= waiting):
@@ -325,8 +330,16 @@ class PersonManager:
             if self._table.persons[person_id].anonymous:
                 self._merges.remove(person_id)
             self._table.remove(person_id)
-        if self._join_across_cameras(now) or gone:
+        if self._merges.report_held(now) | self._join_across_cameras(now) or gone:
             self._update_merges(now)
+
+    def _solve_held(self, now: float) -> bool:
+        """Decide anew where matches contradict each other too often; returns whether a group has changed. now: s."""
+        due = self._limit.due(now)
+        changed = self._association.solve(due) if due else False
+        if changed:
+            self._limit.note(due, now)
+        return changed
 
     def _forget_outdated(self, now: float) -> None:
         """Forget whom no recogniser will name any more, once nothing of them is tracked."""
@@ -493,7 +506,7 @@ class PersonManager:
                 self.representative(owner.id) != other):
             return False        # two whom a recogniser tells apart are not one because of a body
         if owner.id != person_id:
-            self._merges.set(owner.id, person_id, likelihood)
+            self._merges.report(owner.id, person_id, likelihood, now)
         self._update_merges(now)
         return True
 

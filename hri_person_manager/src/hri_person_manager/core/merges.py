@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections import OrderedDict
 from typing import Callable, Dict, FrozenSet, Iterable, List, Optional, Set, Tuple
 
+from hri_person_manager.core.match_graph import ChangeLimit
+
 MAX_MERGES = 1000
 Pair = FrozenSet[str]
 
@@ -25,6 +27,8 @@ class Merges:
         self._pairs: "OrderedDict[Pair, float]" = OrderedDict()
         self._observed: "OrderedDict[Pair, float]" = OrderedDict()
         self._split: "OrderedDict[Pair, None]" = OrderedDict()
+        self._limit = ChangeLimit()
+        self._held: Dict[Pair, float] = {}      # likelihoods that wait
         self._representative: Dict[str, str] = {}
         self._members: Dict[str, List[str]] = {}
         self._preferred: "OrderedDict[str, None]" = OrderedDict()
@@ -47,6 +51,7 @@ class Merges:
         """
         pair = _pair(first, second)
         before = self._is_joined(pair)
+        self._held.pop(pair, None)
         self._pairs.pop(pair, None)
         if likelihood > 0.0:
             self._pairs[pair] = likelihood
@@ -55,6 +60,27 @@ class Merges:
         changed = before != self._is_joined(pair)
         while len(self._pairs) > MAX_MERGES:
             changed |= self._pairs.popitem(last=False)[1] >= self.threshold
+        return changed
+
+    def report(self, first: str, second: str, likelihood: float, now: float) -> bool:
+        """Do as set() for what a match says at `now` (s); it waits where matches contradict each other too often."""
+        pair = _pair(first, second)
+        if (likelihood >= self.threshold) != self._is_joined(pair) and self._limit.holds((pair,), now):
+            self._held[pair] = likelihood
+            return False
+        changed = self.set(first, second, likelihood)
+        if changed:
+            self._limit.note((pair,), now)
+        return changed
+
+    def report_held(self, now: float) -> bool:
+        """Take what has waited for long enough at `now` (s); return whether who is joined with whom may have changed.
+        """
+        changed = False
+        for pair in self._limit.due(now):
+            if pair in self._held:
+                first, second = sorted(pair)
+                changed |= self.report(first, second, self._held[pair], now)
         return changed
 
     def set_observed(self, first: str, second: str, likelihood: float) -> bool:
@@ -87,7 +113,7 @@ class Merges:
     def remove(self, person_id: str) -> None:
         """Forget a person."""
         self._preferred.pop(person_id, None)
-        for kept in (self._pairs, self._observed, self._split):
+        for kept in (self._pairs, self._observed, self._split, self._held):
             for pair in [pair for pair in kept if person_id in pair]:
                 del kept[pair]
         self._representative.pop(person_id, None)
@@ -104,6 +130,7 @@ class Merges:
         for other in _reachable(person_id, neighbours) - {person_id}:
             pair = _pair(person_id, other)
             self._observed.pop(pair, None)
+            self._held.pop(pair, None)
             if self._pairs.get(pair, 0.0) >= self.threshold:
                 del self._pairs[pair]
             self._split[pair] = None

@@ -50,8 +50,9 @@ if TYPE_CHECKING:     # scipy takes most of a second, which no command has to wa
 
 GALLERY_SUFFIX = "/gallery"
 GALLERY_PATIENCE_S = 2.0
-_NO_RECOGNISER = ("no recogniser can learn a face: no service ~gallery is offered. Start the node faces with "
-                  "recognition on")
+GALLERY_ANSWER_S = 10.0     # it may wait for its disk
+_NO_RECOGNISER = ("no recogniser can learn a face or voice: no service ~gallery is offered. Start the node faces with "
+                  "recognition on, or voices with voice_identity")
 SERVICE_PATIENCE_S = 5.0
 COMMANDS: Dict[str, Tuple[str, type, Tuple[str, ...], str]] = {
     "name": ("set_name", SetName, ("id", "name"), "give a known person a name; '' takes it away"),
@@ -60,7 +61,7 @@ COMMANDS: Dict[str, Tuple[str, type, Tuple[str, ...], str]] = {
     "merge": ("merge", Merge, ("id", "other"), "two ids are one human: OTHER becomes an alias of ID"),
     "split": ("split", Split, ("id",), "undo a merge"),
     "forget": ("forget", Forget, ("id",), "remove everything that is known of a person"),
-    "enrol": ("enrol", Enrol, ("id", "name"), "the person ID, who is seen now, agrees to be recognised"),
+    "enrol": ("enrol", Enrol, ("id", "name"), "the person ID, who is seen or heard now, agrees to be recognised"),
     "enrol-new": ("enrol_new", Enrol, ("id", "name"), "the same, as a new person although the face looks like "
                                                       "somebody who is known"),
     "export": ("export", Export, ("id",), "print everything that is known of a person, or of all, as JSON"),
@@ -120,26 +121,49 @@ class GalleryAnswer(NamedTuple):
             return None
 
 
+def _unanswered(name: str, why: str) -> GalleryAnswer:
+    return GalleryAnswer(name, GalleryResponse(success=False, message="{} does not answer: {}".format(name, why)))
+
+
 class Galleries:
-    """Finds the services when they are needed: recognisers come and go."""
+    """Finds the services when they are needed: recognisers come and go. Safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._overdue: Dict[str, threading.Thread] = {}     # calls that are not answered yet, by service
 
     def call(self, command: str, person_id: str = "", other: str = "") -> List[GalleryAnswer]:
         """Give a command to every gallery. One that does not answer, answers with success false and says so.
 
         Services of another type are left alone, whatever they are called.
         """
-        answers = []
-        for name in self.names():
-            try:
-                rospy.wait_for_service(name, GALLERY_PATIENCE_S)
-                if rosservice.get_service_type(name) not in (Gallery._type, None):
-                    continue
-                proxy = rospy.ServiceProxy(name, Gallery)
-                answers.append(GalleryAnswer(name, proxy(GalleryRequest(command=command, id=person_id, other=other))))
-            except (rospy.ROSException, rospy.ServiceException, rosservice.ROSServiceException) as error:
-                answers.append(GalleryAnswer(name, GalleryResponse(
-                    success=False, message="{} does not answer: {}".format(name, error))))
-        return answers
+        request = GalleryRequest(command=command, id=person_id, other=other)
+        return [answer for name in self.names() for answer in self._ask_in_time(name, request)]
+
+    def _ask_in_time(self, name: str, request: GalleryRequest) -> List[GalleryAnswer]:
+        """Ask a gallery in a thread: rospy waits for ever for one whose disk hangs. While it owes an answer it is not
+        asked again."""
+        found: List[GalleryAnswer] = []
+        overdue = self._overdue.get(name)
+        if overdue is None or not overdue.is_alive():
+            thread = threading.Thread(target=lambda: found.extend(self._ask(name, request)), daemon=True,
+                                      name="gallery")
+            thread.start()
+            thread.join(GALLERY_ANSWER_S)
+            if not thread.is_alive():
+                return found
+            self._overdue[name] = thread
+        return [_unanswered(name, "it is busy with what it was asked before")]
+
+    @staticmethod
+    def _ask(name: str, request: GalleryRequest) -> List[GalleryAnswer]:
+        """Return what a gallery says; nothing for a service of another type."""
+        try:
+            rospy.wait_for_service(name, GALLERY_PATIENCE_S)
+            if rosservice.get_service_type(name) not in (Gallery._type, None):
+                return []
+            return [GalleryAnswer(name, rospy.ServiceProxy(name, Gallery)(request))]
+        except (rospy.ROSException, rospy.ServiceException, rosservice.ROSServiceException) as error:
+            return [_unanswered(name, str(error))]
 
     @staticmethod
     def known_to(recogniser: str) -> Optional[Set[str]]:
@@ -306,26 +330,28 @@ class PersonServices:
         with self._lock:
             state = next((state for state in self._manager.snapshot(rospy.get_time()).persons
                           if state.id == request.id), None)
-        if state is None or not state.face:
-            raise RegisterError("the person {!r} has no face that is seen now".format(request.id[:40]))
+        if state is None or not (state.face or state.voice):
+            raise RegisterError("the person {!r} has no face that is seen now, and no voice that is heard".format(
+                request.id[:40]))
         known = "" if state.anonymous or is_new else state.id
         command = GalleryRequest.ENROL_NEW if is_new else GalleryRequest.ENROL
-        answers = self._galleries.call(command, known, state.face)
+        answers = self._galleries.call(command, known, state.face or state.voice)
         learned = [answer.response.id for answer in answers
                    if answer.response.success and is_valid_id(answer.response.id)]
         if not learned:
             raise RegisterError(_first_lines(answers) if answers else _NO_RECOGNISER)
+        means = ["face" if state.face else "voice"]
         # Whoever recognises voices learns this one as well; recognisers of faces know no such face.
-        voices = self._galleries.call(GalleryRequest.ENROL, learned[0], state.voice) if state.voice else []
-        by_voice = any(answer.response.success and answer.response.id for answer in voices)
+        if state.face and state.voice and any(answer.response.success and answer.response.id for answer in
+                                              self._galleries.call(GalleryRequest.ENROL, learned[0], state.voice)):
+            means.append("voice")
         with self._lock:
             self._manager.know(learned[:1])
             self._register.set_enrolled(learned[0], True, time.time())
             if request.name:
                 self._register.set_name(learned[0], request.name)
             self._changed()
-        return EnrolResponse(True, "{} is enrolled by face{}".format(learned[0], " and voice" if by_voice else ""),
-                             learned[0])
+        return EnrolResponse(True, "{} is enrolled by {}".format(learned[0], " and ".join(means)), learned[0])
 
     def _list_known(self, request: ListKnownRequest) -> ListKnownResponse:
         with self._lock:

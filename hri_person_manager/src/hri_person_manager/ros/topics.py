@@ -8,7 +8,7 @@ import queue
 import threading
 import time
 from dataclasses import replace
-from typing import Callable, Dict, List, Optional, Set, Tuple
+from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple
 
 import genpy
 import numpy as np
@@ -203,18 +203,23 @@ class PersonTopics:
         return other is not None and not other.ready and other.failed_at is None
 
     def _publish_lists(self) -> None:
-        """Publish both lists, without those whose topics are not there yet."""
+        """Publish both lists, without those whose topics are not there yet, unless they were known before."""
         lists = (self._latest.tracked, self._latest.known)
         if self._opening:
             hidden = {person.state.id for person in self._persons.values() if not person.ready}
-            lists = tuple(tuple(id for id in ids if id not in hidden) for ids in lists)
-            lists = (lists[0] + tuple(id for id in (self._listed or lists)[0] if id not in lists[0]
-                                      and id in self._persons and self._stands_in(self._persons[id])), lists[1])
+            tracked, known = self._listed or lists
+            lists = (self._without_gap([id for id in lists[0] if id not in hidden], tracked),
+                     self._without_gap([id for id in lists[1] if id not in hidden or id in known], known))
         now = time.monotonic()
         if lists != self._listed or now - self._listed_at > STAMP_S:
             self._listed, self._listed_at = lists, now
             self._tracked.set(lists[0], self._stamp)
             self._known.set(lists[1], self._stamp)
+
+    def _without_gap(self, ids: Sequence[str], listed: Sequence[str]) -> Tuple[str, ...]:
+        """Return these ids, and those who were listed and are continued by somebody whose topics are being opened."""
+        return (*ids, *(id for id in listed if id not in ids and id in self._persons
+                        and self._stands_in(self._persons[id])))
 
     def _publish(self, person: _Person, state: PersonState) -> None:
         person.state = state

@@ -19,6 +19,7 @@ import scipy.fft
 
 from hri_pipeline.core.audio.level import level_dbfs
 from hri_pipeline.core.audio.stream import RATE
+from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.onnx import OnnxModel
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
@@ -220,11 +221,15 @@ class VoiceIdentity:
     embedder : SpeakerEmbedder
     gallery : MemoryGallery
         Of MODEL, DIMENSION and CALIBRATION; close() closes it.
+    new_id : callable, optional
+        Gives the ids of people who are enrolled by their voice alone.
     """
 
-    def __init__(self, embedder: SpeakerEmbedder, gallery: MemoryGallery) -> None:
+    def __init__(self, embedder: SpeakerEmbedder, gallery: MemoryGallery,
+                 new_id: Optional[Callable[[], str]] = None) -> None:
         self._embedder = embedder
         self._gallery = gallery
+        self._new_id = new_id or IdGenerator().new
         self._lock = threading.RLock()
         self._voices: Dict[str, _Voice] = {}
         self._changes: List[VoicePerson] = []
@@ -291,18 +296,25 @@ class VoiceIdentity:
     # What the service ~gallery asks for
 
     def enrol(self, voice_id: str, person_id: str = "", confirm: bool = False) -> str:
-        """Keep the voice of a person who has agreed; return the id of the person. confirm: has no effect.
+        """Keep the voice of a person who has agreed; return the id of the person.
 
-        Raises GalleryError when the voice is not heard, has not spoken enough, is unlike the one that is kept of the
-        person, or no person is named: a voice alone makes nobody known.
+        Parameters
+        ----------
+        person_id : empty: who the voice is taken for, else somebody new, as where nobody has a face.
+        confirm : without an id it is somebody new, although the voice sounds like somebody who is known.
+
+        Raises
+        ------
+        GalleryError
+            The voice is not heard, has not spoken enough, is unlike the one that is kept of the person, or sounds like
+            somebody else and that is not confirmed.
         """
         with self._lock:
             voice = self._voices.get(voice_id)
             if voice is None or len(voice.embeddings) < LEAST_WINDOWS:
                 raise GalleryError("voice {!r} is not tracked, or has not spoken for {:.1f} s yet".format(
                     voice_id, WINDOW_S + (LEAST_WINDOWS - 1) * HOP_S))
-            if not person_id:
-                raise GalleryError("a voice is enrolled for a person who is known by face; enrol the face first")
+            person_id = person_id or ("" if confirm else voice.told or self._new_unlike(voice)) or self._new_id()
             apart = self._gallery.nearest(person_id, voice.mean())
             if apart is None:
                 self._gallery.add_person(person_id, voice.mean()[None], enrolled=True)
@@ -314,6 +326,14 @@ class VoiceIdentity:
                 self._gallery.enrol(person_id)
             self._compare(voice_id, voice)
             return person_id
+
+    def _new_unlike(self, voice: _Voice) -> str:
+        """Return a new id. Raises GalleryError where the voice sounds like somebody who is known."""
+        for one in self._gallery.match(voice.mean()[None], most=1)[0].candidates:
+            if 1.0 - 0.5 * one.distance ** 2 >= KEEP_PRODUCT:
+                raise GalleryError("the voice sounds like {}, who is known already; if it is somebody else, confirm "
+                                   "it".format(one.person_id))
+        return self._new_id()
 
     def forget(self, person_id: str) -> bool:
         """Forget a person and withdraw all matches; return whether a voice of the person was known."""
