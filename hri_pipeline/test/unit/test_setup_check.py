@@ -103,13 +103,17 @@ def test_each_fault_is_named_and_nothing_else(facts, words):
     assert all(word in told for word in words), told
 
 
-def test_without_bodies_no_matcher_is_missed_and_the_remedy_names_who_runs():
+@pytest.mark.parametrize("space", ["", "/", "/robot1/"])
+def test_without_bodies_no_matcher_is_missed_and_the_remedy_names_who_runs(space):
+    def named(**nodes):
+        return replace(WELL, nodes={space + name: state for name, state in nodes.items()})
+
     nodes = {"hri_faces": "running", "hri_bodies": "absent", "hri_face_body_matcher": "absent",
              "hri_person_manager": "running"}
-    fault, = [finding for finding in check(replace(WELL, nodes=nodes), SETTINGS) if finding.level == FAULT]
+    fault, = [finding for finding in check(named(**nodes), SETTINGS) if finding.level == FAULT]
     assert "hri_bodies does not run" in fault.what
-    assert fault.hint.endswith('_nodes:="[hri_faces, hri_person_manager]"')
-    matcher, = [finding for finding in check(replace(WELL, nodes=dict(nodes, hri_bodies="running")), SETTINGS)
+    assert fault.hint.endswith('_nodes:="[{0}hri_faces, {0}hri_person_manager]"'.format(space))
+    matcher, = [finding for finding in check(named(**dict(nodes, hri_bodies="running")), SETTINGS)
                 if finding.level == FAULT]
     assert "hri_face_body_matcher does not run" in matcher.what
 

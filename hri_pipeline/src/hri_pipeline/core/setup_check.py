@@ -238,7 +238,7 @@ def _nodes(facts: Facts, settings: CheckSettings) -> List[Finding]:
             found.append(Finding(FAULT, "the node {} does not run here, but {}".format(name, ", ".join(namesakes)),
                                  "look there: ROS_NAMESPACE={} rosrun hri_pipeline check; or give the names that run "
                                  "in _nodes".format(namesakes[0].rpartition("/")[0] or "/")))
-        elif state == "absent" and not (name == _MATCHER and _has_nothing_to_match(facts)):
+        elif state == "absent" and not (name.rpartition("/")[2] == _MATCHER and _has_nothing_to_match(facts)):
             found.append(Finding(FAULT, "the node {} does not run".format(name),
                                  "roslaunch ros4hri ros4hri.launch; its messages there say why it ended. If its branch "
                                  "is meant to be off: rosrun hri_pipeline check _nodes:=\"[{}]\"".format(
@@ -248,7 +248,8 @@ def _nodes(facts: Facts, settings: CheckSettings) -> List[Finding]:
 
 def _has_nothing_to_match(facts: Facts) -> bool:
     """Tell whether one of both was switched off, so that no matcher is started."""
-    return [facts.nodes.get(name, "running") for name in _MATCHED].count("absent") == 1
+    states = {name.rpartition("/")[2]: state for name, state in facts.nodes.items()}
+    return [states.get(name, "running") for name in _MATCHED].count("absent") == 1
 
 
 def _namesakes(name: str, facts: Facts) -> List[str]:
