@@ -84,6 +84,8 @@ def test_nobody_in_view_is_no_fault():
     (replace(WELL, calibration=CalibrationFacts(640, 480, 500.0)), ["is for 640x480 px, images are 1280x720"]),
     (replace(WELL, tf_reaches=False), ["no transform leads from the camera (optical) to the reference frame map"]),
     (replace(WELL, sim_time=True), ["nobody publishes /clock", "--clock"]),
+    (replace(WELL, sim_time=True, clock_messages=99, clocks=("/play_1", "/play_2")),
+     ["2 nodes publish /clock (/play_1, /play_2)", "rosbag play --clock"]),
     (replace(WELL, models_missing=("pose.onnx", )), ["pose.onnx", "fetch_models"]),
     (replace(WELL, nodes={"hri_faces": "absent"}), ["hri_faces does not run"]),
     (replace(WELL, nodes={"hri_faces": "absent"}, publishing=("/robot1/hri_faces", "/robot1/hri_bodies")),
@@ -130,7 +132,7 @@ def test_what_still_works_is_a_hint(facts, word):
 
 
 def test_simulated_time_that_runs_is_fine():
-    assert is_well(check(replace(WELL, sim_time=True, clock_messages=100), SETTINGS))
+    assert is_well(check(replace(WELL, sim_time=True, clock_messages=100, clocks=("/play",)), SETTINGS))
 
 
 NO_CAMERA = image(types=(), publishers=(), messages=0, frame="")
