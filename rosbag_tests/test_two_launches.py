@@ -1,6 +1,8 @@
 #!/usr/bin/env python3
-"""Two launches on one master: frames, time and expectations of the first one do not reach the second."""
+"""Two launches on one master: frames, time and expectations of the first one do not reach the second. A launch in a
+namespace has its tree of diagnostics."""
 
+import os
 import subprocess
 import threading
 import time
@@ -10,6 +12,7 @@ import rosgraph
 import rospy
 import rostest
 from bag_stage import wait_for
+from diagnostic_msgs.msg import DiagnosticArray
 
 from hri_msgs.msg import GazesStamped
 
@@ -20,11 +23,11 @@ OF_ROS = ("/rosdistro", "/rosversion", "/run_id", "/roslaunch/", "/rosout/")
 class Launch:
     """A launch file of ros4hri, with what it says."""
 
-    def __init__(self, *words):
+    def __init__(self, *words, **variables):
         self.lines = []
         self.process = subprocess.Popen(["roslaunch", "ros4hri", *words], stdin=subprocess.DEVNULL,
-                                        stdout=subprocess.PIPE,
-                                        stderr=subprocess.STDOUT, text=True)
+                                        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                                        env=dict(os.environ, **variables))
         threading.Thread(target=lambda: self.lines.extend(self.process.stdout), daemon=True).start()
 
     def end(self):
@@ -45,8 +48,8 @@ class TwoLaunchesTest(unittest.TestCase):
                                     lambda message: self.gazes.append(message.header))
         self.addCleanup(listener.unregister)
 
-    def launch(self, *words):
-        launch = Launch(*words)
+    def launch(self, *words, **variables):
+        launch = Launch(*words, **variables)
         self.addCleanup(launch.end)
         return launch
 
@@ -98,6 +101,19 @@ class TwoLaunchesTest(unittest.TestCase):
         launch.end()
         launch = self.launch("scene.launch", "rviz:=false", "reference_frame:=map")
         self.assertEqual(self.gaze(launch).frame_id, "map")
+
+    def test_a_robot_in_a_namespace_has_its_tree_of_diagnostics(self):
+        levels = {}
+        listener = rospy.Subscriber("/diagnostics_agg", DiagnosticArray, lambda message: levels.update(
+            {status.name: (status.level, status.message) for status in message.status}))
+        self.addCleanup(listener.unregister)
+        launch = self.launch("scene.launch", "rviz:=false", "diagnostics:=true", ROS_NAMESPACE="robot1")
+        branch = "/humans/Persons/Person manager"
+        wait_for(lambda: levels.get(branch, (3,))[0] == 0 and branch + "/robot1 hri_person_manager: persons" in levels,
+                 lambda: "{}\n{}".format(levels, "".join(launch.lines[-30:])), 60.0)
+        self.assertNotIn(branch + "/hri_person_manager: persons", levels)
+        launch.end()
+        self.assertNotIn("/hri_diagnostics/base_path", rosgraph.Master("/two_launches").getParamNames())
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """Commands that write what a user has: what they refuse, and what stays."""
 
+import io
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +13,7 @@ import rospkg
 import rospy
 
 from hri_person_manager.core.camera_poses import CameraPoses
-from hri_person_manager.ros import cameras
+from hri_person_manager.ros import cameras, cli
 from hri_person_manager.ros.cameras import (
     CameraEntry,
     CameraFileError,
@@ -134,3 +136,19 @@ def test_one_human_is_one_line_of_the_known():
     header, *lines = [line.split() for line in known_table(known, every_id=True).splitlines()]
     assert [(line[0], line[-1]) for line in lines] == [("ann", "-"), ("bob", "-"), ("old", "ann"), ("who", "gone")]
     assert known_table(ListKnownResponse()) == "nobody is known"
+
+
+def test_names_that_the_terminal_cannot_write_end_no_command(monkeypatch):
+    """A name in Arabic letters where the terminal knows Western European ones."""
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, "latin-1", write_through=True))
+    monkeypatch.setattr(cli, "wait_for_master", lambda *given: True)
+    monkeypatch.setattr(cli, "find_manager", lambda: "/manager")
+    monkeypatch.setattr(rospy, "init_node", lambda *given, **options: None)
+    monkeypatch.setattr(rospy, "signal_shutdown", lambda reason: None)
+    monkeypatch.setattr(cli, "service", lambda *given: lambda: ListKnownResponse(
+        ids=["ali", "bor"], aliases=["", ""], names=["\u0639\u0644\u06cc", "Bj\u00f6rn"], native_languages=["", ""],
+        anonymous=[False, False], enrolled=[False, False], tracked=[True, True], first_seen=2 * [rospy.Time(1)],
+        last_seen=2 * [rospy.Time(1)]))
+    assert run_people(["list"]) == 0
+    assert "\\u0639" in written.getvalue().decode("latin-1") and "Bj\u00f6rn" in written.getvalue().decode("latin-1")

@@ -111,6 +111,17 @@ class CheckTest(unittest.TestCase):
         self.addCleanup(rospy.delete_param, "/use_sim_time")
         self.assertIn("nobody publishes /clock", self.faults(self.check(*self.camera("timeless")))[0])
 
+    def test_two_clocks(self):
+        rospy.set_param("/use_sim_time", True)
+        self.addCleanup(rospy.delete_param, "/use_sim_time")
+        for name in ("clock_one", "clock_two"):
+            clock = subprocess.Popen(["rostopic", "pub", "-r", "10", "/clock", "rosgraph_msgs/Clock",
+                                      "clock: {secs: 9}", "__name:=" + name], stdout=subprocess.DEVNULL)
+            self.addCleanup(clock.wait)
+            self.addCleanup(clock.terminate)
+        wait_for(lambda: len(dict(rospy.get_master().getSystemState()[2][0]).get("/clock", ())) == 2, 20, "two clocks")
+        self.assertIn("2 nodes publish /clock", self.faults(self.check(*self.camera("twice")))[0])
+
     def test_no_master(self):
         text = self.check("image:=/none/image", ROS_MASTER_URI="http://127.0.0.1:1")
         self.assertIn("no ROS master answers at http://127.0.0.1:1", text)

@@ -588,6 +588,10 @@ class VisionLoopTest(InputCase):
             ERROR, 2, "recorder: ZeroDivisionError: on purpose"))
         self.assertIn("inner_ms_p95", values)
         self.assertEqual(values["dropped_images"], 0)
+        loop._ages.clear()
+        loop._ages.extend((0.3, 0.1))
+        values = loop._pipeline()[2]
+        self.assertEqual([round(values["age_ms_" + name]) for name in ("median", "p95")], [200, 290])
         wait_for(lambda: set(diagnostics._tasks) == {"input", "pipeline", "recorder", "second"}, 5,
                  "all tasks are told")
         self.send(image_input, picture(0.5))

@@ -74,26 +74,33 @@ class MasterRestartTest(NodeTest):
             master.process.send_signal(signal.SIGCONT)
         self.comes_late(node, rosgraph.Master("/test", master_uri="http://127.0.0.1:{}".format(port)))
 
-    def test_a_new_master_knows_the_aggregator_of_diagnostics_again(self):
+    def aggregator_is_known_again(self, namespace=""):
         port = free_port()
         master, graph = self.master(port)
-        uri = "http://127.0.0.1:{}".format(port)
+        variables = {"ROS_MASTER_URI": "http://127.0.0.1:{}".format(port), "ROS_NAMESPACE": namespace}
         aggregator = subprocess.Popen(["rosrun", "diagnostic_aggregator", "aggregator_node", "__name:=hri_diagnostics"],
-                                      env=dict(os.environ, ROS_MASTER_URI=uri))
+                                      env=dict(os.environ, **variables))
+        name = namespace + "/hri_diagnostics"
         try:
-            wait_for(lambda: "/diagnostics_agg" in of(graph, "/hri_diagnostics")[0], 20, "the aggregator is there")
-            node = self.node(ROS_MASTER_URI=uri)
+            wait_for(lambda: "/diagnostics_agg" in of(graph, name)[0], 20, "the aggregator is there")
+            node = self.node(**variables)
             node.says("spinning")
-            before = of(graph, "/hri_diagnostics")
+            before = of(graph, name)
             master.kill()
             node.says("does not answer; running on without it")
             master, graph = self.master(port)
-            wait_for(lambda: of(graph, "/hri_diagnostics") == before, 20, "the new master knows the aggregator")
+            wait_for(lambda: of(graph, name) == before, 20, "the new master knows the aggregator")
             self.assertIn("/diagnostics", before[1])
             self.assertEqual(node.end(), 0)
         finally:
             aggregator.terminate()
             aggregator.wait()
+
+    def test_a_new_master_knows_the_aggregator_of_diagnostics_again(self):
+        self.aggregator_is_known_again()
+
+    def test_a_new_master_knows_the_aggregator_of_a_namespace_again(self):
+        self.aggregator_is_known_again("/robot1")
 
     def launched(self):
         """A master, its graph, its port, and roslaunch with the node of size 3."""

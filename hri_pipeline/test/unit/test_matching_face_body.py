@@ -290,6 +290,43 @@ def test_a_body_of_which_the_image_shows_no_face_is_found_by_its_head():
     assert [(match.face, match.body) for match in matcher.matches()] == [("face", "body")]
 
 
+@pytest.mark.parametrize("bare", [("faces",), ("bodies",), ("faces", "bodies")])
+def test_who_never_has_points_is_compared_by_places(bare):
+    """Packages that send no landmarks, or no skeletons in the image, but frames."""
+    matcher, found = make(["fa", "fb"], ["ba", "bb"]), []
+    for step in range(30):
+        stamp = 50.0 + step / 10.0
+        for name, x in (("fa", 0.3), ("fb", 0.7), ("ba", 0.3), ("bb", 0.7)):
+            kind = "faces" if name[0] == "f" else "bodies"
+            matcher.add_place(kind, name, stamp, (5.0 * (x - 0.5), 0.0, 2.0), "camera")
+            if kind in bare:
+                continue
+            if kind == "faces":
+                matcher.add_face(name, stamp, human(x)[0], ASPECT, "camera")
+            else:
+                matcher.add_body(name, stamp, human(x)[1], "camera")
+        found.append({(match.face, match.body) for match in matcher.matches()})
+    assert found[0] == set(), "they may be on their way"
+    assert found[-1] == {("fa", "ba"), ("fb", "bb")}
+    matcher.set_tracked("faces", ["fa"])
+    assert {(match.face, match.body) for match in matcher.matches()} == {("fa", "ba")}
+
+
+def test_points_that_come_late_count_from_then_on():
+    matcher = make(["face"], ["near", "away"])
+    for step in range(60):
+        stamp = 50.0 + step / 10.0
+        matcher.add_place("faces", "face", stamp, (0.0, 0.0, 2.0), "camera")
+        if step >= 30:
+            matcher.add_face("face", stamp, human(0.7)[0], ASPECT, "camera")
+        for name, x in (("near", 0.5), ("away", 0.7)):
+            matcher.add_body(name, stamp, human(x)[1], "camera")
+        matcher.add_place("bodies", "near", stamp, (0.0, 0.0, 2.0), "camera")
+        found = [match.body for match in matcher.matches()]
+        assert step != 29 or found == ["near"]
+    assert found == ["away"]
+
+
 def test_images_of_different_cameras_are_not_compared():
     matcher = make(["face"], ["here", "there"])
     matcher.add_face("face", 1.0, human(0.5)[0], ASPECT, "left")

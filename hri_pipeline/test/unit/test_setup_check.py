@@ -84,6 +84,8 @@ def test_nobody_in_view_is_no_fault():
     (replace(WELL, calibration=CalibrationFacts(640, 480, 500.0)), ["is for 640x480 px, images are 1280x720"]),
     (replace(WELL, tf_reaches=False), ["no transform leads from the camera (optical) to the reference frame map"]),
     (replace(WELL, sim_time=True), ["nobody publishes /clock", "--clock"]),
+    (replace(WELL, sim_time=True, clock_messages=99, clocks=("/play_1", "/play_2")),
+     ["2 nodes publish /clock (/play_1, /play_2)", "rosbag play --clock"]),
     (replace(WELL, models_missing=("pose.onnx", )), ["pose.onnx", "fetch_models"]),
     (replace(WELL, nodes={"hri_faces": "absent"}), ["hri_faces does not run"]),
     (replace(WELL, nodes={"hri_faces": "absent"}, publishing=("/robot1/hri_faces", "/robot1/hri_bodies")),
@@ -103,13 +105,17 @@ def test_each_fault_is_named_and_nothing_else(facts, words):
     assert all(word in told for word in words), told
 
 
-def test_without_bodies_no_matcher_is_missed_and_the_remedy_names_who_runs():
+@pytest.mark.parametrize("space", ["", "/", "/robot1/"])
+def test_without_bodies_no_matcher_is_missed_and_the_remedy_names_who_runs(space):
+    def named(**nodes):
+        return replace(WELL, nodes={space + name: state for name, state in nodes.items()})
+
     nodes = {"hri_faces": "running", "hri_bodies": "absent", "hri_face_body_matcher": "absent",
              "hri_person_manager": "running"}
-    fault, = [finding for finding in check(replace(WELL, nodes=nodes), SETTINGS) if finding.level == FAULT]
+    fault, = [finding for finding in check(named(**nodes), SETTINGS) if finding.level == FAULT]
     assert "hri_bodies does not run" in fault.what
-    assert fault.hint.endswith('_nodes:="[hri_faces, hri_person_manager]"')
-    matcher, = [finding for finding in check(replace(WELL, nodes=dict(nodes, hri_bodies="running")), SETTINGS)
+    assert fault.hint.endswith('_nodes:="[{0}hri_faces, {0}hri_person_manager]"'.format(space))
+    matcher, = [finding for finding in check(named(**dict(nodes, hri_bodies="running")), SETTINGS)
                 if finding.level == FAULT]
     assert "hri_face_body_matcher does not run" in matcher.what
 
@@ -126,7 +132,7 @@ def test_what_still_works_is_a_hint(facts, word):
 
 
 def test_simulated_time_that_runs_is_fine():
-    assert is_well(check(replace(WELL, sim_time=True, clock_messages=100), SETTINGS))
+    assert is_well(check(replace(WELL, sim_time=True, clock_messages=100, clocks=("/play",)), SETTINGS))
 
 
 NO_CAMERA = image(types=(), publishers=(), messages=0, frame="")

@@ -4,6 +4,7 @@ table."""
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import logging
 import os
@@ -59,6 +60,8 @@ _TOPICS = {"face_id": String, "body_id": String, "voice_id": String, "location_c
 
 def run_people(arguments: Optional[Sequence[str]] = None) -> int:
     """Run the command and return its exit code: 0 done, 1 refused or not reachable, 2 wrong usage."""
+    if isinstance(sys.stdout, io.TextIOWrapper):    # names may have letters that the terminal does not know
+        sys.stdout.reconfigure(errors="backslashreplace")
     given = list(rospy.myargv(sys.argv)[1:] if arguments is None else arguments)
     if not given or given[0] == "watch":
         return show_persons(given[1:], "people watch")

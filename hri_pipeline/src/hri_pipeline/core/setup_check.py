@@ -65,7 +65,7 @@ class Facts:
     text)} of /diagnostics. tracked: {kind: ids in the last list, -1 without a list}. tf_reaches: whether transforms
     lead from camera_frame to reference_frame. publishing: nodes, whatever their names, that publish below /humans.
     managers: those that publish the list of persons. time, wall_time: now, of ROS and of the machine, s. stand_ins:
-    {usual name: nodes of other names that do its work}.
+    {usual name: nodes of other names that do its work}. clocks: nodes that send /clock.
     """
 
     nodes: Dict[str, str] = field(default_factory=dict)
@@ -78,6 +78,7 @@ class Facts:
     calibration: Optional[CalibrationFacts] = None
     sim_time: bool = False
     clock_messages: int = 0
+    clocks: Tuple[str, ...] = ()
     time: float = 0.0
     wall_time: float = 0.0
     camera_frame: str = ""
@@ -218,6 +219,9 @@ def _clock(facts: Facts, settings: CheckSettings) -> List[Finding]:
     if facts.sim_time and not facts.clock_messages:
         return [Finding(FAULT, "/use_sim_time is true, but nobody publishes /clock: time stands still for all nodes",
                         "play the bag with --clock, or: rosparam set /use_sim_time false, and start the nodes again")]
+    if facts.sim_time and len(facts.clocks) > 1:
+        return [Finding(FAULT, "{} nodes publish /clock ({}): time jumps back and forth".format(
+            len(facts.clocks), ", ".join(facts.clocks)), "end all but one; two bags: rosbag play --clock ONE TWO")]
     return []
 
 
@@ -238,7 +242,7 @@ def _nodes(facts: Facts, settings: CheckSettings) -> List[Finding]:
             found.append(Finding(FAULT, "the node {} does not run here, but {}".format(name, ", ".join(namesakes)),
                                  "look there: ROS_NAMESPACE={} rosrun hri_pipeline check; or give the names that run "
                                  "in _nodes".format(namesakes[0].rpartition("/")[0] or "/")))
-        elif state == "absent" and not (name == _MATCHER and _has_nothing_to_match(facts)):
+        elif state == "absent" and not (name.rpartition("/")[2] == _MATCHER and _has_nothing_to_match(facts)):
             found.append(Finding(FAULT, "the node {} does not run".format(name),
                                  "roslaunch ros4hri ros4hri.launch; its messages there say why it ended. If its branch "
                                  "is meant to be off: rosrun hri_pipeline check _nodes:=\"[{}]\"".format(
@@ -248,7 +252,8 @@ def _nodes(facts: Facts, settings: CheckSettings) -> List[Finding]:
 
 def _has_nothing_to_match(facts: Facts) -> bool:
     """Tell whether one of both was switched off, so that no matcher is started."""
-    return [facts.nodes.get(name, "running") for name in _MATCHED].count("absent") == 1
+    states = {name.rpartition("/")[2]: state for name, state in facts.nodes.items()}
+    return [states.get(name, "running") for name in _MATCHED].count("absent") == 1
 
 
 def _namesakes(name: str, facts: Facts) -> List[str]:

@@ -8,7 +8,7 @@ import threading
 import time
 from concurrent.futures import Future, wait
 from dataclasses import replace
-from typing import Dict, List, Optional, TextIO, Tuple
+from typing import Counter, Dict, List, Optional, TextIO, Tuple
 
 import genpy
 import numpy as np
@@ -148,7 +148,7 @@ class GraphProbe:
         self._tracked = {kind: -1 for kind in KINDS}
         self._stand_ins: Dict[str, List[str]] = {}
         self._stand_ins = self._find_stand_ins()
-        self._clock = 0
+        self._clock: Counter[str] = Counter()       # messages by sender
         self._subscribers = [
             rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics, queue_size=100),
             rospy.Subscriber("/clock", Clock, self._on_clock, queue_size=10)]
@@ -175,7 +175,8 @@ class GraphProbe:
                 managers=tuple(sorted(publishing.get("/humans/persons/tracked", ()))),
                 image=self._image_stream(image), info=self._stream(info, "sensor_msgs/CameraInfo"),
                 picture=picture, calibration=self._calibration(info),
-                sim_time=bool(rospy.get_param("/use_sim_time", False)), clock_messages=self._clock,
+                sim_time=bool(rospy.get_param("/use_sim_time", False)), clock_messages=sum(self._clock.values()),
+                clocks=tuple(sorted(self._clock)),
                 time=rospy.get_time(), wall_time=time.time(),
                 camera_frame=camera, reference_frame=reference,
                 tf_reaches=bool(camera) and self._frames.lookup(camera, genpy.Time()) is not None,
@@ -297,7 +298,8 @@ class GraphProbe:
                             self._inputs["image" if value.key == "topic" else "camera_info"] = value.value
 
     def _on_clock(self, message: Clock) -> None:
-        self._clock += 1
+        with self._lock:
+            self._clock[message._connection_header["callerid"]] += 1
 
     def _on_tracked(self, message: IdsList, kind: str) -> None:
         self._tracked[kind] = len(message.ids)

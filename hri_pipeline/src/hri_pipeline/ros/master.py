@@ -28,8 +28,8 @@ from hri_pipeline.ros.rospy_compat import (
 ANSWER_S = 5.0
 _PERIOD_S = 2.0
 _KEEP_EACH = 5      # questions who the master is for one after the parameters, which are some kilobytes
-AGGREGATOR = "/hri_diagnostics"
-"""The diagnostic_aggregator of diagnostics.launch."""
+AGGREGATOR = "hri_diagnostics"
+"""The diagnostic_aggregator of diagnostics.launch, beside the node or without a namespace."""
 IMAGE_TYPES = {"raw": "sensor_msgs/Image", "compressed": "sensor_msgs/CompressedImage"}
 """By transport."""
 
@@ -180,7 +180,8 @@ class MasterWatch:
 
     def __init__(self, period: float = _PERIOD_S, parameters: Optional[OwnParameters] = None) -> None:
         self._parameters = parameters
-        self._aggregator = ForeignNode(AGGREGATOR)
+        names = sorted({rospy.resolve_name(AGGREGATOR), "/" + AGGREGATOR})
+        self._aggregators = [ForeignNode(name) for name in names]
         register_without_waiting()
         snapshot = self._read()
         self._identity = self._ask()
@@ -202,7 +203,7 @@ class MasterWatch:
         self._thread.join(timeout=5.0)
 
     def _watch(self, period: float) -> None:
-        self._aggregator.look()     # may take as long as a machine that cannot be reached
+        self._look()    # may take as long as a machine that cannot be reached
         for count in itertools.count(1):
             if self._closed.wait(period):
                 return
@@ -219,14 +220,19 @@ class MasterWatch:
             if (is_new or not_registered.is_set()) and not self._register_again(is_new):
                 continue            # the next time
             if is_new:
-                self._aggregator.register()
+                for aggregator in self._aggregators:
+                    aggregator.register()
             else:
                 if count % _KEEP_EACH == 0:
-                    self._aggregator.look()
+                    self._look()
                 self._keep(snapshot)
                 if self._away:
                     rospy.loginfo("the ROS master answers again")
             self._identity, self._away = identity, False
+
+    def _look(self) -> None:
+        for aggregator in self._aggregators:
+            aggregator.look()
 
     def _ask(self) -> Optional[Tuple[int, str]]:
         try:

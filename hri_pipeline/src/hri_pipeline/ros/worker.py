@@ -9,6 +9,7 @@ import traceback
 from collections import deque
 from typing import Any, Callable, Deque, Dict, Iterable, List, Optional, Protocol, Sequence, Tuple
 
+import numpy as np
 import rospy
 
 from hri_pipeline.core.cores import Cores
@@ -164,8 +165,8 @@ class Worker:
     def _pipeline(self) -> Status:
         level, text, values = self._load()
         if self._ages:
-            ages = sorted(self._ages)
-            values.update(age_ms_median=1e3 * ages[len(ages) // 2], age_ms_p95=1e3 * ages[int(0.95 * (len(ages) - 1))])
+            median, high = 1e3 * np.percentile(list(self._ages), (50, 95))
+            values.update(age_ms_median=float(median), age_ms_p95=float(high))
         values.update(self.times.values())
         values.update(("errors_" + name, count) for name, count in self._errors.items())
         if time.monotonic() - self._error_at < _LOG_PERIOD_S:

@@ -27,6 +27,7 @@ MAX_APART_S = 0.15
 """Most time between the stamps of the links from a head to its camera."""
 _NOWHERE = np.full(3, np.nan)
 _FRAMES = {"faces": "face", "bodies": "head"}
+_BARE_S = 2.0           # without points since the first place: the package sends none, and places alone are compared
 
 Pair = Tuple[str, str]
 
@@ -78,6 +79,7 @@ class FaceBodyMatcher:
         self._newest: Dict[Tuple[str, str], float] = {}     # by kind and frame: each camera and node has its own delay
         self._lags: Dict[Tuple[str, str], float] = {}       # behind the other kind, when the newest one came
         self._compared: Dict[str, _Compared] = {}
+        self._bare: Set[Tuple[str, str]] = set()            # kind and name of those of whom there are places only
         self._tf = HumanTf()
 
     def reconfigure(self, settings: FaceBodyMatcherSettings) -> None:
@@ -92,6 +94,7 @@ class FaceBodyMatcher:
         self._history.keep_only("places of " + kind, self._tracked[kind])
         self._frames = {key: frame for key,
                         frame in self._frames.items() if key[0] != kind or key[1] in self._tracked[kind]}
+        self._bare = {key for key in self._bare if key in self._frames}
         cameras = {(key[0], frame) for key, frame in self._frames.items()}
         self._newest = {camera: stamp for camera, stamp in self._newest.items() if camera in cameras}
         self._lags = {camera: lag for camera, lag in self._lags.items() if camera in cameras}
@@ -121,10 +124,12 @@ class FaceBodyMatcher:
         """
         if 1.0 / MOST_ASPECT <= aspect <= MOST_ASPECT and face in self._tracked["faces"]:
             self._aspects[face] = aspect
+        self._bare.discard(("faces", face))
         self._add("faces", face, stamp, face_points(landmarks, self._aspects.get(face, 1.0)), frame)
 
     def add_body(self, body: str, stamp: float, skeleton: np.ndarray, frame: str = "") -> None:
         """Take the skeleton (18, 3) of a body in the image of time `stamp` (s); frame: as in add_face."""
+        self._bare.discard(("bodies", body))
         self._add("bodies", body, stamp, body_points(skeleton), frame)
 
     def add_transforms(self, data: bytes, frames: Sequence[Tuple[bytes, int]], fixed: bool) -> None:
@@ -141,9 +146,20 @@ class FaceBodyMatcher:
 
     def add_place(self, kind: str, name: str, stamp: float, position: Sequence[float], frame: str = "") -> None:
         """Take the position (3,) m of one of the "faces", or of the head of one of the "bodies", in its camera's
-        frame."""
+        frame.
+
+        It stands for the image of those who have no landmarks, or no skeleton, for _BARE_S.
+        """
         if name in self._tracked[kind] and self._frames.setdefault((kind, name), frame) in ("", frame):
             self._history.add("places of " + kind, name, stamp, np.array(position))
+            if self._is_bare(kind, name, stamp):
+                self._add(kind, name, stamp, _NO_POINTS[kind], frame)
+
+    def _is_bare(self, kind: str, name: str, stamp: float) -> bool:
+        if (kind, name) not in self._bare and not self._history.stamps_of(kind, name) and (
+                stamp - self._history.stamps_of("places of " + kind, name)[0] >= _BARE_S):
+            self._bare.add((kind, name))
+        return (kind, name) in self._bare
 
     def matches(self) -> List[PairMatch]:
         """Compare what has come in; return all pairs that match now, best first."""
@@ -329,6 +345,7 @@ _SAME_POINTS: Tuple[Tuple[int, Tuple[int, ...], float], ...] = (
     (16, (16,), 0.3),
     (17, (0,), 0.3),
 )
+_NO_POINTS = {"faces": np.zeros((len(_SAME_POINTS) + 1, 3)), "bodies": np.zeros((len(_SAME_POINTS), 3))}
 _LANDMARKS = np.concatenate([indices for _, indices, _ in _SAME_POINTS])
 _COUNTS = np.array([[len(indices)] for _, indices, _ in _SAME_POINTS])
 _BEGINS = _COUNTS[:, 0].cumsum() - _COUNTS[:, 0]
