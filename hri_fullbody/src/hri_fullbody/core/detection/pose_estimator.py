@@ -35,8 +35,8 @@ _LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT = "Identity", "Identity_1", "Iden
 _OTHER_SIDE = np.array([0, 4, 5, 6, 1, 2, 3, 8, 7, 10, 9] + [number + 1 - 2 * (number % 2 == 0)
                                                              for number in range(11, BODY_LANDMARKS)]
                        + list(range(BODY_LANDMARKS, LANDMARKS)))
+_CORNERS = np.array([[0, 1], [2, 1], [2, 3], [0, 3]])    # x and y in x0, y0, x1, y1
 _GREY = (128, 128, 128)
-_GREY_PATCH = np.full((INPUT_SIZE, INPUT_SIZE, 3), _GREY, np.uint8)
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class PoseEstimate:
     confidence: np.ndarray
     world: np.ndarray
 
-    @property
+    @cached_property
     def nose(self) -> np.ndarray:
         """The nose (2,) px."""
         return self.landmarks[BLAZE_NOSE, :2]
@@ -117,9 +117,10 @@ def decode(landmarks: np.ndarray, score: float, world: np.ndarray, affine: np.nd
         raw[:, 0], metric[:, 0] = INPUT_SIZE - 1.0 - raw[:, 0], -metric[:, 0]
     points = np.empty((LANDMARKS, 3))
     points[:, :2] = raw[:, :2] @ affine[:, :2].T + affine[:, 2]
-    points[:, 2] = raw[:, 2] * float(np.hypot(affine[0, 0], affine[1, 0]))
+    points[:, 2] = raw[:, 2] * math.hypot(affine[0, 0], affine[1, 0])
     sure = 1.0 / (1.0 + np.exp(-np.minimum(np.maximum(raw[:, 3:].min(axis=1), -50.0), 50.0)))
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    cosine, sine = math.cos(angle), math.sin(angle)
+    turn = np.array([[cosine, -sine], [sine, cosine]])
     metric[:, :2] = metric[:, :2] @ turn.T
     return PoseEstimate(float(score), points, sure, metric)
 
@@ -199,7 +200,7 @@ def _crop(image: np.ndarray, one: PoseWindow, out: np.ndarray) -> np.ndarray:
     patch, affine = crop_rotated(image, one.window.centre, one.window.size, one.window.angle, INPUT_SIZE)
     _hide(patch, affine, one.hidden, one.shown)
     patch = cv2.flip(patch, 1) if one.mirrored else patch
-    np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB), np.float32(1.0 / 255.0), out=out)
+    np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB, dst=patch), np.float32(1.0 / 255.0), out=out)
     return affine
 
 
@@ -216,16 +217,22 @@ def _hide(patch: np.ndarray, affine: np.ndarray, hidden: Sequence[np.ndarray], s
         for corner in corners[~outside]:
             cv2.fillConvexPoly(patch, corner, _GREY)
         return
-    cover = np.zeros(patch.shape[:2], np.uint8)
+    own = _corners(shown[None], inverse)[0]
+    x, y = zip(*own.tolist())
+    left, top = max(min(x), 0), max(min(y), 0)
+    part = patch[top:max(max(y) + 1, 0), left:max(max(x) + 1, 0)]
+    before = part.copy()
     for corner in corners[~outside]:
-        cv2.fillConvexPoly(cover, corner, (1.0,))
-    cv2.fillConvexPoly(cover, _corners(shown[None], inverse)[0], (0.0,))
-    cv2.copyTo(_GREY_PATCH, cover, patch)
+        cv2.fillConvexPoly(patch, corner, _GREY)
+    if part.size:
+        stays = np.zeros(part.shape[:2], np.uint8)
+        cv2.fillConvexPoly(stays, own - (left, top), (1.0,))
+        np.copyto(part, before, where=stays[..., None] > 0)
 
 
 def _corners(boxes: np.ndarray, affine: np.ndarray) -> np.ndarray:
     """Corners (N, 4, 2) in whole px of the patch of boxes (N, 4) px in the image."""
-    corners = boxes[:, [[0, 1], [2, 1], [2, 3], [0, 3]]] @ affine[:, :2].T + affine[:, 2]
+    corners = boxes[:, _CORNERS] @ affine[:, :2].T + affine[:, 2]
     return np.minimum(np.maximum(np.rint(corners), -4096.0), 4096.0).astype(np.int32)
 
 
@@ -266,8 +273,8 @@ class PoseDetection:
 
 def body_size(estimate: PoseEstimate) -> float:
     """Longer side of the box of the landmarks that are seen, px."""
-    box = estimate.box
-    return float(max(box[2] - box[0], box[3] - box[1], 1.0))
+    x0, y0, x1, y1 = estimate.box.tolist()
+    return max(x1 - x0, y1 - y0, 1.0)
 
 
 def body_distance(a: PoseEstimate, b: PoseEstimate) -> float:
@@ -284,10 +291,10 @@ def same_body(a: PoseEstimate, b: PoseEstimate) -> bool:
     Most pairs are told apart by the trunks alone. Of two people whose trunks and heads coincide one is hidden.
     """
     size = max(a.extent, b.extent)
-    offset = math.hypot(*(a.centre - b.centre)) / size
+    offset = math.hypot(*(a.centre - b.centre).tolist()) / size
     if offset > _FAR:
         return False
-    if offset < _SAME_TRUNK and math.hypot(*(a.nose - b.nose)) < _SAME_NOSE * size:
+    if offset < _SAME_TRUNK and math.hypot(*(a.nose - b.nose).tolist()) < _SAME_NOSE * size:
         return True
     return body_distance(a, b) < SAME_BODY
 
@@ -297,7 +304,7 @@ def one_human(a: PoseEstimate, b: PoseEstimate) -> bool:
 
     Of somebody whose head is hidden the network makes a body with the head of a neighbour, whatever its limbs are.
     """
-    return same_body(a, b) or math.hypot(*(a.nose - b.nose)) < _SAME_HEAD * max(a.extent, b.extent)
+    return same_body(a, b) or math.hypot(*(a.nose - b.nose).tolist()) < _SAME_HEAD * max(a.extent, b.extent)
 
 
 def is_sound(estimate: PoseEstimate, min_score: float) -> bool:
