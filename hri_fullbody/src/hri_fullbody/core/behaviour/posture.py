@@ -43,6 +43,9 @@ _ON_GROUND = 0.18
 _CROUCH_KNEE, _CROUCH_SHANK, _CROUCH_THIGHS, _CROUCH_HEIGHT = 42.0, 80.0, (14.0, 125.0), 0.36
 _SAME_THIGHS = 35.0  # both legs bear the weight; on one knee or in a lunge they differ by more
 _OVER_FEET = 0.085
+# Height of the hips above the ankles (statures): .1 and more of who crouches with the hips on the heels; of who sits
+# cross-legged on the ground, as near above the feet, about 0.
+_SITS_ON_GROUND = 0.06
 _SHORT_LEG = 0.74
 _LEG = 0.481  # thigh and shank
 _HOLD_S = 0.3
@@ -257,7 +260,7 @@ def likely_posture(points: np.ndarray, axes: np.ndarray, stature: float, up: np.
         return PostureClass.OTHER if votes.get(PostureClass.OTHER, 0.0) > 0.5 else None
     sitting = named.pop(PostureClass.SITTING, 0.0)
     low = sitting + named.pop(PostureClass.CROUCHING, 0.0)
-    crouches = _crouching_share(points, axes, up, up_sd)
+    crouches = _crouching_share(points, axes, stature, up, up_sd)
     if vague:
         named, low = {}, 1.0
     named.update({PostureClass.SITTING: low * (1.0 - crouches), PostureClass.CROUCHING: low * crouches})
@@ -297,13 +300,17 @@ def _knee(points: np.ndarray) -> float:
     return min(flexions, default=math.nan)
 
 
-def _crouching_share(points: np.ndarray, axes: np.ndarray, up: np.ndarray, up_sd: float) -> float:
-    """Probability that a body with its hips low and its knees bent crouches instead of sitting, by its balance.
+def _crouching_share(points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray, up_sd: float) -> float:
+    """Probability that a body with its hips low and its knees bent crouches instead of sitting, by its balance; 0 with
+    the hips on the ground.
 
     axes: trunk_axes of the points (18, 3) m. up_sd: standard deviation of the pitch of `up`, rad.
     """
     from_feet = 0.25 * points[_TRUNK].sum(axis=0) - 0.5 * (points[LEFT_ANKLE] + points[RIGHT_ANKLE])
     if not np.isfinite(from_feet[0]):
+        return 0.0
+    legs = points[_HIPS].sum(axis=0) - points[_ANKLES].sum(axis=0)
+    if 0.5 * float(legs @ up) < _SITS_ON_GROUND * stature:
         return 0.0
     ahead = axes[0] - float(axes[0] @ up) * up
     level = float(ahead @ from_feet) / max(float(ahead @ ahead) ** 0.5, 1e-6)
@@ -373,7 +380,8 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
     if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
         return PostureClass.OTHER
     thighs = [leg.thigh for leg in whole]
-    if len(whole) == 2 and _over_feet(points, hips, stature, up):
+    on_ground = _middle(leg.height for leg in whole) < _SITS_ON_GROUND
+    if len(whole) == 2 and not on_ground and _over_feet(points, hips, stature, up):
         deep = (low and _middle(leg.knee for leg in whole) > _CROUCH_KNEE
                 and _middle(leg.shank for leg in whole) < _CROUCH_SHANK
                 and _CROUCH_THIGHS[0] < _middle(thighs) < _CROUCH_THIGHS[1]
