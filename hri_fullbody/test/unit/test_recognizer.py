@@ -293,6 +293,8 @@ POSTURES = [
      PostureClass.OTHER),
     ("a raised thigh, its foot hidden",
      people.standing().leg((0.33, 0.0, -0.28), (0.20, 0.0, -0.62)).without(kp.LEFT_ANKLE), PostureClass.OTHER),
+    ("a foot on a step, the other one hidden",
+     people.standing().leg((0.36, 0.0, -0.12), (0.34, 0.0, -0.52)).without(kp.RIGHT_ANKLE), PostureClass.OTHER),
     ("seated", people.seated(), PostureClass.SITTING),
     ("seated, leaning back", people.seated(-20.0), PostureClass.SITTING),
     ("seated on the ground", people.standing().legs((0.39, 0.1, 0.08), (0.75, 0.1, -0.08)), PostureClass.SITTING),

@@ -387,7 +387,8 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
                 and _CROUCH_THIGHS[0] < _middle(thighs) < _CROUCH_THIGHS[1]
                 and max(thighs) - min(thighs) < _SAME_THIGHS)
         return PostureClass.CROUCHING if deep else PostureClass.OTHER
-    seated = all(_SEAT_THIGH_LOW < leg.thigh < _SEAT_THIGH_HIGH and (
+    # A thigh whose foot is hidden counts, too: a foot on a step.
+    seated = all(leg.thigh > _SEAT_THIGH_LOW for leg in legs) and all(leg.thigh < _SEAT_THIGH_HIGH and (
         leg.shank < _SEAT_SHANK or leg.height < _ON_GROUND) for leg in whole)
     return PostureClass.SITTING if seated else PostureClass.OTHER
 
