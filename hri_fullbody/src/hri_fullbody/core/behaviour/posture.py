@@ -47,6 +47,9 @@ _ON_GROUND = 0.18
 _CROUCH_KNEE, _CROUCH_SHANK, _CROUCH_THIGHS, _CROUCH_HEIGHT = 42.0, 80.0, (14.0, 125.0), 0.36
 _SAME_THIGHS = 35.0  # both legs bear the weight; on one knee or in a lunge they differ by more
 _OVER_FEET = 0.085
+# Height of the hips above the ankles (statures): .1 and more of who crouches with the hips on the heels; of who sits
+# cross-legged on the ground, as near above the feet, about 0.
+_SITS_ON_GROUND = 0.06
 _SHORT_LEG = 0.74
 _LEG = 0.481  # thigh and shank
 _HOLD_S = 0.3
@@ -333,14 +336,18 @@ def _knee(figure: Figure) -> float:
 
 
 def _crouching_share(figure: Figure, up: Vector, up_sd: float) -> float:
-    """Probability that a body with its hips low and its knees bent crouches instead of sitting, by its balance.
+    """Probability that a body with its hips low and its knees bent crouches instead of sitting, by its balance; 0 with
+    the hips on the ground.
 
     up_sd: standard deviation of the pitch of `up`, rad.
     """
     rows = figure.rows
     trunk = _between(_between(rows[LEFT_SHOULDER], rows[RIGHT_SHOULDER]), figure.hips)
-    from_feet = minus(trunk, _between(rows[LEFT_ANKLE], rows[RIGHT_ANKLE]))
+    feet = _between(rows[LEFT_ANKLE], rows[RIGHT_ANKLE])
+    from_feet = minus(trunk, feet)
     if not math.isfinite(from_feet[0]):
+        return 0.0
+    if dot(minus(figure.hips, feet), up) < _SITS_ON_GROUND * figure.stature:
         return 0.0
     ahead = _level(figure.axes[0], up)
     level = dot(ahead, from_feet) / max(length(ahead), 1e-6)
@@ -405,13 +412,15 @@ def _upright(figure: Figure, tilt: float, legs: List[Leg], up: Vector) -> Postur
     if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
         return PostureClass.OTHER
     thighs = [leg.thigh for leg in whole]
-    if len(whole) == 2 and _over_feet(figure, up):
+    on_ground = _middle(leg.height for leg in whole) < _SITS_ON_GROUND
+    if len(whole) == 2 and not on_ground and _over_feet(figure, up):
         deep = (low and _middle(leg.knee for leg in whole) > _CROUCH_KNEE
                 and _middle(leg.shank for leg in whole) < _CROUCH_SHANK
                 and _CROUCH_THIGHS[0] < _middle(thighs) < _CROUCH_THIGHS[1]
                 and max(thighs) - min(thighs) < _SAME_THIGHS)
         return PostureClass.CROUCHING if deep else PostureClass.OTHER
-    seated = all(_SEAT_THIGH_LOW < leg.thigh < _SEAT_THIGH_HIGH and (
+    # A thigh whose foot is hidden counts, too: a foot on a step.
+    seated = all(leg.thigh > _SEAT_THIGH_LOW for leg in legs) and all(leg.thigh < _SEAT_THIGH_HIGH and (
         leg.shank < _SEAT_SHANK or leg.height < _ON_GROUND) for leg in whole)
     return PostureClass.SITTING if seated else PostureClass.OTHER
 
