@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmarks.report import least_cost
-from hri_pipeline.core.frames import RawTransform, Timed
+from hri_pipeline.core.frames import RawTransform, Timed, scan
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.matching.changes import MatchChanges
 from hri_pipeline.core.matching.face_body import (
@@ -246,6 +247,30 @@ def test_links_of_different_times_and_no_links_give_no_place():
 def link(parent, child, seed):
     turn = tuple(Rotation.random(random_state=seed).as_quat())
     return RawTransform(parent, child, 1, 0, tuple(np.random.default_rng(seed).normal(size=3)), turn)
+
+
+def message(*links):
+    """Links as the bytes of a message of transforms, and where each is in it."""
+    data = struct.pack("<I", len(links))
+    for one in links:
+        data += struct.pack("<III", 7, one.secs, one.nsecs)
+        for name in (one.parent.encode(), one.child.encode()):
+            data += struct.pack("<I", len(name)) + name
+        data += struct.pack("<7d", *one.translation, *one.rotation)
+    return data, scan(data)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_fixed_links_of_a_skeleton_come_once_before_those_that_move(first):
+    """A robot_state_publisher sends the fixed joints, from p_head to head and from waist to torso, when it starts."""
+    matcher = make([], [] if first else ["b1"])
+    fixed = link("p_head_b1", "head_b1", 1), link("waist_b1", "torso_b1", 2)
+    moving = link("torso_b1", "p_head_b1", 3), link("body_b1", "waist_b1", 4), link("camera", "body_b1", 5)
+    matcher.add_transforms(*message(*fixed), True)
+    matcher.set_tracked("bodies", ["b1"])
+    for _ in range(3):
+        matcher.add_transforms(*message(*moving), False)
+    assert matcher._history.stamps_of("places of bodies", "b1") == [1.0]
 
 
 def test_heads_at_one_place_are_likely_and_the_line_of_sight_is_inexact():

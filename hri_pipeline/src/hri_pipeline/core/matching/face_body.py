@@ -9,7 +9,7 @@ from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tu
 
 import numpy as np
 
-from hri_pipeline.core.frames import HumanTf, Timed
+from hri_pipeline.core.frames import HumanTf, Timed, read
 from hri_pipeline.core.geometry import Vector, turned
 from hri_pipeline.core.matching.parameters import FaceBodyMatcherSettings
 from hri_pipeline.core.observations import FeatureHistory
@@ -138,6 +138,9 @@ class FaceBodyMatcher:
         They are compared with the images that they belong to. Raises ValueError for a stamp that is none.
         """
         put = self._tf.put_message(data, frames, fixed)
+        for child, offset in frames if fixed else ():
+            if not self._tf.wants(child.lstrip(b"/")):
+                self._tf.keep_fixed(read(data, offset))
         for kind, identity in dict.fromkeys(("faces" if frame.startswith("face_") else "bodies", identity) for frame,
                                             identity in put):
             place = head_place(self._tf.chain("{}_{}".format(_FRAMES[kind], identity)))
