@@ -132,7 +132,7 @@ def arm_features(points: np.ndarray, stature: float, up: np.ndarray, axes: Optio
         middle = rows[NECK]
     face = face_middle(rows, trunk, stature)
     knuckles = [_NAN3, _NAN3] if hands is None else hands.tolist()
-    away = _length(face)
+    away = length(face)
     lost = math.sqrt(1.0 - depth_counts) / away if away > 0.0 else 0.0
     left, right = (_one_arm([*(rows[index] for index in arm[:4]), hand], arm[4], middle,
                             (face, [lost * value for value in face]), trunk, vertical, stature)
@@ -148,19 +148,19 @@ def _one_arm(places: Sequence[Vector], sign: float, middle: Vector, face: Tuple[
     face: its middle, and the direction of which a vector's part is taken off by its squared length.
     """
     shoulder, elbow, wrist, other_elbow, knuckles = places
-    reach, forearm, from_middle = _minus(wrist, shoulder), _minus(wrist, elbow), _minus(wrist, middle)
+    reach, forearm, from_middle = minus(wrist, shoulder), minus(wrist, elbow), minus(wrist, middle)
     forward, left, high = trunk
-    along, length = (forearm, _HAND_LENGTH) if knuckles[0] != knuckles[0] else (knuckles, _SEEN_HAND_LENGTH)
+    along, hand = (forearm, _HAND_LENGTH) if knuckles[0] != knuckles[0] else (knuckles, _SEEN_HAND_LENGTH)
     return (
-        _dot(reach, up) / stature, _dot(reach, high) / stature, _dot(forearm, up) / stature,
-        _distance_to_hand(_flat(_minus(face[0], wrist), face[1]), _flat(along, face[1]), length * stature) / stature,
-        _dot(from_middle, forward) / stature, sign * _dot(from_middle, left) / stature,
-        _dot(from_middle, high) / stature, _angle(_minus(shoulder, elbow), forearm),
-        _length(_minus(wrist, other_elbow)) / stature, _dot(forearm, left) / stature, _dot(forearm, forward) / stature)
+        dot(reach, up) / stature, dot(reach, high) / stature, dot(forearm, up) / stature,
+        _distance_to_hand(_flat(minus(face[0], wrist), face[1]), _flat(along, face[1]), hand * stature) / stature,
+        dot(from_middle, forward) / stature, sign * dot(from_middle, left) / stature,
+        dot(from_middle, high) / stature, _angle(minus(shoulder, elbow), forearm),
+        length(minus(wrist, other_elbow)) / stature, dot(forearm, left) / stature, dot(forearm, forward) / stature)
 
 
 def _flat(vector: Vector, lost: Vector) -> Vector:
-    part = _dot(vector, lost)
+    part = dot(vector, lost)
     return [value - part * axis for value, axis in zip(vector, lost)]
 
 
@@ -170,12 +170,12 @@ def _distance_to_hand(to_target: Vector, along_hand: Vector, hand: float) -> flo
     to_target: from the wrist to the point. along_hand: direction of the hand: that of its knuckles, else of the
     forearm; with neither the wrist alone counts. hand: its length, m.
     """
-    length = _length(along_hand)
-    if not length > _MIN_LENGTH_M:
-        return _length(to_target)
-    along = _dot(to_target, along_hand) / length
-    along = 0.0 if along < 0.0 else min(along, hand) / length
-    return _length(_minus(to_target, [along * value for value in along_hand]))
+    reach = length(along_hand)
+    if not reach > _MIN_LENGTH_M:
+        return length(to_target)
+    along = dot(to_target, along_hand) / reach
+    along = 0.0 if along < 0.0 else min(along, hand) / reach
+    return length(minus(to_target, [along * value for value in along_hand]))
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
@@ -189,20 +189,23 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
-def _minus(a: Vector, b: Vector) -> Vector:
+def minus(a: Vector, b: Vector) -> Vector:
+    """Return a - b of two vectors (3)."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def _dot(a: Vector, b: Vector) -> float:
+def dot(a: Vector, b: Vector) -> float:
+    """Return the scalar product of two vectors (3)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _length(vector: Vector) -> float:
-    return math.sqrt(_dot(vector, vector))
+def length(vector: Vector) -> float:
+    """Return the length of a vector (3), NaN for NaN."""
+    return math.sqrt(dot(vector, vector))
 
 
 def _angle(a: Vector, b: Vector) -> float:
-    lengths = _length(a) * _length(b)
+    lengths = length(a) * length(b)
     if not lengths > _MIN_LENGTH_M ** 2:
         return math.nan
-    return math.acos(min(1.0, max(-1.0, _dot(a, b) / lengths)))
+    return math.acos(min(1.0, max(-1.0, dot(a, b) / lengths)))

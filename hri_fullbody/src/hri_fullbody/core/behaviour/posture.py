@@ -6,10 +6,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from enum import IntEnum
-from typing import Deque, Dict, Iterable, NamedTuple, Optional, Sequence, Tuple
+from typing import Deque, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
+from hri_fullbody.core.behaviour.arms import Vector, dot, length, minus
 from hri_fullbody.core.keypoints import (
     LEFT_ANKLE,
     LEFT_HIP,
@@ -23,8 +24,11 @@ from hri_fullbody.core.keypoints import (
     RIGHT_WRIST,
 )
 
-_TRUNK = [LEFT_SHOULDER, RIGHT_SHOULDER, LEFT_HIP, RIGHT_HIP]
-_HIPS, _KNEES, _ANKLES = [LEFT_HIP, RIGHT_HIP], [LEFT_KNEE, RIGHT_KNEE], [LEFT_ANKLE, RIGHT_ANKLE]
+_LEGS = ((LEFT_HIP, LEFT_KNEE, LEFT_ANKLE), (RIGHT_HIP, RIGHT_KNEE, RIGHT_ANKLE))
+_HANDS_AND_FEET = (LEFT_WRIST, RIGHT_WRIST, LEFT_ANKLE, RIGHT_ANKLE)
+_LIMBS = (*_HANDS_AND_FEET, LEFT_KNEE, RIGHT_KNEE)
+
+_LEAST_LENGTH_M = 1e-6
 
 # Angles in degrees from the vertical, lengths in statures.
 _UPRIGHT, _LYING = 50.0, 60.0
@@ -99,6 +103,38 @@ class Leg(NamedTuple):
     height: float
 
 
+class _Limb(NamedTuple):
+    """Thigh and shank, m, their lengths, m, and the flexion of the knee, degrees; NaN unknown."""
+
+    thigh: Vector
+    shank: Vector
+    thigh_length: float
+    shank_length: float
+    knee: float
+
+
+class Figure(NamedTuple):
+    """A body in plain numbers, which for so few vectors take a third of numpy's time, with what does not hang on the
+    vertical.
+
+    rows: 18 points (3) m, NaN unknown. axes: `arms.trunk_axes` of them, as rows. stature: m. hips: middle of both (3)
+    m. limbs: left and right leg.
+    """
+
+    rows: List[Vector]
+    axes: List[Vector]
+    stature: float
+    hips: Vector
+    limbs: Tuple[_Limb, _Limb]
+
+    @classmethod
+    def of(cls, points: np.ndarray, axes: np.ndarray, stature: float) -> Figure:
+        """Make it of points (18, 3) m, and their trunk_axes (3, 3)."""
+        rows = points.tolist()
+        left, right = (_limb(*(rows[index] for index in leg)) for leg in _LEGS)
+        return cls(rows, axes.tolist(), stature, _between(rows[LEFT_HIP], rows[RIGHT_HIP]), (left, right))
+
+
 class PostureEstimator:
     """The posture of one body over time: a new one counts after 0.3 s, an unknown one as long as it was seen, at most
     1 s."""
@@ -109,7 +145,7 @@ class PostureEstimator:
         self._held = self._unknown = 0.0
         self._shown = 0.0       # s for which the present posture was seen
         self._now = 0.0
-        self._thighs: Deque[Tuple[float, np.ndarray]] = deque()
+        self._thighs: Deque[Tuple[float, Sequence[Optional[Vector]]]] = deque()
 
     def update(self, points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray,
                elapsed: float, up_sd: float = 0.0, feet: bool = True,
@@ -125,14 +161,15 @@ class PostureEstimator:
         leaving: whether thighs_leave_image: who is upright and has no other sign of legs stands.
         hips: their height above the floor, statures, NaN unknown: with shanks unseen, who kneels looks as if standing.
         """
-        seen = (posture_now(points, axes, stature, up) if up_sd <= _EXACT
-                else likely_posture(points, axes, stature, up, up_sd))
-        if seen is None and leaving and _degrees(float(axes[2] @ up)) < _UPRIGHT:
+        figure, vertical = Figure.of(points, axes, stature), up.tolist()
+        seen = posture_now(figure, vertical) if up_sd <= _EXACT else likely_posture(figure, vertical, up_sd)
+        if seen is None and leaving and _degrees(dot(figure.axes[2], vertical)) < _UPRIGHT:
             seen = PostureClass.STANDING
-        if seen == PostureClass.STANDING and hips < _STANDING_HIPS and np.isnan(points[_ANKLES, 0]).all():
+        if seen == PostureClass.STANDING and hips < _STANDING_HIPS and all(
+                math.isnan(figure.rows[ankle][0]) for _, _, ankle in _LEGS):
             seen = None
-        jumps = self._jumps(np.where(np.reshape(unsure, (2, 1)), points[_KNEES] - points[_HIPS], np.nan) / stature,
-                            elapsed)
+        jumps = self._jumps([[value / stature for value in limb.thigh] if guess and not math.isnan(limb.thigh[0])
+                             else None for limb, guess in zip(figure.limbs, unsure)], elapsed)
         if not feet and seen in (PostureClass.SITTING, PostureClass.CROUCHING):
             seen = None
         if seen == PostureClass.CROUCHING and all(unsure):
@@ -151,15 +188,15 @@ class PostureEstimator:
             self.posture, self._shown = seen, self._held
         return self.posture
 
-    def _jumps(self, thighs: np.ndarray, elapsed: float) -> bool:
-        """Whether one of the thighs (2, 3), statures, NaN not to be judged, changed much in the last _STILL_S."""
+    def _jumps(self, thighs: Sequence[Optional[Vector]], elapsed: float) -> bool:
+        """Whether the left or the right thigh, statures, None not to be judged, changed much in the last _STILL_S."""
         self._now += elapsed
         self._thighs.append((self._now, thighs))
         while self._thighs[0][0] < self._now - _STILL_S:
             self._thighs.popleft()
         for side in (0, 1):
-            seen = np.array([both[side] for _, both in self._thighs if both[side, 0] == both[side, 0]])
-            if len(seen) > 2 and float(seen.var(axis=0).sum()) > _STILL_SD ** 2:
+            seen = [both[side] for _, both in self._thighs if both[side] is not None]
+            if len(seen) > 2 and sum(map(_variance, zip(*seen))) > _STILL_SD ** 2:
                 return True
         return False
 
@@ -172,15 +209,15 @@ class KneeSigns:
     """
 
     def __init__(self) -> None:
-        self._mean: Optional[np.ndarray] = None
+        self._mean: Optional[List[float]] = None
 
-    def update(self, confidence: np.ndarray, elapsed: float) -> np.ndarray:
-        """Take the confidences (2,) `elapsed` s after the last call; return whether each knee (2,) counts."""
-        confidence = np.nan_to_num(confidence)
-        before = confidence if self._mean is None else self._mean
-        mean = self._mean = before + (1.0 - math.exp(-elapsed / _KNEE_S)) * (confidence - before)
-        together = bool(mean.sum() >= _BOTH_KNEES and mean.min() > _EITHER_KNEE)
-        return (confidence >= GUESSED) | together
+    def update(self, confidence: Sequence[float], elapsed: float) -> List[bool]:
+        """Take the confidences of both `elapsed` s after the last call; return whether each knee counts."""
+        now = [value if value == value else 0.0 for value in confidence]
+        share = 1.0 - math.exp(-elapsed / _KNEE_S)
+        mean = self._mean = [before + share * (value - before) for before, value in zip(self._mean or now, now)]
+        together = sum(mean) >= _BOTH_KNEES and min(mean) > _EITHER_KNEE
+        return [value >= GUESSED or together for value in now]
 
 
 class GuessedLegs:
@@ -218,37 +255,41 @@ def without_guessed_limbs(points: np.ndarray, keypoints: np.ndarray, width: floa
     table, too, mostly hanging down: that is its habit and no detection of a leg; a guessed hand is often put before the
     face. Knees in the image stay, see KneeSigns.
     """
-    limbs = np.array([LEFT_WRIST, RIGHT_WRIST, LEFT_KNEE, RIGHT_KNEE, LEFT_ANKLE, RIGHT_ANKLE])
-    x, y = keypoints[limbs, 0], keypoints[limbs, 1]
-    inside = (x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)
-    if keypoints.shape[1] > 2:
-        inside &= (keypoints[limbs, 2] >= GUESSED) | np.isin(limbs, _KNEES)
     seen = np.array(points, dtype=np.float64)
-    seen[limbs[~inside]] = np.nan
+    rows = keypoints.tolist()
+    for limb in _LIMBS:
+        guessed = keypoints.shape[1] > 2 and limb in _HANDS_AND_FEET and not rows[limb][2] >= GUESSED
+        if guessed or not _is_inside(rows[limb], width, height):
+            seen[limb] = np.nan
     return seen
 
 
 def without_feet_outside(keypoints: np.ndarray, width: float, height: float) -> np.ndarray:
     """Return the confidences (18,) of key points (18, 3) px, NaN for ankles outside an image of width x height px: that
     they are not seen is no sign that something hides them."""
-    ankles = np.isin(np.arange(len(keypoints)), (LEFT_ANKLE, RIGHT_ANKLE))
-    inside = ((keypoints[:, :2] >= 0.0) & (keypoints[:, :2] < (width, height))).all(axis=1)
-    return np.where(ankles & ~inside, np.nan, keypoints[:, 2])
+    confidence = keypoints[:, 2].copy()
+    for _, _, ankle in _LEGS:
+        if not _is_inside(keypoints[ankle].tolist(), width, height):
+            confidence[ankle] = np.nan
+    return confidence
 
 
-def likely_posture(points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray,
-                   up_sd: float) -> Optional[PostureClass]:
+def _is_inside(point: Vector, width: float, height: float) -> bool:
+    return 0.0 <= point[0] < width and 0.0 <= point[1] < height
+
+
+def likely_posture(figure: Figure, up: Vector, up_sd: float) -> Optional[PostureClass]:
     """Return the posture that most of the directions which `up` may have tell, None when they do not agree.
 
-    up_sd: standard deviation of its pitch, rad. OTHER speaks against no posture as long as other directions have one.
+    up: unit vector (3) against gravity; up_sd: standard deviation of its pitch, rad. OTHER speaks against no posture as long as other directions have one.
     """
     votes: Dict[Optional[PostureClass], float] = {}
     for share, weight in _PITCHES:
-        seen = posture_now(points, axes, stature, _pitched(up, share * up_sd))
+        seen = posture_now(figure, _pitched(up, share * up_sd))
         votes[seen] = votes.get(seen, 0.0) + weight
     named = {posture: weight for posture, weight in votes.items() if posture}
     agreed = _agreed(named)
-    vague = up_sd > _BALANCE and _has_bent_legs(points, stature, up)
+    vague = up_sd > _BALANCE and _has_bent_legs(figure, up)
     if agreed == PostureClass.STANDING and named[agreed] < _STANDS and not vague:
         return PostureClass.OTHER
     if up_sd <= _BALANCE and agreed is not None:
@@ -257,12 +298,12 @@ def likely_posture(points: np.ndarray, axes: np.ndarray, stature: float, up: np.
         return PostureClass.OTHER if votes.get(PostureClass.OTHER, 0.0) > 0.5 else None
     sitting = named.pop(PostureClass.SITTING, 0.0)
     low = sitting + named.pop(PostureClass.CROUCHING, 0.0)
-    crouches = _crouching_share(points, axes, up, up_sd)
+    crouches = _crouching_share(figure, up, up_sd)
     if vague:
         named, low = {}, 1.0
     named.update({PostureClass.SITTING: low * (1.0 - crouches), PostureClass.CROUCHING: low * crouches})
     best = _agreed(named)
-    if best == PostureClass.STANDING and up_sd > _BALANCE and not _knee(points) < _VAGUE_KNEE:
+    if best == PostureClass.STANDING and up_sd > _BALANCE and not _knee(figure) < _VAGUE_KNEE:
         return None
     return None if best == PostureClass.SITTING and sitting == 0.0 and votes.get(PostureClass.CROUCHING) else best
 
@@ -275,86 +316,77 @@ def _agreed(votes: Dict[PostureClass, float]) -> Optional[PostureClass]:
     return best
 
 
-def _has_bent_legs(points: np.ndarray, stature: float, up: np.ndarray) -> bool:
+def _has_bent_legs(figure: Figure, up: Vector) -> bool:
     """Whether both legs are as bent and as short as those of who sits or crouches, whatever the vertical is."""
-    for hip, knee, ankle in ((LEFT_HIP, LEFT_KNEE, LEFT_ANKLE), (RIGHT_HIP, RIGHT_KNEE, RIGHT_ANKLE)):
-        leg = _leg(points, hip, knee, ankle, stature, up)
-        reach = float(np.linalg.norm(points[hip] - points[ankle]))
-        if not (leg.knee > _CROUCH_KNEE and reach < _BENT_LEG * stature and leg.shank < _SEAT_SHANK
+    for limb, (hip, _, ankle) in zip(figure.limbs, _LEGS):
+        leg = _leg(limb, figure.stature, up)
+        reach = length(minus(figure.rows[hip], figure.rows[ankle]))
+        if not (leg.knee > _CROUCH_KNEE and reach < _BENT_LEG * figure.stature and leg.shank < _SEAT_SHANK
                 and _BENT_THIGH < leg.thigh < _SEAT_THIGH_HIGH):
             return False
     return True
 
 
-def _knee(points: np.ndarray) -> float:
+def _knee(figure: Figure) -> float:
     """Flexion (degrees) of the straighter knee, NaN when none is known."""
-    flexions = []
-    for hip in (LEFT_HIP, RIGHT_HIP):
-        thigh, shank = points[hip + 1] - points[hip], points[hip + 2] - points[hip + 1]
-        lengths = float(np.linalg.norm(thigh) * np.linalg.norm(shank))
-        if lengths > 1e-6:
-            flexions.append(_degrees(float(thigh @ shank) / lengths))
-    return min(flexions, default=math.nan)
+    return min((limb.knee for limb in figure.limbs if limb.knee == limb.knee), default=math.nan)
 
 
-def _crouching_share(points: np.ndarray, axes: np.ndarray, up: np.ndarray, up_sd: float) -> float:
+def _crouching_share(figure: Figure, up: Vector, up_sd: float) -> float:
     """Probability that a body with its hips low and its knees bent crouches instead of sitting, by its balance.
 
-    axes: trunk_axes of the points (18, 3) m. up_sd: standard deviation of the pitch of `up`, rad.
+    up_sd: standard deviation of the pitch of `up`, rad.
     """
-    from_feet = 0.25 * points[_TRUNK].sum(axis=0) - 0.5 * (points[LEFT_ANKLE] + points[RIGHT_ANKLE])
-    if not np.isfinite(from_feet[0]):
+    rows = figure.rows
+    trunk = _between(_between(rows[LEFT_SHOULDER], rows[RIGHT_SHOULDER]), figure.hips)
+    from_feet = minus(trunk, _between(rows[LEFT_ANKLE], rows[RIGHT_ANKLE]))
+    if not math.isfinite(from_feet[0]):
         return 0.0
-    ahead = axes[0] - float(axes[0] @ up) * up
-    level = float(ahead @ from_feet) / max(float(ahead @ ahead) ** 0.5, 1e-6)
-    lean = math.degrees(math.atan2(level, float(from_feet @ up)))
+    ahead = _level(figure.axes[0], up)
+    level = dot(ahead, from_feet) / max(length(ahead), 1e-6)
+    lean = math.degrees(math.atan2(level, dot(from_feet, up)))
     seated, crouched = lean - _SEATED_LEAN, lean - _CROUCHED_LEAN
     odds = (seated * seated - crouched * crouched) / (2.0 * (_LEAN_SD ** 2 + math.degrees(up_sd) ** 2))
     prior = math.log(_CROUCHING_PRIOR) if up_sd > _BALANCE else 0.0
     return 1.0 / (1.0 + math.exp(-max(-50.0, min(50.0, odds + prior))))
 
 
-def _pitched(up: np.ndarray, angle: float) -> np.ndarray:
-    """Turn a direction (3,) in the optical frame about the x axis, as a camera that looks down by `angle` rad more."""
+def _pitched(up: Vector, angle: float) -> Vector:
+    """Turn a direction (3) in the optical frame about the x axis, as a camera that looks down by `angle` rad more."""
     cosine, sine = math.cos(angle), math.sin(angle)
-    return np.array([up[0], cosine * up[1] - sine * up[2], sine * up[1] + cosine * up[2]])
+    return up[0], cosine * up[1] - sine * up[2], sine * up[1] + cosine * up[2]
 
 
-def posture_now(points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray) -> Optional[PostureClass]:
+def posture_now(figure: Figure, up: Vector) -> Optional[PostureClass]:
     """Return the posture of one frame, None when too little is seen to say anything.
 
-    points: (18, 3) m, NaN unknown. axes: trunk_axes of them. stature: m. up: (3,) unit vector against gravity.
-    With the legs hidden only somebody on the back or on a side is sure to lie; all else is None.
+    up: unit vector (3) against gravity. With the legs hidden only somebody on the back or on a side is sure to lie; all
+    else is None.
     """
-    hips = 0.5 * (points[LEFT_HIP] + points[RIGHT_HIP])
-    if not (np.isfinite(hips[0]) and np.isfinite(axes[2, 0])):
+    if not (math.isfinite(figure.hips[0]) and math.isfinite(figure.axes[2][0])):
         return None
-    tilt = _degrees(float(axes[2] @ up))
-    legs = [leg for leg in (_leg(points, LEFT_HIP, LEFT_KNEE, LEFT_ANKLE, stature, up),
-                            _leg(points, RIGHT_HIP, RIGHT_KNEE, RIGHT_ANKLE, stature, up)) if leg.thigh == leg.thigh]
+    tilt = _degrees(dot(figure.axes[2], up))
     if tilt > 180.0 - _UPRIGHT:
         return PostureClass.OTHER
+    legs = [_leg(limb, figure.stature, up) for limb in figure.limbs if limb.thigh_length > _LEAST_LENGTH_M]
     if tilt > _UPRIGHT:
-        return _bent_or_lying(tilt, axes, up, legs)
-    if not legs:
-        return None
-    return _upright(points, hips, tilt, legs, stature, up)
+        return _bent_or_lying(tilt, figure.axes, up, legs)
+    return _upright(figure, tilt, legs, up) if legs else None
 
 
-def _bent_or_lying(tilt: float, axes: np.ndarray, up: np.ndarray, legs: list) -> Optional[PostureClass]:
+def _bent_or_lying(tilt: float, axes: Sequence[Vector], up: Vector, legs: List[Leg]) -> Optional[PostureClass]:
     if tilt <= _LYING:
         return PostureClass.OTHER
     if not legs:
         # Nobody bends backward or sideways this far; forward they may, so that is not known.
-        on_back, on_side = float(axes[0] @ up) > 0.5, abs(float(axes[1] @ up)) > 0.7
+        on_back, on_side = dot(axes[0], up) > 0.5, abs(dot(axes[1], up)) > 0.7
         return PostureClass.LAYING if on_back or on_side else None
     flat = max(leg.thigh for leg in legs) > 50.0
     low = all(not leg.height > 0.15 for leg in legs)
     return PostureClass.LAYING if flat and low else PostureClass.OTHER
 
 
-def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stature: float,
-             up: np.ndarray) -> PostureClass:
+def _upright(figure: Figure, tilt: float, legs: List[Leg], up: Vector) -> PostureClass:
     whole = [leg for leg in legs if leg.height == leg.height]
     if not whole:
         if all(leg.thigh < _HANGING_THIGH for leg in legs):
@@ -373,7 +405,7 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
     if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
         return PostureClass.OTHER
     thighs = [leg.thigh for leg in whole]
-    if len(whole) == 2 and _over_feet(points, hips, stature, up):
+    if len(whole) == 2 and _over_feet(figure, up):
         deep = (low and _middle(leg.knee for leg in whole) > _CROUCH_KNEE
                 and _middle(leg.shank for leg in whole) < _CROUCH_SHANK
                 and _CROUCH_THIGHS[0] < _middle(thighs) < _CROUCH_THIGHS[1]
@@ -384,28 +416,47 @@ def _upright(points: np.ndarray, hips: np.ndarray, tilt: float, legs: list, stat
     return PostureClass.SITTING if seated else PostureClass.OTHER
 
 
-def _over_feet(points: np.ndarray, hips: np.ndarray, stature: float, up: np.ndarray) -> bool:
+def _over_feet(figure: Figure, up: Vector) -> bool:
     """Whether the trunk's middle is so near above the ankles that the feet can carry it."""
-    ankles = points[[LEFT_ANKLE, RIGHT_ANKLE]]
-    offset = 0.5 * (hips + 0.5 * (points[LEFT_SHOULDER] + points[RIGHT_SHOULDER])) - ankles.mean(axis=0)
-    if not np.isfinite(offset[0]):
-        offset = hips - ankles.mean(axis=0)
-    level = offset - float(offset @ up) * up
-    return float(level @ level) ** 0.5 < _OVER_FEET * stature
+    rows, hips = figure.rows, figure.hips
+    ankles = _between(rows[LEFT_ANKLE], rows[RIGHT_ANKLE])
+    offset = minus(_between(hips, _between(rows[LEFT_SHOULDER], rows[RIGHT_SHOULDER])), ankles)
+    if not math.isfinite(offset[0]):
+        offset = minus(hips, ankles)
+    return length(_level(offset, up)) < _OVER_FEET * figure.stature
 
 
-def _leg(points: np.ndarray, hip: int, knee: int, ankle: int, stature: float, up: np.ndarray) -> Leg:
-    thigh, shank = points[knee] - points[hip], points[ankle] - points[knee]
-    thigh_length, shank_length = float(thigh @ thigh) ** 0.5, float(shank @ shank) ** 0.5
-    if not thigh_length > 1e-6:
+def _limb(hip: Vector, knee: Vector, ankle: Vector) -> _Limb:
+    thigh, shank = minus(knee, hip), minus(ankle, knee)
+    thigh_length, shank_length = length(thigh), length(shank)
+    known = thigh_length > _LEAST_LENGTH_M and shank_length > _LEAST_LENGTH_M
+    return _Limb(thigh, shank, thigh_length, shank_length,
+                 _degrees(dot(thigh, shank) / (thigh_length * shank_length)) if known else math.nan)
+
+
+def _leg(limb: _Limb, stature: float, up: Vector) -> Leg:
+    if not limb.thigh_length > _LEAST_LENGTH_M:
         return Leg(math.nan, math.nan, math.nan, math.nan)
-    thigh_down = -float(thigh @ up)
-    if not shank_length > 1e-6:
-        return Leg(_degrees(thigh_down / thigh_length), math.nan, math.nan, math.nan)
-    shank_down = -float(shank @ up)
-    return Leg(
-        _degrees(thigh_down / thigh_length), _degrees(shank_down / shank_length),
-        _degrees(float(thigh @ shank) / (thigh_length * shank_length)), (thigh_down + shank_down) / stature)
+    thigh_down, shank_down = -dot(limb.thigh, up), -dot(limb.shank, up)
+    thigh = _degrees(thigh_down / limb.thigh_length)
+    if not limb.shank_length > _LEAST_LENGTH_M:
+        return Leg(thigh, math.nan, math.nan, math.nan)
+    return Leg(thigh, _degrees(shank_down / limb.shank_length), limb.knee, (thigh_down + shank_down) / stature)
+
+
+def _between(a: Vector, b: Vector) -> Vector:
+    return 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
+
+
+def _level(vector: Vector, up: Vector) -> Vector:
+    """What of a vector is at right angles to the vertical."""
+    height = dot(vector, up)
+    return [value - height * axis for value, axis in zip(vector, up)]
+
+
+def _variance(values: Sequence[float]) -> float:
+    mean = sum(values) / len(values)
+    return sum((value - mean) ** 2 for value in values) / len(values)
 
 
 def _middle(values: Iterable[float]) -> float:

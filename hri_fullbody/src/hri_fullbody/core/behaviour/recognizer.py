@@ -132,8 +132,10 @@ class BehaviourRecognizer:
     def _drop_guessed_knees(self, points: np.ndarray, confidence: Optional[np.ndarray], elapsed: float) -> None:
         """Make the knees NaN, in `points`, that do not count."""
         if confidence is not None:
-            knees = np.array([LEFT_KNEE, RIGHT_KNEE])
-            points[knees[~self._knees.update(confidence[knees], elapsed)]] = np.nan
+            knees = (LEFT_KNEE, RIGHT_KNEE)
+            for knee, counts in zip(knees, self._knees.update([float(confidence[knee]) for knee in knees], elapsed)):
+                if not counts:
+                    points[knee] = np.nan
 
 
 def _hips_height(points: np.ndarray, stature: float, up: np.ndarray, floor: Optional[float]) -> float:
@@ -150,16 +152,16 @@ def _sure_forearms(confidence: Optional[np.ndarray]) -> Tuple[bool, bool]:
     """
     if confidence is None:
         return True, True
-    return (bool(confidence[[LEFT_ELBOW, LEFT_WRIST]].min() >= GUESSED),
-            bool(confidence[[RIGHT_ELBOW, RIGHT_WRIST]].min() >= GUESSED))
+    sure = (confidence >= GUESSED).tolist()
+    return sure[LEFT_ELBOW] and sure[LEFT_WRIST], sure[RIGHT_ELBOW] and sure[RIGHT_WRIST]
 
 
 def _signs_of_legs(confidence: Optional[np.ndarray]) -> Tuple[bool, Sequence[bool]]:
     """Whether there may be an ankle, in the image or below it, and whether left and right knee may be guessed."""
     if confidence is None:
         return True, (False, False)
-    return (not bool((confidence[[LEFT_ANKLE, RIGHT_ANKLE]] < _SIGN).all()),
-            (confidence[[LEFT_KNEE, RIGHT_KNEE]] < _SURE).tolist())
+    return (not (confidence[LEFT_ANKLE] < _SIGN and confidence[RIGHT_ANKLE] < _SIGN),
+            (bool(confidence[LEFT_KNEE] < _SURE), bool(confidence[RIGHT_KNEE] < _SURE)))
 
 
 def _checked(points: np.ndarray, stature: float, stamp: float,
@@ -174,7 +176,7 @@ def _checked(points: np.ndarray, stature: float, stamp: float,
     if not math.isfinite(stamp):
         raise ValueError("the stamp {} is not finite".format(stamp))
     upwards = np.asarray(up, dtype=np.float64)
-    length = float(np.sqrt((upwards * upwards).sum()))
+    length = math.sqrt(float(np.vdot(upwards, upwards)))
     if upwards.shape != (3,) or not 1e-6 < length < math.inf:
         raise ValueError("`up` must be a direction of three numbers, not {}".format(upwards.tolist()))
     return points, upwards / length
