@@ -53,7 +53,7 @@ class PoseEstimate:
     confidence: np.ndarray
     world: np.ndarray
 
-    @property
+    @cached_property
     def nose(self) -> np.ndarray:
         """The nose (2,) px."""
         return self.landmarks[BLAZE_NOSE, :2]
@@ -117,9 +117,10 @@ def decode(landmarks: np.ndarray, score: float, world: np.ndarray, affine: np.nd
         raw[:, 0], metric[:, 0] = INPUT_SIZE - 1.0 - raw[:, 0], -metric[:, 0]
     points = np.empty((LANDMARKS, 3))
     points[:, :2] = raw[:, :2] @ affine[:, :2].T + affine[:, 2]
-    points[:, 2] = raw[:, 2] * float(np.hypot(affine[0, 0], affine[1, 0]))
+    points[:, 2] = raw[:, 2] * math.hypot(affine[0, 0], affine[1, 0])
     sure = 1.0 / (1.0 + np.exp(-np.minimum(np.maximum(raw[:, 3:].min(axis=1), -50.0), 50.0)))
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    cosine, sine = math.cos(angle), math.sin(angle)
+    turn = np.array([[cosine, -sine], [sine, cosine]])
     metric[:, :2] = metric[:, :2] @ turn.T
     return PoseEstimate(float(score), points, sure, metric)
 
@@ -266,8 +267,8 @@ class PoseDetection:
 
 def body_size(estimate: PoseEstimate) -> float:
     """Longer side of the box of the landmarks that are seen, px."""
-    box = estimate.box
-    return float(max(box[2] - box[0], box[3] - box[1], 1.0))
+    x0, y0, x1, y1 = estimate.box.tolist()
+    return max(x1 - x0, y1 - y0, 1.0)
 
 
 def body_distance(a: PoseEstimate, b: PoseEstimate) -> float:

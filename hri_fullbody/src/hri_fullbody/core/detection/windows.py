@@ -64,14 +64,16 @@ class FaceBox:
     @cached_property
     def size(self) -> float:
         """Side of the square of the same area, px: depends less on the view than height or width."""
-        return float(math.sqrt(max(float(np.prod(self.box[2:] - self.box[:2])), 1.0)))
+        x0, y0, x1, y1 = self.box.tolist()
+        return math.sqrt(max((x1 - x0) * (y1 - y0), 1.0))
 
     @classmethod
     def from_landmarks(cls, face_id: str, landmarks: np.ndarray, pose: Optional[Pose] = None) -> "FaceBox":
         """Make the box of landmarks (N, 2 or more) px. Raises ValueError when they are not finite or all one point."""
         points = np.asarray(landmarks, dtype=np.float64)[:, :2]
         box = np.concatenate([points.min(axis=0), points.max(axis=0)])
-        if not np.all(np.isfinite(box)) or np.any(box[2:] - box[:2] < 1.0):
+        x0, y0, x1, y1 = box.tolist()
+        if not (math.isfinite(x1 - x0) and math.isfinite(y1 - y0)) or x1 - x0 < 1.0 or y1 - y0 < 1.0:
             raise ValueError("landmarks of face {} span no box: {}".format(face_id, box))
         return cls(face_id, box, pose)
 
@@ -83,8 +85,13 @@ class FaceBox:
 
     def distance(self, point: np.ndarray) -> float:
         """How far a point (2,) px lies from the middle, larger of x and y, in face sizes: about 0.5 on the rim."""
-        x, y = self.centre
-        return float(max(abs(point[0] - x), abs(point[1] - y)) / self.size)
+        (x, y), (centre_x, centre_y) = point.tolist(), self._middle
+        return max(abs(x - centre_x), abs(y - centre_y)) / self.size
+
+    @cached_property
+    def _middle(self) -> Tuple[float, float]:
+        x, y = self.centre.tolist()
+        return x, y
 
 
 def face_boxes(faces: Iterable[Tuple[str, np.ndarray, Optional[Pose]]]) -> List[FaceBox]:
@@ -122,12 +129,13 @@ def window_from_landmarks(landmarks: np.ndarray) -> Window:
     """
     centre, reach = landmarks[CENTRE_LANDMARK, :2], landmarks[REACH_LANDMARK, :2]
     offset = reach - centre
-    distance = float(np.hypot(*offset))
-    angle = math.atan2(float(offset[0]), -float(offset[1]))
+    x, y = offset.tolist()
+    distance, angle = math.hypot(x, y), math.atan2(x, -y)
     return Window((float(centre[0]), float(centre[1])), 2.0 * LANDMARK_MARGIN * distance, angle)
 
 
 def head_box(face: FaceBox) -> np.ndarray:
     """Box (4,) px of the head around the box of a face's landmarks, which ends at the brows."""
-    width, height = face.box[2:] - face.box[:2]
-    return face.box + np.array([-0.1 * width, -0.3 * height, 0.1 * width, 0.05 * height])
+    x0, y0, x1, y1 = face.box.tolist()
+    width, height = x1 - x0, y1 - y0
+    return np.array([x0 - 0.1 * width, y0 - 0.3 * height, x1 + 0.1 * width, y1 + 0.05 * height])
