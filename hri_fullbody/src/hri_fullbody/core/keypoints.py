@@ -93,9 +93,9 @@ def thighs_leave_image(landmarks: np.ndarray, world: np.ndarray, height: float) 
     """
     hips, knees = [BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP], [BLAZE_LEFT_KNEE, BLAZE_RIGHT_KNEE]
     shoulders = [BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER]
-    trunk = float(np.linalg.norm((landmarks[hips, :2] - landmarks[shoulders, :2]).mean(axis=0)))
-    below, rim = height - landmarks[hips, 1], height - landmarks[knees, 1]
-    if not (below.min() > _LEAVING_SEEN * trunk and rim.max() <= _LEAVING_RIM * trunk):
+    x, y = (0.5 * (_TO_SHOULDERS @ landmarks[shoulders + hips, :2])).tolist()
+    trunk, below, rim = math.hypot(x, y), height - landmarks[hips, 1], height - landmarks[knees, 1]
+    if not (min(below) > _LEAVING_SEEN * trunk and max(rim) <= _LEAVING_RIM * trunk):
         return False
     thighs, down = world[knees] - world[hips], (world[hips] - world[shoulders]).mean(axis=0)
     lengths = np.maximum(np.linalg.norm(thighs, axis=1), 1e-6)

@@ -254,7 +254,7 @@ class BodyPipeline:
                                None if last is None or not last.model.stature_known else last.model.stature,
                                0.1 if last is None else last.model.stature_sd, track.face_id,
                                track.visible and not track.returning, self._camera_pose is not None,
-                               None if root is None else float(np.linalg.norm(root)))
+                               None if root is None else math.hypot(*root.tolist()))
 
     def appearance(self, body_id: str) -> Optional[np.ndarray]:
         """Return the colours (5, 21) of a body's clothes, see `reidentification.describe`; None while they are not
@@ -302,7 +302,7 @@ class BodyPipeline:
 
     def _observe(self, track: BodyTrack, camera: CameraModel, stamp: float, face: Optional[Pose],
                  context: SceneContext) -> BodyObservation:
-        localizer = self._localizers.setdefault(track.id, BodyLocalizer())
+        localizer = self._localizers.get(track.id) or self._localizers.setdefault(track.id, BodyLocalizer())
         if localizer.measures(track, stamp):
             context = self._context_of(track.id, context)
         return localizer.observe(track, camera, stamp, face, context)
@@ -312,7 +312,7 @@ class BodyPipeline:
         """Keep the model of a detected body, and recognise its attitude, posture and gesture."""
         points = without_guessed_limbs(model.points, body.keypoints, *size)
         confidence = without_feet_outside(body.keypoints, *size)
-        recognizer = self._recognizers.setdefault(model.id, BehaviourRecognizer())
+        recognizer = self._recognizers.get(model.id) or self._recognizers.setdefault(model.id, BehaviourRecognizer())
         behaviour = self._guard.each(
             "behaviour of a body",
             lambda one: recognizer.update(
@@ -322,15 +322,15 @@ class BodyPipeline:
         self._last_models[model.id] = _LastModel(
             stamp, model, None if body.pose is None else body.pose.translation, behaviour[0] if behaviour else None)
         if body.head is not None:
-            self._head_distances.append(float(np.linalg.norm(model.head.translation - body.head.translation)))
+            self._head_distances.append(math.hypot(*(model.head.translation - body.head.translation).tolist()))
 
     def _find_pointing(self, stamp: float, up: np.ndarray) -> Dict[str, Pointing]:
         """Who of the bodies of this image points, and at whom or where on the floor."""
         points = {model.id: model.points for model in self.modelled}
         told: Dict[str, Pointing] = {}
         for model in self.modelled:
-            ray = self._pointers.setdefault(model.id, PointingEstimator()).update(
-                model.points, model.stature, stamp, up)
+            pointer = self._pointers.get(model.id) or self._pointers.setdefault(model.id, PointingEstimator())
+            ray = pointer.update(model.points, model.stature, stamp, up)
             if ray is not None:
                 others = {name: place for name, place in points.items() if name != model.id}
                 told[model.id] = aim(ray, others, up, self._floor)

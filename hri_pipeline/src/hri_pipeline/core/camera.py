@@ -221,7 +221,10 @@ class CameraModel:
             return result
         seen = np.ascontiguousarray(points[ahead][:, None, :])
         none = np.zeros(3)
-        if self.distortion_model == EQUIDISTANT:
+        if not self.distortion.size and self.distortion_model != EQUIDISTANT:
+            # OpenCV takes 0.02 ms for a single point.
+            pixels = seen[..., :2] / seen[..., 2:] * self.matrix[[0, 1], [0, 1]] + self.matrix[:2, 2]
+        elif self.distortion_model == EQUIDISTANT:
             pixels, _ = cv2.fisheye.projectPoints(seen, none, none, self.matrix, self._fisheye())
         else:
             pixels, _ = cv2.projectPoints(seen, none, none, self.matrix, self.distortion)

@@ -285,10 +285,10 @@ def same_body(a: PoseEstimate, b: PoseEstimate) -> bool:
     Most pairs are told apart by the trunks alone. Of two people whose trunks and heads coincide one is hidden.
     """
     size = max(a.extent, b.extent)
-    offset = math.hypot(*(a.centre - b.centre)) / size
+    offset = math.hypot(*(a.centre - b.centre).tolist()) / size
     if offset > _FAR:
         return False
-    if offset < _SAME_TRUNK and math.hypot(*(a.nose - b.nose)) < _SAME_NOSE * size:
+    if offset < _SAME_TRUNK and math.hypot(*(a.nose - b.nose).tolist()) < _SAME_NOSE * size:
         return True
     return body_distance(a, b) < SAME_BODY
 
@@ -298,7 +298,7 @@ def one_human(a: PoseEstimate, b: PoseEstimate) -> bool:
 
     Of somebody whose head is hidden the network makes a body with the head of a neighbour, whatever its limbs are.
     """
-    return same_body(a, b) or math.hypot(*(a.nose - b.nose)) < _SAME_HEAD * max(a.extent, b.extent)
+    return same_body(a, b) or math.hypot(*(a.nose - b.nose).tolist()) < _SAME_HEAD * max(a.extent, b.extent)
 
 
 def is_sound(estimate: PoseEstimate, min_score: float) -> bool:

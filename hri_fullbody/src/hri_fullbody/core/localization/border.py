@@ -20,13 +20,15 @@ def is_cut(box: np.ndarray, extent: float, width: int) -> bool:
 
     extent: its size, px. width: of the image, px. Beyond the lower border are legs, of which nothing else depends.
     """
-    return bool(min(box[0], width - box[2], box[1]) < _REACH * extent)
+    x0, y0, x1, _ = box.tolist()
+    return min(x0, width - x1, y0) < _REACH * extent
 
 
 def is_leaving(face: np.ndarray, extent: float, size: Tuple[int, int]) -> bool:
     """Tell whether a face at (2,) px, of a body of this extent (px), is so near to the border that it may leave the
     image. size: width and height of the image, px."""
-    return bool(min(*face, *(np.asarray(size) - face)) < _FACE_REACH * extent)
+    (x, y), (width, height) = face.tolist(), size
+    return min(x, y, width - x, height - y) < _FACE_REACH * extent
 
 
 class CutRange:

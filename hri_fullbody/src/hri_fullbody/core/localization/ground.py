@@ -107,11 +107,11 @@ class GroundPlane:
 
     def camera_height(self, body_id: str) -> Optional[Tuple[float, float]]:
         """Height (m) of the camera above the floor by everybody else, and the sd of its logarithm; None: nobody."""
-        others = np.array([value for name, value in self._heights.items() if name != body_id]).reshape(-1, 2)
-        if not len(others):
+        others = [(logarithm, sd ** -2.0) for name, (logarithm, sd) in self._heights.items() if name != body_id]
+        if not others:
             return None
-        weights = others[:, 1] ** -2.0
-        return math.exp(float(weights @ others[:, 0] / weights.sum())), math.sqrt(1.0 / float(weights.sum()))
+        total = sum(weight for _, weight in others)
+        return math.exp(sum(weight * value for value, weight in others) / total), math.sqrt(1.0 / total)
 
     def _axis_rows(self, stamp: float) -> _Rows:
         """Gradients, values (rad) and sd (rad) of the angles that the people's up directions tell, two of each."""

@@ -40,7 +40,7 @@ from hri_pipeline.core.one_euro import OneEuro
 
 LEAST_POINTS = 6
 DEPTH_RANGE = (0.25, 25.0)
-_LARGEST_TURN = np.radians(35.0)
+_LEAST_TRACE = 1.0 + 2.0 * math.cos(math.radians(35.0))     # of the largest turn that is plausible
 _LEAST_OUTLIER = 0.04
 _ROUNDS = 3
 _NO_LENS = np.eye(3)
@@ -55,7 +55,7 @@ def place(rays: np.ndarray, world: np.ndarray, seen: np.ndarray) -> Optional[np.
     Points that fit badly are left out once. None when fewer than 6 are seen or no plausible depth (0.25 to 25 m)
     comes out.
     """
-    use = np.asarray(seen, dtype=bool) & np.all(np.isfinite(rays), axis=1) & np.all(np.isfinite(world), axis=1)
+    use = np.asarray(seen, dtype=bool) & np.isfinite(rays).all(axis=1) & np.isfinite(world).all(axis=1)
     if use.sum() < LEAST_POINTS:
         return None
     first = _solve(rays[use], world[use])
@@ -83,9 +83,9 @@ def _solve(rays: np.ndarray, world: np.ndarray) -> Optional[Tuple[np.ndarray, np
         found = False
     if found:
         rotation = cv2.Rodrigues(turn)[0]
-        extra = np.linalg.norm(cv2.Rodrigues(rotation @ to_ray.T)[0])
         moved = np.ravel(shift)
-        if extra < _LARGEST_TURN and _plausible(world @ rotation.T + moved):
+        # The trace of a rotation is 1 + 2 cos of its angle: here that of the one to the ray, and back.
+        if np.vdot(rotation, to_ray) > _LEAST_TRACE and _plausible(world @ rotation.T + moved):
             return rotation, moved
     moved = translation_only(rays, world @ to_ray.T)
     return (to_ray, moved) if _plausible(world @ to_ray.T + moved) else None
@@ -116,10 +116,12 @@ def translation_only(rays: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def rotation_to_ray(ray: np.ndarray) -> np.ndarray:
     """Smallest rotation (3, 3) that takes the optical axis to the direction (x/z, y/z)."""
-    direction = np.array([ray[0], ray[1], 1.0]) / np.sqrt(ray[0] ** 2 + ray[1] ** 2 + 1.0)
-    axis = np.array([-direction[1], direction[0], 0.0])     # optical axis x direction
-    sine = math.hypot(axis[0], axis[1])
-    return np.eye(3) if sine < 1e-9 else cv2.Rodrigues(axis / sine * np.arctan2(sine, direction[2]))[0]
+    x, y = ray.tolist()
+    away = math.hypot(x, y)
+    if away < 1e-9:
+        return np.eye(3)
+    angle = math.atan(away)     # about optical axis x direction
+    return cv2.Rodrigues(np.array([-y / away * angle, x / away * angle, 0.0]))[0]
 
 
 def body_pose(points: np.ndarray) -> Optional[Pose]:
@@ -152,7 +154,7 @@ def _axes(up: np.ndarray, left: np.ndarray) -> Optional[np.ndarray]:
 
 def _plausible(points: np.ndarray) -> bool:
     depth = points[:, 2]
-    return bool(np.all(np.isfinite(points)) and depth.min() > 0.05
+    return bool(np.isfinite(points).all() and depth.min() > 0.05
                 and DEPTH_RANGE[0] < median_of_few(depth) < DEPTH_RANGE[1])
 
 
@@ -261,7 +263,8 @@ def face_cue(points: np.ndarray, face: Optional[Pose]) -> Optional[ScaleCue]:
     """Cue of the tracked face's pose: the sellion of `points` (33, 3) m must be at the depth of the face's origin."""
     if face is None or not np.all(np.isfinite(face.translation)):
         return None
-    sellion = points[list(BLAZE_INNER_EYES)].mean(axis=0)
+    left, right = BLAZE_INNER_EYES
+    sellion = 0.5 * (points[left] + points[right])
     return _cue("face", float(face.translation[2]) / max(float(sellion[2]), 1e-3), _FACE_SD, _FACE_RANGE, sellion)
 
 
@@ -279,13 +282,13 @@ def floor_ratio(points: np.ndarray, rays: np.ndarray, confidence: np.ndarray, up
     """
     best = None
     for ankle in (BLAZE_LEFT_ANKLE, BLAZE_RIGHT_ANKLE):
-        slope = -float(np.array([rays[ankle, 0], rays[ankle, 1], 1.0]) @ up)
+        slope = -(rays[ankle, 0] * up[0] + rays[ankle, 1] * up[1] + up[2])
         if confidence[ankle] > 0.5 and slope > _LEAST_SLOPE and points[ankle, 2] > 0.1:
             depth = (camera_height - _ANKLE_HEIGHT) / slope
             best = min(best or (np.inf, 0.0), (depth, depth / points[ankle, 2]))
     if best is None or not FLOOR_RANGE[0] < best[1] < FLOOR_RANGE[1]:
         return None
-    return best[1]
+    return float(best[1])
 
 
 class BodyScale:
@@ -355,7 +358,6 @@ _KNOWN = 0.3
 # m/s, of a face that is still the body's own, and the time within which it may have jumped.
 _FASTEST, _SHORTEST_S = 4.0, 0.05
 _BOX_MARGIN = 0.04
-_HIPS = [BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP]
 
 
 @dataclass(frozen=True)
@@ -437,17 +439,21 @@ class BodyLocalizer:
         velocity = track.motion.velocity
         velocity = None if velocity is None else velocity * self._scale.value
         moved = np.zeros(2) if measured else track.moved_with_face(stamp)
-        in_space, pose = np.full((18, 3), np.nan), None
-        if still.in_space is not None:
-            way = self._shift(measured, velocity, age, face)
-            in_space = still.in_space + way
-            pose = None if still.pose is None else Pose(still.pose.rotation, still.pose.translation + way)
-        keypoints = np.column_stack([still.keypoints + moved, confidence_18(estimate.confidence[:BODY_LANDMARKS])])
+        in_space, pose = still.in_space, still.pose
+        if in_space is None:
+            in_space = np.full((18, 3), np.nan)
+        elif not measured:
+            way = self._shift(velocity, age, face)
+            in_space = in_space + way
+            pose = None if pose is None else Pose(pose.rotation, pose.translation + way)
+        keypoints = np.empty((18, 3))
+        np.add(still.keypoints, moved, out=keypoints[:, :2])
+        keypoints[:, 2] = confidence_18(estimate.confidence[:BODY_LANDMARKS])
         # What a body expresses is told of measured ones only.
         last = track.estimate
         trunk = trunk_in_image(last.landmarks, last.world) if measured else math.nan
         leaving = measured and thighs_leave_image(last.landmarks, last.world, camera.height)
-        return BodyObservation(track.id, _in_image(still.box + np.tile(moved, 2), camera.width, camera.height),
+        return BodyObservation(track.id, _in_image(still.box, moved, camera.width, camera.height),
                                estimate.score, keypoints, in_space, pose, face, velocity, measured, self.by_depth,
                                still.hands, trunk, leaving)
 
@@ -464,13 +470,11 @@ class BodyLocalizer:
                                  visible_box(self._pixels, confidence), in_space, pose, hands)
         return self._still
 
-    def _shift(self, measured: bool, velocity: Optional[np.ndarray], age: float, face: Optional[Pose]) -> np.ndarray:
+    def _shift(self, velocity: Optional[np.ndarray], age: float, face: Optional[Pose]) -> np.ndarray:
         """Way (3,) m since the body was measured: that of its face, else by its velocity (m/s) in `age` s."""
-        if measured:
-            return np.zeros(3)
-        if face is not None and self._face is not None and np.all(np.isfinite(face.translation)):
+        if face is not None and self._face is not None:
             way = face.translation - self._face
-            if float(np.linalg.norm(way)) < _FASTEST * max(age, _SHORTEST_S):
+            if math.hypot(*way.tolist()) < _FASTEST * max(age, _SHORTEST_S):
                 return way
         return np.zeros(3) if velocity is None else velocity * age
 
@@ -497,7 +501,7 @@ class BodyLocalizer:
 
         Who turned round, and whose face ended in the image, is there: people walk away.
         """
-        distance = self._scale.value * float(np.linalg.norm(points[_TRUNK].mean(axis=0)))
+        distance = self._scale.value * math.hypot(*(0.25 * points[_TRUNK].sum(axis=0)).tolist())
         estimate = track.estimate
         if face is not None:
             self._face_leaves = is_leaving(camera.project(face.translation[None])[0], estimate.extent,
@@ -520,14 +524,14 @@ class BodyLocalizer:
             self._scale.update(self._scale.floor_cue(
                 floor_ratio(points, rays, confidence, context.up, context.camera_height), context.height_sd))
         scale = self._scale.value
-        anchor, placed = points[_HIPS].mean(axis=0), points * scale
+        anchor, placed = 0.5 * (points[BLAZE_LEFT_HIP] + points[BLAZE_RIGHT_HIP]), points * scale
         if cue is not None and cue.exact:
             anchor = cue.reference
             placed = placed + anchor * (cue.ratio - scale)
         if self.by_depth and context.depth is not None:
             self._distance.reset()
             return measured_joints(context.depth, pixels, rays, placed, confidence, size)
-        depth = np.array([placed[_HIPS, 2].mean()])
+        depth = np.array([0.5 * (placed[BLAZE_LEFT_HIP, 2] + placed[BLAZE_RIGHT_HIP, 2])])
         return placed + anchor / anchor[2] * (self._distance(depth, track.stamp) - depth)
 
 
@@ -551,5 +555,9 @@ def visible_box(points: np.ndarray, confidence: np.ndarray) -> np.ndarray:
     return np.concatenate([low - margin, high + margin])
 
 
-def _in_image(box: np.ndarray, width: int, height: int) -> np.ndarray:
-    return np.minimum(np.maximum(box, 0.0), [width, height, width, height])
+def _in_image(box: np.ndarray, moved: np.ndarray, width: int, height: int) -> np.ndarray:
+    """The part of a moved box (4,) px that is in an image of this size."""
+    (x, y), (x0, y0, x1, y1) = moved.tolist(), box.tolist()
+    left, top, right, bottom = (min(max(value, 0.0), most) for value, most in (
+        (x0 + x, width), (y0 + y, height), (x1 + x, width), (y1 + y, height)))
+    return np.array([left, top, right, bottom], dtype=np.float64)

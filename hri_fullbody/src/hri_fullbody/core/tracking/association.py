@@ -97,7 +97,7 @@ def _return_distance(track: BodyTrack, detection: PoseDetection, stamp: float) -
 
 
 def _nose_offset(track: BodyTrack, detection: PoseDetection, stamp: float) -> float:
-    return math.hypot(*(detection.estimate.nose - track.expected(stamp).nose)) / track.motion.size
+    return math.hypot(*(detection.estimate.nose - track.expected(stamp).nose).tolist()) / track.motion.size
 
 
 def cost_matrix(tracks: Sequence[BodyTrack], detections: Sequence[PoseDetection], stamp: float,
@@ -123,12 +123,12 @@ def _shows_another(track: BodyTrack, detection: PoseDetection, tracks: Sequence[
     Of a hidden body: one that is there and not clearly of other clothes, or one beside it whose clothes fit better.
     Of a visible one: one that is there, and whose clothes fit clearly better.
     """
-    centre_x, centre_y = detection.estimate.centre
+    centre_x, centre_y = detection.estimate.centre.tolist()
     for other in tracks:
         if other is track or not other.visible:
             continue
         there = other.expected(stamp)
-        x, y = there.centre
+        x, y = there.centre.tolist()
         offset = math.hypot(centre_x - x, centre_y - y) / other.motion.size
         if offset > _BESIDE:
             continue
@@ -221,6 +221,5 @@ def _own_boxes(tracks: Sequence[BodyTrack], boxes: np.ndarray, stamp: float) -> 
 
 def _is_at(track: BodyTrack, box: np.ndarray, stamp: float) -> bool:
     estimate = track.expected(stamp)
-    x, y = estimate.nose
-    return bool(box[0] <= x <= box[2] and box[1] <= y <= box[3]
-                and estimate.extent >= _LEAST_SHARE * max(box[2] - box[0], box[3] - box[1]))
+    (x, y), (x0, y0, x1, y1) = estimate.nose.tolist(), box.tolist()
+    return x0 <= x <= x1 and y0 <= y <= y1 and estimate.extent >= _LEAST_SHARE * max(x1 - x0, y1 - y0)

@@ -34,14 +34,16 @@ from hri_pipeline.core.tracks import COLOUR_BINS, appearance_distances
 _LEAST_CONFIDENCE = 0.4
 _LEAST_SAMPLES = 12
 # Where the samples lie: across and along, in parts of the trunk and of the limb. The rims show background.
-_ACROSS, _ALONG = (grid.ravel()[:, None] for grid in np.meshgrid(np.linspace(0.15, 0.85, 9), np.linspace(0.0, 1.0, 8)))
-_CHEST, _BELLY = (0.05, 0.45), (0.5, 0.92)
-_LIMB = np.linspace(0.15, 0.9, 16)[:, None]
+_ACROSS, _ALONG = (grid.ravel() for grid in np.meshgrid(np.linspace(0.15, 0.85, 9), np.linspace(0.0, 1.0, 8)))
+_TRUNKS = (0.05, 0.45), (0.5, 0.92)     # chest, belly
+_LIMB = np.linspace(0.15, 0.9, 16)
 _TRUNK = (BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER, BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP)
-_SLEEVES = ((BLAZE_LEFT_SHOULDER, BLAZE_LEFT_ELBOW), (BLAZE_LEFT_ELBOW, BLAZE_LEFT_WRIST),
-            (BLAZE_RIGHT_SHOULDER, BLAZE_RIGHT_ELBOW), (BLAZE_RIGHT_ELBOW, BLAZE_RIGHT_WRIST))
-_THIGHS = ((BLAZE_LEFT_HIP, BLAZE_LEFT_KNEE), (BLAZE_RIGHT_HIP, BLAZE_RIGHT_KNEE))
-_SHINS = ((BLAZE_LEFT_KNEE, BLAZE_LEFT_ANKLE), (BLAZE_RIGHT_KNEE, BLAZE_RIGHT_ANKLE))
+# Ends of each limb, and the part it belongs to: 2 sleeves, 3 thighs, 4 shins.
+_LIMBS = ((BLAZE_LEFT_SHOULDER, BLAZE_LEFT_ELBOW, 2), (BLAZE_LEFT_ELBOW, BLAZE_LEFT_WRIST, 2),
+          (BLAZE_RIGHT_SHOULDER, BLAZE_RIGHT_ELBOW, 2), (BLAZE_RIGHT_ELBOW, BLAZE_RIGHT_WRIST, 2),
+          (BLAZE_LEFT_HIP, BLAZE_LEFT_KNEE, 3), (BLAZE_RIGHT_HIP, BLAZE_RIGHT_KNEE, 3),
+          (BLAZE_LEFT_KNEE, BLAZE_LEFT_ANKLE, 4), (BLAZE_RIGHT_KNEE, BLAZE_RIGHT_ANKLE, 4))
+_ENDS = np.array([limb[:2] for limb in _LIMBS])
 PARTS = 5
 BINS = COLOUR_BINS.size
 
@@ -52,12 +54,11 @@ def describe(image: np.ndarray, estimate: PoseEstimate) -> Optional[np.ndarray]:
     Each row is lightness and both colour axes, a third each, and sums to 1, or to 0 where the part is not seen. About
     300 samples: 0.3 ms. None when the shoulders are not seen.
     """
-    points, confidence = estimate.landmarks[:, :2], estimate.confidence
-    if confidence[[BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER]].min() < _LEAST_CONFIDENCE:
+    confidence = estimate.confidence
+    if min(confidence[BLAZE_LEFT_SHOULDER], confidence[BLAZE_RIGHT_SHOULDER]) < _LEAST_CONFIDENCE:
         return None  # hips below the image are told well enough for where the trunk is
-    rows = _histograms(image, [
-        _trunk_samples(points, *_CHEST), _trunk_samples(points, *_BELLY), _limb_samples(points, confidence, _SLEEVES),
-        _limb_samples(points, confidence, _THIGHS), _limb_samples(points, confidence, _SHINS)])
+    seen = np.concatenate([[True], (confidence[_ENDS] >= _LEAST_CONFIDENCE).all(axis=1)])
+    rows = _histograms(image, _WEIGHTS @ estimate.landmarks[:len(_WEIGHTS[0]), :2], seen[_SOURCES])
     return rows if rows[0].any() else None
 
 
@@ -85,33 +86,40 @@ def blend(old: Optional[np.ndarray], new: Optional[np.ndarray], weight: float) -
     return (1.0 - share) * old + share * new
 
 
-def _trunk_samples(points: np.ndarray, first: float, last: float) -> np.ndarray:
-    """Samples (N, 2) px of the trunk from one part of its length to another."""
-    left_shoulder, right_shoulder, left_hip, right_hip = (points[index] for index in _TRUNK)
-    top = left_shoulder + _ACROSS * (right_shoulder - left_shoulder)
-    bottom = left_hip + _ACROSS * (right_hip - left_hip)
-    return top + (first + _ALONG * (last - first)) * (bottom - top)
+def _samples() -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Samples (S,) of a body: weights (S, 29) of the landmarks whose sum is their place, the part (S,) each belongs to,
+    and where it comes from (S,): 0 the trunk, 1 and more the limbs."""
+    weights, parts, sources = [], [], []
+    for part, (first, last) in enumerate(_TRUNKS):
+        along = first + _ALONG * (last - first)
+        rows = np.zeros((len(along), BLAZE_RIGHT_ANKLE + 1))
+        rows[:, _TRUNK] = np.stack([(1.0 - _ACROSS) * (1.0 - along), _ACROSS * (1.0 - along),
+                                    (1.0 - _ACROSS) * along, _ACROSS * along], axis=1)
+        weights.append(rows)
+        parts += [part] * len(rows)
+        sources += [0] * len(rows)
+    for source, (first_end, last_end, part) in enumerate(_LIMBS, 1):
+        rows = np.zeros((len(_LIMB), BLAZE_RIGHT_ANKLE + 1))
+        rows[:, first_end], rows[:, last_end] = 1.0 - _LIMB, _LIMB
+        weights.append(rows)
+        parts += [part] * len(rows)
+        sources += [source] * len(rows)
+    return np.concatenate(weights), np.array(parts), np.array(sources)
 
 
-def _limb_samples(points: np.ndarray, confidence: np.ndarray,
-                  limbs: Tuple[Tuple[int, int], ...]) -> Optional[np.ndarray]:
-    found: List[np.ndarray] = [points[first] + _LIMB * (points[last] - points[first]) for first, last in limbs
-                               if confidence[[first, last]].min() >= _LEAST_CONFIDENCE]
-    return np.concatenate(found) if found else None
+_WEIGHTS, _OWNERS, _SOURCES = _samples()
 
 
-def _histograms(image: np.ndarray, parts: Sequence[Optional[np.ndarray]]) -> np.ndarray:
-    """Histograms (P, 21) of parts, samples (N, 2) px each; 0 where too few of them are inside the image."""
-    rows = np.zeros((len(parts), BINS))
-    samples = np.concatenate([np.zeros((0, 2))] + [part for part in parts if part is not None])
-    owners = np.repeat(np.arange(len(parts)), [0 if part is None else len(part) for part in parts])
+def _histograms(image: np.ndarray, samples: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Histograms (5, 21) of the parts at the samples (S, 2) px that are seen (S,); 0 where too few of them are inside
+    the image."""
     height, width = image.shape[:2]
-    x, y = np.floor(samples).astype(np.int64).T
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    inside &= (np.bincount(owners[inside], minlength=len(parts)) >= _LEAST_SAMPLES)[owners]
-    if inside.any():
-        rows = _rows(owners[inside], len(parts), cv2.cvtColor(image[y[inside], x[inside]][None], cv2.COLOR_BGR2LAB)[0])
-    return rows
+    x, y = np.floor(samples.T).astype(np.int64)
+    inside = seen & (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    inside &= (np.bincount(_OWNERS[inside], minlength=PARTS) >= _LEAST_SAMPLES)[_OWNERS]
+    if not inside.any():
+        return np.zeros((PARTS, BINS))
+    return _rows(_OWNERS[inside], PARTS, cv2.cvtColor(image[y[inside], x[inside]][None], cv2.COLOR_BGR2LAB)[0])
 
 
 def histogram_of_colours(lightness: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -123,7 +131,7 @@ def histogram_of_colours(lightness: np.ndarray, first: np.ndarray, second: np.nd
 
 def _rows(owners: np.ndarray, count: int, pixels: np.ndarray) -> np.ndarray:
     """Histograms (count, 21) of pixels (N, 3) uint8 L*a*b*, each of which belongs to the row `owners` (N,)."""
-    values = (768 * owners)[:, None] + pixels + [0, 256, 512]
+    values = (768 * owners)[:, None] + pixels + _CHANNELS
     counts = np.bincount(values.ravel(), minlength=768 * count).reshape(count, 768) @ _SHARES
     return np.asarray(counts / np.maximum(counts.sum(axis=1, keepdims=True), 1e-9))
 
@@ -147,6 +155,7 @@ def _near_bins(values: np.ndarray, middles: np.ndarray) -> np.ndarray:
 
 
 _SHARES = _shares()
+_CHANNELS = np.array([0, 256, 512])
 
 
 LEAST_LIKELIHOOD = 0.9

@@ -508,8 +508,8 @@ class BodyTracker:
         if stamp - track.described_at >= _DESCRIBE_S or not track.visible:
             return True
         here = track.motion.predicted_centre(stamp)
-        return any(np.hypot(*(other.motion.predicted_centre(stamp) - here)) < track.motion.size + other.motion.size
-                   for other in self.tracks if other is not track)
+        return any(math.hypot(*(other.motion.predicted_centre(stamp) - here).tolist())
+                   < track.motion.size + other.motion.size for other in self.tracks if other is not track)
 
     def _infer(self, image: np.ndarray, window: Window, track: Optional[BodyTrack], own: Optional[FaceBox],
                faces: Sequence[FaceBox], stamp: float) -> PoseEstimate:
