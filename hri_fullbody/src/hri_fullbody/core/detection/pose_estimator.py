@@ -35,6 +35,7 @@ _LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT = "Identity", "Identity_1", "Iden
 _OTHER_SIDE = np.array([0, 4, 5, 6, 1, 2, 3, 8, 7, 10, 9] + [number + 1 - 2 * (number % 2 == 0)
                                                              for number in range(11, BODY_LANDMARKS)]
                        + list(range(BODY_LANDMARKS, LANDMARKS)))
+_CORNERS = np.array([[0, 1], [2, 1], [2, 3], [0, 3]])    # x and y in x0, y0, x1, y1
 _GREY = (128, 128, 128)
 _GREY_PATCH = np.full((INPUT_SIZE, INPUT_SIZE, 3), _GREY, np.uint8)
 
@@ -213,20 +214,27 @@ def _hide(patch: np.ndarray, affine: np.ndarray, hidden: Sequence[np.ndarray], s
     outside = np.any((corners.max(axis=1) < 0) | (corners.min(axis=1) > max(patch.shape[:2])), axis=1)
     if outside.all():
         return
-    if shown is None:
-        for corner in corners[~outside]:
+    corners = corners[~outside]
+    own = None if shown is None else _corners(shown[None], inverse)[0]
+    if own is None or not _overlap(corners, own):
+        for corner in corners:
             cv2.fillConvexPoly(patch, corner, _GREY)
         return
     cover = np.zeros(patch.shape[:2], np.uint8)
-    for corner in corners[~outside]:
+    for corner in corners:
         cv2.fillConvexPoly(cover, corner, (1.0,))
-    cv2.fillConvexPoly(cover, _corners(shown[None], inverse)[0], (0.0,))
+    cv2.fillConvexPoly(cover, own, (0.0,))
     cv2.copyTo(_GREY_PATCH, cover, patch)
+
+
+def _overlap(corners: np.ndarray, own: np.ndarray) -> bool:
+    """Tell whether one of several quadrangles (N, 4, 2) px may overlap with another (4, 2) px."""
+    return bool(((corners.min(axis=1) <= own.max(axis=0)) & (corners.max(axis=1) >= own.min(axis=0))).all(axis=1).any())
 
 
 def _corners(boxes: np.ndarray, affine: np.ndarray) -> np.ndarray:
     """Corners (N, 4, 2) in whole px of the patch of boxes (N, 4) px in the image."""
-    corners = boxes[:, [[0, 1], [2, 1], [2, 3], [0, 3]]] @ affine[:, :2].T + affine[:, 2]
+    corners = boxes[:, _CORNERS] @ affine[:, :2].T + affine[:, 2]
     return np.minimum(np.maximum(np.rint(corners), -4096.0), 4096.0).astype(np.int32)
 
 

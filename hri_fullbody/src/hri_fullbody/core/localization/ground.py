@@ -93,16 +93,24 @@ class GroundPlane:
     def solve(self, stamp: float) -> None:
         """Estimate `up` and the camera's height at `stamp` (s)."""
         self._people = {name: person for name, person in self._people.items() if stamp - person.stamp < _OLDEST_S}
-        state, prior = _MOUNTING.copy(), np.diag(_MOUNTING_SD ** -2.0)
-        axes, feet = self._axis_rows(stamp), self._feet()
+        state, prior = _MOUNTING, _MOUNTING_SD ** -2.0
+        (axes, sds), feet = self._axis_angles(stamp), self._feet()
         for _ in range(_ROUNDS):
-            gradients, values, sds = (np.concatenate(both) for both in zip(axes, _floor_rows(feet, state)))
-            error = np.abs(values - gradients @ state) / sds
-            weighted = gradients.T * (np.minimum(1.0, _HUBER / np.maximum(error, 1e-9)) / sds ** 2)
-            information = prior + weighted @ gradients
-            state = np.linalg.solve(information, prior @ _MOUNTING + weighted @ values)
-        self.up = up_of(*state)
-        self.up_sd = math.sqrt(float(np.linalg.inv(information)[0, 0]))
+            # The angles that an axis tells are pitch and roll themselves.
+            weights = _huber(axes - state, sds)
+            (a, d), (u, v) = (prior + weights.sum(axis=0)).tolist(), (
+                prior * _MOUNTING + (weights * axes).sum(axis=0)).tolist()
+            b = 0.0
+            if len(feet) > 1:
+                gradients, values, floor_sds = _floor_rows(feet, state)
+                weighted = gradients.T * _huber(values - gradients @ state, floor_sds)
+                (aa, b), (_, dd) = (weighted @ gradients).tolist()
+                uu, vv = (weighted @ values).tolist()
+                a, d, u, v = a + aa, d + dd, u + uu, v + vv
+            determinant = a * d - b * b
+            state = np.array([d * u - b * v, a * v - b * u]) / determinant
+        self.up = up_of(*state.tolist())
+        self.up_sd = math.sqrt(d / determinant)
         self._measure_heights()
 
     def camera_height(self, body_id: str) -> Optional[Tuple[float, float]]:
@@ -113,8 +121,8 @@ class GroundPlane:
         total = sum(weight for _, weight in others)
         return math.exp(sum(weight * value for value, weight in others) / total), math.sqrt(1.0 / total)
 
-    def _axis_rows(self, stamp: float) -> _Rows:
-        """Gradients, values (rad) and sd (rad) of the angles that the people's up directions tell, two of each."""
+    def _axis_angles(self, stamp: float) -> Tuple[np.ndarray, np.ndarray]:
+        """Pitch and roll (N, 2) rad that the people's up directions tell, and their sd (N, 1) rad."""
         axes, sds = [], []
         for person in self._people.values():
             for kind, (axis, seen) in person.axes.items():
@@ -124,8 +132,8 @@ class GroundPlane:
                     sds.append(math.hypot(_AXIS_SD[kind], _FADING * (stamp - seen)))
         directions = np.array(axes).reshape(-1, 3)
         x, y, z = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).T
-        values = np.stack([np.arctan2(-z, -y), np.arcsin(np.minimum(np.maximum(x, -1.0), 1.0))], axis=1)
-        return np.tile(np.eye(2), (len(axes), 1)), values.ravel(), np.repeat(sds, 2)
+        angles = np.stack([np.arctan2(-z, -y), np.arcsin(np.minimum(np.maximum(x, -1.0), 1.0))], axis=1)
+        return angles, np.array(sds).reshape(-1, 1)
 
     def _feet(self) -> np.ndarray:
         """The people's feet (N, 3) m."""
@@ -137,16 +145,21 @@ class GroundPlane:
                 continue
             height = _ANKLE_HEIGHT_M - float(person.foot @ self.up)
             if _HEIGHT_RANGE_M[0] < height < _HEIGHT_RANGE_M[1]:
-                far = float(np.linalg.norm(person.foot)) * self.up_sd / height
+                far = math.hypot(*person.foot.tolist()) * self.up_sd / height
                 self._heights.pop(name, None)
                 self._heights[name] = math.log(height), math.sqrt(_SIZE_SD ** 2 + _HEIGHT_NOISE ** 2 + far ** 2)
         while len(self._heights) > _MOST_PEOPLE:
             del self._heights[next(iter(self._heights))]
 
 
+def _huber(errors: np.ndarray, sds: np.ndarray) -> np.ndarray:
+    """Weights of rows with these errors and standard deviations: those of outliers fall."""
+    return np.minimum(1.0, _HUBER / np.maximum(np.abs(errors) / sds, 1e-9)) / sds ** 2
+
+
 def _floor_rows(feet: np.ndarray, state: np.ndarray) -> _Rows:
     """Rows of the feet (N, 3) m, which are at one height, about pitch and roll (2,): one for each but the last."""
-    pitch, roll = state
+    pitch, roll = state.tolist()
     up = up_of(pitch, roll)
     by_pitch = np.array([0.0, math.cos(roll) * math.sin(pitch), -math.cos(roll) * math.cos(pitch)])
     by_roll = np.array([math.cos(roll), math.sin(roll) * math.cos(pitch), math.sin(roll) * math.sin(pitch)])

@@ -310,17 +310,18 @@ class StatureEstimator:
 
     def _observed(self, distances: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
         """Logarithms (8,) of the lengths seen, NaN for others, and the variances of their noise."""
-        length, spread, count = robust_lengths(distances)
+        length, spread, count = (values.tolist() for values in robust_lengths(distances))
         logarithms, variances = np.full(len(SEGMENTS), np.nan), np.full(len(SEGMENTS), np.nan)
         for name, columns in enumerate(_COLUMNS):
             # Two points at one place, as of a body that is not there, are no length.
             known = [column for column in columns if count[column] >= _LEAST_SAMPLES and length[column] > 0.0]
             if not known:
                 continue
-            mean = float(length[known].mean())
-            samples = int(count[known].sum())
+            mean = sum(length[column] for column in known) / len(known)
+            samples = sum(count[column] for column in known)
+            apart = sum(spread[column] for column in known) / len(known)
             # The spread of a few images says little: some more with the usual noise are thought beside them.
-            noise = (samples * float(spread[known].mean()) ** 2 + _USUAL_SAMPLES * _USUAL_NOISE_M ** 2) / (
+            noise = (samples * apart ** 2 + _USUAL_SAMPLES * _USUAL_NOISE_M ** 2) / (
                 (samples + _USUAL_SAMPLES) * mean ** 2)
             logarithms[name] = math.log(max(mean * self._factors[name], 0.02))
             variances[name] = noise / max(samples / _CORRELATED, 1.0)
