@@ -391,21 +391,22 @@ class PictureCuts:
 
     def __init__(self) -> None:
         self._last: Optional[np.ndarray] = None
+        self._was_empty = False
 
     def update(self, bgr: np.ndarray) -> bool:
         """Return whether `bgr` (H, W, 3) uint8 shows something else than the image before."""
         small = self._small(bgr)
-        last, self._last = self._last, small
+        empty = _deviation(small) < _EMPTY
+        last, self._last, was_empty, self._was_empty = self._last, small, self._was_empty, empty
         if last is None:
             return False
-        empty = float(small.std()) < _EMPTY, float(last.std()) < _EMPTY
-        if any(empty):
-            return not all(empty)
-        if float((np.abs(small - last) < _STAYED_BY).mean()) >= _STAYED:
+        if empty or was_empty:
+            return empty != was_empty
+        if np.count_nonzero(cv2.absdiff(small, last) < _STAYED_BY) >= _STAYED * small.size:
             return False
         margin = int(_SIDE * _MOST_MOTION)
         inner = small[margin:-margin, margin:-margin]
-        if float(inner.std()) < _EMPTY:
+        if _deviation(inner) < _EMPTY:
             return float(np.corrcoef(small.ravel(), last.ravel())[0, 1]) < _CUT
         return float(cv2.matchTemplate(last, inner, cv2.TM_CCOEFF_NORMED).max()) < _CUT
 
@@ -422,6 +423,11 @@ class PictureCuts:
         step = max(1, min(bgr.shape[:2]) // (2 * _SIDE))
         green = np.ascontiguousarray(bgr[::step, ::step, 1])
         return cv2.resize(green, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA).astype(np.float32)
+
+
+def _deviation(picture: np.ndarray) -> float:
+    """Standard deviation of the grey values of a small picture."""
+    return float(cv2.meanStdDev(picture)[1][0, 0])
 
 
 def other_transport(topic: str) -> Tuple[str, str]:

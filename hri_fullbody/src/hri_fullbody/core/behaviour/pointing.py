@@ -14,6 +14,7 @@ from typing import Deque, Mapping, Optional, Tuple
 import numpy as np
 
 from hri_fullbody.core import keypoints as kp
+from hri_fullbody.core.behaviour.arms import dot, length, minus
 from hri_pipeline.core.image_rotation import ImageRotation
 
 _ARMS = ((kp.LEFT_SHOULDER, kp.LEFT_ELBOW, kp.LEFT_WRIST), (kp.RIGHT_SHOULDER, kp.RIGHT_ELBOW, kp.RIGHT_WRIST))
@@ -121,18 +122,20 @@ def aim(pointing: Pointing, others: Mapping[str, np.ndarray], up: np.ndarray,
 def _ray(points: np.ndarray, arm: Tuple[int, int, int], stature: float,
          up: np.ndarray) -> Optional[Tuple[np.ndarray, np.ndarray]]:
     """Eyes (3,) m and direction (3,) of a stretched arm that neither hangs nor is raised; None for any other."""
-    shoulder, elbow, wrist = (points[index] for index in arm)
-    upper, lower, whole = elbow - shoulder, wrist - elbow, wrist - shoulder
-    lengths = [float(part @ part) ** 0.5 for part in (upper, lower, whole)]
-    eyes = points[[kp.LEFT_EYE, kp.RIGHT_EYE]].mean(axis=0)
-    if not np.isfinite(eyes[0]):
+    shoulder, elbow, wrist = (points[index].tolist() for index in arm)
+    upper, lower, whole = minus(elbow, shoulder), minus(wrist, elbow), minus(wrist, shoulder)
+    lengths = [length(part) for part in (upper, lower, whole)]
+    if not min(lengths) > 0.05 * stature:
+        return None
+    down = -dot(whole, up.tolist()) / lengths[2]
+    if dot(upper, lower) < _STRAIGHT * lengths[0] * lengths[1] or not -_STEEPEST < down < _FROM_TRUNK:
+        return None
+    eyes = 0.5 * (points[kp.LEFT_EYE] + points[kp.RIGHT_EYE])
+    if not math.isfinite(eyes[0]):
         eyes = points[kp.NOSE]
-    if not (min(lengths) > 0.05 * stature and np.isfinite(eyes[0])):
+    if not math.isfinite(eyes[0]):
         return None
-    down = -float(whole @ up) / lengths[2]
-    if float(upper @ lower) < _STRAIGHT * lengths[0] * lengths[1] or not -_STEEPEST < down < _FROM_TRUNK:
-        return None
-    direction = wrist + _HAND * stature * lower / lengths[1] - eyes
+    direction = points[arm[2]] + _HAND * stature / lengths[1] * np.array(lower) - eyes
     return eyes, direction / float(direction @ direction) ** 0.5
 
 

@@ -37,7 +37,6 @@ _OTHER_SIDE = np.array([0, 4, 5, 6, 1, 2, 3, 8, 7, 10, 9] + [number + 1 - 2 * (n
                        + list(range(BODY_LANDMARKS, LANDMARKS)))
 _CORNERS = np.array([[0, 1], [2, 1], [2, 3], [0, 3]])    # x and y in x0, y0, x1, y1
 _GREY = (128, 128, 128)
-_GREY_PATCH = np.full((INPUT_SIZE, INPUT_SIZE, 3), _GREY, np.uint8)
 
 
 @dataclass(frozen=True)
@@ -201,7 +200,7 @@ def _crop(image: np.ndarray, one: PoseWindow, out: np.ndarray) -> np.ndarray:
     patch, affine = crop_rotated(image, one.window.centre, one.window.size, one.window.angle, INPUT_SIZE)
     _hide(patch, affine, one.hidden, one.shown)
     patch = cv2.flip(patch, 1) if one.mirrored else patch
-    np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB), np.float32(1.0 / 255.0), out=out)
+    np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB, dst=patch), np.float32(1.0 / 255.0), out=out)
     return affine
 
 
@@ -214,22 +213,20 @@ def _hide(patch: np.ndarray, affine: np.ndarray, hidden: Sequence[np.ndarray], s
     outside = np.any((corners.max(axis=1) < 0) | (corners.min(axis=1) > max(patch.shape[:2])), axis=1)
     if outside.all():
         return
-    corners = corners[~outside]
-    own = None if shown is None else _corners(shown[None], inverse)[0]
-    if own is None or not _overlap(corners, own):
-        for corner in corners:
+    if shown is None:
+        for corner in corners[~outside]:
             cv2.fillConvexPoly(patch, corner, _GREY)
         return
-    cover = np.zeros(patch.shape[:2], np.uint8)
-    for corner in corners:
-        cv2.fillConvexPoly(cover, corner, (1.0,))
-    cv2.fillConvexPoly(cover, own, (0.0,))
-    cv2.copyTo(_GREY_PATCH, cover, patch)
-
-
-def _overlap(corners: np.ndarray, own: np.ndarray) -> bool:
-    """Tell whether one of several quadrangles (N, 4, 2) px may overlap with another (4, 2) px."""
-    return bool(((corners.min(axis=1) <= own.max(axis=0)) & (corners.max(axis=1) >= own.min(axis=0))).all(axis=1).any())
+    own = _corners(shown[None], inverse)[0]
+    low, high = np.maximum(own.min(axis=0), 0), np.maximum(own.max(axis=0) + 1, 0)
+    part = patch[low[1]:high[1], low[0]:high[0]]
+    before = part.copy()
+    for corner in corners[~outside]:
+        cv2.fillConvexPoly(patch, corner, _GREY)
+    if part.size:
+        stays = np.zeros(part.shape[:2], np.uint8)
+        cv2.fillConvexPoly(stays, own - low, (1.0,))
+        np.copyto(part, before, where=stays[..., None] > 0)
 
 
 def _corners(boxes: np.ndarray, affine: np.ndarray) -> np.ndarray:

@@ -322,7 +322,7 @@ class BodyScale:
         if ratio is None:
             return None
         self._floor.append(ratio)
-        return ScaleCue("floor", float(np.median(list(self._floor))), _FLOOR_SD[0],
+        return ScaleCue("floor", median_of_few(np.array(self._floor)), _FLOOR_SD[0],
                         math.hypot(_FLOOR_SD[1], lasting_sd), False, np.zeros(3))
 
     def update(self, cue: Optional[ScaleCue]) -> None:
