@@ -3,9 +3,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from hri_fullbody.core.detection import pose_estimator
 from hri_fullbody.core.detection.pose_estimator import BlazePose, covers, decode
+from hri_fullbody.core.detection.windows import Window
 from hri_pipeline.core.geometry import crop_rotated
-from hri_pipeline.core.process import Threads
+from hri_pipeline.core.process import ONE_THREAD, Threads
 
 
 def raw_landmarks(points, visibility=4.0, presence=4.0):
@@ -79,3 +81,37 @@ def test_a_network_of_one_s_own_that_takes_one_window_gets_one_whatever_the_thre
     pose = BlazePose(tmp_path / "pose.onnx", threads=threads)
     assert (pose.takes_batches, pose.threads.count) == (together, 3 if together else 1)
     threads.close()
+
+
+class _Watched:
+    """A pose network that keeps what it is shown."""
+
+    def __init__(self, *_, **__):
+        self.input_shapes, self.threads, self.on_card = {"input_1": [1, 256, 256, 3]}, ONE_THREAD, False
+
+    def run_items(self, items, prepare, batch):
+        affines = [prepare(one, place) for one, place in zip(items, batch)]
+        self.shown = batch.copy()
+        return affines, {name: np.ones((1, size)) for name, size in (
+            ("Identity", 195), ("Identity_1", 1), ("Identity_4", 117))}
+
+
+@pytest.mark.parametrize("own, kept", [((110.0, 90.0, 150.0, 130.0), True), ((200.0, 200.0, 240.0, 240.0), True),
+                                       ((300.0, 300.0, 340.0, 340.0), False), (None, False)])
+def test_heads_of_neighbours_are_grey_but_not_where_the_own_face_is(monkeypatch, own, kept):
+    monkeypatch.setattr(pose_estimator, "OnnxModel", _Watched)
+    pose = BlazePose("pose.onnx")
+    heads = [np.array([100.0, 100.0, 140.0, 140.0]), np.array([-40.0, 10.0, 20.0, 50.0]),
+             np.array([400.0, 0.0, 450.0, 50.0])]
+    pose.estimate(np.full((256, 256, 3), (10, 20, 255), np.uint8), Window((128.0, 128.0), 256.0), heads,
+                  None if own is None else np.array(own))
+    rows, columns = np.mgrid[0:256, 0:256]
+    wanted = np.zeros((256, 256), bool)
+    for x0, y0, x1, y1 in heads:
+        wanted |= (columns >= x0) & (columns <= x1) & (rows >= y0) & (rows <= y1)
+    if kept:
+        wanted &= ~((columns >= own[0]) & (columns <= own[2]) & (rows >= own[1]) & (rows <= own[3]))
+    grey = (np.abs(pose._model.shown[0] - 128.0 / 255.0) < 1e-6).all(axis=2)
+    assert np.array_equal(grey, wanted) and wanted.any()
+    assert pose._model.shown[0][~wanted] == pytest.approx(np.broadcast_to(
+        np.array([255.0, 20.0, 10.0]) / 255.0, (int((~wanted).sum()), 3)), abs=1e-6)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from hri_fullbody.core import keypoints as s
 from hri_fullbody.core.kinematics.forward import forward
-from hri_fullbody.core.kinematics.ikpy_backend import LimbChains
+from hri_fullbody.core.kinematics.ikpy_backend import LIMBS, LimbChains, read_chain
 from hri_fullbody.core.kinematics.solver import METHODS, JointSolver
 from hri_fullbody.core.model.human import PAPER, REP155, sample_pose
 from hri_fullbody.core.model.urdf import make_urdf
@@ -318,6 +318,18 @@ def test_ikpy_for_everything(layout):
     solution = JointSolver(layout, "ikpy").solve(points, bodies, [None] * count)
     assert inside(layout, solution.q)
     assert distances(solution.keypoints, points)[:, 2:14].max() < 0.01
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_the_pose_of_a_limb_that_is_searched_for_is_that_of_ikpy(layout):
+    urdf, random = make_urdf(dimensions(1, 31)[0], "x", layout, visuals=False), np.random.default_rng(32)
+    for limb in LIMBS:
+        joints = [joint for joint in layout.joints if joint.slot > 0 and (joint.slot - 1) // 4 == limb]
+        chain = read_chain(urdf, joints[0].parent, joints, "x")
+        for _ in range(5):
+            angles = chain.active_to_full(random.uniform(-2.0, 2.0, len(joints)), np.zeros(len(chain)))
+            wanted = chain.forward_kinematics(angles, full_kinematics=True)[-1]
+            assert chain.forward_kinematics(angles) == pytest.approx(wanted, abs=1e-12)
 
 
 def test_ikpy_refuses_a_urdf_that_is_another():

@@ -115,6 +115,14 @@ def test_without_distortion_it_is_a_pinhole():
         np.testing.assert_allclose(camera(distortion=distortion).normalise([[821.5, 748.5]]), [[1.0, 1.0]])
 
 
+def test_without_distortion_it_projects_as_with_a_little():
+    places = np.random.default_rng(4).uniform((-1.0, -1.0, 0.4), (1.0, 1.0, 5.0), (20, 3))
+    matrix = [[510.0, 0.0, 322.0], [0.0, 505.0, 243.0], [0.0, 0.0, 1.0]]
+    plain, bent = (CameraModel(640, 480, np.array(matrix), np.array(distortion), "plumb_bob", Calibration.CALIBRATED)
+                   for distortion in ([], [1e-12, 0.0, 0.0, 0.0]))
+    assert plain.project(places) == pytest.approx(bent.project(places), abs=1e-6)
+
+
 def test_no_points_and_points_behind():
     assert camera().normalise(np.zeros((0, 2))).shape == (0, 2)
     assert camera().project(np.zeros((0, 3))).shape == (0, 2)

@@ -114,8 +114,7 @@ class _Limb(NamedTuple):
 
 
 class Figure(NamedTuple):
-    """A body in plain numbers, which for so few vectors take a third of numpy's time, with what does not hang on the
-    vertical.
+    """A body in plain numbers, which for so few vectors are quicker than arrays, with what does not hang on the vertical.
 
     rows: 18 points (3) m, NaN unknown. axes: `arms.trunk_axes` of them, as rows. stature: m. hips: middle of both (3)
     m. limbs: left and right leg.
@@ -281,7 +280,8 @@ def _is_inside(point: Vector, width: float, height: float) -> bool:
 def likely_posture(figure: Figure, up: Vector, up_sd: float) -> Optional[PostureClass]:
     """Return the posture that most of the directions which `up` may have tell, None when they do not agree.
 
-    up: unit vector (3) against gravity; up_sd: standard deviation of its pitch, rad. OTHER speaks against no posture as long as other directions have one.
+    up: unit vector (3) against gravity; up_sd: standard deviation of its pitch, rad. OTHER speaks against no posture as
+    long as other directions have one.
     """
     votes: Dict[Optional[PostureClass], float] = {}
     for share, weight in _PITCHES:

@@ -218,14 +218,15 @@ def _hide(patch: np.ndarray, affine: np.ndarray, hidden: Sequence[np.ndarray], s
             cv2.fillConvexPoly(patch, corner, _GREY)
         return
     own = _corners(shown[None], inverse)[0]
-    low, high = np.maximum(own.min(axis=0), 0), np.maximum(own.max(axis=0) + 1, 0)
-    part = patch[low[1]:high[1], low[0]:high[0]]
+    x, y = zip(*own.tolist())
+    left, top = max(min(x), 0), max(min(y), 0)
+    part = patch[top:max(max(y) + 1, 0), left:max(max(x) + 1, 0)]
     before = part.copy()
     for corner in corners[~outside]:
         cv2.fillConvexPoly(patch, corner, _GREY)
     if part.size:
         stays = np.zeros(part.shape[:2], np.uint8)
-        cv2.fillConvexPoly(stays, own - low, (1.0,))
+        cv2.fillConvexPoly(stays, own - (left, top), (1.0,))
         np.copyto(part, before, where=stays[..., None] > 0)
 
 

@@ -70,7 +70,8 @@ class LimbChain(Chain):
         for (still, axis), angle in zip(self._still, joints):
             pose = pose @ still
             if axis is not None:
-                pose[:3, :3] = pose[:3, :3] @ about_vector(*(axis * angle).tolist(), math.inf)
+                x, y, z = (axis * angle).tolist()
+                pose[:3, :3] = pose[:3, :3] @ about_vector(x, y, z, math.inf)
         if self._target is None:
             return pose
         position, orientation = self._target

@@ -444,7 +444,7 @@ class BodyLocalizer:
             in_space = np.full((18, 3), np.nan)
         elif not measured:
             way = self._shift(velocity, age, face)
-            in_space = in_space + way
+            in_space = np.add(in_space, way)
             pose = None if pose is None else Pose(pose.rotation, pose.translation + way)
         keypoints = np.empty((18, 3))
         np.add(still.keypoints, moved, out=keypoints[:, :2])
