@@ -114,7 +114,7 @@ class _Limb(NamedTuple):
 
 
 class Figure(NamedTuple):
-    """A body in plain numbers, which for so few vectors are quicker than arrays, with what does not hang on the vertical.
+    """A body in plain numbers, quicker than arrays for so few vectors, with what does not hang on the vertical.
 
     rows: 18 points (3) m, NaN unknown. axes: `arms.trunk_axes` of them, as rows. stature: m. hips: middle of both (3)
     m. limbs: left and right leg.
