@@ -150,6 +150,20 @@ def test_somebody_else_at_the_place_of_a_lost_person_gets_a_new_id():
     assert film.ids()[0] != "b1"
 
 
+def test_who_begins_where_another_one_is_hidden_is_told_when_that_one_has_not_come_back_for_half_a_second():
+    others = [(800.0, 400.0), (1000.0, 400.0), (1150.0, 400.0)]
+    film = Film(Walkers([(500.0, 400.0), *others], (RED, GREEN, GREEN, GREEN)), death_time=2.0)
+    film.run(1.2)
+    first = film.ids()
+    film.scene.people, film.scene.colours = others, [GREEN] * 3
+    film.run(0.4)
+    film.scene.colours = [BLUE, *film.scene.colours]
+    film.run(0.4, lambda time: [(520.0, 400.0), *others])
+    assert len(film.tracker.tracks) == 5 and film.ids() == [None, *first[1:]]
+    film.run(0.4)
+    assert film.ids()[0] not in (None, *first) and film.ids()[1:] == first[1:]
+
+
 def test_the_lost_of_two_gets_the_id_back_and_not_that_of_a_neighbour():
     film = Film(Walkers([(400.0, 400.0), (620.0, 400.0)], (RED, BLUE)), death_time=2.0)
     film.run(1.0)
