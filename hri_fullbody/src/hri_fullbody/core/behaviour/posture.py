@@ -336,29 +336,19 @@ def _knee(figure: Figure) -> float:
 
 
 def _crouching_share(figure: Figure, up: Vector, up_sd: float) -> float:
-<<<<<<< HEAD
     """Probability that a body with its hips low and its knees bent crouches instead of sitting, by its balance; 0 with
     the hips on the ground.
-=======
-    """Probability that a body with its hips low and its knees bent crouches instead of sitting, by its balance.
->>>>>>> w-body
 
     up_sd: standard deviation of the pitch of `up`, rad.
     """
     rows = figure.rows
     trunk = _between(_between(rows[LEFT_SHOULDER], rows[RIGHT_SHOULDER]), figure.hips)
-<<<<<<< HEAD
     feet = _between(rows[LEFT_ANKLE], rows[RIGHT_ANKLE])
     from_feet = minus(trunk, feet)
     if not math.isfinite(from_feet[0]):
         return 0.0
     if dot(minus(figure.hips, feet), up) < _SITS_ON_GROUND * figure.stature:
         return 0.0
-=======
-    from_feet = minus(trunk, _between(rows[LEFT_ANKLE], rows[RIGHT_ANKLE]))
-    if not math.isfinite(from_feet[0]):
-        return 0.0
->>>>>>> w-body
     ahead = _level(figure.axes[0], up)
     level = dot(ahead, from_feet) / max(length(ahead), 1e-6)
     lean = math.degrees(math.atan2(level, dot(from_feet, up)))
@@ -422,12 +412,8 @@ def _upright(figure: Figure, tilt: float, legs: List[Leg], up: Vector) -> Postur
     if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
         return PostureClass.OTHER
     thighs = [leg.thigh for leg in whole]
-<<<<<<< HEAD
     on_ground = _middle(leg.height for leg in whole) < _SITS_ON_GROUND
     if len(whole) == 2 and not on_ground and _over_feet(figure, up):
-=======
-    if len(whole) == 2 and _over_feet(figure, up):
->>>>>>> w-body
         deep = (low and _middle(leg.knee for leg in whole) > _CROUCH_KNEE
                 and _middle(leg.shank for leg in whole) < _CROUCH_SHANK
                 and _CROUCH_THIGHS[0] < _middle(thighs) < _CROUCH_THIGHS[1]
