@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rosgraph
 import roslaunch.config
 import roslaunch.xmlloader
 import rospkg
 import rospy
+import rosservice
+from rospy.exceptions import TransportTerminated
 
 from hri_person_manager.core.camera_poses import CameraPoses
 from hri_person_manager.ros import cameras, cli
@@ -23,6 +26,7 @@ from hri_person_manager.ros.cameras import (
     write_cameras,
 )
 from hri_person_manager.ros.cli import known_table, run_people
+from hri_person_manager.ros.services import Galleries
 from hri_person_manager.srv import ListKnownResponse
 from hri_pipeline.core.geometry import Pose
 
@@ -136,6 +140,17 @@ def test_one_human_is_one_line_of_the_known():
     header, *lines = [line.split() for line in known_table(known, every_id=True).splitlines()]
     assert [(line[0], line[-1]) for line in lines] == [("ann", "-"), ("bob", "-"), ("old", "ann"), ("who", "gone")]
     assert known_table(ListKnownResponse()) == "nobody is known"
+
+
+@pytest.mark.parametrize("error", [rosgraph.network.ROSHandshakeException("ended"), TransportTerminated("ended")])
+def test_a_recogniser_that_ends_while_it_is_asked_has_not_done_it(error, monkeypatch):
+    def ends(name):
+        raise error
+    monkeypatch.setattr(Galleries, "names", staticmethod(lambda: ["/faces/gallery"]))
+    monkeypatch.setattr(rospy, "wait_for_service", lambda *given: None)
+    monkeypatch.setattr(rosservice, "get_service_type", ends)
+    answer, = Galleries().call("forget", "ann")
+    assert not answer.response.success and "/faces/gallery does not answer" in answer.response.message
 
 
 def test_names_that_the_terminal_cannot_write_end_no_command(monkeypatch):

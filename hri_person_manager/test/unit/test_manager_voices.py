@@ -306,6 +306,51 @@ def test_contradictions_do_not_change_what_is_published_with_each_message(said):
         assert people(manager, now + 6.0) == expected
 
 
+@pytest.mark.parametrize("pair, known", [(("f1", "p:ann"), ()), (("p:ann", "p:bob"), ("ann", "bob"))],
+                         ids=["a name", "two who are one"])
+def test_what_is_withdrawn_does_not_wait(pair, known):
+    """Whatever was said before: somebody under a wrong name is worse than somebody without."""
+    manager = make()
+    manager.know(known)
+    see(manager, 0.0, faces=["f1", "f2"])
+    manager.tick(0.5)
+    for feature, name in zip(("f1", "f2"), known):
+        match(manager, feature, "p:" + name, 0.9, 0.6)
+    for step in range(40):
+        match(manager, *pair, 0.9 if step % 2 else 0.0, 1.0 + 0.1 * step)
+        manager.tick(1.0 + 0.1 * step)
+        first, second = (manager.person_of(MatchNode(Kind.FACE, face)) for face in ("f1", "f2"))
+        assert step % 2 or first != (second if known else "ann")
+
+
+def test_voices_that_come_and_go_keep_no_name_waiting():
+    manager = make()
+    see(manager, 0.0, faces=["f1"], voices=["v1"])
+    manager.tick(0.5)
+    for step in range(100):
+        match(manager, "v1", "f1", 0.9 if step % 2 else 0.0, 1.0 + 0.01 * step)
+    match(manager, "f1", "p:ann", 0.9, 2.0)
+    assert people(manager, 2.0)["ann"][0] == "f1"
+
+
+def test_a_feature_that_matches_call_and_withdraw_leaves_nothing_and_holds_nobody_up():
+    """It is in no list: a match makes it exist, and the withdrawal ends it."""
+    manager = make()
+    see(manager, 0.0, faces=["f1"], voices=["v2"])
+    manager.tick(0.5)
+    changes, last = 0, None
+    for step in range(2000):
+        match(manager, "v1", "f1", 0.0 if step % 2 else 0.9, 1.0 + 0.01 * step)
+        manager.tick(1.0 + 0.01 * step)
+        changes, last = changes + (people(manager, 1.0) != last), people(manager, 1.0)
+        if step % 2:
+            assert manager.person_of(MatchNode(Kind.VOICE, "v1")) is None
+    assert changes <= 30
+    match(manager, "v2", "f1", 0.9, 21.0)
+    manager.tick(26.0)
+    assert ("f1", "", "v2") in people(manager, 26.0).values()
+
+
 def test_matches_of_one_moment_do_not_wait_for_each_other():
     manager = make()
     see(manager, 0.0, faces=["f1"], bodies=["b1", "b2"], voices=["v1", "v2"])

@@ -352,6 +352,19 @@ def test_points_that_come_late_count_from_then_on():
     assert found == ["away"]
 
 
+def test_the_first_points_are_not_mixed_with_the_time_without_any():
+    matcher, values = make(["face"], ["body"], smoothing_time=0.0), []
+    for step in range(60):
+        stamp = 50.0 + step / 10.0
+        matcher.add_place("faces", "face", stamp, (0.0, 0.0, 2.0), "camera")
+        if step >= 30:
+            matcher.add_face("face", stamp, human(0.5)[0], ASPECT, "camera")
+        matcher.add_body("body", stamp - 0.05, human(0.5)[1], "camera")
+        matcher.add_place("bodies", "body", stamp, (0.0, 0.0, 2.0), "camera")
+        values.append(sum(match.confidence for match in matcher.matches()))
+    assert min(values[25:]) > 0.85
+
+
 def test_images_of_different_cameras_are_not_compared():
     matcher = make(["face"], ["here", "there"])
     matcher.add_face("face", 1.0, human(0.5)[0], ASPECT, "left")

@@ -147,14 +147,19 @@ class PersonManager:
         for feature, person in (nodes, nodes[::-1]):
             if person.kind == Kind.PERSON and person.id.startswith(ANONYMOUS_PREFIX):
                 return self._match_anonymous(feature, person.id, match.likelihood, now)
-        arrived = self._begin_inferred(nodes, now) if match.likelihood > 0.0 else []
+        keys = tuple((node, other.kind) for node, other in (nodes, nodes[::-1]) if node.kind != Kind.PERSON)
+        held = self._limit.holds(keys, now)
+        present = [node for node in nodes if not held or self._is_present(node)]
+        arrived = self._begin_inferred(present, now) if match.likelihood > 0.0 else []
         worth = self._association.add(match)
-        features = tuple(node for node in nodes if node.kind != Kind.PERSON)
-        if worth and not arrived and self._limit.holds(features, now):
-            worth = False
-        changed = self._association.solve(nodes) if worth or arrived else False
+        changed = False
+        if held:        # a name that is withdrawn does not wait: a wrong one is worse than none
+            worth = worth and match.likelihood < self._threshold and len(keys) == 1
+            changed = worth and self._association.part(nodes)
+        elif worth or arrived:
+            changed = self._association.solve(nodes)
         if changed:
-            self._limit.note(features, now)
+            self._limit.note(keys, now)
         if self._end_inferred(nodes) or arrived or changed or (worth and Kind.VOICE in {node.kind for node in nodes}):
             self._associate(now)
             return True
@@ -336,7 +341,7 @@ class PersonManager:
     def _solve_held(self, now: float) -> bool:
         """Decide anew where matches contradict each other too often; returns whether a group has changed. now: s."""
         due = self._limit.due(now)
-        changed = self._association.solve(due) if due else False
+        changed = self._association.solve([feature for feature, _ in due]) if due else False
         if changed:
             self._limit.note(due, now)
         return changed
@@ -382,7 +387,7 @@ class PersonManager:
                 and not self._association.neighbours(node)]
         for node in over:
             self._tracked.drop(node)
-            self._association.drop_group(node)
+            self._association.solve(self._association.remove(node))
         return bool(over)
 
     def _expire_inferred(self, now: float) -> bool:

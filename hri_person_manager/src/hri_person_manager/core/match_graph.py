@@ -16,6 +16,7 @@ from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from itertools import combinations
 from typing import (
+    AbstractSet,
     Callable,
     Container,
     Dict,
@@ -138,7 +139,7 @@ class ChangeLimit:
     """Lets matches change who belongs together MOST_CHANGES times at once, then CHANGES_PER_S: of matches that
     contradict each other, as of two matchers, those that come often would change it with each message.
 
-    Keys are features, or pairs of persons.
+    Keys are features, each with a kind to which it is linked, or pairs of persons.
     """
 
     def __init__(self) -> None:
@@ -147,7 +148,7 @@ class ChangeLimit:
 
     def note(self, keys: Iterable[Hashable], now: float) -> None:
         """Note that a match about these has changed who belongs together, at `now` (s)."""
-        self._spent.update((key, (self._count(key, now) + 1.0, now)) for key in keys)
+        self._spent.update((key, (min(self._count(key, now), MOST_CHANGES) + 1.0, now)) for key in keys)
 
     def holds(self, keys: Tuple[Hashable, ...], now: float) -> bool:
         """Tell whether a match about these may change nothing at `now` (s); due() names them when it may."""
@@ -577,6 +578,15 @@ class Association:
         for node in nodes:
             if node not in touched and self._is_present(node):
                 touched.update(self._graph.component(node, self.threshold, self._is_present))
+        return self._solve_all(touched)
+
+    def part(self, nodes: Iterable[MatchNode]) -> bool:
+        """Part the groups of these nodes that nothing links any more, and join nobody; returns whether one has
+        changed."""
+        return any([self._solve_all(group) for group in {self._groups[node] for node in nodes if node in self._groups}])
+
+    def _solve_all(self, touched: AbstractSet[MatchNode]) -> bool:
+        """Group these nodes anew, whatever links them with others."""
         solution = self._graph.solve(touched, self.threshold, self._standing & self._refuted.keys())
         self._approximate = (self._approximate - touched) | solution.approximate
         return any([self._store_group(group) for group in solution.groups])

@@ -63,9 +63,10 @@ class Merges:
         return changed
 
     def report(self, first: str, second: str, likelihood: float, now: float) -> bool:
-        """Do as set() for what a match says at `now` (s); it waits where matches contradict each other too often."""
+        """Do as set() for what a match says at `now` (s); it waits where matches join and part too often, unless
+        it parts."""
         pair = _pair(first, second)
-        if (likelihood >= self.threshold) != self._is_joined(pair) and self._limit.holds((pair,), now):
+        if likelihood >= self.threshold and not self._is_joined(pair) and self._limit.holds((pair,), now):
             self._held[pair] = likelihood
             return False
         changed = self.set(first, second, likelihood)

@@ -124,12 +124,12 @@ class FaceBodyMatcher:
         """
         if 1.0 / MOST_ASPECT <= aspect <= MOST_ASPECT and face in self._tracked["faces"]:
             self._aspects[face] = aspect
-        self._bare.discard(("faces", face))
+        self._end_bare("faces", face)
         self._add("faces", face, stamp, face_points(landmarks, self._aspects.get(face, 1.0)), frame)
 
     def add_body(self, body: str, stamp: float, skeleton: np.ndarray, frame: str = "") -> None:
         """Take the skeleton (18, 3) of a body in the image of time `stamp` (s); frame: as in add_face."""
-        self._bare.discard(("bodies", body))
+        self._end_bare("bodies", body)
         self._add("bodies", body, stamp, body_points(skeleton), frame)
 
     def add_transforms(self, data: bytes, frames: Sequence[Tuple[bytes, int]], fixed: bool) -> None:
@@ -163,6 +163,12 @@ class FaceBodyMatcher:
                 stamp - self._history.stamps_of("places of " + kind, name)[0] >= _BARE_S):
             self._bare.add((kind, name))
         return (kind, name) in self._bare
+
+    def _end_bare(self, kind: str, name: str) -> None:
+        """Points have come: those between them and the images without any would be nowhere."""
+        if (kind, name) in self._bare:
+            self._bare.discard((kind, name))
+            self._history.keep_only(kind, self._tracked[kind] - {name})
 
     def matches(self) -> List[PairMatch]:
         """Compare what has come in; return all pairs that match now, best first."""
