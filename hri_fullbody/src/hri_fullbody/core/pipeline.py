@@ -179,12 +179,14 @@ class BodyPipeline:
             self._follow_known(bgr, camera, stamp, faces, slow)
             if slow:        # the next image is far away
                 self._search_new(bgr, stamp, faces, slow, search)
-            bodies = self._observe_all(camera, stamp, faces,
-                                       SceneContext(depth, up, camera_height, faces=self._faces_come))
-            if seen is not None:
-                seen(bodies)
-            if not slow:
-                self._search_new(bgr, stamp, faces, slow, search)
+            try:
+                bodies = self._observe_all(camera, stamp, faces,
+                                           SceneContext(depth, up, camera_height, faces=self._faces_come))
+                if seen is not None:
+                    seen(bodies)
+            finally:        # an error there costs nobody the search
+                if not slow:
+                    self._search_new(bgr, stamp, faces, slow, search)
         return bodies
 
     def _observe_all(self, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
