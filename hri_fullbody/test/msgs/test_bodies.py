@@ -220,3 +220,5 @@ def test_faces_of_another_process_are_forgotten_with_the_bodies_and_none_are_exp
         processor._faces.is_published = is_published
         assert BodyProcessor._face_boxes(processor, FRAME, {}) == found
     assert BodyProcessor._face_boxes(processor, FRAME, {"faces": []}) == [], "of the same process"
+    processor._faces = None
+    assert BodyProcessor._face_boxes(processor, FRAME, {}) == [], "which has failed in this image"
