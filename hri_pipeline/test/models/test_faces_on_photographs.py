@@ -557,7 +557,7 @@ def test_the_time_of_a_detector_that_runs_beside_is_its_own_and_not_how_long_it_
         return []
 
     finder._detector.detect = detect
-    finder._measure_tracks = lambda *arguments: [] if done.wait(20.0) else None
+    finder._measure_tracks = lambda *arguments: {} if done.wait(20.0) else None
     finder.update(image, 10.0)
     threads.close()
     assert times.summary()["face_detection"] == (5000.0, 5000.0)
