@@ -164,8 +164,8 @@ class BodyPipeline:
         camera_height : m above the floor; None: with `up` the floor is not used, without it it is learnt, too.
         camera_pose : of the optical frame in one that stands still and whose z axis points up, while the camera moves:
             who was lost is expected there. None: the camera stands.
-        seen : called with the bodies, before new ones are searched for, which begin in the next image; after it where
-            images are slow, or the detector must be asked about one of them.
+        seen : called with the bodies, before new and lost ones are searched for, which come in the next image; after it
+            where images are slow, or the detector must be asked about one of them.
         """
         self._camera_pose = camera_pose
         if stamp < self._last_stamp:
