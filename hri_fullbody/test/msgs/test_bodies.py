@@ -206,8 +206,9 @@ def test_a_body_that_comes_back_is_not_matched_with_somebody_who_was_forgotten_m
 @pytest.mark.parametrize("overtaken, told", [(False, True), (True, False)])
 def test_nothing_is_told_of_an_image_after_which_the_time_has_gone_back(overtaken, told):
     processor = MagicMock()
-    processor._up.lookup.return_value = None, None, None
-    bodies.BodyProcessor.process(processor, replace(FRAME, overtaken=lambda: overtaken), {})
+    processor._find.side_effect = lambda frame, context, seen: seen([])
+    processor._publish = lambda *about: BodyProcessor._publish(processor, *about)
+    BodyProcessor.process(processor, replace(FRAME, overtaken=lambda: overtaken), {})
     assert processor._tracked.set.called == processor._publish_models.called == processor._guard.each.called == told
 
 
@@ -220,3 +221,5 @@ def test_faces_of_another_process_are_forgotten_with_the_bodies_and_none_are_exp
         processor._faces.is_published = is_published
         assert BodyProcessor._face_boxes(processor, FRAME, {}) == found
     assert BodyProcessor._face_boxes(processor, FRAME, {"faces": []}) == [], "of the same process"
+    processor._faces = None
+    assert BodyProcessor._face_boxes(processor, FRAME, {}) == [], "which has failed in this image"

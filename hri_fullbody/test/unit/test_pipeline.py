@@ -80,6 +80,31 @@ def test_known_bodies_do_not_wait_for_the_search_of_others():
     assert all(before == image for before, image in zip(searched, [1, 11, 21, 31])), searched
 
 
+@pytest.mark.parametrize("where", ["seen", "_observe_all"])
+def test_an_error_while_known_bodies_are_placed_or_told_costs_nobody_the_search(where):
+    stage, _, detector = make([(400, 400)], person_detection_period=0.5)
+
+    def fail(*about):
+        raise OSError("no process can be started")
+
+    if where != "seen":
+        setattr(stage, where, fail)
+    for index in range(12):
+        with pytest.raises(OSError):
+            stage.update(IMAGE, CAMERA, index * 0.05, seen=fail)
+    assert detector.calls == 2 and len(stage.tracked_ids) == 1
+
+
+@pytest.mark.parametrize("rate", [20.0, 10.0, 5.0])
+def test_nobody_is_told_whom_the_detector_does_not_see(rate):
+    stage, _, detector = make([(400, 400)])
+    detector.detect = lambda image: (np.empty((0, 4)), np.empty(0))
+    told, face = [], face_of(standing_at(400, 400), "f0")
+    for index in range(20):
+        stage.update(IMAGE, CAMERA, index / rate, [face], seen=told.extend)
+    assert told == [] and stage.tracked_ids == []
+
+
 def test_who_is_found_in_slow_images_is_there_in_the_same_image():
     stage, _, detector = make([(400, 400)], person_detection_period=10.0, body_birth_delay=0.0)
     order, detect = [], detector.detect

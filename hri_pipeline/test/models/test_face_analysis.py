@@ -124,6 +124,18 @@ def test_what_is_found_of_faces_does_not_hang_on_when_they_are_placed():
     assert len(both[0]) >= 3
 
 
+def test_an_error_while_faces_are_placed_costs_neither_the_search_nor_the_tracks():
+    stage, image = FacePipeline(FACES.resolve(UNHURRIED)), photograph("sample3")
+
+    def fail(faces):
+        raise OSError("not published")
+
+    for index in range(15):
+        with pytest.raises(OSError):
+            stage.update(image, CAMERA, 1000.0 + 0.1 * index, None, FaceDemand(), fail)
+    assert len(stage.tracked_ids) == 3
+
+
 def test_at_most_one_network_runs_per_image():
     stage = FacePipeline(FACES.resolve(UNHURRIED))
     image = photograph("sample5")

@@ -2,6 +2,7 @@
 
 import shutil
 import threading
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -523,6 +524,26 @@ def test_an_error_of_the_mesh_costs_no_search_of_the_detector(count):
     threads.close()
 
 
+@pytest.mark.parametrize("doubt", ["the last mesh is weak", "more detections are wanted now"])
+def test_only_listed_faces_that_the_detector_cannot_move_are_told_before_it_searches(doubt):
+    image, told = cv2.resize(photograph("sample3"), (960, 640)), []
+    finder = FaceTrackingPipeline(FACES.resolve({"face_budget": 1000.0, "face_mesh_rate": 0.0}), StageTimes())
+    for index in range(15):
+        finder.update(image, 0.1 * index, told.append)
+    assert max(map(len, told)) == len(finder.tracked_ids) == 3
+    told.clear()
+    if doubt.startswith("the"):
+        for track in finder._tracker.tracks:
+            track.measurement = replace(track.measurement, presence=0.5)
+        finder._mesh_scheduler.choose = lambda *about: []
+    else:
+        finder.reconfigure(FACES.resolve({"face_budget": 1000.0, "face_mesh_rate": 0.0, "face_min_detections": 20}))
+        assert not finder.tracked_ids
+    finder._detection_scheduler.reset()
+    found = finder.update(image, 1.5, told.append)
+    assert told == [[]] and len(found) == 3 and all(face.measured for face in found)
+
+
 def test_the_time_of_a_detector_that_runs_beside_is_its_own_and_not_how_long_it_is_waited_for():
     image, threads, now, done = photograph("sample3"), Threads(2), [0.0], threading.Event()
     times = StageTimes(clock=lambda: now[0])
@@ -536,7 +557,7 @@ def test_the_time_of_a_detector_that_runs_beside_is_its_own_and_not_how_long_it_
         return []
 
     finder._detector.detect = detect
-    finder._measure_tracks = lambda *arguments: [] if done.wait(20.0) else None
+    finder._measure_tracks = lambda *arguments: {} if done.wait(20.0) else None
     finder.update(image, 10.0)
     threads.close()
     assert times.summary()["face_detection"] == (5000.0, 5000.0)

@@ -136,8 +136,11 @@ class VisionSettings(FacePipelineSettings, BodiesSettings):
         BodiesSettings, "interface", " With `rep155` gaze_ID goes on while the eyes are closed, with the direction of "
         "the head.")
     nice: int = parameter_like(BodiesSettings, "nice", default=0)
-    threads: int = parameter_like(
-        CameraSettings, "threads", " Here all of `cpu_share` instead of half: faces and bodies take turns.")
+    threads: int = parameter_like(CameraSettings, "threads", doc=(
+        "Threads of the networks, which share the people of an image; faces and bodies take turns. 0: `cpu_share` of "
+        "the cores (at the start), eight at most, one on two cores. With more, everybody is looked at more often. For "
+        "a GPU they only cut the images. Cores are those that the process may use: affinity, and quotas of containers "
+        "and of systemd."))
 
 
 BODIES = ParameterTable("bodies", BodiesSettings, includes=(FACES,))

@@ -164,7 +164,8 @@ class BodyPipeline:
         camera_height : m above the floor; None: with `up` the floor is not used, without it it is learnt, too.
         camera_pose : of the optical frame in one that stands still and whose z axis points up, while the camera moves:
             who was lost is expected there. None: the camera stands.
-        seen : called with the bodies before new ones are searched for, which begin in the next image.
+        seen : called with the bodies, before new and lost ones are searched for, which come in the next image; after it
+            where images are slow, or the detector must be asked about one of them.
         """
         self._camera_pose = camera_pose
         if stamp < self._last_stamp:
@@ -177,14 +178,18 @@ class BodyPipeline:
         camera = camera.resized(width, height)
         with self._begin_search(bgr, stamp) as search:
             self._follow_known(bgr, camera, stamp, faces, slow)
-            if slow:        # the next image is far away
+            # The next image is far away, or somebody would be told of whom the detector was not asked yet.
+            first = slow or any(track.box_confirmed is None for track in self._tracker.published(stamp))
+            if first:
                 self._search_new(bgr, stamp, faces, slow, search)
-            bodies = self._observe_all(camera, stamp, faces,
-                                       SceneContext(depth, up, camera_height, faces=self._faces_come))
-            if seen is not None:
-                seen(bodies)
-            if not slow:
-                self._search_new(bgr, stamp, faces, slow, search)
+            try:
+                bodies = self._observe_all(camera, stamp, faces,
+                                           SceneContext(depth, up, camera_height, faces=self._faces_come))
+                if seen is not None:
+                    seen(bodies)
+            finally:        # an error there costs nobody the search
+                if not first:
+                    self._search_new(bgr, stamp, faces, slow, search)
         return bodies
 
     def _observe_all(self, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],

@@ -214,7 +214,9 @@ class BodyProcessor:
         observed: Optional[Sequence[FaceObservation]] = context.get("faces")
         if observed is not None:
             faces = face_boxes((face.id, face.landmarks, face.pose) for face in observed)
-        elif self._faces is not None and self._faces.is_published:
+        elif self._faces is None:
+            return []       # who looks for them in this process has failed in this image
+        elif self._faces.is_published:
             height, width = frame.bgr.shape[:2]
             faces = self._faces.boxes(frame.stamp, width, height, frame.header.frame_id)
         else:

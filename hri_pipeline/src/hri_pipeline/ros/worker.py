@@ -178,10 +178,9 @@ class VisionWorker(Worker):
     """Gives the newest image to all processors in turn.
 
     Diagnostics hold the rate, the age of the images, the dropped images, the time of each stage, and the cores that may
-    be used. When no image comes
-    for `silence` s of ROS time, the processors are reset, so that nobody stays tracked; while a bag is paused, ROS time
-    stands still, too. max_rate: Hz, 0 for no limit. nice: see set_niceness(); it is set some seconds after the first
-    image. mounting: decides by how much images are turned; None: not at all.
+    be used. When no image comes for `silence` s of ROS time, the processors are reset, so that nobody stays tracked;
+    while a bag is paused, ROS time stands still, too. max_rate: Hz, 0 for no limit. nice: see set_niceness(); it is set
+    some seconds after the first image. mounting: decides by how much images are turned; None: not at all.
     """
 
     def __init__(self, image_input: ImageInput, processors: Sequence[Processor], diagnostics: NodeDiagnostics,

@@ -230,7 +230,7 @@ class BodyTrack:
     def confirmed(self) -> bool:
         """Whether the body has been seen for long enough, and not only by the pose network; if it began where another
         one is hidden, for half a second, in which that one may come back."""
-        doubtful = self.rival is not None and self.stamp - self.born_at < _RIVAL_S - 1e-9
+        doubtful = self.rival is not None and self.stamp - self.life.first_seen < _RIVAL_S - 1e-9
         return self.life.confirmed and self.box_confirmed is not False and not doubtful
 
     @property

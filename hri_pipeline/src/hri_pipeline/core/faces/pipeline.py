@@ -365,11 +365,13 @@ class FaceTrackingPipeline:
         skipped = {track.id for track in expected} - chosen
         with self._begin_search(bgr, stamp) as search:
             found = self._measure_tracks(bgr, [track for track in expected if track.id in chosen], stamp)
-            if followed is not None and search is not None and not cut:
-                followed(self._followed(expected, skipped, found, stamp))
-            measured = list(found.values())
-            measured += self._detect(bgr, search, measured, skipped, stamp)
-        seen = self._tracker.update(measured, stamp, skipped, (bgr.shape[1], bgr.shape[0]), cut)
+            try:
+                if followed is not None and search is not None and not cut:
+                    followed(self._followed(expected, skipped, found, stamp))
+            finally:        # an error there costs nobody the search
+                measured = list(found.values())
+                measured += self._detect(bgr, search, measured, skipped, stamp)
+                seen = self._tracker.update(measured, stamp, skipped, (bgr.shape[1], bgr.shape[0]), cut)
         if self._tracker.replaced:
             self._search_anew(stamp)
         return [self._tracked_face(track, stamp) for track in seen]
@@ -453,10 +455,11 @@ class FaceTrackingPipeline:
         crowded = set(self._overlapping(tracks, stamp))
         faces = []
         for track in tracks:
-            if not track.published or not track.visible or track.id in crowded:
+            if not (track.published and track.visible and self._tracker.is_confirmed(track)) or track.id in crowded:
                 continue
             if track.id in skipped:
-                faces.append(self._tracked_face(track, stamp))
+                if track.measurement.presence >= SURE:      # see _without_known
+                    faces.append(self._tracked_face(track, stamp))
             elif track.id in found and found[track.id].presence >= SURE and not track.is_unusual(
                     found[track.id], stamp):
                 one = found[track.id]
