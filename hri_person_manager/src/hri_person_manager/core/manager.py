@@ -13,8 +13,8 @@ import numpy as np
 from hri_person_manager.core.cross_camera import CrossCamera
 from hri_person_manager.core.features import Kind, MatchNode, PlaceSource, TrackedFeatures
 from hri_person_manager.core.location import Decay, FeaturePlaces, PersonLocation, Place
-from hri_person_manager.core.match_graph import Association, CandidateMatch, ChangeLimit, SaidNames
-from hri_person_manager.core.merges import Merges
+from hri_person_manager.core.match_graph import Association, CandidateMatch, SaidNames
+from hri_person_manager.core.merges import ChangeLimit, Merges
 from hri_person_manager.core.parameters import PersonManagerSettings, sensor_errors
 from hri_person_manager.core.persons import (
     ANONYMOUS_PREFIX,

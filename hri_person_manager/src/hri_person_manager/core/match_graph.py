@@ -15,21 +15,7 @@ from __future__ import annotations
 from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from itertools import combinations
-from typing import (
-    AbstractSet,
-    Callable,
-    Container,
-    Dict,
-    FrozenSet,
-    Hashable,
-    Iterable,
-    List,
-    Mapping,
-    Optional,
-    Sequence,
-    Set,
-    Tuple,
-)
+from typing import Callable, Container, Dict, FrozenSet, Iterable, List, Mapping, Optional, Sequence, Set, Tuple
 from typing import Counter as CounterType
 
 from hri_person_manager.core.features import Kind, MatchNode
@@ -46,7 +32,6 @@ MAX_CUTS = 6
 MAX_PENDING_MATCHES = 1000      # matches kept for features that are not tracked (yet)
 MAX_SAID = 1000       # pairs of a feature and a recogniser whose names for it are kept
 MAX_SAID_NAMES = 10
-MOST_CHANGES, CHANGES_PER_S = 8.0, 0.5      # of who belongs to a feature, by matches: at once, and in the long run
 Group = FrozenSet[MatchNode]
 
 
@@ -133,44 +118,6 @@ class MatchGuard:
 
     def _is_late(self, id1: str, id2: str, now: float) -> bool:
         return any(now - self._forgotten[name] <= UNDER_WAY_S for name in (id1, id2) if name in self._forgotten)
-
-
-class ChangeLimit:
-    """Lets matches change who belongs together MOST_CHANGES times at once, then CHANGES_PER_S: of matches that
-    contradict each other, as of two matchers, those that come often would change it with each message.
-
-    Keys are features, each with a kind to which it is linked, or pairs of persons.
-    """
-
-    def __init__(self) -> None:
-        self._spent: Dict[Hashable, Tuple[float, float]] = {}      # changes that count still, and when (s)
-        self._waiting: Dict[Tuple[Hashable, ...], None] = {}
-
-    def note(self, keys: Iterable[Hashable], now: float) -> None:
-        """Note that a match about these has changed who belongs together, at `now` (s)."""
-        self._spent.update((key, (min(self._count(key, now), MOST_CHANGES) + 1.0, now)) for key in keys)
-
-    def holds(self, keys: Tuple[Hashable, ...], now: float) -> bool:
-        """Tell whether a match about these may change nothing at `now` (s); due() names them when it may."""
-        if not self._spent or not self._is_spent(keys, now):
-            return False
-        self._waiting[keys] = None
-        return True
-
-    def due(self, now: float) -> List:
-        """Return, once each, what held matches are about that may change something at `now` (s)."""
-        found = [keys for keys in self._waiting if not self._is_spent(keys, now)]
-        for keys in found:
-            del self._waiting[keys]
-        self._spent = {key: spent for key, spent in self._spent.items() if self._count(key, now) > 0.0}
-        return list(dict.fromkeys(key for keys in found for key in keys))
-
-    def _is_spent(self, keys: Iterable[Hashable], now: float) -> bool:
-        return any(self._count(key, now) > MOST_CHANGES - 1.0 for key in keys)
-
-    def _count(self, key: Hashable, now: float) -> float:
-        count, at = self._spent.get(key, (0.0, now))
-        return max(0.0, count - CHANGES_PER_S * (now - at)) if now >= at else 0.0       # else time has gone back
 
 
 class SaidNames:
@@ -583,9 +530,10 @@ class Association:
     def part(self, nodes: Iterable[MatchNode]) -> bool:
         """Part the groups of these nodes that nothing links any more, and join nobody; returns whether one has
         changed."""
-        return any([self._solve_all(group) for group in {self._groups[node] for node in nodes if node in self._groups}])
+        groups = {self._groups[node] for node in nodes if node in self._groups}
+        return any([self._solve_all(set(group)) for group in groups])
 
-    def _solve_all(self, touched: AbstractSet[MatchNode]) -> bool:
+    def _solve_all(self, touched: Set[MatchNode]) -> bool:
         """Group these nodes anew, whatever links them with others."""
         solution = self._graph.solve(touched, self.threshold, self._standing & self._refuted.keys())
         self._approximate = (self._approximate - touched) | solution.approximate

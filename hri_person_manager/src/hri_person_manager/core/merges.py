@@ -3,18 +3,55 @@
 A merge leaves what belongs to each person untouched, so that it can be undone: merged persons are published as one, the
 *representative*, and the others as aliases of it. Merges that are reported from outside and those that the manager has
 observed itself, with several cameras, are kept apart: reports have priority, and pairs that a user has split are never
-merged again by observation.
+merged again by observation. `ChangeLimit` says how often reports that contradict each other may change anything.
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import Callable, Dict, FrozenSet, Iterable, List, Optional, Set, Tuple
-
-from hri_person_manager.core.match_graph import ChangeLimit
+from typing import Callable, Dict, FrozenSet, Hashable, Iterable, List, Optional, Set, Tuple
 
 MAX_MERGES = 1000
+MOST_CHANGES, CHANGES_PER_S = 8.0, 0.5      # of who belongs to a feature, by matches: at once, and in the long run
 Pair = FrozenSet[str]
+
+
+class ChangeLimit:
+    """Lets matches change who belongs together MOST_CHANGES times at once, then CHANGES_PER_S: of matches that
+    contradict each other, as of two matchers, those that come often would change it with each message.
+
+    Keys are features, each with a kind to which it is linked, or pairs of persons.
+    """
+
+    def __init__(self) -> None:
+        self._spent: Dict[Hashable, Tuple[float, float]] = {}      # changes that count still, and when (s)
+        self._waiting: Dict[Tuple[Hashable, ...], None] = {}
+
+    def note(self, keys: Iterable[Hashable], now: float) -> None:
+        """Note that a match about these has changed who belongs together, at `now` (s)."""
+        self._spent.update((key, (min(self._count(key, now), MOST_CHANGES) + 1.0, now)) for key in keys)
+
+    def holds(self, keys: Tuple[Hashable, ...], now: float) -> bool:
+        """Tell whether a match about these may change nothing at `now` (s); due() names them when it may."""
+        if not self._spent or not self._is_spent(keys, now):
+            return False
+        self._waiting[keys] = None
+        return True
+
+    def due(self, now: float) -> List:
+        """Return, once each, what held matches are about that may change something at `now` (s)."""
+        found = [keys for keys in self._waiting if not self._is_spent(keys, now)]
+        for keys in found:
+            del self._waiting[keys]
+        self._spent = {key: spent for key, spent in self._spent.items() if self._count(key, now) > 0.0}
+        return list(dict.fromkeys(key for keys in found for key in keys))
+
+    def _is_spent(self, keys: Iterable[Hashable], now: float) -> bool:
+        return any(self._count(key, now) > MOST_CHANGES - 1.0 for key in keys)
+
+    def _count(self, key: Hashable, now: float) -> float:
+        count, at = self._spent.get(key, (0.0, now))
+        return max(0.0, count - CHANGES_PER_S * (now - at)) if now >= at else 0.0       # else time has gone back
 
 
 class Merges:
