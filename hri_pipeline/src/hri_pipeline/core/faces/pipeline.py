@@ -457,12 +457,11 @@ class FaceTrackingPipeline:
         for track in tracks:
             if not (track.published and track.visible and self._tracker.is_confirmed(track)) or track.id in crowded:
                 continue
+            one = found.get(track.id)
             if track.id in skipped:
                 if track.measurement.presence >= SURE:      # see _without_known
                     faces.append(self._tracked_face(track, stamp))
-            elif track.id in found and found[track.id].presence >= SURE and not track.is_unusual(
-                    found[track.id], stamp):
-                one = found[track.id]
+            elif one is not None and one.presence >= SURE and not track.is_unusual(one, stamp):
                 faces.append(TrackedFace(track.id, one.mesh, one.box, one.presence, True, True))
         return faces
 
