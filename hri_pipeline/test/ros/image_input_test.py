@@ -630,8 +630,46 @@ class VisionLoopTest(InputCase):
         loop.close()
         thread.join(10)
         self.assertTrue(1 <= count <= 4, count)
+        self.assertEqual(branch.resets, 0)
         with self.assertRaises(ValueError):
             VisionWorker(image_input, [], NodeDiagnostics("loop"), max_rate=-1.0)
+
+    def test_an_image_that_is_due_is_not_kept_waiting_for_another(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        wanted = [True, False, True]
+        came = []
+
+        def is_due(arrival):
+            came.append(arrival)
+            return wanted[len(came) - 1]
+
+        stamps = []
+        thread = threading.Thread(target=lambda: stamps.extend(
+            image_input.next(20.0, is_due).stamp for _ in range(2)))
+        thread.start()
+        for count, stamp in enumerate((300.0, 300.25, 300.5), 1):
+            self.send(image_input, picture(stamp))
+            wait_for(lambda count=count: len(came) == count, 10, "the image is judged")
+        thread.join(10)
+        self.assertEqual(stamps, [300.0, 300.5])
+        self.assertEqual(came, sorted(came))
+
+    def test_people_stay_between_two_images_of_a_low_rate(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        branch = Recorder()
+        loop = VisionWorker(image_input, [branch], NodeDiagnostics("loop"), silence=0.3, max_rate=0.8)
+        thread = threading.Thread(target=loop.spin)
+        thread.start()
+        number = 0
+        while len(branch.stamps) < 3:
+            self.send(image_input, picture(400.0 + 0.05 * number))
+            number += 1
+            self.assertLess(number, 1000, "images are not taken")
+        self.assertEqual(branch.resets, 0)
+        loop.close()
+        thread.join(10)
 
 
 def suite():

@@ -53,6 +53,27 @@ def test_the_rate_is_that_asked_for_on_average(given, wanted, expected):
     assert len(taken) / 40.0 == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.parametrize("given, wanted, expected", [
+    (30.0, 30.0, 30.0), (30.0, 15.0, 15.0), (60.0, 30.0, 30.0), (31.0, 30.0, 30.0), (20.0, 15.0, 15.0),
+    (25.0, 30.0, 25.0), (30.0, 0.0, 30.0)])
+def test_images_whose_arrival_trembles_are_taken_as_they_come(given, wanted, expected):
+    rng = np.random.default_rng(3)
+    pacer = StampPacer(wanted, 0.4)
+    arrivals = 1e3 + np.cumsum(np.full(4000, 1.0 / given)) + rng.uniform(0.0, 0.3 / given, 4000)
+    taken = np.array([arrival for arrival in arrivals if pacer.is_due(arrival)])
+    assert len(taken) * given / 4000.0 == pytest.approx(expected, rel=0.02)
+    for start in taken:
+        assert np.sum((taken >= start) & (taken < start + 1.0)) <= expected + 2
+
+
+def test_of_twice_as_many_images_every_second_one_is_taken():
+    rng = np.random.default_rng(4)
+    pacer = StampPacer(15.0, 0.4)
+    arrivals = np.arange(600) / 30.0 + rng.uniform(0.0, 0.006, 600)
+    taken = [number for number, arrival in enumerate(arrivals) if pacer.is_due(arrival)]
+    assert taken == list(range(0, 600, 2))
+
+
 def test_an_uneven_camera_gets_no_bursts():
     pacer = StampPacer(15.0)
     rng = np.random.default_rng(1)

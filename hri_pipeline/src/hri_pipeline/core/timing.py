@@ -109,28 +109,30 @@ class Pacer:
 class StampPacer:
     """Picks images so that `rate` of them per second are taken on average, whatever their own rate.
 
-    rate: Hz; 0 takes all. Counting goes on from where an image was due, not from where it came: images at 20 Hz
-    give 15 Hz and not 10. Raises ValueError for a rate below 0.
+    rate: Hz; 0 takes all. early: part of a period, 0 to 1, by which an image may come before it is due: times of
+    arrival tremble, and of images that come at the wanted rate none is to be left out. Counting goes on from where an
+    image was due, not from where it came: images at 20 Hz give 15 Hz and not 10. Raises ValueError for a rate below 0.
     """
 
-    def __init__(self, rate: float) -> None:
-        self._last = float("-inf")
+    def __init__(self, rate: float, early: float = 0.0) -> None:
+        self._last, self._early = float("-inf"), early
         self.set_rate(rate)
 
     def set_rate(self, rate: float) -> None:
         """Set the rate, Hz; the row starts anew. ValueError below 0."""
         if not rate >= 0.0:
             raise ValueError("rate is {} Hz, legal range 0 and more".format(rate))
-        self._period = 1.0 / rate if rate > 0.0 else 0.0
+        self.period = 1.0 / rate if rate > 0.0 else 0.0
+        """Time (s) between two images at that rate."""
         self._due = float("-inf")
 
     def is_due(self, stamp: float) -> bool:
         """Tell whether the image of `stamp` (s) is taken. One that is not newer than the last taken one never is."""
-        if stamp <= self._last or stamp < self._due - 1e-6:
+        if stamp <= self._last or stamp < self._due - self._early * self.period - 1e-6:
             return False
         self._last = stamp
         # After a pause of more than one period the row starts anew: there are no bursts.
-        self._due = (self._due if stamp - self._due < self._period else stamp) + self._period
+        self._due = (self._due if stamp - self._due < self.period else stamp) + self.period
         return True
 
     def reset(self) -> None:

@@ -151,14 +151,20 @@ class ImageInput(SensorInput):
         receive_without_copies()
         self._subscribers = [rospy.Subscriber(name, kind, self._store, queue_size=1, buff_size=buffer_bytes)]
 
-    def next(self, timeout: float) -> Optional[Frame]:
-        """Return the newest image that has not been taken yet; None when none comes for `timeout` s."""
+    def next(self, timeout: float, is_due: Optional[Callable[[float], bool]] = None) -> Optional[Frame]:
+        """Return the newest image that has not been taken yet; None when none comes for `timeout` s.
+
+        is_due: whether the image that came at a time (s, monotonic clock) is wanted; one that is not is left out at
+        once, so that one that is wanted is never kept waiting.
+        """
         deadline = time.monotonic() + timeout
         while not self._closed:
             message = self._take(deadline - time.monotonic())
             if message is None:
                 self._warn_of_silence()
                 return None
+            if is_due is not None and not is_due(self._came[0]):
+                continue
             frame = self._frame(message)
             if frame is not None:
                 return frame

@@ -18,7 +18,7 @@ from hri_pipeline.core.faces.parameters import CameraSettings
 from hri_pipeline.core.privacy import joined
 from hri_pipeline.core.process import set_niceness
 from hri_pipeline.core.setup_check import NO_IMAGE_YET
-from hri_pipeline.core.timing import Pacer, StageTimes
+from hri_pipeline.core.timing import StageTimes, StampPacer
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Status
 from hri_pipeline.ros.inputs import Frame, ImageInput
 from hri_pipeline.ros.mounting import CameraMounting
@@ -29,6 +29,8 @@ _REPORT_S = 1.0
 # Without an image for so long, nothing is tracked any more.
 _SILENCE_S = 2.0
 _LOG_PERIOD_S = 10.0
+# Part of the least period by which an image may come early. Below a half: of twice as many every second one is taken.
+_EARLY = 0.4
 # The niceness of a node is set so long after its first image, so that it soon finds the people who are there.
 _NICE_AFTER_S = 5.0
 
@@ -73,7 +75,7 @@ class Worker:
     def __init__(self, what: str, source: Any, diagnostics: NodeDiagnostics, window: int = 100) -> None:
         self._what, self._input, self._diagnostics = what, source, diagnostics
         self._lock = threading.RLock()
-        self._closed, self._wake = threading.Event(), threading.Event()
+        self._closed = threading.Event()
         self._ages: Deque[float] = deque(maxlen=window)
         self._errors: Dict[str, int] = {}
         self._last_error = ""
@@ -104,7 +106,6 @@ class Worker:
         if self._closed.is_set():
             return
         self._closed.set()
-        self._wake.set()
         for owner in [self._input, *self._owned(), self._diagnostics]:
             try:
                 owner.close()
@@ -188,7 +189,7 @@ class VisionWorker(Worker):
                  mounting: Optional[CameraMounting] = None) -> None:
         super().__init__("image", image_input, diagnostics)
         self._processors, self._mounting = list(processors), mounting
-        self._pacer = _pacer(max_rate)
+        self._pacer = StampPacer(max_rate, _EARLY)
         self._silence = silence
         self._nice, self._nice_at = nice, math.inf
         self._took = 0.0
@@ -224,10 +225,9 @@ class VisionWorker(Worker):
     def reconfigure(self, settings: CameraSettings) -> None:
         """Apply new values of the live parameters between two images; from any thread."""
         with self._lock:
-            self._pacer = _pacer(settings.max_rate)
+            self._pacer.set_rate(settings.max_rate)
             for processor in self._processors:
                 processor.reconfigure(settings)
-        self._wake.set()
 
     def _work(self, frame: Frame, context: dict) -> None:
         """Turn the image upright, and give it to all processors."""
@@ -248,19 +248,11 @@ class VisionWorker(Worker):
             self._nice = 0
 
     def _take(self) -> Sequence[Frame]:
-        pacer = self._pacer
-        while pacer is not None and self._wake.wait(pacer.wait(time.monotonic())) and not self._closed.is_set():
-            self._wake.clear()
-            pacer = self._pacer
-        frame = self._input.next(_WAIT_S)
-        if frame is None:
-            return ()
-        if pacer is not None:
-            pacer.done(time.monotonic())
-        return (frame,)
+        frame = self._input.next(_WAIT_S, self._pacer.is_due)
+        return () if frame is None else (frame,)
 
     def _rest(self, seconds: float) -> bool:
-        if seconds <= self._silence:
+        if seconds <= self._silence + self._pacer.period:
             return False
         self.reset()
         return True
@@ -288,13 +280,6 @@ class VisionWorker(Worker):
         now = time.monotonic()
         recent = [ended for ended in self._ended if now - ended <= 5.0]
         return len(recent) / max(now - recent[0], 0.2) if len(recent) > 1 else 0.0
-
-
-def _pacer(max_rate: float) -> Optional[Pacer]:
-    """Return the pacer of so many images per second, None for no limit. Raises ValueError below 0."""
-    if max_rate < 0.0:
-        raise ValueError("max_rate is {} Hz, legal range 0 and more".format(max_rate))
-    return Pacer(max_rate) if max_rate > 0.0 else None
 
 
 def _name(processor: Processor) -> str:
