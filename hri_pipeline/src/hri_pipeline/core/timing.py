@@ -106,6 +106,11 @@ class Pacer:
         self._count += 1
 
 
+EARLY = 0.4
+"""Part of a period by which the images of a camera may come before they are due. Below a half: of twice as many as
+wanted every second one is taken."""
+
+
 class StampPacer:
     """Picks images so that `rate` of them per second are taken on average, whatever their own rate.
 

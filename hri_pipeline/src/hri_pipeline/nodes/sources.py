@@ -26,7 +26,7 @@ from hri_pipeline.core.sources import image_sources, sound_sources
 from hri_pipeline.core.sources.image_sources import ImageSource, SourceError, open_source
 from hri_pipeline.core.sources.parameters import EXIT, ImageSourceSettings, SoundSourceSettings
 from hri_pipeline.core.sources.sound_sources import SoundSource, SoundSourceError, open_sound_source
-from hri_pipeline.core.timing import Pacer
+from hri_pipeline.core.timing import EARLY, Pacer, StampPacer
 from hri_pipeline.ros.conversions import bgr_to_image, camera_info
 from hri_pipeline.ros.diagnostics import ERROR, OK, NodeDiagnostics
 from hri_pipeline.ros.rospy_compat import release
@@ -181,8 +181,8 @@ class ImageSourceNode(SourceNode[ImageSource]):
     def _play(self, source: ImageSource) -> None:
         """Publish one source until its end."""
         self._await_subscriber()
-        own_rate = source.live and self._settings.rate == 0.0
         pacer = Pacer(self._settings.rate if self._settings.rate > 0.0 else source.rate)
+        wanted = StampPacer(self._settings.rate if source.live else 0.0, EARLY)
         self._published, self._since = 0, time.monotonic()
         start = time.monotonic()
         while not self._ended():
@@ -192,8 +192,7 @@ class ImageSourceNode(SourceNode[ImageSource]):
                 return
             stamp = rospy.Time.now()
             now = time.monotonic()
-            # A camera that is faster than wanted: leave images out; half a millisecond for its jitter.
-            if source.live and not own_rate and pacer.wait(now) > 0.0005:
+            if not wanted.is_due(now):      # a camera that is faster than wanted
                 continue
             pacer.done(now)
             self._publish(source, Header(stamp=stamp, frame_id=self._settings.frame_id))

@@ -18,7 +18,7 @@ from hri_pipeline.core.faces.parameters import CameraSettings
 from hri_pipeline.core.privacy import joined
 from hri_pipeline.core.process import set_niceness
 from hri_pipeline.core.setup_check import NO_IMAGE_YET
-from hri_pipeline.core.timing import StageTimes, StampPacer
+from hri_pipeline.core.timing import EARLY, StageTimes, StampPacer
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Status
 from hri_pipeline.ros.inputs import Frame, ImageInput
 from hri_pipeline.ros.mounting import CameraMounting
@@ -29,8 +29,6 @@ _REPORT_S = 1.0
 # Without an image for so long, nothing is tracked any more.
 _SILENCE_S = 2.0
 _LOG_PERIOD_S = 10.0
-# Part of the least period by which an image may come early. Below a half: of twice as many every second one is taken.
-_EARLY = 0.4
 # The niceness of a node is set so long after its first image, so that it soon finds the people who are there.
 _NICE_AFTER_S = 5.0
 
@@ -189,7 +187,7 @@ class VisionWorker(Worker):
                  mounting: Optional[CameraMounting] = None) -> None:
         super().__init__("image", image_input, diagnostics)
         self._processors, self._mounting = list(processors), mounting
-        self._pacer = StampPacer(max_rate, _EARLY)
+        self._pacer = StampPacer(max_rate, EARLY)
         self._silence = silence
         self._nice, self._nice_at = nice, math.inf
         self._took = 0.0
