@@ -2,7 +2,7 @@
 
 import pytest
 
-from hri_pipeline.core.private_file import TemplateCipher, make_key_file
+from hri_pipeline.core.privacy import TemplateCipher, make_key_file
 from hri_pipeline.core.recognition.store import PersonStore, StoredPerson
 from hri_pipeline.core.recognition.stored_person import BACK_S, DAY_S, Span, StoreClock, judge_retention
 

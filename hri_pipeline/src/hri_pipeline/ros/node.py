@@ -20,7 +20,7 @@ from rospy.exceptions import ROSInitException
 from hri_pipeline.core.error_log import LogFilter
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.parameters import ParameterError, ParameterTable, S
-from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.core.process import GarbageCollector, keep_large_blocks, one_thread_each
 from hri_pipeline.ros.diagnostics import ERROR, NodeDiagnostics
 from hri_pipeline.ros.master import (

@@ -32,7 +32,7 @@ from typing import (
 import numpy as np
 
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
-from hri_pipeline.core.private_file import StoreError, TemplateCipher
+from hri_pipeline.core.privacy import StoreError, TemplateCipher
 from hri_pipeline.core.recognition.database import PersonDatabase, ReadOnlyDatabase
 from hri_pipeline.core.recognition.stored_person import (
     CLOSED,

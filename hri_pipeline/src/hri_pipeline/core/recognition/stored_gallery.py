@@ -21,7 +21,7 @@ from typing import Callable, Dict, FrozenSet, List, Optional, Sequence, Set, Tup
 import numpy as np
 
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.private_file import (
+from hri_pipeline.core.privacy import (
     DAMAGED,
     StoreError,
     TemplateCipher,
