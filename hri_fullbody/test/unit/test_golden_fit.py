@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.body_fit import fit_errors, motions
-from benchmarks.data_directory import ABSENT, data_directory
+from benchmarks.report import ABSENT, data_directory
 from hri_fullbody.core.model.anthropometry import SegmentTable
 from hri_pipeline.score.metrics import compare, comparison_table, load_golden
 
