@@ -7,7 +7,7 @@ from typing import Mapping
 
 from hri_pipeline.score.bag import read_bag
 from hri_pipeline.score.command import score
-from hri_pipeline.score.golden import compare, comparison_table, load_golden
+from hri_pipeline.score.metrics import compare, comparison_table, load_golden
 
 GOLDEN = Path(__file__).resolve().parent / "golden.yaml"
 

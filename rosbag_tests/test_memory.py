@@ -25,7 +25,7 @@ from tf2_msgs.msg import TFMessage
 from hri_msgs.msg import AgeAndGender, IdsList
 from hri_person_manager.srv import Enrol, Export, Forget, ListKnown, SetNativeLanguage
 from hri_pipeline.core.onnx import models_directory
-from hri_pipeline.core.private_file import make_key_file
+from hri_pipeline.core.privacy import make_key_file
 from hri_pipeline.srv import Gallery, GalleryRequest
 from hri_pipeline.testing import Camera
 

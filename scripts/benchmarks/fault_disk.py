@@ -169,7 +169,7 @@ class FullDisk:
 
     def _stored(self) -> Dict[str, str]:
         """Names in the store by id, read as another process would; empty while it cannot be."""
-        from hri_pipeline.core.private_file import StoreError
+        from hri_pipeline.core.privacy import StoreError
         from hri_pipeline.core.recognition.store import PersonStore
         if not self._store.is_file():
             return {}

@@ -12,7 +12,7 @@ from typing import Dict, FrozenSet, List, Optional, Sequence, Set, Tuple
 import numpy as np
 import scipy.io
 
-from benchmarks.data_directory import ABSENT, data_directory
+from benchmarks.report import ABSENT, data_directory
 from hri_pipeline.core.interactions.formations import find_formations
 from hri_pipeline.core.interactions.groups import GroupTracker, Individual
 from hri_pipeline.core.interactions.parameters import INTERACTION_PARAMETERS, GroupSettings

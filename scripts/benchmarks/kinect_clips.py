@@ -14,8 +14,8 @@ from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 
-from benchmarks.data_directory import ABSENT, data_directory
 from benchmarks.mocap import FACE, Level, add_noise
+from benchmarks.report import ABSENT, data_directory
 from hri_fullbody.core import keypoints as kp
 from hri_fullbody.core.behaviour.attitude import AttitudeClass
 from hri_fullbody.core.behaviour.gesture import GestureClass

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from benchmarks.data_directory import ABSENT, data_directory
+from benchmarks.report import ABSENT, data_directory
 from hri_fullbody.core import keypoints as kp
 
 RECORDED_HZ = 120.0

@@ -1,5 +1,5 @@
-"""What the benchmarks have in common: the command line, measuring one part after the other, the machine, and the report
-as table and JSON."""
+"""What the benchmarks have in common: the command line, measuring one part after the other, the machine, the report
+as table and JSON, and where the large test data lies: motion capture, groups. That is no part of the project."""
 
 from __future__ import annotations
 
@@ -19,6 +19,9 @@ Parts = Mapping[str, Sequence[str]]
 IsMet = Callable[[Any], bool]
 Keys = Sequence[Tuple[str, str, IsMet]]
 """Name of each figure, what is asked, and whether a value meets that."""
+DATA_VARIABLE = "ROS4HRI_TEST_DATA"
+# A skipped test says this: scripts/test looks for the variable's name, and counts the skip as a failure in CI.
+ABSENT = "the test data is absent: {} is not set, and there is no shared/data beside the checkout".format(DATA_VARIABLE)
 
 
 def most(limit: float) -> IsMet:
@@ -228,3 +231,23 @@ def short(value: object) -> str:
     if isinstance(value, (list, tuple)):
         return " ".join(short(item) for item in value)
     return "{:.3g}".format(value) if isinstance(value, float) else str(value)
+
+
+def data_directory() -> Optional[Path]:
+    """Return the directory of the test data, None where there is none.
+
+    It is $ROS4HRI_TEST_DATA, and without that `shared/data` in or beside the checkout.
+    Raises NotADirectoryError when the variable names something that is no directory.
+    """
+    named = os.environ.get(DATA_VARIABLE)
+    if named:
+        directory = Path(named).expanduser()
+        if not directory.is_dir():
+            raise NotADirectoryError("{} is {}, which is no directory".format(DATA_VARIABLE, directory))
+        return directory
+    # <checkout>/scripts/benchmarks/report.py
+    parents = list(Path(__file__).resolve().parents)
+    for place in parents[2:4]:
+        if (place / "shared" / "data").is_dir():
+            return place / "shared" / "data"
+    return None

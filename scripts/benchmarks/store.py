@@ -24,7 +24,7 @@ from typing import IO, Dict, Iterator, List, NoReturn, Set, Tuple
 import numpy as np
 
 from benchmarks.recognition import SIZE, template
-from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson
 from hri_pipeline.core.recognition.stored_gallery import StoredGallery

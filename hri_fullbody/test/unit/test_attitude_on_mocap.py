@@ -6,7 +6,7 @@ import pytest
 from benchmarks import attitude as clips
 from benchmarks import kinect_clips
 from benchmarks.attitude import Event, bend_arm, by_class, detect, events_of
-from benchmarks.data_directory import ABSENT, data_directory
+from benchmarks.report import ABSENT, data_directory
 from hri_fullbody.core.behaviour.attitude import AttitudeClass
 
 needs_recordings = pytest.mark.skipif(data_directory() is None, reason=ABSENT)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.body_fit import fit_errors, motions, stature_errors, wave
-from benchmarks.data_directory import ABSENT, data_directory
 from benchmarks.mocap import add_noise, before_camera, load_motion, trial_names, virtual_people
+from benchmarks.report import ABSENT, data_directory
 from hri_fullbody.core import keypoints as kp
 from hri_fullbody.core.model.anthropometry import SegmentTable
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks.body_fit import fit_errors, motions
-from benchmarks.data_directory import ABSENT, data_directory
+from benchmarks.report import ABSENT, data_directory
 from hri_fullbody.core.model.anthropometry import SegmentTable
-from hri_pipeline.score.golden import compare, comparison_table, load_golden
+from hri_pipeline.score.metrics import compare, comparison_table, load_golden
 
 GOLDEN = Path(__file__).resolve().parents[3] / "rosbag_tests" / "golden.yaml"
 TRIALS, FRAMES = ("02_01", "03_01"), 240    # a walk and a walk on uneven ground, 8 s of each

@@ -15,7 +15,7 @@ import rospy
 import rostest
 
 from hri_msgs.msg import PrivacyNotice
-from hri_pipeline.core.private_file import TemplateCipher, make_key_file
+from hri_pipeline.core.privacy import TemplateCipher, make_key_file
 from hri_pipeline.core.recognition.store import PersonStore, StoredPerson
 from hri_pipeline.testing import Latest, wait_for
 

@@ -22,7 +22,7 @@ from hri_person_manager.core.register import (
     RegisterError,
     SqliteRecordStore,
 )
-from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.core.recognition.database import PersonDatabase
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoreWriter
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.onnx import models_directory
-from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
+from hri_pipeline.core.privacy import StoreError, TemplateCipher, make_key_file
 from hri_pipeline.core.recognition.embedding import KINDS
 from hri_pipeline.core.recognition.enrolment import EnrolmentError, enrol, photographs, templates_of
 from hri_pipeline.core.recognition.store import PersonStore

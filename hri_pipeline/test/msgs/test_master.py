@@ -1,7 +1,9 @@
-"""Questions to nodes that do not answer."""
+"""Questions to nodes that do not answer; and what a node remembers of its parameters, and sets on a master that has
+lost them."""
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 import time
@@ -9,10 +11,22 @@ from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 
-from hri_pipeline.ros import master as module
-from hri_pipeline.ros.master import ForeignNode, MasterWatch, PublisherAnswer, does_publish, is_alive
+from hri_pipeline.ros import master
+from hri_pipeline.ros.master import (
+    ForeignNode,
+    MasterWatch,
+    OwnParameters,
+    ParametersLost,
+    PublisherAnswer,
+    check_not_lost,
+    does_publish,
+    is_alive,
+)
+from hri_pipeline.testing import wait_for
 
 PATIENCE_S = 0.5
+NAME = "/robot/faces"
+RUN, OTHER = "3f6e2d3e-8c1a-11ef-9d3c-0242ac110002", "4a7b1c22-8c1a-11ef-9d3c-0242ac110002"
 
 
 @pytest.fixture
@@ -84,7 +98,7 @@ def test_the_start_of_a_node_does_not_wait_for_an_aggregator_that_hangs(monkeypa
 
     watches = []
     monkeypatch.setattr(ForeignNode, "look", look)
-    monkeypatch.setattr(module, "register_without_waiting", lambda: None)
+    monkeypatch.setattr(master, "register_without_waiting", lambda: None)
     monkeypatch.setattr(MasterWatch, "_ask", lambda watch: (1, "run"))
     threading.Thread(target=make, daemon=True).start()
     try:
@@ -93,3 +107,220 @@ def test_the_start_of_a_node_does_not_wait_for_an_aggregator_that_hangs(monkeypa
     finally:
         answers.set()
     watches[0].close()
+
+
+class FakeMaster:
+    """The parameter server: a tree, and the names that were set."""
+
+    def __init__(self, tree):
+        self.tree, self.were_set, self.refuses = tree, [], False
+
+    def getParam(self, caller, name):
+        assert caller == NAME
+        value = self.tree
+        for word in name.strip("/").split("/"):
+            if not isinstance(value, dict) or word not in value:
+                return [-1, "not set", 0]
+            value = value[word]
+        return [1, "", value]
+
+    def setParam(self, caller, name, value):
+        assert caller == NAME
+        if self.refuses:
+            return [0, "no", 0]
+        self.were_set.append(name)
+        words = name.strip("/").split("/")
+        place = self.tree
+        for word in words[:-1]:
+            place = place.setdefault(word, {})
+        place[words[-1]] = value
+        return [1, "", 0]
+
+
+@pytest.fixture(autouse=True)
+def server(monkeypatch):
+    """The master that rospy itself asks; None while it is away."""
+    reached = {"master": None}
+
+    def set_param(name, value):
+        if reached["master"] is None:
+            raise OSError("away")
+        reached["master"].setParam(NAME, NAME + "/" + name[1:], value)
+
+    def get_param(name, default):
+        code, _, value = reached["master"].getParam(NAME, name)
+        return value if code == 1 else default
+
+    monkeypatch.setattr(master.rospy, "get_name", lambda: NAME)
+    monkeypatch.setattr(master.rospy, "set_param", set_param)
+    monkeypatch.setattr(master.rospy, "get_param", get_param)
+    for level in ("loginfo", "logwarn", "logerr"):
+        monkeypatch.setattr(master.rospy, level, lambda text, *values: None)
+    return reached
+
+
+def tree():
+    return {"robot": {"faces": {"expression": False, "size": 3, "more": {"a": 1, "b": 2}}},
+            "humans": {"reference_frame": "odom"}, "other": {"x": 1}}
+
+
+def kept():
+    parameters = OwnParameters()
+    parameters.keep(parameters.read(FakeMaster(tree())))
+    return parameters
+
+
+def test_all_of_its_own_and_of_the_stack_comes_back_and_nothing_else():
+    new = FakeMaster({})
+    assert kept().put_back(new) == [NAME, "/humans"]
+    expected = tree()
+    del expected["other"]
+    assert new.tree == expected
+    assert kept().put_back(new) == []
+
+
+def test_what_somebody_has_set_stays():
+    new = FakeMaster({"robot": {"faces": {"size": 7, "more": {"b": 9}}}, "humans": 5})
+    assert sorted(kept().put_back(new)) == [NAME + "/expression", NAME + "/more/a"]
+    assert new.tree == {"robot": {"faces": {"expression": False, "size": 7, "more": {"a": 1, "b": 9}}}, "humans": 5}
+
+
+def test_a_node_without_parameters_sets_none():
+    parameters, new = OwnParameters(), FakeMaster({})
+    parameters.keep(parameters.read(FakeMaster({"robot": {"faces": {}}})))
+    assert parameters.put_back(new) == [] and new.tree == {}
+
+
+def test_a_refusal_is_told():
+    new = FakeMaster({})
+    new.refuses = True
+    with pytest.raises(OSError, match="/robot/faces"):
+        kept().put_back(new)
+
+
+def test_live_changes_are_kept_also_while_the_master_is_away(server):
+    parameters = kept()
+    server["master"] = FakeMaster(tree())
+    parameters.set("size", 4)
+    assert server["master"].tree["robot"]["faces"]["size"] == 4
+    server["master"] = None
+    with pytest.raises(OSError):
+        parameters.set("expression", True)
+    new = FakeMaster({})
+    parameters.put_back(new)
+    assert new.tree["robot"]["faces"] == {"expression": True, "size": 4, "more": {"a": 1, "b": 2}}
+
+
+def test_what_was_read_before_a_change_does_not_undo_it(server):
+    parameters = kept()
+    server["master"] = FakeMaster(tree())
+    before = parameters.read(FakeMaster(tree()))
+    parameters.set("size", 4)
+    parameters.keep(before)
+    new = FakeMaster({})
+    parameters.put_back(new)
+    assert new.tree["robot"]["faces"]["size"] == 4
+    parameters.keep(parameters.read(FakeMaster({"robot": {"faces": {"size": 8}}})))
+    new = FakeMaster({})
+    parameters.put_back(new)
+    assert new.tree == {"robot": {"faces": {"size": 8}}}
+
+
+@pytest.mark.parametrize("folder, there, lost", [
+    (RUN, {}, True),                                                        # a bare rosmaster
+    (RUN, {"run_id": OTHER}, True),
+    (RUN, {"run_id": RUN}, False),                                          # a launch that gives no parameters
+    (RUN, {"run_id": OTHER, "robot": {"faces": {"size": 3}}}, False),       # put back
+    ("logs", {"run_id": OTHER}, False),                                     # not by roslaunch
+    (None, {"run_id": OTHER}, False),
+])
+def test_parameters_that_went_with_the_master_of_roslaunch_are_missed(server, folder, there, lost):
+    server["master"] = FakeMaster(there)
+    arguments = ["faces", "__name:=faces"] + (["__log:=/var/log/ros/%s/faces-1.log" % folder] if folder else [])
+    if not lost:
+        check_not_lost(arguments)
+        return
+    with pytest.raises(ParametersLost, match="/robot/faces has no parameters"):
+        check_not_lost(arguments)
+
+
+class Servers:
+    """The master that answers now, its process id, and how often it was asked for parameters."""
+
+    def __init__(self, monkeypatch):
+        self.now, self.reads = (1, FakeMaster(tree())), 0
+        monkeypatch.setattr(master, "ask_master", lambda name: (self.now[0], ""))
+        monkeypatch.setattr(master, "node_at", self.node_at)
+        monkeypatch.setattr(master.rosgraph, "get_master_uri", lambda: "")
+        monkeypatch.setattr(master, "own_address", lambda: "")
+        for name in ("own_publications", "own_services", "own_subscriptions"):
+            monkeypatch.setattr(master, name, lambda: [])
+
+    @contextlib.contextmanager
+    def node_at(self, uri):
+        self.reads += 1
+        yield self.now[1]
+
+    def restart(self):
+        self.now = (self.now[0] + 1, FakeMaster({}))
+
+    def faces(self):
+        return self.now[1].tree.get("robot", {}).get("faces", {})
+
+
+@pytest.fixture
+def servers(monkeypatch):
+    return Servers(monkeypatch)
+
+
+def watching(parameters):
+    return contextlib.closing(master.MasterWatch(0.005, parameters))
+
+
+def test_a_watch_puts_back_what_was_there_last_also_by_the_hand_of_others(servers):
+    with watching(OwnParameters()):
+        servers.now[1].tree["robot"]["faces"]["size"] = 9
+        known = servers.reads + 2
+        wait_for(lambda: servers.reads >= known, 10, "asked again")
+        servers.restart()
+        wait_for(lambda: servers.faces() == dict(tree()["robot"]["faces"], size=9), 10, servers.faces)
+        assert servers.now[1].tree["humans"] == tree()["humans"]
+
+
+def test_what_a_master_that_has_just_begun_does_not_know_is_not_forgotten(servers):
+    class RestartsBeforeItIsAsked(OwnParameters):
+        asked = 0
+
+        def read(self, there):
+            self.asked += 1
+            if self.asked == 2:
+                servers.restart()
+                there = servers.now[1]
+            return super().read(there)
+
+    with watching(RestartsBeforeItIsAsked()):
+        wait_for(lambda: servers.now[0] == 2 and servers.faces() == tree()["robot"]["faces"], 10, servers.faces)
+
+
+def test_a_watch_without_parameters_touches_none(servers):
+    with watching(None):
+        reads = servers.reads
+        servers.restart()
+        wait_for(lambda: servers.reads > reads, 10, "registered again")
+    assert servers.now[1].were_set == []
+
+
+def test_after_another_launch_the_parameters_are_those_with_which_the_node_began(server):
+    """Another launch, without privacy:=strict, has set those of the nodes of the same names."""
+    master = server["master"] = FakeMaster({"robot": {"faces": {"expression": False, "rate": 10.0}}})
+    parameters = OwnParameters()
+    parameters.keep(parameters.read(master))
+    assert not parameters.take_back(master)
+    parameters.set("rate", 5.0)
+    master.tree["robot"]["faces"] = {"expression": True, "max_faces": 3}
+    parameters.keep(parameters.read(master))        # before the other node has taken over the name
+    assert parameters.take_back(master)
+    assert master.tree["robot"]["faces"] == {"expression": False, "rate": 5.0}
+    master.tree["robot"]["faces"], master.refuses = {}, True
+    with pytest.raises(OSError, match="refuses"):
+        parameters.take_back(master)

@@ -12,8 +12,8 @@ import numpy as np
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.gaze import gaze_frame
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.simulation.agents import box, keypoints, landmarks
 from hri_pipeline.core.simulation.parameters import SceneSettings, sense_defaults
-from hri_pipeline.core.simulation.projection import box, keypoints, landmarks
 from hri_pipeline.core.simulation.scene_file import Scene
 from hri_pipeline.core.simulation.sensors import (
     BODIES,

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
+from hri_pipeline.core.privacy import StoreError, TemplateCipher, make_key_file
 from hri_pipeline.core.recognition import store as module
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson, read_store

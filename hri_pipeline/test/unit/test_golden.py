@@ -7,7 +7,7 @@ from scene_bag import SceneBag, upright
 
 from hri_pipeline.score.bag import read_bag
 from hri_pipeline.score.command import main, score
-from hri_pipeline.score.golden import (
+from hri_pipeline.score.metrics import (
     AS_GOOD,
     BETTER,
     MISSING,

@@ -9,8 +9,8 @@ from typing import Dict, Iterable, List, Sequence
 import numpy as np
 import pytest
 
-from benchmarks.data_directory import ABSENT, data_directory
 from benchmarks.groups import group_figures, public_scenes, simulated_scenes, stability, with_noise
+from benchmarks.report import ABSENT, data_directory
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.interactions.formations import find_formations, middles_of, votes_of
 from hri_pipeline.core.interactions.groups import (

@@ -9,9 +9,8 @@ import pytest
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.simulation.agents import Alternation, Noise
+from hri_pipeline.core.simulation.agents import Alternation, Noise, keypoints, landmarks
 from hri_pipeline.core.simulation.parameters import sense_defaults
-from hri_pipeline.core.simulation.projection import keypoints, landmarks
 from hri_pipeline.core.simulation.scene_file import parse_scene
 from hri_pipeline.core.simulation.sensors import BODY, FACE, PERSON, SceneMatches, Senses
 from hri_pipeline.core.simulation.world import World

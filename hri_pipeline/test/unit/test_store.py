@@ -20,7 +20,7 @@ import pytest
 from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
 from benchmarks.store import no_room
-from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
+from hri_pipeline.core.privacy import StoreError, TemplateCipher, make_key_file
 from hri_pipeline.core.recognition import database as database_module
 from hri_pipeline.core.recognition import store as store_module
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson, StoreWriter, read_store

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
 from benchmarks.store import forget_undone, no_room, write_locked
-from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson

@@ -78,6 +78,6 @@ def test_a_program_that_fails_tells_its_last_line_and_where_its_log_is(tmp_path:
         with pytest.raises(StackRunError, match="missing: .*No module named .*log: .*missing.log"):
             run.begin("missing", "nowhere")(30.0)
         with pytest.raises(StackRunError, match="silent: it said nothing"):
-            run.begin("silent", "data_directory")(30.0)
+            run.begin("silent", "report")(30.0)
     run.remove_logs()
     assert tmp_path.is_dir()

@@ -14,7 +14,6 @@ from typing import Callable, Container, Dict, FrozenSet, Iterable, List, Mapping
 
 import numpy as np
 
-from hri_person_manager.core.assignment import best_pairs
 from hri_person_manager.core.features import MatchNode
 from hri_person_manager.core.triangulation import (
     CHANGED,
@@ -47,6 +46,7 @@ from hri_person_manager.core.view_groups import (
     is_doubted,
     place_by_all,
 )
+from hri_pipeline.core.tracks import best_pairs
 
 LIKELIHOOD = 0.8
 GATE = 1.7                 # Mahalanobis distance up to which two places are one,

@@ -37,9 +37,8 @@ from typing import (
 
 import numpy as np
 
-from hri_person_manager.core.camera_motion import CameraMotion
 from hri_person_manager.core.features import MatchNode, PlaceSource
-from hri_person_manager.core.sensor_times import LONGEST_PERIOD_S, SensorTimes
+from hri_person_manager.core.sensors import LONGEST_PERIOD_S, CameraMotion, SensorTimes
 from hri_person_manager.core.triangulation import aged
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose

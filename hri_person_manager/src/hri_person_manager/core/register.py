@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Protocol, Sequence, Set, Tuple
 
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.core.recognition.store import PersonStore
 from hri_pipeline.core.recognition.stored_person import PermanentPerson, StoredPerson
 

@@ -40,8 +40,7 @@ from hri_person_manager.ros.services import COMMANDS, carry_out, find_manager, s
 from hri_person_manager.srv import ListKnown, ListKnownResponse
 from hri_pipeline.core.frames import RawTransform, read
 from hri_pipeline.core.onnx import ModelError
-from hri_pipeline.core.privacy import notice
-from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
+from hri_pipeline.core.privacy import StoreError, TemplateCipher, make_key_file, notice
 from hri_pipeline.core.recognition.store import PersonStore
 from hri_pipeline.ros.master import MasterWatch
 from hri_pipeline.ros.node import wait_for_master

@@ -32,8 +32,7 @@ from hri_person_manager.ros.restart import RestartState
 from hri_person_manager.ros.services import PersonServices
 from hri_person_manager.ros.topics import GraphTopic, PersonMarkers, PersonSpaces, PersonTopics
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.privacy import DataUse
-from hri_pipeline.core.private_file import StoreError, TemplateCipher
+from hri_pipeline.core.privacy import DataUse, StoreError, TemplateCipher
 from hri_pipeline.core.process import is_clock_synchronised, share_arenas
 from hri_pipeline.core.recognition.store import PersonStore, StoreWriter, read_store
 from hri_pipeline.core.recognition.stored_gallery import SHARED_ENDINGS

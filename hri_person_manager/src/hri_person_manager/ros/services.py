@@ -40,7 +40,7 @@ from hri_person_manager.srv import (
     SplitResponse,
 )
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.ros.conversions import to_time
 from hri_pipeline.srv import Gallery, GalleryRequest, GalleryResponse
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Sequence, Set
 
 from hri_pipeline.core.onnx import MODELS_VARIABLE
-from hri_pipeline.core.private_file import sync_directory
+from hri_pipeline.core.privacy import sync_directory
 from hri_pipeline.models.catalogue import CONVERTER_REVISION, PACKAGES, FetchError, Package, Product
 from hri_pipeline.models.convert import convert, describe, problem
 from hri_pipeline.models.packages import Downloader, read_members, sha256_of_file

@@ -23,8 +23,7 @@ from hri_pipeline.core.observations import SoftBiometrics as FaceBiometrics
 from hri_pipeline.core.onnx import ModelLog
 from hri_pipeline.core.orientation import turned_problem
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.privacy import DataUse
-from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.privacy import DataUse, StoreError
 from hri_pipeline.core.process import Threads
 from hri_pipeline.core.recognition.face_identity import PersonMatch, SamePersons
 from hri_pipeline.core.recognition.recogniser import SAME

@@ -30,8 +30,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.onnx import ModelError, model_path
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.privacy import DataUse
-from hri_pipeline.core.private_file import StoreError, TemplateCipher
+from hri_pipeline.core.privacy import DataUse, StoreError, TemplateCipher
 from hri_pipeline.core.recognition.stored_gallery import open_gallery
 from hri_pipeline.ros.conversions import match_to_msg, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Status

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Callable, Dict, Tuple, Union
 import rospy
 
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.core.recognition.gallery import GalleryError, UnknownPersonError
 from hri_pipeline.core.recognition.store import StoreWriter
 from hri_pipeline.srv import Gallery, GalleryRequest, GalleryResponse

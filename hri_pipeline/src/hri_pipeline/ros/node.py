@@ -20,11 +20,20 @@ from rospy.exceptions import ROSInitException
 from hri_pipeline.core.error_log import LogFilter
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.parameters import ParameterError, ParameterTable, S
-from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.core.process import GarbageCollector, keep_large_blocks, one_thread_each
 from hri_pipeline.ros.diagnostics import ERROR, NodeDiagnostics
-from hri_pipeline.ros.master import MasterAway, MasterWatch, ask_master, is_alive, node_at
-from hri_pipeline.ros.own_parameters import OwnParameters, ParametersLost, check_not_lost, launched_for_earlier_master
+from hri_pipeline.ros.master import (
+    MasterAway,
+    MasterWatch,
+    OwnParameters,
+    ParametersLost,
+    ask_master,
+    check_not_lost,
+    is_alive,
+    launched_for_earlier_master,
+    node_at,
+)
 from hri_pipeline.ros.rospy_compat import prepare_rospy
 
 _RETRY_S = 1.0

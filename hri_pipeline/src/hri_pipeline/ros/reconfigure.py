@@ -20,8 +20,8 @@ from dynamic_reconfigure.msg import (
 from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
 
 from hri_pipeline.core.parameters import Parameter, ParameterError, ParameterTable, S, Settings, format_value
+from hri_pipeline.ros.master import OwnParameters
 from hri_pipeline.ros.node import RunnableNode, read_parameters, run_node
-from hri_pipeline.ros.own_parameters import OwnParameters
 from hri_pipeline.ros.rospy_compat import release
 
 _New = TypeVar("_New", bound=Settings, contravariant=True)

@@ -29,8 +29,8 @@ from hri_msgs.msg import (
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.gaze import gaze_frame
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.simulation.agents import box, keypoints, landmarks
 from hri_pipeline.core.simulation.parameters import SceneSettings
-from hri_pipeline.core.simulation.projection import box, keypoints, landmarks
 from hri_pipeline.core.simulation.sensors import (
     BODIES,
     BODY,

@@ -24,13 +24,16 @@ from typing import (
 import numpy as np
 
 from hri_pipeline.score.bag import INTERACTIONS, KINDS, PERSONS, Record, RecordError, TruthFrame, read_bag
-from hri_pipeline.score.golden import GoldenError, compare, comparison_table, load_golden
 from hri_pipeline.score.metrics import (
+    GoldenError,
     MotFrame,
     MotScores,
     clear_mot,
+    compare,
+    comparison_table,
     group_scores,
     identity_scores,
+    load_golden,
     pair_scores,
     word_errors,
 )

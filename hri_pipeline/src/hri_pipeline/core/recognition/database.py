@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Callable, Iterator, List, Optional, Tuple, Union
 
-from hri_pipeline.core.private_file import DAMAGED, StoreError, files_beside, make_private_directory, set_aside, wipe
+from hri_pipeline.core.privacy import DAMAGED, StoreError, files_beside, make_private_directory, set_aside, wipe
 
 APPLICATION_ID = 0x52344850
 """Tells the file from the databases of other programs."""

@@ -18,7 +18,7 @@ from hri_pipeline.core.faces.crops import crop_quality
 from hri_pipeline.core.faces.parameters import FACES
 from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.ids import IdGenerator
-from hri_pipeline.core.private_file import StoreError
+from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.core.recognition.gallery import MAX_TEMPLATES
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson

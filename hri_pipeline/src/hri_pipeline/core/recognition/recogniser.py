@@ -19,7 +19,7 @@ from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.observations import FaceObservation
-from hri_pipeline.core.private_file import TemplateCipher
+from hri_pipeline.core.privacy import TemplateCipher
 from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.recognition.embedding import FaceEmbedder, load_face_embedder
 from hri_pipeline.core.recognition.face_identity import (

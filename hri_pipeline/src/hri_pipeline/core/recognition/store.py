@@ -32,19 +32,20 @@ from typing import (
 import numpy as np
 
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
-from hri_pipeline.core.private_file import StoreError, TemplateCipher
+from hri_pipeline.core.privacy import StoreError, TemplateCipher
 from hri_pipeline.core.recognition.database import PersonDatabase, ReadOnlyDatabase
-from hri_pipeline.core.recognition.retention import StoreClock, judge_retention
 from hri_pipeline.core.recognition.stored_person import (
     CLOSED,
     COLUMNS,
     ENCRYPTED,
     KnownPerson,
     PersonRow,
+    StoreClock,
     StoredPerson,
     as_json,
     by_person,
     is_of_another_network,
+    judge_retention,
     read_person,
     template_fault,
 )

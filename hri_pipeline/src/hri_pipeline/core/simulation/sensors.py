@@ -14,9 +14,8 @@ import numpy as np
 
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
-from hri_pipeline.core.simulation.agents import Alternation, Noise
+from hri_pipeline.core.simulation.agents import HIP_HEIGHT, Alternation, Noise
 from hri_pipeline.core.simulation.parameters import SceneSettings
-from hri_pipeline.core.simulation.projection import HIP_HEIGHT
 from hri_pipeline.core.simulation.world import PersonTruth, SceneTruth
 
 NEAREST = 0.3

@@ -48,7 +48,23 @@ class ImageSource(ABC):
         """Let go of file or device. May be called again."""
 
 
-class VideoSource(ImageSource):
+class _CapturedSource(ImageSource):
+    """Images that OpenCV captures. _fit: width, height and fit of the published ones."""
+
+    _capture: cv2.VideoCapture
+    _fit: Tuple[int, int, str]
+
+    def image(self) -> Optional[np.ndarray]:
+        """Return the present image, None where it is damaged."""
+        good, image = self._capture.retrieve()
+        return fit_image(image, *self._fit) if good else None
+
+    def close(self) -> None:
+        """Close the file or device."""
+        self._capture.release()
+
+
+class VideoSource(_CapturedSource):
     """The frames of a video file one by one, each exactly once per pass."""
 
     def __init__(self, path: Path, width: int, height: int, fit: str, loop: bool) -> None:
@@ -81,17 +97,8 @@ class VideoSource(ImageSource):
         self._frames = 1 if self._capture.grab() else 0
         return self._frames == 1
 
-    def image(self) -> Optional[np.ndarray]:
-        """Return the present frame, None where it is damaged."""
-        good, image = self._capture.retrieve()
-        return fit_image(image, *self._fit) if good else None
 
-    def close(self) -> None:
-        """Close the file."""
-        self._capture.release()
-
-
-class LiveSource(ImageSource):
+class LiveSource(_CapturedSource):
     """A V4L2 camera or a network stream; `advance` waits for the next image of the device."""
 
     live = True
@@ -128,15 +135,6 @@ class LiveSource(ImageSource):
         if not self._capture.grab():
             raise SourceError("{} gives no images any more; check its cable or its sender".format(self.description))
         return True
-
-    def image(self) -> Optional[np.ndarray]:
-        """Return the present image, None where it is damaged."""
-        good, image = self._capture.retrieve()
-        return fit_image(image, *self._fit) if good else None
-
-    def close(self) -> None:
-        """Close the device."""
-        self._capture.release()
 
 
 class PictureSource(ImageSource):

@@ -2,9 +2,9 @@
 
 import pytest
 
-from hri_pipeline.core.private_file import TemplateCipher, make_key_file
-from hri_pipeline.core.recognition.retention import BACK_S, DAY_S, Span, StoreClock, judge_retention
+from hri_pipeline.core.privacy import TemplateCipher, make_key_file
 from hri_pipeline.core.recognition.store import PersonStore, StoredPerson
+from hri_pipeline.core.recognition.stored_person import BACK_S, DAY_S, Span, StoreClock, judge_retention
 
 NOW = 1.8e9         # s: a day in 2027
 MAX_AGE = 30 * DAY_S

@@ -15,12 +15,20 @@ import pytest
 
 from benchmarks.recognition import SIZE
 from benchmarks.recognition import template as face
-from hri_pipeline.core.private_file import StoreError, TemplateCipher, make_key_file
-from hri_pipeline.core.recognition import gallery_import
-from hri_pipeline.core.recognition.gallery_import import HEADER, MAGIC, SCHEMA, DamagedStore, read_persons
+from hri_pipeline.core.privacy import StoreError, TemplateCipher, make_key_file
+from hri_pipeline.core.recognition import stored_gallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
 from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson
-from hri_pipeline.core.recognition.stored_gallery import StoredGallery, open_gallery, store_path
+from hri_pipeline.core.recognition.stored_gallery import (
+    HEADER,
+    MAGIC,
+    SCHEMA,
+    DamagedStore,
+    StoredGallery,
+    open_gallery,
+    read_persons,
+    store_path,
+)
 
 CALIBRATION = TemplateCalibration(midpoint=0.36, fair_midpoint=0.40, scale=0.018, near=0.15)
 
@@ -145,7 +153,7 @@ def test_who_is_forgotten_before_the_old_file_is_removed_does_not_come_back(path
     def killed(*paths):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(gallery_import.os, "replace", killed)
+    monkeypatch.setattr(stored_gallery.os, "replace", killed)
     with pytest.raises(KeyboardInterrupt):
         opened(path)
     monkeypatch.undo()
@@ -165,7 +173,7 @@ def test_an_old_file_that_was_removed_in_part_is_removed_at_the_next_start(path,
         path.write_bytes(b"half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(gallery_import, "wipe", killed)
+    monkeypatch.setattr(stored_gallery, "wipe", killed)
     with pytest.raises(KeyboardInterrupt):
         opened(path)
     monkeypatch.undo()
@@ -267,8 +275,8 @@ def test_a_directory_that_others_can_read_is_refused(tmp_path):
 
 def test_a_file_that_another_process_holds_is_refused_and_left_alone(path, monkeypatch):
     write(path, packed(people()))
-    descriptor = gallery_import.hold(path)
-    monkeypatch.setattr(gallery_import, "hold", lambda path, hold=gallery_import.hold: hold(path, 0.1))
+    descriptor = stored_gallery.hold(path)
+    monkeypatch.setattr(stored_gallery, "hold", lambda path, hold=stored_gallery.hold: hold(path, 0.1))
     with pytest.raises(StoreError, match="in use"):
         opened(path)
     os.close(descriptor)
@@ -291,7 +299,7 @@ def test_killed_while_the_people_are_moved(path):
     """Whoever is killed at any moment leaves the people in the old file, in the store, or in both; two at once lose
     none."""
     random = np.random.RandomState(0)
-    source = Path(gallery_import.__file__).resolve().parents[3]
+    source = Path(stored_gallery.__file__).resolve().parents[3]
     environment = dict(os.environ, PYTHONPATH=str(source), OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     for attempt in range(4):
         target = path.parent / str(attempt) / path.name
