@@ -140,7 +140,7 @@ class BodyPipeline:
     def _make_tracker(self, settings: BodiesSettings) -> BodyTracker:
         """Return what follows the bodies by the networks."""
         schedule = InferenceScheduler(cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share),
-                                      threads=getattr(self._pose, "threads", ONE_THREAD), clock=self._threads.time)
+                                      clock=self._threads.time)
         return BodyTracker(
             self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time, settings.min_body_score,
             settings.max_bodies, guard=self._guard, ignored=IgnoredRegions(settings.ignored_regions),
@@ -229,6 +229,7 @@ class BodyPipeline:
     def _follow_known(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
                       slow: bool) -> None:
         """Run the pose network for the known bodies whose turn it is."""
+        self._tracker.schedule.share_among(getattr(self._pose, "threads", ONE_THREAD))
         with self.times("poses"):
             self._tracker.follow(bgr, stamp, faces, lambda estimate: self._solve_pnp(estimate, camera),
                                  _SLOW_NEW if slow else 0)

@@ -358,6 +358,7 @@ class FaceTrackingPipeline:
             cut = self._cuts.update(bgr)
         self._predict(bgr, stamp)
         expected = self._tracker.expected(stamp)
+        self._mesh_scheduler.share_among(self._mesh.threads)
         chosen = set(self._mesh_scheduler.choose(self._requests(expected, stamp), stamp))
         if cut:
             chosen = {track.id for track in expected}
