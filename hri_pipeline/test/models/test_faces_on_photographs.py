@@ -577,6 +577,23 @@ def test_after_a_card_has_failed_the_threads_of_the_processor_share_the_faces_an
     stage.close()
 
 
+@pytest.mark.parametrize("period", [0.0, 10.0])
+def test_each_stage_has_one_time_for_each_image_whether_the_detector_searches_it_or_not(period):
+    image = photograph("sample3")
+    stage = FacePipeline(FACES.resolve({"face_budget": 1000.0, "recognition": False, "face_detection_period": period}))
+    camera = CameraModel.from_fov(image.shape[1], image.shape[0], HFOV)
+    for index in range(8):
+        stage.update(image, camera, 0.1 * index)
+    times, told = stage.times._times, []
+    for index in range(8, 14):
+        before = {name: len(times[name]) for name in times}
+        stage.update(image, camera, 0.1 * index, placed=told.append)
+        more = {name: len(times[name]) - count for name, count in before.items()}
+        assert more["face_pose"] == more["face_flow"] == more["face_mesh"] == 1 and max(more.values()) == 1, more
+    assert len(told) == (12 if period == 0.0 else 6)
+    stage.close()
+
+
 def test_threads_change_nothing_of_templates():
     crops = np.random.default_rng(5).integers(0, 256, (5, 150, 150, 3), dtype=np.uint8)
     threads = Threads(2)

@@ -43,6 +43,24 @@ def test_stage_times():
         StageTimes(window=0)
 
 
+def test_the_parts_of_a_stage_are_one_time():
+    ticks = iter([0.0, 0.010, 1.0, 1.030, 5.0, 5.002])
+    times = StageTimes(clock=lambda: next(ticks))
+    with times.in_parts("poses") as part:
+        with part():
+            pass
+        with part():
+            pass
+        assert times.summary() == {}
+    with times.in_parts("poses"):
+        pass
+    assert times.summary()["poses"] == (pytest.approx(40.0), pytest.approx(40.0)), "no time where nothing was done"
+    with pytest.raises(KeyError):
+        with times.in_parts("more") as part, part():
+            raise KeyError("counted all the same")
+    assert times.summary()["more"] == (pytest.approx(2.0), pytest.approx(2.0))
+
+
 @pytest.mark.parametrize("given, wanted, expected", [
     (30.0, 15.0, 15.0), (20.0, 15.0, 15.0), (10.0, 15.0, 10.0), (60.0, 15.0, 15.0), (25.0, 0.0, 25.0),
     (16.0, 15.0, 15.0)])

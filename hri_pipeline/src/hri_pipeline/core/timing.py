@@ -9,7 +9,7 @@ import time
 from collections import OrderedDict, deque
 from contextlib import contextmanager
 from enum import Enum
-from typing import Callable, Deque, Dict, Hashable, Iterator, List, Tuple
+from typing import Callable, ContextManager, Deque, Dict, Hashable, Iterator, List, Tuple
 
 import numpy as np
 
@@ -51,6 +51,26 @@ class StageTimes:
             yield
         finally:
             self.add(stage, self._clock() - start)
+
+    @contextmanager
+    def in_parts(self, stage: str) -> Iterator[Callable[[], ContextManager[None]]]:
+        """Measure parts of the body of a `with` statement, which gets what measures one: their sum is one time of the
+        stage; none where no part ran."""
+        parts: List[float] = []
+
+        @contextmanager
+        def part() -> Iterator[None]:
+            start = self._clock()
+            try:
+                yield
+            finally:
+                parts.append(self._clock() - start)
+
+        try:
+            yield part
+        finally:
+            if parts:
+                self.add(stage, sum(parts))
 
     def add(self, stage: str, seconds: float) -> None:
         """Add one time of `stage`, in seconds."""
