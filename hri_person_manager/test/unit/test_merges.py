@@ -117,7 +117,7 @@ def test_what_nothing_contradicts_for_a_second_is_let_through_sooner(says, let_t
         now = 0.1 * step
         if limit.holds(keys, now):
             limit.hear(keys, says(now), now)
-        if limit.due(now, lambda keys: says(now)):
+        if limit.due(now, lambda keys, now=now: says(now)):
             break
     assert now == pytest.approx(let_through, abs=0.11)
 
@@ -129,7 +129,7 @@ def test_what_nothing_contradicts_is_not_let_through_for_ever():
         now, word = 0.1 * step, step // 11
         if limit.holds(keys, now):
             limit.hear(keys, word, now)
-            for key in limit.due(now, lambda keys: word):
+            for key in limit.due(now, lambda keys, word=word: word):
                 limit.note((key, ), now, 12.0)
                 count += 1
         elif step % 11 == 0:
