@@ -1,7 +1,16 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.timing import ALL_STALE_S, ClockWatch, OldTime, Pacer, StageTimes, StampPacer, clock_fault
+from hri_pipeline.core.timing import (
+    ALL_STALE_S,
+    ClockWatch,
+    OldTime,
+    Pacer,
+    StageTimes,
+    StampPacer,
+    clock_fault,
+    clock_went_back,
+)
 
 
 def test_illegal_rate():
@@ -41,6 +50,11 @@ def test_stage_times():
     assert times.summary() == {}
     with pytest.raises(ValueError):
         StageTimes(window=0)
+
+
+def test_a_clock_that_goes_back_is_told_with_the_remedy():
+    text = clock_went_back(12.34)
+    assert text.startswith("/clock went back by 12.3 s") and "one program only publish /clock" in text
 
 
 def test_the_parts_of_a_stage_are_one_time():

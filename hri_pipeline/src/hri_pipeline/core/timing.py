@@ -214,6 +214,12 @@ def clock_fault(age: float, now: float, wall: float, simulated: bool) -> Tuple[s
         "of a device: set its clock")
 
 
+def clock_went_back(seconds: float) -> str:
+    """Return what to say where the time of ROS has gone back by so much (s), with the remedy where it does so again."""
+    return ("/clock went back by {:.1f} s (a bag that loops? Where this goes on, let one program only publish /clock; "
+            "check.launch names them)".format(seconds))
+
+
 class SourceStamps:
     """The newest stamp of each source.
 
