@@ -120,6 +120,18 @@ def test_the_launch_files_hand_ignored_regions_to_both_nodes_of_each_camera(more
             assert found["/{}/{}/ignored_regions".format(camera, node)] == (regions or [])
 
 
+@pytest.mark.parametrize("given, before", [(None, ""), ("robot1", "robot1/"), ("/robot1/", "robot1/")])
+@pytest.mark.parametrize("file", ["ros4hri.launch", "scene.launch", "two_cameras.launch"])
+def test_in_a_group_with_a_namespace_the_tree_of_diagnostics_expects_its_nodes_when_it_is_told(file, given, before,
+                                                                                               monkeypatch):
+    monkeypatch.delenv("ROS_NAMESPACE", raising=False)
+    found = launched_parameters(file, "diagnostics:=true", *(
+        [] if given is None else ["diagnostics_namespace:=" + given]))
+    expected = [name for key, names in found.items() if key.endswith("/expected") for name in names]
+    assert before + "hri_person_manager: persons" in expected
+    assert all(name.startswith(before + "hri_") for name in expected)
+
+
 def launched_parameters(file, *arguments):
     """{name: value} of the parameters that a launch file sets."""
     config = roslaunch.config.ROSLaunchConfig()

@@ -9,13 +9,13 @@ merged again by observation. `ChangeLimit` says how often reports that contradic
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import Callable, Dict, FrozenSet, Hashable, Iterable, List, Optional, Set, Tuple
+from typing import Any, Callable, Dict, FrozenSet, Hashable, Iterable, List, Optional, Set, Tuple
 
 MAX_MERGES = 1000
 MOST_CHANGES, CHANGES_PER_S = 8.0, 0.5      # of who belongs to a feature, by matches: at once, and in the long run
 UNDISPUTED_S, MORE_CHANGES = 1.0, 4.0       # what nothing has contradicted for so long has so many more
 Pair = FrozenSet[str]
-Keys = Tuple[Hashable, ...]
+Keys = Tuple[Any, ...]       # hashable
 
 
 class ChangeLimit:
