@@ -159,6 +159,29 @@ def test_the_time_of_a_detector_that_runs_beside_is_its_own_and_not_how_long_it_
     assert stage.times.summary()["person detector"] == (5000.0, 5000.0)
 
 
+def test_each_stage_has_one_time_for_each_image_however_many_bodies_there_are():
+    stage, _, _ = make([(400, 400), (800, 380), (1100, 400)], pose_rate=0.0, pose_budget=0)
+    for index in range(12):
+        stage.update(IMAGE, CAMERA, index / 15.0)
+    times = stage.times._times
+    for index in range(12, 20):
+        before = {name: len(times[name]) for name in times}
+        assert len(stage.update(IMAGE, CAMERA, index / 15.0)) == 3
+        more = {name: len(times[name]) - count for name, count in before.items()}
+        assert more["perspective"] == more["placement"] == 1 and max(more.values()) == 1, more
+
+
+def test_after_a_card_has_failed_the_threads_of_the_processor_share_the_bodies_and_diagnostics_say_so():
+    stage, scene, _ = make([(400, 400)])
+    scene.threads = ONE_THREAD
+    stage.update(IMAGE, CAMERA, 0.0)
+    assert stage.status()["threads"] == 1
+    scene.threads = Threads(3)
+    stage.update(IMAGE, CAMERA, 0.05)
+    assert stage.status()["threads"] == 3
+    scene.threads.close()
+
+
 def test_the_cost_of_a_body_has_the_time_of_those_who_cut_the_windows_for_a_card():
     """The batches of a card are not divided, the windows are cut by several threads."""
     stage, scene, _ = make([(400, 400), (800, 380), (1100, 400)], threads=3, pose_rate=0.0, pose_budget=0)

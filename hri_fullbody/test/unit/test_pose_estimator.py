@@ -80,6 +80,10 @@ def test_a_network_of_one_s_own_that_takes_one_window_gets_one_whatever_the_thre
     threads = Threads(3)
     pose = BlazePose(tmp_path / "pose.onnx", threads=threads)
     assert (pose.takes_batches, pose.threads.count) == (together, 3 if together else 1)
+    pose._model.threads, pose._model.provider = ONE_THREAD, "cuda"
+    assert (pose.takes_batches, pose.threads.count) == (together, 1)
+    pose._model.threads, pose._model.provider = threads, "cpu"       # the card has failed
+    assert (pose.takes_batches, pose.threads.count) == (together, 3 if together else 1)
     threads.close()
 
 

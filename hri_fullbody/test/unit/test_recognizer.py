@@ -323,6 +323,21 @@ def test_each_posture_in_each_heading(name, pose, posture):
         assert last(pose.seen(heading)).posture == posture
 
 
+@pytest.mark.parametrize("up_sd", [8.0, 12.0, 20.0])
+@pytest.mark.parametrize("thigh, knee", [(40.0, 90.0), (60.0, 110.0), (75.0, 125.0)])
+@pytest.mark.parametrize("heading", [0.0, 1.6, 3.1, 4.7])
+def test_who_lies_on_the_back_with_the_knees_up_does_not_sit_however_uncertain_the_vertical_is(
+        up_sd, thigh, knee, heading):
+    """thigh: degrees from the line of the trunk; knee: degrees of flexion."""
+    above, below = math.radians(thigh), math.radians(thigh - knee)
+    knees = (0.42 * math.sin(above), 0.05, -0.42 * math.cos(above))
+    ankles = (knees[0] + 0.42 * math.sin(below), 0.05, knees[2] - 0.42 * math.cos(below))
+    pose, body = people.standing().legs(knees, ankles).lean(-90.0, whole=True), BehaviourRecognizer()
+    for index in range(15):
+        told = body.update(pose.seen(heading), STATURE, index / 15.0, UP, math.radians(up_sd))
+    assert told.posture in (PostureClass.LAYING, PostureClass.OTHER)
+
+
 @pytest.mark.parametrize("width, height, posture", [
     (1280, 2000, PostureClass.STANDING), (1280, 950, PostureClass.STANDING), (1280, 720, PostureClass.OTHER),
     (500, 2000, PostureClass.OTHER)])

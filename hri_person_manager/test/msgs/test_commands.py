@@ -2,6 +2,7 @@
 
 import io
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ import rosservice
 from rospy.exceptions import TransportTerminated
 
 from hri_person_manager.core.camera_poses import CameraPoses
-from hri_person_manager.ros import cameras, cli
+from hri_person_manager.ros import cameras, cli, services
 from hri_person_manager.ros.cameras import (
     CameraEntry,
     CameraFileError,
@@ -29,6 +30,8 @@ from hri_person_manager.ros.cli import known_table, run_people
 from hri_person_manager.ros.services import Galleries
 from hri_person_manager.srv import ListKnownResponse
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.srv import GalleryResponse
+from hri_pipeline.testing import wait_for
 
 LEFT = CameraEntry("left", "/left/image", "/left/camera_info", "left_optical")
 
@@ -117,6 +120,18 @@ def test_the_launch_files_hand_ignored_regions_to_both_nodes_of_each_camera(more
             assert found["/{}/{}/ignored_regions".format(camera, node)] == (regions or [])
 
 
+@pytest.mark.parametrize("given, before", [(None, ""), ("robot1", "robot1/"), ("/robot1/", "robot1/")])
+@pytest.mark.parametrize("file", ["ros4hri.launch", "scene.launch", "two_cameras.launch"])
+def test_in_a_group_with_a_namespace_the_tree_of_diagnostics_expects_its_nodes_when_it_is_told(file, given, before,
+                                                                                               monkeypatch):
+    monkeypatch.delenv("ROS_NAMESPACE", raising=False)
+    found = launched_parameters(file, "diagnostics:=true", *(
+        [] if given is None else ["diagnostics_namespace:=" + given]))
+    expected = [name for key, names in found.items() if key.endswith("/expected") for name in names]
+    assert before + "hri_person_manager: persons" in expected
+    assert all(name.startswith(before + "hri_") for name in expected)
+
+
 def launched_parameters(file, *arguments):
     """{name: value} of the parameters that a launch file sets."""
     config = roslaunch.config.ROSLaunchConfig()
@@ -151,6 +166,23 @@ def test_a_recogniser_that_ends_while_it_is_asked_has_not_done_it(error, monkeyp
     monkeypatch.setattr(rosservice, "get_service_type", ends)
     answer, = Galleries().call("forget", "ann")
     assert not answer.response.success and "/faces/gallery does not answer" in answer.response.message
+
+
+def test_a_recogniser_that_never_answers_is_not_waited_for_when_it_is_asked_whom_it_knows(monkeypatch):
+    end, asked = threading.Event(), []
+    monkeypatch.setattr(Galleries, "names", staticmethod(lambda: ["/faces/gallery", "/odd/gallery", "/bad/gallery"]))
+    monkeypatch.setattr(services, "GALLERY_ANSWER_S", 0.05)
+    monkeypatch.setattr(rospy, "wait_for_service", lambda *given: None)
+    monkeypatch.setattr(rosservice, "get_service_type", lambda name: "x/Y" if "odd" in name else "hri_pipeline/Gallery")
+    answers = {"/bad/gallery": GalleryResponse(success=True, data="7")}
+    monkeypatch.setattr(rospy, "ServiceProxy", lambda name, kind: lambda request: asked.append(name) or answers.get(
+        name) or end.wait(20.0) and GalleryResponse(success=True, data='["ann"]'))
+    galleries = Galleries()
+    assert galleries.known_to("/faces") is None and galleries.known_to("/faces") is None
+    assert asked == ["/faces/gallery"], "it is not asked again while it owes an answer"
+    assert [galleries.known_to(name) for name in ("/odd", "/bad", "/none")] == [None, None, None]
+    end.set()
+    wait_for(lambda: galleries.known_to("/faces") == {"ann"}, 20, "it answers again")
 
 
 def test_names_that_the_terminal_cannot_write_end_no_command(monkeypatch):

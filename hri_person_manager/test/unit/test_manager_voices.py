@@ -306,6 +306,25 @@ def test_contradictions_do_not_change_what_is_published_with_each_message(said):
         assert people(manager, now + 6.0) == expected
 
 
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 0, 3, 1), (3, 2, 1, 0)])
+@pytest.mark.parametrize("least", [0.0, 0.2, 0.6])
+@pytest.mark.parametrize("count", range(14, 20))
+def test_two_names_that_a_recogniser_swaps_for_good_wait_one_second_at_most(count, least, order):
+    """After as many changes as are let through at once; nothing contradicts the last one."""
+    manager, now = make(), 0.5
+    see(manager, 0.0, faces=["f1", "f2"])
+    for number in range(count):
+        now += 0.25
+        one, other = ("ann", "bob") if number % 2 else ("bob", "ann")
+        said = [("f1", one, 0.9), ("f1", other, least), ("f2", other, 0.9), ("f2", one, least)]
+        for index in order:
+            face, name, likelihood = said[index]
+            match(manager, face, "p:" + name, likelihood, now)
+        manager.tick(now)
+    manager.tick(now + 1.01)
+    assert people(manager, now + 1.01) == {one: ("f1", "", ""), other: ("f2", "", "")}
+
+
 @pytest.mark.parametrize("pair, known", [(("f1", "p:ann"), ()), (("p:ann", "p:bob"), ("ann", "bob"))],
                          ids=["a name", "two who are one"])
 def test_what_is_withdrawn_does_not_wait(pair, known):

@@ -378,6 +378,26 @@ def test_unsound_matches_are_refused_and_counted(fields):
     assert repr(fields[0]) in guard.problem and repr(fields[2]) in guard.problem
 
 
+def test_what_is_undisputed_is_the_best_of_both_sides():
+    graph = Association(0.5, lambda node: True, lambda name: None)
+    face, other = MatchNode(Kind.FACE, "f1"), MatchNode(Kind.FACE, "f2")
+    ann, bob = MatchNode(Kind.PERSON, "ann"), MatchNode(Kind.PERSON, "bob")
+    wanted = [(face, Kind.PERSON)]
+    assert graph.undisputed(wanted) == (None, ), "nobody is said"
+    graph.add(CandidateMatch(face, ann, 0.4))
+    assert graph.undisputed(wanted) == (None, ), "below the threshold"
+    graph.add(CandidateMatch(face, ann, 0.8))
+    assert graph.undisputed(wanted) == (ann, )
+    graph.add(CandidateMatch(face, bob, 0.8))
+    assert graph.undisputed(wanted) is None, "two are as likely"
+    graph.add(CandidateMatch(face, bob, 0.9))
+    assert graph.undisputed(wanted) == (bob, )
+    graph.add(CandidateMatch(other, bob, 0.9))
+    assert graph.undisputed(wanted) is None, "he is somebody else as well"
+    graph.add(CandidateMatch(other, bob, 0.0))
+    assert graph.undisputed(wanted + [(bob, Kind.FACE)]) == (bob, face)
+
+
 def test_the_rate_is_limited_and_recovers():
     guard = MatchGuard(10.0)
     taken = [guard.check("f1", 2, "b1", 3, 0.5, 0.0) is not None for _ in range(100)]

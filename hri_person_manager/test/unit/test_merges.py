@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hri_person_manager.core.merges import MAX_MERGES, Merges
+from hri_person_manager.core.merges import MAX_MERGES, ChangeLimit, Merges
 
 ORDER = {"ann": 0, "bob": 1, "eve": 2}
 
@@ -101,3 +101,38 @@ def test_the_number_of_observed_and_split_pairs_is_bounded():
     assert len(merges.observed) == MAX_MERGES and len(merges._split) == MAX_MERGES
     merges.remove("c%d" % (MAX_MERGES + 49))
     assert len(merges.observed) == MAX_MERGES - 1
+
+
+@pytest.mark.parametrize("says, let_through", [
+    (lambda now: "bob", 1.0), (lambda now: "ann" if now < 0.8 else "bob", 1.8),
+    (lambda now: ("ann", "bob")[int(now / 0.9) % 2], 4.0), (lambda now: None, 4.0)],
+    ids=["one thing", "another one", "now this, now that", "no word is the best"])
+def test_what_nothing_contradicts_for_a_second_is_let_through_sooner(says, let_through):
+    """Nine changes at once last for 4 s."""
+    limit, keys = ChangeLimit(), ("f1", )
+    for _ in range(20):
+        limit.note(keys, 0.0)
+    assert limit.holds(keys, 0.0)
+    for step in range(1, 60):
+        now = 0.1 * step
+        if limit.holds(keys, now):
+            limit.hear(keys, says(now), now)
+        if limit.due(now, lambda keys, now=now: says(now)):
+            break
+    assert now == pytest.approx(let_through, abs=0.11)
+
+
+def test_what_nothing_contradicts_is_not_let_through_for_ever():
+    """Said for 1.1 s each: a few changes more than the limit lets through in a minute, not all 55."""
+    limit, keys, count = ChangeLimit(), ("f1", ), 0
+    for step in range(600):
+        now, word = 0.1 * step, step // 11
+        if limit.holds(keys, now):
+            limit.hear(keys, word, now)
+            for key in limit.due(now, lambda keys, word=word: word):
+                limit.note((key, ), now, 12.0)
+                count += 1
+        elif step % 11 == 0:
+            limit.note(keys, now)
+            count += 1
+    assert 30 <= count <= 8 + 4 + 30 + 1

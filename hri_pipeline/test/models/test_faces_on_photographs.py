@@ -16,7 +16,7 @@ from hri_pipeline.core.faces.parameters import FACES, FacesSettings
 from hri_pipeline.core.faces.pipeline import FacePipeline, FaceTrackingPipeline
 from hri_pipeline.core.onnx import ModelError, models_directory
 from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.process import Threads
+from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.recognition.embedding import load_face_embedder
 from hri_pipeline.core.sources.image_sources import PictureMotion
 from hri_pipeline.core.timing import StageTimes
@@ -561,6 +561,37 @@ def test_the_time_of_a_detector_that_runs_beside_is_its_own_and_not_how_long_it_
     finder.update(image, 10.0)
     threads.close()
     assert times.summary()["face_detection"] == (5000.0, 5000.0)
+
+
+def test_after_a_card_has_failed_the_threads_of_the_processor_share_the_faces_and_diagnostics_say_so():
+    stage = FacePipeline(FACES.resolve({"face_budget": 1000.0, "threads": 3, "recognition": False}))
+    mesh, detector = stage._tracking._mesh._model, stage._tracking._detector._model
+    on_processor, mesh.threads, detector.threads = mesh.threads, ONE_THREAD, ONE_THREAD     # as on a card
+    image = photograph("sample3")
+    camera = CameraModel.from_fov(image.shape[1], image.shape[0], HFOV)
+    stage.update(image, camera, 0.0)
+    assert (stage.status()["threads"], stage._tracking._detector.threads) == (1, ONE_THREAD)
+    mesh.threads = detector.threads = on_processor      # see test_onnx.py
+    stage.update(image, camera, 0.1)
+    assert (stage.status()["threads"], stage._tracking._detector.threads.count) == (3, 3)
+    stage.close()
+
+
+@pytest.mark.parametrize("period", [0.0, 10.0])
+def test_each_stage_has_one_time_for_each_image_whether_the_detector_searches_it_or_not(period):
+    image = photograph("sample3")
+    stage = FacePipeline(FACES.resolve({"face_budget": 1000.0, "recognition": False, "face_detection_period": period}))
+    camera = CameraModel.from_fov(image.shape[1], image.shape[0], HFOV)
+    for index in range(8):
+        stage.update(image, camera, 0.1 * index)
+    times, told = stage.times._times, []
+    for index in range(8, 14):
+        before = {name: len(times[name]) for name in times}
+        stage.update(image, camera, 0.1 * index, placed=told.append)
+        more = {name: len(times[name]) - count for name, count in before.items()}
+        assert more["face_pose"] == more["face_flow"] == more["face_mesh"] == 1 and max(more.values()) == 1, more
+    assert len(told) == (12 if period == 0.0 else 6)
+    stage.close()
 
 
 def test_threads_change_nothing_of_templates():

@@ -10,6 +10,7 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+import rospy
 from rospy.exceptions import TransportException, TransportTerminated
 from rospy.impl import tcpros_base, tcpros_pubsub
 from sensor_msgs.msg import Image
@@ -241,3 +242,22 @@ def test_a_message_of_any_type_has_the_fields_of_its_own():
 
 def test_the_bytes_of_a_message_that_the_program_has_read_already():
     assert rospy_compat.bytes_of(String("Ann")) == rospy_compat.bytes_of(any_message(String("Ann")))
+
+
+def test_throttled_lines_do_not_come_with_each_message_of_two_clocks(monkeypatch):
+    """rospy's own table forgets all lines when /clock goes back."""
+    monkeypatch.setattr(rospy.core, "_logging_throttle", rospy.core._logging_throttle)
+    monkeypatch.setattr(rospy.Time, "now", lambda: times.pop(0))
+    times = [rospy.Time(100 - 50 * (number % 2) + number) for number in range(100)]
+    rospy_compat.prepare_rospy()
+    due = [rospy.core._logging_throttle("line %d" % (number % 3), 10.0) for number in range(30)]
+    assert due == 3 * [True] + 27 * [False]
+
+
+def test_throttled_lines_come_again_after_their_period():
+    now = [5.0]
+    throttle = rospy_compat.WallTimeThrottle(lambda: now[0])
+    told = []
+    for now[0] in (5.0, 14.9, 15.1, 16.0, 26.0):
+        told.append(throttle("here", 10.0))
+    assert told == [True, False, True, False, True]

@@ -359,6 +359,17 @@ def test_with_threads_an_image_gets_as_much_older_as_one_of_them_works():
     assert len(choose(schedule, FACES, 1.04)) == 1
 
 
+def test_threads_that_come_later_count_from_the_next_image_on():
+    """As of a network whose card has failed: it runs in the threads of the processor from now on."""
+    schedule = InferenceScheduler(0.0, 1.0, cost=0.005, max_age=0.05)
+    for _ in range(20):
+        schedule.note_timing(0.01, 0.02)
+    assert len(choose(schedule, FACES, 1.0)) == 4
+    schedule.share_among(Threads(2))
+    schedule.note_timing(0.01, 0.02)
+    assert (schedule.threads, len(choose(schedule, FACES, 1.04))) == (2, 8)
+
+
 def test_the_cost_is_the_time_of_all_threads():
     threads = Threads(3)
     schedule = InferenceScheduler(cost=0.02, threads=threads)

@@ -1,7 +1,16 @@
 import numpy as np
 import pytest
 
-from hri_pipeline.core.timing import ALL_STALE_S, ClockWatch, OldTime, Pacer, StageTimes, StampPacer, clock_fault
+from hri_pipeline.core.timing import (
+    ALL_STALE_S,
+    ClockWatch,
+    OldTime,
+    Pacer,
+    StageTimes,
+    StampPacer,
+    clock_fault,
+    clock_went_back,
+)
 
 
 def test_illegal_rate():
@@ -41,6 +50,29 @@ def test_stage_times():
     assert times.summary() == {}
     with pytest.raises(ValueError):
         StageTimes(window=0)
+
+
+def test_a_clock_that_goes_back_is_told_with_the_remedy():
+    text = clock_went_back(12.34)
+    assert text.startswith("/clock went back by 12.3 s") and "one program only publish /clock" in text
+
+
+def test_the_parts_of_a_stage_are_one_time():
+    ticks = iter([0.0, 0.010, 1.0, 1.030, 5.0, 5.002])
+    times = StageTimes(clock=lambda: next(ticks))
+    with times.in_parts("poses") as part:
+        with part():
+            pass
+        with part():
+            pass
+        assert times.summary() == {}
+    with times.in_parts("poses"):
+        pass
+    assert times.summary()["poses"] == (pytest.approx(40.0), pytest.approx(40.0)), "no time where nothing was done"
+    with pytest.raises(KeyError):
+        with times.in_parts("more") as part, part():
+            raise KeyError("counted all the same")
+    assert times.summary()["more"] == (pytest.approx(2.0), pytest.approx(2.0))
 
 
 @pytest.mark.parametrize("given, wanted, expected", [

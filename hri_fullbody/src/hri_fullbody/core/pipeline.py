@@ -140,7 +140,7 @@ class BodyPipeline:
     def _make_tracker(self, settings: BodiesSettings) -> BodyTracker:
         """Return what follows the bodies by the networks."""
         schedule = InferenceScheduler(cost=_FIRST_COST_S, batches=False, idle=IdleShare(settings.cpu_share),
-                                      threads=getattr(self._pose, "threads", ONE_THREAD), clock=self._threads.time)
+                                      clock=self._threads.time)
         return BodyTracker(
             self._pose, IdGenerator().new, settings.body_birth_delay, settings.body_death_time, settings.min_body_score,
             settings.max_bodies, guard=self._guard, ignored=IgnoredRegions(settings.ignored_regions),
@@ -229,9 +229,14 @@ class BodyPipeline:
     def _follow_known(self, bgr: np.ndarray, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
                       slow: bool) -> None:
         """Run the pose network for the known bodies whose turn it is."""
-        with self.times("poses"):
-            self._tracker.follow(bgr, stamp, faces, lambda estimate: self._solve_pnp(estimate, camera),
-                                 _SLOW_NEW if slow else 0)
+        self._tracker.schedule.share_among(getattr(self._pose, "threads", ONE_THREAD))
+        with self.times("poses"), self.times.in_parts("perspective") as one:
+
+            def place_landmarks(estimate: PoseEstimate) -> Optional[np.ndarray]:
+                with one():
+                    return self._solve_pnp(estimate, camera)
+
+            self._tracker.follow(bgr, stamp, faces, place_landmarks, _SLOW_NEW if slow else 0)
 
     def _begin_search(self, bgr: np.ndarray, stamp: float) -> ContextManager[Search]:
         """Let the person detector begin, beside the pose network, when it is due whatever that finds."""
@@ -294,9 +299,8 @@ class BodyPipeline:
 
     def _solve_pnp(self, estimate: PoseEstimate, camera: CameraModel) -> Optional[np.ndarray]:
         """Place the landmarks of an estimate in the optical frame: (33, 3) m, or None."""
-        with self.times("perspective"):
-            return place(camera.normalise(estimate.landmarks[:BODY_LANDMARKS, :2]), estimate.world,
-                         estimate.confidence[:BODY_LANDMARKS] > _SEEN)
+        return place(camera.normalise(estimate.landmarks[:BODY_LANDMARKS, :2]), estimate.world,
+                     estimate.confidence[:BODY_LANDMARKS] > _SEEN)
 
     def _learn_ground(self, stamp: float, faces: Sequence[FaceBox]) -> None:
         """Learn the camera's tilt and height from the bodies that were detected in this image."""

@@ -14,7 +14,7 @@ from hri_person_manager.core.cross_camera import CrossCamera
 from hri_person_manager.core.features import Kind, MatchNode, PlaceSource, TrackedFeatures
 from hri_person_manager.core.location import Decay, FeaturePlaces, PersonLocation, Place
 from hri_person_manager.core.match_graph import Association, CandidateMatch, SaidNames
-from hri_person_manager.core.merges import ChangeLimit, Merges
+from hri_person_manager.core.merges import MORE_CHANGES, MOST_CHANGES, ChangeLimit, Merges
 from hri_person_manager.core.parameters import PersonManagerSettings, sensor_errors
 from hri_person_manager.core.persons import (
     ANONYMOUS_PREFIX,
@@ -154,6 +154,7 @@ class PersonManager:
         worth = self._association.add(match)
         changed = False
         if held:        # a name that is withdrawn does not wait: a wrong one is worse than none
+            self._limit.hear(keys, self._association.undisputed(keys), now)
             worth = worth and match.likelihood < self._threshold and len(keys) == 1
             changed = worth and self._association.part(nodes)
         elif worth or arrived:
@@ -340,10 +341,10 @@ class PersonManager:
 
     def _solve_held(self, now: float) -> bool:
         """Decide anew where matches contradict each other too often; returns whether a group has changed. now: s."""
-        due = self._limit.due(now)
+        due = self._limit.due(now, self._association.undisputed)
         changed = self._association.solve([feature for feature, _ in due]) if due else False
         if changed:
-            self._limit.note(due, now)
+            self._limit.note(due, now, MOST_CHANGES + MORE_CHANGES)
         return changed
 
     def _forget_outdated(self, now: float) -> None:

@@ -429,6 +429,17 @@ class Association:
         return {node.id for node, likelihood in self._graph.neighbours(feature).items()
                 if node.kind == Kind.PERSON and likelihood >= self.threshold}
 
+    def undisputed(self, wanted: Iterable[Tuple[MatchNode, Kind]]) -> Optional[Tuple[Optional[MatchNode], ...]]:
+        """Return with whom of a kind each node is linked best, None for nobody; None for all where somebody else is as
+        likely, or that one is linked better with another."""
+        found = []
+        for node, kind in wanted:
+            best = self._best(node, kind)
+            if len(best) > 1 or any(self._best(other, node.kind) != [node] for other in best):
+                return None
+            found.append(best[0] if best else None)
+        return tuple(found)
+
     def refute(self, match: CandidateMatch, now: float) -> None:
         """Note what a match says not to be so at `now` (s): two that are there are two humans, or the recogniser doubts
         a name that it has given. A match that counts takes that back. Before add()."""
@@ -538,6 +549,12 @@ class Association:
         solution = self._graph.solve(touched, self.threshold, self._standing & self._refuted.keys())
         self._approximate = (self._approximate - touched) | solution.approximate
         return any([self._store_group(group) for group in solution.groups])
+
+    def _best(self, node: MatchNode, kind: Kind) -> List[MatchNode]:
+        """Those of a kind that are linked best with a node."""
+        values = {other: likelihood for other, likelihood in self._graph.neighbours(node).items()
+                  if other.kind == kind and likelihood >= self.threshold}
+        return [other for other, likelihood in values.items() if likelihood == max(values.values())]
 
     def _is_closed(self, group: Optional[Group], other: MatchNode) -> bool:
         """Tell whether a group with this member has no choice: nobody outside is linked with it.

@@ -9,45 +9,58 @@ merged again by observation. `ChangeLimit` says how often reports that contradic
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import Callable, Dict, FrozenSet, Hashable, Iterable, List, Optional, Set, Tuple
+from typing import Any, Callable, Dict, FrozenSet, Hashable, Iterable, List, Optional, Set, Tuple
 
 MAX_MERGES = 1000
 MOST_CHANGES, CHANGES_PER_S = 8.0, 0.5      # of who belongs to a feature, by matches: at once, and in the long run
+UNDISPUTED_S, MORE_CHANGES = 1.0, 4.0       # what nothing has contradicted for so long has so many more
 Pair = FrozenSet[str]
+Keys = Tuple[Any, ...]       # hashable
 
 
 class ChangeLimit:
     """Lets matches change who belongs together MOST_CHANGES times at once, then CHANGES_PER_S: of matches that
-    contradict each other, as of two matchers, those that come often would change it with each message.
+    contradict each other, as of two matchers, those that come often would change it with each message. What nothing
+    contradicts for UNDISPUTED_S, as when a recogniser takes two names back, is let through MORE_CHANGES times sooner.
 
     Keys are features, each with a kind to which it is linked, or pairs of persons.
     """
 
     def __init__(self) -> None:
         self._spent: Dict[Hashable, Tuple[float, float]] = {}      # changes that count still, and when (s)
-        self._waiting: Dict[Tuple[Hashable, ...], None] = {}
+        self._waiting: Dict[Keys, Tuple[Optional[Hashable], float]] = {}     # what is said, and since when (s)
 
-    def note(self, keys: Iterable[Hashable], now: float) -> None:
-        """Note that a match about these has changed who belongs together, at `now` (s)."""
-        self._spent.update((key, (min(self._count(key, now), MOST_CHANGES) + 1.0, now)) for key in keys)
+    def note(self, keys: Iterable[Hashable], now: float, most: float = MOST_CHANGES) -> None:
+        """Note that a match about these has changed who belongs together, at `now` (s); of more than `most` changes
+        only one counts."""
+        counts = {key: self._count(key, now) for key in keys}
+        self._spent.update((key, (max(count, min(count, most) + 1.0), now)) for key, count in counts.items())
 
-    def holds(self, keys: Tuple[Hashable, ...], now: float) -> bool:
+    def holds(self, keys: Keys, now: float) -> bool:
         """Tell whether a match about these may change nothing at `now` (s); due() names them when it may."""
         if not self._spent or not self._is_spent(keys, now):
             return False
-        self._waiting[keys] = None
+        self._waiting.setdefault(keys, (None, now))
         return True
 
-    def due(self, now: float) -> List:
-        """Return, once each, what held matches are about that may change something at `now` (s)."""
-        found = [keys for keys in self._waiting if not self._is_spent(keys, now)]
+    def hear(self, keys: Keys, said: Optional[Hashable], now: float) -> None:
+        """Take what all matches together say of these since a match at `now` (s); None: they contradict each other."""
+        if self._waiting[keys][0] != said:
+            self._waiting[keys] = said, now
+
+    def due(self, now: float, said: Callable[[Keys], Optional[Hashable]] = lambda keys: None) -> List:
+        """Return, once each, what held matches are about that may change something at `now` (s); said: see hear()."""
+        for keys in self._waiting:
+            self.hear(keys, said(keys), now)
+        found = [keys for keys, (words, since) in self._waiting.items() if not self._is_spent(keys, now)
+                 or words is not None and now - since >= UNDISPUTED_S and not self._is_spent(keys, now, MORE_CHANGES)]
         for keys in found:
             del self._waiting[keys]
         self._spent = {key: spent for key, spent in self._spent.items() if self._count(key, now) > 0.0}
         return list(dict.fromkeys(key for keys in found for key in keys))
 
-    def _is_spent(self, keys: Iterable[Hashable], now: float) -> bool:
-        return any(self._count(key, now) > MOST_CHANGES - 1.0 for key in keys)
+    def _is_spent(self, keys: Iterable[Hashable], now: float, more: float = 0.0) -> bool:
+        return any(self._count(key, now) > MOST_CHANGES + more - 1.0 for key in keys)
 
     def _count(self, key: Hashable, now: float) -> float:
         count, at = self._spent.get(key, (0.0, now))

@@ -36,7 +36,7 @@ from hri_pipeline.core.privacy import DataUse, StoreError, TemplateCipher
 from hri_pipeline.core.process import is_clock_synchronised, share_arenas
 from hri_pipeline.core.recognition.store import PersonStore, StoreWriter, read_store
 from hri_pipeline.core.recognition.stored_gallery import SHARED_ENDINGS
-from hri_pipeline.core.timing import JUMP_BACK_S, ClockWatch, OldTime, Order, SourceStamps
+from hri_pipeline.core.timing import JUMP_BACK_S, ClockWatch, OldTime, Order, SourceStamps, clock_went_back
 from hri_pipeline.ros.conversions import matrix_from_image, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.privacy import PrivacyTopic
@@ -441,7 +441,8 @@ class PersonManagerNode:
         stamp = rospy.Time.now()
         now = stamp.to_sec()
         if now < self._last_now - JUMP_BACK_S:
-            rospy.logwarn("time went back by %.1f s: places start anew, persons stay", self._last_now - now)
+            rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: places start anew, persons stay", clock_went_back(
+                self._last_now - now))
             self._jumps += 1
             self._sensed = genpy.Time()
             self._stamps.clear()

@@ -165,19 +165,17 @@ class Galleries:
         except Exception as error:  # of many kinds where it ends meanwhile; no answer would pass for done
             return [_unanswered(name, str(error))]
 
-    @staticmethod
-    def known_to(recogniser: str) -> Optional[Set[str]]:
-        """Return whom a node knows, None where it has no gallery, or does not answer."""
+    def known_to(self, recogniser: str) -> Optional[Set[str]]:
+        """Return whom a node knows, None where it has no gallery, or does not answer in time."""
         name = recogniser + GALLERY_SUFFIX
-        try:
-            if rosservice.get_service_type(name) != Gallery._type:
-                return None
-            answer = rospy.ServiceProxy(name, Gallery)(GalleryRequest(command=GalleryRequest.LIST))
-            return {str(one) for one in json.loads(answer.data)} if answer.success else None
-        except (rospy.ROSException, rospy.ServiceException, rosservice.ROSServiceException, ValueError,
-                TypeError) as error:
-            rospy.logwarn("%s does not tell whom it knows: %s", name, error)
+        if name not in self.names():
             return None
+        for answer in self._ask_in_time(name, GalleryRequest(command=GalleryRequest.LIST)):
+            ids = answer.data() if answer.response.success else None
+            if isinstance(ids, list):
+                return {str(one) for one in ids}
+            rospy.logwarn("%s does not tell whom it knows: %s", name, answer.response.message or "it sent no list")
+        return None
 
     @staticmethod
     def names() -> List[str]:

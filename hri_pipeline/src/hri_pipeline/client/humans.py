@@ -34,6 +34,8 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.rospy_compat import hear_who_comes_back
 from hri_pipeline.ros.subscriptions import IdSubscribers
 
+_LOG_PERIOD_S = 10.0
+
 
 class _Topic(NamedTuple):
     convert: Callable[[Any], Any]
@@ -549,5 +551,5 @@ def _guarded(call: Callable[[Any], None]) -> Callable[[Any], None]:
         try:
             call(value)
         except Exception as error:
-            rospy.logerr("a callback of Humans failed: %s: %s", type(error).__name__, error)
+            rospy.logerr_throttle(_LOG_PERIOD_S, "a callback of Humans failed: %s: %s", type(error).__name__, error)
     return guarded

@@ -202,6 +202,10 @@ class InferenceScheduler:
         """How many threads share the inferences of an image."""
         return self._threads.count
 
+    def share_among(self, threads: Threads) -> None:
+        """Let other threads share the inferences of an image from now on, as where a graphics card has failed."""
+        self._threads = threads
+
     @property
     def spare(self) -> float:
         """What is spent beyond the least budget, in cores."""

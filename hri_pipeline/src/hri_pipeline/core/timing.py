@@ -9,7 +9,7 @@ import time
 from collections import OrderedDict, deque
 from contextlib import contextmanager
 from enum import Enum
-from typing import Callable, Deque, Dict, Hashable, Iterator, List, Tuple
+from typing import Callable, ContextManager, Deque, Dict, Hashable, Iterator, List, Tuple
 
 import numpy as np
 
@@ -51,6 +51,26 @@ class StageTimes:
             yield
         finally:
             self.add(stage, self._clock() - start)
+
+    @contextmanager
+    def in_parts(self, stage: str) -> Iterator[Callable[[], ContextManager[None]]]:
+        """Measure parts of the body of a `with` statement, which gets what measures one: their sum is one time of the
+        stage; none where no part ran."""
+        parts: List[float] = []
+
+        @contextmanager
+        def part() -> Iterator[None]:
+            start = self._clock()
+            try:
+                yield
+            finally:
+                parts.append(self._clock() - start)
+
+        try:
+            yield part
+        finally:
+            if parts:
+                self.add(stage, sum(parts))
 
     def add(self, stage: str, seconds: float) -> None:
         """Add one time of `stage`, in seconds."""
@@ -199,6 +219,12 @@ def clock_fault(age: float, now: float, wall: float, simulated: bool) -> Tuple[s
     return "{}, and /use_sim_time is not true".format(text), (
         "of a simulator or bag: rosparam set /use_sim_time true, play the bag with --clock, and start the nodes again; "
         "of a device: set its clock")
+
+
+def clock_went_back(seconds: float) -> str:
+    """Return what to say where the time of ROS has gone back by so much (s), with the remedy where it does so again."""
+    return ("/clock went back by {:.1f} s (a bag that loops? Where this goes on, let one program only publish /clock; "
+            "check.launch names them)".format(seconds))
 
 
 class SourceStamps:

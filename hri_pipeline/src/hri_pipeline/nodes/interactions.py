@@ -30,7 +30,7 @@ from hri_pipeline.core.interactions.people import ROBOT, GazeTarget, PeopleSnaps
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.process import share_arenas
-from hri_pipeline.core.timing import JUMP_BACK_S, StageTimes
+from hri_pipeline.core.timing import JUMP_BACK_S, StageTimes, clock_went_back
 from hri_pipeline.ros.conversions import (
     engagement_to_msg,
     gaze_to_msg,
@@ -223,7 +223,8 @@ class InteractionsNode:
             self._people.reset(seconds)
         if back or jumps != self._jumps:
             self._jumps = jumps
-            rospy.logwarn("time went back: gazes, groups and engagement start anew")
+            rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: gazes, groups and engagement start anew",
+                                   clock_went_back(seconds) if back else "the stamps of people went back")
             self._last = _NEVER
             self._forget()
 

@@ -115,7 +115,7 @@ class SceneSimulatorNode:
             if in_time and self._play(base + self._scene.duration, self._settings.loop_pause, False):
                 base += self._scene.duration + self._settings.loop_pause
             else:
-                rospy.logwarn("%s: time has gone back; the scene begins anew", rospy.get_name())
+                rospy.logwarn_throttle(10.0, "%s: time has gone back; the scene begins anew", rospy.get_name())
                 base = self._first_time()
 
     def close(self) -> None:

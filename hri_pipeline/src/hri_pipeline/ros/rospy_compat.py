@@ -2,7 +2,7 @@
 
 Checked against rospy 1.15.15. Before another version is used, this file has to be read beside its
 rospy/topics.py, rospy/msproxy.py, rospy/impl/registration.py, rospy/impl/rosout.py, rospy/impl/tcpros_base.py,
-rospy/impl/tcpros_pubsub.py and rosgraph/xmlrpc.py. Nine things:
+rospy/impl/tcpros_pubsub.py and rosgraph/xmlrpc.py. Ten things:
 
 - File descriptors: few for each topic, and a reserve (`descriptors.py`), without which rospy answers no call.
 - Release of publishers and subscribers with everything that rospy would leave open.
@@ -12,6 +12,7 @@ rospy/impl/tcpros_pubsub.py and rosgraph/xmlrpc.py. Nine things:
 - publish() that does not give up the processor.
 - Images that are received without copies.
 - Messages of any type beside subscribers of the same process that ask for one type.
+- Throttled log lines whose time is not that of /clock, which may go back and forth.
 - Who is connected to a topic, who has sent a message, and what this node has registered at the master.
 """
 
@@ -20,6 +21,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import gc
+import math
 import select
 import socket
 import struct
@@ -32,7 +34,7 @@ from functools import partial
 from http.client import HTTPConnection
 from io import BytesIO
 from types import ModuleType
-from typing import Any, Callable, Deque, Iterable, Iterator, List, Optional, Set, Tuple, Union
+from typing import Any, Callable, Deque, Dict, Iterable, Iterator, List, Optional, Set, Tuple, Union
 from xmlrpc.client import ServerProxy, Transport
 
 import genpy
@@ -74,11 +76,30 @@ def prepare_rospy() -> None:
     raise_limit()
     rospy.core._LockedServerProxy = _ProxyWithTimeout
     rospy.topics.Poller = DescriptorFreePoller
+    rospy.core._logging_throttle = WallTimeThrottle()
     tcpros_base.TCPServer = _PatientServer
     xmlrpc.ThreadingXMLRPCServer.get_request = _get_request
     hear_who_comes_back()
     publish_without_yielding()
     rospy.core.add_preshutdown_hook(_log_here_only)
+
+
+class WallTimeThrottle:
+    """Tells whether a throttled line of the log is due. rospy's takes the time of /clock, and forgets all lines when
+    that goes back: with two senders of /clock each line of each node came with each of their messages."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """clock: s, never jumps."""
+        self._clock = clock
+        self._logged: Dict[str, float] = {}
+
+    def __call__(self, caller_id: str, period: float) -> bool:
+        """Tell it of the line that stands at `caller_id`, which is to come once in `period` s at most."""
+        now = self._clock()
+        if now - self._logged.get(caller_id, -math.inf) <= period:
+            return False
+        self._logged[caller_id] = now
+        return True
 
 
 def _log_here_only(reason: str) -> None:

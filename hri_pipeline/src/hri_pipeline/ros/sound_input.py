@@ -17,7 +17,7 @@ from std_msgs.msg import Bool
 from hri_pipeline.core.audio.own_voice import RobotSpeech
 from hri_pipeline.core.audio.parameters import VoicesSettings
 from hri_pipeline.core.audio.stream import SoundBlock, SoundError, SoundFormat, SoundStream
-from hri_pipeline.core.timing import OTHER_CLOCK_S, clock_fault
+from hri_pipeline.core.timing import OTHER_CLOCK_S, clock_fault, clock_went_back
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
 from hri_pipeline.ros.rospy_compat import release, sender_of
 from hri_pipeline.ros.sensor_input import LOG_PERIOD_S, SILENCE_S, SensorInput
@@ -199,8 +199,8 @@ class SoundInput(SensorInput):
         try:
             if self._last is not None and chunk.arrival < self._last - JUMP_S:
                 self.counts["time_jumps"] += 1
-                rospy.logwarn("%s: time has gone back by %.1f s (a bag that loops?); voices start anew", self.topic,
-                              self._last - chunk.arrival)
+                rospy.logwarn_throttle(LOG_PERIOD_S, "%s: voices start anew", clock_went_back(
+                    self._last - chunk.arrival))
                 self._restart(None)
             self._last = chunk.arrival
             form = self._format()

@@ -292,7 +292,8 @@ def likely_posture(figure: Figure, up: Vector, up_sd: float) -> Optional[Posture
         votes[seen] = votes.get(seen, 0.0) + weight
     named = {posture: weight for posture, weight in votes.items() if posture}
     agreed = _agreed(named)
-    vague = up_sd > _BALANCE and _has_bent_legs(figure, up)
+    lies = not _degrees(dot(figure.axes[2], up)) < _LYING       # with the knees up the legs are those of who sits
+    vague = up_sd > _BALANCE and not lies and _has_bent_legs(figure, up)
     if agreed == PostureClass.STANDING and named[agreed] < _STANDS and not vague:
         return PostureClass.OTHER
     if up_sd <= _BALANCE and agreed is not None:

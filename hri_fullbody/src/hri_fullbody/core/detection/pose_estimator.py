@@ -153,12 +153,7 @@ class BatchPoseEstimator(PoseEstimator, Protocol):
 
 
 class BlazePose:
-    """The pose network. Not to be called by several threads.
-
-    takes_batches: several windows at once are faster. They are on a GPU, and where several threads share them; in one
-    thread of a CPU a window takes 0.98 of the time in a batch of three (measured). A file whose network takes just one
-    gets one.
-    """
+    """The pose network. Not to be called by several threads. A file whose network takes just one window gets one."""
 
     def __init__(
         self,
@@ -170,10 +165,19 @@ class BlazePose:
         self._model = OnnxModel(path, providers, inputs=("input_1",),
                                 outputs=(_LANDMARK_OUTPUT, _SCORE_OUTPUT, _WORLD_OUTPUT), notify=notify,
                                 threads=threads)
-        takes_one = isinstance(self._model.input_shapes["input_1"][0], int)
-        self.threads = ONE_THREAD if takes_one else self._model.threads
+        self._takes_one = isinstance(self._model.input_shapes["input_1"][0], int)
         self._feed = np.empty((1, INPUT_SIZE, INPUT_SIZE, 3), np.float32)
-        self.takes_batches = not takes_one and (self._model.on_card or self.threads.count > 1)
+
+    @property
+    def threads(self) -> Threads:
+        """Those that share the windows of an image now: others once a graphics card has failed."""
+        return ONE_THREAD if self._takes_one else self._model.threads
+
+    @property
+    def takes_batches(self) -> bool:
+        """Whether several windows at once are faster. They are on a GPU, and where several threads share them; in one
+        thread of a CPU a window takes 0.98 of the time in a batch of three (measured)."""
+        return not self._takes_one and (self._model.on_card or self.threads.count > 1)
 
     def estimate(self, image: np.ndarray, window: Window, hidden: Sequence[np.ndarray] = (),
                  shown: Optional[np.ndarray] = None, mirrored: bool = False) -> PoseEstimate:

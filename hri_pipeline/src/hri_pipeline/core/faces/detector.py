@@ -124,9 +124,14 @@ class FaceDetector:
 
     def __init__(self, model: OnnxModel, min_score: float = 0.6) -> None:
         """model: face_detection_full_range.onnx; min_score and errors: see set_min_score."""
-        self._model, self.threads = model, model.threads
+        self._model = model
         self._anchors = ssd_anchors(INPUT_SIZE, ANCHOR_STRIDES, ANCHORS_PER_CELL)
         self.set_min_score(min_score)
+
+    @property
+    def threads(self) -> Threads:
+        """Those that share the regions of an image now: others once a graphics card has failed."""
+        return self._model.threads
 
     def set_min_score(self, min_score: float) -> None:
         """Set the score from which a face is returned; raises ValueError outside (0, 1)."""

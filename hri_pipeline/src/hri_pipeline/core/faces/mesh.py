@@ -35,6 +35,7 @@ import numpy as np
 from hri_pipeline.core.faces.detector import LEFT_EYE_KEYPOINT, RIGHT_EYE_KEYPOINT, FaceDetection
 from hri_pipeline.core.geometry import Pose, crop_rotated
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel
+from hri_pipeline.core.process import Threads
 
 MESH_POINTS = 478
 LANDMARKS = 70
@@ -263,6 +264,11 @@ class FaceMesh:
     def __init__(self, model: OnnxModel) -> None:
         """model: face_landmarks_attention.onnx."""
         self._model = model
+
+    @property
+    def threads(self) -> Threads:
+        """Those that share the crops now: others once a graphics card has failed."""
+        return self._model.threads
 
     def run(self, bgr: np.ndarray, rois: Sequence[FaceRoi]) -> List[FaceMeshResult]:
         """Run the network; one result per crop, in order. The model's threads share the crops.

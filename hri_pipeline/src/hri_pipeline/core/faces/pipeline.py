@@ -173,19 +173,20 @@ class FacePipeline:
         if depth is not None and depth.shape[:2] != (height, width):
             depth = None
         observed: Dict[str, FaceObservation] = {}
+        with self.times.in_parts("face_pose") as measured:
 
-        def place(found: Sequence[TrackedFace]) -> None:
-            # Unconfirmed faces get a pose, too: when they are confirmed, it may not be their turn for a measurement.
-            new = [face for face in found if face.id not in observed]
-            with self.times("face_pose"):
-                poses = self._geometry.observe(new, camera, stamp, depth)
-            observed.update((face.id, face) for face in poses)
-            if placed is not None:
-                placed([observation for observation, face in zip(poses, new) if face.confirmed])
+            def place(found: Sequence[TrackedFace]) -> None:
+                # Unconfirmed ones get a pose, too: when they are confirmed, it may not be their turn for a measurement.
+                new = [face for face in found if face.id not in observed]
+                with measured():
+                    poses = self._geometry.observe(new, camera, stamp, depth)
+                observed.update((face.id, face) for face in poses)
+                if placed is not None:
+                    placed([observation for observation, face in zip(poses, new) if face.confirmed])
 
-        tracked = self._tracking.update(bgr, stamp, place)
-        self._forget_dropped()
-        place(tracked)
+            tracked = self._tracking.update(bgr, stamp, place)
+            self._forget_dropped()
+            place(tracked)
         faces = [observed[face.id] for face in tracked if face.confirmed]
         self._count(faces)
         faces = self._analysis.update(bgr, faces, stamp, demand, self._tracking.detected)
@@ -356,8 +357,9 @@ class FaceTrackingPipeline:
         """
         with self._times("face_flow"):
             cut = self._cuts.update(bgr)
-        self._predict(bgr, stamp)
+            self._predict(bgr, stamp)
         expected = self._tracker.expected(stamp)
+        self._mesh_scheduler.share_among(self._mesh.threads)
         chosen = set(self._mesh_scheduler.choose(self._requests(expected, stamp), stamp))
         if cut:
             chosen = {track.id for track in expected}
@@ -419,10 +421,9 @@ class FaceTrackingPipeline:
         tracks = [track for track in self._tracker.tracks if track.visible]
         boxes = [track.predicted_box(self._stamp) for track in tracks]
         ahead = [track.shift(stamp) - track.shift(self._stamp) for track in tracks]
-        with self._times("face_flow"):
-            motions = self._flow.update(bgr, boxes, ahead)
-            for track, motion in zip(tracks, motions):
-                track.move(motion, stamp)
+        motions = self._flow.update(bgr, boxes, ahead)
+        for track, motion in zip(tracks, motions):
+            track.move(motion, stamp)
         known = [float(np.linalg.norm(motion)) for motion in motions if motion is not None]
         if known and min(known) > _PANS * bgr.shape[1] * (stamp - self._stamp) > 0.0:
             self._panned_at = stamp
