@@ -78,13 +78,14 @@ def test_a_refusal_counts_at_its_place_only_and_not_after_a_reset():
     assert one.vouched
 
 
-def test_less_is_enough_after_some_refusals():
-    one, people = track(), People(0.7)
+@pytest.mark.parametrize("lead, refusals", [(0.7, PATIENCE), (0.4, 2 * PATIENCE), (0.1, 5 * PATIENCE)])
+def test_less_is_enough_after_some_refusals_and_nobody_is_refused_for_ever(lead, refusals):
+    one, people = track(), People(lead)
     around = Surroundings(people.load, 1.0)
-    for count in range(PATIENCE):
+    for count in range(refusals):
         around.ask(IMAGE, [one], count * AGAIN)
         assert not one.vouched
-    around.ask(IMAGE, [one], PATIENCE * AGAIN)
+    around.ask(IMAGE, [one], refusals * AGAIN)
     assert one.vouched
 
 

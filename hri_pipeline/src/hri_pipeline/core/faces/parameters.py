@@ -39,7 +39,7 @@ class FaceTrackingSettings(PersonDetectorSettings):
     face_person_lead: float = parameter(
         0.85, "A new face of which the face detector is not sure (a score below 0.9) gets topics when the person "
         "detector scores a person around it by this factor as high as anything else. Asked once, and each second anew "
-        "while it is refused, after three times with less demand. Each costs 30 ms, the first one 33 MB of memory "
+        "while it is refused, after each three times with less demand. Each costs 30 ms, the first one 33 MB of memory "
         "(none in `vision`). Larger refuses more animals and toys, and more people who are masked, tiny or blurred. "
         "0: never asked.", minimum=0.0, maximum=10.0, live=True)
     face_detection_period: float = parameter(

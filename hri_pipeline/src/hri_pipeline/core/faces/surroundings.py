@@ -23,8 +23,8 @@ SURE_SCORE, SURE_VERIFICATION = 0.9, 1.0
 AGAIN = 1.0
 """Time (s) after which a refused face is asked for again."""
 PATIENCE, PATIENT = 3, 0.6
-"""Refusals after which this share of the lead is enough: of 652 true faces (small, dark, masked, blurred, cut) each
-has so much, of 15 things 4."""
+"""After so many refusals this share of the lead is enough, and so on: nobody is refused for ever. Of 652 true faces
+(small, dark, masked, blurred, cut) two need it, once; of 15 things 13 do, once to four times."""
 _MOST_ASKED = 2
 """Faces that are asked for in one image."""
 _FORGOTTEN = 3.0
@@ -103,7 +103,7 @@ class Surroundings:
             self._has_failed = True
             self._notify("new faces are not compared with what is around them: {}".format(error))
             return
-        track.vouched = lead >= self._least_lead * (PATIENT if count >= PATIENCE else 1.0)
+        track.vouched = lead >= self._least_lead * PATIENT ** (count // PATIENCE)
         track.refused = not track.vouched
         self._refusals = [one for one in self._refusals if one is not before]
         if track.refused:
