@@ -12,6 +12,11 @@ from hri_pipeline.core.tracks import TrackLife
 IMAGE = np.zeros((480, 640, 3), np.uint8)
 
 
+def moved(stamp):
+    """An image in which all has moved since any other stamp (s)."""
+    return np.random.RandomState(int(round(10.0 * stamp))).randint(0, 255, (480, 640, 3), np.uint8)
+
+
 def track(x=100.0, score=0.7, verification=1.0):
     """A new track of a square face of 50 px about x, 200 px."""
     mesh = np.random.RandomState(0).uniform(-0.5, 0.5, (MESH_POINTS, 3))
@@ -58,11 +63,11 @@ def test_a_refused_face_is_asked_about_again_after_a_while_though_its_track_is_a
     around = Surroundings(people.load, 1.0)
     for stamp in (0.0, 0.1, 0.9 * AGAIN):
         one = track(x=100.0 + stamp)
-        around.ask(IMAGE, [one], stamp)
+        around.ask(moved(stamp), [one], stamp)
         assert one.refused and not one.vouched and around.doubts(one)
     assert len(people.asked) == 1
     people.lead = 2.0
-    around.ask(IMAGE, [one], AGAIN)
+    around.ask(moved(AGAIN), [one], AGAIN)
     assert one.vouched and not one.refused and len(people.asked) == 2 and people.loaded == 1
 
 
@@ -78,14 +83,26 @@ def test_a_refusal_counts_at_its_place_only_and_not_after_a_reset():
     assert one.vouched
 
 
+def test_a_thing_that_stands_still_is_not_asked_about_again_until_it_moves():
+    people, one = People(0.5), track()
+    around = Surroundings(people.load, 1.0)
+    for stamp in np.arange(0.0, 20.0 * AGAIN, 0.3):
+        around.ask(moved(0.0), [one], stamp)
+        assert one.refused
+    assert len(people.asked) == 1
+    people.lead = 2.0
+    around.ask(moved(21.0 * AGAIN), [one], 21.0 * AGAIN)
+    assert one.vouched and len(people.asked) == 2
+
+
 @pytest.mark.parametrize("lead, refusals", [(0.7, PATIENCE), (0.4, 2 * PATIENCE), (0.1, 5 * PATIENCE)])
-def test_less_is_enough_after_some_refusals_and_nobody_is_refused_for_ever(lead, refusals):
+def test_less_is_enough_after_some_refusals_and_nobody_who_moves_is_refused_for_ever(lead, refusals):
     one, people = track(), People(lead)
     around = Surroundings(people.load, 1.0)
     for count in range(refusals):
-        around.ask(IMAGE, [one], count * AGAIN)
+        around.ask(moved(count * AGAIN), [one], count * AGAIN)
         assert not one.vouched
-    around.ask(IMAGE, [one], refusals * AGAIN)
+    around.ask(moved(refusals * AGAIN), [one], refusals * AGAIN)
     assert one.vouched
 
 

@@ -7,7 +7,7 @@ of which the face detector is not sure.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Callable, List, Optional, Sequence
 
 import numpy as np
@@ -15,16 +15,17 @@ import numpy as np
 from hri_pipeline.core.faces.parameters import FaceTrackingSettings
 from hri_pipeline.core.faces.track import FaceTrack
 from hri_pipeline.core.faces.tracker import same_face
+from hri_pipeline.core.images import PlaceView
 from hri_pipeline.core.onnx import ModelError, model_path
 from hri_pipeline.core.person_detector import DEFAULT_FILE, CenterNetDetector, PersonDetector
 
 SURE_SCORE, SURE_VERIFICATION = 0.9, 1.0
 """Score of the detections, and sum of the verification, from which a face is sure whatever is around it."""
 AGAIN = 1.0
-"""Time (s) after which a refused face is asked for again."""
+"""Time (s) after which a refused face is asked for again, if it has moved: people breathe and sway."""
 PATIENCE, PATIENT = 3, 0.6
-"""After so many refusals this share of the lead is enough, and so on: nobody is refused for ever. Of 652 true faces
-(small, dark, masked, blurred, cut) two need it, once; of 15 things 13 do, once to four times."""
+"""After so many refusals this share of the lead is enough, and so on: nobody who moves is refused for ever. Of 652 true
+faces (small, dark, masked, blurred, cut) two need it, once; of 15 things 13 do, once to four times."""
 _MOST_ASKED = 2
 """Faces that are asked for in one image."""
 _FORGOTTEN = 3.0
@@ -33,9 +34,9 @@ _FORGOTTEN = 3.0
 
 @dataclass(frozen=True)
 class _Refusal:
-    """A face that was refused: its box (4,) px, when (s), and how often until then."""
+    """A face that was refused: what it looked like, when it was looked at (s), and how often it was refused."""
 
-    box: np.ndarray
+    place: PlaceView
     stamp: float
     count: int
 
@@ -75,8 +76,8 @@ class Surroundings:
                 and (track.score < SURE_SCORE or track.verification < SURE_VERIFICATION))
 
     def ask(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> None:
-        """Find out about doubted faces, a few an image; those that were refused a moment ago, or are where a face was
-        refused then, wait.
+        """Find out about doubted faces, a few an image; those that were refused a moment ago wait, and those that stand
+        where a face was refused and nothing has moved since.
 
         bgr: (H, W, 3) uint8, the image of `stamp` (s).
         """
@@ -84,12 +85,21 @@ class Surroundings:
         asked = 0
         for track in tracks:
             box = track.predicted_box(stamp)
-            before = next((one for one in self._refusals if same_face(one.box, box)), None)
-            if before is not None and stamp - before.stamp < AGAIN:
+            before = next((one for one in self._refusals if same_face(one.place.box, box)), None)
+            if before is not None and self._waits(bgr, before, stamp):
                 track.refused = True
             elif asked < _MOST_ASKED and not self._has_failed:
                 asked += 1
                 self._ask(bgr, track, box, stamp, before)
+
+    def _waits(self, bgr: np.ndarray, before: _Refusal, stamp: float) -> bool:
+        """Whether a refusal holds: it was a moment ago, or nothing has moved there, which is looked at as often."""
+        if stamp - before.stamp < AGAIN:
+            return True
+        if not before.place.is_unchanged(bgr):
+            return False
+        self._refusals = [replace(one, stamp=stamp) if one is before else one for one in self._refusals]
+        return True
 
     def _ask(self, bgr: np.ndarray, track: FaceTrack, box: np.ndarray, stamp: float,
              before: Optional[_Refusal]) -> None:
@@ -107,7 +117,7 @@ class Surroundings:
         track.refused = not track.vouched
         self._refusals = [one for one in self._refusals if one is not before]
         if track.refused:
-            self._refusals.append(_Refusal(box, stamp, count + 1))
+            self._refusals.append(_Refusal(PlaceView(bgr, box), stamp, count + 1))
 
 
 def load_person_detector(settings: FaceTrackingSettings,
