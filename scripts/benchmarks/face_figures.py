@@ -151,7 +151,8 @@ def _errors(faces: Sequence[JudgedEyes]) -> Dict[str, Tuple[int, int]]:
 
 def judged_eyes(models: Path, widths: Sequence[int] = ()) -> List[JudgedEyes]:
     """Return what is found of all labelled eyes, in pictures as they are and with the faces of these widths (px)."""
-    stage = FacePipeline(FACES.resolve(dict(GEOMETRY_ONLY, face_birth_delay=0.0, face_min_detections=1)))
+    stage = FacePipeline(FACES.resolve(dict(GEOMETRY_ONLY, face_birth_delay=0.0, face_min_detections=1,
+                                            face_person_lead=0.0)))      # in the first image
     mesh = FaceMesh(OnnxModel(models_directory() / "face_landmarks_attention.onnx"))
     judge = _EyeJudge()
     found = []

@@ -49,8 +49,9 @@ def test_faces_that_come_and_go_leave_nothing_behind():
     still = face_figures.read_image(models_directory() / "demo/sample5.jpg")
     bright = cv2.resize(still, (640, 640 * still.shape[0] // still.shape[1]), interpolation=cv2.INTER_AREA)
     camera = CameraModel.from_fov(bright.shape[1], bright.shape[0], 0.93)
-    stage = FacePipeline(FACES.resolve({"face_birth_delay": 0.0, "face_min_detections": 1, "face_death_time": 0.05,
-                                        "face_detection_tiles": 1, "recognition_learn_delay": 600.0}))
+    stage = FacePipeline(FACES.resolve({
+        "face_birth_delay": 0.0, "face_min_detections": 1, "face_death_time": 0.05, "face_person_lead": 0.0,
+        "face_detection_tiles": 1, "recognition_learn_delay": 600.0}))
     gone, stamp, start = 0, 1000.0, None
     while gone < 60:
         stage.update(bright, camera, stamp)

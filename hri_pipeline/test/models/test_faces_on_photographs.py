@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.camera import CameraError, CameraModel
+from hri_pipeline.core.faces import surroundings
 from hri_pipeline.core.faces.analysis import FaceDemand
 from hri_pipeline.core.faces.head_pose import yaw_pitch_roll
 from hri_pipeline.core.faces.mesh import load_canonical_face
@@ -601,3 +602,33 @@ def test_threads_change_nothing_of_templates():
     for count in range(len(crops) + 1):
         np.testing.assert_array_equal(alone.embed(crops[:count]), shared.embed(crops[:count]))
     threads.close()
+
+
+class Witness:
+    """A person detector that gives each face the same lead, and counts."""
+
+    def __init__(self, lead):
+        self.lead, self.asked = lead, 0
+
+    def lead_around(self, image, face):
+        self.asked += 1
+        return self.lead
+
+
+def doubting_stage(monkeypatch, person_detector=None):
+    """A stage in which no new face is sure."""
+    monkeypatch.setattr(surroundings, "SURE_SCORE", 1.1)
+    return FacePipeline(FACES.resolve({"face_budget": 1000.0, "recognition": False}), person_detector=person_detector)
+
+
+@pytest.mark.parametrize("lead, count", [(0.1, 0), (2.0, 3)])
+def test_doubted_faces_are_published_where_the_person_detector_sees_people(monkeypatch, lead, count):
+    witness = Witness(lead)
+    seen = watch(doubting_stage(monkeypatch, lambda: witness), [photograph("sample1")] * SETTLED)
+    assert len(seen[-1]) == count
+    assert witness.asked == COUNTS["sample1"], "each once, a refused one not within a second"
+
+
+def test_people_of_photographs_are_not_refused(monkeypatch):
+    stage = doubting_stage(monkeypatch)
+    assert {name: len(watch(stage, [photograph(name)] * SETTLED)[-1]) for name in COUNTS} == COUNTS

@@ -623,3 +623,26 @@ def test_images_of_any_size():
     flow = FaceFlow()
     for shape in ((1, 1, 3), (1, 1, 3), (2, 500, 3), (2, 500, 3)):
         assert flow.update(np.zeros(shape, np.uint8), BOXES, STILL) == [None, None]
+
+
+def test_a_doubted_face_waits_until_it_is_vouched_for_and_a_known_one_is_not_doubted():
+    faces = FaceTracker(0.1, 1.0, 10, min_detections=1, doubts=lambda track: not track.vouched)
+    for index in range(5):
+        faces.update([face(100.0)], index * STEP)
+    track, = faces.tracks
+    assert faces.ids == [] and faces.doubted == [track]
+    track.vouched = True
+    faces.update([face(100.0)], 5 * STEP)
+    assert faces.ids == [track.id] and faces.doubted == []
+    track.vouched = False
+    faces.update([face(100.0)], 6 * STEP)
+    assert faces.ids == [track.id] and faces.doubted == []
+
+
+def test_a_face_that_is_not_seen_twice_yet_is_not_asked_about():
+    faces = FaceTracker(0.0, 1.0, 10, min_detections=2, doubts=lambda track: True)
+    faces.update([face(100.0)], 0.0)
+    track, = faces.tracks
+    assert faces.doubted == []
+    track.add_detection(STEP, 1.0)
+    assert faces.doubted == [track]

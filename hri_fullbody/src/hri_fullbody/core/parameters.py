@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hri_pipeline.core.faces.parameters import FACES, CameraSettings, DepthCameraSettings, FacePipelineSettings
+from hri_pipeline.core.faces.parameters import (
+    FACES,
+    CameraSettings,
+    DepthCameraSettings,
+    FacePipelineSettings,
+    PersonDetectorSettings,
+)
 from hri_pipeline.core.parameters import ParameterTable, Settings, list_timeout_parameter, parameter, parameter_like
 
 
 @dataclass(frozen=True)
-class BodyTrackingSettings(Settings):
+class BodyTrackingSettings(PersonDetectorSettings):
     """What finding and following bodies needs."""
 
-    person_detector_model: str = parameter("", "ONNX file of the person detector. Empty: person_centernet.onnx.")
     pose_model: str = parameter(
         "full", "Pose network: `lite` (about 30 % faster, less exact), `full`, `heavy` (three times the time), or the "
         "path of an ONNX file. Get lite and heavy with `rosrun hri_pipeline fetch_models --models "

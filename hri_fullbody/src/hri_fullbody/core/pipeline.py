@@ -21,7 +21,6 @@ from hri_fullbody.core.behaviour.gesture import GestureClass
 from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
 from hri_fullbody.core.behaviour.posture import PostureClass, without_feet_outside, without_guessed_limbs
 from hri_fullbody.core.behaviour.recognizer import MAX_GAP_S, BehaviourRecognizer, BodyBehaviour
-from hri_fullbody.core.detection.person_detector import CenterNetDetector, PersonDetector
 from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, BlazePose, PoseEstimate, PoseEstimator
 from hri_fullbody.core.detection.windows import FaceBox
 from hri_fullbody.core.keypoints import confidence_18, to_18_points
@@ -44,11 +43,11 @@ from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, model_path, models_directory
 from hri_pipeline.core.orientation import ImageOrientation
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.person_detector import DEFAULT_FILE, CenterNetDetector, PersonDetector
 from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler
 from hri_pipeline.core.timing import StageTimes
 
-DETECTOR_MODEL = "person_centernet.onnx"
 POSE_MODELS = ("lite", "full", "heavy")
 _SEEN = 0.5
 _SLOW_NEW = 2       # in slow images two windows of the budget are for those who wait
@@ -105,7 +104,7 @@ class BodyPipeline:
         self._threads = threads or Threads.of_node(settings.threads, settings.cpu_share)
         self._pose = pose or BlazePose(pose_model_path(settings.pose_model), settings.providers, notify, self._threads)
         self._detector = detector or CenterNetDetector(
-            model_path(settings.person_detector_model, DETECTOR_MODEL), threshold=_FAINT * settings.min_person_score,
+            model_path(settings.person_detector_model, DEFAULT_FILE), threshold=_FAINT * settings.min_person_score,
             long_side=settings.person_detection_size, providers=settings.providers, notify=notify,
             threads=self._threads)
         self._guard = guard or ItemGuard()
@@ -370,6 +369,11 @@ class BodyPipeline:
                 others = {name: place for name, place in points.items() if name != model.id}
                 told[model.id] = aim(ray, others, up, self._floor)
         return told
+
+    @property
+    def person_detector(self) -> PersonDetector:
+        """What tells where there are people."""
+        return self._detector
 
     @property
     def seen_turn(self) -> Optional[int]:

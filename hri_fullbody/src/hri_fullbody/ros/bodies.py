@@ -34,6 +34,7 @@ from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.observations import BodyObservation, FaceObservation
 from hri_pipeline.core.onnx import ModelLog
 from hri_pipeline.core.orientation import quarter_turns, turned_problem
+from hri_pipeline.core.person_detector import PersonDetector
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.process import Threads
 from hri_pipeline.core.timing import StampPacer
@@ -96,6 +97,11 @@ class BodyProcessor:
         # Few limbs need it, and no body has to wait for it.
         threading.Thread(target=importlib.import_module, args=("hri_fullbody.core.kinematics.ikpy_backend",),
                          name="ikpy", daemon=True).start()
+
+    @property
+    def person_detector(self) -> PersonDetector:
+        """What tells where there are people."""
+        return self._pipeline.person_detector
 
     def process(self, frame: Frame, context: dict) -> None:
         """Find the bodies in a frame, publish them, and leave them in context["bodies"]."""

@@ -1,5 +1,5 @@
 """Image messages to arrays, without cv_bridge: colour images to BGR, depth images to metres, and the depth at a point;
-and cuts between the pictures of a film."""
+cuts between the pictures of a film, and whether a place has changed."""
 
 from __future__ import annotations
 
@@ -423,6 +423,48 @@ class PictureCuts:
         step = max(1, min(bgr.shape[:2]) // (2 * _SIDE))
         green = np.ascontiguousarray(bgr[::step, ::step, 1])
         return cv2.resize(green, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA).astype(np.float32)
+
+
+# What is kept of a place: its longer side (px), and how much around it, in its longer sides; grey values by which
+# 5 x 5 px of what has not moved differ less. Of 12 things before a camera with noise 95 % stayed below 2.7; people who
+# breathe and sway differ by 2 to 19 within 1 s.
+_VIEW, _AROUND = 64, 0.1
+_SMOOTH, _CHANGED = 5, 1.5
+
+
+class PlaceView:
+    """What a box (4,) px of an image (H, W, 3) BGR shows, to tell of a later image whether it shows the same."""
+
+    def __init__(self, image: np.ndarray, box: np.ndarray) -> None:
+        self.box = box
+        self._view = _grey_view(image, box)
+
+    def is_unchanged(self, image: np.ndarray) -> bool:
+        """Tell whether nothing has moved there, whatever noise, brightness and contrast do."""
+        return _change(self._view, _grey_view(image, self.box)) < _CHANGED
+
+
+def _grey_view(image: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """What a box (4,) px and a rim around it show, float32 in grey values, the longer side 64 px."""
+    rim = _AROUND * float(max(box[2:] - box[:2]))
+    height, width = image.shape[:2]
+    left, top, right, bottom = np.rint(np.clip(
+        box + np.array([-rim, -rim, rim, rim]), 0, [width, height, width, height])).astype(int)
+    left, top = min(left, width - 1), min(top, height - 1)
+    part = image[top:max(bottom, top + 1), left:max(right, left + 1)]
+    scale = _VIEW / float(max(part.shape[:2]))
+    small = cv2.resize(part, (max(1, round(scale * part.shape[1])), max(1, round(scale * part.shape[0]))),
+                       interpolation=cv2.INTER_AREA)
+    return cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.float32)
+
+
+def _change(before: np.ndarray, now: np.ndarray) -> float:
+    """Grey values by which 5 x 5 px of two views (h, w) differ at most, beyond noise, brightness and contrast."""
+    if before.shape != now.shape:
+        return float("inf")
+    now = (now - now.mean()) * float(before.std() / max(1e-3, now.std())) + before.mean()
+    apart = np.abs(before - now)
+    return float(cv2.blur(apart, (_SMOOTH, _SMOOTH)).max() - np.median(apart))
 
 
 def _deviation(picture: np.ndarray) -> float:

@@ -4,7 +4,7 @@ frames."""
 from __future__ import annotations
 
 import time
-from typing import Dict, Iterable, List, Optional, Sequence, Set, Tuple
+from typing import Callable, Dict, Iterable, List, Optional, Sequence, Set, Tuple
 
 import rospy
 from geometry_msgs.msg import TransformStamped
@@ -23,6 +23,7 @@ from hri_pipeline.core.observations import SoftBiometrics as FaceBiometrics
 from hri_pipeline.core.onnx import ModelLog
 from hri_pipeline.core.orientation import turned_problem
 from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.person_detector import PersonDetector
 from hri_pipeline.core.privacy import DataUse, StoreError
 from hri_pipeline.core.process import Threads
 from hri_pipeline.core.recognition.face_identity import PersonMatch, SamePersons
@@ -72,6 +73,8 @@ class FaceProcessor:
         The values of core.faces.parameters.FACES.
     threads
         Of the networks; by default as the settings say.
+    person_detector
+        See FacePipeline.
 
     Raises
     ------
@@ -83,13 +86,15 @@ class FaceProcessor:
 
     name = "faces"
 
-    def __init__(self, settings: FacePipelineSettings, threads: Optional[Threads] = None) -> None:
+    def __init__(self, settings: FacePipelineSettings, threads: Optional[Threads] = None,
+                 person_detector: Optional[Callable[[], PersonDetector]] = None) -> None:
         is_kept = settings.recognition and settings.gallery
         (rospy.logwarn if is_kept else rospy.loginfo)("%s", privacy_line(settings))
         self.data_use = data_use(settings)
         self._networks = ModelLog(rospy.logwarn)
         try:
-            self._pipeline = FacePipeline(settings, notify=self._networks, threads=threads)
+            self._pipeline = FacePipeline(settings, notify=self._networks, threads=threads,
+                                          person_detector=person_detector)
         except StoreError as error:
             raise ParameterError("~gallery, ~gallery_key: {}".format(error)) from error
         self._interface = settings.interface

@@ -6,7 +6,6 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import Deque, Dict, List, Optional, Sequence, Tuple
 
-import cv2
 import numpy as np
 
 from hri_fullbody.core.detection.pose_estimator import LEAST_SHARE, PoseEstimate, inside, is_sound
@@ -20,6 +19,7 @@ from hri_fullbody.core.detection.windows import (
 )
 from hri_fullbody.core.tracking.association import NOSE_IN_FACE
 from hri_pipeline.core.geometry import iou_matrix
+from hri_pipeline.core.images import PlaceView
 
 PROMISING = 0.2
 """Score from which a window may hold a body, to be looked at again."""
@@ -43,11 +43,8 @@ _OVERLAP, _LEAST_FACES = 0.5, 6.0
 _TRUNK_FILLS = 0.25
 
 
-# Refused places: how many are remembered; the longer side (px) of what is kept of each, and how much around the box, in
-# its longer sides; overlap of boxes of what has not moved, and grey values by which 5 x 5 px of it differ less. Of 12
-# things before a camera with noise 95 % stayed below 2.7; people who breathe and sway differ by 2 to 19 within 1 s.
-_MOST_REFUSED, _VIEW, _AROUND = 20, 64, 0.1
-_UNMOVED, _SMOOTH, _CHANGED = 0.7, 5, 1.5
+# Refused places: how many are remembered, and overlap of boxes of what has not moved.
+_MOST_REFUSED, _UNMOVED = 20, 0.7
 
 
 @dataclass
@@ -209,7 +206,7 @@ class RefusedPlaces:
     """
 
     def __init__(self) -> None:
-        self._places: List[Tuple[np.ndarray, np.ndarray]] = []
+        self._places: List[PlaceView] = []
 
     def __len__(self) -> int:
         return len(self._places)
@@ -218,16 +215,15 @@ class RefusedPlaces:
         """Remember a box (4,) px of an `image` (H, W, 3) BGR."""
         if self.contain(image, box):
             return
-        self._places = [*self._places, (box, _grey_view(image, box))][-_MOST_REFUSED:]
+        self._places = [*self._places, PlaceView(image, box)][-_MOST_REFUSED:]
 
     def contain(self, image: np.ndarray, box: np.ndarray) -> bool:
         """Tell whether a box (4,) px of an `image` (H, W, 3) BGR shows what was refused, unchanged."""
-        at = _at(box, [place for place, _ in self._places])
+        at = _at(box, [place.box for place in self._places])
         if at is None:
             return False
-        place, view = self._places[at]
-        if iou_matrix(place[None], box[None])[0, 0] >= _UNMOVED and _change(
-                view, _grey_view(image, place)) < _CHANGED:
+        place = self._places[at]
+        if iou_matrix(place.box[None], box[None])[0, 0] >= _UNMOVED and place.is_unchanged(image):
             return True
         del self._places[at]
         return False
@@ -235,28 +231,6 @@ class RefusedPlaces:
     def clear(self) -> None:
         """Forget all places."""
         self._places = []
-
-
-def _grey_view(image: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """What a box (4,) px and a rim around it show, float32 in grey values, the longer side 64 px."""
-    rim = _AROUND * float(max(box[2:] - box[:2]))
-    height, width = image.shape[:2]
-    left, top, right, bottom = np.rint(np.clip(
-        box + np.array([-rim, -rim, rim, rim]), 0, [width, height, width, height])).astype(int)
-    part = image[top:max(bottom, top + 1), left:max(right, left + 1)]
-    scale = _VIEW / float(max(part.shape[:2]))
-    small = cv2.resize(part, (max(1, round(scale * part.shape[1])), max(1, round(scale * part.shape[0]))),
-                       interpolation=cv2.INTER_AREA)
-    return cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.float32)
-
-
-def _change(before: np.ndarray, now: np.ndarray) -> float:
-    """Grey values by which 5 x 5 px of two views (h, w) differ at most, beyond noise, brightness and contrast."""
-    if before.shape != now.shape:
-        return float("inf")
-    now = (now - now.mean()) * float(before.std() / max(1e-3, now.std())) + before.mean()
-    apart = np.abs(before - now)
-    return float(cv2.blur(apart, (_SMOOTH, _SMOOTH)).max() - np.median(apart))
 
 
 def _at(box: np.ndarray, boxes: Sequence[np.ndarray]) -> Optional[int]:

@@ -37,6 +37,7 @@ from hri_pipeline.core.faces.mesh import (
 )
 from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.faces.scheduler import DetectionScheduler
+from hri_pipeline.core.faces.surroundings import Surroundings, load_person_detector
 from hri_pipeline.core.faces.track import (
     LEAST_VERIFICATION,
     VERIFIED,
@@ -52,6 +53,7 @@ from hri_pipeline.core.images import PictureCuts
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.onnx import model_path
 from hri_pipeline.core.orientation import FaceOrientation
+from hri_pipeline.core.person_detector import PersonDetector
 from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.recognition.face_identity import PersonMatch
 from hri_pipeline.core.recognition.recogniser import FaceRecognition
@@ -98,6 +100,8 @@ class FacePipeline:
         Called with one line of text for each execution provider that is skipped.
     threads
         Of the networks; by default as the settings say. They are closed by close().
+    person_detector
+        Returns one that is there already; by default an own one is loaded when it is first needed.
 
     Raises
     ------
@@ -106,7 +110,8 @@ class FacePipeline:
     """
 
     def __init__(self, settings: FacePipelineSettings, ids: Optional[IdGenerator] = None,
-                 notify: Optional[Callable[[str], None]] = None, threads: Optional[Threads] = None) -> None:
+                 notify: Optional[Callable[[str], None]] = None, threads: Optional[Threads] = None,
+                 person_detector: Optional[Callable[[], PersonDetector]] = None) -> None:
         self.times = StageTimes()
         canonical = load_canonical_face(model_path(settings.canonical_face, "canonical_face.npz"))
         blendshapes = Blendshapes(model_path(settings.face_blendshapes_model, "face_blendshapes.onnx"),
@@ -115,7 +120,7 @@ class FacePipeline:
         self._threads = threads or Threads.of_node(settings.threads, settings.cpu_share)
         self._analysis = FaceAnalysis(settings, canonical, self.times, notify, self._threads)
         self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify, judge=self._judge(),
-                                              threads=self._threads)
+                                              threads=self._threads, person_detector=person_detector)
         self._last_stamp = -np.inf
         self._published = self._predicted = 0
 
@@ -272,6 +277,8 @@ class FaceTrackingPipeline:
         Compares the looks of faces; by default by small pictures alone.
     threads
         Share the faces of an image, and run the detector beside the mesh network.
+    person_detector
+        See FacePipeline.
 
     Raises
     ------
@@ -282,7 +289,8 @@ class FaceTrackingPipeline:
     def __init__(self, settings: FacePipelineSettings, times: StageTimes, ids: Optional[IdGenerator] = None,
                  notify: Optional[Callable[[str], None]] = None,
                  clock: Optional[Callable[[], float]] = None, judge: Optional[AppearanceJudge] = None,
-                 threads: Threads = ONE_THREAD) -> None:
+                 threads: Threads = ONE_THREAD,
+                 person_detector: Optional[Callable[[], PersonDetector]] = None) -> None:
         detector = load_face_network(settings.face_detector_model, "face_detection_full_range.onnx",
                                      FaceDetector.OUTPUTS, settings.providers, notify, threads, (4,))
         mesh = load_face_network(settings.face_mesh_model, "face_landmarks_attention.onnx", FaceMesh.OUTPUTS,
@@ -293,7 +301,9 @@ class FaceTrackingPipeline:
         self._mesh_scheduler = InferenceScheduler(idle=IdleShare(settings.cpu_share), threads=mesh.threads,
                                                   clock=clock or threads.time)
         self._limit_mesh(settings)
-        self._tracker = FaceTracker(ids=ids, judge=judge, **_limits(settings))
+        self._surroundings = Surroundings(person_detector or (lambda: load_person_detector(settings, notify)),
+                                          settings.face_person_lead, notify)
+        self._tracker = FaceTracker(ids=ids, judge=judge, doubts=self._surroundings.doubts, **_limits(settings))
         self._cuts = PictureCuts()
         self._orientation = FaceOrientation()
         self._anew_at = self._panned_at = -np.inf
@@ -309,6 +319,7 @@ class FaceTrackingPipeline:
         self._detection_scheduler.set_period(settings.face_detection_period)
         self._limit_mesh(settings)
         self._tracker.limit(**_limits(settings))
+        self._surroundings.limit(settings.face_person_lead)
         self._set_thresholds(settings)
 
     def _limit_mesh(self, settings: FacePipelineSettings) -> None:
@@ -373,6 +384,7 @@ class FaceTrackingPipeline:
             finally:        # an error there costs nobody the search
                 measured = list(found.values())
                 measured += self._detect(bgr, search, measured, skipped, stamp)
+                self._ask_about_doubted(bgr, stamp)
                 seen = self._tracker.update(measured, stamp, skipped, (bgr.shape[1], bgr.shape[0]), cut)
         if self._tracker.replaced:
             self._search_anew(stamp)
@@ -388,6 +400,7 @@ class FaceTrackingPipeline:
         self._flow.turn(rotation)
         self._cuts.turn(rotation)
         self._orientation.images_turn()
+        self._surroundings.reset()
         self._detection_scheduler.reset()
         for track in self._tracker.tracks:
             track.turn(rotation)
@@ -395,12 +408,20 @@ class FaceTrackingPipeline:
     def reset(self) -> None:
         """Drop every face, as after a jump in time; ids are not used again."""
         self._tracker.reset()
+        self._surroundings.reset()
         self._detection_scheduler.reset()
         self._mesh_scheduler.reset()
         self._flow.reset()
         self._cuts.reset()
         self._orientation.reset()
         self._anew_at = self._panned_at = -np.inf
+
+    def _ask_about_doubted(self, bgr: np.ndarray, stamp: float) -> None:
+        """Find out what is around new faces that are not sure."""
+        doubted = self._tracker.doubted
+        if doubted:
+            with self._times("face_surroundings"):
+                self._surroundings.ask(bgr, doubted, stamp)
 
     def _search_anew(self, stamp: float) -> None:
         """Let the detector search everywhere next time, but not more often than once in `ANEW_PERIOD`."""
@@ -413,8 +434,8 @@ class FaceTrackingPipeline:
         speak, are near or uncertain more often."""
         first = set(self._overlapping(tracks, stamp))
         largest = max([1.0] + [track.size for track in tracks])
-        return [Request(track.id, track.urgency(largest) + (0.0 if self._tracker.is_confirmed(track) else 1.0),
-                        track.id in first) for track in tracks]
+        return [Request(track.id, track.urgency(largest) + (
+            0.0 if self._tracker.is_confirmed(track) or track.refused else 1.0), track.id in first) for track in tracks]
 
     def _predict(self, bgr: np.ndarray, stamp: float) -> None:
         """Move the tracks by optical flow."""
@@ -619,5 +640,6 @@ def _limits(settings: FacePipelineSettings) -> Dict[str, Any]:
 
 
 def _is_rejected(track: FaceTrack) -> bool:
-    """Whether the verification has failed often enough: the detector need not run for this track."""
-    return track.verification <= LEAST_VERIFICATION and not track.published
+    """Whether the verification has failed often enough, or there is no person around it: the detector need not run for
+    this track."""
+    return (track.verification <= LEAST_VERIFICATION or track.refused) and not track.published

@@ -143,6 +143,7 @@ class FaceTrack:
         self.hit_count = measurement.hit_weight
         self.score, self.verification = measurement.score, measurement.verification
         self.published = False
+        self.vouched = self.refused = False     # what its surroundings say of it
         self.replaced = False
         self.memory: Optional[FaceMemory] = None
         self.doubtful_since: Optional[float] = None

@@ -12,7 +12,7 @@ what is the same by appearance (`appearance.AppearanceJudge`). Another face at i
 from __future__ import annotations
 
 import math
-from typing import Collection, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Callable, Collection, List, Mapping, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -78,10 +78,13 @@ class FaceTracker:
 
     def __init__(self, birth_delay: float, death_time: float, max_faces: int, ids: Optional[IdGenerator] = None,
                  min_detections: int = 1, support_time: float = np.inf,
-                 judge: Optional[AppearanceJudge] = None) -> None:
-        """judge: compares looks of faces; the others but ids, and the errors: see limit."""
+                 judge: Optional[AppearanceJudge] = None,
+                 doubts: Callable[[FaceTrack], bool] = lambda track: False) -> None:
+        """judge: compares looks of faces; doubts: tells of which new face it must be found out first whether it is
+        one; the others but ids, and the errors: see limit."""
         self._ids = ids if ids is not None else IdGenerator()
         self._judge = judge if judge is not None else AppearanceJudge()
+        self._doubts = doubts
         self.replaced = False
         self._tracks: List[FaceTrack] = []
         self._stamp: Optional[float] = None
@@ -131,12 +134,21 @@ class FaceTracker:
         return [track.id for track in self._tracks if self.is_confirmed(track)]
 
     def is_confirmed(self, track: FaceTrack) -> bool:
-        """Whether a track has lived long enough, has enough hits, and is verified.
+        """Whether a track has lived long enough, has enough hits, is verified, and is not doubted.
 
         Where one detection is enough, one with a low score is, too.
         """
-        needed = self._min_detections - 1e-6 if self._min_detections > 1 else 0.0
-        return track.life.confirmed and track.hit_count > needed and (track.verification >= VERIFIED or track.published)
+        return track.life.confirmed and self._has_hits(track) and (track.published or (
+            track.verification >= VERIFIED and not self._doubts(track)))
+
+    @property
+    def doubted(self) -> List[FaceTrack]:
+        """New tracks that are seen, have enough hits and are verified, but doubted, oldest first."""
+        return [track for track in self._tracks if track.visible and not track.published and self._has_hits(track)
+                and track.verification >= VERIFIED and self._doubts(track)]
+
+    def _has_hits(self, track: FaceTrack) -> bool:
+        return track.hit_count > (self._min_detections - 1e-6 if self._min_detections > 1 else 0.0)
 
     def reset(self) -> None:
         """Drop every track. Their ids are not given again."""

@@ -61,7 +61,8 @@ def templates_of(paths: Sequence[Path], model: str = "") -> PhotographTemplates:
     model: recognition network, empty for the default. Raises EnrolmentError, and ModelError for a missing network.
     """
     pipeline = FacePipeline(FACES.resolve({"recognition_model": model, "action_units": False, "expression": False,
-                                           "age_gender": False, "recognition_policy": "enrolled"}))
+                                           "age_gender": False, "recognition_policy": "enrolled",
+                                           "face_person_lead": 0.0}))      # somebody says that these are people
     try:
         assert pipeline.recognition is not None
         embedder = pipeline.recognition.embedder

@@ -1,8 +1,14 @@
 import numpy as np
 import pytest
 
-from hri_fullbody.core.detection import person_detector
-from hri_fullbody.core.detection.person_detector import CenterNetDetector, decode_centres, near_view, network_size
+from hri_pipeline.core import person_detector
+from hri_pipeline.core.person_detector import (
+    CenterNetDetector,
+    decode_centres,
+    near_view,
+    network_size,
+    views_around,
+)
 
 
 @pytest.mark.parametrize("image, wanted", [
@@ -107,3 +113,44 @@ def test_a_human_leads_over_animals_and_toys_in_two_looks(monkeypatch, first, ne
     assert scores == pytest.approx([first[0]])
     assert detector.is_human(image, boxes[0]) is human
     assert looks[1].shape == (2, 256, 256, 3) and np.array_equal(looks[1][1], looks[1][0][:, ::-1])
+
+
+def test_the_views_around_a_face_show_shoulders_and_trunk_and_grey_outside_the_image():
+    image = np.zeros((200, 300, 3), np.uint8)
+    image[100:140, 0:30] = 255
+    (near, far), places = views_around(image, np.array([0.0, 100.0, 30.0, 140.0]))
+    assert near.shape == far.shape == (256, 256, 3)
+    for view, (x, y), size in ((near, places[0], 256.0 / 2.8), (far, places[1], 256.0 / 4.8)):
+        left, right, below = (int(round(value)) for value in (x - 0.25 * size, x + 0.25 * size, y + 0.7 * size))
+        assert np.all(view[int(y), left:right] == 255) and np.all(view[below, left:right] == 0)
+        assert np.all(view[int(y), :int(x - 0.5 * size)] == 128)
+    assert places[:, 0] == pytest.approx([128.0, 128.0])
+    assert places[0, 1] == pytest.approx(128.0 - 0.3 * 256.0 / 2.8)
+    assert places[1, 1] == pytest.approx(128.0 - 1.2 * 256.0 / 4.8)
+
+
+CHAIR = 56
+
+
+@pytest.mark.parametrize("person, rival, beside, lead", [
+    (0.49, 0.09, 0.0, 5.0), (0.09, 0.49, 0.0, 0.2), (0.0, 0.0, 0.0, 1.0), (0.49, 0.09, 0.9, 5.0)],
+    ids=["a person", "a thing", "nothing", "a thing elsewhere"])
+@pytest.mark.parametrize("kind", [DOG, CHAIR])
+def test_a_person_around_a_face_is_compared_with_what_else_is_there(monkeypatch, person, rival, beside, lead, kind):
+    face, image = np.array([100.0, 100.0, 150.0, 150.0]), np.zeros((400, 400, 3), np.uint8)
+    cells = np.rint(views_around(image, face)[1] / 4.0).astype(int)
+
+    class Network:
+        def __init__(self, *args, **kwargs):
+            pass
+
+        def run(self, inputs):
+            assert inputs["images"].shape == (2, 256, 256, 3)
+            heat, extents = np.zeros((2, 64, 64, 80), np.float32), np.full((2, 64, 64, 4), 12.0, np.float32)
+            for index, (x, y) in enumerate(cells):
+                heat[index, y, x + 1, 0], heat[index, y, x - 1, kind] = person, rival
+                heat[index, 50, 5, kind] = beside
+            return {"heat": heat, "ltrb": extents}
+
+    monkeypatch.setattr(person_detector, "OnnxModel", Network)
+    assert CenterNetDetector("network.onnx").lead_around(image, face) == pytest.approx(lead)

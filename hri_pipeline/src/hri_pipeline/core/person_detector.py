@@ -13,6 +13,7 @@ from hri_pipeline.core.geometry import iou_matrix
 from hri_pipeline.core.onnx import OnnxModel
 from hri_pipeline.core.process import ONE_THREAD, Threads
 
+DEFAULT_FILE = "person_centernet.onnx"
 _STEP = 32
 _STRIDE = 4
 _PERSON_CLASS = 0
@@ -27,6 +28,9 @@ _NEAR_SIZE, _NEAR_SHOWS, _SAME_PLACE, _NOTHING = 256, 1.3, 0.5, 0.02
 # photographs that were cut, covered, darkened or shrunk: 0 of 262; with painted or cut heads: 2 of 133.
 _LEAST_LEAD = 6.0
 _REMEMBERED = 200
+# What is shown around a face: half the side of a square, and how far its middle is below that of the face, in sizes of
+# the face: head and shoulders; head and trunk.
+_AROUND_FACE = ((1.4, 0.3), (2.4, 1.2))
 
 
 class PersonDetector(Protocol):
@@ -40,6 +44,10 @@ class PersonDetector(Protocol):
 
     def is_human(self, image: np.ndarray, box: np.ndarray) -> bool:
         """Tell of a box (4,) px that `detect` returned last whether it is a human in a second look, too."""
+        ...
+
+    def lead_around(self, image: np.ndarray, face: np.ndarray) -> float:
+        """Return how many times the score of all else that of a person is, around a face's box (4,) px."""
         ...
 
 
@@ -99,9 +107,33 @@ def near_view(image: np.ndarray, box: np.ndarray) -> Tuple[np.ndarray, np.ndarra
     middle, half = 0.5 * (box[:2] + box[2:]), 0.5 * _NEAR_SHOWS * float(max(box[2:] - box[:2]))
     scale = _NEAR_SIZE / (2.0 * half)
     x, y = (half - middle) * scale
-    view = cv2.warpAffine(image, np.array([[scale, 0.0, x], [0.0, scale, y]]), (_NEAR_SIZE, _NEAR_SIZE),
+    return _warped(image, scale, x, y), box * scale + np.array([x, y, x, y])
+
+
+def views_around(image: np.ndarray, face: np.ndarray) -> Tuple[List[np.ndarray], np.ndarray]:
+    """Return two squares of 256 px around the box (4,) px of a face: with the shoulders, and with the trunk, and the
+    places (2, 2) of the middle of the face in them. Grey outside the image."""
+    middle, size = 0.5 * (face[:2] + face[2:]), max(1.0, float(max(face[2:] - face[:2])))
+    views, places = [], []
+    for half, below in _AROUND_FACE:
+        scale = _NEAR_SIZE / (2.0 * half * size)
+        x, y = half * size * scale - (middle + (0.0, below * size)) * scale
+        views.append(_warped(image, scale, x, y))
+        places.append(middle * scale + (x, y))
+    return views, np.array(places)
+
+
+def _warped(image: np.ndarray, scale: float, x: float, y: float) -> np.ndarray:
+    """Return a square of 256 px of an image that is scaled, and moved by x, y px then; grey outside the image."""
+    return cv2.warpAffine(image, np.array([[scale, 0.0, x], [0.0, scale, y]]), (_NEAR_SIZE, _NEAR_SIZE),
                           borderMode=cv2.BORDER_CONSTANT, borderValue=(128, 128, 128))
-    return view, box * scale + np.array([x, y, x, y])
+
+
+def best_at(heat: np.ndarray, extents: np.ndarray, place: np.ndarray) -> float:
+    """Highest score of a box around a place (2,) px, 0 without one. heat, extents: see `decode_peaks`."""
+    boxes, scores = decode_peaks(heat, extents, 0.5 * _NOTHING)
+    inside = np.all((boxes[:, :2] < place) & (boxes[:, 2:] > place), axis=1)
+    return float(scores[inside][0]) if inside.any() else 0.0
 
 
 def _shapes(long_side: int) -> Sequence[Tuple[int, ...]]:
@@ -169,6 +201,17 @@ class CenterNetDetector:
             output["heat"], output["ltrb"], (place, mirrored))) for classes in ([_PERSON_CLASS], _ANIMALS))
         return bool(_lead(person, animal) * dict(self._leads).get(box.tobytes(), 1.0) >= _LEAST_LEAD)
 
+    def lead_around(self, image: np.ndarray, face: np.ndarray) -> float:
+        """Look from near by whether there is a person around a face's box (4,) px, rather than an animal or a thing."""
+        views, places = views_around(image, face)
+        feed = np.stack([cv2.cvtColor(view, cv2.COLOR_BGR2RGB) for view in views]).astype(np.float32)
+        output = self._model.run({"images": feed})
+        person = other = 0.0
+        for heat, extents, place in zip(output["heat"], output["ltrb"], places):
+            person += best_at(np.ascontiguousarray(heat[:, :, _PERSON_CLASS]), extents, place)
+            other += best_at(heat[:, :, _PERSON_CLASS + 1:].max(axis=2), extents, place)
+        return _lead(person, other)
 
-def _lead(person: float, animal: float) -> float:
-    return (person + _NOTHING) / (animal + _NOTHING)
+
+def _lead(person: float, other: float) -> float:
+    return (person + _NOTHING) / (other + _NOTHING)

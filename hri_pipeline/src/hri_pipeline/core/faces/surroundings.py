@@ -1,0 +1,127 @@
+"""What is around a new face: a person, or a thing that only looks like a face.
+
+The networks of faces see what a face is made of, and a lion, a drawn dog or a football has it as well. The person
+detector, which was trained on people, animals and things, sees what it belongs to. It is asked only about new faces
+of which the face detector is not sure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Callable, List, Optional, Sequence
+
+import numpy as np
+
+from hri_pipeline.core.faces.parameters import FaceTrackingSettings
+from hri_pipeline.core.faces.track import FaceTrack
+from hri_pipeline.core.faces.tracker import same_face
+from hri_pipeline.core.images import PlaceView
+from hri_pipeline.core.onnx import ModelError, model_path
+from hri_pipeline.core.person_detector import DEFAULT_FILE, CenterNetDetector, PersonDetector
+
+SURE_SCORE, SURE_VERIFICATION = 0.9, 1.0
+"""Score of the detections, and sum of the verification, from which a face is sure whatever is around it."""
+AGAIN = 1.0
+"""Time (s) after which a refused face is asked for again, if it has moved: people breathe and sway."""
+PATIENCE, PATIENT = 3, 0.6
+"""After so many refusals this share of the lead is enough, and so on: nobody who moves is refused for ever. Of 652 true
+faces (small, dark, masked, blurred, cut) two need it, once; of 15 things 13 do, once to four times."""
+_MOST_ASKED = 2
+"""Faces that are asked for in one image."""
+_FORGOTTEN = 3.0
+"""Time (s) after which a refusal is forgotten."""
+
+
+@dataclass(frozen=True)
+class _Refusal:
+    """A face that was refused: what it looked like, when it was looked at (s), and how often it was refused."""
+
+    place: PlaceView
+    stamp: float
+    count: int
+
+
+class Surroundings:
+    """Asks the person detector about new faces, and remembers where they were refused.
+
+    Parameters
+    ----------
+    load
+        Returns the person detector; called when it is first needed.
+    least_lead
+        How many times the score of all else that of a person must be; 0: no face is doubted.
+    notify
+        Called with one line of text when there is no person detector.
+    """
+
+    def __init__(self, load: Callable[[], PersonDetector], least_lead: float,
+                 notify: Optional[Callable[[str], None]] = None) -> None:
+        self._load, self._least_lead = load, least_lead
+        self._notify = notify or (lambda text: None)
+        self._detector: Optional[PersonDetector] = None
+        self._has_failed = False
+        self._refusals: List[_Refusal] = []
+
+    def limit(self, least_lead: float) -> None:
+        """Set the lead that is needed."""
+        self._least_lead = least_lead
+
+    def reset(self) -> None:
+        """Forget where faces were refused."""
+        self._refusals = []
+
+    def doubts(self, track: FaceTrack) -> bool:
+        """Whether it must be found out what is around a face before it is published."""
+        return (self._least_lead > 0.0 and not track.vouched and not self._has_failed
+                and (track.score < SURE_SCORE or track.verification < SURE_VERIFICATION))
+
+    def ask(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> None:
+        """Find out about doubted faces, a few an image; those that were refused a moment ago wait, and those that stand
+        where a face was refused and nothing has moved since.
+
+        bgr: (H, W, 3) uint8, the image of `stamp` (s).
+        """
+        self._refusals = [one for one in self._refusals if 0.0 <= stamp - one.stamp < _FORGOTTEN]
+        asked = 0
+        for track in tracks:
+            box = track.predicted_box(stamp)
+            before = next((one for one in self._refusals if same_face(one.place.box, box)), None)
+            if before is not None and self._waits(bgr, before, stamp):
+                track.refused = True
+            elif asked < _MOST_ASKED and not self._has_failed:
+                asked += 1
+                self._ask(bgr, track, box, stamp, before)
+
+    def _waits(self, bgr: np.ndarray, before: _Refusal, stamp: float) -> bool:
+        """Whether a refusal holds: it was a moment ago, or nothing has moved there, which is looked at as often."""
+        if stamp - before.stamp < AGAIN:
+            return True
+        if not before.place.is_unchanged(bgr):
+            return False
+        self._refusals = [replace(one, stamp=stamp) if one is before else one for one in self._refusals]
+        return True
+
+    def _ask(self, bgr: np.ndarray, track: FaceTrack, box: np.ndarray, stamp: float,
+             before: Optional[_Refusal]) -> None:
+        """Find out about one face. before: its last refusal."""
+        count = 0 if before is None else before.count
+        try:
+            if self._detector is None:
+                self._detector = self._load()
+            lead = self._detector.lead_around(bgr, box)
+        except ModelError as error:
+            self._has_failed = True
+            self._notify("new faces are not compared with what is around them: {}".format(error))
+            return
+        track.vouched = lead >= self._least_lead * PATIENT ** (count // PATIENCE)
+        track.refused = not track.vouched
+        self._refusals = [one for one in self._refusals if one is not before]
+        if track.refused:
+            self._refusals.append(_Refusal(PlaceView(bgr, box), stamp, count + 1))
+
+
+def load_person_detector(settings: FaceTrackingSettings,
+                         notify: Optional[Callable[[str], None]] = None) -> CenterNetDetector:
+    """Load the person detector for faces alone: on the CPU, as it is seldom needed, and a card would take seconds to
+    prepare for it. Raises ModelError naming the file."""
+    return CenterNetDetector(model_path(settings.person_detector_model, DEFAULT_FILE), notify=notify)

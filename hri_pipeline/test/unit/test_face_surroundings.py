@@ -1,0 +1,127 @@
+"""Doubted faces: who is asked about, when again, and what comes of it, with a person detector made of numbers."""
+
+import numpy as np
+import pytest
+
+from hri_pipeline.core.faces.mesh import MESH_POINTS
+from hri_pipeline.core.faces.surroundings import AGAIN, PATIENCE, Surroundings
+from hri_pipeline.core.faces.track import FaceMeasurement, FaceTrack
+from hri_pipeline.core.onnx import ModelError
+from hri_pipeline.core.tracks import TrackLife
+
+IMAGE = np.zeros((480, 640, 3), np.uint8)
+
+
+def moved(stamp):
+    """An image in which all has moved since any other stamp (s)."""
+    return np.random.RandomState(int(round(10.0 * stamp))).randint(0, 255, (480, 640, 3), np.uint8)
+
+
+def track(x=100.0, score=0.7, verification=1.0):
+    """A new track of a square face of 50 px about x, 200 px."""
+    mesh = np.random.RandomState(0).uniform(-0.5, 0.5, (MESH_POINTS, 3))
+    mesh[:2, :2] = (-0.5, -0.5), (0.5, 0.5)
+    measurement = FaceMeasurement(50.0 * mesh + (x, 200.0, 0.0), 0.99, True, score=score, verification=verification)
+    return FaceTrack("face", measurement, TrackLife(0.0, 0.1, 1.0), 0.0)
+
+
+class People:
+    """Gives the same lead to all, and notes about what it was asked."""
+
+    def __init__(self, lead):
+        self.lead, self.asked, self.loaded = lead, [], 0
+
+    def load(self):
+        self.loaded += 1
+        return self
+
+    def lead_around(self, image, face):
+        self.asked.append(float(face[[0, 2]].mean()))
+        return self.lead
+
+
+@pytest.mark.parametrize("score, verification, doubted", [
+    (0.95, 1.0, False), (0.95, 0.7, True), (0.85, 2.0, True)], ids=["sure", "hardly verified", "faint"])
+def test_only_faces_of_which_the_detector_is_not_sure_are_doubted(score, verification, doubted):
+    one, people = track(score=score, verification=verification), People(2.0)
+    around = Surroundings(people.load, 1.0)
+    assert around.doubts(one) is doubted and people.loaded == 0
+    around.limit(0.0)
+    assert not around.doubts(one)
+
+
+def test_who_has_a_person_around_is_asked_about_once():
+    one, people = track(), People(2.0)
+    around = Surroundings(people.load, 1.0)
+    around.ask(IMAGE, [one], 0.0)
+    assert one.vouched and not one.refused and not around.doubts(one)
+    assert len(people.asked) == people.loaded == 1
+
+
+def test_a_refused_face_is_asked_about_again_after_a_while_though_its_track_is_another_one():
+    people = People(0.5)
+    around = Surroundings(people.load, 1.0)
+    for stamp in (0.0, 0.1, 0.9 * AGAIN):
+        one = track(x=100.0 + stamp)
+        around.ask(moved(stamp), [one], stamp)
+        assert one.refused and not one.vouched and around.doubts(one)
+    assert len(people.asked) == 1
+    people.lead = 2.0
+    around.ask(moved(AGAIN), [one], AGAIN)
+    assert one.vouched and not one.refused and len(people.asked) == 2 and people.loaded == 1
+
+
+def test_a_refusal_counts_at_its_place_only_and_not_after_a_reset():
+    one, beside, people = track(), track(300.0), People(0.5)
+    around = Surroundings(people.load, 1.0)
+    around.ask(IMAGE, [one], 0.0)
+    people.lead = 2.0
+    around.ask(IMAGE, [one, beside], 0.1)
+    assert beside.vouched and not one.vouched
+    around.reset()
+    around.ask(IMAGE, [one], 0.2)
+    assert one.vouched
+
+
+def test_a_thing_that_stands_still_is_not_asked_about_again_until_it_moves():
+    people, one = People(0.5), track()
+    around = Surroundings(people.load, 1.0)
+    for stamp in np.arange(0.0, 20.0 * AGAIN, 0.3):
+        around.ask(moved(0.0), [one], stamp)
+        assert one.refused
+    assert len(people.asked) == 1
+    people.lead = 2.0
+    around.ask(moved(21.0 * AGAIN), [one], 21.0 * AGAIN)
+    assert one.vouched and len(people.asked) == 2
+
+
+@pytest.mark.parametrize("lead, refusals", [(0.7, PATIENCE), (0.4, 2 * PATIENCE), (0.1, 5 * PATIENCE)])
+def test_less_is_enough_after_some_refusals_and_nobody_who_moves_is_refused_for_ever(lead, refusals):
+    one, people = track(), People(lead)
+    around = Surroundings(people.load, 1.0)
+    for count in range(refusals):
+        around.ask(moved(count * AGAIN), [one], count * AGAIN)
+        assert not one.vouched
+    around.ask(moved(refusals * AGAIN), [one], refusals * AGAIN)
+    assert one.vouched
+
+
+def test_of_many_faces_each_is_asked_about_in_its_turn():
+    faces, people = [track(100.0 * number) for number in range(5)], People(2.0)
+    around = Surroundings(people.load, 1.0)
+    for stamp in (0.0, 0.1, 0.2):
+        around.ask(IMAGE, [face for face in faces if around.doubts(face)], stamp)
+    assert people.asked == pytest.approx([100.0 * number for number in range(5)])
+    assert all(face.vouched for face in faces)
+
+
+def test_without_a_person_detector_it_is_told_once_and_nobody_is_doubted():
+    def load():
+        raise ModelError("model file person.onnx does not exist")
+
+    told, one = [], track()
+    around = Surroundings(load, 1.0, told.append)
+    assert around.doubts(one)
+    around.ask(IMAGE, [one, track(300.0)], 0.0)
+    assert not around.doubts(one) and not one.refused and not around.doubts(track(500.0))
+    assert told == ["new faces are not compared with what is around them: model file person.onnx does not exist"]
