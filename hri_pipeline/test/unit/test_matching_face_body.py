@@ -244,6 +244,21 @@ def test_links_of_different_times_and_no_links_give_no_place():
     assert head_place([]) is None and head_place([Timed(body, math.inf)]) is None
 
 
+def test_the_root_of_the_next_image_which_comes_before_its_joints_moves_no_head_of_the_last_one():
+    """The camera turns; a body's frame comes at once, those of its joints when its robot_state_publisher has them."""
+    matcher, still = make([], ["b1"]), (0.0, 0.0, 0.0, 1.0)
+
+    def tell(parent, child, way, tenths):
+        nanoseconds = 100000000 * tenths
+        matcher.add_transforms(*message(RawTransform(parent, child, 1, nanoseconds, (way, 0.0, 0.0), still)), False)
+    for tenths, way in enumerate((0.0, 0.0, 0.4)):
+        tell("camera", "body_b1", way, tenths)
+        if tenths < 2:
+            tell("body_b1", "head_b1", 0.0, tenths)
+    places = {stamp: float(matcher._places("bodies", ["b1"], stamp)[0, 0]) for stamp in (1.1, 1.2)}
+    assert places == pytest.approx({1.1: 0.0, 1.2: 0.4})
+
+
 def link(parent, child, seed):
     turn = tuple(Rotation.random(random_state=seed).as_quat())
     return RawTransform(parent, child, 1, 0, tuple(np.random.default_rng(seed).normal(size=3)), turn)

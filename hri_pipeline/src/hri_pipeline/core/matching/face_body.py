@@ -331,7 +331,8 @@ class FaceBodyMatcher:
 
 
 def head_place(chain: Sequence[Timed]) -> Optional[HeadPlace]:
-    """Return the place that follows from the transforms from a head up to its camera.
+    """Return the place that follows from the transforms from a head up to its camera, at the time of the highest one
+    that moves: a body moves more, between two images, than its head moves on it.
 
     None without any that moves, and where their stamps are more than MAX_APART_S apart.
     """
@@ -342,7 +343,7 @@ def head_place(chain: Sequence[Timed]) -> Optional[HeadPlace]:
     for timed in chain:
         (x, y, z), (i, j, k) = timed.transform.translation, turned(timed.transform.rotation, position)
         position = (x + i, y + j, z + k)
-    return HeadPlace(chain[-1].transform.parent, position, min(stamps)) if math.isfinite(sum(position)) else None
+    return HeadPlace(chain[-1].transform.parent, position, stamps[-1]) if math.isfinite(sum(position)) else None
 
 
 # Point of the skeleton (hri_msgs/Skeleton2D), landmarks of which the mean is the same point (dlib's 68
