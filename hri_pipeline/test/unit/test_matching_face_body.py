@@ -211,6 +211,28 @@ def test_a_pair_lasts_while_the_body_shows_no_head_until_another_face_fits():
     assert [(match.face, match.body) for match in matcher.matches()] == [("f2", "b1")]
 
 
+@pytest.mark.parametrize("late", [0, 1, 3, 8])
+def test_bodies_are_compared_with_the_faces_of_their_image_which_come_later(late):
+    """The camera turns by half a face from image to image; faces come so many images after their bodies."""
+    matcher, places = make(["f1"], ["b1"]), [0.2 + 0.05 / ASPECT * step for step in range(24)]
+    for step, place in enumerate(places):
+        stamp = 50.0 + 0.1 * step
+        matcher.add_body("b1", stamp, human(place)[1])
+        matcher.matches()
+        if step >= late:
+            matcher.add_face("f1", stamp - 0.1 * late, human(places[step - late])[0], ASPECT)
+        assert [match.confidence for match in matcher.matches()] == pytest.approx([1.0] if step >= late else [])
+
+
+def test_a_body_is_compared_with_the_last_image_of_a_face_when_no_more_comes():
+    matcher = make(["f1"], ["b1"])
+    matcher.add_face("f1", 1.0, human(0.5)[0], ASPECT)
+    for step in range(1, 6):
+        matcher.add_body("b1", 1.0 + 0.1 * step, human(0.5)[1])
+        matched = bool(matcher.matches())
+    assert matched
+
+
 def test_time_may_jump_back():
     matcher = make()
     assert feed(matcher, 100.0, {"f1": 0.5}, {"b1": 0.5, "b2": 0.8})
