@@ -368,7 +368,6 @@ _BEGINS = _COUNTS[:, 0].cumsum() - _COUNTS[:, 0]
 _MIN_WEIGHT = 1.3       # at least two points, one of them an eye or the nose
 # Two estimates of one head: across the line of sight (m), and along it, where both are inexact and more so far away.
 ACROSS_M, ALONG_M, ALONG_SHARE = 0.2, 0.3, 0.15
-ONE_HEAD = 8.0          # power of that likelihood, which is high only up to a hand's breadth (.07 m): two heads are not so near
 PLACES_ALONE = 0.9      # likelihood of two heads at one place that have no points in common in the image
 
 
@@ -440,10 +439,6 @@ def place_likelihoods(faces: np.ndarray, bodies: np.ndarray) -> np.ndarray:
 
 
 def combined(image: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Fuse the likelihoods (F, B) of image and places, either of which may be NaN.
-
-    The image is the more exact one, but for heads that are one in space: of somebody in profile, the eyes and ears of
-    face and skeleton are apart.
-    """
-    both = image ** (1.0 - 0.5 * places ** ONE_HEAD) * np.sqrt(places)
+    """Fuse the likelihoods (F, B) of image and places, either of which may be NaN; the image is the more exact one."""
+    both = image * np.sqrt(places)
     return np.where(np.isnan(places), image, np.where(np.isnan(image), PLACES_ALONE * places, both))
