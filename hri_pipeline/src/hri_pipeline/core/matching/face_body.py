@@ -206,7 +206,8 @@ class FaceBodyMatcher:
     def _bodies_by_stamp(self) -> Dict[float, List[str]]:
         """Bodies by the stamp of their newest skeleton of which faces of their camera are known.
 
-        Those of its own image may be still to come, and tell more, while the camera turns, than those of the one before.
+        Those of its own image may be still to come, and tell more, while the camera turns, than those of the one
+        before.
         """
         new = {body: self._not_compared(body) for body in sorted(self._tracked["bodies"])}
         oldest = min((stamps[0] for stamps in new.values() if stamps), default=math.inf) - _GAP_S
