@@ -211,6 +211,28 @@ def test_a_pair_lasts_while_the_body_shows_no_head_until_another_face_fits():
     assert [(match.face, match.body) for match in matcher.matches()] == [("f2", "b1")]
 
 
+@pytest.mark.parametrize("late", [0, 1, 3, 8])
+def test_bodies_are_compared_with_the_faces_of_their_image_which_come_later(late):
+    """The camera turns by half a face from image to image; faces come so many images after their bodies."""
+    matcher, places = make(["f1"], ["b1"]), [0.2 + 0.05 / ASPECT * step for step in range(24)]
+    for step, place in enumerate(places):
+        stamp = 50.0 + 0.1 * step
+        matcher.add_body("b1", stamp, human(place)[1])
+        matcher.matches()
+        if step >= late:
+            matcher.add_face("f1", stamp - 0.1 * late, human(places[step - late])[0], ASPECT)
+        assert [match.confidence for match in matcher.matches()] == pytest.approx([1.0] if step >= late else [])
+
+
+def test_a_body_is_compared_with_the_last_image_of_a_face_when_no_more_comes():
+    matcher = make(["f1"], ["b1"])
+    matcher.add_face("f1", 1.0, human(0.5)[0], ASPECT)
+    for step in range(1, 6):
+        matcher.add_body("b1", 1.0 + 0.1 * step, human(0.5)[1])
+        matched = bool(matcher.matches())
+    assert matched
+
+
 def test_time_may_jump_back():
     matcher = make()
     assert feed(matcher, 100.0, {"f1": 0.5}, {"b1": 0.5, "b2": 0.8})
@@ -242,6 +264,21 @@ def test_links_of_different_times_and_no_links_give_no_place():
     assert head_place([Timed(head, 1.0), Timed(body, 1.5)]) is None
     assert head_place([Timed(head, 1.0), Timed(body, 1.1)]) is not None
     assert head_place([]) is None and head_place([Timed(body, math.inf)]) is None
+
+
+def test_the_root_of_the_next_image_which_comes_before_its_joints_moves_no_head_of_the_last_one():
+    """The camera turns; a body's frame comes at once, those of its joints when its robot_state_publisher has them."""
+    matcher, still = make([], ["b1"]), (0.0, 0.0, 0.0, 1.0)
+
+    def tell(parent, child, way, tenths):
+        nanoseconds = 100000000 * tenths
+        matcher.add_transforms(*message(RawTransform(parent, child, 1, nanoseconds, (way, 0.0, 0.0), still)), False)
+    for tenths, way in enumerate((0.0, 0.0, 0.4)):
+        tell("camera", "body_b1", way, tenths)
+        if tenths < 2:
+            tell("body_b1", "head_b1", 0.0, tenths)
+    places = {stamp: float(matcher._places("bodies", ["b1"], stamp)[0, 0]) for stamp in (1.1, 1.2)}
+    assert places == pytest.approx({1.1: 0.0, 1.2: 0.4})
 
 
 def link(parent, child, seed):

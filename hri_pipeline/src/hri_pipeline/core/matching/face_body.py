@@ -19,6 +19,7 @@ from hri_pipeline.core.tracks import assign
 _HISTORY_S = 12.0       # bodies of an image have come 3 to 5 s after its faces, on two busy cores with ten people
 _GAP_S = 0.7            # between two images of a face that tell where it was meanwhile
 _LONGEST_LAG_S = 10.0
+_AWAIT_S = 0.3          # longer than they lag, a body waits for the faces of its image where they come later
 _UNSEEN_S = 0.5         # after its last image a body was not seen where another one was,
 _UNSEEN_MALUS = 0.3     # which may be so much less likely
 MOST_ASPECT = 10.0
@@ -203,7 +204,11 @@ class FaceBodyMatcher:
         self._compared.clear()
 
     def _bodies_by_stamp(self) -> Dict[float, List[str]]:
-        """Bodies by the stamp of their newest skeleton of which faces of their camera are known."""
+        """Bodies by the stamp of their newest skeleton of which faces of their camera are known.
+
+        Those of its own image may be still to come, and tell more, while the camera turns, than those of the one
+        before.
+        """
         new = {body: self._not_compared(body) for body in sorted(self._tracked["bodies"])}
         oldest = min((stamps[0] for stamps in new.values() if stamps), default=math.inf) - _GAP_S
         images: Dict[str, Set[float]] = {}
@@ -214,9 +219,11 @@ class FaceBodyMatcher:
         found: Dict[float, List[str]] = {}
         for body, stamps in new.items():
             camera = self._frames.get(("bodies", body), "")
-            own = [ordered[other] for other in ordered if not (camera and other) or other == camera]
-            stamp = next((stamp for stamp in reversed(stamps)
-                          if any(self._near(stamp, others) for others in own)), None)
+            newest = self._newest.get(("bodies", camera), -math.inf) - _AWAIT_S
+            own = [(others, newest - self._lags.get(("faces", other), 0.0)) for other, others in ordered.items()
+                   if others and (not (camera and other) or other == camera)]
+            stamp = next((stamp for stamp in reversed(stamps) if any(
+                stamp <= max(others[-1], overdue) and self._near(stamp, others) for others, overdue in own)), None)
             if stamp is not None:
                 found.setdefault(stamp, []).append(body)
         return found
@@ -331,7 +338,8 @@ class FaceBodyMatcher:
 
 
 def head_place(chain: Sequence[Timed]) -> Optional[HeadPlace]:
-    """Return the place that follows from the transforms from a head up to its camera.
+    """Return the place that follows from the transforms from a head up to its camera, at the time of the highest one
+    that moves: a body moves more, between two images, than its head moves on it.
 
     None without any that moves, and where their stamps are more than MAX_APART_S apart.
     """
@@ -342,7 +350,7 @@ def head_place(chain: Sequence[Timed]) -> Optional[HeadPlace]:
     for timed in chain:
         (x, y, z), (i, j, k) = timed.transform.translation, turned(timed.transform.rotation, position)
         position = (x + i, y + j, z + k)
-    return HeadPlace(chain[-1].transform.parent, position, min(stamps)) if math.isfinite(sum(position)) else None
+    return HeadPlace(chain[-1].transform.parent, position, stamps[-1]) if math.isfinite(sum(position)) else None
 
 
 # Point of the skeleton (hri_msgs/Skeleton2D), landmarks of which the mean is the same point (dlib's 68
