@@ -52,7 +52,8 @@ def test_a_workspace_that_catkin_cannot_build_is_refused_before_anything_is_made
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("setting", ["PYTHONOPTIMIZE=2", "PYTHONWARNINGS=error", "PYTHONINSPECT=1", "PYTHONHOME=/other"])
+@pytest.mark.parametrize("setting", [
+    "PYTHONOPTIMIZE=2", "PYTHONWARNINGS=error", "PYTHONINSPECT=1", "PYTHONHOME=/other"])
 def test_how_the_users_python_runs_is_not_how_the_commands_run_theirs(setting):
     """Tests without assertions pass, and rospy does not get by where warnings are errors."""
     script = '. "$0"; clean_environment; env'
