@@ -55,7 +55,8 @@ clean_environment() {
         ROS_* | ROSLISP_* | CATKIN_* | _CATKIN_* | AMENT_* | COLCON_*) unset "$name" ;;
         esac
     done < <(env)
-    unset PYTHONPATH PYTHONHOME PYTHONSTARTUP VIRTUAL_ENV CMAKE_PREFIX_PATH PKG_CONFIG_PATH
+    unset PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONOPTIMIZE PYTHONWARNINGS PYTHONINSPECT PYTHONSAFEPATH
+    unset VIRTUAL_ENV CMAKE_PREFIX_PATH PKG_CONFIG_PATH
     unset PIP_USER PIP_TARGET PIP_PREFIX PIP_REQUIRE_VIRTUALENV PIP_CONSTRAINT PYTEST_ADDOPTS
     # Who wants no __pycache__ in the tree has it in our cache: nodes and tests would be compiled at each start.
     if [ -n "${PYTHONDONTWRITEBYTECODE:-}" ]; then

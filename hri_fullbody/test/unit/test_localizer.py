@@ -159,6 +159,21 @@ def test_a_depth_image_gives_distance_and_size(size):
     assert np.nanmax(np.linalg.norm(body.keypoints_3d[8:14] - points[[24, 26, 28, 23, 25, 27]], axis=1)) < 0.12
 
 
+@pytest.mark.parametrize("period", [1, 3])
+def test_noise_and_gaps_of_a_depth_image_do_not_make_a_body_jump(period):
+    random = np.random.default_rng(3)
+    position = np.array([0.1, 0.1, 2.4])
+    points = STANDING * 1.1 + position
+    depth, shape, places = depth_of(points), None, []
+    for index in range(45):
+        seen = depth * (1.0 + 0.02 * cv2.resize(random.normal(size=(90, 160)), (1280, 720)))
+        body, _, shape = observe(1.1, position, shape=shape, start=index / 15.0,
+                                 depth=seen.astype(np.float32) if index % period == 0 else None)
+        places.append(body.pose.translation[2])
+    assert np.abs(np.diff(places[10:])).max() < 0.045
+    assert np.mean(places[10:]) == pytest.approx(2.4, abs=0.04)
+
+
 @pytest.mark.parametrize("depth", [np.full((720, 1280), np.nan, np.float32), np.zeros((720, 1280), np.float32),
                                    np.full((4, 4), 9.0, np.float32) * np.nan], ids=["nan", "zero", "small"])
 def test_without_a_single_depth_the_colour_image_places_the_body(depth):

@@ -231,10 +231,10 @@ def test_a_depth_image_places_the_head(stage):
     image = cv2.resize(photograph("sample3"), (960, 640), interpolation=cv2.INTER_AREA)
     camera = CameraModel.from_fov(960, 640, HFOV)
     place = {}
-    for factor in (None, 1.1, 2.0):
+    for factor, size in ((None, ()), (1.1, (640, 960)), (1.1, (240, 360)), (2.0, (640, 960))):
         stage.reset()
         for index in range(60):
-            depth = None if factor is None or index < 12 else np.full((640, 960), factor * place[None], np.float32)
+            depth = None if factor is None or index < 12 else np.full(size, factor * place[None], np.float32)
             faces = stage.update(image, camera, 1000.0 + 0.1 * index, depth)
         nearest = max(faces, key=lambda face: face.box[3] - face.box[1])
         place[factor] = nearest.pose.translation[2] / nearest.head_scale
@@ -242,7 +242,7 @@ def test_a_depth_image_places_the_head(stage):
             assert nearest.head_scale == pytest.approx(1.1, abs=0.04) and nearest.head_scale_sd < 0.02
         if factor == 2.0:
             assert 0.9 < nearest.head_scale < 1.1, "no head is twice as large: this is the wall behind"
-    assert stage.update(image, camera, 1006.0, np.full((10, 10), 1.0, np.float32)), "another size of depth image"
+    assert stage.update(image, camera, 1006.0, np.full((10, 10), 1.0, np.float32)), "another shape of depth image"
 
 
 def test_many_faces_take_turns_and_none_is_lost():

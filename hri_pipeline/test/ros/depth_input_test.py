@@ -70,6 +70,25 @@ class DepthInputTest(unittest.TestCase):
         self.addCleanup(timer.shutdown)
         self.assertAlmostEqual(float(depth.match(1.1, 64, 48, "camera_optical")[0, 0]), 2.0, places=5)
 
+    def test_slower_depth_is_not_waited_for_before_its_next_image(self):
+        depth = self.depth_input()
+        self.send(depth, *(depth_message(1.0 + 0.1 * index, 1000) for index in range(5)))
+        waited = []
+
+        def match(stamp):
+            waited.clear()
+            depth._condition.wait = waited.append
+            return depth.match(stamp, 64, 48, "camera_optical")
+
+        self.assertIsNotNone(match(1.4))
+        self.assertIsNone(match(1.433))
+        self.assertEqual(waited, [], "the next one will be of 1.5")
+        self.assertIsNone(match(1.5))
+        self.assertTrue(waited, "it may be on its way")
+        self.send(depth, depth_message(1.52, 1000), depth_message(1.54, 1000))
+        self.assertIsNone(match(1.575))
+        self.assertTrue(waited, "now they come every 20 ms")
+
     def test_a_depth_image_without_stamp_has_the_time_of_its_arrival_as_images_do(self):
         depth = self.depth_input(slop=0.5)
         self.send(depth, depth_message(0.0, 1000))

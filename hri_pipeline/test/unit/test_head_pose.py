@@ -245,10 +245,10 @@ def test_an_unknown_source_is_an_error_of_the_program():
         HeadScale().add("horoscope", 1.0)
 
 
-def depth_case(depth):
+def depth_case(depth, size=(100, 80)):
     mesh = np.zeros((478, 3))
     mesh[:20, 0], mesh[:20, 1] = np.arange(20) * 3 + 10, 40
-    return scale_from_depth(mesh, np.full(20, 2.0), np.arange(20), depth)
+    return scale_from_depth(mesh, np.full(20, 2.0), np.arange(20), depth, size)
 
 
 def test_depth_image_is_read_robustly():
@@ -259,4 +259,7 @@ def test_depth_image_is_read_robustly():
     depth[40] = np.nan
     assert depth_case(depth) is None
     assert depth_case(np.zeros((80, 100), np.float32)) is None
-    assert depth_case(np.full((20, 12), 1.8, np.float32)) is None, "the face lies outside the depth image"
+    assert depth_case(np.full((20, 12), 1.8, np.float32), (12, 20)) is None, "the face lies outside the depth image"
+    small = np.full((20, 25), 6.0, np.float32)
+    small[10, 2:17] = 1.8
+    assert depth_case(small) == pytest.approx(0.9), "a quarter of the size of the colour image"

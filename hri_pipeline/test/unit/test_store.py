@@ -4,6 +4,7 @@ writes."""
 import base64
 import fcntl
 import os
+import resource
 import signal
 import sqlite3
 import stat
@@ -299,6 +300,19 @@ def test_two_processes_share_it(path):
     assert b"Anna Example" not in everything(path.parent)
     first.close()
     second.close()
+
+
+@pytest.mark.parametrize("room", [0, 20])
+def test_no_half_key_is_left_where_the_disk_is_full(room, tmp_path):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+    try:
+        with pytest.raises(StoreError, match="key: File too large"):
+            make_key_file(tmp_path / "key")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert list(tmp_path.iterdir()) == []
+    TemplateCipher(make_key_file(tmp_path / "key"))
 
 
 def test_templates_can_be_encrypted(path, tmp_path):

@@ -4,6 +4,8 @@ import os
 import subprocess
 from pathlib import Path
 
+import pytest
+
 LIB = Path(__file__).resolve().parent.parent
 
 
@@ -48,3 +50,13 @@ def test_a_workspace_that_catkin_cannot_build_is_refused_before_anything_is_made
     done = sourced("check_platform", tmp_path, ROS4HRI_CACHE="a cache")
     assert done.returncode == 2 and "{}/a cache/workspace".format(tmp_path) in done.stdout
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("setting", [
+    "PYTHONOPTIMIZE=2", "PYTHONWARNINGS=error", "PYTHONINSPECT=1", "PYTHONHOME=/other"])
+def test_how_the_users_python_runs_is_not_how_the_commands_run_theirs(setting):
+    """Tests without assertions pass, and rospy does not get by where warnings are errors."""
+    script = '. "$0"; clean_environment; env'
+    told = subprocess.run(["bash", "-euc", script, str(LIB / "common.sh")], check=True, stdout=subprocess.PIPE,
+                          universal_newlines=True, env=dict([setting.split("=")], PATH=os.environ["PATH"])).stdout
+    assert setting.split("=")[0] not in told

@@ -45,7 +45,7 @@ class OneEuro:
         self._speed: Optional[np.ndarray] = None
         self._stamp = 0.0
 
-    def __call__(self, value: np.ndarray, stamp: float) -> np.ndarray:
+    def __call__(self, value: np.ndarray, stamp: float, beta: Optional[float] = None) -> np.ndarray:
         """Filter one value. A stamp that goes back, or another shape, restarts the filter.
 
         Parameters
@@ -54,6 +54,8 @@ class OneEuro:
             Any shape.
         stamp : float
             When it was measured, s.
+        beta : float, optional
+            Another beta for this value, such as a larger one for what is measured better than most.
 
         Returns
         -------
@@ -72,7 +74,7 @@ class OneEuro:
         difference = np.where(known, value - np.where(known, self._value, 0.0), 0.0)
         smooth = _smoothing(np.asarray(self._d_cutoff), step)
         speed = np.where(known, self._speed + smooth * (difference / step - self._speed), 0.0)
-        cutoff = self._min_cutoff + self._beta * np.abs(speed)
+        cutoff = self._min_cutoff + (self._beta if beta is None else beta) * np.abs(speed)
         filtered = np.where(known, value - (1.0 - _smoothing(cutoff, step)) * difference, value)
         self._value, self._speed, self._stamp = filtered, speed, float(stamp)
         return filtered.copy()

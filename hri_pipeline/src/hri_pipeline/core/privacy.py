@@ -215,6 +215,12 @@ def make_key_file(path: Union[str, Path]) -> Path:
         descriptor = os.open(str(path), os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except OSError as error:
         raise StoreError("key file {}: {}; an existing key is never overwritten".format(path, error.strerror)) from None
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(Fernet.generate_key() + b"\n")
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(Fernet.generate_key() + b"\n")
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:        # a full disk: half a key would be in the way of the next try
+        path.unlink()
+        raise StoreError("key file {}: {}".format(path, error.strerror)) from None
     return path

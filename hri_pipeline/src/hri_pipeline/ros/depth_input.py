@@ -23,6 +23,8 @@ DEPTH_SILENCE_S = 5.0
 _PATIENCE_S = 0.08
 _ALIVE_S = 1.0
 _QUEUE = 8
+# So many depth images tell how soon the next one comes.
+_ENOUGH = 4
 _MEANWHILE = "bodies are placed by the colour image alone"
 
 
@@ -52,6 +54,7 @@ class DepthInput:
         self.topic = rospy.resolve_name("depth")
         self._condition = threading.Condition()
         self._messages: Deque[Image] = deque(maxlen=_QUEUE)
+        self._stamps: Deque[float] = deque(maxlen=_QUEUE)
         self._heard = float("-inf")
         self._matched = time.monotonic()
         self._nearest: Optional[float] = None
@@ -132,6 +135,7 @@ class DepthInput:
         """Forget the messages: time has jumped back."""
         with self._condition:
             self._messages.clear()
+            self._stamps.clear()
 
     def close(self) -> None:
         """Stop listening; a `match` that waits returns None. Idempotent."""
@@ -153,6 +157,7 @@ class DepthInput:
                 # As images without stamp: by the time of their arrival.
                 message.header.stamp = rospy.Time.now()
             self._messages.append(message)
+            self._stamps.append(message.header.stamp.to_sec())
             self._condition.notify_all()
 
     def _take(self, stamp: float) -> Optional[Image]:
@@ -168,10 +173,17 @@ class DepthInput:
                     return best
                 now = time.monotonic()
                 late = any(message.header.stamp.to_sec() > stamp for message in self._messages)
-                if late or now >= deadline or now - self._heard > _ALIVE_S:
+                if late or now >= deadline or now - self._heard > _ALIVE_S or self._next_stamp() > stamp + self._slop:
                     return None
                 self._condition.wait(deadline - now)
         return None
+
+    def _next_stamp(self) -> float:
+        """Return the earliest stamp (s) that the next depth image will have by the last ones, -inf while they tell
+        nothing: a camera that measures depth more seldom than colour is not waited for in between."""
+        stamps = list(self._stamps)
+        least = min((after - before for before, after in zip(stamps, stamps[1:])), default=0.0)
+        return stamps[-1] + least if len(stamps) >= _ENOUGH and least > 0.0 else float("-inf")
 
     def _compare(self, depth_frame: str, frame_id: str) -> None:
         """Tell when the depth image is in another frame than the image."""

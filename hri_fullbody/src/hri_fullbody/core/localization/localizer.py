@@ -355,6 +355,8 @@ def _cue(source: str, ratio: float, sd: Tuple[float, float], limits: Tuple[float
 # A body is about as large as this: makes pixels comparable with metres, for which the filters are tuned.
 _BODY_METRES = 1.76
 _KNOWN = 0.3
+# Beta of the filter of the distance where a depth image gives it.
+_AGILITY_BY_DEPTH = 10.0
 # m/s, of a face that is still the body's own, and the time within which it may have jumped.
 _FASTEST, _SHORTEST_S = 4.0, 0.05
 _BOX_MARGIN = 0.04
@@ -393,8 +395,8 @@ class _Still(NamedTuple):
 
 class BodyLocalizer:
     """Filters of one body. The key points in the image go through a one euro filter, 1.5 Hz and 6 per m/s, which lags
-    21 ms behind a waving wrist. In space only the distance is filtered, and only where no depth image gives it: it
-    trembles most. What becomes of the rest is left to whoever fits a model to it."""
+    21 ms behind a waving wrist. In space only the distance is filtered, less where a depth image gives it: it trembles
+    most, and jumps where depth has gaps. What becomes of the rest is left to whoever fits a model to it."""
 
     def __init__(self) -> None:
         self._image = OneEuro(1.5, 6.0)
@@ -529,10 +531,11 @@ class BodyLocalizer:
             anchor = cue.reference
             placed = placed + anchor * (cue.ratio - scale)
         if self.by_depth and context.depth is not None:
-            self._distance.reset()
-            return measured_joints(context.depth, pixels, rays, placed, confidence, size)
+            placed = measured_joints(context.depth, pixels, rays, placed, confidence, size)
+            anchor = 0.5 * (placed[BLAZE_LEFT_HIP] + placed[BLAZE_RIGHT_HIP])
         depth = np.array([0.5 * (placed[BLAZE_LEFT_HIP, 2] + placed[BLAZE_RIGHT_HIP, 2])])
-        return placed + anchor / anchor[2] * (self._distance(depth, track.stamp) - depth)
+        filtered = self._distance(depth, track.stamp, _AGILITY_BY_DEPTH if self.by_depth else None)
+        return placed + anchor / anchor[2] * (filtered - depth)
 
 
 def _depth_cue_of(points: np.ndarray, track: BodyTrack, camera: CameraModel, context: SceneContext

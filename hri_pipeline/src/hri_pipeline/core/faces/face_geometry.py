@@ -77,7 +77,7 @@ class FaceGeometry:
                 depth: Optional[np.ndarray] = None) -> List[FaceObservation]:
         """Return one observation per tracked face, in order.
 
-        camera: of the image's size; stamp: s; depth: (H, W) m registered with the image, 0 or NaN unknown.
+        camera: of the image's size; stamp: s; depth: (h, w) m registered with the image, 0 or NaN unknown.
         """
         for found in tracked:
             if found.id not in self._faces:
@@ -113,7 +113,7 @@ class FaceGeometry:
             face.gaze = face.gaze_smoother(gaze, stamp)
             from_eyes = 0.0 if face.gaze_smoother.is_closed else gaze.from_eyes
             for source, scale in (("iris", scale_from_iris(diameters, pose, self._eyes, focal, from_eyes)),
-                                  ("depth", self._depth_scale(found.mesh, pose, depth))):
+                                  ("depth", self._depth_scale(found.mesh, pose, camera, depth))):
                 if scale is not None:
                     face.scale.add(source, scale)
 
@@ -126,11 +126,13 @@ class FaceGeometry:
             face.blendshapes, face.shaped_at = face_shapes, stamp
         return np.stack([face.blendshapes for face, _, _ in posed if face.blendshapes is not None])
 
-    def _depth_scale(self, mesh: np.ndarray, pose: Pose, depth: Optional[np.ndarray]) -> Optional[float]:
+    def _depth_scale(self, mesh: np.ndarray, pose: Pose, camera: CameraModel,
+                     depth: Optional[np.ndarray]) -> Optional[float]:
         if depth is None:
             return None
         model = pose.compose(self._to_face)
-        return scale_from_depth(mesh, model.apply(self._canonical.vertices[_SKIN])[:, 2], _SKIN, depth)
+        return scale_from_depth(mesh, model.apply(self._canonical.vertices[_SKIN])[:, 2], _SKIN, depth,
+                                (camera.width, camera.height))
 
     def _observation(self, found: TrackedFace, camera: CameraModel, stamp: float) -> FaceObservation:
         face = self._faces[found.id]

@@ -360,14 +360,14 @@ def scale_from_iris(diameters: np.ndarray, pose: Pose, eyes: EyeGeometry, focal:
 
 
 def scale_from_depth(mesh: np.ndarray, canonical_depths: np.ndarray, indices: np.ndarray,
-                     depth: np.ndarray) -> Optional[float]:
-    """Return the size of a head by a registered depth image (H, W) m, None where too few pixels know their depth.
+                     depth: np.ndarray, size: Tuple[int, int]) -> Optional[float]:
+    """Return the size of a head by a registered depth image (h, w) m, None where too few pixels know their depth.
 
     canonical_depths: (N,) m, of the vertices `indices` of the posed canonical face; the median ratio is robust
-    against hair and background.
+    against hair and background. size: (width, height) px of the image of `mesh`; that of the depth may be another.
     """
     height, width = depth.shape[:2]
-    pixels = np.floor(mesh[indices, :2]).astype(int)
+    pixels = np.floor(mesh[indices, :2] * np.divide((width, height), size)).astype(int)
     inside = ((pixels >= 0) & (pixels < (width, height))).all(axis=1)
     if inside.sum() < 8:
         return None

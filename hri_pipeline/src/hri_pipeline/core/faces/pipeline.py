@@ -49,7 +49,7 @@ from hri_pipeline.core.faces.tracker import FaceTracker, explains, is_same_or_pa
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.image_rotation import ImageRotation
-from hri_pipeline.core.images import PictureCuts
+from hri_pipeline.core.images import ASPECT_TOLERANCE, PictureCuts
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.onnx import model_path
 from hri_pipeline.core.orientation import FaceOrientation
@@ -158,7 +158,7 @@ class FacePipeline:
         stamp
             Time of the image, s, increasing. A stamp that goes back is a new start: every face is dropped.
         depth
-            (H, W) m, registered with the image; ignored when it is of another size.
+            (h, w) m, registered with the image; ignored when it is of another shape.
         demand
             Which results of the analysis are wanted; none by default.
         placed
@@ -175,7 +175,7 @@ class FacePipeline:
         self._last_stamp = stamp
         height, width = bgr.shape[:2]
         camera = camera.resized(width, height)
-        if depth is not None and depth.shape[:2] != (height, width):
+        if depth is not None and abs(depth.shape[1] * height / (depth.shape[0] * width) - 1.0) > ASPECT_TOLERANCE:
             depth = None
         observed: Dict[str, FaceObservation] = {}
         with self.times.in_parts("face_pose") as measured:
