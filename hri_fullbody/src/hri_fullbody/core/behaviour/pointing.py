@@ -98,10 +98,9 @@ def aim(pointing: Pointing, others: Mapping[str, np.ndarray], up: np.ndarray,
         camera_height: Optional[float]) -> Pointing:
     """Tell what the ray meets: the body nearest to it, else the floor.
 
-    The confidence that a body is meant is its share of the likelihood of all bodies, and of nobody: with two beside each
-    other each has less.
     others: key points (18, 3) m of the other bodies by id. up: (3,) unit vector against gravity. camera_height: m
     above the floor, None unknown.
+    Result: its confidence that a body is meant is the share of that one's likelihood in those of all and of nobody.
     """
     best, angle, likely = None, _WIDEST, _NOBODY
     for body_id, points in others.items():
