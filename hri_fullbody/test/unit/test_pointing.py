@@ -49,3 +49,11 @@ def test_the_ray_ends_on_a_body_else_on_the_floor():
     assert floor.receiver == "" and floor.place == pytest.approx([0.0, 1.5, 2.0])
     assert aim(down, {}, people.UP, None).place is None
     assert aim(ray, {}, people.UP, 1.5).place is None
+
+
+def test_of_two_side_by_side_neither_is_surely_meant():
+    ray = Pointing(np.zeros(3), np.array([0.0, 0.0, 1.0]), 1.0)
+    one, two = (people.standing().seen(place=(left, 0.5, 4.0)) for left in (0.1, -0.15))
+    alone, both = aim(ray, {"one": one}, people.UP, 1.5), aim(ray, {"one": one, "two": two}, people.UP, 1.5)
+    assert alone.receiver == both.receiver == "one"
+    assert alone.confidence > 0.75 and 0.3 < both.confidence < 0.55

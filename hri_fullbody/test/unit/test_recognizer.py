@@ -60,6 +60,9 @@ NOTHING = [
     ("hands folded before the belly", people.standing().arm("left", (0.02, 0.05, -0.27), (0.15, -0.15, -0.42)).arm(
         "right", (0.02, 0.05, -0.27), (0.15, -0.15, -0.42))),
     ("two hands at one handle", HANDS_AT_HANDLE),
+    ("closing a jacket", people.standing().arm("left", (0.0, 0.10, -0.26), (0.13, -0.17, -0.12)).arm(
+        "right", (0.0, 0.06, -0.28), (0.13, -0.17, -0.40))),
+    ("a hand on the own shoulder", people.standing().arm("right", (0.2, 0.1, -0.15), (0.1, -0.05, 0.0))),
 ]
 
 

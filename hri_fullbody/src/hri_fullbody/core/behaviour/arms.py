@@ -47,6 +47,10 @@ _SEEN_HAND_LENGTH = 0.095       # where the direction of the hand is seen, the f
 # Hands that touch the face are guessed up to .17 statures nearer to one camera than it, others are .13 and more beside
 # it: of a distance along the view, half counts where depth is guessed.
 GUESSED_DEPTH = 0.5
+# A hand on a shoulder, at the collar or at the strap of a bag has its fingers or its wrist as near to the face as one
+# under the chin, but not all of it: of the distance, this part is that of the middle of the hand, the rest the least.
+# And it is below and beside the face at once: this part of both together is a distance, too, as faces are egg-shaped.
+_WHOLE_HAND, _BELOW_AND_BESIDE = 0.5, 0.75
 _MIN_LENGTH_M = 1e-6
 _NAN3 = (math.nan, math.nan, math.nan)
 
@@ -56,7 +60,7 @@ class ArmFeatures(NamedTuple):
 
     rise: wrist above its shoulder along gravity, statures. rise_trunk: the same along the trunk.
     above_elbow: wrist above its elbow along gravity, statures.
-    to_face: least distance from wrist to fingers to the middle of the face, statures.
+    to_face: distance from the hand to the middle of the face, statures: of the hand's nearest place and of its middle.
     forward: wrist in front of the shoulder line along the trunk's forward axis, statures.
     outward: wrist left (left arm) or right (right arm) of the mid-plane of the trunk, statures; negative beyond it.
     level: wrist above the shoulder line along the trunk, statures.
@@ -153,7 +157,7 @@ def _one_arm(places: Sequence[Vector], sign: float, middle: Vector, face: Tuple[
     along, hand = (forearm, _HAND_LENGTH) if knuckles[0] != knuckles[0] else (knuckles, _SEEN_HAND_LENGTH)
     return (
         dot(reach, up) / stature, dot(reach, high) / stature, dot(forearm, up) / stature,
-        _distance_to_hand(_flat(minus(face[0], wrist), face[1]), _flat(along, face[1]), hand * stature) / stature,
+        _hand_to_face(_flat(minus(face[0], wrist), face[1]), _flat(along, face[1]), hand * stature, trunk) / stature,
         dot(from_middle, forward) / stature, sign * dot(from_middle, left) / stature,
         dot(from_middle, high) / stature, _angle(minus(shoulder, elbow), forearm),
         length(minus(wrist, other_elbow)) / stature, dot(forearm, left) / stature, dot(forearm, forward) / stature)
@@ -164,18 +168,23 @@ def _flat(vector: Vector, lost: Vector) -> Vector:
     return [value - part * axis for value, axis in zip(vector, lost)]
 
 
-def _distance_to_hand(to_target: Vector, along_hand: Vector, hand: float) -> float:
-    """Distance (m) of a point to the line from the wrist to the fingers.
+def _hand_to_face(to_face: Vector, along_hand: Vector, hand: float, trunk: Sequence[Vector]) -> float:
+    """Distance (m) of the middle of the face to a hand: partly the least to the line from the wrist to the fingers,
+    partly that to the middle of this line, see _WHOLE_HAND.
 
-    to_target: from the wrist to the point. along_hand: direction of the hand: that of its knuckles, else of the
-    forearm; with neither the wrist alone counts. hand: its length, m.
+    to_face: from the wrist. along_hand: direction of the hand: that of its knuckles, else of the forearm; with neither
+    the wrist alone counts. hand: its length, m. trunk: its axes.
     """
     reach = length(along_hand)
-    if not reach > _MIN_LENGTH_M:
-        return length(to_target)
-    along = dot(to_target, along_hand) / reach
-    along = 0.0 if along < 0.0 else min(along, hand) / reach
-    return length(minus(to_target, [along * value for value in along_hand]))
+    least = middle = to_face
+    if reach > _MIN_LENGTH_M:
+        along = dot(to_face, along_hand) / reach
+        nearest = 0.0 if along < 0.0 else min(along, hand)
+        least, middle = (minus(to_face, [place / reach * value for value in along_hand])
+                         for place in (nearest, 0.5 * hand))
+    below_and_beside = max(0.0, dot(middle, trunk[2])) + abs(dot(middle, trunk[1]))
+    return max((1.0 - _WHOLE_HAND) * length(least) + _WHOLE_HAND * length(middle),
+               _BELOW_AND_BESIDE * below_and_beside)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ _SWINGING, _SHOWN = 1.2, 0.8
 # Log odds that arms are folded, against what else hands do near elbows: a constant, and by wrists ahead of the chest,
 # forearms inward, angle between them (degrees), wrists to the other elbows, and speed (statures, statures/s). Logistic
 # regression on simulated clips of mocap with depth noise; the constant is 1.5 less, since wrong claims cost more.
+# Hands that meet (praying, at the other sleeve) have the wrists at the mid-plane, but so have some real folded arms.
 _FOLDED_ODDS = (4.0, -27.0, 40.0, 0.02, -48.0, -1.5)
 
 
@@ -229,7 +230,7 @@ def _folded(features: ArmFeatures, inward: float, ahead: float, across: float, s
     """How much the hands lie at the other arms: what lacks of one sign, others may make up for.
 
     inward, ahead, across: means of both arms, statures; see crossed_score. An elbow that is not known leaves the angle
-    between the forearms to the direction of the other one.
+    between the forearms to the direction of the other one. Wrists one above the other close a jacket.
     """
     constant, *weights = _FOLDED_ODDS
     signs = (ahead, inward, _or(_between_forearms(features), 90.0 + 450.0 * across), _mean(features.to_other_elbow),
@@ -238,6 +239,7 @@ def _folded(features: ArmFeatures, inward: float, ahead: float, across: float, s
     return _lowest(
         _UNKNOWN if odds != odds else 1.0 / (1.0 + math.exp(-max(-50.0, min(50.0, odds)))),
         soft(0.5 * sum(features.outward), 0.06, 0.03), soft(speed, _CLAPPING, _HELD),
+        soft(abs(features.level[0] - features.level[1]), 0.16, 0.10),
         soft(_highest(*features.to_other_elbow), 0.25, 0.21), soft(_both(max, features.outward), 0.15, 0.11))
 
 

@@ -25,7 +25,9 @@ _HAND = 0.108       # Drillis and Contini 1966
 # The ray has not turned by more than this, rad, between the halves of this time, s.
 _STILL, _HOLD_S = math.radians(6.0), 0.5
 _LEAST_SAMPLES, _LEAST_SHARE = 4, 0.8
-_BODY_SD = math.radians(9.0)    # of the ray from a person who is meant
+_WIDEST = math.radians(9.0)     # between the ray and a person who is meant
+# Standard deviation of that, and how likely it is that nobody is meant, against somebody right on the ray.
+_RAY_SD, _NOBODY = math.radians(5.0), 0.2
 _FARTHEST_M = 10.0
 _FLATTEST = math.sin(math.radians(6.0))     # of a ray to the floor: a flatter one meets it anywhere
 
@@ -98,16 +100,20 @@ def aim(pointing: Pointing, others: Mapping[str, np.ndarray], up: np.ndarray,
 
     others: key points (18, 3) m of the other bodies by id. up: (3,) unit vector against gravity. camera_height: m
     above the floor, None unknown.
+    Result: its confidence that a body is meant is the share of that one's likelihood in those of all and of nobody.
     """
-    best, angle = None, _BODY_SD
+    best, angle, likely = None, _WIDEST, _NOBODY
     for body_id, points in others.items():
+        nearest = math.inf
         for place in _trunk_and_head(points):
             apart = _angle(place - pointing.origin, pointing.direction)
+            nearest = min(nearest, apart)
             if apart < angle:
                 best, angle = (body_id, place), apart
+        likely += _likelihood(nearest)
     if best is not None:
         far = float(np.linalg.norm(best[1] - pointing.origin))
-        return Pointing(pointing.origin, pointing.direction, pointing.confidence * (1.0 - 0.5 * angle / _BODY_SD),
+        return Pointing(pointing.origin, pointing.direction, _likelihood(angle) / likely,
                         best[0], pointing.origin + far * pointing.direction)
     slope = -float(pointing.direction @ up)
     if camera_height is None or slope < _FLATTEST:
@@ -117,6 +123,11 @@ def aim(pointing: Pointing, others: Mapping[str, np.ndarray], up: np.ndarray,
         return pointing
     return Pointing(pointing.origin, pointing.direction, pointing.confidence,
                     place=pointing.origin + far * pointing.direction)
+
+
+def _likelihood(angle: float) -> float:
+    """Likelihood of an angle (rad) between the ray and whom it means, 1 for none."""
+    return math.exp(-0.5 * (angle / _RAY_SD) ** 2)
 
 
 def _ray(points: np.ndarray, arm: Tuple[int, int, int], stature: float,
