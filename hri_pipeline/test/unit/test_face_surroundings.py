@@ -135,9 +135,17 @@ def test_a_refused_face_that_walks_is_asked_about_once_a_second_too(begin_anew):
     assert people.asked == pytest.approx([0.0, 150.0, 300.0], abs=1.0)
 
 
-def test_nobody_who_walks_is_refused_for_ever():
+def test_who_walks_is_asked_about_with_the_same_demand_until_standing_somewhere():
     people = People(0.7)
-    assert walk(Surroundings(people.load, 1.0), PATIENCE * AGAIN + 0.6).vouched
+    around = Surroundings(people.load, 1.0)
+    one = walk(around, 4.0 * PATIENCE * AGAIN)
+    there = float(one.measurement.box[[0, 2]].mean())
+    for second in range(PATIENCE + 1):
+        assert one.refused and not one.vouched
+        stamp = (4.0 * PATIENCE + 1.0 + 1.1 * second) * AGAIN
+        one.continue_with(measured(there), stamp)
+        around.ask(moved(stamp), [one], stamp)
+    assert one.vouched
 
 
 def test_nobody_is_refused_for_ever_in_images_that_are_slower_than_refusals_are_forgotten():

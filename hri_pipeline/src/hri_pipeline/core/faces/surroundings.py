@@ -24,8 +24,10 @@ SURE_SCORE, SURE_VERIFICATION = 0.9, 1.0
 AGAIN = 1.0
 """Time (s) after which a refused face is asked for again, if it has moved: people breathe and sway."""
 PATIENCE, PATIENT = 3, 0.6
-"""After so many refusals this share of the lead is enough, and so on: nobody who moves is refused for ever. Of 652 true
-faces (small, dark, masked, blurred, cut) two need it, once; of 15 things 13 do, once to four times."""
+"""After so many refusals at one place this share of the lead is enough, and so on: nobody who breathes and sways there is
+refused for ever. Who walks, or stands before a camera that turns, shows another view each time, and is refused only
+where none is good enough. Of 652 true faces (small, dark, masked, blurred, cut) two need it, once; of 15 things 13 do,
+once to four times."""
 _MOST_ASKED = 2
 """Faces that are asked for in one image."""
 _FORGOTTEN = 3.0
@@ -126,6 +128,7 @@ class Surroundings:
              before: Optional[_Refusal]) -> None:
         """Find out about one face. before: its last refusal."""
         count = 0 if before is None else before.count
+        stands = before is None or same_face(before.place.box, box)
         try:
             if self._detector is None:
                 self._detector = self._load()
@@ -138,7 +141,7 @@ class Surroundings:
         track.refused = not track.vouched
         self._refusals = [one for one in self._refusals if one is not before]
         if track.refused:
-            self._refusals.append(_Refusal(track.id, box, PlaceView(bgr, box), stamp, count + 1))
+            self._refusals.append(_Refusal(track.id, box, PlaceView(bgr, box), stamp, count + int(stands)))
 
 
 def load_person_detector(settings: FaceTrackingSettings,
