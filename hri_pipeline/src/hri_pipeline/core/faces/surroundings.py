@@ -24,10 +24,10 @@ SURE_SCORE, SURE_VERIFICATION = 0.9, 1.0
 AGAIN = 1.0
 """Time (s) after which a refused face is asked for again, if it has moved: people breathe and sway."""
 PATIENCE, PATIENT = 3, 0.6
-"""After so many refusals at one place this share of the lead is enough, and so on: nobody who breathes and sways there is
-refused for ever. Who walks, or stands before a camera that turns, shows another view each time, and is refused only
-where none is good enough. Of 652 true faces (small, dark, masked, blurred, cut) two need it, once; of 15 things 13 do,
-once to four times."""
+"""After so many refusals at one place this share of the lead is enough, and so on: nobody who breathes and sways is
+refused for ever. Who walks, or stands before a camera that turns, shows another view each time, and is refused where
+none is good enough. Of 652 true faces (small, dark, masked, blurred, cut) two need it, once; of 15 things 13 do, once
+to four times."""
 _MOST_ASKED = 2
 """Faces that are asked for in one image."""
 _FORGOTTEN = 3.0
