@@ -629,6 +629,23 @@ def test_doubted_faces_are_published_where_the_person_detector_sees_people(monke
     assert witness.asked == COUNTS["sample1"], "each once, a refused one not within a second"
 
 
+@pytest.mark.parametrize("next_one", ["sample1", "hidden", "sample4"])
+def test_new_faces_are_asked_about_only_where_they_are_in_the_image(monkeypatch, next_one):
+    witness, image = Witness(0.1), photograph("sample1")
+    stage = doubting_stage(monkeypatch, lambda: witness)
+    watch(stage, [image] * SETTLED)
+    witness.asked, witness.lead = 0, 2.0
+    other = cv2.resize(photograph("sample1" if next_one == "hidden" else next_one), image.shape[1::-1])
+    if next_one == "hidden":
+        for track in stage._tracking._tracker.tracks:
+            x0, y0, x1, y1 = np.rint(track.measurement.box).astype(int)
+            other[y0 - 100:y1 + 100, x0 - 100:x1 + 100] = 128
+    if next_one == "sample1":
+        other = np.roll(other, 6, axis=1)
+    stage.update(other, CameraModel.from_fov(image.shape[1], image.shape[0], HFOV), 1001.6)
+    assert (witness.asked > 0, bool(stage.tracked_ids)) == ((next_one == "sample1",) * 2)
+
+
 def test_people_of_photographs_are_not_refused(monkeypatch):
     stage = doubting_stage(monkeypatch)
     assert {name: len(watch(stage, [photograph(name)] * SETTLED)[-1]) for name in COUNTS} == COUNTS

@@ -655,6 +655,16 @@ class VisionLoopTest(InputCase):
         self.assertEqual(stamps, [300.0, 300.5])
         self.assertEqual(came, sorted(came))
 
+    def test_after_an_image_that_cannot_be_read_the_next_one_is_taken_before_it_is_due(self):
+        image_input = self.image_input()
+        self.calibrate(image_input, info())
+        self.send(image_input, picture(320.0, encoding=""))
+        self.assertIsNone(image_input.next(0.0, lambda arrival: True))
+        self.send(image_input, picture(320.1))
+        self.assertEqual(image_input.next(0.0, lambda arrival: False).stamp, 320.1)
+        self.send(image_input, picture(320.2))
+        self.assertIsNone(image_input.next(0.0, lambda arrival: False))
+
     def test_people_stay_between_two_images_of_a_low_rate(self):
         image_input = self.image_input()
         self.calibrate(image_input, info())

@@ -1,5 +1,7 @@
 """Doubted faces: who is asked about, when again, and what comes of it, with a person detector made of numbers."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.tracks import TrackLife
 
 IMAGE = np.zeros((480, 640, 3), np.uint8)
+NUMBERS = itertools.count()
 
 
 def moved(stamp):
@@ -17,12 +20,16 @@ def moved(stamp):
     return np.random.RandomState(int(round(10.0 * stamp))).randint(0, 255, (480, 640, 3), np.uint8)
 
 
-def track(x=100.0, score=0.7, verification=1.0):
-    """A new track of a square face of 50 px about x, 200 px."""
+def measured(x, score=0.7, verification=1.0):
+    """A square face of 50 px about x, 200 px."""
     mesh = np.random.RandomState(0).uniform(-0.5, 0.5, (MESH_POINTS, 3))
     mesh[:2, :2] = (-0.5, -0.5), (0.5, 0.5)
-    measurement = FaceMeasurement(50.0 * mesh + (x, 200.0, 0.0), 0.99, True, score=score, verification=verification)
-    return FaceTrack("face", measurement, TrackLife(0.0, 0.1, 1.0), 0.0)
+    return FaceMeasurement(50.0 * mesh + (x, 200.0, 0.0), 0.99, True, score=score, verification=verification)
+
+
+def track(x=100.0, score=0.7, verification=1.0):
+    """A new track of such a face."""
+    return FaceTrack("face_%d" % next(NUMBERS), measured(x, score, verification), TrackLife(0.0, 0.1, 1.0), 0.0)
 
 
 class People:
@@ -104,6 +111,73 @@ def test_less_is_enough_after_some_refusals_and_nobody_who_moves_is_refused_for_
         assert not one.vouched
     around.ask(moved(refusals * AGAIN), [one], refusals * AGAIN)
     assert one.vouched
+
+
+def walk(around, seconds, begin_anew=()):
+    """Somebody who walks by at three sizes of the face a second, with images at 10 Hz; returns the last track.
+
+    begin_anew: images in which a track ends, and another one begins.
+    """
+    one = track(0.0)
+    for index in range(round(10.0 * seconds)):
+        stamp, x = 0.1 * index, 15.0 * index
+        if index in begin_anew:
+            one = track(x)
+        one.continue_with(measured(x), stamp)
+        around.ask(moved(stamp), [one] if around.doubts(one) else [], stamp)
+    return one
+
+
+@pytest.mark.parametrize("begin_anew", [(), (5, 18, 19)], ids=["one track", "several"])
+def test_a_refused_face_that_walks_is_asked_about_once_a_second_too(begin_anew):
+    people = People(0.5)
+    assert walk(Surroundings(people.load, 1.0), 3.0, begin_anew).refused
+    assert people.asked == pytest.approx([0.0, 150.0, 300.0], abs=1.0)
+
+
+def test_who_walks_is_asked_about_with_the_same_demand_until_standing_somewhere():
+    people = People(0.7)
+    around = Surroundings(people.load, 1.0)
+    one = walk(around, 4.0 * PATIENCE * AGAIN)
+    there = float(one.measurement.box[[0, 2]].mean())
+    for second in range(PATIENCE + 1):
+        assert one.refused and not one.vouched
+        stamp = (4.0 * PATIENCE + 1.0 + 1.1 * second) * AGAIN
+        one.continue_with(measured(there), stamp)
+        around.ask(moved(stamp), [one], stamp)
+    assert one.vouched
+
+
+def test_nobody_is_refused_for_ever_in_images_that_are_slower_than_refusals_are_forgotten():
+    one, people = track(), People(0.7)
+    around = Surroundings(people.load, 1.0)
+    for stamp in np.arange(0.0, 4.0 * PATIENCE + 1.0, 4.0):
+        assert not one.vouched
+        around.ask(moved(stamp), [one], stamp)
+    assert one.vouched
+
+
+def test_another_lead_counts_for_those_who_were_refused_though_nothing_moves():
+    one, people = track(), People(0.5)
+    around = Surroundings(people.load, 1.0)
+    around.ask(IMAGE, [one], 0.0)
+    around.limit(1.0)
+    around.ask(IMAGE, [one], 0.1)
+    assert not one.vouched and len(people.asked) == 1
+    around.limit(0.4)
+    around.ask(IMAGE, [one], 0.2)
+    assert one.vouched
+
+
+def test_refused_faces_do_not_take_the_turns_of_new_ones():
+    toys, people = [track(100.0 * number) for number in range(4)], People(0.01)
+    around = Surroundings(people.load, 1.0)
+    for second in range(8):     # 1 Hz: each is due in each image
+        around.ask(moved(second), toys, float(second))
+    assert {round(x) for x in people.asked} == {0, 100, 200, 300}
+    people.lead, new = 2.0, track(500.0)
+    around.ask(moved(8), [*toys, new], 8.0)
+    assert new.vouched
 
 
 def test_of_many_faces_each_is_asked_about_in_its_turn():

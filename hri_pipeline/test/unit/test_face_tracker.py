@@ -646,3 +646,18 @@ def test_a_face_that_is_not_seen_twice_yet_is_not_asked_about():
     assert faces.doubted == []
     track.add_detection(STEP, 1.0)
     assert faces.doubted == [track]
+
+
+def test_faces_that_were_refused_leave_room_for_others():
+    faces = tracker(most=1)
+    faces._doubts = lambda track: not track.vouched
+    things = [face(150.0 * number) for number in range(4)]
+    for index in range(5):
+        for track in faces.update(things, index * STEP):
+            track.refused = True
+    assert faces.ids == [] and len(faces.tracks) == 4
+    for index in range(5, 8):
+        seen = faces.update([*things, face(800.0)], index * STEP)
+    seen[-1].vouched = True
+    faces.update([*things, face(800.0)], 8 * STEP)
+    assert faces.ids == [seen[-1].id]

@@ -133,6 +133,7 @@ class ImageInput(SensorInput):
         self._grey = GreyBits()
         self._decode = image_to_bgr if transport == "raw" else compressed_to_bgr
         self._message: Optional[ImageMessage] = None
+        self._owed = False      # an image was wanted and could not be used
         self._last_stamp: Optional[float] = None
         # When the newest image and the last one that was taken came: s, of the monotonic clock and of ROS.
         self._arrival = self._came = self._taken_at = (0.0, 0.0)
@@ -155,7 +156,7 @@ class ImageInput(SensorInput):
         """Return the newest image that has not been taken yet; None when none comes for `timeout` s.
 
         is_due: whether the image that came at a time (s, monotonic clock) is wanted; one that is not is left out at
-        once, so that one that is wanted is never kept waiting.
+        once, so that one that is wanted is never kept waiting. After one that cannot be used the next one is wanted.
         """
         deadline = time.monotonic() + timeout
         while not self._closed:
@@ -163,9 +164,11 @@ class ImageInput(SensorInput):
             if message is None:
                 self._warn_of_silence()
                 return None
-            if is_due is not None and not is_due(self._came[0]):
+            if is_due is not None and not self._owed and not is_due(self._came[0]):
                 continue
+            self._owed = True
             frame = self._frame(message)
+            self._owed = frame is None
             if frame is not None:
                 return frame
         return None

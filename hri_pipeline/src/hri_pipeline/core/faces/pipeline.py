@@ -374,6 +374,7 @@ class FaceTrackingPipeline:
         chosen = set(self._mesh_scheduler.choose(self._requests(expected, stamp), stamp))
         if cut:
             chosen = {track.id for track in expected}
+            self._surroundings.reset()
             self._search_anew(stamp)
         skipped = {track.id for track in expected} - chosen
         with self._begin_search(bgr, stamp) as search:
@@ -384,7 +385,7 @@ class FaceTrackingPipeline:
             finally:        # an error there costs nobody the search
                 measured = list(found.values())
                 measured += self._detect(bgr, search, measured, skipped, stamp)
-                self._ask_about_doubted(bgr, stamp)
+                self._ask_about_doubted(bgr, stamp, set() if cut else skipped.union(found))
                 seen = self._tracker.update(measured, stamp, skipped, (bgr.shape[1], bgr.shape[0]), cut)
         if self._tracker.replaced:
             self._search_anew(stamp)
@@ -416,9 +417,9 @@ class FaceTrackingPipeline:
         self._orientation.reset()
         self._anew_at = self._panned_at = -np.inf
 
-    def _ask_about_doubted(self, bgr: np.ndarray, stamp: float) -> None:
-        """Find out what is around new faces that are not sure."""
-        doubted = self._tracker.doubted
+    def _ask_about_doubted(self, bgr: np.ndarray, stamp: float, present: Set[str]) -> None:
+        """Find out what is around new faces that are not sure, of those that are in this image by their ids."""
+        doubted = [track for track in self._tracker.doubted if track.id in present]
         if doubted:
             with self._times("face_surroundings"):
                 self._surroundings.ask(bgr, doubted, stamp)

@@ -7,8 +7,8 @@ of which the face detector is not sure.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Callable, List, Optional, Sequence
+from dataclasses import dataclass
+from typing import Callable, List, Optional, Sequence, Set, Tuple
 
 import numpy as np
 
@@ -24,18 +24,23 @@ SURE_SCORE, SURE_VERIFICATION = 0.9, 1.0
 AGAIN = 1.0
 """Time (s) after which a refused face is asked for again, if it has moved: people breathe and sway."""
 PATIENCE, PATIENT = 3, 0.6
-"""After so many refusals this share of the lead is enough, and so on: nobody who moves is refused for ever. Of 652 true
-faces (small, dark, masked, blurred, cut) two need it, once; of 15 things 13 do, once to four times."""
+"""After so many refusals at one place this share of the lead is enough, and so on: nobody who breathes and sways is
+refused for ever. Who walks, or stands before a camera that turns, shows another view each time, and is refused where
+none is good enough. Of 652 true faces (small, dark, masked, blurred, cut) two need it, once; of 15 things 13 do, once
+to four times."""
 _MOST_ASKED = 2
 """Faces that are asked for in one image."""
 _FORGOTTEN = 3.0
-"""Time (s) after which a refusal is forgotten."""
+"""Time (s) after which the refusal of a face that is gone is forgotten."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Refusal:
-    """A face that was refused: what it looked like, when it was looked at (s), and how often it was refused."""
+    """A face that was refused: the id of its track, where it is now (box (4,) px), what it looked like, when it was
+    looked at (s), and how often it was refused."""
 
+    face: str
+    box: np.ndarray
     place: PlaceView
     stamp: float
     count: int
@@ -63,7 +68,9 @@ class Surroundings:
         self._refusals: List[_Refusal] = []
 
     def limit(self, least_lead: float) -> None:
-        """Set the lead that is needed."""
+        """Set the lead that is needed; another one counts for those who were refused, too, at once."""
+        if least_lead != self._least_lead:
+            self.reset()
         self._least_lead = least_lead
 
     def reset(self) -> None:
@@ -76,35 +83,52 @@ class Surroundings:
                 and (track.score < SURE_SCORE or track.verification < SURE_VERIFICATION))
 
     def ask(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> None:
-        """Find out about doubted faces, a few an image; those that were refused a moment ago wait, and those that stand
-        where a face was refused and nothing has moved since.
+        """Find out about doubted faces, a few an image, first those that were never asked for; those that were refused
+        a moment ago wait, and those that stand where they were refused and nothing has moved since.
 
         bgr: (H, W, 3) uint8, the image of `stamp` (s).
         """
-        self._refusals = [one for one in self._refusals if 0.0 <= stamp - one.stamp < _FORGOTTEN]
-        asked = 0
+        living = {track.id for track in tracks}
+        self._refusals = [one for one in self._refusals if stamp >= one.stamp and (
+            one.face in living or stamp - one.stamp < _FORGOTTEN)]
+        due: List[Tuple[FaceTrack, Optional[_Refusal]]] = []
         for track in tracks:
             box = track.predicted_box(stamp)
-            before = next((one for one in self._refusals if same_face(one.place.box, box)), None)
+            before = self._last_refusal(track.id, box, living)
             if before is not None and self._waits(bgr, before, stamp):
                 track.refused = True
-            elif asked < _MOST_ASKED and not self._has_failed:
-                asked += 1
-                self._ask(bgr, track, box, stamp, before)
+            else:
+                due.append((track, before))
+        due.sort(key=lambda one: -np.inf if one[1] is None else one[1].stamp)
+        for track, before in due[:_MOST_ASKED]:
+            if not self._has_failed:
+                self._ask(bgr, track, track.predicted_box(stamp), stamp, before)
 
-    def _waits(self, bgr: np.ndarray, before: _Refusal, stamp: float) -> bool:
+    def _last_refusal(self, face: str, box: np.ndarray, living: Set[str]) -> Optional[_Refusal]:
+        """Return that of a face, wherever it is now, or of one at its box (4,) px whose track has ended; None without
+        one."""
+        own = [one for one in self._refusals if one.face == face]
+        ended = [one for one in self._refusals if one.face not in living and same_face(one.box, box)]
+        for one in (own + ended)[:1]:
+            one.face, one.box = face, box
+            return one
+        return None
+
+    @staticmethod
+    def _waits(bgr: np.ndarray, before: _Refusal, stamp: float) -> bool:
         """Whether a refusal holds: it was a moment ago, or nothing has moved there, which is looked at as often."""
         if stamp - before.stamp < AGAIN:
             return True
         if not before.place.is_unchanged(bgr):
             return False
-        self._refusals = [replace(one, stamp=stamp) if one is before else one for one in self._refusals]
+        before.stamp = stamp
         return True
 
     def _ask(self, bgr: np.ndarray, track: FaceTrack, box: np.ndarray, stamp: float,
              before: Optional[_Refusal]) -> None:
         """Find out about one face. before: its last refusal."""
         count = 0 if before is None else before.count
+        stands = before is None or same_face(before.place.box, box)
         try:
             if self._detector is None:
                 self._detector = self._load()
@@ -117,7 +141,7 @@ class Surroundings:
         track.refused = not track.vouched
         self._refusals = [one for one in self._refusals if one is not before]
         if track.refused:
-            self._refusals.append(_Refusal(PlaceView(bgr, box), stamp, count + 1))
+            self._refusals.append(_Refusal(track.id, box, PlaceView(bgr, box), stamp, count + int(stands)))
 
 
 def load_person_detector(settings: FaceTrackingSettings,

@@ -255,7 +255,7 @@ class FaceTracker:
         a track: a detection there was one of this face."""
         new = [m for m in measurements if m.may_start or (id(m) in strangers and m.presence >= SURE_FACE)]
         for measurement in sorted(new, key=lambda m: -priority(m.box, view)):
-            count = sum(not track.replaced for track in self._tracks)
+            count = sum(not (track.replaced or track.refused) for track in self._tracks)
             if count >= self._max_faces + SPARE_TRACKS or not self.has_room_for(measurement.box, view):
                 break
             life = TrackLife(stamp, self._birth_delay, self._death_time)
