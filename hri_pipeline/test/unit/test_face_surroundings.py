@@ -57,6 +57,17 @@ def test_only_faces_of_which_the_detector_is_not_sure_are_doubted(score, verific
     assert not around.doubts(one)
 
 
+def test_the_detector_is_loaded_ahead_where_faces_are_doubted_at_all():
+    people = People(2.0)
+    Surroundings(people.load, 0.0).prepare()
+    assert people.loaded == 0
+    around = Surroundings(people.load, 1.0)
+    around.prepare()
+    around.prepare()
+    around.ask(IMAGE, [track()], 0.0)
+    assert people.loaded == 1 and len(people.asked) == 1
+
+
 def test_who_has_a_person_around_is_asked_about_once():
     one, people = track(), People(2.0)
     around = Surroundings(people.load, 1.0)

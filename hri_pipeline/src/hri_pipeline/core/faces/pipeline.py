@@ -101,7 +101,7 @@ class FacePipeline:
     threads
         Of the networks; by default as the settings say. They are closed by close().
     person_detector
-        Returns one that is there already; by default an own one is loaded when it is first needed.
+        Returns one that is there already, when it is first needed; by default an own one is loaded.
 
     Raises
     ------
@@ -303,6 +303,8 @@ class FaceTrackingPipeline:
         self._limit_mesh(settings)
         self._surroundings = Surroundings(person_detector or (lambda: load_person_detector(settings, notify)),
                                           settings.face_person_lead, notify)
+        if person_detector is None:
+            self._surroundings.prepare()
         self._tracker = FaceTracker(ids=ids, judge=judge, doubts=self._surroundings.doubts, **_limits(settings))
         self._cuts = PictureCuts()
         self._orientation = FaceOrientation()

@@ -52,7 +52,7 @@ class Surroundings:
     Parameters
     ----------
     load
-        Returns the person detector; called when it is first needed.
+        Returns the person detector; called by prepare(), or when it is first needed.
     least_lead
         How many times the score of all else that of a person must be; 0: no face is doubted.
     notify
@@ -66,6 +66,15 @@ class Surroundings:
         self._detector: Optional[PersonDetector] = None
         self._has_failed = False
         self._refusals: List[_Refusal] = []
+
+    def prepare(self) -> None:
+        """Load the detector now, where faces are doubted at all: the images do not wait for it then."""
+        if self._least_lead <= 0.0:
+            return
+        try:
+            self._detector = self._detector or self._load()
+        except ModelError as error:
+            self._fail(error)
 
     def limit(self, least_lead: float) -> None:
         """Set the lead that is needed; another one counts for those who were refused, too, at once."""
@@ -129,19 +138,29 @@ class Surroundings:
         """Find out about one face. before: its last refusal."""
         count = 0 if before is None else before.count
         stands = before is None or same_face(before.place.box, box)
-        try:
-            if self._detector is None:
-                self._detector = self._load()
-            lead = self._detector.lead_around(bgr, box)
-        except ModelError as error:
-            self._has_failed = True
-            self._notify("new faces are not compared with what is around them: {}".format(error))
+        lead = self._lead(bgr, box)
+        if lead is None:
             return
         track.vouched = lead >= self._least_lead * PATIENT ** (count // PATIENCE)
         track.refused = not track.vouched
         self._refusals = [one for one in self._refusals if one is not before]
         if track.refused:
             self._refusals.append(_Refusal(track.id, box, PlaceView(bgr, box), stamp, count + int(stands)))
+
+    def _lead(self, bgr: np.ndarray, box: np.ndarray) -> Optional[float]:
+        """Score of a person around a box (4,) px over that of all else; None without a detector."""
+        try:
+            if self._detector is None:
+                self._detector = self._load()
+            return self._detector.lead_around(bgr, box)
+        except ModelError as error:
+            self._fail(error)
+            return None
+
+    def _fail(self, error: ModelError) -> None:
+        """Doubt nobody from now on."""
+        self._has_failed = True
+        self._notify("new faces are not compared with what is around them: {}".format(error))
 
 
 def load_person_detector(settings: FaceTrackingSettings,
