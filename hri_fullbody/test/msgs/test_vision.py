@@ -16,7 +16,7 @@ def test_faces_and_bodies_that_take_turns_have_the_same_threads_for_all_of_the_s
     loader.exec_module(node)
     given = []
     monkeypatch.setattr(process.Cores, "count", 8.0)
-    monkeypatch.setattr(node, "FaceProcessor", lambda settings, threads: given.append(threads))
+    monkeypatch.setattr(node, "FaceProcessor", lambda settings, threads, person_detector: given.append(threads))
     monkeypatch.setattr(node, "BodyProcessor", lambda settings, listen_for_faces, threads: given.append(threads))
     for name in ("VisionWorker", "NodeDiagnostics", "CameraMounting", "image_input_of"):
         monkeypatch.setattr(node, name, lambda *arguments, **named: None)

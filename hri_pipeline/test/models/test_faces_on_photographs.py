@@ -14,7 +14,8 @@ from hri_pipeline.core.faces.analysis import FaceDemand
 from hri_pipeline.core.faces.head_pose import yaw_pitch_roll
 from hri_pipeline.core.faces.mesh import load_canonical_face
 from hri_pipeline.core.faces.parameters import FACES, FacesSettings
-from hri_pipeline.core.faces.pipeline import FacePipeline, FaceTrackingPipeline
+from hri_pipeline.core.faces.pipeline import FacePipeline
+from hri_pipeline.core.faces.tracking_pipeline import FaceTrackingPipeline
 from hri_pipeline.core.onnx import ModelError, models_directory
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.process import ONE_THREAD, Threads
