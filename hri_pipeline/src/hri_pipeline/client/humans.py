@@ -547,8 +547,8 @@ class _Tracked(Generic[Kind]):
 
 
 def _guarded(call: Callable[[Any], None]) -> Callable[[Any], None]:
-    """The same function, which logs what it raises: one error of a user's callback ends nothing. One that fails with each
-    message hides neither its other errors nor those of other callbacks."""
+    """The same function, which logs what it raises: one error of a user's callback ends nothing. One that fails with
+    each message hides neither its other errors nor those of other callbacks."""
     is_due = WallTimeThrottle()
 
     def guarded(value: Any) -> None:
