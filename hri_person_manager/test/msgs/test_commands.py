@@ -121,7 +121,8 @@ def test_the_launch_files_hand_ignored_regions_to_both_nodes_of_each_camera(more
 
 
 @pytest.mark.parametrize("given, before", [(None, ""), ("robot1", "robot1/"), ("/robot1/", "robot1/")])
-@pytest.mark.parametrize("file", ["ros4hri.launch", "scene.launch", "two_cameras.launch"])
+@pytest.mark.parametrize("file", ["ros4hri.launch", "scene.launch", "two_cameras.launch", "bag.launch", "demo.launch",
+                                  "two_machines.launch"])
 def test_in_a_group_with_a_namespace_the_tree_of_diagnostics_expects_its_nodes_when_it_is_told(file, given, before,
                                                                                                monkeypatch):
     monkeypatch.delenv("ROS_NAMESPACE", raising=False)

@@ -325,6 +325,22 @@ def test_two_names_that_a_recogniser_swaps_for_good_wait_one_second_at_most(coun
     assert people(manager, now + 1.01) == {one: ("f1", "", ""), other: ("f2", "", "")}
 
 
+@pytest.mark.parametrize("period", [1.05, 1.1, 1.3, 1.7])
+def test_two_who_contradict_each_other_slowly_and_withdraw_each_time_change_a_name_a_few_times_only(period):
+    """What is let through sooner, and withdrawn after it, counts twice."""
+    manager, owners = make(), []
+    see(manager, 0.0, faces=["f1"])
+    for step in range(780):
+        now = 0.5 + 0.1 * step
+        if int(now / period) != int((now - 0.1) / period):
+            one, other = ("ann", "bob") if int(now / period) % 2 else ("bob", "ann")
+            match(manager, "f1", "p:" + other, 0.0, now)
+            match(manager, "f1", "p:" + one, 0.9, now)
+        manager.tick(now)
+        owners.append(manager.person_of(MatchNode(Kind.FACE, "f1")))
+    assert sum(one != other for one, other in zip(owners, owners[1:])) <= 8 + 4 + 39 + 8
+
+
 @pytest.mark.parametrize("pair, known", [(("f1", "p:ann"), ()), (("p:ann", "p:bob"), ("ann", "bob"))],
                          ids=["a name", "two who are one"])
 def test_what_is_withdrawn_does_not_wait(pair, known):

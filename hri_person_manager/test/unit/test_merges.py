@@ -130,7 +130,7 @@ def test_what_nothing_contradicts_is_not_let_through_for_ever():
         if limit.holds(keys, now):
             limit.hear(keys, word, now)
             for key in limit.due(now, lambda keys, word=word: word):
-                limit.note((key, ), now, 12.0)
+                limit.note((key, ), now)
                 count += 1
         elif step % 11 == 0:
             limit.note(keys, now)

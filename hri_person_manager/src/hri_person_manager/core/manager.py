@@ -14,7 +14,7 @@ from hri_person_manager.core.cross_camera import CrossCamera
 from hri_person_manager.core.features import Kind, MatchNode, PlaceSource, TrackedFeatures
 from hri_person_manager.core.location import Decay, FeaturePlaces, PersonLocation, Place
 from hri_person_manager.core.match_graph import Association, CandidateMatch, SaidNames
-from hri_person_manager.core.merges import MORE_CHANGES, MOST_CHANGES, ChangeLimit, Merges
+from hri_person_manager.core.merges import ChangeLimit, Merges
 from hri_person_manager.core.parameters import PersonManagerSettings, sensor_errors
 from hri_person_manager.core.persons import (
     ANONYMOUS_PREFIX,
@@ -344,7 +344,7 @@ class PersonManager:
         due = self._limit.due(now, self._association.undisputed)
         changed = self._association.solve([feature for feature, _ in due]) if due else False
         if changed:
-            self._limit.note(due, now, MOST_CHANGES + MORE_CHANGES)
+            self._limit.note(due, now)
         return changed
 
     def _forget_outdated(self, now: float) -> None:

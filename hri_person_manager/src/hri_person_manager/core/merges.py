@@ -29,12 +29,14 @@ class ChangeLimit:
     def __init__(self) -> None:
         self._spent: Dict[Hashable, Tuple[float, float]] = {}      # changes that count still, and when (s)
         self._waiting: Dict[Keys, Tuple[Optional[Hashable], float]] = {}     # what is said, and since when (s)
+        self._sooner: Set[Hashable] = set()     # of those spent, let through sooner
 
-    def note(self, keys: Iterable[Hashable], now: float, most: float = MOST_CHANGES) -> None:
-        """Note that a match about these has changed who belongs together, at `now` (s); of more than `most` changes
-        only one counts."""
-        counts = {key: self._count(key, now) for key in keys}
-        self._spent.update((key, (max(count, min(count, most) + 1.0), now)) for key, count in counts.items())
+    def note(self, keys: Iterable[Hashable], now: float) -> None:
+        """Note that a match about these has changed who belongs together, at `now` (s); of more than MOST_CHANGES only
+        one counts, unless they were let through sooner: a name that is withdrawn after that counts, too."""
+        for key in keys:
+            count, most = self._count(key, now), MOST_CHANGES + (MORE_CHANGES if key in self._sooner else 0.0)
+            self._spent[key] = max(count, min(count, most) + 1.0), now
 
     def holds(self, keys: Keys, now: float) -> bool:
         """Tell whether a match about these may change nothing at `now` (s); due() names them when it may."""
@@ -56,6 +58,8 @@ class ChangeLimit:
                  or words is not None and now - since >= UNDISPUTED_S and not self._is_spent(keys, now, MORE_CHANGES)]
         for keys in found:
             del self._waiting[keys]
+        self._sooner.update(key for keys in found for key in keys)
+        self._sooner = {key for key in self._sooner if self._is_spent((key,), now)}
         self._spent = {key: spent for key, spent in self._spent.items() if self._count(key, now) > 0.0}
         return list(dict.fromkeys(key for keys in found for key in keys))
 

@@ -31,7 +31,7 @@ from hri_pipeline.client.topics import (
     Region,
 )
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.ros.rospy_compat import hear_who_comes_back
+from hri_pipeline.ros.rospy_compat import WallTimeThrottle, hear_who_comes_back
 from hri_pipeline.ros.subscriptions import IdSubscribers
 
 _LOG_PERIOD_S = 10.0
@@ -508,15 +508,16 @@ class _Tracked(Generic[Kind]):
 
     def listen(self, came: Optional[Callable[[Kind], None]], left: Optional[Callable[[Kind], None]]) -> None:
         """Call these from now on; `came` at once for those who are there."""
+        guarded = None if came is None else _guarded(came)
         with self._lock:
             there = list(self._people.values())
-            if came is not None:
-                self._came.append(_guarded(came))
+            if guarded is not None:
+                self._came.append(guarded)
             if left is not None:
                 self._left.append(_guarded(left))
-        if came is not None:
+        if guarded is not None:
             for human in there:
-                _guarded(came)(human)
+                guarded(human)
 
     def close(self) -> None:
         """Forget everybody. Idempotent."""
@@ -546,10 +547,14 @@ class _Tracked(Generic[Kind]):
 
 
 def _guarded(call: Callable[[Any], None]) -> Callable[[Any], None]:
-    """The same function, which logs what it raises: one error of a user's callback ends nothing."""
+    """The same function, which logs what it raises: one error of a user's callback ends nothing. One that fails with
+    each message hides neither its other errors nor those of other callbacks."""
+    is_due = WallTimeThrottle()
+
     def guarded(value: Any) -> None:
         try:
             call(value)
         except Exception as error:
-            rospy.logerr_throttle(_LOG_PERIOD_S, "a callback of Humans failed: %s: %s", type(error).__name__, error)
+            if is_due(type(error).__name__, _LOG_PERIOD_S):
+                rospy.logerr("a callback of Humans failed: %s: %s", type(error).__name__, error)
     return guarded
