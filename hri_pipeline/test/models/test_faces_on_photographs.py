@@ -619,7 +619,8 @@ class Witness:
 def doubting_stage(monkeypatch, person_detector=None):
     """A stage in which no new face is sure."""
     monkeypatch.setattr(surroundings, "SURE_SCORE", 1.1)
-    return FacePipeline(FACES.resolve({"face_budget": 1000.0, "recognition": False}), person_detector=person_detector)
+    values = {"face_budget": 1000.0, "recognition": False, "face_person_lead": 0.85}
+    return FacePipeline(FACES.resolve(values), person_detector=person_detector)
 
 
 @pytest.mark.parametrize("lead, count", [(0.1, 0), (2.0, 3)])

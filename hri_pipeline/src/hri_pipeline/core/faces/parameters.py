@@ -37,7 +37,7 @@ class FaceTrackingSettings(PersonDetectorSettings):
         0.5, "Probability of the mesh network below which a face is lost. Higher lets go of hidden faces sooner.",
         minimum=0.05, maximum=0.99, live=True)
     face_person_lead: float = parameter(
-        0.85, "A new face of which the face detector is not sure (a score below 0.9) gets topics when the person "
+        0.0, "A new face of which the face detector is not sure (a score below 0.9) gets topics when the person "
         "detector scores a person around it by this factor as high as anything else. Asked once, and each second anew "
         "while it is refused and moves, each three times at one place with less demand. Each costs 30 ms, the first "
         "one 33 MB of memory (none in `vision`). Larger refuses more animals and toys, and more people who are masked, "
