@@ -31,8 +31,8 @@ from hri_msgs.msg import BodyAttitude, BodyPosture, IdsList
 from hri_msgs.msg import Gesture as GestureMessage
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.image_rotation import turned_problem
 from hri_pipeline.core.observations import BodyObservation
-from hri_pipeline.core.orientation import turned_problem
 from hri_pipeline.ros.conversions import pose_from_transform, transform_to_msg
 from hri_pipeline.ros.inputs import Frame
 from hri_pipeline.ros.mounting import up_and_height

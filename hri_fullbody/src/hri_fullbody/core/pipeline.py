@@ -38,10 +38,9 @@ from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.ignored_regions import IgnoredRegions
-from hri_pipeline.core.image_rotation import ImageRotation
+from hri_pipeline.core.image_rotation import ImageOrientation, ImageRotation
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, model_path, models_directory
-from hri_pipeline.core.orientation import ImageOrientation
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.person_detector import DEFAULT_FILE, CenterNetDetector, PersonDetector
 from hri_pipeline.core.process import ONE_THREAD, Threads

@@ -30,10 +30,9 @@ from hri_pipeline.core.error_log import ItemGuard
 from hri_pipeline.core.frames import RawTransform, read, scan
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.core.image_rotation import ImageRotation
+from hri_pipeline.core.image_rotation import ImageRotation, quarter_turns, turned_problem
 from hri_pipeline.core.observations import BodyObservation, FaceObservation
 from hri_pipeline.core.onnx import ModelLog
-from hri_pipeline.core.orientation import quarter_turns, turned_problem
 from hri_pipeline.core.person_detector import PersonDetector
 from hri_pipeline.core.privacy import DataUse
 from hri_pipeline.core.process import Threads

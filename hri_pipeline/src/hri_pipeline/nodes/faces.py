@@ -18,10 +18,10 @@ from hri_pipeline.core.faces.crops import MAX_SIZE, aligned_crop, box_crop
 from hri_pipeline.core.faces.gaze import gaze_frame
 from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.faces.pipeline import FacePipeline
+from hri_pipeline.core.image_rotation import turned_problem
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.observations import SoftBiometrics as FaceBiometrics
 from hri_pipeline.core.onnx import ModelLog
-from hri_pipeline.core.orientation import turned_problem
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.person_detector import PersonDetector
 from hri_pipeline.core.privacy import DataUse, StoreError

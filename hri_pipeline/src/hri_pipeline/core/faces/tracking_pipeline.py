@@ -33,9 +33,8 @@ from hri_pipeline.core.faces.track import LEAST_VERIFICATION, VERIFIED, FaceMeas
 from hri_pipeline.core.faces.tracker import FaceTracker, explains, is_same_or_part
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.ignored_regions import IgnoredRegions
-from hri_pipeline.core.image_rotation import ImageRotation
+from hri_pipeline.core.image_rotation import FaceOrientation, ImageRotation
 from hri_pipeline.core.images import PictureCuts
-from hri_pipeline.core.orientation import FaceOrientation
 from hri_pipeline.core.person_detector import PersonDetector
 from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler, Request
