@@ -1,26 +1,23 @@
 """Where a body stands in front of the camera and how large it is, in metres.
 
-Perspective-n-Point from its metric landmarks (`place`), which are those of a person of average height, and their scale
-from depth image, face, or floor.
+Perspective-n-Point from its metric landmarks (`place`), which are those of a person of average height, times a scale
+(`scale.py`). Of a body that a side or the top of the image cuts, a pose network squeezes the whole person into what it
+still sees: it is placed only where that agrees with what was before (`CutRange`).
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
-from typing import Deque, Dict, NamedTuple, Optional, Tuple
+from typing import Dict, NamedTuple, Optional, Tuple
 
 import cv2
 import numpy as np
 
 from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, PoseDetection
 from hri_fullbody.core.keypoints import (
-    BLAZE_INNER_EYES,
-    BLAZE_LEFT_ANKLE,
     BLAZE_LEFT_HIP,
     BLAZE_LEFT_SHOULDER,
-    BLAZE_RIGHT_ANKLE,
     BLAZE_RIGHT_HIP,
     BLAZE_RIGHT_SHOULDER,
     confidence_18,
@@ -29,7 +26,15 @@ from hri_fullbody.core.keypoints import (
     trunk_in_image,
     wrist_to_knuckles,
 )
-from hri_fullbody.core.localization.border import CutRange, is_cut, is_leaving
+from hri_fullbody.core.localization.scale import (
+    TRUNK,
+    BodyScale,
+    ScaleCue,
+    depth_cue,
+    face_cue,
+    floor_ratio,
+    trunk_ratio,
+)
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose, median_of_few
@@ -45,6 +50,12 @@ _LEAST_OUTLIER = 0.04
 _ROUNDS = 3
 _NO_LENS = np.eye(3)
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
+# Parts of the body's extent: what comes so near to the border may go on behind it; a face that is lost so near to it
+# has left.
+_REACH, _FACE_REACH = 0.1, 0.2
+_FARTHER = 0.08         # logarithm of the range: as much as ranges of one who is seen whole are apart,
+_FARTHER_RATE = 0.02    # and more per s since the last range that was right
+_SPEED = 0.3            # m/s by which the range follows one who is cut; a squeezed one shrinks faster
 
 
 def place(rays: np.ndarray, world: np.ndarray, seen: np.ndarray) -> Optional[np.ndarray]:
@@ -163,12 +174,6 @@ def _lateral_error(rays: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.hypot(*(points[:, :2] - rays * points[:, 2:]).T)
 
 
-_TRUNK = np.array([BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER, BLAZE_LEFT_HIP, BLAZE_RIGHT_HIP])
-# Each trunk joint is sampled a part of the way to the middle of the trunk: at the rim the background shows through.
-_INSET = 0.2
-_TRUNK_BEHIND = 0.10
-_LEAST_TRUNK = 2
-_LARGEST_SPREAD = 0.25
 # How far a joint lies behind the surface that a camera sees, m: half the thickness of the limb.
 _BEHIND: Dict[int, float] = {
     11: 0.07, 12: 0.07, 13: 0.045, 14: 0.045, 15: 0.03, 16: 0.03, 23: 0.10, 24: 0.10, 25: 0.055, 26: 0.055,
@@ -179,26 +184,6 @@ _PARENT: Dict[int, int] = {13: 11, 14: 12, 15: 13, 16: 14, 25: 23, 26: 24, 27: 2
 # A surface further than this from where the body is expected is something before or behind it.
 _LARGEST_JUMP = 0.25
 _STRETCH, _SLACK = 1.15, 0.05
-
-
-def trunk_ratio(depth: np.ndarray, pixels: np.ndarray, points: np.ndarray, confidence: np.ndarray,
-                size: Tuple[int, int]) -> Optional[float]:
-    """How many times farther away the trunk is than `points` (33, 3) m say; None when the depth does not tell.
-
-    depth: (h, w) m. pixels: (33, 2) px in the image of `size` (width, height). confidence: (33,) 0 to 1.
-    The median of those of shoulders and hips that are seen and lie at one depth.
-    """
-    middle = pixels[_TRUNK].mean(axis=0)
-    seen = confidence[_TRUNK] > 0.3
-    surface = sample_depth(depth, pixels[_TRUNK] + _INSET * (middle - pixels[_TRUNK]), *size)
-    centre = points[_TRUNK].mean(axis=0)
-    modelled = (points[_TRUNK] + _INSET * (centre - points[_TRUNK]))[:, 2]
-    known = seen & np.isfinite(surface) & (modelled > 0.1)
-    if known.sum() < _LEAST_TRUNK:
-        return None
-    behind = surface[known] + _TRUNK_BEHIND - (modelled[known] - centre[2])
-    near = behind[np.abs(behind - np.median(behind)) < _LARGEST_SPREAD]
-    return None if len(near) < _LEAST_TRUNK else float(np.median(near) / centre[2])
 
 
 def measured_joints(depth: np.ndarray, pixels: np.ndarray, rays: np.ndarray, points: np.ndarray,
@@ -224,132 +209,46 @@ def measured_joints(depth: np.ndarray, pixels: np.ndarray, rays: np.ndarray, poi
     return found
 
 
-FLOOR_RANGE = (0.75, 1.3)
-"""Ratios of a body's size to the average for which a foot is believed to stand on the floor."""
-_FACE_RANGE = (0.7, 1.3)
-_DEPTH_RANGE = (0.55, 1.35)
-# Beyond their range a face and a depth image still tell where the body is, but the landmarks are too wrong for a scale.
-_PLACE_RANGE = (0.4, 2.5)
-_STATURE_CV = 0.065         # of adults and of the network's own error, the two together
-# What a cue says of the size: standard deviation of one measurement, and of the error that stays. The distance of a
-# face is wrong by as much as its size differs from the average one's (about 6 % with the error of the landmarks): as
-# much as statures differ. So half of what a face says is taken for the body's size.
-_FACE_SD, _FLOOR_SD, _DEPTH_SD = (0.04, 0.065), (0.05, 0.025), (0.03, 0.01)
-_MOST_IMAGES, _CORRELATED = 150, 5.0
-_OUTLIER = 3.0              # standard deviations: what differs by more counts as this much
-_ANKLE_HEIGHT = 0.07        # m, centre of the ankle above the floor
-_LEAST_SLOPE = 0.05         # of the ray to the ankle: a flatter one meets the floor anywhere
-_FLOOR_SIGHTS = 45
+def is_cut(box: np.ndarray, extent: float, width: int) -> bool:
+    """Tell whether a body whose seen landmarks have this box (4,) px may go on beyond the left, right or upper border.
 
-
-@dataclass(frozen=True)
-class ScaleCue:
-    """A measurement of how many times farther away (and larger) a body is than its landmarks say.
-
-    sd: standard deviation of its logarithm in one image, inf when it says nothing about the size. lasting_sd: of the
-    error that all images share. reference: the point (3,) m of the landmarks that was measured; it is the one that must
-    lie on its ray. exact: the body is to be at this distance now, not only to be scaled by it in the long run.
+    extent: its size, px. width: of the image, px. Beyond the lower border are legs, of which nothing else depends.
     """
-
-    source: str
-    ratio: float
-    sd: float
-    lasting_sd: float
-    exact: bool
-    reference: np.ndarray
+    x0, y0, x1, _ = box.tolist()
+    return min(x0, width - x1, y0) < _REACH * extent
 
 
-def face_cue(points: np.ndarray, face: Optional[Pose]) -> Optional[ScaleCue]:
-    """Cue of the tracked face's pose: the sellion of `points` (33, 3) m must be at the depth of the face's origin."""
-    if face is None or not np.all(np.isfinite(face.translation)):
-        return None
-    left, right = BLAZE_INNER_EYES
-    sellion = 0.5 * (points[left] + points[right])
-    return _cue("face", float(face.translation[2]) / max(float(sellion[2]), 1e-3), _FACE_SD, _FACE_RANGE, sellion)
+def is_leaving(face: np.ndarray, extent: float, size: Tuple[int, int]) -> bool:
+    """Tell whether a face at (2,) px, of a body of this extent (px), is so near to the border that it may leave the
+    image. size: width and height of the image, px."""
+    (x, y), (width, height) = face.tolist(), size
+    return min(x, y, width - x, height - y) < _FACE_REACH * extent
 
 
-def depth_cue(ratio: Optional[float], trunk: np.ndarray) -> Optional[ScaleCue]:
-    """Cue of a depth image, see trunk_ratio. trunk: its middle (3,) m."""
-    return None if ratio is None else _cue("depth", ratio, _DEPTH_SD, _DEPTH_RANGE, trunk)
-
-
-def floor_ratio(points: np.ndarray, rays: np.ndarray, confidence: np.ndarray, up: np.ndarray,
-                camera_height: float) -> Optional[float]:
-    """Ratio of the depth at which the standing foot meets the floor to that of `points` (33, 3) m.
-
-    rays: (33, 2). up: (3,) unit, away from the floor, in the optical frame. camera_height: m above the floor.
-    Of two ankles the one whose ray meets the floor nearer is on it; a lifted one seems to be farther away.
-    """
-    best = None
-    for ankle in (BLAZE_LEFT_ANKLE, BLAZE_RIGHT_ANKLE):
-        slope = -(rays[ankle, 0] * up[0] + rays[ankle, 1] * up[1] + up[2])
-        if confidence[ankle] > 0.5 and slope > _LEAST_SLOPE and points[ankle, 2] > 0.1:
-            depth = (camera_height - _ANKLE_HEIGHT) / slope
-            best = min(best or (np.inf, 0.0), (depth, depth / points[ankle, 2]))
-    if best is None or not FLOOR_RANGE[0] < best[1] < FLOOR_RANGE[1]:
-        return None
-    return float(best[1])
-
-
-class BodyScale:
-    """Size of one body against the average: the mean of each source's cues, kept while there are none.
-
-    The sources are combined with the spread of statures by their variances, of which that of the lasting error does not
-    fall with the number of images.
-    """
+class CutRange:
+    """Whether the range of a body that is cut agrees with what it was before: a squeezed one seems to be farther."""
 
     def __init__(self) -> None:
-        self._sources: Dict[str, Tuple[float, int, float, float]] = {}     # mean, images, sd, lasting sd
-        self._floor: Deque[float] = deque(maxlen=_FLOOR_SIGHTS)
+        self._range: Optional[float] = None
+        self._stamp = 0.0
 
-    @property
-    def value(self) -> float:
-        """Size of the body, that of the network's average person being 1."""
-        weight, total = self._combined()
-        return math.exp(total / (weight + _STATURE_CV ** -2.0))
+    def is_right(self, distance: float, stamp: float, cut: bool, sure: bool) -> bool:
+        """Take the range (m) of a body's landmarks at `stamp` (s); tell whether they show where it is.
 
-    @property
-    def measured(self) -> Optional[Tuple[float, float]]:
-        """Size by the cues alone, without the average, and the sd of its logarithm; None without any cue."""
-        weight, total = self._combined()
-        return (math.exp(total / weight), weight ** -0.5) if weight > 0.0 else None
-
-    def floor_cue(self, ratio: Optional[float], lasting_sd: float = 0.0) -> Optional[ScaleCue]:
-        """Cue of the floor: the median of what was seen of it, with `ratio` when it is not None.
-
-        lasting_sd: of the logarithm of the camera's height.
+        cut: its face has left, and the border cuts it. sure: face or depth image tell the distance. The longer ago the
+        last right range is, the more is allowed; a body that was never seen otherwise is right.
         """
-        if ratio is None:
-            return None
-        self._floor.append(ratio)
-        return ScaleCue("floor", median_of_few(np.array(self._floor)), _FLOOR_SD[0],
-                        math.hypot(_FLOOR_SD[1], lasting_sd), False, np.zeros(3))
-
-    def update(self, cue: Optional[ScaleCue]) -> None:
-        """Learn from a cue."""
-        if cue is None or not math.isfinite(cue.sd):
-            return
-        mean, count, _, _ = self._sources.get(cue.source, (0.0, 0, 0.0, 0.0))
-        count = min(count + 1, _MOST_IMAGES)
-        limit = _OUTLIER * math.hypot(cue.sd, _STATURE_CV if count == 1 else 0.0)
-        mean += min(max(math.log(cue.ratio) - mean, -limit), limit) / count
-        self._sources[cue.source] = mean, count, cue.sd, cue.lasting_sd
-
-    def _combined(self) -> Tuple[float, float]:
-        """Sum of the weights of the sources, and of their weighted logarithms."""
-        weight = total = 0.0
-        for mean, count, sd, lasting in self._sources.values():
-            own = 1.0 / (sd ** 2 / max(count / _CORRELATED, 1.0) + lasting ** 2)
-            weight, total = weight + own, total + own * mean
-        return weight, total
-
-
-def _cue(source: str, ratio: float, sd: Tuple[float, float], limits: Tuple[float, float],
-         reference: np.ndarray) -> Optional[ScaleCue]:
-    if limits[0] < ratio < limits[1]:
-        return ScaleCue(source, ratio, *sd, True, reference)
-    return (ScaleCue(source, ratio, math.inf, math.inf, True, reference)
-            if _PLACE_RANGE[0] < ratio < _PLACE_RANGE[1] else None)
+        elapsed = max(0.0, stamp - self._stamp)
+        if not cut:
+            self._range, self._stamp = distance, stamp
+        elif self._range is not None:
+            if not sure and math.log(distance / self._range) > _FARTHER + _FARTHER_RATE * elapsed:
+                return False
+            way = _SPEED * elapsed
+            self._range, self._stamp = self._range + min(max(distance - self._range, -way), way), stamp
+        elif sure:
+            self._range, self._stamp = distance, stamp
+        return True
 
 
 # A body is about as large as this: makes pixels comparable with metres, for which the filters are tuned.
@@ -503,7 +402,7 @@ class BodyLocalizer:
 
         Who turned round, and whose face ended in the image, is there: people walk away.
         """
-        distance = self._scale.value * math.hypot(*(0.25 * points[_TRUNK].sum(axis=0)).tolist())
+        distance = self._scale.value * math.hypot(*(0.25 * points[TRUNK].sum(axis=0)).tolist())
         estimate = track.estimate
         if face is not None:
             self._face_leaves = is_leaving(camera.project(face.translation[None])[0], estimate.extent,
@@ -546,7 +445,7 @@ def _depth_cue_of(points: np.ndarray, track: BodyTrack, camera: CameraModel, con
     estimate = track.estimate
     ratio = trunk_ratio(context.depth, estimate.landmarks[:BODY_LANDMARKS, :2], points,
                         estimate.confidence[:BODY_LANDMARKS], (camera.width, camera.height))
-    return depth_cue(ratio, points[_TRUNK].mean(axis=0))
+    return depth_cue(ratio, points[TRUNK].mean(axis=0))
 
 
 def visible_box(points: np.ndarray, confidence: np.ndarray) -> np.ndarray:
