@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from hri_pipeline.core import cores
-from hri_pipeline.core.cores import Cores
+from hri_pipeline.core import resources
+from hri_pipeline.core.resources import Cores
 
 STAT = "cpu  900 0 900 4000 40 0 0 0 0 0\n" + "".join(
     "cpu%d 100 0 100 %d 5 0 0 0 0 0\n" % (number, 1000 + number) for number in range(8)) + "intr 12345 0 1\n"
@@ -59,7 +59,7 @@ class Machine:
 def machine(tmp_path, monkeypatch):
     """Eight cores, all allowed."""
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(8)))
-    monkeypatch.setattr(cores.time, "monotonic", lambda: 100.0)
+    monkeypatch.setattr(resources.time, "monotonic", lambda: 100.0)
     return Machine(tmp_path)
 
 
@@ -106,7 +106,7 @@ def test_a_container_of_version_1_sees_paths_of_the_host(machine, path, root):
 
 
 def test_where_the_time_of_the_group_is_not_known_that_of_this_process_and_throttling_count(machine, monkeypatch):
-    monkeypatch.setattr(cores.time, "process_time", lambda: 7.0)
+    monkeypatch.setattr(resources.time, "process_time", lambda: 7.0)
     machine.mount(("2:cpu:{}", "1:cpuacct:/"), "/robot", MOUNT_1.replace(",cpuacct", ""))
     machine.v1("robot", 50000, used=None, throttled=3.0)
     assert [(one.cores, one.idle) for one in machine.cores().times()[1:]] == [(0.5, 40.0)]
@@ -170,7 +170,7 @@ def test_a_container_may_be_shown_its_own_cores_only_counted_from_0(machine, mon
 
 PROGRAM = """
 import json, os, sys, time
-from hri_pipeline.core.cores import Cores
+from hri_pipeline.core.resources import Cores
 found = Cores()
 first = found.times()
 before, began = found.values(), time.process_time()

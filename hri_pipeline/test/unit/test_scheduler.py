@@ -5,8 +5,8 @@ from collections import Counter
 
 import pytest
 
-from hri_pipeline.core.cores import CoreTime
 from hri_pipeline.core.process import ONE_THREAD, Threads
+from hri_pipeline.core.resources import CoreTime
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler, Request
 
 FACES = ["f%d" % number for number in range(10)]

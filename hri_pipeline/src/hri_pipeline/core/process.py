@@ -22,7 +22,7 @@ from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Seque
 import cv2
 import threadpoolctl
 
-from hri_pipeline.core.cores import Cores
+from hri_pipeline.core.resources import Cores
 
 # Parameters of mallopt in glibc's malloc.h.
 _M_TRIM_THRESHOLD = -1

@@ -1,10 +1,16 @@
-"""The cores that a process may use, and how much of their time is idle: affinity (taskset, `docker --cpuset-cpus`), and
-the quotas of its control groups (cgroups: `docker --cpus`, CPUQuota of systemd), see cgroups(7)."""
+"""What the system gives this process of cores and file descriptors.
+
+The cores that it may use, and how much of their time is idle: affinity (taskset, `docker --cpuset-cpus`), and the
+quotas of its control groups (cgroups: `docker --cpus`, CPUQuota of systemd), see cgroups(7). Descriptors: as many as
+the system allows, and a reserve.
+"""
 
 from __future__ import annotations
 
+import errno
 import os
 import re
+import resource
 import time
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -13,6 +19,11 @@ from typing import Dict, List, Optional, Tuple
 _VERSION_2, _CPU, _USAGE = "", "cpu", "cpuacct"
 """Controllers by their names in /proc/self/cgroup; all those of version 2 are one line without a name."""
 _ESCAPED = re.compile(r"\\([0-7]{3})")
+DESCRIPTORS_HINT = ("raise the limit (ulimit -Hn; nofile in /etc/security/limits.conf, LimitNOFILE= of a systemd "
+                    "service, --ulimit nofile= of docker)")
+_DESCRIPTOR_RESERVE = 64
+"""Descriptors that are left free for calls of the master and the like; an eighth of them all, where that is less."""
+_OWN_DESCRIPTORS = "/proc/self/fd"
 
 
 @dataclass(frozen=True)
@@ -163,3 +174,54 @@ def _used(stat: Dict[str, int], counted: Optional[Path]) -> float:
     except (OSError, ValueError):
         # Of others in the group only that is known for which all had to wait.
         return time.process_time() + 1e-9 * stat.get("throttled_time", 0)
+
+
+def raise_limit() -> None:
+    """Raise the limit of descriptors as far as it goes. Idempotent."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft != hard:
+        try:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+        except (OSError, ValueError):   # more than the kernel gives to anybody
+            pass
+
+
+def descriptor_limit() -> int:
+    """Return how many descriptors this process may have."""
+    soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return 2 ** 31 if soft == resource.RLIM_INFINITY else soft
+
+
+def descriptors_used() -> int:
+    """Return how many descriptors this process has open, 0 if unknown."""
+    try:
+        return len(os.listdir(_OWN_DESCRIPTORS)) - 1
+    except OSError as error:
+        return descriptor_limit() if error.errno == errno.EMFILE else 0
+
+
+def descriptors_are_short(part: float = 1.0) -> bool:
+    """Return whether fewer descriptors are free than this part (0 to 1) of the reserve."""
+    most = descriptor_limit()
+    return most - descriptors_used() < part * min(_DESCRIPTOR_RESERVE, most // 8)
+
+
+def require_descriptors() -> None:
+    """Raise OSError if only the reserve of descriptors is left: then no topic should be opened.
+
+    Without a free descriptor for calls of the master, rospy would try for ever, and no topic could be opened or closed.
+    """
+    if descriptors_are_short():
+        raise OSError(
+            errno.EMFILE, "too few file descriptors are left of {}: {}".format(descriptor_limit(), DESCRIPTORS_HINT)
+        )
+
+
+def descriptors_status() -> Tuple[bool, str, Dict[str, object]]:
+    """Return whether descriptors are short, a message, and values for diagnostics."""
+    most, count = descriptor_limit(), descriptors_used()
+    values: Dict[str, object] = {"used": count, "limit": most}
+    if descriptors_are_short():
+        return True, ("{} of {} file descriptors are used: new topics and connections wait; {}".format(
+            count, most, DESCRIPTORS_HINT)), values
+    return False, "{} of {} used".format(count, most), values

@@ -16,8 +16,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Callable, Deque, Dict, Iterator, List, Optional, Sequence, Tuple
 
-from hri_pipeline.core.cores import Cores, CoreTime
 from hri_pipeline.core.process import ONE_THREAD, Threads
+from hri_pipeline.core.resources import Cores, CoreTime
 
 _SAMPLE_S = 0.25
 """Time (s) between two measurements of the idle time: 25 clock ticks of a core."""

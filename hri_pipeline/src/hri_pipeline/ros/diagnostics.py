@@ -9,7 +9,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from hri_pipeline.core.error_log import without_middle
-from hri_pipeline.ros.descriptors import descriptors_status
+from hri_pipeline.core.resources import descriptors_status
 from hri_pipeline.ros.rospy_compat import release
 
 OK = DiagnosticStatus.OK
@@ -64,9 +64,9 @@ class NodeDiagnostics:
 
     def _repeat(self, period: float) -> None:
         while not self._closed.wait(period):
-            level, message, values = descriptors_status()
-            if level != OK or _DESCRIPTORS in self._tasks:
-                self.set(_DESCRIPTORS, level, message, values)
+            short, message, values = descriptors_status()
+            if short or _DESCRIPTORS in self._tasks:
+                self.set(_DESCRIPTORS, WARN if short else OK, message, values)
             self._publish()
 
     def _publish(self) -> None:

@@ -10,8 +10,8 @@ import rospy
 
 from hri_msgs.msg import IdsList
 from hri_pipeline.core.ids import ID_PATTERN, is_valid_id
+from hri_pipeline.core.resources import require_descriptors
 from hri_pipeline.ros.conversions import ids_list_to_msg, to_time
-from hri_pipeline.ros.descriptors import require_descriptors
 from hri_pipeline.ros.rospy_compat import (
     NewSubscriberListener,
     Releaser,

@@ -4,7 +4,7 @@ Checked against rospy 1.15.15. Before another version is used, this file has to 
 rospy/topics.py, rospy/msproxy.py, rospy/impl/registration.py, rospy/impl/rosout.py, rospy/impl/tcpros_base.py,
 rospy/impl/tcpros_pubsub.py and rosgraph/xmlrpc.py. Ten things:
 
-- File descriptors: few for each topic, and a reserve (`descriptors.py`), without which rospy answers no call.
+- File descriptors: few for each topic, and a reserve (`resources.py`), without which rospy answers no call.
 - Release of publishers and subscribers with everything that rospy would leave open.
 - Topics that open, and calls that end, while the master is away.
 - A node whose name another has taken over, and which does not end that one in turn.
@@ -55,7 +55,7 @@ from rospy.impl.registration import (
 )
 from sensor_msgs.msg import Image
 
-from hri_pipeline.ros.descriptors import descriptors_are_short, descriptors_status, raise_limit
+from hri_pipeline.core.resources import descriptors_are_short, descriptors_status, raise_limit
 
 _WAIT_S = 0.1
 _LOG_PERIOD_S = 30.0

@@ -13,7 +13,7 @@ import rospy
 
 from hri_msgs.msg import IdsList
 from hri_pipeline.core.ids import is_valid_id
-from hri_pipeline.ros.descriptors import require_descriptors
+from hri_pipeline.core.resources import require_descriptors
 from hri_pipeline.ros.diagnostics import OK, WARN, Status
 from hri_pipeline.ros.master import IMAGE_TYPES, PublisherAnswer, does_publish, subscribe_again
 from hri_pipeline.ros.rospy_compat import (

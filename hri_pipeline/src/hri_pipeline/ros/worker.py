@@ -12,11 +12,11 @@ from typing import Any, Callable, Deque, Dict, Iterable, List, Optional, Protoco
 import numpy as np
 import rospy
 
-from hri_pipeline.core.cores import Cores
 from hri_pipeline.core.error_log import NewErrors
 from hri_pipeline.core.faces.parameters import CameraSettings
 from hri_pipeline.core.privacy import joined
 from hri_pipeline.core.process import set_niceness
+from hri_pipeline.core.resources import Cores
 from hri_pipeline.core.setup_check import NO_IMAGE_YET
 from hri_pipeline.core.timing import EARLY, StageTimes, StampPacer
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Status
