@@ -4,28 +4,17 @@ one hangs or dies. The process itself is worker.py.
 
 from __future__ import annotations
 
-import json
-import os
 import select
-import signal
-import subprocess
-import sys
 import threading
 from collections import deque
-from pathlib import Path
 from typing import Callable, Deque, Dict, List, Optional, Tuple
 
 from hri_pipeline.core.asr import worker
 from hri_pipeline.core.asr.engines import RATE, EngineChoice
-from hri_pipeline.core.asr.worker import MessageReader, PipeError, SpeechMessage
+from hri_pipeline.core.asr.worker import PipeError, SpeechMessage, SpeechProcess
 from hri_pipeline.core.audio.parameters import SpeechSettings
 from hri_pipeline.core.process import RestartPolicy
 
-_CHUNK = 1 << 16
-_KEPT_ERROR_TEXT = 2000
-# Bytes that wait here for the pipe (which holds 64 KiB): about 2 s of sound. More waits in the utterance.
-_ENOUGH = 1 << 16
-_CLOSE_S = 3.0
 HANG_S = 30.0
 """Longest time (s) without a message; long, because a sentence is decoded as a whole and the machine may be busy."""
 # Loading a large model from a slow disk.
@@ -37,148 +26,6 @@ _IDLE_S = 5.0
 _MOST_UTTERANCES = 16
 # An utterance is given up when this many processes have died of its sound.
 _MOST_DEATHS = 2
-
-
-class SpeechProcess:
-    """A running recogniser, with pipes that never block. The process dies with the thread that makes this object.
-
-    Parameters
-    ----------
-    choice : the engine.
-    partial_rate : texts so far per second of speech; 0: none.
-    nice : added to the nice value of this process.
-    now : monotonic time (s).
-
-    Raises
-    ------
-    OSError
-        The process cannot be started.
-    """
-
-    def __init__(self, choice: EngineChoice, partial_rate: float, nice: int, now: float) -> None:
-        root = str(Path(__file__).resolve().parents[3])
-        path = os.pathsep.join([root] + [place for place in sys.path if place])
-        # A directory of its own and not that of the user, whose files Python would import.
-        self._popen = subprocess.Popen(
-            [sys.executable, "-m", worker.__name__, str(os.getpid()), str(nice)], bufsize=0,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=root, start_new_session=True,
-            env=dict(os.environ, PYTHONPATH=path))
-        assert self._popen.stdin is not None and self._popen.stdout is not None and self._popen.stderr is not None
-        self.input, self.output, self.errors = self._popen.stdin, self._popen.stdout, self._popen.stderr
-        for pipe in (self.input, self.output, self.errors):
-            os.set_blocking(pipe.fileno(), False)
-        self._reader = MessageReader()
-        self._waiting: Deque[memoryview] = deque()
-        self._bytes_waiting = 0
-        self._error_text = ""
-        self.started = now
-        self.ready = False
-        self.utterance: Optional[int] = None
-        """Number of the utterance that it works on."""
-        self.idle_since = now
-        fields = dict(choice._asdict(), partial_rate=partial_rate)
-        self.send(SpeechMessage(worker.CONFIGURE, body=json.dumps(fields).encode("utf-8")))
-
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._popen.pid
-
-    @property
-    def last_error(self) -> str:
-        """The last line on its standard error, empty without any."""
-        lines = [line.strip() for line in self._error_text.splitlines() if line.strip()]
-        return lines[-1] if lines else ""
-
-    @property
-    def has_room(self) -> bool:
-        """Tell whether more sound may be sent."""
-        return self._bytes_waiting < _ENOUGH
-
-    @property
-    def wants_to_write(self) -> bool:
-        """Tell whether something waits for the pipe."""
-        return bool(self._waiting)
-
-    def begin(self, utterance: int) -> None:
-        """Begin an utterance."""
-        self.utterance = utterance
-        self.send(SpeechMessage(worker.START, utterance))
-
-    def add_sound(self, utterance: int, samples: bytes) -> None:
-        """Send 16-bit samples."""
-        self.send(SpeechMessage(worker.AUDIO, utterance, body=samples))
-
-    def pause(self, utterance: int) -> None:
-        """Tell that the speaker pauses."""
-        self.send(SpeechMessage(worker.PAUSE, utterance))
-
-    def end(self, utterance: int, spoken: int) -> None:
-        """Ask for the text of the whole utterance, behind whose first `spoken` samples nothing was said."""
-        self.send(SpeechMessage(worker.END, utterance, spoken))
-
-    def send(self, message: SpeechMessage) -> None:
-        """Let a message wait for the pipe; write() sends it."""
-        data = message.packed()
-        self._waiting.append(memoryview(data))
-        self._bytes_waiting += len(data)
-
-    def write(self) -> None:
-        """Send what the pipe takes now. A pipe that is closed takes nothing: the end is noticed elsewhere."""
-        while self._waiting:
-            try:
-                sent = os.write(self.input.fileno(), self._waiting[0])
-            except BlockingIOError:
-                return
-            except OSError:
-                self._waiting.clear()
-                self._bytes_waiting = 0
-                return
-            self._bytes_waiting -= sent
-            rest = self._waiting.popleft()[sent:]
-            if rest:
-                self._waiting.appendleft(rest)
-
-    def read(self) -> Tuple[List[SpeechMessage], bool]:
-        """Return the messages that have come, and whether the process has closed its side.
-
-        Raises PipeError for what is no message.
-        """
-        messages: List[SpeechMessage] = []
-        while True:
-            try:
-                data = os.read(self.output.fileno(), _CHUNK)
-            except BlockingIOError:
-                return messages, False
-            if not data:
-                return messages, True
-            messages += self._reader.feed(data)
-
-    def read_errors(self) -> bool:
-        """Read its standard error; return whether that is closed."""
-        while True:
-            try:
-                data = os.read(self.errors.fileno(), _CHUNK)
-            except BlockingIOError:
-                return False
-            if not data:
-                return True
-            self._error_text = (self._error_text + data.decode("utf-8", "replace"))[-_KEPT_ERROR_TEXT:]
-
-    def poll(self) -> Optional[int]:
-        """Return the exit code, negative for a signal, None while it runs."""
-        return self._popen.poll()
-
-    def close(self) -> int:
-        """Kill it if it still runs, wait for it, close the pipes; return the exit code. Idempotent."""
-        if self._popen.poll() is None:
-            self._popen.kill()
-        for pipe in (self.input, self.output, self.errors):
-            pipe.close()
-        try:
-            return self._popen.wait(_CLOSE_S)
-        except subprocess.TimeoutExpired:
-            return -signal.SIGKILL  # it will end as soon as the kernel gets to it
 
 
 class QueuedUtterance:
