@@ -23,8 +23,8 @@ from hri_person_manager.core.register import (
     SqliteRecordStore,
 )
 from hri_pipeline.core.privacy import StoreError
-from hri_pipeline.core.recognition.database import PersonDatabase
-from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoreWriter
+from hri_pipeline.core.recognition.database import PersonDatabase, StoreWriter
+from hri_pipeline.core.recognition.store import KnownPerson, PersonStore
 
 
 class Shelf:

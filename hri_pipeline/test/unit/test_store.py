@@ -24,7 +24,8 @@ from benchmarks.store import no_room
 from hri_pipeline.core.privacy import StoreError, TemplateCipher, make_key_file
 from hri_pipeline.core.recognition import database as database_module
 from hri_pipeline.core.recognition import store as store_module
-from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson, StoreWriter, read_store
+from hri_pipeline.core.recognition.database import StoreWriter
+from hri_pipeline.core.recognition.store import KnownPerson, PersonStore, StoredPerson, read_store
 
 LONG_S = 60.0
 ANNA = StoredPerson("anna", "Anna Example", "pt-BR", True, "", 10.0, 20.0, {"age": 33.5, "gender": 1})
@@ -474,7 +475,7 @@ def test_it_writes_by_itself(disk):
 
 
 def test_what_fails_is_told_to_who_waits_and_tried_again(disk, monkeypatch):
-    monkeypatch.setattr(store_module, "RETRY_S", 0.01)
+    monkeypatch.setattr(database_module, "RETRY_S", 0.01)
     said = []
     writer = StoreWriter(disk.write, period=0.01, notify=said.append)
     disk.is_full = True

@@ -34,7 +34,8 @@ from hri_person_manager.ros.topics import GraphTopic, PersonMarkers, PersonSpace
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.privacy import DataUse, StoreError, TemplateCipher
 from hri_pipeline.core.process import is_clock_synchronised, share_arenas
-from hri_pipeline.core.recognition.store import PersonStore, StoreWriter, read_store
+from hri_pipeline.core.recognition.database import StoreWriter
+from hri_pipeline.core.recognition.store import PersonStore, read_store
 from hri_pipeline.core.recognition.stored_gallery import SHARED_ENDINGS
 from hri_pipeline.core.timing import JUMP_BACK_S, ClockWatch, OldTime, Order, SourceStamps, clock_went_back
 from hri_pipeline.ros.conversions import matrix_from_image, transform_to_msg

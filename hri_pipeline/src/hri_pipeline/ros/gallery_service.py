@@ -9,8 +9,8 @@ import rospy
 
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.privacy import StoreError
+from hri_pipeline.core.recognition.database import StoreWriter
 from hri_pipeline.core.recognition.gallery import GalleryError, UnknownPersonError
-from hri_pipeline.core.recognition.store import StoreWriter
 from hri_pipeline.srv import Gallery, GalleryRequest, GalleryResponse
 
 if TYPE_CHECKING:

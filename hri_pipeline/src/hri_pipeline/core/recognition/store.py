@@ -1,14 +1,12 @@
 """Everything that is kept of people across runs, in one SQLite file (`database`) that several processes share.
 
 The person manager keeps the records in it, the recognisers the templates of faces: so templates never travel over ROS.
-`PersonStore` is that store, and `StoreWriter` the thread that writes, so that nobody who sees, hears or decides waits
-for a disk.
+`PersonStore` is that store; the file itself, and the thread that writes, are in `database`.
 """
 
 from __future__ import annotations
 
 import json
-import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
@@ -49,11 +47,6 @@ from hri_pipeline.core.recognition.stored_person import (
     read_person,
     template_fault,
 )
-
-PERIOD_S, RETRY_S = 1.0, 1.0
-WAIT_S, CLOSE_S = 30.0, 8.0
-"""Times (s) of the StoreWriter: between two writings, after one that failed; for who waits, at the end."""
-
 
 _INSERT = "INSERT OR IGNORE INTO persons ({}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)".format(COLUMNS)
 
@@ -487,79 +480,3 @@ def read_store(path: Union[str, Path], cipher: Optional[TemplateCipher] = None, 
         return store.load_records(), store.load_templates(model, dimension) if model else []
     finally:
         store._database.close()
-
-
-class StoreWriter:
-    """Calls `write` in a thread of its own: periodically, at once when somebody waits, and once more at the end.
-
-    `problem` says why something is not written; it is empty when all is.
-
-    Parameters
-    ----------
-    write : puts on the disk all that has changed, in order, and is cheap when nothing has. Where it raises, its owner
-        keeps what was not written, and the next call tries again.
-    period : time (s) between two calls.
-    notify : called with one line each time that `write` raises.
-    """
-
-    def __init__(self, write: Callable[[], object], period: float = PERIOD_S,
-                 notify: Callable[[str], object] = lambda text: None) -> None:
-        self.problem = ""
-        self._write, self._period, self._notify = write, period, notify
-        self._state = threading.Condition()
-        self._is_asked = self._is_closing = False
-        self._begun = self._ended = 0     # how many calls of write()
-        self._thread = threading.Thread(target=self._run, name="store writer", daemon=True)
-        self._thread.start()
-
-    def wait(self, patience: float = WAIT_S) -> None:
-        """Return when all that was changed before is on the disk.
-
-        Raises StoreError when it is not within `patience` (s).
-        """
-        with self._state:
-            wanted = self._begun + 1    # a call that has begun already may have missed the change
-            self._is_asked = True
-            self._state.notify_all()
-            self._state.wait_for(lambda: self._ended >= wanted or not self._thread.is_alive(), patience)
-            if self._ended < wanted:
-                raise StoreError("the store is closed" if self._is_closing else "not written after {:.0f} s; another "
-                                 "process holds the store, or the disk is busy: it is tried again".format(patience))
-            if self.problem:
-                raise StoreError(self.problem)
-
-    def close(self, patience: float = CLOSE_S) -> str:
-        """Write what is left and end the thread; returns why something is not written, empty when all is.
-
-        May be called again. patience: s for which a write that is under way is waited for.
-        """
-        with self._state:
-            self._is_closing = True
-            self._state.notify_all()
-        self._thread.join(patience)
-        if self._thread.is_alive():
-            return "not written after {:.0f} s; another process holds the store, or the disk is busy".format(patience)
-        return self.problem
-
-    def _run(self) -> None:
-        is_last = False
-        while not is_last:
-            with self._state:
-                self._state.wait_for(lambda: self._is_asked or self._is_closing, self._period)
-                self._is_asked, is_last = False, self._is_closing
-                self._begun += 1
-            problem = self._attempt()
-            with self._state:
-                self._ended, self.problem = self._begun, problem
-                self._state.notify_all()
-                if problem:
-                    self._state.wait_for(lambda: self._is_closing, RETRY_S)
-
-    def _attempt(self) -> str:
-        try:
-            self._write()
-            return ""
-        except Exception as error:  # a full disk must not end the thread: the next second may be better
-            text = str(error) or type(error).__name__
-            self._notify(text)
-            return text
