@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from synthetic_people import Scene, face_of, standing_at
 
+from hri_fullbody.core.detection.pose_estimator import pose_model_path
 from hri_fullbody.core.detection.windows import FaceBox, face_boxes
 from hri_fullbody.core.parameters import BODIES, VISION
-from hri_fullbody.core.pipeline import BodyPipeline, pose_model_path
+from hri_fullbody.core.pipeline import BodyPipeline
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.image_rotation import ImageRotation

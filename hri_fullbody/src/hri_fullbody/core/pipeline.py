@@ -7,11 +7,9 @@ metric localization, kinematic model (`BodyModeller`), behaviour.
 from __future__ import annotations
 
 import math
-import os
 from collections import deque
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Callable, ContextManager, Deque, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -21,7 +19,13 @@ from hri_fullbody.core.behaviour.gesture import GestureClass
 from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
 from hri_fullbody.core.behaviour.posture import PostureClass, without_feet_outside, without_guessed_limbs
 from hri_fullbody.core.behaviour.recognizer import MAX_GAP_S, BehaviourRecognizer, BodyBehaviour
-from hri_fullbody.core.detection.pose_estimator import BODY_LANDMARKS, BlazePose, PoseEstimate, PoseEstimator
+from hri_fullbody.core.detection.pose_estimator import (
+    BODY_LANDMARKS,
+    BlazePose,
+    PoseEstimate,
+    PoseEstimator,
+    pose_model_path,
+)
 from hri_fullbody.core.detection.windows import FaceBox
 from hri_fullbody.core.keypoints import confidence_18, to_18_points
 from hri_fullbody.core.localization.ground import GroundPlane
@@ -40,14 +44,13 @@ from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.image_rotation import ImageOrientation, ImageRotation
 from hri_pipeline.core.observations import BodyObservation
-from hri_pipeline.core.onnx import FETCH_HINT, ModelError, model_path, models_directory
+from hri_pipeline.core.onnx import model_path
 from hri_pipeline.core.parameters import ParameterError
 from hri_pipeline.core.person_detector import DEFAULT_FILE, CenterNetDetector, PersonDetector
 from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.scheduler import IdleShare, InferenceScheduler
 from hri_pipeline.core.timing import StageTimes
 
-POSE_MODELS = ("lite", "full", "heavy")
 _SEEN = 0.5
 _SLOW_NEW = 2       # in slow images two windows of the budget are for those who wait
 _HIDDEN_SHARE, _HIDDEN_NEW = 0.3, 2     # of the detector's period, and windows for new ones, while somebody is hidden
@@ -501,22 +504,3 @@ class BodyPipeline:
 
 def _shifted(pose: Pose, by: np.ndarray) -> Pose:
     return Pose(pose.rotation, pose.translation + by)
-
-
-def pose_model_path(configured: str) -> Path:
-    """Return the file of the pose network: that of a short name (lite, full, heavy; empty for full) or a path.
-
-    Raises ModelError that says how to get it.
-    """
-    name = configured or "full"
-    if name not in POSE_MODELS:
-        if os.sep not in name and not name.endswith(".onnx"):
-            raise ModelError("parameter pose_model is {!r}; legal: {}, or the path of an ONNX file".format(
-                name, ", ".join(POSE_MODELS)))
-        return model_path(name, "pose_landmarks_full.onnx")
-    model = "pose_landmarks_" + name
-    path = models_directory() / (model + ".onnx")
-    if not path.is_file():
-        raise ModelError("model file {} for pose_model {} does not exist; {} --models {}`".format(
-            path, name, FETCH_HINT.rstrip("`"), model))
-    return path

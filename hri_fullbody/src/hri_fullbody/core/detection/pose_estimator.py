@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +22,7 @@ from hri_fullbody.core.keypoints import (
 )
 from hri_pipeline.core.geometry import crop_rotated, median_of_few
 from hri_pipeline.core.image_rotation import ImageRotation
-from hri_pipeline.core.onnx import OnnxModel
+from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel, model_path, models_directory
 from hri_pipeline.core.process import ONE_THREAD, Threads
 
 INPUT_SIZE = 256
@@ -37,6 +38,7 @@ _OTHER_SIDE = np.array([0, 4, 5, 6, 1, 2, 3, 8, 7, 10, 9] + [number + 1 - 2 * (n
                        + list(range(BODY_LANDMARKS, LANDMARKS)))
 _CORNERS = np.array([[0, 1], [2, 1], [2, 3], [0, 3]])    # x and y in x0, y0, x1, y1
 _GREY = (128, 128, 128)
+POSE_MODELS = ("lite", "full", "heavy")
 
 
 @dataclass(frozen=True)
@@ -361,3 +363,22 @@ def distinct(detections: Sequence[PoseDetection], faces: Sequence[Optional[str]]
                    if face is None or its is None or face == its):
             kept.append((detection, face))
     return [detection for detection, _ in kept]
+
+
+def pose_model_path(configured: str) -> Path:
+    """Return the file of the pose network: that of a short name (lite, full, heavy; empty for full) or a path.
+
+    Raises ModelError that says how to get it.
+    """
+    name = configured or "full"
+    if name not in POSE_MODELS:
+        if os.sep not in name and not name.endswith(".onnx"):
+            raise ModelError("parameter pose_model is {!r}; legal: {}, or the path of an ONNX file".format(
+                name, ", ".join(POSE_MODELS)))
+        return model_path(name, "pose_landmarks_full.onnx")
+    model = "pose_landmarks_" + name
+    path = models_directory() / (model + ".onnx")
+    if not path.is_file():
+        raise ModelError("model file {} for pose_model {} does not exist; {} --models {}`".format(
+            path, name, FETCH_HINT.rstrip("`"), model))
+    return path
