@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import http.client
 import signal
 import threading
 import time
@@ -10,7 +9,6 @@ import traceback
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set
-from xmlrpc.client import Fault, ProtocolError
 
 import rosgraph
 import roslib.packages
@@ -20,7 +18,7 @@ import rospy
 from hri_pipeline.core.ids import ID_PATTERN, is_valid_id
 from hri_pipeline.core.process import ChildProcess, RestartPolicy, identity_of, is_alive
 from hri_pipeline.ros.diagnostics import OK, WARN, Status
-from hri_pipeline.ros.master import node_at
+from hri_pipeline.ros.master import CALL_S, MASTER_ERRORS, address_of_node, end_node, node_at, unregister_node
 
 PACKAGE = "robot_state_publisher"
 MISSING = ("robot_state_publisher is not installed, so bodies have joint states but no skeleton frames; install it: "
@@ -29,8 +27,6 @@ MISSING = ("robot_state_publisher is not installed, so bodies have joint states 
 NODE_PREFIX = "/rsp_"
 DESCRIPTION_PREFIX = "/human_description_"
 _OWNER = "/owner/pid"
-# All that a call to the master can raise: refused, reset, half an answer, an answer that says no.
-MASTER_ERRORS = (OSError, Fault, ProtocolError, http.client.HTTPException, rosgraph.MasterException)
 COUNTS = ("started", "restarted", "replaced", "urdf_refused", "descriptions_restored", "beyond_limit",
           "left_by_dead_nodes")
 
@@ -51,7 +47,6 @@ _REMEMBERED_S = 30.0
 _START_S, _STRIKES = 5.0, 2
 # robot_state_publisher drops joint states that follow each other faster than this.
 _LEAST_FREQUENCY_HZ = 50.0
-_CALL_S, _SHUTDOWN_S = 2.0, 1.5
 
 
 class _Wanted(NamedTuple):
@@ -435,7 +430,7 @@ class DescriptionServer:
                     rospy.logwarn("%s (process %s on %s) has died; cleaning up after it",
                                   *(owner.get(part, "?") for part in ("node", "pid", "host")))
             if not lives[key]:
-                end_node(node_name(body_id))
+                end_node(node_name(body_id), "its body has gone")
                 self.delete(body_id)
                 cleaned.append(body_id)
         return cleaned
@@ -456,56 +451,10 @@ def _owner_lives(owner: Mapping[str, object]) -> bool:
     alive = is_alive(owner)
     if alive is not None:
         return alive
-    uri = _uri_of(str(owner.get("node", "")))
+    uri = address_of_node(str(owner.get("node", "")))
     if uri is None:
         return False
     try:
-        return str(node_at(uri, _CALL_S).getPid(rospy.get_name())[2]) == str(owner.get("pid"))
+        return str(node_at(uri, CALL_S).getPid(rospy.get_name())[2]) == str(owner.get("pid"))
     except MASTER_ERRORS:
         return True
-
-
-def end_node(name: str) -> None:
-    """Shut a node down over its API; one that does not answer is taken off the master's lists."""
-    uri = _uri_of(name)
-    if uri is None:
-        return
-    try:
-        node_at(uri, _CALL_S).shutdown(rospy.get_name(), "its body has gone")
-    except MASTER_ERRORS:
-        unregister_node(name)
-        return
-    deadline = time.monotonic() + _SHUTDOWN_S
-    while _uri_of(name) == uri:
-        if time.monotonic() > deadline:
-            unregister_node(name)
-            return
-        time.sleep(0.02)
-
-
-def unregister_node(name: str) -> None:
-    """Take all registrations of a node back that did not do so itself."""
-    master = rosgraph.Master(name)
-    uri = _uri_of(name)
-    if uri is None:
-        return
-    published, subscribed, services = master.getSystemState()
-    for topic, nodes in published:
-        if name in nodes:
-            master.unregisterPublisher(topic, uri)
-    for topic, nodes in subscribed:
-        if name in nodes:
-            master.unregisterSubscriber(topic, uri)
-    for service, nodes in services:
-        if name in nodes:
-            master.unregisterService(service, master.lookupService(service))
-
-
-def _uri_of(name: str) -> Optional[str]:
-    """Address of a node's API, None when the master does not know the node."""
-    if not name:
-        return None
-    try:
-        return rosgraph.Master(rospy.get_name()).lookupNode(name) or None
-    except rosgraph.MasterError:
-        return None

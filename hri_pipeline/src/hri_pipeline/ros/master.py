@@ -7,13 +7,15 @@ nodes, which roslaunch sets only once: each node remembers its own, and puts the
 from __future__ import annotations
 
 import copy
+import http.client
 import itertools
 import os
 import threading
+import time
 import uuid
 from enum import Enum
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
-from xmlrpc.client import ServerProxy
+from xmlrpc.client import Fault, ProtocolError, ServerProxy
 
 import rosgraph
 import rospy
@@ -37,6 +39,10 @@ AGGREGATOR = "hri_diagnostics"
 IMAGE_TYPES = {"raw": "sensor_msgs/Image", "compressed": "sensor_msgs/CompressedImage"}
 """By transport."""
 SHARED = "/humans"
+# All that a call to the master can raise: refused, reset, half an answer, an answer that says no.
+MASTER_ERRORS = (OSError, Fault, ProtocolError, http.client.HTTPException, rosgraph.MasterException)
+CALL_S, _SHUTDOWN_S = 2.0, 1.5
+"""Times (s) for one call of another node, and until a node that was shut down has left the master."""
 
 
 class MasterAway(Exception):
@@ -439,3 +445,49 @@ def _asked(master: ServerProxy, name: str) -> Optional[object]:
 def _answer(given: Any) -> Tuple[int, str, object]:
     code, text, value = given
     return int(code), str(text), value
+
+
+def end_node(name: str, why: str) -> None:
+    """Shut a node down over its API, which logs why; one that does not answer is taken off the master's lists."""
+    uri = address_of_node(name)
+    if uri is None:
+        return
+    try:
+        node_at(uri, CALL_S).shutdown(rospy.get_name(), why)
+    except MASTER_ERRORS:
+        unregister_node(name)
+        return
+    deadline = time.monotonic() + _SHUTDOWN_S
+    while address_of_node(name) == uri:
+        if time.monotonic() > deadline:
+            unregister_node(name)
+            return
+        time.sleep(0.02)
+
+
+def unregister_node(name: str) -> None:
+    """Take all registrations of a node back that did not do so itself."""
+    master = rosgraph.Master(name)
+    uri = address_of_node(name)
+    if uri is None:
+        return
+    published, subscribed, services = master.getSystemState()
+    for topic, nodes in published:
+        if name in nodes:
+            master.unregisterPublisher(topic, uri)
+    for topic, nodes in subscribed:
+        if name in nodes:
+            master.unregisterSubscriber(topic, uri)
+    for service, nodes in services:
+        if name in nodes:
+            master.unregisterService(service, master.lookupService(service))
+
+
+def address_of_node(name: str) -> Optional[str]:
+    """Address of a node's API, None when the master does not know the node."""
+    if not name:
+        return None
+    try:
+        return rosgraph.Master(rospy.get_name()).lookupNode(name) or None
+    except rosgraph.MasterError:
+        return None
