@@ -15,11 +15,11 @@ from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_person_manager.core.register import PersonRecord, PersonRegister, RegisterError
 from hri_person_manager.ros import node as module
-from hri_person_manager.ros import restart
+from hri_person_manager.ros import persistence
 from hri_person_manager.ros.inputs import double_persons
 from hri_person_manager.ros.navigation import PeopleTopic
 from hri_person_manager.ros.node import PersonManagerNode
-from hri_person_manager.ros.restart import RestartState
+from hri_person_manager.ros.persistence import RestartState
 from hri_person_manager.ros.services import GalleryAnswer, PersonServices
 from hri_person_manager.srv import EnrolRequest, ForgetRequest, MergeRequest
 from hri_pipeline.core.geometry import Pose
@@ -41,9 +41,9 @@ def written(monkeypatch):
             raise found.problems.pop()
         found.values.append(value)
 
-    monkeypatch.setattr(restart.rospy, "set_param", write)
-    monkeypatch.setattr(restart.rospy, "has_param", lambda name: False)
-    monkeypatch.setattr(restart, "_RESTART_PERIOD_S", 0.01)
+    monkeypatch.setattr(persistence.rospy, "set_param", write)
+    monkeypatch.setattr(persistence.rospy, "has_param", lambda name: False)
+    monkeypatch.setattr(persistence, "_RESTART_PERIOD_S", 0.01)
     found.may_go_on.set()
     return found
 

@@ -9,8 +9,7 @@ import threading
 import time
 import traceback
 from collections import OrderedDict
-from pathlib import Path
-from typing import Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Dict, List, Mapping, Tuple
 
 import genpy
 import rospy
@@ -25,18 +24,15 @@ from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import ANONYMOUS_PREFIX, Snapshot
-from hri_person_manager.core.register import PersonRecord, PersonRegister, SqliteRecordStore, record_of
+from hri_person_manager.core.register import PersonRegister
 from hri_person_manager.ros.inputs import OtherManagers, ReferenceFrame, TfInput
 from hri_person_manager.ros.navigation import PeopleTopic
-from hri_person_manager.ros.restart import RestartState
+from hri_person_manager.ros.persistence import RestartState, borrowed_records, data_use, open_store
 from hri_person_manager.ros.services import PersonServices
 from hri_person_manager.ros.topics import GraphTopic, PersonMarkers, PersonSpaces, PersonTopics
-from hri_pipeline.core.parameters import ParameterError
-from hri_pipeline.core.privacy import DataUse, StoreError, TemplateCipher
-from hri_pipeline.core.process import is_clock_synchronised, share_arenas
+from hri_pipeline.core.privacy import StoreError
+from hri_pipeline.core.process import share_arenas
 from hri_pipeline.core.recognition.database import StoreWriter
-from hri_pipeline.core.recognition.store import PersonStore, read_store
-from hri_pipeline.core.recognition.stored_gallery import SHARED_ENDINGS
 from hri_pipeline.core.timing import JUMP_BACK_S, ClockWatch, OldTime, Order, SourceStamps, clock_went_back
 from hri_pipeline.ros.conversions import matrix_from_image, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
@@ -55,50 +51,6 @@ STILL_S = 10.0       # a clock that has stood still for so long while people are
 _LOG_PERIOD_S = 30.0
 _FEEDS = (("faces", Kind.FACE, {"softbiometrics": SoftBiometrics}), ("bodies", Kind.BODY, {"appearance": Image}),
           ("voices", Kind.VOICE, {}))
-
-
-def open_store(settings: PersonManagerSettings) -> Optional[SqliteRecordStore]:
-    """Open the file of the parameter `store` and say so; None without one.
-
-    Raises ParameterError naming the parameter and the fix when the file cannot be used.
-    """
-    if not settings.store:
-        rospy.loginfo("persons are kept in memory only (parameter store is empty)")
-        return None
-    if Path(settings.store).suffix not in SHARED_ENDINGS:
-        raise ParameterError("~store: {} does not end in {}, by which recognisers know the file that they share; name "
-                             "it so".format(settings.store, ", ".join(SHARED_ENDINGS)))
-    try:
-        store = PersonStore(settings.store, _cipher(settings), rospy.logerr)
-        store.load_records()    # a wrong key, or none, is told at the start
-    except StoreError as error:
-        raise ParameterError("~store: {}".format(error)) from error
-    rospy.logwarn("persons are kept across runs in %s: ids, names, languages, apparent age and gender, times, "
-                  "templates of faces%s. Forget them with `rosrun hri_person_manager people forget ID`", store.path,
-                  ", encrypted" if settings.store_key else "")
-    return SqliteRecordStore(store, settings.store_max_age, settings.store_max_persons, is_clock_synchronised)
-
-
-def _cipher(settings: PersonManagerSettings) -> Optional[TemplateCipher]:
-    return TemplateCipher(settings.store_key) if settings.store_key else None
-
-
-def data_use(settings: PersonManagerSettings, records: Sequence[PersonRecord]) -> DataUse:
-    """Return what is computed of persons and kept of them; records: everybody who is known."""
-    stored = ("ids", "consent", "names", "languages", "apparent age and gender", "times") if settings.store else ()
-    return DataUse(("who belongs together", "positions", "names and languages that were given",
-                    "apparent age and gender over time"), settings.store, stored,
-                   settings.store_max_age if settings.store else 0.0, bool(settings.store and settings.store_key),
-                   tuple(record.id for record in records if record.enrolled))
-
-
-def borrowed_records(settings: PersonManagerSettings) -> List[PersonRecord]:
-    """Read the stores of the parameter `store_read_only`. Raises ParameterError when one cannot be used."""
-    try:
-        return [record_of(row) for path in settings.store_read_only
-                for row in read_store(path, _cipher(settings), notify=rospy.logwarn)[0]]
-    except StoreError as error:
-        raise ParameterError("~store_read_only: {}".format(error)) from error
 
 
 class ManagerDiagnostics:
@@ -254,19 +206,19 @@ class PersonManagerNode:
         self._spaces = PersonSpaces(settings, self._tf_input)
         self._matches = rospy.Subscriber(MATCHES_TOPIC, IdsMatch, self._on_match,
                                          queue_size=1000, tcp_nodelay=True)
-        for plural, kind, topics in _FEEDS:
-            self._feeds[plural] = IdSubscribers(plural, topics, self._on_feature, self._tracked_callback(plural, kind),
-                                                max_ids=MAX_FEATURES, list_timeout=settings.list_timeout)
+        self._subscribe_to_features()
         self._report = ManagerDiagnostics(self._manager, self._guard, self._reference, self._tf_input, self._feeds,
                                           self._tf)
         self._reset = rospy.Service("~reset", Empty, self._on_reset)
         self._services = PersonServices(self._manager, self._register, self._guard, self._lock, self._publish_changes,
                                         self._wait_until_written)
         rospy.on_shutdown(self._stop.set)
-        share_arenas()
-        # To go through everything that was imported takes the garbage collector 30 ms, in which nobody is served.
-        gc.collect()
-        gc.freeze()
+        _settle_memory()
+
+    def _subscribe_to_features(self) -> None:
+        for plural, kind, topics in _FEEDS:
+            self._feeds[plural] = IdSubscribers(plural, topics, self._on_feature, self._tracked_callback(plural, kind),
+                                                max_ids=MAX_FEATURES, list_timeout=self._settings.list_timeout)
 
     def _write_store(self) -> None:
         """Write what has changed, and see who has not been seen for too long; in the thread of the writer."""
@@ -442,26 +394,12 @@ class PersonManagerNode:
         stamp = rospy.Time.now()
         now = stamp.to_sec()
         if now < self._last_now - JUMP_BACK_S:
-            rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: places start anew, persons stay", clock_went_back(
-                self._last_now - now))
-            self._jumps += 1
-            self._sensed = genpy.Time()
-            self._stamps.clear()
-            self._old_time.went_back(self._last_now - now, time.monotonic())
-            self._tf_input.reset()
-            self._manager.rewind(now)
+            self._go_back(now)
         self._last_now = now
         self._forget_gone()
         self._manager.tick(now)
         if now > 0.0:
-            # Where the time of now was sent in a silence, images from before it cannot be.
-            silent = self._manager.silent(now) + [
-                (person_id, place) for person_id, place in self._manager.active(now)
-                if self._tf.is_behind("person_" + person_id, place.exact_stamp, LATE_TIME)]
-            self._tf.send([transform_to_msg(place.pose, stamp, place.frame, "person_" + person_id)
-                           for person_id, place in silent])
-            for person_id, place in silent:
-                self._topics.publish_position(person_id, place, stamp)
+            self._send_silent(stamp)
         self._publish_state()
         snapshot = self._manager.snapshot(now)
         if self._people is not None and self._people.is_wanted:
@@ -475,13 +413,40 @@ class PersonManagerNode:
         still = self._clock.stood_still(now, time.monotonic())
         if time.monotonic() >= self._next_report:
             self._next_report = time.monotonic() + DIAGNOSTICS_S
-            if self._writer.problem:
-                rospy.logerr_throttle(_LOG_PERIOD_S, "~store: %s" % self._writer.problem)
-            self._report.update(snapshot, self._jumps, (self._writer.problem, self._clock_problem()),
-                                self._topics.waiting())
-            self._report.clock(still, len(snapshot.tracked))
-            self._register.keep_demographics(state.id for state in snapshot.persons)
-            self._privacy.set(data_use(self._settings, self._register.records))
+            self._update_diagnostics(snapshot, still)
+
+    def _go_back(self, now: float) -> None:
+        """Begin anew at `now` (s), before which time was already: a bag that loops, or a simulation."""
+        rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: places start anew, persons stay", clock_went_back(
+            self._last_now - now))
+        self._jumps += 1
+        self._sensed = genpy.Time()
+        self._stamps.clear()
+        self._old_time.went_back(self._last_now - now, time.monotonic())
+        self._tf_input.reset()
+        self._manager.rewind(now)
+
+    def _send_silent(self, stamp: genpy.Time) -> None:
+        """Send the frames, with the time of now, of those of whom no transforms come."""
+        now = stamp.to_sec()
+        # Where the time of now was sent in a silence, images from before it cannot be.
+        silent = self._manager.silent(now) + [
+            (person_id, place) for person_id, place in self._manager.active(now)
+            if self._tf.is_behind("person_" + person_id, place.exact_stamp, LATE_TIME)]
+        self._tf.send([transform_to_msg(place.pose, stamp, place.frame, "person_" + person_id)
+                       for person_id, place in silent])
+        for person_id, place in silent:
+            self._topics.publish_position(person_id, place, stamp)
+
+    def _update_diagnostics(self, snapshot: Snapshot, still: float) -> None:
+        """still: for how long (s) the clock has stood still."""
+        if self._writer.problem:
+            rospy.logerr_throttle(_LOG_PERIOD_S, "~store: %s" % self._writer.problem)
+        self._report.update(snapshot, self._jumps, (self._writer.problem, self._clock_problem()),
+                            self._topics.waiting())
+        self._report.clock(still, len(snapshot.tracked))
+        self._register.keep_demographics(state.id for state in snapshot.persons)
+        self._privacy.set(data_use(self._settings, self._register.records))
 
     def _wait_until_written(self) -> None:
         self._restart_state.wait()
@@ -513,3 +478,10 @@ class PersonManagerNode:
         """Note when something was sensed; stamps of the future would stay for good."""
         if self._sensed < stamp and stamp.to_sec() < rospy.get_time() + JUMP_BACK_S:
             self._sensed = stamp
+
+
+def _settle_memory() -> None:
+    share_arenas()
+    # To go through everything that was imported takes the garbage collector 30 ms, in which nobody is served.
+    gc.collect()
+    gc.freeze()

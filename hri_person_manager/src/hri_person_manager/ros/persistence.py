@@ -1,20 +1,73 @@
-"""What the person manager leaves for the time after a crash: who is made of which faces, bodies and voices."""
+"""What outlives the person manager: the file of the parameter `store`, and, for the time after a crash, who is made of
+which faces, bodies and voices."""
 
 from __future__ import annotations
 
 import threading
 import time
 import xmlrpc.client
-from typing import Callable, Dict, List, Mapping
+from pathlib import Path
+from typing import Callable, Dict, List, Mapping, Optional, Sequence
 
 import rospy
 
 from hri_person_manager.core.features import FEATURES, Kind, MatchNode
+from hri_person_manager.core.parameters import PersonManagerSettings
+from hri_person_manager.core.register import PersonRecord, SqliteRecordStore, record_of
 from hri_pipeline.core.ids import is_valid_id
+from hri_pipeline.core.parameters import ParameterError
+from hri_pipeline.core.privacy import DataUse, StoreError, TemplateCipher
+from hri_pipeline.core.process import is_clock_synchronised
+from hri_pipeline.core.recognition.store import PersonStore, read_store
+from hri_pipeline.core.recognition.stored_gallery import SHARED_ENDINGS
 
 _RESTART_PERIOD_S = 0.5    # s between two writes of the state for a restart
 _RESTART_REPEAT_S = 10.0   # s; it is written again although nothing has changed: a new master has no parameters
 _MOST_RESTORED = 500       # persons
+
+
+def open_store(settings: PersonManagerSettings) -> Optional[SqliteRecordStore]:
+    """Open the file of the parameter `store` and say so; None without one.
+
+    Raises ParameterError naming the parameter and the fix when the file cannot be used.
+    """
+    if not settings.store:
+        rospy.loginfo("persons are kept in memory only (parameter store is empty)")
+        return None
+    if Path(settings.store).suffix not in SHARED_ENDINGS:
+        raise ParameterError("~store: {} does not end in {}, by which recognisers know the file that they share; name "
+                             "it so".format(settings.store, ", ".join(SHARED_ENDINGS)))
+    try:
+        store = PersonStore(settings.store, _cipher(settings), rospy.logerr)
+        store.load_records()    # a wrong key, or none, is told at the start
+    except StoreError as error:
+        raise ParameterError("~store: {}".format(error)) from error
+    rospy.logwarn("persons are kept across runs in %s: ids, names, languages, apparent age and gender, times, "
+                  "templates of faces%s. Forget them with `rosrun hri_person_manager people forget ID`", store.path,
+                  ", encrypted" if settings.store_key else "")
+    return SqliteRecordStore(store, settings.store_max_age, settings.store_max_persons, is_clock_synchronised)
+
+
+def _cipher(settings: PersonManagerSettings) -> Optional[TemplateCipher]:
+    return TemplateCipher(settings.store_key) if settings.store_key else None
+
+
+def data_use(settings: PersonManagerSettings, records: Sequence[PersonRecord]) -> DataUse:
+    """Return what is computed of persons and kept of them; records: everybody who is known."""
+    stored = ("ids", "consent", "names", "languages", "apparent age and gender", "times") if settings.store else ()
+    return DataUse(("who belongs together", "positions", "names and languages that were given",
+                    "apparent age and gender over time"), settings.store, stored,
+                   settings.store_max_age if settings.store else 0.0, bool(settings.store and settings.store_key),
+                   tuple(record.id for record in records if record.enrolled))
+
+
+def borrowed_records(settings: PersonManagerSettings) -> List[PersonRecord]:
+    """Read the stores of the parameter `store_read_only`. Raises ParameterError when one cannot be used."""
+    try:
+        return [record_of(row) for path in settings.store_read_only
+                for row in read_store(path, _cipher(settings), notify=rospy.logwarn)[0]]
+    except StoreError as error:
+        raise ParameterError("~store_read_only: {}".format(error)) from error
 
 
 class RestartState:
