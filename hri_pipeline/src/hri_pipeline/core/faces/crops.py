@@ -7,7 +7,7 @@ from typing import Optional, Sequence, Tuple
 import cv2
 import numpy as np
 
-from hri_pipeline.core.faces.mesh import LANDMARKS, LEFT_EYE_CORNER, RIGHT_EYE_CORNER, FaceRoi
+from hri_pipeline.core.faces.mesh import LANDMARKS, LEFT_EYE_CORNER, RIGHT_EYE_CORNER, FaceRoi, level_roi
 from hri_pipeline.core.geometry import Pose, crop_rotated
 
 MAX_SIZE = 1024
@@ -37,16 +37,10 @@ def upright_roi(points: np.ndarray, margin: float = 1.3) -> FaceRoi:
     if not np.isfinite(xy).all() or not margin > 0.0:
         raise ValueError("a crop needs finite points and a positive margin, got margin {!r}".format(margin))
     right, left = _LANDMARK_EYES if len(xy) == LANDMARKS else (RIGHT_EYE_CORNER, LEFT_EYE_CORNER)
-    eyes = xy[left] - xy[right]
-    angle = float(np.arctan2(eyes[1], eyes[0]))
-    cosine, sine = np.cos(angle), np.sin(angle)
-    turn = np.array([[cosine, -sine], [sine, cosine]])
-    level = xy @ turn
-    low, high = level.min(axis=0), level.max(axis=0)
-    side = margin * float((high - low).max())
-    if side < 1.0:
+    roi = level_roi(xy, right, left, margin)
+    if roi.size < 1.0:
         raise ValueError("the points of the face all lie in one place")
-    return FaceRoi(turn @ ((low + high) / 2.0), side, angle)
+    return roi
 
 
 def aligned_crop(bgr: np.ndarray, points: np.ndarray, size: int, margin: float = 1.3) -> np.ndarray:

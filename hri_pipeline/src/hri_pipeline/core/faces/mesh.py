@@ -234,15 +234,22 @@ def roi_from_detection(detection: FaceDetection) -> FaceRoi:
 
 def roi_from_mesh(points: np.ndarray, shift: Optional[np.ndarray] = None) -> FaceRoi:
     """Crop for the next frame from the mesh (478, 3) px of this one, moved by shift (2,) px."""
-    xy = points[:, :2]
-    eyes = xy[LEFT_EYE_CORNER] - xy[RIGHT_EYE_CORNER]
+    roi = level_roi(points[:, :2], RIGHT_EYE_CORNER, LEFT_EYE_CORNER, MARGIN)
+    return roi if shift is None else FaceRoi(roi.centre + shift, roi.size, roi.angle)
+
+
+def level_roi(points: np.ndarray, right: int, left: int, margin: float) -> FaceRoi:
+    """Square around points (N, 2) px, turned so that the line from number `right` to number `left` of them is level.
+
+    margin: its side over the larger side of the points' box.
+    """
+    eyes = points[left] - points[right]
     angle = float(np.arctan2(eyes[1], eyes[0]))
     cosine, sine = np.cos(angle), np.sin(angle)
     turn = np.array([[cosine, -sine], [sine, cosine]])
-    level = xy @ turn
+    level = points @ turn
     low, high = level.min(axis=0), level.max(axis=0)
-    centre = turn @ ((low + high) / 2.0)
-    return FaceRoi(centre if shift is None else centre + shift, MARGIN * float((high - low).max()), angle)
+    return FaceRoi(turn @ ((low + high) / 2.0), margin * float((high - low).max()), angle)
 
 
 def eye_share(points: np.ndarray) -> float:
