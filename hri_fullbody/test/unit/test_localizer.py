@@ -16,8 +16,8 @@ from hri_fullbody.core.localization.localizer import (
     is_cut,
     is_leaving,
     measured_joints,
-    place,
     rotation_to_ray,
+    solve_pnp,
     translation_only,
 )
 from hri_fullbody.core.localization.scale import BodyScale, depth_cue, face_cue, floor_ratio, trunk_ratio
@@ -49,7 +49,7 @@ def observe(size, position, face=None, frames=1, shape=None, start=0.0, **around
     shape = shape or BodyLocalizer()
     points, estimate = human(size, position)
     rays = CAMERA.normalise(estimate.landmarks[:33, :2])
-    detection = PoseDetection(estimate, place(rays, estimate.world, np.ones(33, bool)))
+    detection = PoseDetection(estimate, solve_pnp(rays, estimate.world, np.ones(33, bool)))
     track = BodyTrack("b", detection, start, TrackLife(start, 0.0, 1.0))
     for index in range(frames):
         stamp = start + index * 0.1
@@ -210,7 +210,7 @@ def newborn(shape, turned_away=False, face=None, stamps=(0.0,), distance=3.0, **
     """Whether a body has a place at each of some times (s) since it began."""
     _, estimate = human(1.0, np.array([0.0, 0.0, distance]))
     world = estimate.world * (-1.0, 1.0, -1.0) if turned_away else estimate.world
-    detection = PoseDetection(PoseEstimate(0.95, estimate.landmarks, SURE, world), place(
+    detection = PoseDetection(PoseEstimate(0.95, estimate.landmarks, SURE, world), solve_pnp(
         CAMERA.normalise(estimate.landmarks[:33, :2]), estimate.world, np.ones(33, bool)))
     track, placed = BodyTrack("b", detection, 0.0, TrackLife(0.0, 0.0, 1.0)), []
     for stamp in stamps:
@@ -240,13 +240,13 @@ def test_a_predicted_observation_moves_with_the_body_and_says_so():
     shape = BodyLocalizer()
     _, estimate = human(1.0, np.array([0.0, 0.0, 3.0]))
     rays = CAMERA.normalise(estimate.landmarks[:33, :2])
-    track = BodyTrack("b", PoseDetection(estimate, place(rays, estimate.world, np.ones(33, bool))), 0.0,
+    track = BodyTrack("b", PoseDetection(estimate, solve_pnp(rays, estimate.world, np.ones(33, bool))), 0.0,
                       TrackLife(0.0, 0.0, 1.0))
     seen = shape.observe(track, CAMERA, 0.0, None, SceneContext())
     for index in range(1, 20):
         _, estimate = human(1.0, np.array([0.05 * index, 0.0, 3.0]))
         rays = CAMERA.normalise(estimate.landmarks[:33, :2])
-        track.update(PoseDetection(estimate, place(rays, estimate.world, np.ones(33, bool))), 0.05 * index, False)
+        track.update(PoseDetection(estimate, solve_pnp(rays, estimate.world, np.ones(33, bool))), 0.05 * index, False)
         seen = shape.observe(track, CAMERA, 0.05 * index, None, SceneContext())
     assert seen.measured
     assert seen.velocity[0] == pytest.approx(1.0, abs=0.2)
@@ -260,7 +260,7 @@ def test_a_predicted_observation_moves_with_the_body_and_says_so():
 
 def test_a_body_without_an_inference_is_moved_on_as_a_whole():
     _, estimate = human(1.0, np.array([0.0, 0.0, 3.0]))
-    points = place(CAMERA.normalise(estimate.landmarks[:33, :2]), estimate.world, np.ones(33, bool))
+    points = solve_pnp(CAMERA.normalise(estimate.landmarks[:33, :2]), estimate.world, np.ones(33, bool))
     face = Pose(np.eye(3), points[[1, 4]].mean(axis=0))
     track = BodyTrack("b", PoseDetection(estimate, points), 0.0, TrackLife(0.0, 0.0, 1.0))
     shape, way = BodyLocalizer(), np.array([0.05, 0.01, -0.02])
@@ -284,7 +284,7 @@ def test_key_points_in_space_are_not_filtered():
     moved = standing_at(0, 0).world.copy()
     moved[16] += (0.0, -0.5, 0.0)
     rays = CAMERA.normalise(estimate.landmarks[:33, :2])
-    points = place(rays, estimate.world, np.ones(33, bool))
+    points = solve_pnp(rays, estimate.world, np.ones(33, bool))
     track = BodyTrack("b", PoseDetection(estimate, points), 0.0, TrackLife(0.0, 0.0, 1.0))
     first = shape.observe(track, CAMERA, 0.0, None, SceneContext())
     raised = points.copy()
@@ -309,14 +309,14 @@ def truth(position, turn_deg):
 @pytest.mark.parametrize("turn_deg", [0.0, 70.0, 180.0])
 def test_exact_landmarks_are_placed_exactly(camera, position, turn_deg):
     points, world = truth(position, turn_deg)
-    placed = place(camera.normalise(camera.project(points)), world, ALL)
+    placed = solve_pnp(camera.normalise(camera.project(points)), world, ALL)
     assert np.abs(placed - points).max() < 0.02
 
 
 def test_landmarks_in_the_axes_of_the_ray_are_turned():
     points, world = truth((1.2, 0.0, 2.5), 20.0)
     ray = points[:, :2].mean(axis=0) / points[:, 2].mean()
-    placed = place(CAMERA.normalise(CAMERA.project(points)), world @ rotation_to_ray(ray), ALL)
+    placed = solve_pnp(CAMERA.normalise(CAMERA.project(points)), world @ rotation_to_ray(ray), ALL)
     assert np.linalg.norm(placed.mean(axis=0) - points.mean(axis=0)) < 0.03
 
 
@@ -326,7 +326,7 @@ def test_noise_and_wrong_points_move_the_body_little():
         points, world = truth((0.4, 0.0, 3.0), random.uniform(-60.0, 60.0))
         pixels = CAMERA.project(points) + random.normal(size=(33, 2)) * 2.0
         pixels[[15, 17, 19]] += (150.0, -90.0)
-        placed = place(CAMERA.normalise(pixels), world + random.normal(size=(33, 3)) * 0.03, ALL)
+        placed = solve_pnp(CAMERA.normalise(pixels), world + random.normal(size=(33, 3)) * 0.03, ALL)
         hips, true_hips = placed[23:25].mean(axis=0), points[23:25].mean(axis=0)
         assert np.linalg.norm(hips - true_hips) < 0.45
         assert np.linalg.norm((hips - true_hips)[:2]) < 0.12
@@ -337,9 +337,9 @@ def test_too_few_points_and_impossible_depths_give_nothing():
     rays = CAMERA.normalise(CAMERA.project(points))
     few = np.zeros(33, bool)
     few[:5] = True
-    assert place(rays, world, few) is None
-    assert place(rays * 1e-3, world, ALL) is None
-    assert place(np.full((33, 2), np.nan), world, ALL) is None
+    assert solve_pnp(rays, world, few) is None
+    assert solve_pnp(rays * 1e-3, world, ALL) is None
+    assert solve_pnp(np.full((33, 2), np.nan), world, ALL) is None
 
 
 def test_translation_only_finds_the_translation():
@@ -370,7 +370,7 @@ class Person:
         landmarks[:33, :2] = CAMERA.project(points)
         landmarks[33, :2] = landmarks[[23, 24], :2].mean(axis=0)
         landmarks[34, :2] = landmarks[33, :2] - (0.0, 0.9 * CAMERA.matrix[0, 0] / position[2])
-        detection = PoseDetection(PoseEstimate(0.95, landmarks, np.full(39, 0.95), STANDING.copy()), place(
+        detection = PoseDetection(PoseEstimate(0.95, landmarks, np.full(39, 0.95), STANDING.copy()), solve_pnp(
             CAMERA.normalise(landmarks[:33, :2]), STANDING, np.ones(33, bool)))
         self._stamp += 0.1
         if self._track is None:

@@ -23,7 +23,7 @@ from hri_person_manager.ros.persistence import RestartState
 from hri_person_manager.ros.services import GalleryAnswer, PersonServices
 from hri_person_manager.srv import EnrolRequest, ForgetRequest, MergeRequest
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.core.timing import OldTime
+from hri_pipeline.core.timing import StaleStampFilter
 from hri_pipeline.srv import GalleryResponse
 from hri_pipeline.testing import wait_for
 
@@ -204,10 +204,10 @@ def test_a_recording_that_holds_people_is_told_apart_from_another_robot():
 def test_a_place_from_before_the_clock_went_back_places_nobody(monkeypatch):
     """The last image of a bag that loops: its frame would hide all later ones of the person in the buffers of tf2."""
     monkeypatch.setattr(module.rospy, "get_time", lambda: 100.2)
-    node = MagicMock(_old_time=OldTime(), _people=None)
+    node = MagicMock(_stale_stamps=StaleStampFilter(), _people=None)
     node._stop.is_set.return_value = False
     node._manager.on_place.return_value = None
-    node._old_time.went_back(20.0, time.monotonic())
+    node._stale_stamps.went_back(20.0, time.monotonic())
     old, new = (FeaturePose(PlaceSource.FACE, "abcde", "camera", Pose.identity(), secs, 0) for secs in (119, 100))
     PersonManagerNode._on_poses(node, [old, new])
     assert [call.args for call in node._reference.place.call_args_list] == [(new,)]

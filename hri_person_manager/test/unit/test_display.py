@@ -10,9 +10,9 @@ import pytest
 
 from hri_person_manager.core.display import (
     CameraStatus,
+    LiveDisplay,
     PersonRow,
     RateMeter,
-    Redrawing,
     as_data,
     format_columns,
     format_table,
@@ -122,7 +122,7 @@ def drawn(terminal, drawing, people):
 
 @pytest.mark.parametrize("columns", [200, 105, 60, 20])
 def test_a_table_stands_in_the_place_of_the_one_before(columns):
-    terminal, drawing = Terminal(columns), Redrawing()
+    terminal, drawing = Terminal(columns), LiveDisplay()
     terminal.feed("a line of whoever was here before\n")
     above = terminal.at
     for people in (0, 3, 1, 5, 2):
@@ -132,7 +132,7 @@ def test_a_table_stands_in_the_place_of_the_one_before(columns):
 
 
 def test_a_terminal_that_is_made_narrower_and_wider_again_shows_one_table():
-    terminal, drawing = Terminal(120), Redrawing()
+    terminal, drawing = Terminal(120), LiveDisplay()
     for columns in (120, 60, 59, 130, 40):
         terminal.resize(columns)
         for _ in range(3):
@@ -143,7 +143,7 @@ def test_a_terminal_that_is_made_narrower_and_wider_again_shows_one_table():
 
 
 def test_more_people_than_lines_do_not_pile_up():
-    terminal, drawing = Terminal(120, 10), Redrawing()
+    terminal, drawing = Terminal(120, 10), LiveDisplay()
     for _ in range(3):
         drawn(terminal, drawing, 30)
     assert len(terminal.rows) == 10

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hri_pipeline.core.camera import CameraError, CameraModel
-from hri_pipeline.core.faces import surroundings
+from hri_pipeline.core.faces import person_verifier
 from hri_pipeline.core.faces.analysis import FaceDemand
 from hri_pipeline.core.faces.head_pose import yaw_pitch_roll
 from hri_pipeline.core.faces.mesh import load_canonical_face
@@ -618,7 +618,7 @@ class Witness:
 
 def doubting_stage(monkeypatch, person_detector=None):
     """A stage in which no new face is sure."""
-    monkeypatch.setattr(surroundings, "SURE_SCORE", 1.1)
+    monkeypatch.setattr(person_verifier, "SURE_SCORE", 1.1)
     values = {"face_budget": 1000.0, "recognition": False, "face_person_lead": 0.85}
     return FacePipeline(FACES.resolve(values), person_detector=person_detector)
 

@@ -17,7 +17,7 @@ from std_msgs.msg import String
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.ros import rospy_compat
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
-from hri_pipeline.ros.rospy_compat import hear_who_comes_back, publish_without_yielding
+from hri_pipeline.ros.rospy_compat import publish_without_yielding, reconnect_to_returning_publishers
 from hri_pipeline.testing import held_by, pid_of, wait_for, without_descriptors
 
 IDS, WARMING = 800, 200
@@ -271,6 +271,6 @@ class IdPublishersTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    hear_who_comes_back()       # as all nodes do
+    reconnect_to_returning_publishers()       # as all nodes do
     rospy.init_node("id_publishers_test")
     rostest.rosrun("hri_pipeline", "id_publishers", IdPublishersTest)

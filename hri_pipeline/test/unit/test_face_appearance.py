@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook, Verdict, asymmetry, correlation
+from hri_pipeline.core.faces.appearance import AppearanceMatcher, FaceLook, Verdict, asymmetry, correlation
 from hri_pipeline.core.faces.mesh import MESH_POINTS
 from hri_pipeline.core.faces.track import FaceMeasurement
 from hri_pipeline.core.faces.tracker import FaceTracker
@@ -64,7 +64,7 @@ class Network:
 
 @pytest.fixture(params=["templates", "pictures"])
 def faces(request):
-    judge = AppearanceJudge(Network(), 150, 0.8) if request.param == "templates" else AppearanceJudge()
+    judge = AppearanceMatcher(Network(), 150, 0.8) if request.param == "templates" else AppearanceMatcher()
     return FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=judge)
 
 
@@ -135,7 +135,7 @@ def test_who_stood_behind_somebody_that_walked_past_has_the_old_id(faces):
 
 
 def test_after_a_cut_a_face_is_the_one_it_looks_like_wherever_it_is():
-    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceJudge(Network(), 150, 0.8))
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceMatcher(Network(), 150, 0.8))
     before = show(faces, *[(scene((1, 200), (2, 600)), [200, 600])] * 5)[-1]
     image = scene((2, 200), (3, 600))
     tracks = faces.update([measurement(image, 200, False), measurement(image, 600)], 0.5, cut=True)
@@ -145,7 +145,7 @@ def test_after_a_cut_a_face_is_the_one_it_looks_like_wherever_it_is():
 
 def test_the_network_runs_seldom_on_a_face_that_goes_on():
     network = Network()
-    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceJudge(network, 150, 0.8))
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceMatcher(network, 150, 0.8))
     show(faces, *[(scene((1, 200)), [200])] * 100)
     assert 1 <= network.runs <= 6
 
@@ -154,7 +154,7 @@ def test_the_network_runs_seldom_on_a_face_that_goes_on():
 def test_templates_that_recognition_has_made_replace_the_checks(given):
     """Ten faces were asked of the network five times a second beside recognition, which had just asked it."""
     network, other = Network(), Network()
-    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceJudge(network, 150, 0.8))
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceMatcher(network, 150, 0.8))
     image = scene((1, 200))
     for step in range(300):
         stamp = step * STEP
@@ -167,7 +167,7 @@ def test_templates_that_recognition_has_made_replace_the_checks(given):
 
 def test_a_template_of_somebody_else_neither_is_a_check_nor_becomes_a_view():
     network = Network()
-    judge = AppearanceJudge(network, 150, 0.8)
+    judge = AppearanceMatcher(network, 150, 0.8)
     image = scene((1, 200))
     memory = judge.begin(look(image, 200), 0.0)
     judge.verdict(memory, look(image, 200), 0.0)
@@ -186,7 +186,7 @@ def test_crops_are_aligned_as_the_network_wants_them():
     def embed(crops):
         seen.extend(crops)
         return np.tile(np.float32([1.0, 0.0]), (len(crops), 1))
-    judge = AppearanceJudge(embed, 112, 1.08, "arcface")
+    judge = AppearanceMatcher(embed, 112, 1.08, "arcface")
     judge.distance(judge.begin(look(image, 200), 0.0), look(image, 200))
     wanted = face_chip(image, mesh(200), 112, alignment="arcface")
     assert len(seen) == 2 and all(np.array_equal(crop, wanted) for crop in seen)
@@ -196,7 +196,7 @@ def test_crops_are_aligned_as_the_network_wants_them():
 def test_a_face_that_waited_for_its_turn_is_checked_only_where_the_flow_lost_it(followed):
     """On a slow machine each face of a crowd waits for half a second: a template each time would make it slower."""
     network = Network()
-    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceJudge(network, 150, 0.8))
+    faces = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceMatcher(network, 150, 0.8))
     name = show(faces, (scene((1, 200)), [200]))[0][200]
     for step in range(1, 16):
         for track in faces.tracks:
@@ -213,7 +213,7 @@ def test_a_face_that_waited_for_its_turn_is_checked_only_where_the_flow_lost_it(
 
 
 def test_a_verdict_that_is_not_clear_is_no_change_of_face():
-    judge = AppearanceJudge(lambda crops: np.tile(np.float32([1.0, 0.0]), (len(crops), 1)), 150, 0.4)
+    judge = AppearanceMatcher(lambda crops: np.tile(np.float32([1.0, 0.0]), (len(crops), 1)), 150, 0.4)
     memory = judge.begin(look(scene((1, 200)), 200), 0.0)
     angles = {Verdict.SAME: 0.30, Verdict.UNSURE: 0.36, Verdict.OTHER: 0.60}
     for verdict, angle in angles.items():
@@ -226,7 +226,7 @@ def test_a_verdict_that_is_not_clear_is_no_change_of_face():
 
 
 def test_a_face_too_small_for_a_template_is_compared_by_its_picture():
-    judge = AppearanceJudge(Network(), 150, 0.8)
+    judge = AppearanceMatcher(Network(), 150, 0.8)
     small = [FaceLook(scene((seed, 200)), mesh(200, size=20.0)) for seed in (1, 1, 2)]
     memory = judge.begin(small[0], 0.0)
     assert judge.distance(memory, small[1]) is None
@@ -236,7 +236,7 @@ def test_a_face_too_small_for_a_template_is_compared_by_its_picture():
 @pytest.mark.parametrize("turned, light, same", [(0.4, 1.0, True), (0.05, 1.0, False), (0.4, 0.5, False)])
 def test_a_head_that_turns_between_two_looks_is_no_other_face(turned, light, same):
     """Its small picture changes as much as that of another face; its colours do not."""
-    faces, seen = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceJudge()), []
+    faces, seen = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceMatcher()), []
     for index, (seed, turn) in enumerate([(1, 0.0)] * 3 + [(2, turned)] * 3):
         image = scene((seed, 200), light=1.0 if index < 3 else light)
         points = mesh(200, turned=turn)
@@ -291,7 +291,7 @@ def test_empty_pictures_are_no_cut_and_any_size_is_taken():
 
 def test_who_is_not_there_any_more_takes_nobody_s_place():
     """After a cut there are as many others at once, although the faces of before are remembered for a moment."""
-    faces = FaceTracker(0.0, 1.0, 2, IdGenerator(seed=1), judge=AppearanceJudge(Network(), 150, 0.8))
+    faces = FaceTracker(0.0, 1.0, 2, IdGenerator(seed=1), judge=AppearanceMatcher(Network(), 150, 0.8))
     before = show(faces, *[(scene((1, 200), (2, 600)), [200, 600])] * 3)[-1]
     image = scene((3, 200), (4, 600))
     tracks = faces.update([measurement(image, 200), measurement(image, 600)], 0.3, cut=True)

@@ -14,10 +14,10 @@ from hri_pipeline.core.faces.gaze import (
     HEAD_CONFIDENCE,
     OPEN,
     EyeGeometry,
+    Eyelids,
     GazeEstimator,
     GazeSmoother,
-    Lids,
-    OpenEyes,
+    OpenEyeBaseline,
     closedness,
     gaze_frame,
 )
@@ -179,7 +179,7 @@ def shapes_of(blink, down=0.1):
 
 
 def lids(openness, blink, down=0.1, known=1.0):
-    return Lids((openness, openness), (blink, blink), (1.0, 1.0), down, known)
+    return Eyelids((openness, openness), (blink, blink), (1.0, 1.0), down, known)
 
 
 @pytest.mark.parametrize("openness,blink,down", [(0.17, 0.41, 0.1), (0.15, 0.53, 0.55), (0.14, 0.47, 0.1)])
@@ -193,7 +193,7 @@ def test_eyes_that_are_clearly_shut_are_closed_at_once(openness, blink, down):
 
 
 def test_eyes_are_shut_for_their_own_person():
-    wide, narrow = OpenEyes(), OpenEyes()
+    wide, narrow = OpenEyeBaseline(), OpenEyeBaseline()
     for index in range(100):
         wide.closedness(lids(0.35, 0.10), 0.1 * index)
         narrow.closedness(lids(0.15, 0.43), 0.1 * index)
@@ -203,7 +203,7 @@ def test_eyes_are_shut_for_their_own_person():
 
 
 def test_who_sleeps_from_the_first_image_on_does_not_become_open_eyed():
-    eyes = OpenEyes()
+    eyes = OpenEyeBaseline()
     assert min(eyes.closedness(lids(0.05, 0.70), 0.1 * index) for index in range(300)) > 0.8
 
 

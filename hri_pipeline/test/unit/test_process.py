@@ -33,8 +33,8 @@ from hri_pipeline.core.process import (
 
 SCRIPT = """
 import resource, sys
-from hri_pipeline.core.process import keep_large_blocks
-if sys.argv[1] == "keep" and not keep_large_blocks():
+from hri_pipeline.core.process import raise_mmap_threshold
+if sys.argv[1] == "keep" and not raise_mmap_threshold():
     sys.exit("not glibc")
 import numpy
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -67,7 +67,7 @@ def test_large_blocks_are_kept_by_a_c_library_that_refuses_a_threshold_above_its
             return int(accepted)
 
     monkeypatch.setattr(process.ctypes, "CDLL", lambda name: OldLibrary)
-    assert process.keep_large_blocks()
+    assert process.raise_mmap_threshold()
     assert set(OldLibrary.settings) == {-1, -3}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hri_pipeline.core.timing import ALL_STALE_S, MAX_SOURCES, CommonTime, Order, SourceStamps
+from hri_pipeline.core.timing import ALL_STALE_S, MAX_SOURCES, ClockSynchroniser, Order, SourceStamps
 
 FACES, BODIES = ("face_", b"camera"), ("body_", b"camera")
 
@@ -73,7 +73,7 @@ TOLERANCE = 0.5
 @pytest.mark.parametrize("ahead", [-12.0, -0.7, 0.7, 12.0])
 @pytest.mark.parametrize("first", [0, 1])
 def test_sensors_whose_clocks_differ_have_one_common_time(ahead, first):
-    common, offsets = CommonTime(), {"a": 0.0, "b": ahead}
+    common, offsets = ClockSynchroniser(), {"a": 0.0, "b": ahead}
     order = ["a", "b"] if first == 0 else ["b", "a"]
     times = []
     for step in range(60):
@@ -89,13 +89,13 @@ def test_sensors_whose_clocks_differ_have_one_common_time(ahead, first):
 
 
 def test_sensors_of_one_clock_are_not_shifted_by_pauses_of_any_length_or_speed():
-    common = CommonTime()
+    common = ClockSynchroniser()
     for stamp, now in ((10.0, 0.0), (10.1, 0.1), (15.0, 5.0), (35.0, 6.0), (35.1, 60.0), (35.5, 60.1)):
         assert common.note("a", stamp, now, TOLERANCE) == common.note("b", stamp + 0.05, now, TOLERANCE) == 0.0
 
 
 def test_bodies_that_come_after_later_faces_do_not_shift_their_camera():
-    common = CommonTime()
+    common = ClockSynchroniser()
     for step in range(20):
         now = 100.0 + 0.1 * step
         assert common.note("a", now, now, TOLERANCE) == common.note("b", now, now, TOLERANCE) == 0.0
@@ -103,7 +103,7 @@ def test_bodies_that_come_after_later_faces_do_not_shift_their_camera():
 
 
 def test_a_camera_that_lags_for_a_while_has_its_own_stamps_again_afterwards():
-    common = CommonTime()
+    common = ClockSynchroniser()
     shifts = []
     for step in range(30):
         now = 100.0 + 0.5 * step
@@ -113,7 +113,7 @@ def test_a_camera_that_lags_for_a_while_has_its_own_stamps_again_afterwards():
 
 
 def test_a_stall_after_which_the_stamps_of_one_sensor_come_first_leaves_no_shift():
-    common = CommonTime()
+    common = ClockSynchroniser()
     for step in range(40):
         now = 100.0 + 0.1 * step
         late = 0.9 if 10 <= step < 19 else 0.0     # what came during the stall is told at once afterwards
@@ -130,7 +130,7 @@ def test_a_stall_after_which_the_stamps_of_one_sensor_come_first_leaves_no_shift
 
 
 def test_the_number_of_sensors_is_bounded():
-    common = CommonTime()
+    common = ClockSynchroniser()
     for number in range(2 * MAX_SOURCES):
         common.note(number, 3.0 * number, 0.1 * number, TOLERANCE)
     assert len(common._latest) == MAX_SOURCES >= len(common.shifts)

@@ -4,9 +4,9 @@ import pytest
 from hri_pipeline.core.timing import (
     ALL_STALE_S,
     ClockWatch,
-    OldTime,
     Pacer,
     StageTimes,
+    StaleStampFilter,
     StampPacer,
     clock_fault,
     clock_went_back,
@@ -143,15 +143,15 @@ def test_another_rate_of_joint_states():
     assert sum(pacer.is_due(stamp) for stamp in stamps + 2.0) == 20
 
 
-def test_what_was_on_its_way_when_a_bag_began_anew_is_of_the_old_time():
-    old = OldTime()
-    assert not old.holds(120.0, 100.0, 0.0), "a camera whose clock is ahead"
+def test_what_was_on_its_way_when_a_bag_began_anew_is_of_the_stale_stamps():
+    old = StaleStampFilter()
+    assert not old.is_stale(120.0, 100.0, 0.0), "a camera whose clock is ahead"
     old.went_back(20.0, 5.0)
-    assert old.holds(119.9, 100.1, 5.1) and old.holds(118.0, 103.0, 8.0)
-    assert not old.holds(100.05, 100.1, 5.1), "what is new"
-    assert not old.holds(101.0, 100.1, 5.1), "a camera whose clock is a little ahead"
-    assert not old.holds(111.5, 111.6, 6.0), "what is new when the bag is played faster"
-    assert not old.holds(119.9, 100.1, 5.0 + ALL_STALE_S), "not for ever"
+    assert old.is_stale(119.9, 100.1, 5.1) and old.is_stale(118.0, 103.0, 8.0)
+    assert not old.is_stale(100.05, 100.1, 5.1), "what is new"
+    assert not old.is_stale(101.0, 100.1, 5.1), "a camera whose clock is a little ahead"
+    assert not old.is_stale(111.5, 111.6, 6.0), "what is new when the bag is played faster"
+    assert not old.is_stale(119.9, 100.1, 5.0 + ALL_STALE_S), "not for ever"
 
 
 WALL = 1795709036.0     # 2026-11-26

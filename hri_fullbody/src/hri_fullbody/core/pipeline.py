@@ -29,7 +29,7 @@ from hri_fullbody.core.detection.pose_estimator import (
 from hri_fullbody.core.detection.windows import FaceBox
 from hri_fullbody.core.keypoints import confidence_18, to_18_points
 from hri_fullbody.core.localization.ground import GroundPlane
-from hri_fullbody.core.localization.localizer import BodyLocalizer, SceneContext, place
+from hri_fullbody.core.localization.localizer import BodyLocalizer, SceneContext, solve_pnp
 from hri_fullbody.core.model.anthropometry import MONOCULAR
 from hri_fullbody.core.model.human import Layout
 from hri_fullbody.core.modeller import BodyInput, BodyModeller, ModelledBody, turned_model
@@ -300,8 +300,8 @@ class BodyPipeline:
 
     def _solve_pnp(self, estimate: PoseEstimate, camera: CameraModel) -> Optional[np.ndarray]:
         """Place the landmarks of an estimate in the optical frame: (33, 3) m, or None."""
-        return place(camera.normalise(estimate.landmarks[:BODY_LANDMARKS, :2]), estimate.world,
-                     estimate.confidence[:BODY_LANDMARKS] > _SEEN)
+        return solve_pnp(camera.normalise(estimate.landmarks[:BODY_LANDMARKS, :2]), estimate.world,
+                         estimate.confidence[:BODY_LANDMARKS] > _SEEN)
 
     def _learn_ground(self, stamp: float, faces: Sequence[FaceBox]) -> None:
         """Learn the camera's tilt and height from the bodies that were detected in this image."""

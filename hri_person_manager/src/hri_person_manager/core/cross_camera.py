@@ -32,9 +32,9 @@ from hri_person_manager.core.view_groups import (
     FIXED_VARIANCE,
     MAX_NAMES,
     OVERLAP_S,
-    LostSight,
-    Nearness,
+    LastSighting,
     Pair,
+    PairDistance,
     Scale,
     SensedGroup,
     View,
@@ -276,11 +276,11 @@ class CrossCamera:
             self._groups.kept.update(self._before)
             self._before.clear()
 
-    def _smooth(self, known: Dict, key: object, square: float, stamp: float, limit: float) -> Nearness:
+    def _smooth(self, known: Dict, key: object, square: float, stamp: float, limit: float) -> PairDistance:
         """Follow the squared distance of a pair; it is near below `limit`."""
         state = known.get(key)
         if state is None or stamp < state.stamp or stamp - state.stamp > 2.0:
-            state = known[key] = Nearness(square, stamp, stamp, square <= limit)
+            state = known[key] = PairDistance(square, stamp, stamp, square <= limit)
         elif stamp > state.stamp:
             gain = 1.0 - math.exp(-2.0 * (stamp - state.stamp) / max(self._time, 1e-3))
             state.square += gain * (square - state.square)
@@ -486,7 +486,7 @@ class CrossCamera:
             if views:
                 human.seen.update((view.sensor, view.ended) for view in views)
                 last = max(views, key=lambda view: view.ended)
-                human.lost = LostSight(last.ended, {view.sensor: view.best for view in views},
+                human.lost = LastSighting(last.ended, {view.sensor: view.best for view in views},
                                        tuple(last.tracks.values()), human.scales)
             elif not human.views and (human.lost is None or not (
                     self._newest - human.lost.stamp <= max(self._handover, 1.0) + NEW_S)):
@@ -511,7 +511,7 @@ def _name_bonus(one: ViewGroup, other: ViewGroup) -> float:
     return NAME_ALIKE if one.names & other.names else 0.0
 
 
-def _hand_off_evidence(lost: LostSight, view: View) -> float:
+def _hand_off_evidence(lost: LastSighting, view: View) -> float:
     """Logarithm of the likelihood ratio of a lost human and somebody new, against somebody else: place and velocity, by
     what is of one kind, a body rather than a face, as these are not wrong by the same; and clothes. He walks on as he
     did for the last seconds."""

@@ -131,7 +131,7 @@ def _shown_width(text: str) -> int:
                2 if unicodedata.east_asian_width(letter) in "WF" else 1 for letter in text)
 
 
-class Redrawing:
+class LiveDisplay:
     """Draws one text over another on a terminal that may change its size."""
 
     def __init__(self) -> None:

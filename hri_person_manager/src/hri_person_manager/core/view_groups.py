@@ -129,7 +129,7 @@ class View:
         return _at(self.best, stamp, scales)
 
 
-class LostSight(NamedTuple):
+class LastSighting(NamedTuple):
     """The last sight of a human: its stamp (s), the best tracks by sensor, the tracks of the view that ended last, and
     what scales were learnt."""
 
@@ -160,7 +160,7 @@ class ViewGroup:
         self.names = _NOBODY
         self.scales: Dict[Tuple[str, int], Scale] = {}
         self.seen: Dict[str, float] = {}
-        self.lost: Optional[LostSight] = None
+        self.lost: Optional[LastSighting] = None
         self.fused: Optional[Tuple[float, Estimate]] = None
 
     @property
@@ -180,7 +180,7 @@ class ViewGroup:
 
 
 @dataclass
-class Nearness:
+class PairDistance:
     """Smoothed squared distance of a pair, since when (s) it is near, likely or far, and when it was compared (s)."""
 
     square: float
@@ -206,8 +206,8 @@ class ViewGroups:
         self.view_of: Dict[MatchNode, View] = {}
         self.group_of: Dict[int, ViewGroup] = {}
         self.all: Dict[int, ViewGroup] = {}
-        self.near: Dict[Pair, Nearness] = {}
-        self.apart: Dict[int, Nearness] = {}
+        self.near: Dict[Pair, PairDistance] = {}
+        self.apart: Dict[int, PairDistance] = {}
         self.two: Dict[int, Set[int]] = {}
         self.sensors: Set[str] = set()
         self.named_by: "OrderedDict[str, Set[str]]" = OrderedDict()

@@ -27,9 +27,9 @@ from std_srvs.srv import Empty, Trigger
 
 from hri_person_manager.core.display import (
     CameraStatus,
+    LiveDisplay,
     PersonRow,
     RateMeter,
-    Redrawing,
     as_data,
     format_columns,
     format_table,
@@ -311,7 +311,7 @@ def write_json(path: str, data: object) -> None:
 def _show_periodically(watch: PersonsWatch, master: MasterWatch, end: float, period: float) -> None:
     """Print a table each period, on a terminal more often; the first as soon as somebody is seen, the last at the
     end."""
-    drawing = Redrawing() if sys.stdout.isatty() else None
+    drawing = LiveDisplay() if sys.stdout.isatty() else None
     printed, met = time.monotonic(), False
     while not rospy.is_shutdown():
         threading.Event().wait(max(0.0, min(REDRAW_S, period, end - time.monotonic())))

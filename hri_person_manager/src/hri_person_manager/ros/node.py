@@ -33,7 +33,7 @@ from hri_person_manager.ros.topics import GraphTopic, PersonMarkers, PersonSpace
 from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.core.process import share_arenas
 from hri_pipeline.core.recognition.database import StoreWriter
-from hri_pipeline.core.timing import JUMP_BACK_S, ClockWatch, OldTime, Order, SourceStamps, clock_went_back
+from hri_pipeline.core.timing import JUMP_BACK_S, ClockWatch, Order, SourceStamps, StaleStampFilter, clock_went_back
 from hri_pipeline.ros.conversions import matrix_from_image, transform_to_msg
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
 from hri_pipeline.ros.privacy import PrivacyTopic
@@ -146,7 +146,7 @@ class ManagerDiagnostics:
 _MAX_SENDERS = 100
 
 
-class SenderRuns:
+class PublisherRestarts:
     """Notices that the process of a node that sends on a topic is another one than before, under the same name."""
 
     def __init__(self, topic: str) -> None:
@@ -185,9 +185,9 @@ class PersonManagerNode:
         self._next_report = self._next_expiry = 0.0
         self._is_clock_doubted = False
         self._jumps = 0
-        self._stamps, self._old_time = SourceStamps(), OldTime()
+        self._stamps, self._stale_stamps = SourceStamps(), StaleStampFilter()
         self._clock = ClockWatch()
-        self._recognisers = SenderRuns(MATCHES_TOPIC)
+        self._recognisers = PublisherRestarts(MATCHES_TOPIC)
         self._sensed = genpy.Time()     # stamp of the newest image or sound of which a list or a transform has come
         self._feeds: Dict[str, IdSubscribers] = {}
         self._store = open_store(settings)
@@ -365,7 +365,7 @@ class PersonManagerNode:
             now = rospy.get_time()
             moved: Dict[str, object] = {}
             for pose in poses:
-                if self._old_time.holds(pose.secs + 1e-9 * pose.nsecs, now, time.monotonic()):
+                if self._stale_stamps.is_stale(pose.secs + 1e-9 * pose.nsecs, now, time.monotonic()):
                     continue
                 self._watch_stamps(pose)
                 place = self._reference.place(pose)
@@ -422,7 +422,7 @@ class PersonManagerNode:
         self._jumps += 1
         self._sensed = genpy.Time()
         self._stamps.clear()
-        self._old_time.went_back(self._last_now - now, time.monotonic())
+        self._stale_stamps.went_back(self._last_now - now, time.monotonic())
         self._tf_input.reset()
         self._manager.rewind(now)
 

@@ -31,7 +31,7 @@ from hri_pipeline.client.topics import (
     Region,
 )
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.ros.rospy_compat import WallTimeThrottle, hear_who_comes_back
+from hri_pipeline.ros.rospy_compat import WallTimeThrottle, reconnect_to_returning_publishers
 from hri_pipeline.ros.subscriptions import IdSubscribers
 
 _LOG_PERIOD_S = 10.0
@@ -319,7 +319,7 @@ class Humans:
     def __init__(self, patience: float = 0.5) -> None:
         if not 0.0 <= patience <= 60.0:
             raise ValueError("patience is {} s, legal range 0 to 60".format(patience))
-        hear_who_comes_back()
+        reconnect_to_returning_publishers()
         self.patience = patience
         self.frames = HumanPoses()
         self._lock = threading.RLock()

@@ -61,11 +61,11 @@ class LogFilter(logging.Filter):
 def shortened(text: str) -> str:
     """Return a text, of one or more lines, whose words and lines have lost their middle where they were too long."""
     text = re.sub(r"\S{%d,}" % (LONGEST_WORD + 1),
-                  lambda word: without_middle(word.group(), LONGEST_WORD, LONGEST_WORD // 3), text)
-    return "\n".join(without_middle(line, LONGEST_LINE, LONGEST_LINE // 3) for line in text.split("\n"))
+                  lambda word: elide_middle(word.group(), LONGEST_WORD, LONGEST_WORD // 3), text)
+    return "\n".join(elide_middle(line, LONGEST_LINE, LONGEST_LINE // 3) for line in text.split("\n"))
 
 
-def without_middle(text: str, most: int, tail: int, mark: str = "[...]") -> str:
+def elide_middle(text: str, most: int, tail: int, mark: str = "[...]") -> str:
     """Return a text of at most `most` characters: of a longer one the beginning, `mark`, and the last `tail`
     characters."""
     return text if len(text) <= most else text[:most - tail - len(mark)] + mark + text[-tail:]

@@ -14,7 +14,15 @@ from collections import OrderedDict
 from functools import lru_cache
 from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-from hri_pipeline.core.geometry import Pose, Quaternion, Vector, product, slerp, turned, unit
+from hri_pipeline.core.geometry import (
+    Pose,
+    Quaternion,
+    Vector,
+    quaternion_product,
+    rotated_vector,
+    slerp,
+    unit_quaternion,
+)
 
 # geometry_msgs/TransformStamped as roscpp and rospy serialise it: seq, secs, nsecs, parent, child, 7 numbers.
 _LENGTH = struct.Struct("<I")
@@ -253,7 +261,7 @@ class FrameHistory:
             return None
         (rotation, (a, b, c)), ((x, y, z, w), (d, e, f)) = below[common], above[common]
         back = (-x, -y, -z, w)
-        return Pose.from_quaternion(product(back, rotation), turned(back, (a - d, b - e, c - f)))
+        return Pose.from_quaternion(quaternion_product(back, rotation), rotated_vector(back, (a - d, b - e, c - f)))
 
     def ahead(self, target: str, frame: str, stamp: float) -> Optional[Pose]:
         """Return the same for a time (s) that not all links know yet: those that lag stay, or go on as they moved.
@@ -314,9 +322,9 @@ class FrameHistory:
                 link = self._beyond(frame, stamp)
             if link is None:
                 break
-            own, (a, b, c) = unit(link.rotation), link.translation
-            x, y, z = turned(own, position)
-            frame, rotation, position = link.parent, product(own, rotation), (a + x, b + y, c + z)
+            own, (a, b, c) = unit_quaternion(link.rotation), link.translation
+            x, y, z = rotated_vector(own, position)
+            frame, rotation, position = link.parent, quaternion_product(own, rotation), (a + x, b + y, c + z)
         return poses
 
     def _at(self, frame: str, stamp: float) -> Optional[_Link]:
@@ -370,8 +378,8 @@ def _has_moved(one: _Link, other: _Link) -> bool:
 def _between(one: _Link, other: _Link) -> Tuple[Vector, Vector]:
     """Way (m) and turn (rad, as a vector) from one link of a frame to another, later one."""
     (a, b, c), (d, e, f) = one.translation, other.translation
-    (x, y, z, w), last = unit(one.rotation), unit(other.rotation)
-    i, j, k, real = product(last, (-x, -y, -z, w))
+    (x, y, z, w), last = unit_quaternion(one.rotation), unit_quaternion(other.rotation)
+    i, j, k, real = quaternion_product(last, (-x, -y, -z, w))
     scale = 2.0 if real >= 0.0 else -2.0
     return (d - a, e - b, f - c), (scale * i, scale * j, scale * k)
 
@@ -410,8 +418,8 @@ def composed(chain: Sequence[Timed]) -> Pose:
     rotation, position = link.rotation, link.translation
     for timed in chain[1:]:
         link = timed.transform
-        (x, y, z), (i, j, k) = link.translation, turned(link.rotation, position)
-        rotation, position = product(link.rotation, rotation), (x + i, y + j, z + k)
+        (x, y, z), (i, j, k) = link.translation, rotated_vector(link.rotation, position)
+        rotation, position = quaternion_product(link.rotation, rotation), (x + i, y + j, z + k)
     return Pose.from_quaternion(rotation, position)
 
 

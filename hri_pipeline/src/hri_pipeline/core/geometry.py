@@ -119,14 +119,14 @@ def _quaternion(matrix: List[List[float]]) -> Tuple[float, float, float, float]:
     return x / norm, y / norm, z / norm, w / norm
 
 
-def unit(quaternion: Quaternion) -> Quaternion:
+def unit_quaternion(quaternion: Quaternion) -> Quaternion:
     """Return a quaternion x, y, z, w of length 1."""
     x, y, z, w = quaternion
     length = math.sqrt(x * x + y * y + z * z + w * w)
     return x / length, y / length, z / length, w / length
 
 
-def product(first: Quaternion, second: Quaternion) -> Quaternion:
+def quaternion_product(first: Quaternion, second: Quaternion) -> Quaternion:
     """Return the rotation by `second`, then by `first`; quaternions x, y, z, w of any length."""
     (ax, ay, az, aw), (bx, by, bz, bw) = first, second
     return (aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx,
@@ -136,7 +136,7 @@ def product(first: Quaternion, second: Quaternion) -> Quaternion:
 def slerp(first: Quaternion, second: Quaternion, part: float) -> Quaternion:
     """Return the rotation between two quaternions, along the shorter arc; part: 0 the first, 1 the second (Shoemake
     1985)."""
-    first, second = unit(first), unit(second)
+    first, second = unit_quaternion(first), unit_quaternion(second)
     cosine = sum(a * b for a, b in zip(first, second))
     sign = 1.0 if cosine >= 0.0 else -1.0
     angle = math.acos(min(1.0, abs(cosine)))
@@ -148,7 +148,7 @@ def slerp(first: Quaternion, second: Quaternion, part: float) -> Quaternion:
     return x, y, z, w
 
 
-def axis(quaternion: Quaternion, along_z: bool) -> Vector:
+def view_axis(quaternion: Quaternion, along_z: bool) -> Vector:
     """Return the x axis, or the z axis, that a quaternion x, y, z, w turns to; it need not be of unit length."""
     x, y, z, w = quaternion
     scale = 2.0 / (x * x + y * y + z * z + w * w)
@@ -157,7 +157,7 @@ def axis(quaternion: Quaternion, along_z: bool) -> Vector:
     return 1.0 - scale * (y * y + z * z), scale * (x * y + z * w), scale * (x * z - y * w)
 
 
-def turned(quaternion: Quaternion, vector: Vector) -> Vector:
+def rotated_vector(quaternion: Quaternion, vector: Vector) -> Vector:
     """Return a vector turned by a quaternion x, y, z, w, which need not be of unit length.
 
     v + w t + q x t with t = 2 / |q|^2 (q x v).

@@ -85,13 +85,13 @@ def decode_centres(heat: np.ndarray, extents: np.ndarray, threshold: float) -> T
     return boxes[kept], scores[kept]
 
 
-def outdone(boxes: np.ndarray, scores: np.ndarray, rivals: np.ndarray, rival_scores: np.ndarray) -> np.ndarray:
+def suppressed(boxes: np.ndarray, scores: np.ndarray, rivals: np.ndarray, rival_scores: np.ndarray) -> np.ndarray:
     """Tell (N,) which boxes (N, 4) of people are rather those of rivals (M, 4), other things with higher scores."""
     same = iou_matrix(boxes, rivals) >= _SAME_THING
     return np.any(same & (rival_scores[None] > scores[:, None]), axis=1)
 
 
-def claims(heat: np.ndarray, extents: np.ndarray, classes: Sequence[int], boxes: np.ndarray) -> np.ndarray:
+def class_scores(heat: np.ndarray, extents: np.ndarray, classes: Sequence[int], boxes: np.ndarray) -> np.ndarray:
     """Highest score (N,) of one of some classes at the place of each of `boxes` (N, 4), 0 where there is none.
 
     heat: (h, w, 80). extents: see `decode_peaks`.
@@ -180,9 +180,9 @@ class CenterNetDetector:
         if not len(boxes):
             return boxes, scores
         others = heat[:, :, _PERSON_CLASS + 1:].max(axis=2)
-        kept = ~outdone(boxes, scores, *decode_centres(others, extents, self.threshold))
+        kept = ~suppressed(boxes, scores, *decode_centres(others, extents, self.threshold))
         boxes, scores = boxes[kept], scores[kept]
-        animals = claims(heat, extents, _ANIMALS, boxes)
+        animals = class_scores(heat, extents, _ANIMALS, boxes)
         boxes = boxes * np.array([width / size[0], height / size[1]] * 2)
         boxes = np.clip(boxes, 0.0, [width, height, width, height])
         solid = np.all(boxes[:, 2:] - boxes[:, :2] >= 2.0, axis=1)
@@ -197,7 +197,7 @@ class CenterNetDetector:
         mirrored = np.array([_NEAR_SIZE - place[2], place[1], _NEAR_SIZE - place[0], place[3]])
         feed = cv2.cvtColor(view, cv2.COLOR_BGR2RGB).astype(np.float32)
         output = self._model.run({"images": np.stack([feed, feed[:, ::-1]])})
-        person, animal = (sum(float(claims(heat, extents, classes, one[None])[0]) for heat, extents, one in zip(
+        person, animal = (sum(float(class_scores(heat, extents, classes, one[None])[0]) for heat, extents, one in zip(
             output["heat"], output["ltrb"], (place, mirrored))) for classes in ([_PERSON_CLASS], _ANIMALS))
         return bool(_lead(person, animal) * dict(self._leads).get(box.tobytes(), 1.0) >= _LEAST_LEAD)
 

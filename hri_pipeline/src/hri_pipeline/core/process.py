@@ -115,7 +115,7 @@ def trim_memory() -> bool:
         return False
 
 
-def keep_large_blocks() -> bool:
+def raise_mmap_threshold() -> bool:
     """Let malloc re-use the memory of images; return whether the C library can.
 
     By default, glibc asks the kernel for every block of the size of an image and gives it back at once, so that each

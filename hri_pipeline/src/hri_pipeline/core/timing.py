@@ -267,7 +267,7 @@ class SourceStamps:
         self._latest, self._latest_at = (0, 0), 0.0
 
 
-class OldTime:
+class StaleStampFilter:
     """Knows what is stamped by the time from before the clock went back, as of a bag that loops, and comes after it.
 
     It was on its way. Taken for new, it would hide all that follows until the clock is there again.
@@ -280,12 +280,12 @@ class OldTime:
         """Note that the clock has gone back by so much, at `now` (s, of a clock that never jumps)."""
         self._margin, self._until = 0.5 * seconds, now + ALL_STALE_S
 
-    def holds(self, stamp: float, clock: float, now: float) -> bool:
+    def is_stale(self, stamp: float, clock: float, now: float) -> bool:
         """Tell whether a stamp (s) that comes at `clock` (s) and `now` (as above) is nearer to the time of before."""
         return now < self._until and stamp > clock + self._margin
 
 
-class CommonTime:
+class ClockSynchroniser:
     """One time for sensors whose clocks differ, or whose images come late by different times.
 
     It is the stamp. A sensor whose stamps lie further than a tolerance from what the others give at the same moment has

@@ -34,10 +34,10 @@ from hri_pipeline.ros.conversions import (
     expression_to_msg,
     landmarks_to_msg,
     match_to_msg,
+    published_gaze,
     roi_message,
     roi_type,
     soft_biometrics_to_msg,
-    told_gaze,
     transform_to_msg,
 )
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
@@ -207,12 +207,12 @@ class FaceProcessor:
 
 
 def face_transforms(face: FaceObservation, frame: Frame, interface: str) -> List[TransformStamped]:
-    """Transforms of face_ID in the image's frame, and of gaze_ID in face_ID; interface: see `told_gaze`."""
+    """Transforms of face_ID in the image's frame, and of gaze_ID in face_ID; interface: see `published_gaze`."""
     if face.pose is None:
         return []
     stamp, name = frame.header.stamp, "face_" + face.id
     transforms = [transform_to_msg(face.pose, stamp, frame.header.frame_id, name)]
-    direction = told_gaze(face.pose, None if face.gaze is None else face.gaze.direction, interface)
+    direction = published_gaze(face.pose, None if face.gaze is None else face.gaze.direction, interface)
     if direction is not None:
         transforms.append(transform_to_msg(gaze_frame(face.pose, direction), stamp, name, "gaze_" + face.id))
     return transforms

@@ -346,7 +346,7 @@ def has_gaze_of_closed_eyes(interface: str) -> bool:
     return interface == REP155
 
 
-def told_gaze(face: Pose, direction: Optional[np.ndarray], interface: str) -> Optional[np.ndarray]:
+def published_gaze(face: Pose, direction: Optional[np.ndarray], interface: str) -> Optional[np.ndarray]:
     """Return the direction (3,) of gaze_ID in the sensor's frame, None where there is no such frame.
 
     face: in the sensor's frame; direction: None while the eyes are closed, or where nothing is known. Clients of

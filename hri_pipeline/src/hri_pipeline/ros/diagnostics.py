@@ -8,7 +8,7 @@ from typing import Dict, Mapping, Optional, Tuple
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from hri_pipeline.core.error_log import without_middle
+from hri_pipeline.core.error_log import elide_middle
 from hri_pipeline.core.resources import descriptors_status
 from hri_pipeline.ros.rospy_compat import release
 
@@ -82,7 +82,7 @@ class NodeDiagnostics:
 
 
 def _shortened(text: object) -> str:
-    return without_middle(str(text), MAX_TEXT, _TAIL, " [...] ")
+    return elide_middle(str(text), MAX_TEXT, _TAIL, " [...] ")
 
 
 def _text(value: object) -> str:

@@ -21,7 +21,7 @@ from hri_pipeline.core.error_log import LogFilter
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.parameters import ParameterError, ParameterTable, S
 from hri_pipeline.core.privacy import StoreError
-from hri_pipeline.core.process import GarbageCollector, keep_large_blocks, one_thread_each
+from hri_pipeline.core.process import GarbageCollector, one_thread_each, raise_mmap_threshold
 from hri_pipeline.ros.diagnostics import ERROR, NodeDiagnostics
 from hri_pipeline.ros.master import (
     MasterAway,
@@ -78,7 +78,7 @@ def run_node(name: str, build: Callable[[], RunnableNode], parameters: Optional[
     # Without room for its log, Python would print a traceback for each line that it cannot write.
     logging.raiseExceptions = False
     logging.getLogger("rosout").addFilter(LogFilter())
-    keep_large_blocks()
+    raise_mmap_threshold()
     one_thread_each()
     prepare_rospy()
     code, parameters = 0, parameters or OwnParameters()

@@ -18,7 +18,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.interactions.parameters import InteractionSettings
 from hri_pipeline.core.interactions.people import PeopleSnapshot, PeopleTf, Places, PoseAt, Seen, gather
-from hri_pipeline.core.timing import CommonTime, OldTime, Order, SourceStamps
+from hri_pipeline.core.timing import ClockSynchroniser, Order, SourceStamps, StaleStampFilter
 from hri_pipeline.ros.conversions import has_gaze_of_closed_eyes
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import Frames, RobotTf, TfSubscriber
@@ -52,7 +52,7 @@ class PeopleInput:
         self._voice_of: Dict[str, str] = {}
         self._speaking: Dict[str, bool] = {}
         self._newest, self._newest_person = genpy.Time(), genpy.Time()
-        self._stamps, self._time, self._old_time = SourceStamps(), CommonTime(), OldTime()
+        self._stamps, self._time, self._stale_stamps = SourceStamps(), ClockSynchroniser(), StaleStampFilter()
         self._measured_at = -math.inf
         self.changed = threading.Event()
         self.refused = self.jumps = 0
@@ -106,7 +106,7 @@ class PeopleInput:
     def reset(self, seconds: float) -> None:
         """Forget all moving frames: the clock has gone back by so much."""
         with self._lock:
-            self._old_time.went_back(seconds, time.monotonic())
+            self._stale_stamps.went_back(seconds, time.monotonic())
             self._forget()
 
     def status(self) -> Dict[str, object]:
@@ -186,7 +186,7 @@ class PeopleInput:
     def _is_old(self, data: bytes, offset: int) -> bool:
         """Tell whether a frame is of the time before the clock went back."""
         secs, nsecs = read_stamp(data, offset)
-        return self._old_time.holds(secs + 1e-9 * nsecs, rospy.get_time(), time.monotonic())
+        return self._stale_stamps.is_stale(secs + 1e-9 * nsecs, rospy.get_time(), time.monotonic())
 
     def _measures_come(self) -> bool:
         """Tell whether frames of faces or bodies come: those of persons start no cycle then."""

@@ -79,7 +79,7 @@ def prepare_rospy() -> None:
     rospy.core._logging_throttle = WallTimeThrottle()
     tcpros_base.TCPServer = _PatientServer
     xmlrpc.ThreadingXMLRPCServer.get_request = _get_request
-    hear_who_comes_back()
+    reconnect_to_returning_publishers()
     publish_without_yielding()
     rospy.core.add_preshutdown_hook(_log_here_only)
 
@@ -266,7 +266,7 @@ def _reg_added(manager: RegManager, name: str, kind: str, of: str) -> None:
 _robust_connect = tcpros_pubsub.robust_connect_subscriber
 
 
-def hear_who_comes_back() -> None:
+def reconnect_to_returning_publishers() -> None:
     """Let subscribers of this process hear a node that publishes a topic again. Idempotent.
 
     Where the topic goes while a subscriber connects, rospy counts it as connected for a second and more, or for ever,

@@ -54,10 +54,10 @@ from hri_pipeline.ros.conversions import (
     landmarks_to_msg,
     match_to_msg,
     matrix_to_image,
+    published_gaze,
     roi_message,
     roi_type,
     skeleton_to_msg,
-    told_gaze,
     transform_to_msg,
 )
 from hri_pipeline.ros.publishers import MATCHES_TOPIC, IdPublishers, TopicSpec, TrackedList
@@ -160,7 +160,7 @@ class SceneFeatures:
     def _face_frames(self, face: SensedFace, header: Header) -> List[TransformStamped]:
         name = "face_" + face.id
         frames = [transform_to_msg(face.pose, header.stamp, header.frame_id, name)]
-        direction = told_gaze(face.pose, face.gaze, self._settings.interface)
+        direction = published_gaze(face.pose, face.gaze, self._settings.interface)
         if direction is not None:
             frames.append(transform_to_msg(gaze_frame(face.pose, direction), header.stamp, name, "gaze_" + face.id))
         return frames

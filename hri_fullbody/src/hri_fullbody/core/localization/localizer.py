@@ -1,8 +1,8 @@
 """Where a body stands in front of the camera and how large it is, in metres.
 
-Perspective-n-Point from its metric landmarks (`place`), which are those of a person of average height, times a scale
-(`scale.py`). Of a body that a side or the top of the image cuts, a pose network squeezes the whole person into what it
-still sees: it is placed only where that agrees with what was before (`CutRange`).
+Perspective-n-Point from its metric landmarks (`solve_pnp`), which are those of a person of average height, times a
+scale (`scale.py`). Of a body that a side or the top of the image cuts, a pose network squeezes the whole person into
+what it still sees: it is placed only where that agrees with what was before (`CutRange`).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _FARTHER_RATE = 0.02    # and more per s since the last range that was right
 _SPEED = 0.3            # m/s by which the range follows one who is cut; a squeezed one shrinks faster
 
 
-def place(rays: np.ndarray, world: np.ndarray, seen: np.ndarray) -> Optional[np.ndarray]:
+def solve_pnp(rays: np.ndarray, world: np.ndarray, seen: np.ndarray) -> Optional[np.ndarray]:
     """Move root-relative landmarks to where they are seen: (N, 3) m in the optical frame, or None.
 
     rays: (N, 2) x/z and y/z, without lens distortion. world: (N, 3) m around the hips, axes of the camera.

@@ -156,7 +156,7 @@ class FaceMemory:
             correlation(self.views[0], look) < GRADUAL and stamp - self.checked >= VIEW_PERIOD)
 
 
-class AppearanceJudge:
+class AppearanceMatcher:
     """Tells whether looks show the faces that are remembered.
 
     Parameters

@@ -3,8 +3,8 @@
 The irises are more accurate than the head while they are large enough to be measured; below that the direction is the
 head's, with a lower confidence. While the eyes are closed there is no direction. Eyes are closed for their own person:
 the opening of the lids and the blink coefficients of the blendshapes are compared with what they usually are
-(`OpenEyes`). As long as that is not known, they are those of most people, so that narrow eyes, eyes that look down and
-small faces are open unless they are clearly shut.
+(`OpenEyeBaseline`). As long as that is not known, they are those of most people, so that narrow eyes, eyes that look
+down and small faces are open unless they are clearly shut.
 
 Eyeball constants: fitted on 36 open-eyed faces of portraits, most of which look at the camera. The two eyes then
 disagree by 7.0 degrees and the mean of both is 4.5 degrees off the camera (medians); with an eyeball of 12 mm radius
@@ -144,7 +144,7 @@ class GazeEstimator:
         return gazes, measures.irises
 
 
-class Lids(NamedTuple):
+class Eyelids(NamedTuple):
     """What one image says of the lids of a face, the subject's right eye first.
 
     openness: aspect ratios; blink: coefficients of the blendshapes, None without them; weights: how well each eye is
@@ -161,7 +161,7 @@ class Lids(NamedTuple):
 _ANYBODY = (USUAL_OPENNESS[0], USUAL_OPENNESS[0], USUAL_BLINK[0], USUAL_BLINK[0])
 
 
-def closedness(lids: Lids, usual: Sequence[float] = _ANYBODY) -> float:
+def closedness(lids: Eyelids, usual: Sequence[float] = _ANYBODY) -> float:
     """Return how likely the eyes are closed, 0 to 1, _UNKNOWN when nothing is known.
 
     usual: aspect ratio of the right and of the left eye while they are open, and their blink coefficients.
@@ -175,7 +175,7 @@ def closedness(lids: Lids, usual: Sequence[float] = _ANYBODY) -> float:
     return _UNKNOWN + lids.known * (1.0 / (1.0 + math.exp(-mean)) - _UNKNOWN)
 
 
-def _odds(lids: Lids, side: int, openness: float, blink: float) -> float:
+def _odds(lids: Eyelids, side: int, openness: float, blink: float) -> float:
     """Logarithm of the odds that one eye is shut."""
     limit = min(max(_SHUT_PART * openness, _SHUT_OPENNESS[0]), _SHUT_OPENNESS[1]) * (1.0 - _DOWN_OPENNESS * lids.down)
     odds = (limit - lids.openness[side]) / _OPENNESS_WIDTH
@@ -185,7 +185,7 @@ def _odds(lids: Lids, side: int, openness: float, blink: float) -> float:
     return (odds + (lids.blink[side] - limit) / _BLINK_WIDTH) / _SHARED
 
 
-class OpenEyes:
+class OpenEyeBaseline:
     """What is usual for the open eyes of one person: learnt while they look ahead or up and are clearly open."""
 
     def __init__(self) -> None:
@@ -193,7 +193,7 @@ class OpenEyes:
         # Lids are lowered more often than they are wide.
         self._neutral = RunningNeutral(mean, deviation, np.array([0.6, 0.6, 0.4, 0.4]))
 
-    def closedness(self, lids: Lids, stamp: float) -> float:
+    def closedness(self, lids: Eyelids, stamp: float) -> float:
         """Return how likely the eyes are closed at `stamp` (s), 0 to 1, and learn from them when they are open."""
         usual: Sequence[float] = self._neutral.value.tolist()
         if lids.blink is not None and lids.known >= 0.5 and min(lids.weights) > 0.3 and lids.down < _LEVEL:
@@ -202,7 +202,7 @@ class OpenEyes:
         return closedness(lids, usual)
 
 
-def _lids(measures: EyeMeasures, widths: np.ndarray, shapes: Optional[np.ndarray]) -> List[Lids]:
+def _lids(measures: EyeMeasures, widths: np.ndarray, shapes: Optional[np.ndarray]) -> List[Eyelids]:
     """Lids of each face; in profile only the near eye counts."""
     best = np.maximum(measures.visibility.max(axis=1, keepdims=True), 1e-3)
     # From 30 degrees of yaw on the far eye is seen less than 0.6 as well as the near one.
@@ -212,7 +212,7 @@ def _lids(measures: EyeMeasures, widths: np.ndarray, shapes: Optional[np.ndarray
     if shapes is not None:
         blinks = [(right, left) for right, left in shapes[:, EYE_BLINK].tolist()]
     downs = [0.0] * len(widths) if shapes is None else shapes[:, LOOK_DOWN].mean(axis=1).tolist()
-    return [Lids(tuple(openness), blink, tuple(weight), down, one) for openness, blink, weight, down, one
+    return [Eyelids(tuple(openness), blink, tuple(weight), down, one) for openness, blink, weight, down, one
             in zip(measures.openness.tolist(), blinks, weights, downs, known)]
 
 
@@ -274,7 +274,7 @@ class GazeSmoother:
 
     def __init__(self) -> None:
         self._direction = OneEuro(2.0, 6.0)     # Hz at rest, Hz per (rad/s)
-        self._eyes = OpenEyes()
+        self._eyes = OpenEyeBaseline()
         self._closed: Optional[float] = None
         self._stamp = 0.0
         self.is_closed = False

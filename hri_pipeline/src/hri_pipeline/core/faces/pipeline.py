@@ -13,7 +13,7 @@ import numpy as np
 
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.analysis import FaceAnalysis, FaceDemand
-from hri_pipeline.core.faces.appearance import AppearanceJudge
+from hri_pipeline.core.faces.appearance import AppearanceMatcher
 from hri_pipeline.core.faces.face_geometry import FaceGeometry, TrackedFace
 from hri_pipeline.core.faces.mesh import Blendshapes, load_canonical_face
 from hri_pipeline.core.faces.parameters import FacePipelineSettings
@@ -144,12 +144,12 @@ class FacePipeline:
             self._tracking.take_templates(self.recognition.made, stamp)
         return faces
 
-    def _judge(self) -> AppearanceJudge:
+    def _judge(self) -> AppearanceMatcher:
         """Return what compares the looks of faces, by templates where persons are recognised."""
         if self._analysis.recognition is None:
-            return AppearanceJudge()
+            return AppearanceMatcher()
         embedder = self._analysis.recognition.embedder
-        return AppearanceJudge(embedder.embed, embedder.size, embedder.calibration.fair_midpoint, embedder.alignment)
+        return AppearanceMatcher(embedder.embed, embedder.size, embedder.calibration.fair_midpoint, embedder.alignment)
 
     def _forget_dropped(self) -> None:
         """Drop the state of faces that are not tracked any more."""

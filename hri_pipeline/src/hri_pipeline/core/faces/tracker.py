@@ -6,7 +6,7 @@ the least total cost. So when one face passes in front of another the one measur
 colours it continues; the hidden face is predicted, and is found again where it re-appears.
 
 A track is one face: where its look changes suddenly, it jumps, was lost, or the picture was cut, it goes on only with
-what is the same by appearance (`appearance.AppearanceJudge`). Another face at its place gets another track.
+what is the same by appearance (`appearance.AppearanceMatcher`). Another face at its place gets another track.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Callable, Collection, List, Mapping, Optional, Sequence, Set,
 
 import numpy as np
 
-from hri_pipeline.core.faces.appearance import LOOKED_AWAY, AppearanceJudge, Verdict
+from hri_pipeline.core.faces.appearance import LOOKED_AWAY, AppearanceMatcher, Verdict
 from hri_pipeline.core.faces.mesh import FaceRoi
 from hri_pipeline.core.faces.track import (
     SIZE_WEIGHT,
@@ -78,12 +78,12 @@ class FaceTracker:
 
     def __init__(self, birth_delay: float, death_time: float, max_faces: int, ids: Optional[IdGenerator] = None,
                  min_detections: int = 1, support_time: float = np.inf,
-                 judge: Optional[AppearanceJudge] = None,
+                 judge: Optional[AppearanceMatcher] = None,
                  doubts: Callable[[FaceTrack], bool] = lambda track: False) -> None:
         """judge: compares looks of faces; doubts: tells of which new face it must be found out first whether it is
         one; the others but ids, and the errors: see limit."""
         self._ids = ids if ids is not None else IdGenerator()
-        self._judge = judge if judge is not None else AppearanceJudge()
+        self._judge = judge if judge is not None else AppearanceMatcher()
         self._doubts = doubts
         self.replaced = False
         self._tracks: List[FaceTrack] = []

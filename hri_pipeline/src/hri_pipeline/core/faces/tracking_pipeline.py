@@ -9,7 +9,7 @@ from typing import Any, Callable, ContextManager, Dict, List, Mapping, Optional,
 
 import numpy as np
 
-from hri_pipeline.core.faces.appearance import AppearanceJudge, FaceLook
+from hri_pipeline.core.faces.appearance import AppearanceMatcher, FaceLook
 from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector, Region, load_face_network, wide_region
 from hri_pipeline.core.faces.face_geometry import TrackedFace
 from hri_pipeline.core.faces.flow import FaceFlow
@@ -27,8 +27,8 @@ from hri_pipeline.core.faces.mesh import (
     verification_score,
 )
 from hri_pipeline.core.faces.parameters import FacePipelineSettings
+from hri_pipeline.core.faces.person_verifier import PersonVerifier, load_person_detector
 from hri_pipeline.core.faces.scheduler import DetectionScheduler
-from hri_pipeline.core.faces.surroundings import Surroundings, load_person_detector
 from hri_pipeline.core.faces.track import LEAST_VERIFICATION, VERIFIED, FaceMeasurement, FaceTrack, face_colours
 from hri_pipeline.core.faces.tracker import FaceTracker, explains, is_same_or_part
 from hri_pipeline.core.ids import IdGenerator
@@ -98,7 +98,7 @@ class FaceTrackingPipeline:
 
     def __init__(self, settings: FacePipelineSettings, times: StageTimes, ids: Optional[IdGenerator] = None,
                  notify: Optional[Callable[[str], None]] = None,
-                 clock: Optional[Callable[[], float]] = None, judge: Optional[AppearanceJudge] = None,
+                 clock: Optional[Callable[[], float]] = None, judge: Optional[AppearanceMatcher] = None,
                  threads: Threads = ONE_THREAD,
                  person_detector: Optional[Callable[[], PersonDetector]] = None) -> None:
         detector = load_face_network(settings.face_detector_model, "face_detection_full_range.onnx",
@@ -111,11 +111,11 @@ class FaceTrackingPipeline:
         self._mesh_scheduler = InferenceScheduler(idle=IdleShare(settings.cpu_share), threads=mesh.threads,
                                                   clock=clock or threads.time)
         self._limit_mesh(settings)
-        self._surroundings = Surroundings(person_detector or (lambda: load_person_detector(settings, notify)),
+        self._verifier = PersonVerifier(person_detector or (lambda: load_person_detector(settings, notify)),
                                           settings.face_person_lead, notify)
         if person_detector is None:
-            self._surroundings.prepare()
-        self._tracker = FaceTracker(ids=ids, judge=judge, doubts=self._surroundings.doubts, **_limits(settings))
+            self._verifier.prepare()
+        self._tracker = FaceTracker(ids=ids, judge=judge, doubts=self._verifier.doubts, **_limits(settings))
         self._cuts = PictureCuts()
         self._orientation = FaceOrientation()
         self._anew_at = self._panned_at = -np.inf
@@ -131,7 +131,7 @@ class FaceTrackingPipeline:
         self._detection_scheduler.set_period(settings.face_detection_period)
         self._limit_mesh(settings)
         self._tracker.limit(**_limits(settings))
-        self._surroundings.limit(settings.face_person_lead)
+        self._verifier.limit(settings.face_person_lead)
         self._set_thresholds(settings)
 
     def _limit_mesh(self, settings: FacePipelineSettings) -> None:
@@ -186,7 +186,7 @@ class FaceTrackingPipeline:
         chosen = set(self._mesh_scheduler.choose(self._requests(expected, stamp), stamp))
         if cut:
             chosen = {track.id for track in expected}
-            self._surroundings.reset()
+            self._verifier.reset()
             self._search_anew(stamp)
         skipped = {track.id for track in expected} - chosen
         with self._begin_search(bgr, stamp) as search:
@@ -213,7 +213,7 @@ class FaceTrackingPipeline:
         self._flow.turn(rotation)
         self._cuts.turn(rotation)
         self._orientation.images_turn()
-        self._surroundings.reset()
+        self._verifier.reset()
         self._detection_scheduler.reset()
         for track in self._tracker.tracks:
             track.turn(rotation)
@@ -221,7 +221,7 @@ class FaceTrackingPipeline:
     def reset(self) -> None:
         """Drop every face, as after a jump in time; ids are not used again."""
         self._tracker.reset()
-        self._surroundings.reset()
+        self._verifier.reset()
         self._detection_scheduler.reset()
         self._mesh_scheduler.reset()
         self._flow.reset()
@@ -234,7 +234,7 @@ class FaceTrackingPipeline:
         doubted = [track for track in self._tracker.doubted if track.id in present]
         if doubted:
             with self._times("face_surroundings"):
-                self._surroundings.ask(bgr, doubted, stamp)
+                self._verifier.verify(bgr, doubted, stamp)
 
     def _search_anew(self, stamp: float) -> None:
         """Let the detector search everywhere next time, but not more often than once in `ANEW_PERIOD`."""

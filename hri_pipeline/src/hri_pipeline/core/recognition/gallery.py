@@ -16,7 +16,7 @@ from hri_pipeline.core.recognition.likelihood import (
     MatchResult,
     PersonCandidate,
     TemplateCalibration,
-    join_alike,
+    merge_duplicates,
     template_distances,
 )
 from hri_pipeline.core.recognition.store import KnownPerson
@@ -363,4 +363,4 @@ class MemoryGallery:
         candidates = tuple(PersonCandidate(names[i], float(distances[i]), float(likelihoods[i]), float(firsts[i]))
                            for i in order)
         place = {name: number for number, name in enumerate(names)}
-        return join_alike(MatchResult(candidates, len(names)), self.distance, place.__getitem__, self.calibration)
+        return merge_duplicates(MatchResult(candidates, len(names)), self.distance, place.__getitem__, self.calibration)

@@ -23,7 +23,7 @@ A likelihood ratio tells its false match rate: somebody else exceeds the ratio t
 (Markov's inequality; Good 1950, "Probability and the Weighing of Evidence").
 
 Somebody who has got two ids (seen from the side first, or by two cameras at once) would share the likelihood with
-himself: `join_alike` gives it to one of them.
+himself: `merge_duplicates` gives it to one of them.
 """
 
 from __future__ import annotations
@@ -218,7 +218,7 @@ class MatchResult:
     same: Sequence[Tuple[str, str]] = ()
 
 
-def join_alike(result: MatchResult, distance: Callable[[str, str], Optional[float]], order: Callable[[str], int],
+def merge_duplicates(result: MatchResult, distance: Callable[[str, str], Optional[float]], order: Callable[[str], int],
                calibration: TemplateCalibration) -> MatchResult:
     """Give the likelihoods of persons who are the same human to the one known for longest; the others get none.
 

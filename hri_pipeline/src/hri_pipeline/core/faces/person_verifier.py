@@ -46,7 +46,7 @@ class _Refusal:
     count: int
 
 
-class Surroundings:
+class PersonVerifier:
     """Asks the person detector about new faces, and remembers where they were refused.
 
     Parameters
@@ -91,7 +91,7 @@ class Surroundings:
         return (self._least_lead > 0.0 and not track.vouched and not self._has_failed
                 and (track.score < SURE_SCORE or track.verification < SURE_VERIFICATION))
 
-    def ask(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> None:
+    def verify(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> None:
         """Find out about doubted faces, a few an image, first those that were never asked for; those that were refused
         a moment ago wait, and those that stand where they were refused and nothing has moved since.
 
