@@ -12,15 +12,8 @@ from hri_person_manager.core.location import Place, PlaceSource
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
-from hri_person_manager.core.triangulation import SensorTrack, ray_covariance
-from hri_person_manager.core.view_groups import (
-    Scale,
-    View,
-    clothes_evidence,
-    evidence_of_pairs,
-    fuse_views,
-    place_by_all,
-)
+from hri_person_manager.core.triangulation import Scale, SensorTrack, ray_covariance
+from hri_person_manager.core.view_groups import View, clothes_evidence, evidence_of_pairs, fuse_views, place_by_all
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.tracks import COLOUR_BINS
 

@@ -17,25 +17,25 @@ import numpy as np
 from hri_person_manager.core.features import MatchNode
 from hri_person_manager.core.triangulation import (
     CHANGED,
+    FIXED_VARIANCE,
     FRESH_S,
     LEAST_SQUARE,
     SETTLING_S,
     WALK_S,
     WINDOW_S,
     Estimate,
+    Scale,
     crossing_distances,
     ray_covariance,
     squared_distances,
     walk_evidence,
 )
 from hri_person_manager.core.view_groups import (
-    FIXED_VARIANCE,
     MAX_NAMES,
     OVERLAP_S,
     LastSighting,
     Pair,
     PairDistance,
-    Scale,
     SensedGroup,
     View,
     ViewGroup,

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from typing import Dict, List, NamedTuple, Optional, Tuple, Union
+from collections import Counter
+from dataclasses import dataclass
+from typing import Dict, List, Mapping, NamedTuple, Optional, Tuple, Union
 
 import numpy as np
 
@@ -39,6 +41,11 @@ LEAST_SQUARE = 1e-6        # m^2; a place nearer to the optical centre than 1 mm
 CHI_SQUARE_95 = 5.991      # of two degrees of freedom: the square of the Mahalanobis distance that 95 % keep
 _EYE = np.eye(3)
 _CAPACITY = 128            # places for which there is room at first
+STANDING_MPS = 0.15        # who goes slower stands
+RESTING_M = 0.12           # nearer to the mean of the last seconds somebody stands rather than walks
+LEARNT_VARIANCE = 0.1 ** 2     # a scale is used from then on
+FIXED_VARIANCE = 0.08 ** 2     # of a scale that was learnt, as far as it changes with the moment
+SAME_CAMERA = 0.3          # correlation of the errors of a face and a body's head in one view: of its camera's pose
 
 
 class Estimate(NamedTuple):
@@ -343,3 +350,70 @@ class SensorTrack:
         """Times (N,) s and places (N, 3) m of the last `seconds`."""
         first = bisect_left(self._times, self.ended - seconds, self._first)
         return np.array(self._times[first:]), self._places[first:len(self._times)]
+
+
+@dataclass
+class Scale:
+    """How much farther away somebody is than one feature tells at one sensor, with its variance: learnt where rays
+    cross."""
+
+    value: float = 1.0
+    variance: float = math.inf
+
+    def learn(self, value: float, variance: float) -> None:
+        """Take a measurement; those of one second are no better than one."""
+        if not math.isfinite(self.variance):
+            self.value, self.variance = value, variance
+            return
+        gain = max(0.02, self.variance / (self.variance + 10.0 * variance))
+        self.value += gain * (value - self.value)
+        self.variance = max(0.03 ** 2, (1.0 - gain) * self.variance)
+
+
+def place_by_track(track: SensorTrack, stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
+    """Where a human is at `stamp` (s) by one track; scales: what was learnt of this human, by sensor and source."""
+    time, found = track.near(stamp)
+    found = _learnt(track, found, scales) or found
+    return found._replace(position=found.position + found.velocity * (stamp - time))
+
+
+def _learnt(track: SensorTrack, found: Estimate, scales: Mapping[Tuple[str, int], Scale]) -> Optional[Estimate]:
+    """What a track tells by the scale that was learnt of it; None where that is not known, or no better."""
+    scale = scales.get((track.sensor, track.source))
+    if scale is None or track.origin is None or scale.variance > LEARNT_VARIANCE:
+        return None
+    ray = found.position - track.origin
+    square = max(float(ray @ ray), 1e-6)
+    less = float(ray @ found.covariance @ ray) / square - (scale.variance + FIXED_VARIANCE) * square
+    if less <= 0.0:
+        return None
+    return Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
+                    found.covariance - less / square * (ray[:, None] * ray))
+
+
+def fuse_tracks(tracks: List[SensorTrack], stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
+    """Where a human is at `stamp` (s) by several tracks, of the heads only, where there are some."""
+    heads = [track for track in tracks if track.source < 2] or tracks
+    if len(heads) == 1:
+        return place_by_track(heads[0], stamp, scales)
+    by_sensor = Counter(track.sensor for track in heads)
+    informations, values, ahead = [], [], []
+    for track in heads:
+        time, found = track.near(stamp)
+        learnt, resting = _learnt(track, found, scales), track.resting_place
+        information = track.information
+        if learnt is not None:
+            resting, found, information = resting + learnt.position - found.position, learnt, np.linalg.inv(
+                learnt.covariance)
+        informations.append(information / (1.0 + (by_sensor[track.sensor] - 1) * SAME_CAMERA))
+        values.append((found.position, found.velocity, resting))
+        ahead.append(stamp - time)
+    # One view tells the velocity along its ray badly, all together well.
+    weights, covariance = shares(np.array(informations))
+    place, velocity, resting = weighted(weights, np.array(values).swapaxes(1, 2)).T
+    if float(velocity @ velocity) < STANDING_MPS ** 2:
+        velocity = np.zeros(3)
+    else:
+        place = place + np.add.reduce(np.array(ahead)[:, None, None] * weights) @ velocity
+    away = resting - place
+    return Estimate(place + away / (1.0 + (float(away @ away) / RESTING_M ** 2) ** 2), velocity, covariance)

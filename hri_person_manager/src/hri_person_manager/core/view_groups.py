@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections import Counter, OrderedDict
+from collections import OrderedDict
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
@@ -19,14 +19,17 @@ from typing import Dict, FrozenSet, Iterable, List, Mapping, NamedTuple, Optiona
 import numpy as np
 
 from hri_person_manager.core.features import Kind, MatchNode
-from hri_person_manager.core.triangulation import FRESH_S, Estimate, SensorTrack, shares, weighted
+from hri_person_manager.core.triangulation import (
+    FRESH_S,
+    Estimate,
+    Scale,
+    SensorTrack,
+    fuse_tracks,
+    place_by_track,
+)
 from hri_pipeline.core.tracks import COLOUR_BINS, mean_colours
 
 OVERLAP_S = 0.2            # two views of one sensor that were there at once for so long are two humans
-STANDING_MPS = 0.15        # who goes slower stands
-RESTING_M = 0.12           # nearer to the mean of the last seconds somebody stands rather than walks
-LEARNT_VARIANCE = 0.1 ** 2     # a scale is used from then on
-FIXED_VARIANCE = 0.08 ** 2     # of a scale that was learnt, as far as it changes with the moment
 # Deviations of the mean colours (8-bit L*a*b*) of the parts of one human between two cameras: one that all parts share
 # (exposure, white balance), and one of each part (the side that is seen). Of two people: that of clothes, of which
 # the share SUIT is common to all parts of one. The errors of the parts are not independent, and a light changes dark
@@ -38,7 +41,6 @@ CLOTHES_COLOUR, SUIT, CLOTHES_TRUST = np.array([60.0, 10.0, 10.0]), 0.4, 0.35
 # so little, and each part of them speaks for two people by this logarithm (sleeves are mostly like the chest).
 COMMON_LIGHT, COMMON_TINT, COMMON_COLOUR, COMMON_COST = 110.0, 14.0, np.array([20.0, 5.0, 5.0]), -0.3
 LEAST_CLOTHES, MOST_CLOTHES = -4.0, 2.5
-SAME_CAMERA = 0.3          # correlation of the errors of a face and a body's head in one view: of its camera's pose
 MAX_SENSORS = 50
 MAX_NAMES = 1000
 _NOBODY: FrozenSet[str] = frozenset()
@@ -56,24 +58,6 @@ class SensedGroup(NamedTuple):
     person: str
     names: FrozenSet[str] = frozenset()
     doubted: FrozenSet[str] = frozenset()
-
-
-@dataclass
-class Scale:
-    """How much farther away somebody is than one feature tells at one sensor, with its variance: learnt where rays
-    cross."""
-
-    value: float = 1.0
-    variance: float = math.inf
-
-    def learn(self, value: float, variance: float) -> None:
-        """Take a measurement; those of one second are no better than one."""
-        if not math.isfinite(self.variance):
-            self.value, self.variance = value, variance
-            return
-        gain = max(0.02, self.variance / (self.variance + 10.0 * variance))
-        self.value += gain * (value - self.value)
-        self.variance = max(0.03 ** 2, (1.0 - gain) * self.variance)
 
 
 class View:
@@ -126,7 +110,7 @@ class View:
     def at(self, stamp: float, scales: Mapping[Tuple[str, int], Scale] = MappingProxyType({})) -> Estimate:
         """Where the human is at a time (s) near the newest place, by this view; scales: what was learnt of this human
         by sensor and source."""
-        return _at(self.best, stamp, scales)
+        return place_by_track(self.best, stamp, scales)
 
 
 class LastSighting(NamedTuple):
@@ -143,7 +127,7 @@ class LastSighting(NamedTuple):
         """Where it was by all sensors, where these are several."""
         if len(self.best) < 2 and not self.scales:
             return None
-        return _fuse_tracks(list(self.best.values()), self.stamp, self.scales)
+        return fuse_tracks(list(self.best.values()), self.stamp, self.scales)
 
 
 class ViewGroup:
@@ -534,58 +518,10 @@ def fuse_views(views: List[View], stamp: float, scales: Mapping[Tuple[str, int],
                 ) -> Estimate:
     """Where a human is at `stamp` (s) by the best track of each of these views, of heads only, where there are some.
     scales: what was learnt of this human where several crossed."""
-    return _fuse_tracks([view.best for view in views], stamp, scales)
+    return fuse_tracks([view.best for view in views], stamp, scales)
 
 
 def place_by_all(views: List[View], stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
     """The same by the face and the head of the body of each view: one's size errs otherwise than the other's, and so do
     their directions."""
-    return _fuse_tracks([track for view in views for track in view.heads], stamp, scales)
-
-
-def _at(track: SensorTrack, stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
-    """Where a human is at `stamp` (s) by one track."""
-    time, found = track.near(stamp)
-    found = _learnt(track, found, scales) or found
-    return found._replace(position=found.position + found.velocity * (stamp - time))
-
-
-def _learnt(track: SensorTrack, found: Estimate, scales: Mapping[Tuple[str, int], Scale]) -> Optional[Estimate]:
-    """What a track tells by the scale that was learnt of it; None where that is not known, or no better."""
-    scale = scales.get((track.sensor, track.source))
-    if scale is None or track.origin is None or scale.variance > LEARNT_VARIANCE:
-        return None
-    ray = found.position - track.origin
-    square = max(float(ray @ ray), 1e-6)
-    less = float(ray @ found.covariance @ ray) / square - (scale.variance + FIXED_VARIANCE) * square
-    if less <= 0.0:
-        return None
-    return Estimate(track.origin + scale.value * ray, scale.value * found.velocity,
-                    found.covariance - less / square * (ray[:, None] * ray))
-
-
-def _fuse_tracks(tracks: List[SensorTrack], stamp: float, scales: Mapping[Tuple[str, int], Scale]) -> Estimate:
-    heads = [track for track in tracks if track.source < 2] or tracks
-    if len(heads) == 1:
-        return _at(heads[0], stamp, scales)
-    by_sensor = Counter(track.sensor for track in heads)
-    informations, values, ahead = [], [], []
-    for track in heads:
-        time, found = track.near(stamp)
-        learnt, resting = _learnt(track, found, scales), track.resting_place
-        information = track.information
-        if learnt is not None:
-            resting, found, information = resting + learnt.position - found.position, learnt, np.linalg.inv(
-                learnt.covariance)
-        informations.append(information / (1.0 + (by_sensor[track.sensor] - 1) * SAME_CAMERA))
-        values.append((found.position, found.velocity, resting))
-        ahead.append(stamp - time)
-    # One view tells the velocity along its ray badly, all together well.
-    weights, covariance = shares(np.array(informations))
-    place, velocity, resting = weighted(weights, np.array(values).swapaxes(1, 2)).T
-    if float(velocity @ velocity) < STANDING_MPS ** 2:
-        velocity = np.zeros(3)
-    else:
-        place = place + np.add.reduce(np.array(ahead)[:, None, None] * weights) @ velocity
-    away = resting - place
-    return Estimate(place + away / (1.0 + (float(away @ away) / RESTING_M ** 2) ** 2), velocity, covariance)
+    return fuse_tracks([track for view in views for track in view.heads], stamp, scales)
