@@ -10,10 +10,12 @@ import time
 from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
+from rosgraph import xmlrpc
 
 from hri_pipeline.ros import master
 from hri_pipeline.ros.master import (
     ForeignNode,
+    MasterAway,
     MasterWatch,
     OwnParameters,
     ParametersLost,
@@ -249,7 +251,7 @@ class Servers:
 
     def __init__(self, monkeypatch):
         self.now, self.reads = (1, FakeMaster(tree())), 0
-        monkeypatch.setattr(master, "ask_master", lambda name: (self.now[0], ""))
+        monkeypatch.setattr(master.MasterConnection, "ask", lambda connection, name: (self.now[0], ""))
         monkeypatch.setattr(master, "node_at", self.node_at)
         monkeypatch.setattr(master.rosgraph, "get_master_uri", lambda: "")
         monkeypatch.setattr(master, "own_address", lambda: "")
@@ -300,6 +302,91 @@ def test_what_a_master_that_has_just_begun_does_not_know_is_not_forgotten(server
 
     with watching(RestartsBeforeItIsAsked()):
         wait_for(lambda: servers.now[0] == 2 and servers.faces() == tree()["robot"]["faces"], 10, servers.faces)
+
+
+class AskedMaster(xmlrpc.ThreadingXMLRPCServer):
+    """A master that counts the questions who it is; `end` ends it as the end of its process would."""
+
+    def __init__(self, address=("127.0.0.1", 0), pid=42):
+        self.connections, self.asked = [], 0
+        super().__init__(address)
+        self.register_function(lambda caller: self.count(pid), "getPid")
+        self.register_function(lambda caller, name: [-1, "not set", 0], "getParam")
+        self.register_function(lambda caller, name: [-1, "unknown", ""], "lookupNode")
+        self.thread = threading.Thread(target=self.serve_forever, args=(0.01,), daemon=True)
+        self.thread.start()
+
+    def count(self, pid):
+        self.asked += 1
+        return [1, "", pid]
+
+    def process_request(self, request, address):
+        self.connections.append(request)
+        super().process_request(request, address)
+
+    def end(self):
+        self.shutdown()
+        self.thread.join()
+        for connection in self.connections:
+            with contextlib.suppress(OSError):      # who asked has ended it
+                connection.shutdown(socket.SHUT_RDWR)
+        self.server_close()
+
+
+@pytest.fixture
+def asked_master(monkeypatch):
+    there = AskedMaster()
+    monkeypatch.setattr(master.rosgraph, "get_master_uri", lambda: "http://127.0.0.1:%d/" % there.server_address[1])
+    yield there
+    there.end()
+
+
+def test_the_end_of_a_master_is_seen_without_asking_it(asked_master):
+    with contextlib.closing(master.MasterConnection()) as connection:
+        assert not connection.is_open()
+        assert connection.ask(NAME) == (42, "")
+        assert all(connection.is_open() for _ in range(100)) and asked_master.asked == 1
+        asked_master.end()
+        wait_for(lambda: not connection.is_open(), 10, "its end")
+        with pytest.raises(MasterAway):
+            connection.ask(NAME)
+        assert not connection.is_open()
+        other = AskedMaster(asked_master.server_address, 43)
+        try:
+            assert connection.ask(NAME) == (43, "") and connection.is_open()
+        finally:
+            other.end()
+
+
+def test_a_master_that_stays_is_seldom_asked_who_it_is(asked_master, monkeypatch):
+    looks = []
+    is_open = master.MasterConnection.is_open
+    monkeypatch.setattr(master.MasterConnection, "is_open", lambda self: looks.append(0) or is_open(self))
+    with watching(None):
+        wait_for(lambda: len(looks) >= 40, 20, "looks")
+        assert 40 // 4 <= asked_master.asked <= len(looks) // 4 + 2
+
+
+def test_a_watch_registers_at_a_new_master_at_the_first_look_after_it(asked_master, monkeypatch):
+    looks, other, told = [], [], []
+    is_open = master.MasterConnection.is_open
+
+    def look(connection):
+        looks.append(0)
+        if len(looks) == 3:
+            asked_master.end()
+            other.append(AskedMaster(asked_master.server_address, 43))
+        return is_open(connection)
+
+    monkeypatch.setattr(master.MasterConnection, "is_open", look)
+    monkeypatch.setattr(MasterWatch, "_register_again",
+                        lambda watch, is_new: told.append((is_new, len(looks))) or True)
+    try:
+        with watching(None):
+            wait_for(lambda: len(looks) > 5, 20, "the watch looks")
+        assert told == [(True, 3)]
+    finally:
+        other[0].end()
 
 
 def test_a_watch_without_parameters_touches_none(servers):

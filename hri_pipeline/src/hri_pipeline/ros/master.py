@@ -6,6 +6,7 @@ nodes, which roslaunch sets only once: each node remembers its own, and puts the
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import itertools
 import os
@@ -31,7 +32,8 @@ from hri_pipeline.ros.rospy_compat import (
 
 ANSWER_S = 5.0
 _PERIOD_S = 2.0
-_KEEP_EACH = 5      # questions who the master is for one after the parameters, which are some kilobytes
+_ASK_EACH = 5       # looks at the connection to the master for one question, and one after the parameters
+_LOOK_EACH = 15     # looks at the connection for one after the aggregator
 AGGREGATOR = "hri_diagnostics"
 """The diagnostic_aggregator of diagnostics.launch, beside the node or without a namespace."""
 IMAGE_TYPES = {"raw": "sensor_msgs/Image", "compressed": "sensor_msgs/CompressedImage"}
@@ -59,13 +61,39 @@ def node_at(uri: str, patience: float = ANSWER_S) -> ServerProxy:
 
 def ask_master(name: str) -> Tuple[int, str]:
     """Return process id and run id of the master, asked in the name of a node; MasterAway without an answer in 5 s."""
-    try:
-        with node_at(rosgraph.get_master_uri()) as master:
+    with contextlib.closing(MasterConnection()) as connection:
+        return connection.ask(name)
+
+
+class MasterConnection:
+    """The connection over which the master is asked who it is. It is kept: that it has not ended says that the master
+    is the same, and costs the master nothing. Not thread-safe."""
+
+    def __init__(self) -> None:
+        self._transport: Optional[TransportWithTimeout] = None
+
+    def ask(self, name: str) -> Tuple[int, str]:
+        """Return process id and run id of the master; raises as `ask_master` does."""
+        try:
+            self._transport = self._transport or TransportWithTimeout(ANSWER_S)
+            master = ServerProxy(rosgraph.get_master_uri(), transport=self._transport)
             pid = int(master.getPid(name)[2])
             found, _, run_id = master.getParam(name, "/run_id")
-    except Exception as error:      # refused, reset, half an answer, no address: it is away
-        raise MasterAway(str(error)) from error
-    return pid, str(run_id) if found == 1 else ""     # a bare rosmaster has no run id
+        except Exception as error:      # refused, reset, half an answer, no address: it is away
+            self.close()
+            raise MasterAway(str(error)) from error
+        return pid, str(run_id) if found == 1 else ""     # a bare rosmaster has no run id
+
+    def is_open(self) -> bool:
+        """Tell whether the master that was asked last still holds its end. That of one whose machine was switched off
+        counts as open for some 5 s."""
+        return self._transport is not None and self._transport.is_open()
+
+    def close(self) -> None:
+        """End it. Idempotent."""
+        if self._transport is not None:
+            self._transport.close()
+        self._transport = None
 
 
 def is_published(topic: str, kind: str, patience: float = ANSWER_S) -> bool:
@@ -175,7 +203,7 @@ class ForeignNode:
 
 
 class MasterWatch:
-    """Asks the master every two seconds who it is.
+    """Sees every two seconds whether the master has ended, and asks it who it is: then, and every ten seconds.
 
     rospy registers a topic once. A master that is started again knows nothing of the node, which then is
     deaf although it runs: its publishers, subscribers and services are registered again here, after its
@@ -188,6 +216,7 @@ class MasterWatch:
         names = sorted({rospy.resolve_name(AGGREGATOR), "/" + AGGREGATOR})
         self._aggregators = [ForeignNode(name) for name in names]
         register_without_waiting()
+        self._connection = MasterConnection()
         snapshot = self._read()
         self._identity = self._ask()
         if self._identity is not None:
@@ -206,14 +235,19 @@ class MasterWatch:
         """Stop watching. Idempotent."""
         self._closed.set()
         self._thread.join(timeout=5.0)
+        if not self._thread.is_alive():
+            self._connection.close()
 
     def _watch(self, period: float) -> None:
         self._look()    # may take as long as a machine that cannot be reached
         for count in itertools.count(1):
             if self._closed.wait(period):
                 return
+            is_due = count % _ASK_EACH == 0
+            if not is_due and not self._away and not not_registered.is_set() and self._connection.is_open():
+                continue
             # Before the question who the master is: what one that has just begun does not know must not be forgotten.
-            snapshot = self._read() if count % _KEEP_EACH == 0 else None
+            snapshot = self._read() if is_due else None
             identity = self._ask()
             if identity is None:
                 if not self._away:
@@ -228,7 +262,7 @@ class MasterWatch:
                 for aggregator in self._aggregators:
                     aggregator.register()
             else:
-                if count % _KEEP_EACH == 0:
+                if count % _LOOK_EACH == 0:
                     self._look()
                 self._keep(snapshot)
                 if self._away:
@@ -241,7 +275,7 @@ class MasterWatch:
 
     def _ask(self) -> Optional[Tuple[int, str]]:
         try:
-            return ask_master(rospy.get_name())
+            return self._connection.ask(rospy.get_name())
         except MasterAway:
             return None
 
