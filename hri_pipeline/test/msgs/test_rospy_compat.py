@@ -17,7 +17,12 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
 
 from hri_pipeline.ros import rospy_compat
-from hri_pipeline.ros.rospy_compat import ReceivedImage, StatisticsSwitch, publish_without_yielding, receive_without_copies
+from hri_pipeline.ros.rospy_compat import (
+    ReceivedImage,
+    StatisticsSwitch,
+    publish_without_yielding,
+    receive_without_copies,
+)
 
 
 class Wire:

@@ -110,8 +110,8 @@ class WallTimeThrottle:
 
 
 class StatisticsSwitch:
-    """Tells whether topics have statistics (/enable_statistics). rospy asks the master for each topic that is subscribed
-    to, which are several a second as people come and go; here its answer counts for ten seconds."""
+    """Tells whether topics have statistics (/enable_statistics). rospy asks the master for each topic that is
+    subscribed to, which are several a second as people come and go; here its answer counts for ten seconds."""
 
     def __init__(self, ask: Callable[[], bool], clock: Callable[[], float] = time.monotonic) -> None:
         """ask: rospy's own question. clock: s, never jumps."""
