@@ -73,8 +73,8 @@ def thread_limit() -> str:
                 "TasksMax= of the systemd service".format(used, most))
     of_user = resource.getrlimit(resource.RLIMIT_NPROC)[0]
     if of_user != resource.RLIM_INFINITY and os.geteuid() != 0:      # no limit for root
-        return ("this user may have {} processes and threads (ulimit -u); raise that: nproc in "
-                "/etc/security/limits.conf, LimitNPROC= of a systemd service, --ulimit nproc= of docker".format(of_user))
+        return ("this user may have {} processes and threads (ulimit -u); raise that: nproc in /etc/security/"
+                "limits.conf, LimitNPROC= of a systemd service, --ulimit nproc= of docker".format(of_user))
     return "the memory is full (free -m), or the machine has as many as it may (sysctl kernel.threads-max)"
 
 
