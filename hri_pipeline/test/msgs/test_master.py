@@ -163,6 +163,21 @@ def test_the_start_of_a_node_does_not_wait_for_an_aggregator_that_hangs(monkeypa
     watches[0].close()
 
 
+@pytest.mark.parametrize("reached", [True, False])
+def test_a_node_that_gives_a_wrong_address_to_others_says_so(reached, node, nobody, monkeypatch):
+    said, looked = [], threading.Event()
+    monkeypatch.setenv("ROS_HOSTNAME", "nowhere.invalid")
+    monkeypatch.setattr(master, "own_address", lambda: node if reached else nobody)
+    monkeypatch.setattr(master, "register_without_waiting", lambda: None)
+    monkeypatch.setattr(master.rospy, "logwarn", lambda text, *values: said.append(text % values))
+    monkeypatch.setattr(ForeignNode, "look", lambda aggregator: looked.set())
+    monkeypatch.setattr(MasterWatch, "_ask", lambda watch: (1, "run"))
+    with contextlib.closing(MasterWatch()):
+        assert looked.wait(20.0)
+    assert len(said) == (0 if reached else 1)
+    assert all(nobody in text and "ROS_HOSTNAME is 'nowhere.invalid'" in text for text in said)
+
+
 class FakeMaster:
     """The parameter server: a tree, and the names that were set."""
 

@@ -300,7 +300,9 @@ class MasterWatch:
             self._connection.close()
 
     def _watch(self, period: float) -> None:
-        self._look()    # may take as long as a machine that cannot be reached
+        # These may take as long as a machine that cannot be reached.
+        self._warn_if_unreachable()
+        self._look()
         for count in itertools.count(1):
             if self._closed.wait(period):
                 return
@@ -329,6 +331,17 @@ class MasterWatch:
                 if self._away:
                     rospy.loginfo("the ROS master answers again")
             self._identity, self._away = identity, False
+
+    def _warn_if_unreachable(self) -> None:
+        uri = own_address()
+        if not uri.startswith("http") or is_alive(uri) or self._closed.is_set() or rospy.is_shutdown():
+            return
+        given = ", ".join("{} is {!r}".format(name, os.environ[name]) for name in ("ROS_HOSTNAME", "ROS_IP")
+                          if name in os.environ)
+        rospy.logwarn("this node does not reach itself at %s, the address that it gives to other nodes: mostly they do "
+                      "not reach it either, and get nothing from it. %s: set ROS_IP to an address of this machine "
+                      "(hostname -I), or neither of them where all nodes run here", uri,
+                      given or "ROS_HOSTNAME and ROS_IP are not set")
 
     def _look(self) -> None:
         for aggregator in self._aggregators:
