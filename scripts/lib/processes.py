@@ -8,11 +8,12 @@ Only the standard library, only Linux (/proc).
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import socket
 import sys
 import time
-from typing import Callable, List, Sequence, Set
+from typing import Callable, List, Optional, Sequence, Set
 
 MARK_NAME = "ROS4HRI_RUN_MARK"
 
@@ -83,6 +84,38 @@ def end(mark: str, spared: Set[int], patience: Sequence[float] = (8.0, 4.0, 3.0)
     return len(marked(mark, spared))
 
 
+def _threads_of_user(user: int) -> int:
+    """Processes and threads of a user (real id), as the kernel counts them for `ulimit -u`."""
+    found = 0
+    for entry in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            with open("/proc/%s/status" % entry, encoding="ascii", errors="replace") as status:
+                facts = dict(line.split(":", 1) for line in status if ":" in line)
+        except OSError:
+            continue
+        if int(facts["Uid"].split()[0]) == user:
+            found += int(facts.get("Threads", 1))
+    return found
+
+
+def threads_left(user: int, groups: Sequence[str] = ("/sys/fs/cgroup", "/sys/fs/cgroup/pids")) -> Optional[int]:
+    """How many processes and threads this user may still start here; None where nothing limits them.
+
+    `groups` are the directories of the control group of a container, in versions 2 and 1.
+    """
+    left = []
+    most = resource.getrlimit(resource.RLIMIT_NPROC)[0]
+    if most != resource.RLIM_INFINITY and user != 0:
+        left.append(most - _threads_of_user(user))
+    for group in groups:
+        try:
+            with open(group + "/pids.max") as limit, open(group + "/pids.current") as current:
+                left.append(int(limit.read()) - int(current.read()))
+        except (OSError, ValueError):       # there is none, or it is "max"
+            continue
+    return min(left) if left else None
+
+
 def display_answers(display: str) -> bool:
     """True if an X server listens on the display (":1", ":1.0", "host:10.0")."""
     host, _, rest = display.rpartition(":")
@@ -113,9 +146,13 @@ def detach(command: List[str]) -> None:
 
 
 def main(arguments: List[str]) -> int:
-    """Command line: free-port | end MARK [SPARED_PID...] | display-answers DISPLAY | detach CMD..."""
+    """Command line: free-port | threads-left | end MARK [SPARED_PID...] | display-answers DISPLAY | detach CMD..."""
     if arguments[:1] == ["free-port"]:
         print(free_port())
+        return 0
+    if arguments[:1] == ["threads-left"]:
+        left = threads_left(os.getuid())
+        print("" if left is None else left)
         return 0
     if arguments[:1] == ["end"] and len(arguments) >= 2:
         return 1 if end(arguments[1], {os.getpid()} | {int(a) for a in arguments[2:]}) else 0

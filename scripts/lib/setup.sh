@@ -155,6 +155,13 @@ use_workspace() { # the ROS environment of the workspace, with a master port of 
     mkdir -p "$ROS_LOG_DIR"
 }
 
+demand_threads() { # demand_threads COUNT: that as many processes and threads may start
+    local left
+    left=$("$R4H_SYSTEM_PYTHON" "$R4H_LIB/processes.py" threads-left)
+    [ -z "$left" ] || ((left >= $1)) || fail 2 "Only $left more processes and threads may start here, some $1 are needed (ulimit -u is $(ulimit -u))." \
+        "Raise the limit: 'ulimit -u unlimited' here, nproc in /etc/security/limits.conf, --ulimit nproc= or --pids-limit of docker, TasksMax= of systemd."
+}
+
 use_given_master() { # use_given_master URI IP HOSTNAME: the caller's graph instead; what is empty is as roslaunch has it
     unset ROS_IP ROS_HOSTNAME
     export ROS_MASTER_URI=${1:-http://localhost:11311}

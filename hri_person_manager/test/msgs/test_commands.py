@@ -1,10 +1,13 @@
 """Commands that write what a user has: what they refuse, and what stays."""
 
+import errno
 import io
+import os
 import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,6 +33,7 @@ from hri_person_manager.ros.cli import known_table, run_people
 from hri_person_manager.ros.services import Galleries
 from hri_person_manager.srv import ListKnownResponse
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.ros.master import call_service
 from hri_pipeline.srv import GalleryResponse
 from hri_pipeline.testing import wait_for
 
@@ -200,3 +204,52 @@ def test_names_that_the_terminal_cannot_write_end_no_command(monkeypatch):
         last_seen=2 * [rospy.Time(1)]))
     assert run_people(["list"]) == 0
     assert "\\u0639" in written.getvalue().decode("latin-1") and "Bj\u00f6rn" in written.getvalue().decode("latin-1")
+
+
+def test_a_person_manager_that_hangs_is_named_and_not_waited_for(monkeypatch, capsys):
+    end = threading.Event()
+    monkeypatch.setattr(services, "wait_for_service", lambda *given: None)
+    monkeypatch.setattr(services, "call_service", lambda name, kind, values, seconds: call_service(name, kind, values,
+                                                                                                 seconds * 1e-3))
+    monkeypatch.setattr(cli, "wait_for_master", lambda *given: True)
+    monkeypatch.setattr(rospy, "init_node", lambda *given, **options: None)
+    monkeypatch.setattr(rospy, "signal_shutdown", lambda reason: None)
+    monkeypatch.setattr(rospy, "ServiceProxy", lambda name, kind: lambda *values: end.wait(60.0))
+    try:
+        for arguments, seconds in ((["list"], "0.01"), (["forget", "ann"], "0.04"), (["forget-all", "--yes"], "0.04"),
+                                   (["reset"], "0.04"), (["export"], "0.04")):
+            assert run_people(["--node", "/manager"] + arguments) == 1
+            said = capsys.readouterr().err
+            assert said.startswith("people: /manager/") and "has not answered within %s s" % seconds in said
+            assert "start it again" in said and "Is the person manager running?" not in said
+    finally:
+        end.set()
+
+
+def test_a_table_that_the_disk_does_not_take_is_named(monkeypatch, capsys):
+    class Watch:
+        seen = frozenset(["ann"])
+
+        def rows(self):
+            return []
+
+        def rates(self):
+            return 0.0, 0.0
+
+        def nobody(self):
+            return ""
+
+        def close(self):
+            pass
+
+    def full(path, data):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))      # of the stream: it does not know its file
+
+    monkeypatch.setattr(cli, "PersonsWatch", Watch)
+    monkeypatch.setattr(cli, "MasterWatch", lambda: SimpleNamespace(away=False, close=lambda: None))
+    monkeypatch.setattr(cli, "_end_quietly", lambda: None)
+    monkeypatch.setattr(cli, "write_json", full)
+    options = cli.parse_arguments(["--duration", "0.01", "--json", "/full/table.json"])
+    assert cli._show_until(options, 0.0, "people") == 1
+    assert capsys.readouterr().err == (
+        "people: the table cannot be written to /full/table.json: No space left on device\n")

@@ -4,23 +4,33 @@ lost them."""
 from __future__ import annotations
 
 import contextlib
+import functools
 import socket
 import threading
 import time
 from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
+import rospy
+from rosgraph import xmlrpc
 
 from hri_pipeline.ros import master
 from hri_pipeline.ros.master import (
     ForeignNode,
+    MasterAway,
     MasterWatch,
+    NoAnswer,
     OwnParameters,
     ParametersLost,
     PublisherAnswer,
+    call_service,
     check_not_lost,
     does_publish,
+    in_time,
     is_alive,
+    node_at,
+    patient_master,
+    wait_for_service,
 )
 from hri_pipeline.testing import wait_for
 
@@ -85,6 +95,50 @@ def test_what_nodes_say(node, nobody):
     assert does_publish(nobody, "/mine") is PublisherAnswer.REFUSED
 
 
+@pytest.fixture
+def never():
+    """A call that never returns, until the test has ended."""
+    end = threading.Event()
+    yield lambda *values: end.wait(60.0)
+    end.set()
+
+
+def test_a_call_has_its_time_and_its_own_errors(never):
+    def slow():
+        raise TimeoutError("of its own")
+
+    assert in_time(lambda: 7, 20.0) == 7
+    with pytest.raises(ZeroDivisionError):
+        in_time(lambda: 1 // 0, 20.0)
+    with pytest.raises(TimeoutError, match="of its own"):
+        in_time(slow, 20.0)
+    with pytest.raises(TimeoutError, match=r"no answer within 0\.05 s"):
+        in_time(never, 0.05)
+
+
+def test_a_service_that_never_answers_is_named_with_what_to_do(never, monkeypatch):
+    monkeypatch.setattr(rospy, "ServiceProxy", lambda name, kind: never)
+    with pytest.raises(NoAnswer, match=r"^/manager/forget has not answered within 0\.05 s.*start it again"):
+        call_service("/manager/forget", object, ["ann"], 0.05)
+    monkeypatch.setattr(rospy, "ServiceProxy", lambda name, kind: lambda *values: values)
+    assert call_service("/manager/merge", object, ["ann", "bob"], 20.0) == ("ann", "bob")
+
+
+def test_a_service_or_master_that_takes_no_call_is_named(never, monkeypatch):
+    monkeypatch.setattr(master, "ANSWER_S", 0.05)
+    monkeypatch.setattr(rospy, "wait_for_service", never)
+    with pytest.raises(rospy.ROSException, match="^/manager/forget takes no call.*hangs"):
+        wait_for_service("/manager/forget", 0.0)
+
+
+def test_the_api_of_a_master_that_hangs_is_not_waited_for(silent, monkeypatch):
+    monkeypatch.setattr(master, "ANSWER_S", 0.05)
+    monkeypatch.setattr(master, "node_at", functools.partial(node_at, patience=0.05))
+    monkeypatch.setattr(master.rosgraph, "get_master_uri", lambda: silent)
+    with pytest.raises(OSError):
+        patient_master().getSystemState()
+
+
 def test_the_start_of_a_node_does_not_wait_for_an_aggregator_that_hangs(monkeypatch):
     looks, answers, made = threading.Event(), threading.Event(), threading.Event()
 
@@ -107,6 +161,21 @@ def test_the_start_of_a_node_does_not_wait_for_an_aggregator_that_hangs(monkeypa
     finally:
         answers.set()
     watches[0].close()
+
+
+@pytest.mark.parametrize("reached", [True, False])
+def test_a_node_that_gives_a_wrong_address_to_others_says_so(reached, node, nobody, monkeypatch):
+    said, looked = [], threading.Event()
+    monkeypatch.setenv("ROS_HOSTNAME", "nowhere.invalid")
+    monkeypatch.setattr(master, "own_address", lambda: node if reached else nobody)
+    monkeypatch.setattr(master, "register_without_waiting", lambda: None)
+    monkeypatch.setattr(master.rospy, "logwarn", lambda text, *values: said.append(text % values))
+    monkeypatch.setattr(ForeignNode, "look", lambda aggregator: looked.set())
+    monkeypatch.setattr(MasterWatch, "_ask", lambda watch: (1, "run"))
+    with contextlib.closing(MasterWatch()):
+        assert looked.wait(20.0)
+    assert len(said) == (0 if reached else 1)
+    assert all(nobody in text and "ROS_HOSTNAME is 'nowhere.invalid'" in text for text in said)
 
 
 class FakeMaster:
@@ -249,7 +318,7 @@ class Servers:
 
     def __init__(self, monkeypatch):
         self.now, self.reads = (1, FakeMaster(tree())), 0
-        monkeypatch.setattr(master, "ask_master", lambda name: (self.now[0], ""))
+        monkeypatch.setattr(master.MasterConnection, "ask", lambda connection, name: (self.now[0], ""))
         monkeypatch.setattr(master, "node_at", self.node_at)
         monkeypatch.setattr(master.rosgraph, "get_master_uri", lambda: "")
         monkeypatch.setattr(master, "own_address", lambda: "")
@@ -300,6 +369,91 @@ def test_what_a_master_that_has_just_begun_does_not_know_is_not_forgotten(server
 
     with watching(RestartsBeforeItIsAsked()):
         wait_for(lambda: servers.now[0] == 2 and servers.faces() == tree()["robot"]["faces"], 10, servers.faces)
+
+
+class AskedMaster(xmlrpc.ThreadingXMLRPCServer):
+    """A master that counts the questions who it is; `end` ends it as the end of its process would."""
+
+    def __init__(self, address=("127.0.0.1", 0), pid=42):
+        self.connections, self.asked = [], 0
+        super().__init__(address)
+        self.register_function(lambda caller: self.count(pid), "getPid")
+        self.register_function(lambda caller, name: [-1, "not set", 0], "getParam")
+        self.register_function(lambda caller, name: [-1, "unknown", ""], "lookupNode")
+        self.thread = threading.Thread(target=self.serve_forever, args=(0.01,), daemon=True)
+        self.thread.start()
+
+    def count(self, pid):
+        self.asked += 1
+        return [1, "", pid]
+
+    def process_request(self, request, address):
+        self.connections.append(request)
+        super().process_request(request, address)
+
+    def end(self):
+        self.shutdown()
+        self.thread.join()
+        for connection in self.connections:
+            with contextlib.suppress(OSError):      # who asked has ended it
+                connection.shutdown(socket.SHUT_RDWR)
+        self.server_close()
+
+
+@pytest.fixture
+def asked_master(monkeypatch):
+    there = AskedMaster()
+    monkeypatch.setattr(master.rosgraph, "get_master_uri", lambda: "http://127.0.0.1:%d/" % there.server_address[1])
+    yield there
+    there.end()
+
+
+def test_the_end_of_a_master_is_seen_without_asking_it(asked_master):
+    with contextlib.closing(master.MasterConnection()) as connection:
+        assert not connection.is_open()
+        assert connection.ask(NAME) == (42, "")
+        assert all(connection.is_open() for _ in range(100)) and asked_master.asked == 1
+        asked_master.end()
+        wait_for(lambda: not connection.is_open(), 10, "its end")
+        with pytest.raises(MasterAway):
+            connection.ask(NAME)
+        assert not connection.is_open()
+        other = AskedMaster(asked_master.server_address, 43)
+        try:
+            assert connection.ask(NAME) == (43, "") and connection.is_open()
+        finally:
+            other.end()
+
+
+def test_a_master_that_stays_is_seldom_asked_who_it_is(asked_master, monkeypatch):
+    looks = []
+    is_open = master.MasterConnection.is_open
+    monkeypatch.setattr(master.MasterConnection, "is_open", lambda self: looks.append(0) or is_open(self))
+    with watching(None):
+        wait_for(lambda: len(looks) >= 40, 20, "looks")
+        assert 40 // 4 <= asked_master.asked <= len(looks) // 4 + 2
+
+
+def test_a_watch_registers_at_a_new_master_at_the_first_look_after_it(asked_master, monkeypatch):
+    looks, other, told = [], [], []
+    is_open = master.MasterConnection.is_open
+
+    def look(connection):
+        looks.append(0)
+        if len(looks) == 3:
+            asked_master.end()
+            other.append(AskedMaster(asked_master.server_address, 43))
+        return is_open(connection)
+
+    monkeypatch.setattr(master.MasterConnection, "is_open", look)
+    monkeypatch.setattr(MasterWatch, "_register_again",
+                        lambda watch, is_new: told.append((is_new, len(looks))) or True)
+    try:
+        with watching(None):
+            wait_for(lambda: len(looks) > 5, 20, "the watch looks")
+        assert told == [(True, 3)]
+    finally:
+        other[0].end()
 
 
 def test_a_watch_without_parameters_touches_none(servers):

@@ -17,7 +17,12 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header, String
 
 from hri_pipeline.ros import rospy_compat
-from hri_pipeline.ros.rospy_compat import ReceivedImage, publish_without_yielding, receive_without_copies
+from hri_pipeline.ros.rospy_compat import (
+    ReceivedImage,
+    StatisticsSwitch,
+    publish_without_yielding,
+    receive_without_copies,
+)
 
 
 class Wire:
@@ -261,3 +266,13 @@ def test_throttled_lines_come_again_after_their_period():
     for now[0] in (5.0, 14.9, 15.1, 16.0, 26.0):
         told.append(throttle("here", 10.0))
     assert told == [True, False, True, False, True]
+
+
+def test_whether_topics_have_statistics_is_not_asked_with_each_of_them():
+    now, asked, given = [100.0], [], [False]
+    switch = StatisticsSwitch(lambda: asked.append(now[0]) or given[0], lambda: now[0])
+    assert [switch() for _ in range(5)] == 5 * [False] and len(asked) == 1
+    given[0], now[0] = True, 109.0
+    assert not switch() and len(asked) == 1
+    now[0] = 110.0
+    assert switch() and len(asked) == 2, "it may be switched on later"

@@ -14,6 +14,7 @@ import rospy
 
 from hri_pipeline.nodes import start_bag
 from hri_pipeline.nodes.start_bag import PausedPlayer, fault_of_file
+from hri_pipeline.ros.master import NoAnswer
 
 
 def test_a_recording_that_was_cut_off_is_told_before_anything_starts(tmp_path):
@@ -115,8 +116,19 @@ def test_a_launch_ends_with_the_recording_but_a_test_goes_on_as_it_would_report_
                           stdout=subprocess.PIPE) as launch:
         launch.stdout.readline()
         monkeypatch.setattr(start_bag.rospy, "get_param", lambda *_: {"here": "http://localhost:1/"})
-        monkeypatch.setattr(start_bag, "ServerProxy", lambda _: type("Launch", (), {
+        monkeypatch.setattr(start_bag, "node_at", lambda _: type("Launch", (), {
             "get_pid": lambda self: (1, "", launch.pid)})())
         monkeypatch.setattr(os, "getppid", lambda: launch.pid)
         assert start_bag._launch() == (launch.pid if ended else None)
         launch.communicate(b"\n")
+
+
+def test_a_player_that_hangs_is_named_and_not_waited_for(player, monkeypatch):
+    end = threading.Event()
+    monkeypatch.setattr(start_bag, "ANSWER_S", 0.05)
+    monkeypatch.setattr(rospy, "ServiceProxy", lambda name, kind: lambda value: end.wait(60.0))
+    try:
+        with pytest.raises(NoAnswer, match="^/bag/pause_playback has not answered"):
+            player(0).go()
+    finally:
+        end.set()

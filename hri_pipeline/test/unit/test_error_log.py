@@ -2,9 +2,23 @@
 
 from __future__ import annotations
 
+import errno
 import logging
+import resource
+import subprocess
 
-from hri_pipeline.core.error_log import LONGEST_LINE, LONGEST_WORD, ItemGuard, LogFilter, Outage, shortened
+import pytest
+
+from hri_pipeline.core import error_log
+from hri_pipeline.core.error_log import (
+    LONGEST_LINE,
+    LONGEST_WORD,
+    ItemGuard,
+    LogFilter,
+    Outage,
+    shortened,
+    thread_shortage,
+)
 
 
 def test_an_outage_is_told_once():
@@ -88,3 +102,51 @@ def test_an_attempt_says_whether_it_worked():
     guard, done = ItemGuard(), []
     assert guard.attempt("item", done.append, 1) and done == [1]
     assert not guard.attempt("item", done.remove, 2)
+
+
+def limited(monkeypatch, group=None, of_user=resource.RLIM_INFINITY, user=1000):
+    monkeypatch.setattr(error_log, "fullest_group", lambda: group)
+    monkeypatch.setattr(error_log.resource, "getrlimit", lambda which: (of_user, of_user))
+    monkeypatch.setattr(error_log.os, "geteuid", lambda: user)
+
+
+NO_THREAD = RuntimeError("can't start new thread")
+
+
+@pytest.mark.parametrize("given, said", [
+    ({"of_user": 60}, "this user may have 60 processes and threads (ulimit -u); raise that"),
+    ({"of_user": 60, "group": (99, 100)}, "has 99 processes and threads, and may have 100; raise --pids-limit"),
+    ({"of_user": 60, "group": (50, 100)}, "this user may have 60 "),
+    ({"of_user": 60, "user": 0}, "the memory is full"),
+    ({}, "the memory is full"),
+])
+def test_which_limit_lets_no_more_threads_start(given, said, monkeypatch):
+    limited(monkeypatch, **given)
+    assert said in thread_shortage(NO_THREAD) and "\n" not in thread_shortage(NO_THREAD)
+
+
+def test_no_more_processes_are_the_same_limit_and_other_errors_none(monkeypatch):
+    limited(monkeypatch, of_user=60)
+
+    fork = compile("raise BlockingIOError(errno.EAGAIN, 'temporarily unavailable')", subprocess.__file__, "exec")
+    with pytest.raises(BlockingIOError) as caught:
+        exec(fork)
+    assert thread_shortage(caught.value).startswith("the system gives no more processes: this user may have 60 ")
+    for other in (RuntimeError("dictionary changed size"), BlockingIOError(errno.EAGAIN, "a socket"), OSError(),
+                  KeyError()):
+        assert thread_shortage(other) == ""
+
+
+def test_the_log_says_which_limit_where_somebody_else_has_no_thread(monkeypatch, caplog):
+    limited(monkeypatch, of_user=60)
+    logger = logging.getLogger("test_log_threads")
+    hint = LogFilter()
+    logger.addFilter(hint)
+    try:
+        logger.error("unable to start TCPROS server: %s", NO_THREAD)
+        logger.error("another error")
+    finally:
+        logger.removeFilter(hint)
+    first, second = (record.getMessage() for record in caplog.records)
+    assert first.startswith("unable to start TCPROS server: can't start new thread\nthis user may have 60 ")
+    assert second == "another error"

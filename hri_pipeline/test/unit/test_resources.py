@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from hri_pipeline.core import resources
-from hri_pipeline.core.resources import Cores
+from hri_pipeline.core.resources import Cores, fullest_group
 
 STAT = "cpu  900 0 900 4000 40 0 0 0 0 0\n" + "".join(
     "cpu%d 100 0 100 %d 5 0 0 0 0 0\n" % (number, 1000 + number) for number in range(8)) + "intr 12345 0 1\n"
@@ -225,3 +225,18 @@ def test_a_real_quota(real_group):
     inner, outer = idle[all_cores.index(min(all_cores))], idle[all_cores.index(sorted(all_cores)[1])]
     assert -0.03 < inner < 0.1 * took - 0.1 and outer > 0.5
     assert after["throttled_percent"] > 0.0 and before["cores"] == after["cores"] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("lines, mount", [
+    (V2, MOUNT_2), (("8:pids:{}", "0::/"), MOUNT_1.replace("cpu,cpuacct", "pids"))])
+def test_the_fullest_group_is_the_one_that_lets_no_more_threads_start(machine, lines, mount):
+    machine.mount(lines, "/docker/abc", mount)
+    assert fullest_group(machine.proc) is None
+    machine._write("docker/abc", {"pids.current": 30, "pids.max": "max"})
+    assert fullest_group(machine.proc) is None
+    machine._write("docker", {"pids.current": 95, "pids.max": 100})
+    assert fullest_group(machine.proc) == (95, 100)
+    machine._write("docker/abc", {"pids.max": 300})
+    assert fullest_group(machine.proc) == (95, 100)
+    machine._write("docker/abc", {"pids.max": 31})
+    assert fullest_group(machine.proc) == (30, 31)

@@ -36,13 +36,13 @@ from hri_person_manager.core.display import (
 )
 from hri_person_manager.core.features import MAX_FEATURES
 from hri_person_manager.core.register import RegisterError, is_storable, legal_name
-from hri_person_manager.ros.services import COMMANDS, carry_out, find_manager, service
+from hri_person_manager.ros.services import COMMANDS, LIST_ANSWER_S, carry_out, find_manager, service
 from hri_person_manager.srv import ListKnown, ListKnownResponse
 from hri_pipeline.core.frames import RawTransform, read
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.privacy import StoreError, TemplateCipher, make_key_file, notice
 from hri_pipeline.core.recognition.store import PersonStore
-from hri_pipeline.ros.master import MasterWatch
+from hri_pipeline.ros.master import MasterWatch, NoAnswer
 from hri_pipeline.ros.node import wait_for_master
 from hri_pipeline.ros.privacy import collect
 from hri_pipeline.ros.rospy_compat import release
@@ -84,7 +84,7 @@ def run_people(arguments: Optional[Sequence[str]] = None) -> int:
     except KeyboardInterrupt:
         return 130
     except (rospy.ROSException, rospy.ServiceException) as error:
-        print("people: {}".format(_why(options.node or "hri_person_manager", str(error))), file=sys.stderr)
+        print("people: {}".format(_why(options.node or "hri_person_manager", error)), file=sys.stderr)
         return 1
     finally:
         rospy.signal_shutdown("people has ended")
@@ -120,9 +120,11 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _why(node: str, error: str) -> str:
+def _why(node: str, error: Exception) -> str:
     """Return why a person manager did not do what it was asked for, and the remedy."""
-    if "md5sum" in error:       # the answer of rospy to a request of another type
+    if isinstance(error, NoAnswer):
+        return str(error)
+    if "md5sum" in str(error):  # the answer of rospy to a request of another type
         return ("{} is of another version than this command: they describe the service differently. Use `people` of "
                 "the version that runs, or install one version on both machines and start the nodes again".format(node))
     return "{}: {}. Is the person manager running? Its name is given by --node".format(node, error)
@@ -165,7 +167,7 @@ def _enrol_photographs(options: argparse.Namespace) -> int:
 
 def _carry_out(options: argparse.Namespace) -> int:
     if options.command == "list":
-        print(known_table(service(options.node, "list_known", ListKnown)(), options.all))
+        print(known_table(service(options.node, "list_known", ListKnown, LIST_ANSWER_S)(), options.all))
         return 0
     if options.command == "privacy":
         uses = collect(PRIVACY_S)
@@ -271,7 +273,8 @@ def _show_until(options: argparse.Namespace, end: float, name: str) -> int:
         if options.json:
             write_json(options.json, last)
     except OSError as error:
-        print("%s: %s" % (name, error), file=sys.stderr)
+        print("%s: the table cannot be written to %s: %s" % (name, options.json, error.strerror or error),
+              file=sys.stderr)
         return 1
     return 0 if watch.seen else NOBODY
 

@@ -42,6 +42,7 @@ from hri_person_manager.srv import (
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.ros.conversions import to_time
+from hri_pipeline.ros.master import call_service, patient_master, wait_for_service
 from hri_pipeline.srv import Gallery, GalleryRequest, GalleryResponse
 
 if TYPE_CHECKING:     # scipy takes most of a second, which no command has to wait for
@@ -54,6 +55,8 @@ GALLERY_ANSWER_S = 10.0     # it may wait for its disk
 _NO_RECOGNISER = ("no recogniser can learn a face or voice: no service ~gallery is offered. Start the node faces with "
                   "recognition on, or voices with voice_identity")
 SERVICE_PATIENCE_S = 5.0
+SERVICE_ANSWER_S = 40.0     # three recognisers may hang
+LIST_ANSWER_S = 10.0        # nobody else is asked
 COMMANDS: Dict[str, Tuple[str, type, Tuple[str, ...], str]] = {
     "name": ("set_name", SetName, ("id", "name"), "give a known person a name; '' takes it away"),
     "language": ("set_native_language", SetNativeLanguage, ("id", "language"), "set the native language, such as "
@@ -75,9 +78,9 @@ def find_manager(name: str = "hri_person_manager") -> str:
     Raises rospy.ROSException when there are several others, or no master.
     """
     try:
-        offered = [service for service, _ in rosgraph.Master(rospy.get_name()).getSystemState()[2]]
+        offered = [service for service, _ in patient_master().getSystemState()[2]]
     except (rosgraph.MasterException, OSError) as error:
-        raise rospy.ROSException("no ROS master: {}".format(error)) from error
+        raise rospy.ROSException("no ROS master at {}: {}".format(rosgraph.get_master_uri(), error)) from error
     managers = [node for node, _, last in (service.rpartition("/") for service in offered)
                 if last == "list_known" and node + "/set_name" in offered]
     here = rospy.resolve_name(name)
@@ -88,14 +91,15 @@ def find_manager(name: str = "hri_person_manager") -> str:
     return managers[0]
 
 
-def service(node: str, name: str, kind: type) -> Callable:
+def service(node: str, name: str, kind: type, seconds: float = SERVICE_ANSWER_S) -> Callable:
     """Return the service of a person manager as a function.
 
-    Raises rospy.ROSException when it is not offered; the function rospy.ServiceException when it is not answered.
+    Raises rospy.ROSException when it is not offered; the function rospy.ServiceException when it is not answered, after
+    `seconds` at most.
     """
     full = "{}/{}".format(node.rstrip("/"), name)
-    rospy.wait_for_service(full, SERVICE_PATIENCE_S)
-    return rospy.ServiceProxy(full, kind)
+    wait_for_service(full, SERVICE_PATIENCE_S)
+    return lambda *values: call_service(full, kind, values, seconds)
 
 
 def carry_out(node: str, command: str, fields: Mapping[str, str]) -> Any:
@@ -181,7 +185,7 @@ class Galleries:
     def names() -> List[str]:
         """Names of all services that may be a gallery."""
         try:
-            services = rosgraph.Master(rospy.get_name()).getSystemState()[2]
+            services = patient_master().getSystemState()[2]
         except (rosgraph.MasterException, OSError):
             return []
         return sorted(name for name, _ in services if name.endswith(GALLERY_SUFFIX))

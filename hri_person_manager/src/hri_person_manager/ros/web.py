@@ -43,7 +43,7 @@ from hri_person_manager.core.web import (
     known_data,
     page_state,
 )
-from hri_person_manager.ros.services import carry_out, find_manager, service
+from hri_person_manager.ros.services import LIST_ANSWER_S, carry_out, find_manager, service
 from hri_person_manager.srv import ListKnown
 from hri_pipeline.client import Humans
 from hri_pipeline.client.humans import Person
@@ -272,7 +272,8 @@ class WebNode:
         except (rospy.ROSException, rospy.ServiceException) as error:
             raise RequestError(503, "{} does not answer: {}".format(name, error)) from error
         except asyncio.TimeoutError as error:
-            raise RequestError(504, "{}: no answer within {:g} s".format(name, ANSWER_S)) from error
+            raise RequestError(504, "{} has not answered within {:g} s, and may still do what it was asked; see its "
+                               "log, or end it and start it again".format(name, ANSWER_S)) from error
 
     def _in_thread(self, call: Callable[[], Any]) -> Awaitable[Any]:
         """Run a call in a thread of its own, for ANSWER_S at most. For the loop only."""
@@ -537,7 +538,7 @@ def _ask(node: str, action: Action) -> Dict[str, Any]:
         return {"success": bool(uses), "message": notice(uses) if uses else
                 "No node has said on /humans/privacy what it does."}
     if action.command == "list":
-        known = service(node, "list_known", ListKnown)()
+        known = service(node, "list_known", ListKnown, LIST_ANSWER_S)()
         return {"success": True, "known": known_data(known.ids, known.names, known.anonymous, known.enrolled,
                                                      known.tracked, [stamp.to_sec() for stamp in known.last_seen])}
     answer = carry_out(node, action.command, {"id": action.id, "name": action.name})

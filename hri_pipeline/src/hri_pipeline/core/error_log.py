@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import logging
+import os
 import re
+import resource
 import traceback
 from typing import Any, Callable, Iterable, List, Optional, Set, Tuple, TypeVar
+
+from hri_pipeline.core.resources import fullest_group
 
 LONGEST_WORD = 200
 LONGEST_LINE = 2000
@@ -44,15 +49,48 @@ _ORDINARY = re.compile(r"Inbound TCP/IP connection failed: .* 0 bytes were recei
                        r"|Could not process inbound connection: \[\S*\] is not a publisher of \[/humans/")
 
 
+_NO_THREAD = "can't start new thread"
+_NEARLY = 0.9           # threads end while an error is told
+
+
+def thread_shortage(error: BaseException) -> str:
+    """Return in a line that the system gives this process no more threads or child processes, by which limit, and what
+    to do; empty for any other error."""
+    trace = traceback.extract_tb(error.__traceback__)
+    is_fork = (isinstance(error, OSError) and error.errno == errno.EAGAIN and bool(trace)
+               and os.path.basename(trace[-1].filename) == "subprocess.py")
+    if is_fork or (isinstance(error, RuntimeError) and _NO_THREAD in str(error)):
+        return "the system gives no more {}: {}".format("processes" if is_fork else "threads", thread_limit())
+    return ""
+
+
+def thread_limit() -> str:
+    """Return in words which limit of processes and threads this process has reached, by all signs, and how to raise
+    it."""
+    used, most = fullest_group() or (0, 0)
+    if most and used >= _NEARLY * most:
+        return ("its container or service has {} processes and threads, and may have {}; raise --pids-limit of docker, "
+                "TasksMax= of the systemd service".format(used, most))
+    of_user = resource.getrlimit(resource.RLIMIT_NPROC)[0]
+    if of_user != resource.RLIM_INFINITY and os.geteuid() != 0:      # no limit for root
+        return ("this user may have {} processes and threads (ulimit -u); raise that: nproc in /etc/security/"
+                "limits.conf, LimitNPROC= of a systemd service, --ulimit nproc= of docker".format(of_user))
+    return "the memory is full (free -m), or the machine has as many as it may (sysctl kernel.threads-max)"
+
+
 class LogFilter(logging.Filter):
     """Shortens long words and lines of every log record: names of frames and topics come from outside and have any
-    length. Leaves out what rospy tells of subscriptions that end while they begin, which happens all the time."""
+    length. Leaves out what rospy tells of subscriptions that end while they begin, which happens all the time. Says
+    which limit it is that lets no more threads start."""
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Return whether to log the record; change it where it is too long."""
+        """Return whether to log the record; change it where it is too long, or hides what to do."""
         text = record.getMessage()
         if _ORDINARY.match(text):
             return False
+        if _NO_THREAD in text:
+            text += "\n" + thread_limit()
+            record.msg, record.args = text, ()
         if len(text) > LONGEST_WORD:
             record.msg, record.args = shortened(text), ()
         return True

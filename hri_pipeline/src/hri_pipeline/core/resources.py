@@ -14,9 +14,9 @@ import resource
 import time
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
-_VERSION_2, _CPU, _USAGE = "", "cpu", "cpuacct"
+_VERSION_2, _CPU, _USAGE, _PIDS = "", "cpu", "cpuacct", "pids"
 """Controllers by their names in /proc/self/cgroup; all those of version 2 are one line without a name."""
 _ESCAPED = re.compile(r"\\([0-7]{3})")
 DESCRIPTORS_HINT = ("raise the limit (ulimit -Hn; nofile in /etc/security/limits.conf, LimitNOFILE= of a systemd "
@@ -109,15 +109,7 @@ def _control_groups(proc: Path) -> List[Tuple[Path, Optional[Path]]]:
     Each with that of the group of the same name in version 1 of the controller `cpuacct`, which counts the time; None
     for version 2, whose groups have both.
     """
-    paths: Dict[str, str] = {}
-    try:
-        for line in (proc / "cgroup").read_text().splitlines():
-            _, names, path = line.split(":", 2)
-            paths.update((name, path) for name in names.split(","))
-        mounts = (proc / "mountinfo").read_text().splitlines()
-        places = {name: _mounted(name, paths[name], mounts) for name in (_VERSION_2, _CPU, _USAGE) if name in paths}
-    except (OSError, ValueError, LookupError):      # a system without them, or another one
-        return []
+    paths, places = _places(proc, (_VERSION_2, _CPU, _USAGE))
     found: List[Tuple[Path, Optional[Path]]] = []
     for name in (_VERSION_2, _CPU):
         place, counting = places.get(name), places.get(_USAGE)
@@ -128,6 +120,34 @@ def _control_groups(proc: Path) -> List[Tuple[Path, Optional[Path]]]:
         for group in [PurePosixPath(own), *PurePosixPath(own).parents]:
             found.append((mount / group, None if name == _VERSION_2 else counted / group))
     return found
+
+
+def _places(proc: Path, names: Sequence[str]) -> Tuple[Dict[str, str], Dict[str, Optional[Tuple[Path, str]]]]:
+    """Return the paths of the process's groups by controller, and what _mounted() says of these names of them."""
+    paths: Dict[str, str] = {}
+    try:
+        for line in (proc / "cgroup").read_text().splitlines():
+            _, controllers, path = line.split(":", 2)
+            paths.update((name, path) for name in controllers.split(","))
+        mounts = (proc / "mountinfo").read_text().splitlines()
+        return paths, {name: _mounted(name, paths[name], mounts) for name in names if name in paths}
+    except (OSError, ValueError, LookupError):      # a system without them, or another one
+        return {}, {}
+
+
+def fullest_group(proc: Path = Path("/proc/self")) -> Optional[Tuple[int, int]]:
+    """Return how many processes and threads there are in the fullest control group of this process, and how many there
+    may be (pids.max: `docker --pids-limit`, TasksMax of systemd); None where that is not limited."""
+    found = []
+    for place in _places(proc, (_VERSION_2, _PIDS))[1].values():
+        mount, own = place or (Path(), "")
+        for group in [PurePosixPath(own), *PurePosixPath(own).parents] if place is not None else ():
+            try:
+                used, most = (int((mount / group / name).read_text()) for name in ("pids.current", "pids.max"))
+                found.append((used / max(most, 1), used, most))
+            except (OSError, ValueError):           # none, or "max"
+                continue
+    return max(found)[1:] if found else None
 
 
 def _mounted(name: str, path: str, mounts: List[str]) -> Optional[Tuple[Path, str]]:

@@ -10,9 +10,8 @@ import sys
 import time
 from types import FrameType
 from typing import Callable, Dict, List, Optional, Sequence, Set, Tuple, Type, TypeVar
-from xmlrpc.client import Fault, ServerProxy
+from xmlrpc.client import Fault
 
-import rosgraph
 import rospy
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
@@ -21,7 +20,15 @@ from tf2_msgs.msg import TFMessage
 from hri_pipeline.core.images import other_transport
 from hri_pipeline.core.simulation.sensors import camera_pose
 from hri_pipeline.ros.conversions import transform_to_msg
-from hri_pipeline.ros.master import node_at
+from hri_pipeline.ros.master import (
+    ANSWER_S,
+    NoAnswer,
+    call_service,
+    in_time,
+    node_at,
+    patient_master,
+    wait_for_service,
+)
 from hri_pipeline.ros.node import end_simulated_time, wait_for_master
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.score.bag import is_closed, is_recording, not_closed
@@ -115,7 +122,7 @@ class PausedPlayer:
 
     def __init__(self, name: str) -> None:
         self._name = "/" + name.strip("/")
-        self._master = rosgraph.Master(rospy.get_name())
+        self._master = patient_master()
 
     def played(self) -> Set[str]:
         """Return the topics that it publishes, the clock apart. Raises rospy.ROSException without a master."""
@@ -147,7 +154,7 @@ class PausedPlayer:
 
     def go(self) -> None:
         """Play. Raises rospy.ServiceException where it has gone."""
-        _again(lambda: rospy.ServiceProxy(self._name + "/pause_playback", SetBool)(False), rospy.ServiceException)
+        _again(lambda: call_service(self._name + "/pause_playback", SetBool, [False], ANSWER_S), rospy.ServiceException)
 
 
 def _again(ask: Callable[[], _Answer], fault: Type[Exception] = Exception) -> _Answer:
@@ -253,7 +260,7 @@ def _play(wanted: Listeners, options: argparse.Namespace) -> int:
         return 1
     player, mount = PausedPlayer(options.player), None
     try:
-        rospy.wait_for_service("/{}/pause_playback".format(options.player.strip("/")), options.patience)
+        wait_for_service("/{}/pause_playback".format(options.player.strip("/")), options.patience)
         if options.end_launch and not player.played() & _TRANSFORMS:
             mount = Mount(next(iter(wanted)), options.fixed_frame or "map", options.camera_height,
                           math.radians(options.camera_tilt))
@@ -262,6 +269,9 @@ def _play(wanted: Listeners, options: argparse.Namespace) -> int:
             rospy.logwarn("%s", problem)
         while options.end_launch and player.is_there():
             time.sleep(LOOK_S)
+    except NoAnswer as error:
+        rospy.logerr("the recording cannot be started: %s", error)
+        return 1
     except (rospy.ROSException, rospy.ServiceException) as error:
         rospy.logerr("the recording cannot be started: %s; is the file right (rosbag info)?", error)
         return 1
@@ -291,12 +301,12 @@ def _launch() -> Optional[int]:
     A rostest is none: ended from outside it reports success, whatever its tests would have found.
     """
     try:
-        launches = rospy.get_param("/roslaunch/uris", {})
-    except OSError:                 # the master has gone
+        launches = in_time(lambda: rospy.get_param("/roslaunch/uris", {}), ANSWER_S)
+    except OSError:                 # the master has gone, or hangs
         return None
     for uri in launches.values():
         try:
-            code, _, pid = ServerProxy(uri).get_pid()
+            code, _, pid = node_at(uri).get_pid()
         except (OSError, Fault):    # one that has gone
             continue
         if code == 1 and pid == os.getppid():

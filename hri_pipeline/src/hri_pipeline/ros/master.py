@@ -6,6 +6,7 @@ nodes, which roslaunch sets only once: each node remembers its own, and puts the
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import http.client
 import itertools
@@ -13,8 +14,10 @@ import os
 import threading
 import time
 import uuid
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeout
 from enum import Enum
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, TypeVar
 from xmlrpc.client import Fault, ProtocolError, ServerProxy
 
 import rosgraph
@@ -33,7 +36,8 @@ from hri_pipeline.ros.rospy_compat import (
 
 ANSWER_S = 5.0
 _PERIOD_S = 2.0
-_KEEP_EACH = 5      # questions who the master is for one after the parameters, which are some kilobytes
+_ASK_EACH = 5       # looks at the connection to the master for one question, and one after the parameters
+_LOOK_EACH = 15     # looks at the connection for one after the aggregator
 AGGREGATOR = "hri_diagnostics"
 """The diagnostic_aggregator of diagnostics.launch, beside the node or without a namespace."""
 IMAGE_TYPES = {"raw": "sensor_msgs/Image", "compressed": "sensor_msgs/CompressedImage"}
@@ -44,9 +48,15 @@ MASTER_ERRORS = (OSError, Fault, ProtocolError, http.client.HTTPException, rosgr
 CALL_S, _SHUTDOWN_S = 2.0, 1.5
 """Times (s) for one call of another node, and until a node that was shut down has left the master."""
 
+_Answer = TypeVar("_Answer")
+
 
 class MasterAway(Exception):
     """The master does not answer; the text says why."""
+
+
+class NoAnswer(rospy.ServiceException):
+    """A service is offered, but does not answer in time; the text names it, and says what to do."""
 
 
 class PublisherAnswer(Enum):
@@ -63,15 +73,94 @@ def node_at(uri: str, patience: float = ANSWER_S) -> ServerProxy:
     return ServerProxy(uri, transport=TransportWithTimeout(patience))
 
 
+def patient_master() -> rosgraph.Master:
+    """Return the API of the master; a call raises OSError where no answer comes for ANSWER_S."""
+    master = rosgraph.Master(rospy.get_name())
+    master.handle = node_at(rosgraph.get_master_uri())
+    return master
+
+
+def in_time(call: Callable[[], _Answer], seconds: float) -> _Answer:
+    """Return what a call in a thread of its own returns, or raise what it raises.
+
+    Raises TimeoutError after `seconds`; the call goes on then, and nobody hears of its end.
+    """
+    done: "Future[_Answer]" = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(call())
+        except BaseException as error:      # its caller is to have it
+            done.set_exception(error)
+
+    threading.Thread(target=run, name="call in time", daemon=True).start()
+    try:
+        return done.result(seconds)
+    except FutureTimeout:
+        if done.done():                     # just now; or the call itself has raised it
+            return done.result()
+        raise TimeoutError("no answer within {:g} s".format(seconds)) from None
+
+
+def call_service(name: str, kind: type, values: Sequence[object], seconds: float) -> Any:
+    """Return the answer of a service (resolved name).
+
+    Raises rospy.ServiceException where it is not there or fails, NoAnswer after `seconds`.
+    """
+    try:
+        return in_time(lambda: rospy.ServiceProxy(name, kind)(*values), seconds)
+    except TimeoutError:
+        raise NoAnswer("{} has not answered within {:g} s, and may still do what it was asked. Its node hangs, or "
+                       "waits for its disk: see its log, or end it and start it again".format(name, seconds)) from None
+
+
+def wait_for_service(name: str, seconds: float) -> None:
+    """Return as soon as a service (resolved name) is offered and takes connections.
+
+    Raises rospy.ROSException after `seconds`, and ANSWER_S more where the master, or the node, does not answer.
+    """
+    try:
+        in_time(lambda: rospy.wait_for_service(name, seconds), seconds + ANSWER_S)
+    except TimeoutError:
+        raise rospy.ROSException("{} takes no call within {:g} s: its node, or the ROS master, hangs; see its log, or "
+                                 "end it and start it again".format(name, seconds + ANSWER_S)) from None
+
+
 def ask_master(name: str) -> Tuple[int, str]:
     """Return process id and run id of the master, asked in the name of a node; MasterAway without an answer in 5 s."""
-    try:
-        with node_at(rosgraph.get_master_uri()) as master:
+    with contextlib.closing(MasterConnection()) as connection:
+        return connection.ask(name)
+
+
+class MasterConnection:
+    """The connection over which the master is asked who it is. It is kept: that it has not ended says that the master
+    is the same, and costs the master nothing. Not thread-safe."""
+
+    def __init__(self) -> None:
+        self._transport: Optional[TransportWithTimeout] = None
+
+    def ask(self, name: str) -> Tuple[int, str]:
+        """Return process id and run id of the master; raises as `ask_master` does."""
+        try:
+            self._transport = self._transport or TransportWithTimeout(ANSWER_S)
+            master = ServerProxy(rosgraph.get_master_uri(), transport=self._transport)
             pid = int(master.getPid(name)[2])
             found, _, run_id = master.getParam(name, "/run_id")
-    except Exception as error:      # refused, reset, half an answer, no address: it is away
-        raise MasterAway(str(error)) from error
-    return pid, str(run_id) if found == 1 else ""     # a bare rosmaster has no run id
+        except Exception as error:      # refused, reset, half an answer, no address: it is away
+            self.close()
+            raise MasterAway(str(error)) from error
+        return pid, str(run_id) if found == 1 else ""     # a bare rosmaster has no run id
+
+    def is_open(self) -> bool:
+        """Tell whether the master that was asked last still holds its end. That of one whose machine was switched off
+        counts as open for some 5 s."""
+        return self._transport is not None and self._transport.is_open()
+
+    def close(self) -> None:
+        """End it. Idempotent."""
+        if self._transport is not None:
+            self._transport.close()
+        self._transport = None
 
 
 def is_published(topic: str, kind: str, patience: float = ANSWER_S) -> bool:
@@ -181,7 +270,7 @@ class ForeignNode:
 
 
 class MasterWatch:
-    """Asks the master every two seconds who it is.
+    """Sees every two seconds whether the master has ended, and asks it who it is: then, and every ten seconds.
 
     rospy registers a topic once. A master that is started again knows nothing of the node, which then is
     deaf although it runs: its publishers, subscribers and services are registered again here, after its
@@ -194,6 +283,7 @@ class MasterWatch:
         names = sorted({rospy.resolve_name(AGGREGATOR), "/" + AGGREGATOR})
         self._aggregators = [ForeignNode(name) for name in names]
         register_without_waiting()
+        self._connection = MasterConnection()
         snapshot = self._read()
         self._identity = self._ask()
         if self._identity is not None:
@@ -212,14 +302,21 @@ class MasterWatch:
         """Stop watching. Idempotent."""
         self._closed.set()
         self._thread.join(timeout=5.0)
+        if not self._thread.is_alive():
+            self._connection.close()
 
     def _watch(self, period: float) -> None:
-        self._look()    # may take as long as a machine that cannot be reached
+        # These may take as long as a machine that cannot be reached.
+        self._warn_if_unreachable()
+        self._look()
         for count in itertools.count(1):
             if self._closed.wait(period):
                 return
+            is_due = count % _ASK_EACH == 0
+            if not is_due and not self._away and not not_registered.is_set() and self._connection.is_open():
+                continue
             # Before the question who the master is: what one that has just begun does not know must not be forgotten.
-            snapshot = self._read() if count % _KEEP_EACH == 0 else None
+            snapshot = self._read() if is_due else None
             identity = self._ask()
             if identity is None:
                 if not self._away:
@@ -234,12 +331,23 @@ class MasterWatch:
                 for aggregator in self._aggregators:
                     aggregator.register()
             else:
-                if count % _KEEP_EACH == 0:
+                if count % _LOOK_EACH == 0:
                     self._look()
                 self._keep(snapshot)
                 if self._away:
                     rospy.loginfo("the ROS master answers again")
             self._identity, self._away = identity, False
+
+    def _warn_if_unreachable(self) -> None:
+        uri = own_address()
+        if not uri.startswith("http") or is_alive(uri) or self._closed.is_set() or rospy.is_shutdown():
+            return
+        given = ", ".join("{} is {!r}".format(name, os.environ[name]) for name in ("ROS_HOSTNAME", "ROS_IP")
+                          if name in os.environ)
+        rospy.logwarn("this node does not reach itself at %s, the address that it gives to other nodes: mostly they do "
+                      "not reach it either, and get nothing from it. %s: set ROS_IP to an address of this machine "
+                      "(hostname -I), or neither of them where all nodes run here", uri,
+                      given or "ROS_HOSTNAME and ROS_IP are not set")
 
     def _look(self) -> None:
         for aggregator in self._aggregators:
@@ -247,7 +355,7 @@ class MasterWatch:
 
     def _ask(self) -> Optional[Tuple[int, str]]:
         try:
-            return ask_master(rospy.get_name())
+            return self._connection.ask(rospy.get_name())
         except MasterAway:
             return None
 

@@ -17,7 +17,7 @@ import rosgraph
 import rospy
 from rospy.exceptions import ROSInitException
 
-from hri_pipeline.core.error_log import LogFilter
+from hri_pipeline.core.error_log import LogFilter, thread_shortage
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.parameters import ParameterError, ParameterTable, S
 from hri_pipeline.core.privacy import StoreError
@@ -88,8 +88,10 @@ def run_node(name: str, build: Callable[[], RunnableNode], parameters: Optional[
         code = _run(build, parameters)
     except _Stop:
         pass
-    except ROSInitException as error:
-        sys.stderr.write("{}: {}\n".format(name, error))
+    except (ROSInitException, RuntimeError) as error:
+        if not isinstance(error, ROSInitException) and not thread_shortage(error):
+            raise
+        sys.stderr.write("{}: {}\n".format(name, thread_shortage(error) or error))
         code = 1
     rospy.signal_shutdown("{} has ended".format(name))
     if not _stopped.is_set():
@@ -196,8 +198,10 @@ def _run(build: Callable[[], RunnableNode], parameters: OwnParameters) -> int:
         rospy.logfatal("%s", error)
         code = 1
         _wait_for_change(error)
-    except Exception:
-        rospy.logfatal("%s ends because of an error:\n%s", rospy.get_name(), traceback.format_exc())
+    except Exception as error:
+        shortage = thread_shortage(error)
+        rospy.logfatal("%s ends because of an error:%s", rospy.get_name(),
+                       " " + shortage if shortage else "\n" + traceback.format_exc())
         code = 1
     finally:
         _ignore_signals()

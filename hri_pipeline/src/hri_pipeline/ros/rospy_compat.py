@@ -2,7 +2,7 @@
 
 Checked against rospy 1.15.15. Before another version is used, this file has to be read beside its
 rospy/topics.py, rospy/msproxy.py, rospy/impl/registration.py, rospy/impl/rosout.py, rospy/impl/tcpros_base.py,
-rospy/impl/tcpros_pubsub.py and rosgraph/xmlrpc.py. Ten things:
+rospy/impl/tcpros_pubsub.py, rospy/impl/statistics.py and rosgraph/xmlrpc.py. Eleven things:
 
 - File descriptors: few for each topic, and a reserve (`resources.py`), without which rospy answers no call.
 - Release of publishers and subscribers with everything that rospy would leave open.
@@ -13,6 +13,7 @@ rospy/impl/tcpros_pubsub.py and rosgraph/xmlrpc.py. Ten things:
 - Images that are received without copies.
 - Messages of any type beside subscribers of the same process that ask for one type.
 - Throttled log lines whose time is not that of /clock, which may go back and forth.
+- The parameter /enable_statistics, which is not asked for with each topic that is subscribed to.
 - Who is connected to a topic, who has sent a message, and what this node has registered at the master.
 """
 
@@ -53,6 +54,7 @@ from rospy.impl.registration import (
     get_service_manager,
     get_topic_manager,
 )
+from rospy.impl.statistics import SubscriberStatisticsLogger
 from sensor_msgs.msg import Image
 
 from hri_pipeline.core.resources import descriptors_are_short, descriptors_status, raise_limit
@@ -60,7 +62,10 @@ from hri_pipeline.core.resources import descriptors_are_short, descriptors_statu
 _WAIT_S = 0.1
 _LOG_PERIOD_S = 30.0
 _BROKEN = select.POLLHUP | select.POLLERR | getattr(select, "POLLRDHUP", 0)
+_KEPT_ALIVE = (((socket.SOL_SOCKET, socket.SO_KEEPALIVE), 1), ((socket.IPPROTO_TCP, socket.TCP_KEEPIDLE), 2),
+               ((socket.IPPROTO_TCP, socket.TCP_KEEPINTVL), 1), ((socket.IPPROTO_TCP, socket.TCP_KEEPCNT), 3))
 _MOST_KNOWN = 100
+_STATISTICS_S = 10.0
 _REGISTER_S, _ANSWER_S = 2.0, 5.0     # most time that the master is waited for, once, and each time
 _LENGTH = struct.Struct("<I")
 
@@ -77,6 +82,8 @@ def prepare_rospy() -> None:
     rospy.core._LockedServerProxy = _ProxyWithTimeout
     rospy.topics.Poller = DescriptorFreePoller
     rospy.core._logging_throttle = WallTimeThrottle()
+    if not isinstance(SubscriberStatisticsLogger.is_enabled, StatisticsSwitch):
+        SubscriberStatisticsLogger.is_enabled = StatisticsSwitch(SubscriberStatisticsLogger.is_enabled)
     tcpros_base.TCPServer = _PatientServer
     xmlrpc.ThreadingXMLRPCServer.get_request = _get_request
     reconnect_to_returning_publishers()
@@ -100,6 +107,23 @@ class WallTimeThrottle:
             return False
         self._logged[caller_id] = now
         return True
+
+
+class StatisticsSwitch:
+    """Tells whether topics have statistics (/enable_statistics). rospy asks the master for each topic that is
+    subscribed to, which are several a second as people come and go; here its answer counts for ten seconds."""
+
+    def __init__(self, ask: Callable[[], bool], clock: Callable[[], float] = time.monotonic) -> None:
+        """ask: rospy's own question. clock: s, never jumps."""
+        self._ask, self._clock = ask, clock
+        self._answer, self._until = False, -math.inf
+
+    def __call__(self) -> bool:
+        """Return the answer, which may wait for the master."""
+        if self._clock() >= self._until:
+            self._answer = self._ask()
+            self._until = self._clock() + _STATISTICS_S
+        return self._answer
 
 
 def _log_here_only(reason: str) -> None:
@@ -220,6 +244,23 @@ class TransportWithTimeout(Transport):
         connection = super().make_connection(host)
         connection.timeout = self._patience
         return connection
+
+    def is_open(self) -> bool:
+        """Tell whether the last call has left its connection open, and the other side has not ended it since.
+
+        The system asks the other machine after 2 s of silence, and takes it for gone 3 s later.
+        """
+        kept = getattr(self._connection[1], "sock", None)
+        if kept is None:
+            return False
+        try:
+            for option, value in _KEPT_ALIVE:
+                kept.setsockopt(*option, value)
+            waiting = select.poll()
+            waiting.register(kept, select.POLLIN | _BROKEN)
+            return not waiting.poll(0)          # nothing comes that was not asked for, but its end
+        except OSError:
+            return False
 
 
 class _ProxyWithTimeout(rospy.core._LockedServerProxy):

@@ -39,9 +39,10 @@ class FaceTrackingSettings(PersonDetectorSettings):
     face_person_lead: float = parameter(
         0.0, "A new face of which the face detector is not sure (a score below 0.9) gets topics when the person "
         "detector scores a person around it by this factor as high as anything else. Asked once, and each second anew "
-        "while it is refused and moves, each three times at one place with less demand. Each costs 30 ms, the first "
-        "one 33 MB of memory (none in `vision`). Larger refuses more animals and toys, and more people who are masked, "
-        "tiny or blurred. 0: never asked.", minimum=0.0, maximum=10.0, live=True)
+        "while it is refused and moves, each three times at one place with less demand. Each costs 30 ms; 33 MB of "
+        "memory are taken at the start of the node, where this is above 0 then, else when it first asks (none in "
+        "`vision`). Larger refuses more animals and toys, and more people who are masked, tiny or blurred. 0: never "
+        "asked.", minimum=0.0, maximum=10.0, live=True)
     face_detection_period: float = parameter(
         0.3, "Time between two searches of the whole image; twice this while every face is known. Smaller finds new "
         "faces sooner and costs more. 0: every image.", unit="s", minimum=0.0, maximum=10.0, live=True)

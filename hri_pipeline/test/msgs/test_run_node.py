@@ -1,0 +1,39 @@
+"""How a node ends. Needs the message packages, no master."""
+
+from __future__ import annotations
+
+import pytest
+import rospy
+
+from hri_pipeline.core import error_log
+from hri_pipeline.ros import node
+from hri_pipeline.ros.master import OwnParameters
+
+
+@pytest.fixture
+def said(monkeypatch):
+    """What is logged as fatal."""
+    lines = []
+    monkeypatch.setattr(rospy, "logfatal", lambda text, *values: lines.append(text % values))
+    monkeypatch.setattr(rospy, "get_name", lambda: "/hri_faces")
+    monkeypatch.setattr(node, "_ignore_signals", lambda: None)
+    return lines
+
+
+def no_thread(parameters):
+    raise RuntimeError("can't start new thread")
+
+
+def test_a_node_that_gets_no_thread_names_the_limit_and_no_line_of_code(said, monkeypatch):
+    monkeypatch.setattr(error_log, "fullest_group", lambda: None)
+    monkeypatch.setattr(error_log.resource, "getrlimit", lambda which: (60, 60))
+    monkeypatch.setattr(error_log.os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(node, "MasterWatch", no_thread)
+    assert node._run(lambda: None, OwnParameters()) == 1
+    assert len(said) == 1 and "\n" not in said[0] and "60 processes and threads (ulimit -u)" in said[0]
+
+
+def test_a_node_that_ends_by_any_other_error_tells_where(said, monkeypatch):
+    monkeypatch.setattr(node, "MasterWatch", lambda parameters: 1 // 0)
+    assert node._run(lambda: None, OwnParameters()) == 1
+    assert "Traceback" in said[0] and "ZeroDivisionError" in said[0]
