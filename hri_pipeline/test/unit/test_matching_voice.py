@@ -323,6 +323,37 @@ def test_voices_and_faces_of_hours_leave_nothing_behind():
     assert len(matcher._mouths) == 1 and len(matcher._past) < 10 and matcher.voices == ["v299"]
 
 
+def heard_after_another(says_its_end):
+    """Who the second voice is, after one that has left while it spoke, as when its node has ended."""
+    matcher = make(["fa", "fb"], ["v1"])
+    matcher.on_speaking("v1", True, 0.1)
+    matcher.matches(2.0)
+    if says_its_end:
+        matcher.on_speaking("v1", False, 2.0)
+    matcher.set_tracked("voices", [])
+    matcher.set_tracked("voices", ["v2"])
+    for begin in (12.0, 15.0, 18.0):
+        matcher.on_speaking("v2", True, begin + 0.1)
+        run(matcher, begin, begin + 1.0, {"fa": moving, "fb": moving})
+        matcher.on_speaking("v2", False, begin + 1.1)
+        run(matcher, begin + 1.0, begin + 3.0, {"fa": moving, "fb": still})
+    return matcher.matches(21.0)
+
+
+def test_a_voice_that_leaves_while_it_speaks_speaks_no_more():
+    left = heard_after_another(says_its_end=False)
+    assert [(match.voice, match.id) for match in left] == [("v2", "fb")] and left == heard_after_another(True)
+
+
+def test_voices_that_leave_while_they_speak_leave_nothing_behind():
+    matcher = make()
+    for number in range(300):
+        matcher.set_tracked("voices", ["v%d" % number])
+        matcher.on_speaking("v%d" % number, True, 4.0 * number)
+        matcher.matches(4.0 * number + 0.2)
+    assert len(matcher._past) < 10
+
+
 # -- the small ones
 
 def test_who_has_left():

@@ -94,7 +94,10 @@ class VoiceMatcher:
             self._mouths = {face: track for face, track in self._mouths.items() if face in ids}
             return
         self._past = [times for times in self._past if times.last > self._now - self._settings.memory]
-        self._past += [self._voices.pop(voice).times for voice in set(self._voices) - ids]
+        for voice in set(self._voices) - ids:
+            times = self._voices.pop(voice).times
+            times.say(False, self._now)     # also of one whose node has ended while it spoke
+            self._past.append(times)
         for voice in ids - set(self._voices):
             self._voices[voice] = _Voice(SpeakingTimes(self._settings.onset_delay, self._settings.hangover))
 
