@@ -513,6 +513,8 @@ class PersonManager:
             return False        # two whom a recogniser tells apart are not one because of a body
         if owner.id != person_id:
             self._merges.report(owner.id, person_id, likelihood, now)
+        else:
+            self._table.doubt(feature, likelihood < self._threshold)
         self._update_merges(now)
         return True
 
