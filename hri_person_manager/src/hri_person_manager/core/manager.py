@@ -25,7 +25,7 @@ from hri_person_manager.core.persons import (
 )
 from hri_person_manager.core.triangulation import voice_covariance
 from hri_person_manager.core.view_groups import SensedGroup
-from hri_person_manager.core.waiting import waiting_for_matches, waiting_for_names
+from hri_person_manager.core.waiting import SINGLE_WAIT_S, waiting_for_matches, waiting_for_names
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
 
@@ -444,7 +444,8 @@ class PersonManager:
         new = self._table.unassigned
         held = waiting_for_matches(new, self._association.groups, self._places, self._association.is_refuted, now)
         held |= waiting_for_names(new, self._table.persons.values(), self._places, self._decay, now)
-        self._table.hold(self._cameras.held | held | self._places.single(new), due)
+        held |= self._places.single(node for node, since in new.items() if now - since <= SINGLE_WAIT_S)
+        self._table.hold(self._cameras.held | held, due)
 
     def _owner_id(self, feature: MatchNode) -> str:
         owner = self._table.owner(feature)
