@@ -137,6 +137,13 @@ def test_a_mouth_keeps_its_samples_bounded_and_in_order():
 
 # -- when a voice spoke
 
+def test_one_wrong_stamp_of_the_future_does_not_end_a_mouth():
+    matcher = make(["fa"], ["v1"])
+    matcher.add_mouth("fa", 1000.0, 0.5, 0.9)
+    matcher.on_speaking("v1", True, 0.1)
+    assert run(matcher, 0.1, 3.0, {"fa": moving})[-1][1] == {"v1": (FACE, "fa")}
+
+
 def test_speaking_times_take_the_delays_off_and_bridge_pauses():
     times = SpeakingTimes(0.1, 0.2)
     assert times.say(True, 1.1) and not times.say(True, 1.2)
