@@ -537,6 +537,18 @@ def test_the_ids_of_a_union_survive_a_restart():
     assert list(room.manager.anonymous()) == list(first)
 
 
+@pytest.mark.parametrize("before, after", [(0.3, 6.0), (4.0, 6.0)])
+def test_one_wrong_stamp_of_the_future_ends_nothing(before, after):
+    """As of the first image of a camera whose driver takes another clock."""
+    room = Room(OVERLAPPING)
+    room.run(before, standing(3.0))
+    room.manager.on_place(PlaceSource.FACE, room.face("left", 0), Place(
+        "map", Pose(np.eye(3), np.array([3.0, 0.0, 1.6])), room.now + 1000.0, origin=room._origin("left")), room.now,
+        "left")
+    assert len(room.run(after, standing(3.0))) == 1
+    assert len(room.run(6.0, standing(2.5), standing(3.5))) == 2
+
+
 def test_what_is_kept_is_bounded():
     room = Room(OVERLAPPING, half_life=0.1)
     for _ in range(12):

@@ -124,3 +124,19 @@ def test_bodies_that_begin_anew_beside_their_old_ids_make_no_more_persons(period
             owners.setdefault(number, set()).add(crowd.manager.person_of(MatchNode(Kind.FACE, "f%d" % number)))
     assert crowd.most == 6 and crowd.wrong == 0
     assert all(len(persons) == 1 for persons in owners.values())
+
+
+def test_who_was_placed_once_and_late_is_somebody_in_the_end():
+    manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({}))
+    early, late = MatchNode(Kind.FACE, "early"), MatchNode(Kind.BODY, "late")
+    for number in range(300):
+        now = 100.0 + 0.1 * number
+        for node, source, x, stamp in [(early, PlaceSource.FACE, 0.0, now)] + [
+                (late, PlaceSource.HEAD, 3.0, now - 2.0)] * (number == 2):
+            manager.on_tracked(node.kind, [node.id], now)
+            manager.on_place(source, node.id, Place("camera", Pose(np.eye(3), np.array([x, 0.0, 2.0])), stamp), now,
+                             "camera")
+        manager.tick(now)
+        if number == 100:
+            assert manager.person_of(early) and not manager.person_of(late), "a newer image may show nobody"
+    assert manager.person_of(late)

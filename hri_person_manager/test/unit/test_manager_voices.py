@@ -166,6 +166,39 @@ def test_a_voice_by_its_direction_goes_to_the_body_of_a_person_without_a_person_
     assert people(manager, 6.0) == {A1: ("", "b1", ""), A2: ("", "", "v1")}
 
 
+@pytest.mark.parametrize("known", [False, True])
+def test_a_voice_that_is_taken_back_from_who_is_lost_makes_nobody_else_of_who_was_seen_before(known):
+    manager = make()
+    see(manager, 0.0, faces=["f1", "f2"])
+    if known:
+        match(manager, "f2", "p:ann", 0.9, 0.1)
+    manager.on_place(PlaceSource.FACE, "f1", place(1.0, 0.0), 0.0)
+    manager.tick(1.0)
+    see(manager, 2.0, faces=["f2"], voices=["v1"])
+    match(manager, "v1", "p:" + A1, 0.7, 2.1)
+    other = "ann" if known else A2
+    assert people(manager, 2.1) == {A1: ("", "", "v1"), other: ("f2", "", "")}
+    match(manager, "v1", "p:" + A1, 0.0, 3.0)
+    match(manager, "v1", "f2", 0.9, 3.0)
+    manager.tick(3.1)
+    assert people(manager, 3.1) == {A1: ("", "", ""), other: ("f2", "", "v1")}
+    assert manager.snapshot(3.1).tracked == (other,)
+
+
+def test_the_face_of_somebody_lost_who_spoke_on_is_the_same_person():
+    manager = make()
+    see(manager, 0.0, faces=["f1"])
+    manager.on_place(PlaceSource.FACE, "f1", place(1.0, 0.0), 0.0)
+    manager.tick(1.0)
+    see(manager, 2.0, voices=["v1"])
+    match(manager, "v1", "p:" + A1, 0.7, 2.1)
+    see(manager, 3.0, faces=["f2"], voices=["v1"])
+    manager.tick(6.0)
+    match(manager, "v1", "p:" + A1, 0.0, 6.1)
+    match(manager, "v1", "f2", 0.9, 6.1)
+    assert people(manager, 6.1) == {A1: ("f2", "", "v1")}
+
+
 def test_who_only_speaks_is_somebody_new_the_next_time():
     manager = make()
     see(manager, 0.0, voices=["v1"])

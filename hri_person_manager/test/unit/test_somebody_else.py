@@ -216,6 +216,17 @@ def test_a_name_from_before_a_restart_yields_to_what_a_recogniser_says(likelihoo
     assert picture.tracked == {"bob"} and not picture.manager.merges
 
 
+def test_a_name_from_before_a_restart_yields_to_one_that_counts_since_the_threshold_is_lower():
+    picture = Picture()
+    picture.manager.recall({"ann": [HER]}, picture.now)
+    picture.show(1.0, ["f1"], [])
+    picture.say(HER, BOB, 0.4)
+    picture.manager.reconfigure(PERSON_MANAGER_PARAMETERS.resolve({"match_threshold": 0.3}), picture.now)
+    assert picture.tracked == {"ann"}
+    picture.say(HER, BOB, 0.4)
+    assert picture.tracked == {"bob"}
+
+
 def test_a_name_from_before_a_restart_stays_when_the_recogniser_says_it_again():
     picture = Picture()
     picture.manager.recall({"ann": [HER]}, picture.now)

@@ -1,6 +1,8 @@
 """The client for people: what a user's callbacks do to it."""
 
 import logging
+import threading
+from types import SimpleNamespace
 
 import pytest
 
@@ -47,3 +49,47 @@ def test_a_callback_that_fails_for_each_message_hides_no_other_error(now, caplog
             if number == 45:
                 seldom(number)
     assert [record.getMessage().split(": ")[1] for record in caplog.records] == ["KeyError", "ValueError", "TypeError"]
+
+
+@pytest.fixture
+def persons(monkeypatch):
+    """The persons of a client whose tracked lists are given by _on_tracked()."""
+    monkeypatch.setattr(humans, "IdSubscribers", lambda *args, **options: SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr(humans, "LazyTopic", lambda *args: SimpleNamespace(close=lambda: None))
+    tracked = humans._Tracked(humans.Person, SimpleNamespace(
+        patience=0.0, frames=SimpleNamespace(forget=lambda identity: None)))
+    yield tracked
+    tracked.close()
+
+
+def test_nobody_leaves_before_they_have_come(persons):
+    told, has_left = [], threading.Event()
+
+    def came(person):
+        told.append(("came", person.id))
+        if person.id == "ann":          # as one that asks for a name, and waits for it
+            persons._on_tracked([])
+            has_left.wait(0.3)
+
+    def left(person):
+        told.append(("left", person.id))
+        has_left.set()
+    persons._on_tracked(["ann", "bob"])
+    persons.listen(came, left)
+    assert has_left.wait(10.0)
+    end = threading.Event()
+    persons._calls.add(end.set)
+    assert end.wait(10.0)
+    assert told == [("came", "ann"), ("came", "bob"), ("left", "ann"), ("left", "bob")]
+    assert persons.present() == {}
+
+
+def test_who_listens_in_a_callback_is_told_of_those_who_are_there(persons):
+    told, end = [], threading.Event()
+
+    def came(person):
+        persons.listen(lambda other: told.append(other.id), None)
+        end.set()
+    persons.listen(came, None)
+    persons._on_tracked(["ann"])
+    assert end.wait(10.0) and told == ["ann"]

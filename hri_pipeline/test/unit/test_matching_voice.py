@@ -137,6 +137,13 @@ def test_a_mouth_keeps_its_samples_bounded_and_in_order():
 
 # -- when a voice spoke
 
+def test_one_wrong_stamp_of_the_future_does_not_end_a_mouth():
+    matcher = make(["fa"], ["v1"])
+    matcher.add_mouth("fa", 1000.0, 0.5, 0.9)
+    matcher.on_speaking("v1", True, 0.1)
+    assert run(matcher, 0.1, 3.0, {"fa": moving})[-1][1] == {"v1": (FACE, "fa")}
+
+
 def test_speaking_times_take_the_delays_off_and_bridge_pauses():
     times = SpeakingTimes(0.1, 0.2)
     assert times.say(True, 1.1) and not times.say(True, 1.2)
@@ -321,6 +328,37 @@ def test_voices_and_faces_of_hours_leave_nothing_behind():
         matcher.matches(now + 0.2)
         matcher.on_speaking(voice, False, now + 1.0)
     assert len(matcher._mouths) == 1 and len(matcher._past) < 10 and matcher.voices == ["v299"]
+
+
+def heard_after_another(says_its_end):
+    """Who the second voice is, after one that has left while it spoke, as when its node has ended."""
+    matcher = make(["fa", "fb"], ["v1"])
+    matcher.on_speaking("v1", True, 0.1)
+    matcher.matches(2.0)
+    if says_its_end:
+        matcher.on_speaking("v1", False, 2.0)
+    matcher.set_tracked("voices", [])
+    matcher.set_tracked("voices", ["v2"])
+    for begin in (12.0, 15.0, 18.0):
+        matcher.on_speaking("v2", True, begin + 0.1)
+        run(matcher, begin, begin + 1.0, {"fa": moving, "fb": moving})
+        matcher.on_speaking("v2", False, begin + 1.1)
+        run(matcher, begin + 1.0, begin + 3.0, {"fa": moving, "fb": still})
+    return matcher.matches(21.0)
+
+
+def test_a_voice_that_leaves_while_it_speaks_speaks_no_more():
+    left = heard_after_another(says_its_end=False)
+    assert [(match.voice, match.id) for match in left] == [("v2", "fb")] and left == heard_after_another(True)
+
+
+def test_voices_that_leave_while_they_speak_leave_nothing_behind():
+    matcher = make()
+    for number in range(300):
+        matcher.set_tracked("voices", ["v%d" % number])
+        matcher.on_speaking("v%d" % number, True, 4.0 * number)
+        matcher.matches(4.0 * number + 0.2)
+    assert len(matcher._past) < 10
 
 
 # -- the small ones

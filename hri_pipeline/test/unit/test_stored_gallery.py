@@ -220,6 +220,34 @@ def test_old_views_do_not_come_back_for_somebody_who_is_learnt_anew(store, other
     assert np.array_equal(store.load_templates("net", SIZE)[0].templates, face(7)[None])
 
 
+def test_who_is_known_for_longest_stays_so_when_another_process_learns(store, other):
+    first, second = gallery(store), gallery(other)
+    first.add_person("anna", face(1)[None])
+    first.add_person("anni", face(1, 0.25)[None])
+    first.flush()
+    second.flush()
+    before = second.match(face(1, 0.1)[None])[0]
+    first.add_template("anna", face(1, 0.3))
+    first.flush()
+    second.flush()
+    after = second.match(face(1, 0.1)[None])[0]
+    assert second.ids() == first.ids() == ["anna", "anni"] and len(second.export("anna").templates) == 2
+    assert before.same == after.same == (("anna", "anni"),) and after.candidates[0].person_id == "anna"
+
+
+def test_that_two_are_apart_is_not_lost_when_another_process_learns(store, other):
+    first, second = gallery(store), gallery(other)
+    first.add_person("anna", face(1)[None])
+    first.add_person("bert", face(2)[None])
+    first.flush()
+    second.flush()
+    first.add_template("anna", face(1, 0.3))
+    first.flush()
+    second.keep_apart("anna", "bert")
+    second.flush()
+    assert second.are_apart("anna", "bert") and store.load_apart() == {frozenset(("anna", "bert"))}
+
+
 def test_a_gallery_without_room_takes_nothing_from_the_others(store, other):
     first, second = gallery(store), gallery(other, max_persons=1)
     first.add_person("anna", face(1)[None])

@@ -15,6 +15,7 @@ from typing import Callable, Container, Dict, FrozenSet, Iterable, List, Mapping
 import numpy as np
 
 from hri_person_manager.core.features import MatchNode
+from hri_person_manager.core.sensors import LONGEST_LAG_S
 from hri_person_manager.core.triangulation import (
     CHANGED,
     FIXED_VARIANCE,
@@ -90,6 +91,7 @@ class CrossCamera:
         self._groups = ViewGroups()
         self._told: Set[FrozenSet[str]] = set()
         self._newest = -math.inf
+        self._newest_of: Dict[Tuple[str, int], float] = {}      # by sensor and source
         self._before: Dict[FrozenSet[str], None] = {}
         """Links from before a jump of time, until both persons are placed anew, or for FRESH_S."""
         self._jumped = math.inf
@@ -123,7 +125,11 @@ class CrossCamera:
         if track is None:
             return
         track.add(source, position, covariance, origin, stamp)
-        self._newest = max(self._newest, stamp)
+        newest = self._newest_of.get((sensor, source), stamp)
+        # What is older by more than any lag tells that the newest stamp was wrong, or that its clock was set.
+        self._newest_of[sensor, source] = stamp if stamp < newest - LONGEST_LAG_S else max(newest, stamp)
+        if stamp > self._newest or stamp < newest - LONGEST_LAG_S:
+            self._newest = max(self._newest_of.values())
 
     def add_appearance(self, body: MatchNode, appearance: np.ndarray) -> None:
         """Take the colours (5, B) of the clothes of a body that has been placed."""

@@ -25,7 +25,7 @@ from hri_person_manager.core.persons import (
 )
 from hri_person_manager.core.triangulation import voice_covariance
 from hri_person_manager.core.view_groups import SensedGroup
-from hri_person_manager.core.waiting import waiting_for_matches, waiting_for_names
+from hri_person_manager.core.waiting import SINGLE_WAIT_S, waiting_for_matches, waiting_for_names
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
 
@@ -140,7 +140,7 @@ class PersonManager:
                 if node.kind == Kind.PERSON and not node.id.startswith(ANONYMOUS_PREFIX):
                     self._remember(node.id)
         self._association.refute(match, now)
-        self._note_name(match, sender)
+        renamed = self._note_name(match, sender)
         if nodes[0].kind == nodes[1].kind == Kind.PERSON:
             changed = self._merges.report(nodes[0].id, nodes[1].id, match.likelihood, now)
             return self._update_merges(now) and changed
@@ -161,7 +161,8 @@ class PersonManager:
             changed = self._association.solve(nodes)
         if changed:
             self._limit.note(keys, now)
-        if self._end_inferred(nodes) or arrived or changed or (worth and Kind.VOICE in {node.kind for node in nodes}):
+        if self._end_inferred(nodes) or renamed or arrived or changed or (
+                worth and Kind.VOICE in {node.kind for node in nodes}):
             self._associate(now)
             return True
         return False
@@ -443,7 +444,8 @@ class PersonManager:
         new = self._table.unassigned
         held = waiting_for_matches(new, self._association.groups, self._places, self._association.is_refuted, now)
         held |= waiting_for_names(new, self._table.persons.values(), self._places, self._decay, now)
-        self._table.hold(self._cameras.held | held | self._places.single(new), due)
+        held |= self._places.single(node for node, since in new.items() if now - since <= SINGLE_WAIT_S)
+        self._table.hold(self._cameras.held | held, due)
 
     def _owner_id(self, feature: MatchNode) -> str:
         owner = self._table.owner(feature)
@@ -469,9 +471,10 @@ class PersonManager:
                                       frozenset(doubted)))
         return groups
 
-    def _note_name(self, match: CandidateMatch, sender: str) -> None:
-        """Note who says which name of a feature. A name from before a restart ends with the first one that is
-        said."""
+    def _note_name(self, match: CandidateMatch, sender: str) -> bool:
+        """Note who says which name of a feature. A name from before a restart ends with the first one that is said;
+        returns whether a group has changed by that."""
+        changed = False
         for feature, person in ((match.first, match.second), (match.second, match.first)):
             if person.kind == Kind.PERSON != feature.kind and not person.id.startswith(ANONYMOUS_PREFIX):
                 likelihood = match.likelihood if match.likelihood >= self._threshold else 0.0
@@ -479,12 +482,13 @@ class PersonManager:
                 if recalled != person.id:
                     before = MatchNode(Kind.PERSON, recalled)
                     self._association.add(CandidateMatch(feature, before, 0.0))
-                    self._association.solve((feature, before))
+                    changed |= self._association.solve((feature, before))
                 if sender:
                     self._said.note(sender, feature, person.id, likelihood)
                 if sender and likelihood > 0.0:
                     self._cameras.note_name(person.id, sender)
                     self._known.note_name(person.id, sender)
+        return changed
 
     def _match_anonymous(self, feature: MatchNode, person_id: str, likelihood: float, now: float) -> bool:
         """Take a match with an anonymous person: one without features gets this feature, else the owner of the feature
@@ -513,6 +517,8 @@ class PersonManager:
             return False        # two whom a recogniser tells apart are not one because of a body
         if owner.id != person_id:
             self._merges.report(owner.id, person_id, likelihood, now)
+        else:
+            self._table.doubt(feature, likelihood < self._threshold)
         self._update_merges(now)
         return True
 

@@ -38,7 +38,8 @@ Group = FrozenSet[MatchNode]
 class PersonEntry:
     """One person: `number` counts in order of appearance, `lost_at` is the time (s) the last feature left.
 
-    `features` maps each feature to the time (s) since when it belongs to this person.
+    `features` maps each feature to the time (s) since when it belongs to this person; `doubted` are those of which it
+    was said since that they do not.
     """
 
     id: str
@@ -47,6 +48,7 @@ class PersonEntry:
     location: PersonLocation
     features: Dict[MatchNode, float] = field(default_factory=dict)
     lost_at: Optional[float] = None
+    doubted: Set[MatchNode] = field(default_factory=set)
 
     def feature(self, kind: Kind) -> str:
         """Return the id of this person's feature of one kind, empty if there is none."""
@@ -101,6 +103,12 @@ class PersonTable:
         """Assign a feature without a person, in the next associate(), to an anonymous person that has lost all
         features."""
         self._expected[feature] = person_id
+
+    def doubt(self, feature: MatchNode, is_doubted: bool) -> None:
+        """Note whether the owner of a feature still is who a match gave it to: else it goes, alone, to whoever has been
+        seen for longer when they turn out to be of one human."""
+        owner = self._of_feature[feature]
+        (owner.doubted.add if is_doubted else owner.doubted.discard)(feature)
 
     def hold(self, held: FrozenSet[MatchNode], due: FrozenSet[MatchNode]) -> None:
         """Make no anonymous person of the features `held`, however long they wait; make one of those `due` at once."""
@@ -172,14 +180,20 @@ class PersonTable:
         for person in sorted(self.persons.values(), key=lambda item: item.number):
             if not person.anonymous:
                 continue
-            own = sorted({group_of[node] for node in person.features if node in group_of},
-                         key=lambda group: _preference(person, group))
+            own = sorted({group_of[node] for node in person.features if node in group_of and not (
+                node in person.doubted and self._is_of_another(node, person, group_of[node]))},
+                key=lambda group: _preference(person, group))
             free = [group for group in own if group not in owners]
             if free:
                 owners[free[0]] = person
             elif own:
                 merged.append((person, owners[own[0]]))
         return merged
+
+    def _is_of_another(self, feature: MatchNode, person: PersonEntry, group: Group) -> bool:
+        """Tell whether a group holds what has been seen of another person since before this one had the feature."""
+        return any(owner is not person and node.kind != Kind.VOICE and owner.features[node] <= person.features[feature]
+                   for node, owner in ((node, self._of_feature.get(node)) for node in group) if owner is not None)
 
     def _restore_aliases(self, owners: Dict[Group, PersonEntry], nameless: List[Group]) -> None:
         for alias_id, alias in sorted(self.aliases.items(), key=lambda item: item[1].person.number):
@@ -227,6 +241,7 @@ class PersonTable:
             if not held and person.features:
                 person.lost_at = now
             person.features = held
+            person.doubted &= held.keys()
             for node in held:
                 self._of_feature[node] = person
 

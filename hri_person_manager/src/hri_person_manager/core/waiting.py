@@ -22,6 +22,7 @@ MATCH_WAIT_S = 5.0            # for which a body at the place of a face that has
 PLACE_WAIT_S = 1.5            # for which one without a place yet waits beside a face, or body, that has one
 PARTED_WAIT_S = 2.5           # for which a body waits whose face has got another one: mostly there is nobody
 RETURN_WAIT_S = 1.5           # for which one where somebody was lost waits to be recognised
+SINGLE_WAIT_S = 15.0          # for which one that a single old image has placed waits for a newer one
 MATCH_GATE = 9.0              # squared Mahalanobis distance up to which they are at one place
 
 

@@ -507,17 +507,21 @@ class _Tracked(Generic[Kind]):
             return dict(self._people)
 
     def listen(self, came: Optional[Callable[[Kind], None]], left: Optional[Callable[[Kind], None]]) -> None:
-        """Call these from now on; `came` at once for those who are there."""
+        """Call these from now on; `came` at once for those who are there, before anything else is told of them."""
+        told = threading.Event()
         guarded = None if came is None else _guarded(came)
         with self._lock:
             there = list(self._people.values())
             if guarded is not None:
-                self._came.append(guarded)
+                self._came.append(_after(told, guarded))
             if left is not None:
-                self._left.append(_guarded(left))
-        if guarded is not None:
-            for human in there:
-                guarded(human)
+                self._left.append(_after(told, _guarded(left)))
+        try:
+            if guarded is not None:
+                for human in there:
+                    guarded(human)
+        finally:
+            told.set()
 
     def close(self) -> None:
         """Forget everybody. Idempotent."""
@@ -544,6 +548,14 @@ class _Tracked(Generic[Kind]):
         for human in arrived:
             for call in came:
                 self._calls.add(partial(call, human))
+
+
+def _after(event: threading.Event, call: Callable[[Any], None]) -> Callable[[Any], None]:
+    """The same function, which waits for an event first."""
+    def waiting(value: Any) -> None:
+        event.wait()
+        call(value)
+    return waiting
 
 
 def _guarded(call: Callable[[Any], None]) -> Callable[[Any], None]:

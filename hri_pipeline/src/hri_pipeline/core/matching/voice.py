@@ -94,7 +94,10 @@ class VoiceMatcher:
             self._mouths = {face: track for face, track in self._mouths.items() if face in ids}
             return
         self._past = [times for times in self._past if times.last > self._now - self._settings.memory]
-        self._past += [self._voices.pop(voice).times for voice in set(self._voices) - ids]
+        for voice in set(self._voices) - ids:
+            times = self._voices.pop(voice).times
+            times.say(False, self._now)     # also of one whose node has ended while it spoke
+            self._past.append(times)
         for voice in ids - set(self._voices):
             self._voices[voice] = _Voice(SpeakingTimes(self._settings.onset_delay, self._settings.hangover))
 
@@ -405,7 +408,7 @@ class MouthTrack:
 
     def __init__(self) -> None:
         self._samples = np.empty((_CAPACITY, 3))
-        self._count = 0
+        self._count = self._older = 0
 
     @property
     def newest(self) -> float:
@@ -414,7 +417,10 @@ class MouthTrack:
 
     def add(self, stamp: float, opening: float, weight: float) -> None:
         """Take the opening (0..1) in the image of time `stamp` (s); one that is not newer, or without weight, is left
-        out."""
+        out. Several that are much older tell that the newest one was wrong: the mouth begins anew."""
+        self._older = self._older + 1 if stamp < self.newest - KEEP_S else 0
+        if self._older >= MIN_SAMPLES:
+            self._count = self._older = 0
         if weight <= 0.0 or stamp <= self.newest:
             return
         if self._count == _CAPACITY:

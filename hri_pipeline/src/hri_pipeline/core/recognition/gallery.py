@@ -87,10 +87,7 @@ class MemoryGallery:
             row = self._row[person_id] = len(self._ids)
             self._make_room(row + 1)
             self._ids.append(person_id)
-            self._templates[row], self._count[row], self._enrolled[row] = 0.0, 0, enrolled
-            for template in templates:
-                self._place(row, template)
-            self._changed()
+            self._fill(row, templates, enrolled)
 
     def borrow(self, people: Sequence[KnownPerson], source: str) -> None:
         """Know these people, too, of whom nothing is learnt, kept or changed here: those of the read-only store
@@ -275,6 +272,13 @@ class MemoryGallery:
             values[last] = 0
         del self._ids[row]
         self._row = {name: index for index, name in enumerate(self._ids)}
+
+    def _fill(self, row: int, templates: np.ndarray, enrolled: bool) -> None:
+        """Let the person in a row have these templates (K, D), and no others."""
+        self._templates[row], self._count[row], self._enrolled[row] = 0.0, 0, enrolled
+        for template in templates:
+            self._place(row, template)
+        self._changed()
 
     def _changed(self) -> None:
         self.revision += 1

@@ -179,10 +179,15 @@ class StoredGallery(MemoryGallery):
                 if before is None or before.enrolled != person.enrolled:
                     self.enrol(person.id, person.enrolled)
                 return True
-        super().remove(person.id)
+        if before is not None and not _has_same_first_template(before, person):
+            super().remove(person.id)       # somebody else by now
         try:
-            self.add_person(person.id, person.templates, person.enrolled)
+            if person.id in self:       # who is known for longest stays so
+                self._fill(self._row[person.id], self._checked(person.templates), person.enrolled)
+            else:
+                self.add_person(person.id, person.templates, person.enrolled)
         except GalleryError:
+            super().remove(person.id)
             return False
         return True
 
