@@ -157,8 +157,8 @@ class FaceGeometry:
         scale, scale_sd = face.scale.estimate(stamp)
         translation = face.pose.translation.copy()
         if not found.measured:
-            shift = (found.mesh - face.mesh)[0, :2]
-            translation[:2] += shift * translation[2] / np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
+            before, now = camera.normalise(np.stack([face.mesh[0, :2], found.mesh[0, :2]]))
+            translation[:2] += (now - before) * translation[2]
         return Pose(face.pose.rotation, scale * translation), scale, scale_sd
 
 
