@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks import labels as eyes
 from benchmarks.labels import images, nearest_face, read_labels
+from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.action_units import MIRROR, ActionUnitEstimator, FaceMeasures
 from hri_pipeline.core.faces.age_gender import AgeGenderFusion, load_age_gender
 from hri_pipeline.core.faces.detector import FaceDetector
@@ -16,6 +17,8 @@ from hri_pipeline.core.faces.expression import CATEGORIES, ExpressionModel, Expr
 from hri_pipeline.core.faces.mesh import FaceMesh, load_canonical_face, roi_from_detection, roi_from_mesh
 from hri_pipeline.core.onnx import ModelError, OnnxModel, models_directory
 
+HFOV = 0.9
+"""Guess (rad): not known of pictures."""
 LARGEST = 1600
 """Larger pictures are halved, small ones get a rim: the detector is made for faces that do not fill the image."""
 
@@ -75,7 +78,7 @@ def labelled_faces(finder, labels):
 
 
 def units_of(measures, image, presence, mesh):
-    return ActionUnitEstimator(measures).update(mesh, None, 0.0, presence, (image.shape[1], image.shape[0]))
+    return ActionUnitEstimator(measures).update(mesh, None, 0.0, presence, CameraModel.from_fov(*image.shape[1::-1], HFOV))
 
 
 def test_the_mirror_table_mirrors_the_canonical_face():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hri_pipeline.core.camera import Calibration, CameraModel
 from hri_pipeline.core.faces.action_units import (
     ACTION_UNITS,
     MAX_DEVIATION,
@@ -271,6 +272,38 @@ def test_the_neutral_never_leaves_the_range_of_people():
     assert MAX_DEVIATION <= 3.0
 
 
+PICTURE = CameraModel.from_fov(1280, 720, 0.9)
+CAMERAS = {
+    "wide": CameraModel.from_fov(1280, 720, 2.0),
+    "lens": CameraModel(1280, 720, np.array([[700.0, 0, 640], [0, 700.0, 360], [0, 0, 1]]),
+                        np.array([-0.3, 0.1, 0.0, 0.0, 0.0]), "plumb_bob", Calibration.CALIBRATED),
+    "fisheye": CameraModel(1280, 720, np.array([[500.0, 0, 640], [0, 500.0, 360], [0, 0, 1]]), np.zeros(4),
+                           "equidistant", Calibration.CALIBRATED)}
+
+
+def taken_by(camera, points, aside):
+    """The mesh (478, 3) px of points (mm) 1 m away that turn with the way to them: degrees about x, and y; depths as
+    the network gives them, in the scale of what it sees."""
+    turn = Rotation.from_euler("xyz", (*aside, 0.0), degrees=True).as_matrix()
+    around = points - points[list(RIGID)].mean(axis=0)
+    mesh = around.copy()
+    mesh[:, :2] = camera.project((around / 1000.0 + (0.0, 0.0, 1.0)) @ turn.T)
+    used = [*MIRROR, *MIRROR.values()]
+    mesh[:, 2] *= np.sqrt(mesh[used, :2].var(axis=0).sum() / around[used, :2].var(axis=0).sum())
+    return mesh
+
+
+@pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
+@pytest.mark.parametrize("aside", [(0, 38), (0, -25), (20, -30)])
+@pytest.mark.parametrize("code", [9, 12, 26, 45])
+def test_a_unit_does_not_depend_on_the_place_in_the_image(camera, aside, code):
+    for points in FACE, deformed(code):
+        ahead, found = (settled().update(taken_by(camera, points, place), None, 20.0, 1.0, camera).intensity
+                        for place in ((0, 0), aside))
+        units = [*(unit.code for unit in ACTION_UNITS), 45]
+        assert found[units] == pytest.approx(ahead[units], abs=0.1)
+
+
 def test_confidence_falls_with_size_turn_and_presence():
     def confidence(turn=0.0, size=120.0, presence=1.0):
         return settled().update(seen(FACE, (turn, 0, 0), size), None, 20.0, presence).confidence[12]
@@ -283,17 +316,25 @@ def test_confidence_falls_with_size_turn_and_presence():
 
 
 def test_what_cannot_be_seen_has_its_code_and_no_confidence():
-    whole = settled().update(seen(FACE), None, 20.0, 1.0, (1280, 720))
+    whole = settled().update(seen(FACE), None, 20.0, 1.0, PICTURE)
     assert (whole.intensity[70:74] == 0.0).all() and (whole.confidence[70:74] == 1.0).all()
-    upper_cut = settled().update(seen(FACE, place=(640.0, 30.0)), None, 20.0, 1.0, (1280, 720))
+    upper_cut = settled().update(seen(FACE, place=(640.0, 30.0)), None, 20.0, 1.0, PICTURE)
     assert upper_cut.intensity[70] == 1.0 and upper_cut.intensity[72] == 0.0 and upper_cut.intensity[73] == 0.0
     assert upper_cut.confidence[1] == upper_cut.confidence[2] == 0.0 < upper_cut.confidence[26]
-    lower_cut = settled().update(seen(FACE, place=(640.0, 700.0)), None, 20.0, 1.0, (1280, 720))
+    lower_cut = settled().update(seen(FACE, place=(640.0, 700.0)), None, 20.0, 1.0, PICTURE)
     assert lower_cut.intensity[72] == 1.0 and lower_cut.intensity[70] == 0.0
     assert lower_cut.confidence[[12, 15, 25, 26]].max() == 0.0 < lower_cut.confidence[1]
     turned = settled().update(seen(FACE, (85, 0, 0)), None, 20.0)
     assert (turned.intensity[70:74] == 1.0).all()
     assert turned.confidence[[unit.code for unit in ACTION_UNITS]].max() == 0.0
+
+
+def test_what_no_lens_has_seen_is_no_error():
+    lens = CameraModel(1280, 720, PICTURE.matrix, np.array([9.0, -90.0, 0.0, 0.0, 900.0]), "plumb_bob",
+                       Calibration.CALIBRATED)
+    for place in ((640.0, 360.0), (-900.0, 30.0), (1e5, -1e5)):
+        units = settled().update(seen(FACE, place=place), None, 20.0, 1.0, lens)
+        assert np.isfinite(units.intensity).all() and np.isfinite(units.confidence).all()
 
 
 @pytest.mark.parametrize("mesh", [np.full((478, 3), np.nan), np.zeros((478, 3)),

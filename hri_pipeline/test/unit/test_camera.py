@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
 
@@ -121,6 +122,20 @@ def test_without_distortion_it_projects_as_with_a_little():
     plain, bent = (CameraModel(640, 480, np.array(matrix), np.array(distortion), "plumb_bob", Calibration.CALIBRATED)
                    for distortion in ([], [1e-12, 0.0, 0.0, 0.0]))
     assert plain.project(places) == pytest.approx(bent.project(places), abs=1e-6)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("aside", [(0.0, 0.0), (0.0, 25.0), (-12.0, -20.0)])
+def test_what_is_seen_aside_looks_as_it_does_to_a_camera_that_faces_it(model, aside):
+    lens, pinhole = camera(model), CameraModel.from_fov(640, 480, 1.0)
+    things = np.random.RandomState(1).uniform(-0.1, 0.1, (50, 3)) + (0.0, 0.0, 1.0)
+    turn = Rotation.from_euler("xy", aside, degrees=True).as_matrix()
+    seen, ahead = lens.facing(lens.project(things @ turn.T)), pinhole.facing(pinhole.project(things))
+    ahead *= np.sqrt(K[0] * K[4]) / pinhole.matrix[0, 0]
+    # They may be turned about the line of sight.
+    assert np.linalg.norm(seen[:, None] - seen, axis=2) == pytest.approx(
+        np.linalg.norm(ahead[:, None] - ahead, axis=2), abs=0.1)
+    assert np.abs(seen.mean(axis=0)).max() < 1.0
 
 
 def test_no_points_and_points_behind():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.camera import Calibration, CameraModel
 from hri_pipeline.core.faces.gaze import (
     EYE_BACK,
     EYE_OUT,
@@ -21,6 +21,7 @@ from hri_pipeline.core.faces.gaze import (
     closedness,
     gaze_frame,
 )
+from hri_pipeline.core.faces.head_pose import IRIS_BIAS, scale_from_iris
 from hri_pipeline.core.faces.mesh import EYE_BLINK, LOOK_DOWN, LOOK_IN, LOOK_OUT, CanonicalFace
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import GazeEstimate
@@ -135,6 +136,30 @@ def test_the_gaze_of_a_face_of_13_to_30_px_is_that_of_its_head_and_says_so(width
     assert gaze.direction == pytest.approx(pose.rotation[:, 0]) and gaze.eyes_closed < OPEN
 
 
+WIDE = CameraModel.from_fov(1280, 720, 2.0)
+FISHEYE = CameraModel(1280, 720, np.array([[500.0, 0, 640], [0, 500.0, 360], [0, 0, 1]]), np.zeros(4), "equidistant",
+                      Calibration.CALIBRATED)
+
+
+@pytest.mark.parametrize("camera", [WIDE, FISHEYE], ids=["wide", "fisheye"])
+@pytest.mark.parametrize("aside", [0.0, 25.0, -45.0])
+def test_irises_tell_the_same_size_of_a_head_wherever_in_the_image_it_is(camera, aside):
+    # Who turns to the camera, 25 cm away: the same head and eyes, turned about the camera.
+    turn = Rotation.from_euler("y", aside, degrees=True).as_matrix()
+    ahead = pose_of(place=(0.0, 0.0, 0.25))
+    pose = Pose(turn @ ahead.rotation, turn @ ahead.translation)
+    corners = np.array([[CORNERS[33], CORNERS[133]], [CORNERS[263], CORNERS[362]]]).mean(axis=1)
+    eyes = pose.compose(head().face_frame().inverse()).apply(corners)
+    rims = 0.5 * 0.0117 * np.array([(0.0, 0, 0), (1, 0, 0), (0, -1, 0), (-1, 0, 0), (0, 1, 0)]) @ turn.T
+    mesh = np.zeros((478, 3))
+    mesh[:468, :2] = camera.project(pose.compose(head().face_frame().inverse()).apply(head().vertices))
+    mesh[468:, :2] = camera.project(np.concatenate([eye + rims for eye in eyes]))
+    measured = EyeGeometry(head())
+    found = measured.measure(mesh[None], pose.rotation[None], pose.translation[None], camera)
+    scale = scale_from_iris(found.irises[0], found.iris_angles[0], pose, measured, 1.0)
+    assert scale * IRIS_BIAS == pytest.approx(1.0, abs=0.01)
+
+
 def test_eyes_turn_only_so_far_in_their_head():
     pose = pose_of()
     gaze = estimator().estimate(mesh_of(pose, towards(75, 0)), pose, CAMERA)
@@ -144,8 +169,8 @@ def test_eyes_turn_only_so_far_in_their_head():
 def test_several_faces_at_once_are_the_same_as_one_by_one():
     poses = [pose_of(10, 5, 0), pose_of(-30, 0, 20, (0.3, 0.1, 1.2)), pose_of(60, 0, 0)]
     meshes = [mesh_of(pose, towards(5, 3)) for pose in poses]
-    together, irises = estimator().estimate_all(meshes, poses, CAMERA, [1.0, 0.9, 0.8])
-    assert irises.shape == (3, 2)
+    together, eyes = estimator().estimate_all(meshes, poses, CAMERA, [1.0, 0.9, 0.8])
+    assert eyes.irises.shape == (3, 2)
     for gaze, mesh, pose, presence in zip(together, meshes, poses, [1.0, 0.9, 0.8]):
         alone = estimator().estimate(mesh, pose, CAMERA, presence)
         assert gaze.direction == pytest.approx(alone.direction)

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hri_pipeline.core.camera import Calibration, CameraModel
+from hri_pipeline.core.faces.face_geometry import FaceGeometry, TrackedFace
 from hri_pipeline.core.faces.head_pose import (
     PRIOR_SD,
     HeadPoseEstimator,
@@ -263,3 +264,22 @@ def test_depth_image_is_read_robustly():
     small = np.full((20, 25), 6.0, np.float32)
     small[10, 2:17] = 1.8
     assert depth_case(small) == pytest.approx(0.9), "a quarter of the size of the colour image"
+
+
+class NoBlendshapes:
+    """In place of the network."""
+
+    def run(self, meshes):
+        return np.zeros((len(meshes), 52))
+
+
+@pytest.mark.parametrize("camera", [PLAIN, LENS, FISHEYE], ids=["plain", "lens", "fisheye"])
+def test_a_face_that_was_not_measured_moves_as_far_as_its_picture_tells(camera):
+    aside = np.array([0.45 if camera is PLAIN else 0.6 if camera is LENS else 1.0, 0.1, 1.0])
+    geometry = FaceGeometry(FACE, NoBlendshapes())
+    before, after = (seen(looking(0, 0, 0, place), camera) for place in (aside, aside + (0.06, 0.0, 0.0)))
+    found = [TrackedFace("a", before, np.zeros(4), 1.0, True, True)]
+    pose = geometry.observe(found, camera, 0.0)[0].pose
+    moved = before + (after - before)[0]
+    last = geometry.observe([TrackedFace("a", moved, np.zeros(4), 1.0, False, True)], camera, 0.1)[0].pose
+    assert last.translation - pose.translation == pytest.approx([0.06, 0.0, 0.0], abs=0.004)

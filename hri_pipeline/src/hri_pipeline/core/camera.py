@@ -27,6 +27,8 @@ _MAX_SENSOR = 65536
 _ALIASES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
 _HINT = "calibrate the camera, or publish an all-zero K to use the field of view parameter"
 _WIDEST = math.tan(math.radians(88.0))
+_FARTHEST = 1e3     # largest x/z and y/z of such points
+_LEAST_AHEAD = 0.1      # cosine of the angle from the middle of some points to one that is still told
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
 
 
@@ -230,6 +232,36 @@ class CameraModel:
             pixels, _ = cv2.projectPoints(seen, none, none, self.matrix, self.distortion)
         result[ahead] = self._sheared(np.asarray(pixels, dtype=np.float64).reshape(-1, 2), 1.0)
         return result
+
+    def facing(self, pixels: np.ndarray) -> np.ndarray:
+        """Return points as a camera at the same place sees them that looks at their middle, through no lens.
+
+        Aside of the optical axis a flat image is stretched away from its middle, by 15 % at 30 degrees more than
+        across; a fisheye squeezes it.
+
+        Parameters
+        ----------
+        pixels : numpy.ndarray, shape (N, 2)
+            px; one point at least.
+
+        Returns
+        -------
+        numpy.ndarray, shape (N, 2)
+            px from the middle, at the focal length of this camera.
+        """
+        # Beyond its edge the model of a lens gives anything.
+        rays = np.minimum(np.maximum(self.normalise(pixels), -_FARTHEST), _FARTHEST)
+        directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
+        directions /= np.sqrt((directions * directions).sum(axis=1, keepdims=True))
+        x, y, z = directions.mean(axis=0).tolist()
+        length = math.sqrt(x * x + y * y + z * z)
+        x, y, z = x / length, y / length, z / length
+        # The smallest turn that takes the middle to the optical axis.
+        turn = np.array(((1.0 - x * x / (1.0 + z), -x * y / (1.0 + z), -x),
+                         (-x * y / (1.0 + z), 1.0 - y * y / (1.0 + z), -y), (x, y, z)))
+        ahead = directions @ turn.T
+        focal = math.sqrt(self.matrix[0, 0] * self.matrix[1, 1])
+        return np.asarray(focal * ahead[:, :2] / np.maximum(ahead[:, 2:], _LEAST_AHEAD))
 
     def resized(self, width: int, height: int) -> "CameraModel":
         """Return the model of the same view in an image of another size, px; itself when it has that size."""

@@ -24,6 +24,7 @@ from typing import Dict, Optional, Sequence, Tuple
 
 import numpy as np
 
+from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.head_gestures import HeadGestures
 from hri_pipeline.core.faces.mesh import MESH_POINTS, CanonicalFace
 from hri_pipeline.core.geometry import Pose
@@ -225,7 +226,7 @@ class ActionUnitEstimator:
         self._gestures = HeadGestures()
 
     def update(self, mesh: np.ndarray, pose: Optional[Pose], stamp: float, presence: float = 1.0,
-               image_size: Optional[Tuple[int, int]] = None, eyes_closed: Optional[float] = None) -> ActionUnits:
+               camera: Optional[CameraModel] = None, eyes_closed: Optional[float] = None) -> ActionUnits:
         """Return the units at a time (s); one that goes back is a new start.
 
         Parameters
@@ -239,8 +240,8 @@ class ActionUnitEstimator:
             Time of the image, s.
         presence
             Probability 0 to 1 that the mesh lies on a face.
-        image_size
-            Width and height, px.
+        camera
+            Of the image; see FaceMeasures.measure.
         eyes_closed
             Closedness of the eyes, 0 to 1, by `gaze`; None: by the opening of the lids over its neutral.
 
@@ -255,7 +256,7 @@ class ActionUnitEstimator:
             self.reset()
         elapsed = 0.0 if np.isinf(self._last) else stamp - self._last
         self._last = stamp
-        face = self._measures.measure(mesh, image_size)
+        face = self._measures.measure(mesh, camera)
         intensity, confidence = np.zeros(SLOTS), np.zeros(SLOTS)
         if face is None or not presence > 0.0:
             intensity[list(HIDDEN_CODES)] = confidence[list(HIDDEN_CODES)] = 1.0
@@ -452,6 +453,7 @@ class FaceMeasures:
         self._model = model[self._rigid] - model[self._rigid].mean(axis=0)
         rows = [_row(measure, side) for measure in MEASURES for side in (False, True)]
         self._used = np.array(sorted({point for row in rows for point, _, _ in row}))
+        self._needed = np.union1d(self._used, self._rigid)
         place = {point: index for index, point in enumerate(self._used)}
         self._weights = np.zeros((len(rows), len(self._used), 3))
         share = np.zeros((2, len(rows), len(self._used)))
@@ -463,28 +465,43 @@ class FaceMeasures:
         self._share = share / share.sum(axis=2, keepdims=True)
         self._normals = _normals(face)[self._used]
 
-    def measure(self, mesh: np.ndarray, image_size: Optional[Tuple[int, int]] = None) -> Optional[MeasuredFace]:
-        """Measure a mesh (478, 3) px; image_size: width, height px: points outside count as not seen.
+    def measure(self, mesh: np.ndarray, camera: Optional[CameraModel] = None) -> Optional[MeasuredFace]:
+        """Measure a mesh (478, 3) px; camera: of the image's size.
+
+        Points outside of the image count as not seen, and what the camera does to a face aside of its optical axis is
+        taken back. Without a camera the face is taken to be in the middle of a large image.
 
         None when the mesh is not finite or has no extent. Raises ValueError for another shape.
         """
         mesh = np.asarray(mesh, dtype=np.float64)
         if mesh.shape != (MESH_POINTS, 3):
             raise ValueError("expected a mesh of ({}, 3), got {}".format(MESH_POINTS, mesh.shape))
-        rigid = mesh[self._rigid]
-        if not np.isfinite(mesh).all() or np.ptp(rigid, axis=0).max() < 1.0:
+        if not np.isfinite(mesh).all():
+            return None
+        inside, ahead = np.ones(len(self._used), bool), mesh
+        if camera is not None:
+            places = mesh[self._used, :2]
+            inside = ((places >= 0.0) & (places < (camera.width, camera.height))).all(axis=1)
+            ahead = self._facing(mesh, camera)
+        rigid, points = ahead[self._rigid], ahead[self._used]
+        if np.ptp(rigid, axis=0).max() < 1.0:
             return None
         centre = rigid.mean(axis=0)
         turn, scale, residual = _procrustes(rigid - centre, self._model)
-        points = mesh[self._used]
         values = self._weights @ (scale * (points - centre) @ turn).ravel()
         # Towards the camera is -z of the image, seen in canonical axes.
         seen = np.clip((self._normals @ -turn[2] - _GRAZING) / (_FACING - _GRAZING), 0.0, 1.0)
-        if image_size is not None:
-            seen = seen * ((points[:, :2] >= 0.0) & (points[:, :2] < image_size)).all(axis=1)
         # Both ends of a measure must be seen.
-        visible = np.minimum(self._share[0] @ seen, self._share[1] @ seen)
+        visible = np.minimum(self._share[0] @ (seen * inside), self._share[1] @ (seen * inside))
         return MeasuredFace(values.reshape(-1, 2), visible.reshape(-1, 2), turn, 1.0 / scale, residual)
+
+    def _facing(self, mesh: np.ndarray, camera: CameraModel) -> np.ndarray:
+        """The mesh (478, 3) px, as far as it is used, as a camera sees it that looks at the face."""
+        ahead, places = np.zeros_like(mesh), mesh[self._needed, :2]
+        ahead[self._needed, :2] = found = camera.facing(places)
+        before, after = (points - points.sum(axis=0) / len(points) for points in (places, found))
+        ahead[:, 2] = mesh[:, 2] * math.sqrt(np.vdot(after, after) / max(np.vdot(before, before), 1e-6))
+        return ahead
 
 
 def _procrustes(points: np.ndarray, model: np.ndarray) -> Tuple[np.ndarray, float, float]:

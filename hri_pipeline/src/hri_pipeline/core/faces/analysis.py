@@ -28,6 +28,7 @@ from typing import (
 
 import numpy as np
 
+from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.action_units import ActionUnitEstimator, ActionUnits, FaceMeasures
 from hri_pipeline.core.faces.age_gender import AgeGenderFusion, load_age_gender
 from hri_pipeline.core.faces.crops import turned_away
@@ -132,7 +133,7 @@ class FaceAnalysis:
             self.recognition.recogniser.learn_delay = settings.recognition_learn_delay
 
     def update(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float, demand: FaceDemand,
-               busy: bool = False) -> List[FaceObservation]:
+               busy: bool = False, camera: Optional[CameraModel] = None) -> List[FaceObservation]:
         """Return the faces with their results; `matches` then holds the changes of the matches with persons.
 
         Parameters
@@ -147,8 +148,10 @@ class FaceAnalysis:
             Which results are wanted.
         busy
             Whether the detector ran on this image: networks then wait, if they can.
+        camera
+            Camera model of the image's size; None: not known.
         """
-        units = self._action_units(faces, stamp, demand, (bgr.shape[1], bgr.shape[0]))
+        units = self._action_units(faces, stamp, demand, camera)
         qualities = self._assess(bgr, faces, stamp, demand)
         self._run_one(bgr, faces, qualities, stamp, demand, busy)
         if self._expression is not None:
@@ -194,8 +197,8 @@ class FaceAnalysis:
         return [processor for processor in (self._expression, self._age_gender, self.recognition)
                 if processor is not None]
 
-    def _action_units(self, faces: Sequence[FaceObservation], stamp: float, demand: FaceDemand, size: Tuple[int, int]
-                      ) -> Dict[str, ActionUnits]:
+    def _action_units(self, faces: Sequence[FaceObservation], stamp: float, demand: FaceDemand,
+                      camera: Optional[CameraModel]) -> Dict[str, ActionUnits]:
         """Action units of the measured faces for which they are wanted, directly or for the expression."""
         if self._measures is None:
             return {}
@@ -212,7 +215,7 @@ class FaceAnalysis:
                         self._units[face.id] = ActionUnitEstimator(self._measures)
                     estimator = self._units[face.id]
                     closed = None if face.gaze is None else face.gaze.eyes_closed
-                    found[face.id] = estimator.update(face.mesh, face.pose, stamp, face.score, size, closed)
+                    found[face.id] = estimator.update(face.mesh, face.pose, stamp, face.score, camera, closed)
         return found
 
     def _assess(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float,

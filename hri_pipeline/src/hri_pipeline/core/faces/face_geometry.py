@@ -105,14 +105,13 @@ class FaceGeometry:
     def _measure_eyes(self, posed: Sequence[Tuple[_Face, TrackedFace, Pose]], camera: CameraModel, stamp: float,
                       depth: Optional[np.ndarray]) -> None:
         """Measure gaze and head size of the faces that have a pose."""
-        gazes, irises = self._gazes.estimate_all(
+        gazes, eyes = self._gazes.estimate_all(
             [found.mesh for _, found, _ in posed], [pose for _, _, pose in posed], camera,
             [found.presence for _, found, _ in posed], lambda needed: self._shapes(posed, needed, stamp))
-        focal = float(camera.matrix[0, 0])
-        for (face, found, pose), gaze, diameters in zip(posed, gazes, irises):
+        for (face, found, pose), gaze, diameters, angles in zip(posed, gazes, eyes.irises, eyes.iris_angles):
             face.gaze = face.gaze_smoother(gaze, stamp)
             from_eyes = 0.0 if face.gaze_smoother.is_closed else gaze.from_eyes
-            for source, scale in (("iris", scale_from_iris(diameters, pose, self._eyes, focal, from_eyes)),
+            for source, scale in (("iris", scale_from_iris(diameters, angles, pose, self._eyes, from_eyes)),
                                   ("depth", self._depth_scale(found.mesh, pose, camera, depth))):
                 if scale is not None:
                     face.scale.add(source, scale)
@@ -158,8 +157,8 @@ class FaceGeometry:
         scale, scale_sd = face.scale.estimate(stamp)
         translation = face.pose.translation.copy()
         if not found.measured:
-            shift = (found.mesh - face.mesh)[0, :2]
-            translation[:2] += shift * translation[2] / np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
+            before, now = camera.normalise(np.stack([face.mesh[0, :2], found.mesh[0, :2]]))
+            translation[:2] += (now - before) * translation[2]
         return Pose(face.pose.rotation, scale * translation), scale, scale_sd
 
 

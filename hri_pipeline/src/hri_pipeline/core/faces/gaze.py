@@ -105,8 +105,8 @@ class GazeEstimator:
     def estimate_all(self, meshes: Sequence[np.ndarray], poses: Sequence[Pose], camera: CameraModel,
                      presences: Sequence[float],
                      shapes: Union[np.ndarray, Callable[[np.ndarray], np.ndarray], None] = None) -> Tuple[
-                         List[GazeEstimate], np.ndarray]:
-        """Return direction and eye closure of each face, and the diameters of the irises (F, 2) px.
+                         List[GazeEstimate], EyeMeasures]:
+        """Return direction and eye closure of each face, and what they were measured by.
 
         There is a direction for closed eyes too (`GazeSmoother` withholds it).
 
@@ -125,7 +125,7 @@ class GazeEstimator:
             are needed. None: the lids are judged by their opening alone.
         """
         if not len(meshes):
-            return [], np.zeros((0, 2))
+            return [], EyeMeasures(*np.zeros((2, 0, 2)), np.zeros((0, 2, 3)), *np.zeros((2, 0, 2)))
         stack = np.stack([np.asarray(mesh, dtype=np.float64)[:, :2] for mesh in meshes])
         rotations = np.stack([pose.rotation for pose in poses])
         places = np.stack([pose.translation for pose in poses])
@@ -141,7 +141,7 @@ class GazeEstimator:
             confidence = HEAD_CONFIDENCE + iris_weights[index] * (EYES_CONFIDENCE - HEAD_CONFIDENCE)
             gazes.append(GazeEstimate(directions[index], float(confidence * presence), closedness(lids[index]),
                                       float(iris_weights[index]), lids[index]))
-        return gazes, measures.irises
+        return gazes, measures
 
 
 class Eyelids(NamedTuple):
@@ -322,13 +322,15 @@ class EyeMeasures:
 
     openness: (F, 2) aspect ratio of the lids, about 0.27 open and under 0.12 closed, without foreshortening;
     visibility: (F, 2) 0 (hidden by the nose) to 1; lines: (F, 2, 3) unit directions in the optical frame; irises: (F,
-    2) diameters, px.
+    2) diameters, px; iris_angles: (F, 2) the same, rad: in pixels an iris is the larger the farther it lies from the
+    middle of the image.
     """
 
     openness: np.ndarray
     visibility: np.ndarray
     lines: np.ndarray
     irises: np.ndarray
+    iris_angles: np.ndarray
 
 
 class EyeGeometry:
@@ -362,11 +364,11 @@ class EyeGeometry:
         visibility = _limited((facing - _PROFILE_COSINE) / 0.4)
         openness = _aspect_ratios(rays) * self._foreshortening(turned, translations, rotations[:, :, 2])
         return EyeMeasures(openness, visibility, self._sight_lines(rays[:, _CENTRES], turned, translations),
-                           iris_diameters(points[:, _RIMS]))
+                           iris_diameters(points[:, _RIMS]), iris_diameters(_directions_of(rays[:, _RIMS])))
 
-    def depth(self, pose: Pose) -> float:
-        """Return the mean depth (m) of the middles of both eyes' corners along the optical axis."""
-        return float((self._middles @ pose.rotation[2] + pose.translation[2]).mean())
+    def distance(self, pose: Pose) -> float:
+        """Return the mean distance (m) of the middles of both eyes' corners from the camera."""
+        return float(_length(self._middles @ pose.rotation.T + pose.translation).mean())
 
     def _foreshortening(self, turned: np.ndarray, translations: np.ndarray, ups: np.ndarray) -> np.ndarray:
         """(F, 2) how much narrower than high the view of each eye has become, 1 for a head seen from the front."""
@@ -380,8 +382,7 @@ class EyeGeometry:
 
     def _sight_lines(self, rays: np.ndarray, turned: np.ndarray, translations: np.ndarray) -> np.ndarray:
         """(F, 2, 3) from the centres of the eyeballs to where the rays through the irises meet them."""
-        directions = np.concatenate([rays, np.ones(rays.shape[:2] + (1,))], axis=2)
-        directions /= _length(directions)[..., None]
+        directions = _directions_of(rays)
         centres = self._centres @ turned + translations[:, None]
         along = (directions * centres).sum(axis=2)
         beneath = along ** 2 - ((centres ** 2).sum(axis=2) - EYE_RADIUS ** 2)
@@ -406,8 +407,14 @@ def _limited(values: np.ndarray) -> np.ndarray:
     return np.minimum(np.maximum(values, 0.0), 1.0)
 
 
+def _directions_of(rays: np.ndarray) -> np.ndarray:
+    """Unit directions (F, N, 3) of rays (F, N, 2) x/z and y/z."""
+    directions = np.concatenate([rays, np.ones(rays.shape[:2] + (1,))], axis=2)
+    return directions / _length(directions)[..., None]
+
+
 def iris_diameters(rims: np.ndarray) -> np.ndarray:
-    """Return the larger diameter of each iris, (F, 2) px, of points on their rims (F, 8, 2): a turned head narrows the
-    other one."""
-    points = rims.reshape(len(rims), 2, 4, 2)
+    """Return the larger diameter of each iris, (F, 2), of points on their rims (F, 8, D), in their unit: a turned head
+    narrows the other one."""
+    points = rims.reshape(len(rims), 2, 4, -1)
     return np.maximum(_length(points[:, :, 0] - points[:, :, 2]), _length(points[:, :, 1] - points[:, :, 3]))

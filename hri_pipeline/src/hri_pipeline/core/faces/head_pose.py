@@ -345,18 +345,20 @@ class HeadScale:
         return scale, scale * information ** -0.5
 
 
-def scale_from_iris(diameters: np.ndarray, pose: Pose, eyes: EyeGeometry, focal: float,
+def scale_from_iris(diameters: np.ndarray, angles: np.ndarray, pose: Pose, eyes: EyeGeometry,
                     from_eyes: float) -> Optional[float]:
     """Return the size of a head by its irises, None where they are too small, closed or turned away.
 
-    diameters: (2,) px; pose: face frame at the canonical size; focal: of the camera, px; from_eyes: that of the gaze,
+    Who looks at the camera turns round irises to it, wherever in the image: the angle that they fill tells their
+    distance, through any lens.
+
+    diameters: (2,) px; angles: (2,) the same, rad; pose: face frame at the canonical size; from_eyes: that of the gaze,
     0 while the eyes are closed.
     """
     to_camera = -pose.translation / np.linalg.norm(pose.translation)
     if diameters.min() < LEAST_IRIS or from_eyes <= 0.0 or pose.rotation[:, 0] @ to_camera < math.cos(MAX_IRIS_TURN):
         return None
-    distance = focal * IRIS_DIAMETER / float(diameters.mean())
-    return distance / eyes.depth(pose) / IRIS_BIAS
+    return IRIS_DIAMETER / float(angles.mean()) / eyes.distance(pose) / IRIS_BIAS
 
 
 def scale_from_depth(mesh: np.ndarray, canonical_depths: np.ndarray, indices: np.ndarray,

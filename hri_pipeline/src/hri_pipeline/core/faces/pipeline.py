@@ -139,7 +139,7 @@ class FacePipeline:
             place(tracked)
         faces = [observed[face.id] for face in tracked if face.confirmed]
         self._count(faces)
-        faces = self._analysis.update(bgr, faces, stamp, demand, self._tracking.detected)
+        faces = self._analysis.update(bgr, faces, stamp, demand, self._tracking.detected, camera)
         if self.recognition is not None:
             self._tracking.take_templates(self.recognition.made, stamp)
         return faces
