@@ -74,6 +74,24 @@ def test_each_attitude_at_each_rate(pose, attitude, gesture, rate):
     assert seen.attitude_confidence > 0.6
 
 
+def test_hands_put_together_are_hardly_sure_to_be_crossed_arms():
+    together = people.standing().arm("left", (0.02, 0.06, -0.26), (0.18, -0.17, -0.26)).arm(
+        "right", (0.02, 0.06, -0.26), (0.18, -0.17, -0.26))
+    near, crossed = last(together.seen()), last(people.crossed().seen())
+    assert near.attitude == crossed.attitude == AttitudeClass.ARMS_CROSSED
+    assert near.attitude_confidence < 0.4 and crossed.attitude_confidence > 0.85
+
+
+@pytest.mark.parametrize("pose", [people.raised(), people.on_face(), people.crossed()])
+def test_an_attitude_is_believed_while_its_end_is_awaited(pose):
+    body = BehaviourRecognizer()
+    held = show(body, pose.seen(), 1.5)[-1]
+    going = [seen for seen in show(body, people.standing().seen(), 1.0, start=1.5 + 1.0 / 15.0)
+             if seen.attitude == held.attitude]
+    assert held.attitude_confidence > 0.85
+    assert len(going) > 2 and min(seen.attitude_confidence for seen in going) > 0.25
+
+
 @pytest.mark.parametrize("pose, attitude, gesture", ATTITUDES)
 @pytest.mark.parametrize("heading", np.radians([60.0, 135.0, 180.0, 285.0]))
 def test_each_attitude_in_each_heading(pose, attitude, gesture, heading):

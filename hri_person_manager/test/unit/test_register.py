@@ -169,6 +169,17 @@ def test_export_holds_everything_of_one_and_of_all():
     assert [entry["id"] for entry in book.export()] == ["ann", "bob"]
 
 
+def test_faces_of_one_person_that_disagree_on_the_age_make_it_less_sure():
+    def fuse(*ages):
+        fused = DemographicsFusion()
+        for number, age in enumerate(ages):
+            fused.observe("face{}".format(number), age, 0.9, FEMALE, 0.9, 1.0 + number)
+        return fused.estimate().age_confidence
+
+    assert fuse(30.0, 30.0) == pytest.approx(0.9)
+    assert fuse(25.0, 65.0) < 0.5 < fuse(30.0, 36.0) < 0.9
+
+
 def test_demographics_are_fused_over_faces_each_counted_once():
     fused = DemographicsFusion()
     assert fused.estimate() is None

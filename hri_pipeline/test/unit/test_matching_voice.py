@@ -203,9 +203,18 @@ def test_evidence_against_the_first_speaker_comes_soon_when_another_goes_on_unde
 def test_direction_is_surest_straight_on_and_never_excludes():
     angles = np.deg2rad([0.0, 10.0, 20.0, 60.0])
     values = direction_evidence(angles, np.full(4, 3.0), math.radians(10.0))
-    assert (np.diff(values) < 0.0).all() and values[0] > 3.0 and values[3] == pytest.approx(math.log(0.05), abs=1e-3)
+    assert (np.diff(values) < 0.0).all() and values[0] > 2.0 and values[3] == pytest.approx(math.log(0.05), abs=1e-3)
     near = direction_evidence(np.zeros(1), np.full(1, 0.3), math.radians(10.0))
     assert near[0] < values[0]      # the place of a near head is less certain than the direction
+
+
+def test_directions_of_people_out_of_view_speak_for_nobody_on_average():
+    random = np.random.default_rng(3)
+    bearings = random.uniform(-math.pi, math.pi, 100000)
+    levels = np.arcsin(random.uniform(-1.0, 1.0, bearings.size) * math.sin(math.radians(20.0)))
+    angles = np.arccos(np.cos(levels) * np.cos(bearings))
+    ratios = np.exp(direction_evidence(angles, np.full(angles.size, 3.0), math.radians(7.0)))
+    assert ratios.mean() == pytest.approx(1.0, abs=0.1)      # as every likelihood ratio over what speaks against
 
 
 # -- the matcher

@@ -12,6 +12,7 @@ import threading
 import unicodedata
 from collections import OrderedDict
 from dataclasses import asdict, dataclass, field, replace
+from statistics import NormalDist
 from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Protocol, Sequence, Set, Tuple
 
 from hri_pipeline.core.ids import is_valid_id
@@ -21,6 +22,7 @@ from hri_pipeline.core.recognition.stored_person import PermanentPerson, StoredP
 
 UNDEFINED, FEMALE, MALE, OTHER = range(4)      # the constants of hri_msgs/AgeAndGender and SoftBiometrics
 AGE_DEVIATION = 6.3        # years, of the estimate from one face: the default model's mean error of 5 years
+AGE_TOLERANCE = 10.0       # years: age_confidence is the probability that the age is right within them
 _LEAST_GENDER_CONFIDENCE = 0.6
 _MAX_FACES = 20
 LONGEST_NAME = 64
@@ -98,8 +100,18 @@ class DemographicsFusion:
         likely = max(female, 1.0 - female)
         gender = UNDEFINED if likely < _LEAST_GENDER_CONFIDENCE else FEMALE if female > 0.5 else MALE
         return DemographicsEstimate(
-            age, math.sqrt(AGE_DEVIATION ** 2 + spread) if weight else 0.0, weight / len(faces), gender,
+            age, math.sqrt(AGE_DEVIATION ** 2 + spread) if weight else 0.0,
+            _age_confidence(weight / len(faces), spread / max(1, len(faces) - 1)), gender,
             likely if gender != UNDEFINED else 0.0, max(face.stamp for face in faces))
+
+
+def _age_confidence(confidence: float, variance: float) -> float:
+    """Return the probability that a mean age is right within AGE_TOLERANCE, of faces that each have a `confidence` and
+    differ, so that their mean has this variance (years^2) besides."""
+    if not (confidence > 0.0 and variance > 0.0):
+        return confidence
+    deviation = AGE_TOLERANCE / NormalDist().inv_cdf(0.5 + 0.5 * min(confidence, 0.999))
+    return math.erf(AGE_TOLERANCE / math.sqrt(2.0 * (deviation ** 2 + variance)))
 
 
 class RegisterError(ValueError):

@@ -45,7 +45,8 @@ class BodyBehaviour:
     """What a body expresses at one instant.
 
     attitude, posture, gesture: constants of hri_msgs/BodyAttitude, BodyPosture and Gesture (0: other or not known).
-    attitude_confidence: 0 (nothing is seen) to 1 (certain).
+    attitude_confidence: 0 (nothing is seen) to 1 (certain): how often such an attitude is right among people of whom as
+    many come near one as show it; of "other": how far the arms are from any.
     """
 
     attitude: int

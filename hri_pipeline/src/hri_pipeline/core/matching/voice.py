@@ -279,6 +279,9 @@ _MOST_ODDS = 150.0
 
 _STRAY = 0.05
 """Share of the directions that are wrong: echoes, and peaks between two speakers."""
+_LEVEL_PART = 0.34
+"""Part of all directions from which people speak: some 20 degrees about the level of the microphone. Who is out of view
+stands on the same floor as who is in view."""
 POSITION_SD = 0.15
 """Standard deviation (m) of the place of a head against the microphone: of its distance and of the calibration."""
 
@@ -340,10 +343,11 @@ def direction_evidence(angle: np.ndarray, distance: np.ndarray, direction_sd: fl
     """Log-likelihood ratio that a voice comes from a place against from anywhere.
 
     angle: rad between the voice and the place, seen from the microphone; distance: m of the place. Fisher's
-    distribution on the sphere for small angles: density exp(-angle^2 / 2 s^2) / (2 pi s^2), against 1 / (4 pi).
+    distribution on the sphere for small angles: density exp(-angle^2 / 2 s^2) / (2 pi s^2), against 1 / (4 pi) over the
+    part of the sphere from which people speak.
     """
     variance = direction_sd ** 2 + (POSITION_SD / np.maximum(distance, POSITION_SD)) ** 2
-    at_place = 2.0 / variance * np.exp(-0.5 * angle ** 2 / variance)
+    at_place = 2.0 * _LEVEL_PART / variance * np.exp(-0.5 * angle ** 2 / variance)
     return np.log((1.0 - _STRAY) * at_place + _STRAY)
 
 
