@@ -34,7 +34,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.image_rotation import turned_problem
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.ros.conversions import pose_from_transform, transform_to_msg
-from hri_pipeline.ros.inputs import Frame
+from hri_pipeline.ros.image_input import Frame
 from hri_pipeline.ros.mounting import up_and_height
 
 HEADER = Header(stamp=genpy.Time(12, 345), frame_id="camera")

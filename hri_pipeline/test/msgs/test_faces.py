@@ -15,7 +15,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.observations import FaceObservation, GazeEstimate, SoftBiometrics
 from hri_pipeline.nodes.faces import FaceProcessor, FaceTopics, face_transforms, privacy_line
 from hri_pipeline.ros.conversions import pose_from_transform
-from hri_pipeline.ros.inputs import Frame
+from hri_pipeline.ros.image_input import Frame
 
 UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 

@@ -9,7 +9,7 @@ from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.parameters import FACES
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros import mounting
-from hri_pipeline.ros.inputs import Frame
+from hri_pipeline.ros.image_input import Frame
 from hri_pipeline.ros.mounting import UP, CameraMounting
 
 HEADER = Header(stamp=genpy.Time(12, 0), frame_id="camera")

@@ -12,7 +12,7 @@ from hri_pipeline.ros import depth_input
 from hri_pipeline.ros.conversions import bgr_to_image, make_header
 from hri_pipeline.ros.depth_input import DepthInput
 from hri_pipeline.ros.diagnostics import OK, WARN
-from hri_pipeline.ros.inputs import ImageInput
+from hri_pipeline.ros.image_input import ImageInput
 from hri_pipeline.testing import wait_for
 
 BGR = np.zeros((48, 64, 3), np.uint8)

@@ -15,10 +15,11 @@ import rostest
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from hri_pipeline.core.camera import Calibration
-from hri_pipeline.ros import inputs, sensor_input
+from hri_pipeline.ros import image_input as module
+from hri_pipeline.ros import sensor_input
 from hri_pipeline.ros.conversions import bgr_to_image, make_header
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics
-from hri_pipeline.ros.inputs import ImageInput
+from hri_pipeline.ros.image_input import ImageInput
 from hri_pipeline.ros.worker import VisionWorker
 from hri_pipeline.testing import held_by, wait_for
 
@@ -240,7 +241,7 @@ class ImageInputTest(InputCase):
         self.assertEqual(image_input.status()[0], OK)
 
     def test_rectified_images_go_by_the_projection_matrix(self):
-        with mock.patch.object(inputs, "is_rectified", return_value=True) as is_rectified:
+        with mock.patch.object(module, "is_rectified", return_value=True) as is_rectified:
             image_input = self.image_input()
         is_rectified.assert_called_once_with(image_input.topic)
         calibration = info(distortion=(-0.3, 0.1, 0, 0, 0))
@@ -395,7 +396,7 @@ class ImageInputTest(InputCase):
             image_input.next(0.01)
         self.send(image_input, picture(100.0))
         frame = image_input.next(5)
-        with mock.patch.object(inputs.rospy, "get_time", return_value=rospy.get_time() - 10.0):
+        with mock.patch.object(module.rospy, "get_time", return_value=rospy.get_time() - 10.0):
             self.assertTrue(frame.overtaken())
 
     def test_stamps_that_run_ahead_of_the_time_are_told(self):
@@ -411,12 +412,12 @@ class ImageInputTest(InputCase):
         self.assertIn(image_input.topic, ahead[0])
 
     def settle(self, seconds):
-        self.addCleanup(setattr, inputs, "_SETTLED_S", inputs._SETTLED_S)
-        inputs._SETTLED_S = seconds
+        self.addCleanup(setattr, module, "_SETTLED_S", module._SETTLED_S)
+        module._SETTLED_S = seconds
 
     def test_images_that_are_in_time_after_late_ones_are_no_jump(self):
-        self.addCleanup(setattr, inputs, "JUMP_S", inputs.JUMP_S)
-        inputs.JUMP_S = 0.2
+        self.addCleanup(setattr, module, "JUMP_S", module.JUMP_S)
+        module.JUMP_S = 0.2
         image_input = self.image_input()
         self.calibrate(image_input, info())
         for settled, lags in ((10.0, (4.0, 0.0)), (0.0, (0.0, 0.5, 0.0))):
@@ -429,8 +430,8 @@ class ImageInputTest(InputCase):
         self.assertEqual(image_input.counts["forward_jumps"], 0)
 
     def test_a_pause_of_the_camera_is_no_jump(self):
-        self.addCleanup(setattr, inputs, "JUMP_S", inputs.JUMP_S)
-        inputs.JUMP_S = 0.1
+        self.addCleanup(setattr, module, "JUMP_S", module.JUMP_S)
+        module.JUMP_S = 0.1
         self.settle(0.0)
         image_input = self.image_input()
         self.calibrate(image_input, info())
@@ -441,8 +442,8 @@ class ImageInputTest(InputCase):
         self.assertEqual(image_input.counts["forward_jumps"], 0)
 
     def test_an_image_that_waits_for_its_camera_info_is_no_jump(self):
-        self.addCleanup(setattr, inputs, "JUMP_S", inputs.JUMP_S)
-        inputs.JUMP_S = 0.25
+        self.addCleanup(setattr, module, "JUMP_S", module.JUMP_S)
+        module.JUMP_S = 0.25
         self.settle(0.0)
         image_input = self.image_input()
         for _ in range(2):
@@ -684,7 +685,7 @@ class VisionLoopTest(InputCase):
 
 def suite():
     """Both cases; the limits for silence and grace are shorter than on a robot."""
-    sensor_input.SILENCE_S, inputs.INFO_GRACE_S = 0.6, 0.5
+    sensor_input.SILENCE_S, module.INFO_GRACE_S = 0.6, 0.5
     load = unittest.defaultTestLoader.loadTestsFromTestCase
     return unittest.TestSuite([load(ImageInputTest), load(VisionLoopTest)])
 

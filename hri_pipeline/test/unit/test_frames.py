@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hri_pipeline.core.frames import FrameHistory, HumanTf, RawTransform, Timed, read, read_stamp, scan
-from hri_pipeline.core.geometry import rotated_vector, view_axis
+from hri_pipeline.core.geometry import rotate, view_axis
 
 
 def packed(*transforms):
@@ -163,7 +163,7 @@ def test_transforms_of_a_kind_that_are_fresh():
 def test_vectors_are_turned_as_scipy_turns_them():
     turn = Rotation.random(random_state=5)
     quaternion = tuple(3.0 * turn.as_quat())        # of any length
-    np.testing.assert_allclose(rotated_vector(quaternion, (1.0, -2.0, 0.5)), turn.apply((1.0, -2.0, 0.5)), atol=1e-12)
+    np.testing.assert_allclose(rotate(quaternion, (1.0, -2.0, 0.5)), turn.apply((1.0, -2.0, 0.5)), atol=1e-12)
     np.testing.assert_allclose(view_axis(quaternion, along_z=False), turn.apply((1.0, 0.0, 0.0)), atol=1e-12)
     np.testing.assert_allclose(view_axis(quaternion, along_z=True), turn.apply((0.0, 0.0, 1.0)), atol=1e-12)
 

@@ -44,7 +44,7 @@ from hri_pipeline.ros.conversions import (
     transform_to_msg,
 )
 from hri_pipeline.ros.diagnostics import OK, WARN, Status
-from hri_pipeline.ros.inputs import Frame
+from hri_pipeline.ros.image_input import Frame
 from hri_pipeline.ros.markers import ShownMarkers
 from hri_pipeline.ros.mounting import UP
 from hri_pipeline.ros.publishers import MATCHES_TOPIC, TrackedList

@@ -20,7 +20,7 @@ from hri_msgs.msg import Pointing as PointingMessage
 from hri_pipeline.core.observations import BodyObservation
 from hri_pipeline.core.overlay import colour_of, label_lifts
 from hri_pipeline.ros.conversions import bgr_to_image, matrix_to_image, roi_message, roi_type, skeleton_to_msg
-from hri_pipeline.ros.inputs import Frame
+from hri_pipeline.ros.image_input import Frame
 from hri_pipeline.ros.markers import make_marker, point, rgba
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec
 

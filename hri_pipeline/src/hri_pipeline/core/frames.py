@@ -14,15 +14,7 @@ from collections import OrderedDict
 from functools import lru_cache
 from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
-from hri_pipeline.core.geometry import (
-    Pose,
-    Quaternion,
-    Vector,
-    quaternion_product,
-    rotated_vector,
-    slerp,
-    unit_quaternion,
-)
+from hri_pipeline.core.geometry import Pose, Quaternion, Vector, quaternion_product, rotate, slerp, unit_quaternion
 
 # geometry_msgs/TransformStamped as roscpp and rospy serialise it: seq, secs, nsecs, parent, child, 7 numbers.
 _LENGTH = struct.Struct("<I")
@@ -261,7 +253,7 @@ class FrameHistory:
             return None
         (rotation, (a, b, c)), ((x, y, z, w), (d, e, f)) = below[common], above[common]
         back = (-x, -y, -z, w)
-        return Pose.from_quaternion(quaternion_product(back, rotation), rotated_vector(back, (a - d, b - e, c - f)))
+        return Pose.from_quaternion(quaternion_product(back, rotation), rotate(back, (a - d, b - e, c - f)))
 
     def ahead(self, target: str, frame: str, stamp: float) -> Optional[Pose]:
         """Return the same for a time (s) that not all links know yet: those that lag stay, or go on as they moved.
@@ -323,7 +315,7 @@ class FrameHistory:
             if link is None:
                 break
             own, (a, b, c) = unit_quaternion(link.rotation), link.translation
-            x, y, z = rotated_vector(own, position)
+            x, y, z = rotate(own, position)
             frame, rotation, position = link.parent, quaternion_product(own, rotation), (a + x, b + y, c + z)
         return poses
 
@@ -418,7 +410,7 @@ def composed(chain: Sequence[Timed]) -> Pose:
     rotation, position = link.rotation, link.translation
     for timed in chain[1:]:
         link = timed.transform
-        (x, y, z), (i, j, k) = link.translation, rotated_vector(link.rotation, position)
+        (x, y, z), (i, j, k) = link.translation, rotate(link.rotation, position)
         rotation, position = quaternion_product(link.rotation, rotation), (x + i, y + j, z + k)
     return Pose.from_quaternion(rotation, position)
 

@@ -157,7 +157,7 @@ def view_axis(quaternion: Quaternion, along_z: bool) -> Vector:
     return 1.0 - scale * (y * y + z * z), scale * (x * y + z * w), scale * (x * z - y * w)
 
 
-def rotated_vector(quaternion: Quaternion, vector: Vector) -> Vector:
+def rotate(quaternion: Quaternion, vector: Vector) -> Vector:
     """Return a vector turned by a quaternion x, y, z, w, which need not be of unit length.
 
     v + w t + q x t with t = 2 / |q|^2 (q x v).

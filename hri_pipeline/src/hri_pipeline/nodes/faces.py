@@ -42,7 +42,7 @@ from hri_pipeline.ros.conversions import (
 )
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
 from hri_pipeline.ros.gallery_service import GalleryService
-from hri_pipeline.ros.inputs import Frame
+from hri_pipeline.ros.image_input import Frame
 from hri_pipeline.ros.publishers import MATCHES_TOPIC, IdPublishers, TopicSpec, TrackedList
 from hri_pipeline.ros.rospy_compat import release
 from hri_pipeline.ros.tf import TfPublisher

@@ -14,7 +14,7 @@ from hri_pipeline.core.faces.parameters import CameraSettings
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.image_rotation import RotationChooser
 from hri_pipeline.ros.diagnostics import OK, WARN
-from hri_pipeline.ros.inputs import Frame
+from hri_pipeline.ros.image_input import Frame
 from hri_pipeline.ros.tf import RobotTfListener
 
 UP = "up"

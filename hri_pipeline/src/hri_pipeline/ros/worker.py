@@ -20,7 +20,7 @@ from hri_pipeline.core.resources import Cores
 from hri_pipeline.core.setup_check import NO_IMAGE_YET
 from hri_pipeline.core.timing import EARLY, StageTimes, StampPacer
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, NodeDiagnostics, Status
-from hri_pipeline.ros.inputs import Frame, ImageInput
+from hri_pipeline.ros.image_input import Frame, ImageInput
 from hri_pipeline.ros.mounting import CameraMounting
 from hri_pipeline.ros.privacy import PrivacyTopic
 

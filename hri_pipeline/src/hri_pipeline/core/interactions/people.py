@@ -15,7 +15,7 @@ from typing import Counter as CounterOf
 import numpy as np
 
 from hri_pipeline.core.frames import HumanTf, RawTransform, Timed
-from hri_pipeline.core.geometry import Pose, Vector, rotated_vector, view_axis
+from hri_pipeline.core.geometry import Pose, Vector, rotate, view_axis
 from hri_pipeline.core.interactions.parameters import InteractionSettings
 
 ROBOT = ""
@@ -263,8 +263,8 @@ class _Rows:
         first = links[0]
         origin, direction = first.translation, view_axis(first.rotation, along_z)
         for link in links[1:]:
-            (x, y, z), (i, j, k) = link.translation, rotated_vector(link.rotation, origin)
-            origin, direction = (x + i, y + j, z + k), rotated_vector(link.rotation, direction)
+            (x, y, z), (i, j, k) = link.translation, rotate(link.rotation, origin)
+            origin, direction = (x + i, y + j, z + k), rotate(link.rotation, direction)
         self.sensors.append(links[-1].parent)
         self.stamps.append(links[-1].stamp)
         self.vectors += (origin, direction)

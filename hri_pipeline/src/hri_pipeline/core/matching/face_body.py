@@ -10,7 +10,7 @@ from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tu
 import numpy as np
 
 from hri_pipeline.core.frames import HumanTf, Timed, read
-from hri_pipeline.core.geometry import Vector, rotated_vector
+from hri_pipeline.core.geometry import Vector, rotate
 from hri_pipeline.core.matching.parameters import FaceBodyMatcherSettings
 from hri_pipeline.core.observations import FeatureHistory
 from hri_pipeline.core.timing import JUMP_BACK_S
@@ -348,7 +348,7 @@ def head_place(chain: Sequence[Timed]) -> Optional[HeadPlace]:
         return None
     position: Vector = (0.0, 0.0, 0.0)
     for timed in chain:
-        (x, y, z), (i, j, k) = timed.transform.translation, rotated_vector(timed.transform.rotation, position)
+        (x, y, z), (i, j, k) = timed.transform.translation, rotate(timed.transform.rotation, position)
         position = (x + i, y + j, z + k)
     return HeadPlace(chain[-1].transform.parent, position, stamps[-1]) if math.isfinite(sum(position)) else None
 
