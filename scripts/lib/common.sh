@@ -96,9 +96,19 @@ end_child() {
     R4H_CHILD=
 }
 
+ignores_interrupts() { # ignores_interrupts PID: as all do that bash has started in the background, until they are what they shall be
+    local ignored
+    ignored=$(sed -n 's/^SigIgn:[[:space:]]*//p' "/proc/$1/status" 2>/dev/null) || return 1
+    ((16#${ignored:-0} & 2))
+}
+
 end_stack() { # roslaunch first: it ends the master and the screen's nodes after those that still speak to them
     [ -n "${R4H_STACK:-}" ] || return 0
     note "ending the nodes ..."
+    for _ in {1..50}; do
+        ignores_interrupts "$R4H_STACK" || break
+        sleep 0.1
+    done
     kill -INT "$R4H_STACK" 2>/dev/null || return 0
     for _ in {1..100}; do
         kill -0 "$R4H_STACK" 2>/dev/null || return 0
@@ -108,8 +118,9 @@ end_stack() { # roslaunch first: it ends the master and the screen's nodes after
 
 on_exit() {
     local code=$?
-    trap - EXIT
-    trap '' INT TERM HUP
+    trap - EXIT ERR
+    trap '' INT TERM HUP PIPE
+    set +e      # nothing can be written any more where the terminal was closed, and all is to end all the same
     end_child
     [ -z "$R4H_BESIDE" ] || kill -TERM "$R4H_BESIDE" 2>/dev/null || true
     end_stack

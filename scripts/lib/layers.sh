@@ -191,7 +191,7 @@ existing_dirs() { # existing_dirs SUBDIRECTORY...: those of every package that h
 pytest_here() { # pytest_here NAME INTERPRETER ARGUMENT...: one run, its results in NAME.xml
     local name=$1 interpreter=$2
     shift 2
-    HYPOTHESIS_STORAGE_DIRECTORY=$R4H_CACHE/hypothesis \
+    HYPOTHESIS_STORAGE_DIRECTORY=$R4H_CACHE/hypothesis PYTEST_DEBUG_TEMPROOT=$R4H_TMP \
         run_logged "$name" ${R4H_NICE[@]+"${R4H_NICE[@]}"} timeout -k 20 "$R4H_PYTEST_LIMIT" \
         "$interpreter" -m pytest -q -c scripts/pytest.ini --rootdir .. \
         "--junitxml=$R4H_LOGS/$name.xml" "$@"

@@ -7,6 +7,7 @@ Only the standard library, only Linux (/proc).
 
 from __future__ import annotations
 
+import ctypes
 import os
 import resource
 import signal
@@ -16,6 +17,7 @@ import time
 from typing import Callable, List, Optional, Sequence, Set
 
 MARK_NAME = "ROS4HRI_RUN_MARK"
+_PR_SET_PDEATHSIG = 1       # prctl(2)
 
 
 def free_port() -> int:
@@ -138,8 +140,12 @@ def display_answers(display: str) -> bool:
 
 
 def detach(command: List[str]) -> None:
-    """Become the command, in a new session, with signals as a terminal would give them."""
+    """Become the command, in a new session, with signals as a terminal would give them.
+
+    It gets SIGINT, as from Ctrl-C, when the script that has started it is killed.
+    """
     os.setsid()
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT, 0, 0, 0)
     for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
     os.execvp(command[0], command)
