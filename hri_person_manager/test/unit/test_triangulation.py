@@ -123,3 +123,9 @@ def test_an_ellipse_is_as_large_and_turned_as_its_covariance():
     assert np.sin(found - turn) == pytest.approx(0.0, abs=1e-9)
     drawn = np.random.default_rng(1).normal(size=(20000, 2))
     assert np.mean((drawn ** 2).sum(axis=1) <= 5.991) == pytest.approx(0.95, abs=0.005)
+
+
+@pytest.mark.parametrize("far", [1e3, 1e6, 1e9])
+def test_a_voice_told_far_away_has_a_covariance_to_reckon_with(far):
+    covariance = voice_covariance(np.full(3, far), np.zeros(3))
+    assert np.linalg.eigvalsh(covariance).min() > 0.0 and np.isfinite(np.linalg.solve(covariance, np.ones(3))).all()

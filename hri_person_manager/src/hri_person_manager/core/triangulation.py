@@ -30,6 +30,7 @@ FASTEST_MPS = 3.0          # a person who runs
 SETTLING_S = 0.2           # by which a new view may begin before the last one has ended
 FRESH_S = 0.5              # who was seen so long ago is seen now
 VOICE_RAD = 0.14           # error of the direction of a voice (standard deviation)
+FARTHEST_VOICE_M = 1e6     # told farther away, its variances to the sides would be lost beside that along the ray
 VOICE_M, VOICE_SPREAD_M = 2.0, 1.0     # mean distance of who talks, and its standard deviation: 0.5 to 4 m
 AWAY_MPS, AWAY_S = 0.5, 1.0     # speed of who is out of sight, per axis, and for how long it goes one way
 CHANGE_MPS = 0.2           # deviation of how a velocity changes out of sight
@@ -119,6 +120,7 @@ def voice_covariance(position: np.ndarray, origin: np.ndarray) -> np.ndarray:
     ray = position - origin
     length = float(np.linalg.norm(ray))
     unit = ray / max(length, 1e-6)
+    length = min(length, FARTHEST_VOICE_M)
     side = VOICE_RAD ** 2 * (VOICE_M ** 2 + VOICE_SPREAD_M ** 2)
     along = VOICE_SPREAD_M ** 2 + (VOICE_M - length) ** 2
     return side * np.eye(3) + (along - side) * np.outer(unit, unit)
