@@ -78,7 +78,8 @@ def labelled_faces(finder, labels):
 
 
 def units_of(measures, image, presence, mesh):
-    return ActionUnitEstimator(measures).update(mesh, None, 0.0, presence, CameraModel.from_fov(*image.shape[1::-1], HFOV))
+    camera = CameraModel.from_fov(image.shape[1], image.shape[0], HFOV)
+    return ActionUnitEstimator(measures).update(mesh, None, 0.0, presence, camera)
 
 
 def test_the_mirror_table_mirrors_the_canonical_face():
