@@ -78,7 +78,7 @@ def labelled_faces(finder, labels):
 
 
 def units_of(measures, image, presence, mesh):
-    camera = CameraModel.from_fov(*image.shape[1::-1], HFOV)
+    camera = CameraModel.from_fov(image.shape[1], image.shape[0], HFOV)
     return ActionUnitEstimator(measures).update(mesh, None, 0.0, presence, camera)
 
 

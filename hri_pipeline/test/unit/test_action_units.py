@@ -274,7 +274,8 @@ def test_the_neutral_never_leaves_the_range_of_people():
 
 PICTURE = CameraModel.from_fov(1280, 720, 0.9)
 CAMERAS = {
-    "wide": CameraModel.from_fov(1280, 720, 2.0),
+    "wide": CameraModel(1280, 720, np.array([[410.0, 0, 640], [0, 410.0, 360], [0, 0, 1]]), np.zeros(0), "plumb_bob",
+                        Calibration.CALIBRATED),
     "lens": CameraModel(1280, 720, np.array([[700.0, 0, 640], [0, 700.0, 360], [0, 0, 1]]),
                         np.array([-0.3, 0.1, 0.0, 0.0, 0.0]), "plumb_bob", Calibration.CALIBRATED),
     "fisheye": CameraModel(1280, 720, np.array([[500.0, 0, 640], [0, 500.0, 360], [0, 0, 1]]), np.zeros(4),

@@ -4,7 +4,9 @@ exist."""
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from hri_pipeline.core.camera import Calibration, CameraModel
 from hri_pipeline.core.faces.appearance import AppearanceMatcher, FaceLook, Verdict, asymmetry, correlation
 from hri_pipeline.core.faces.mesh import MESH_POINTS
 from hri_pipeline.core.faces.track import FaceMeasurement
@@ -296,3 +298,41 @@ def test_who_is_not_there_any_more_takes_nobody_s_place():
     image = scene((3, 200), (4, 600))
     tracks = faces.update([measurement(image, 200), measurement(image, 600)], 0.3, cut=True)
     assert len(tracks) == 2 and not {track.id for track in tracks} & set(before.values())
+
+
+def looked_at(camera, turn):
+    """A picture that a pinhole camera has taken ahead, as `camera` sees it that is turned, and a mesh on it, in
+    both."""
+    ahead = CameraModel(640, 480, np.array([[600.0, 0, 320], [0, 600.0, 240], [0, 0, 1]]), np.zeros(0), "plumb_bob",
+                        Calibration.CALIBRATED)
+    texture = cv2.GaussianBlur(np.random.RandomState(3).uniform(0, 255, (480, 640, 3)), (0, 0), 6.0)
+    texture = cv2.normalize(texture, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    rays = camera.normalise(np.column_stack([columns.ravel(), rows.ravel()]))
+    places = ahead.project(np.column_stack([rays, np.ones(len(rays))]) @ turn).astype(np.float32)
+    seen = cv2.remap(texture, places.reshape(camera.height, camera.width, 2), None, cv2.INTER_LINEAR)
+    points = mesh(320, size=120.0)[:, :2]
+    rays = np.column_stack([ahead.normalise(points), np.ones(len(points))])
+    return texture, points, seen, camera.project(rays @ turn.T), ahead
+
+
+@pytest.mark.parametrize("camera", [
+    CameraModel(1280, 720, np.array([[460.0, 0, 640], [0, 460.0, 360], [0, 0, 1]]), np.zeros(0), "plumb_bob",
+                Calibration.CALIBRATED),
+    CameraModel(1280, 720, np.array([[500.0, 0, 640], [0, 500.0, 360], [0, 0, 1]]), np.zeros(4), "equidistant",
+                Calibration.CALIBRATED)], ids=["wide", "fisheye"])
+@pytest.mark.parametrize("aside", [(0, 36), (20, -25)])
+def test_the_crop_for_a_template_is_the_same_wherever_in_the_image_a_face_is(camera, aside):
+    turn = Rotation.from_euler("xy", aside, degrees=True).as_matrix()
+    texture, points, seen, places, ahead = looked_at(camera, turn)
+    wanted = face_chip(texture, points, 112, camera=ahead)
+    assert np.abs(face_chip(texture, points, 112).astype(float) - wanted).mean() < 4.0, "nothing is changed ahead"
+    found, stretched = (face_chip(seen, places, 112, camera=one) for one in (camera, None))
+    guessed = CameraModel.from_fov(1280, 720, 1.9)
+    assert (face_chip(seen, places, 112, camera=guessed) == stretched).all(), "a guess changes nothing"
+    apart, before = (np.abs(chip.astype(float) - wanted).mean() for chip in (found, stretched))
+    assert apart < 2.5 and before > 2.0 * apart
+
+
+def test_points_in_one_place_have_no_other_view():
+    assert CameraModel.from_fov(640, 480, 1.0).facing_map(np.full((5, 2), 100.0)) == pytest.approx(np.eye(3))

@@ -27,6 +27,7 @@ _MAX_SENSOR = 65536
 _ALIASES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
 _HINT = "calibrate the camera, or publish an all-zero K to use the field of view parameter"
 _WIDEST = math.tan(math.radians(88.0))
+_GRID = np.array([(x, y) for x in (0.0, 0.5, 1.0) for y in (0.0, 0.5, 1.0)])
 _FARTHEST = 1e3     # largest x/z and y/z of such points
 _LEAST_AHEAD = 0.1      # cosine of the angle from the middle of some points to one that is still told
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
@@ -87,6 +88,11 @@ class CameraModel:
         object.__setattr__(self, "matrix", matrix)
         object.__setattr__(self, "distortion", distortion)
         object.__setattr__(self, "distortion_model", model)
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether the numbers were measured: those of a guess change what is seen aside by a guess."""
+        return self.calibration is Calibration.CALIBRATED
 
     @classmethod
     def from_fov(
@@ -262,6 +268,19 @@ class CameraModel:
         ahead = directions @ turn.T
         focal = math.sqrt(self.matrix[0, 0] * self.matrix[1, 1])
         return np.asarray(focal * ahead[:, :2] / np.maximum(ahead[:, 2:], _LEAST_AHEAD))
+
+    def facing_map(self, pixels: np.ndarray) -> np.ndarray:
+        """Return the homography (3, 3) that takes pixels near some points (N, 2) px to what facing() says of them.
+
+        That of points in one place changes nothing.
+        """
+        pixels = np.asarray(pixels, dtype=np.float64)
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        places = low + _GRID * (high - low)
+        if not np.isfinite(places).all() or (high - low).min() < 1.0:
+            return np.eye(3)
+        found, _ = cv2.findHomography(places, self.facing(places))
+        return np.eye(3) if found is None else np.asarray(found)
 
     def resized(self, width: int, height: int) -> "CameraModel":
         """Return the model of the same view in an image of another size, px; itself when it has that size."""

@@ -468,8 +468,8 @@ class FaceMeasures:
     def measure(self, mesh: np.ndarray, camera: Optional[CameraModel] = None) -> Optional[MeasuredFace]:
         """Measure a mesh (478, 3) px; camera: of the image's size.
 
-        Points outside of the image count as not seen, and what the camera does to a face aside of its optical axis is
-        taken back. Without a camera the face is taken to be in the middle of a large image.
+        Points outside of the image count as not seen, and what a calibrated camera does to a face aside of its optical
+        axis is taken back. Without a camera the face is taken to be in the middle of a large image.
 
         None when the mesh is not finite or has no extent. Raises ValueError for another shape.
         """
@@ -482,7 +482,7 @@ class FaceMeasures:
         if camera is not None:
             places = mesh[self._used, :2]
             inside = ((places >= 0.0) & (places < (camera.width, camera.height))).all(axis=1)
-            ahead = self._facing(mesh, camera)
+            ahead = self._facing(mesh, camera) if camera.is_calibrated else mesh
         rigid, points = ahead[self._rigid], ahead[self._used]
         if np.ptp(rigid, axis=0).max() < 1.0:
             return None

@@ -122,6 +122,7 @@ class FaceAnalysis:
         self._qualities = CropQualities()
         self._times = times
         self._time_budget = TimeBudget(1e-3 * _SHARE * settings.face_budget, _SAVED_S)
+        self._camera: Optional[CameraModel] = None      # of the last image
         self._images = self._waits = 0
         self._last, self._stamp = "", -np.inf
         self.matches: List[PersonMatch] = []
@@ -151,7 +152,8 @@ class FaceAnalysis:
         camera
             Camera model of the image's size; None: not known.
         """
-        units = self._action_units(faces, stamp, demand, camera)
+        self._camera = camera
+        units = self._action_units(faces, stamp, demand)
         qualities = self._assess(bgr, faces, stamp, demand)
         self._run_one(bgr, faces, qualities, stamp, demand, busy)
         if self._expression is not None:
@@ -197,8 +199,8 @@ class FaceAnalysis:
         return [processor for processor in (self._expression, self._age_gender, self.recognition)
                 if processor is not None]
 
-    def _action_units(self, faces: Sequence[FaceObservation], stamp: float, demand: FaceDemand,
-                      camera: Optional[CameraModel]) -> Dict[str, ActionUnits]:
+    def _action_units(self, faces: Sequence[FaceObservation], stamp: float, demand: FaceDemand
+                      ) -> Dict[str, ActionUnits]:
         """Action units of the measured faces for which they are wanted, directly or for the expression."""
         if self._measures is None:
             return {}
@@ -215,7 +217,7 @@ class FaceAnalysis:
                         self._units[face.id] = ActionUnitEstimator(self._measures)
                     estimator = self._units[face.id]
                     closed = None if face.gaze is None else face.gaze.eyes_closed
-                    found[face.id] = estimator.update(face.mesh, face.pose, stamp, face.score, camera, closed)
+                    found[face.id] = estimator.update(face.mesh, face.pose, stamp, face.score, self._camera, closed)
         return found
 
     def _assess(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float,
@@ -263,7 +265,7 @@ class FaceAnalysis:
         """Run the network of this name, none for the empty one; returns the changes of the matches."""
         if name == "recognition" and self.recognition is not None:
             with self._times("recognition"):
-                return self.recognition.look(bgr, faces, stamp)
+                return self.recognition.look(bgr, faces, stamp, self._camera)
         if name == "expression" and self._expression is not None:
             with self._times("expression"):
                 self._expression.infer(bgr, faces, stamp, demand.expression)

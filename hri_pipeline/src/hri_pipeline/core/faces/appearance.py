@@ -20,6 +20,7 @@ from typing import Callable, Deque, Optional, Sequence
 import cv2
 import numpy as np
 
+from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.recognition.embedding import face_chip
 
 CHIP = 24
@@ -74,10 +75,10 @@ class FaceLook:
     """One look at a face. The image is kept until `release`, for the crop, which is made when it is needed: nobody may
     write to it."""
 
-    def __init__(self, bgr: np.ndarray, mesh: np.ndarray) -> None:
-        """bgr: (H, W, 3) uint8, that nobody writes to; mesh: (478, 3) px."""
+    def __init__(self, bgr: np.ndarray, mesh: np.ndarray, camera: Optional[CameraModel] = None) -> None:
+        """bgr: (H, W, 3) uint8, that nobody writes to; mesh: (478, 3) px; camera: see `face_chip`."""
         self._bgr: Optional[np.ndarray] = bgr
-        self._mesh = mesh
+        self._mesh, self._camera = mesh, camera
         self.eyes = float(np.linalg.norm(mesh[EYES[0], :2] - mesh[EYES[1], :2]))
         self.asymmetry = asymmetry(mesh)
         self.chip = small_picture(bgr, mesh)
@@ -88,7 +89,7 @@ class FaceLook:
         """Make the crop (size, size, 3) for the recognition network, where the face is large enough; alignment: see
         `face_chip`."""
         if self.crop is None and self._bgr is not None and self.eyes >= LEAST_EYES:
-            self.crop = face_chip(self._bgr, self._mesh, size, alignment=alignment)
+            self.crop = face_chip(self._bgr, self._mesh, size, alignment=alignment, camera=self._camera)
 
     def release(self) -> None:
         """Let go of the image."""

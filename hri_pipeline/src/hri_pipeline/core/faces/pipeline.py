@@ -134,7 +134,7 @@ class FacePipeline:
                 if placed is not None:
                     placed([observation for observation, face in zip(poses, new) if face.confirmed])
 
-            tracked = self._tracking.update(bgr, stamp, place)
+            tracked = self._tracking.update(bgr, stamp, place, camera)
             self._forget_dropped()
             place(tracked)
         faces = [observed[face.id] for face in tracked if face.confirmed]

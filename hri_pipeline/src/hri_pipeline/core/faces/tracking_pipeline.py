@@ -9,6 +9,7 @@ from typing import Any, Callable, ContextManager, Dict, List, Mapping, Optional,
 
 import numpy as np
 
+from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.appearance import AppearanceMatcher, FaceLook
 from hri_pipeline.core.faces.detector import FaceDetection, FaceDetector, Region, load_face_network, wide_region
 from hri_pipeline.core.faces.face_geometry import TrackedFace
@@ -123,6 +124,7 @@ class FaceTrackingPipeline:
         self._times = times
         self._flow = FaceFlow()
         self._stamp = 0.0
+        self._camera: Optional[CameraModel] = None      # of the last image
         self.detected = False
         self._set_thresholds(settings)
 
@@ -165,7 +167,8 @@ class FaceTrackingPipeline:
         return self._mesh_scheduler
 
     def update(self, bgr: np.ndarray, stamp: float,
-               followed: Optional[Callable[[List[TrackedFace]], None]] = None) -> List[TrackedFace]:
+               followed: Optional[Callable[[List[TrackedFace]], None]] = None,
+               camera: Optional[CameraModel] = None) -> List[TrackedFace]:
         """Return the faces seen in an image, oldest first, unconfirmed ones too.
 
         Parameters
@@ -177,7 +180,10 @@ class FaceTrackingPipeline:
         followed
             Called before the detector searches the image, with the published faces that are where they were expected:
             they need not wait for it.
+        camera
+            Camera model of the image's size, for the templates of faces; None: not known.
         """
+        self._camera = camera
         with self._times("face_flow"):
             cut = self._cuts.update(bgr)
             self._predict(bgr, stamp)
@@ -406,11 +412,10 @@ class FaceTrackingPipeline:
                 for (detection, crop, roi), result, score in zip(sound, results, verified)
                 if is_face(result, width, height, self._min_presence)]
 
-    @staticmethod
-    def _measurement(bgr: np.ndarray, result: FaceMeshResult, score: float) -> FaceMeasurement:
+    def _measurement(self, bgr: np.ndarray, result: FaceMeshResult, score: float) -> FaceMeasurement:
         """What is measured of a face that is known already; score: that of its detection or track, 0 to 1."""
         return FaceMeasurement(result.points, result.presence, False, face_colours(bgr, bounding_box(result.points)),
-                               0.0, score, 0.0, FaceLook(bgr, result.points))
+                               0.0, score, 0.0, FaceLook(bgr, result.points, self._camera))
 
     def _unconfirmed(self, stamp: float) -> List[np.ndarray]:
         """Centres (2,) px of the faces that are not confirmed yet, or were not detected for long."""

@@ -19,6 +19,7 @@ from typing import Callable, Dict, List, Optional, Sequence, Tuple, Union
 import cv2
 import numpy as np
 
+from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel, model_path
 from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
@@ -132,13 +133,13 @@ class FaceEmbedder:
             raise ModelError("model file {} gives {} numbers instead of {}; it is another model: {}".format(
                 path, trial.size, self.dimension, FETCH_HINT))
 
-    def crop(self, bgr: np.ndarray, mesh: np.ndarray) -> np.ndarray:
+    def crop(self, bgr: np.ndarray, mesh: np.ndarray, camera: Optional[CameraModel] = None) -> np.ndarray:
         """Return the (size, size, 3) uint8 BGR crop of a face for `embed`.
 
-        bgr: (H, W, 3) uint8; mesh: (468 or 478, 2 or more) px. Raises ValueError for points that are not finite or
-        in one place.
+        bgr: (H, W, 3) uint8; mesh: (468 or 478, 2 or more) px; camera: see face_chip. Raises ValueError for points that
+        are not finite or in one place.
         """
-        return face_chip(bgr, mesh, self.size, alignment=self.alignment)
+        return face_chip(bgr, mesh, self.size, alignment=self.alignment, camera=camera)
 
     def embed(self, crops: Sequence[np.ndarray]) -> np.ndarray:
         """Return (N, dimension) float32 unit vectors of crops (N, size, size, 3) uint8 BGR; (0, dimension) for none.
@@ -183,13 +184,19 @@ def load_face_embedder(configured: str = "", providers: Sequence[str] = ("cpu",)
 
 
 def face_chip(bgr: np.ndarray, mesh: np.ndarray, size: int, border: float = BORDER,
-              alignment: str = "dlib") -> np.ndarray:
+              alignment: str = "dlib", camera: Optional[CameraModel] = None) -> np.ndarray:
     """Return (size, size, 3) uint8 BGR: the face brought to a mean face; parts outside the image are black.
 
     bgr: (H, W, 3) uint8; mesh: (468 or 478, 2 or more) px; border: in sides of the box of dlib's mean face; alignment:
-    `dlib`, or `arcface`, which has no border. Raises ValueError for points that are not finite or in one place.
+    `dlib`, or `arcface`, which has no border. camera: of the image; where it is calibrated, the face is shown as a
+    camera sees it that looks at it: aside of the optical axis an image is stretched, so that people look unlike
+    themselves. Raises ValueError for points that are not finite or in one place.
     """
     vertices = np.asarray(mesh, dtype=np.float64)[:, :2]
+    facing = None
+    if camera is not None and camera.is_calibrated and np.isfinite(vertices).all():
+        facing = camera.facing_map(vertices)
+        vertices = cv2.perspectiveTransform(vertices[None], facing)[0]
     if alignment == "arcface":
         points, goal = np.stack([vertices[list(some)].mean(axis=0) for some in _ARC_VERTICES]), _ARC_FACE
     else:
@@ -198,8 +205,12 @@ def face_chip(bgr: np.ndarray, mesh: np.ndarray, size: int, border: float = BORD
     scale = float(np.hypot(affine[0, 0], affine[1, 0]))
     # Halving steps against aliasing: a crop is drawn at up to four times its size and averaged.
     finer = int(np.clip(np.floor(1.0 / scale), 1, 4))
-    chip = cv2.warpAffine(bgr, affine * finer, (size * finer, size * finer), flags=cv2.INTER_LINEAR,
-                          borderMode=cv2.BORDER_CONSTANT)
+    side = (size * finer, size * finer)
+    if facing is None:
+        chip = cv2.warpAffine(bgr, affine * finer, side, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    else:
+        chip = cv2.warpPerspective(bgr, np.vstack([affine * finer, (0.0, 0.0, 1.0)]) @ facing, side,
+                                   flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     return chip if finer == 1 else cv2.resize(chip, (size, size), interpolation=cv2.INTER_AREA)
 
 

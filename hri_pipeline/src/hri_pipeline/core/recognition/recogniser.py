@@ -15,6 +15,7 @@ from typing import Callable, Collection, Dict, Iterable, List, Mapping, Optional
 
 import numpy as np
 
+from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.image_rotation import ImageRotation
@@ -490,13 +491,17 @@ class FaceRecognition:
         self.recogniser.watch({face.id: face.mesh for face in faces if face.mesh is not None}, stamp)
         return bool(self._due)
 
-    def look(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float) -> List[PersonMatch]:
-        """Make the templates that are due; returns what has changed, withdrawals (likelihood 0) first."""
+    def look(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float,
+             camera: Optional[CameraModel] = None) -> List[PersonMatch]:
+        """Make the templates that are due; returns what has changed, withdrawals (likelihood 0) first.
+
+        camera: of the image; None: not known.
+        """
         chosen = [face for face in faces if face.id in self._due]
         self._due = []
         if not chosen:
             return self.recogniser.changes()
-        templates = self._embedder.embed([self._embedder.crop(bgr, face.mesh) for face in chosen])
+        templates = self._embedder.embed([self._embedder.crop(bgr, face.mesh, camera) for face in chosen])
         self.made = {face.id: template for face, template in zip(chosen, templates)}
         return self.recogniser.update([face.id for face in chosen], templates,
                                       [self._qualities[face.id] for face in chosen], stamp)
