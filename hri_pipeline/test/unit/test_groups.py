@@ -299,6 +299,16 @@ def test_three_who_walk_abreast_are_a_group_and_who_overtakes_them_is_not() -> N
     assert set(found) == {("a", "b", "c")}
 
 
+def test_who_walks_with_another_is_seen_too_seldom_to_tell_the_pace_and_does_not_stand() -> None:
+    tracker, found = GroupTracker(SETTINGS, seed=0), []
+    for index in range(25):
+        x = 0.48 * index
+        people = [Individual("a", np.array([x, 0.0]), 0.0)]
+        people += [Individual("b", np.array([x, 0.6]), 0.0)] if index % 4 else []
+        found.append([group.members for group in tracker.update(people, 0.4 * index)])
+    assert found[8:] == [[("a", "b")]] * 17
+
+
 def test_where_a_group_splits_the_larger_part_has_the_id() -> None:
     film = Film()
     whole = film.run(standing("abcde", radius=0.8), 5.0)

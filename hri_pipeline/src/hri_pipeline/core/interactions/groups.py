@@ -152,9 +152,9 @@ def _linked(near: np.ndarray) -> np.ndarray:
 
 
 def _velocity(path: Sequence[Tuple[float, float, float]]) -> Tuple[float, float]:
-    """Return the velocity (m/s) of a line through (stamp s, x, y m): least squares; 0 for less than three."""
+    """Return the velocity (m/s) of a line through (stamp s, x, y m): least squares; NaN for less than three."""
     if len(path) < 3:
-        return 0.0, 0.0
+        return math.nan, math.nan
     # Relative to the first: sums of squares lose nothing there.
     (begin, left, low), count = path[0], len(path)
     times = xs = ys = squares = along_x = along_y = 0.0
@@ -361,7 +361,8 @@ class GroupTracker:
         together[both], confidence[both] = same, _WALKING_CONFIDENCE * same
 
     def _velocities(self, rows: Sequence[int], seconds: float) -> np.ndarray:
-        """Return the velocities (N,) of the people in `rows` over the last seconds, m/s, x + iy."""
+        """Return the velocities (N,) of the people in `rows` over the last seconds, m/s, x + iy; NaN for
+        less than three places."""
         paths = (self._paths[self._people[row]] for row in rows)
         return np.array([complex(*_velocity([point for point in path if path[-1][0] - point[0] <= seconds]))
                          for path in paths])
