@@ -56,11 +56,12 @@ _GROUND_THIGH = 110.0       # degrees; with the knees higher than that above the
 _FOLDED_REACH, _FOLDED_KNEES, _FOLDED_KNEE = 0.265, (115.0, 158.0), 100.0
 # Their trunk beside the feet (statures): of who squats less than the first, of who sits on a kerb mostly more than the
 # other; and as _SEATED_LEAN, with its standard deviation.
-_SQUAT_FEET, _KERB_FEET = 0.12, 0.17
-_KERB_LEAN, _SQUAT_LEAN, _FOLDED_LEAN_SD = -50.0, -3.0, 8.0
-# Legs that are less folded: thighs (degrees) of who crouches, mostly more of who leans forward on a chair; below a
-# trunk that leans forward by 15 degrees, and is as far beside the feet, it may be either.
-_CHAIR_THIGH, _HALF_SQUAT_FEET, _LEANS = 78.0, 0.125, -0.26
+_SQUAT_FEET, _KERB_FEET = 0.12, 0.14
+_KERB_LEAN, _SQUAT_LEAN, _FOLDED_LEAN_SD = -44.0, -3.0, 8.0
+# Legs that are less folded: thighs (degrees) of who crouches, mostly more of who leans forward on a chair. With such
+# thighs, below a trunk that leans forward by 15 degrees and is as far beside the feet, it may be either.
+_CHAIR_THIGH = 78.0
+_HALF_SQUAT_THIGH, _HALF_SQUAT_FEET, _LEANS = 73.0, 0.125, -0.26
 _SHORT_LEG = 0.74
 _LEG = 0.481  # thigh and shank
 _HOLD_S = 0.3
@@ -448,7 +449,7 @@ def _low_posture(figure: Figure, legs: List[Leg], low: bool, up: Vector) -> Post
                     and _middle(leg.shank for leg in whole) < _CROUCH_SHANK
                     and _CROUCH_THIGHS[0] < thigh < (_CROUCH_THIGHS[1] if folded else _CHAIR_THIGH))
             return PostureClass.CROUCHING if deep else PostureClass.OTHER
-        half_squat = beside < _HALF_SQUAT_FEET and thigh < _CHAIR_THIGH and dot(figure.axes[0], up) < _LEANS
+        half_squat = beside < _HALF_SQUAT_FEET and thigh < _HALF_SQUAT_THIGH and dot(figure.axes[0], up) < _LEANS
         if half_squat or (folded and not (alike and beside > _KERB_FEET)):
             return PostureClass.OTHER
     # A thigh whose foot is hidden counts, too: a foot on a step.
