@@ -488,7 +488,7 @@ def folded(trunk, left, right=None):
 @pytest.mark.parametrize("up_sd", [0.0, 5.7, 8.9, 12.0])
 @pytest.mark.parametrize("pose, posture", [
     (people.crouching(), PostureClass.CROUCHING), (folded(25.0, (105.0, 140.0)), PostureClass.CROUCHING),
-    (folded(12.0, (100.0, 132.0)), PostureClass.CROUCHING),
+    (folded(16.0, (100.0, 135.0)), PostureClass.CROUCHING),
     (folded(10.0, (110.0, 145.0), (50.0, 145.0)), PostureClass.OTHER),
     (folded(5.0, (112.0, 112.0)), PostureClass.SITTING), (folded(10.0, (92.0, 110.0)), PostureClass.SITTING),
     (folded(5.0, (88.0, 168.0)), PostureClass.SITTING)],
@@ -498,6 +498,14 @@ def test_legs_that_no_chair_folds_so_far_squat_however_uncertain_the_vertical_is
     body = BehaviourRecognizer()
     told = [body.update(pose.seen(0.4), STATURE, 0.1 * index, UP, math.radians(up_sd)).posture for index in range(15)]
     assert told[-1] == posture
+
+
+@pytest.mark.parametrize("up_sd", [0.0, 4.0])
+def test_one_folded_leg_is_no_squat(up_sd):
+    """As the pose network has the legs of somebody who sits, seen from the front, one of them hidden."""
+    body, points = BehaviourRecognizer(), folded(10.0, (98.0, 128.0)).without(kp.LEFT_KNEE, kp.LEFT_ANKLE).seen()
+    told = [body.update(points, STATURE, 0.1 * index, UP, math.radians(up_sd)).posture for index in range(15)]
+    assert told[-1] == PostureClass.SITTING
 
 
 def test_a_half_squat_is_told_with_a_sure_vertical_and_not_with_a_vague_one():
@@ -513,7 +521,7 @@ def test_who_leans_far_forward_on_a_chair_does_not_crouch(trunk, thigh, knee):
     assert last(folded(trunk, (thigh, knee)).seen()).posture in (PostureClass.SITTING, PostureClass.OTHER)
 
 
-@pytest.mark.parametrize("trunk, thigh, knee", [(20.0, 70.0, 84.0), (25.0, 74.0, 88.0)])
+@pytest.mark.parametrize("trunk, thigh, knee", [(20.0, 70.0, 84.0), (18.0, 68.0, 84.0)])
 def test_a_half_squat_behind_the_feet_does_not_sit(trunk, thigh, knee):
     assert last(folded(trunk, (thigh, knee)).seen()).posture in (PostureClass.CROUCHING, PostureClass.OTHER)
 

@@ -53,7 +53,7 @@ _SITS_ON_GROUND = 0.06
 _GROUND_THIGH = 110.0       # degrees; with the knees higher than that above the hips, and over the feet, it is a squat
 # Legs that no chair folds so far: hips to ankles (statures), mean and straighter knee (degrees). Of people drawn, or
 # before a Kinect, on chairs .27 and more, 112 and less; who squats .25 and less, 119 to 158; on the heels more.
-_FOLDED_REACH, _FOLDED_KNEES, _FOLDED_KNEE = 0.265, (115.0, 158.0), 100.0
+_FOLDED_REACH, _FOLDED_KNEES, _FOLDED_KNEE = 0.265, (117.0, 158.0), 100.0
 # Their trunk beside the feet (statures): of who squats less than the first, of who sits on a kerb mostly more than the
 # other; and as _SEATED_LEAN, with its standard deviation.
 _SQUAT_FEET, _KERB_FEET = 0.12, 0.14
@@ -464,13 +464,14 @@ def _on_ground(height: float, thigh: float, beside: float) -> bool:
 
 
 def _is_folded(figure: Figure) -> bool:
-    """Whether all legs that are known, one at least, are folded further than on a chair, and less than on the heels."""
-    known = [(limb.knee, length(minus(figure.rows[hip], figure.rows[ankle])))
-             for limb, (hip, _, ankle) in zip(figure.limbs, _LEGS) if limb.knee == limb.knee]
-    if not known or max(reach for _, reach in known) > _FOLDED_REACH * figure.stature:
-        return False
-    knees = [knee for knee, _ in known]
-    return min(knees) > _FOLDED_KNEE and _FOLDED_KNEES[0] < _middle(knees) < _FOLDED_KNEES[1]
+    """Whether both legs are folded further than on a chair, and less than on the heels.
+
+    One alone says nothing: seen from the front the pose network folds a leg of who sits as far.
+    """
+    knees = [limb.knee for limb in figure.limbs]
+    return (min(knees) > _FOLDED_KNEE and _FOLDED_KNEES[0] < _middle(knees) < _FOLDED_KNEES[1]
+            and all(length(minus(figure.rows[hip], figure.rows[ankle])) < _FOLDED_REACH * figure.stature
+                    for hip, _, ankle in _LEGS))
 
 
 def _are_alike(figure: Figure, up: Vector) -> bool:
