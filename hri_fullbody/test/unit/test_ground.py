@@ -74,8 +74,12 @@ def test_posture_before_a_steep_camera_is_told_with_the_learnt_vertical():
     assert told[14] == PostureClass.STANDING and told[-1] == PostureClass.SITTING
 
 
-def test_a_crouch_that_hangs_on_an_unknown_vertical_is_not_told():
-    points, body = seen(people.crouching()), BehaviourRecognizer()
-    told = [body.update(points, people.STATURE, 0.1 * index, people.UP, np.radians(12.0)).posture
-            for index in range(15)]
-    assert set(told) == {PostureClass.OTHER}
+@pytest.mark.parametrize("stood", [False, True], ids=["from the first", "who stood before"])
+def test_who_lies_with_the_feet_to_a_steep_camera_does_not_stand(stood):
+    pitch, body, ground, told = np.radians(35.0), BehaviourRecognizer(), GroundPlane(), []
+    for index in range(40):
+        points = seen(people.standing() if stood and index < 15 else people.lying(), pitch)
+        ground.add("a", points, SURE, 0.1 * index)
+        ground.solve(0.1 * index)
+        told.append(body.update(points, people.STATURE, 0.1 * index, ground.up, ground.up_sd).posture)
+    assert told[-1] in (PostureClass.LAYING, PostureClass.OTHER)

@@ -493,12 +493,55 @@ def test_on_a_stool_with_one_leg_seen_nobody_stands():
         assert told[-1] == posture
 
 
-def test_a_crouch_is_told_with_a_sure_vertical_and_not_with_a_vague_one():
-    points, told = people.crouching().seen(), {}
-    for up_sd in (0.0, math.radians(5.0), math.radians(9.0)):
+def folded(trunk, left, right=None):
+    """A body whose legs have (degrees of the thigh from straight down, of the knee), its trunk leaning forward."""
+    places = []
+    for thigh, knee in (left, right or left):
+        above, below = math.radians(thigh), math.radians(thigh - knee)
+        joint = (0.41 * math.sin(above), 0.06, -0.41 * math.cos(above))
+        places.append((joint, (joint[0] + 0.41 * math.sin(below), 0.06, joint[2] - 0.41 * math.cos(below))))
+    return people.standing().leg(*places[1]).mirrored().leg(*places[0]).lean(trunk)
+
+
+@pytest.mark.parametrize("up_sd", [0.0, 5.7, 8.9, 12.0])
+@pytest.mark.parametrize("pose, posture", [
+    (people.crouching(), PostureClass.CROUCHING), (folded(25.0, (105.0, 140.0)), PostureClass.CROUCHING),
+    (folded(16.0, (100.0, 135.0)), PostureClass.CROUCHING),
+    (folded(10.0, (110.0, 145.0), (50.0, 145.0)), PostureClass.OTHER),
+    (folded(5.0, (112.0, 112.0)), PostureClass.SITTING), (folded(10.0, (92.0, 110.0)), PostureClass.SITTING),
+    (folded(5.0, (88.0, 168.0)), PostureClass.SITTING)],
+    ids=["crouches", "squats", "squats upright", "kneels on one knee, on the heel", "on a kerb", "feet below the chair",
+         "on the heels"])
+def test_legs_that_no_chair_folds_so_far_squat_however_uncertain_the_vertical_is(pose, posture, up_sd):
+    body = BehaviourRecognizer()
+    told = [body.update(pose.seen(0.4), STATURE, 0.1 * index, UP, math.radians(up_sd)).posture for index in range(15)]
+    assert told[-1] == posture
+
+
+@pytest.mark.parametrize("up_sd", [0.0, 4.0])
+def test_one_folded_leg_is_no_squat(up_sd):
+    """As the pose network has the legs of somebody who sits, seen from the front, one of them hidden."""
+    body, points = BehaviourRecognizer(), folded(10.0, (98.0, 128.0)).without(kp.LEFT_KNEE, kp.LEFT_ANKLE).seen()
+    told = [body.update(points, STATURE, 0.1 * index, UP, math.radians(up_sd)).posture for index in range(15)]
+    assert told[-1] == PostureClass.SITTING
+
+
+def test_a_half_squat_is_told_with_a_sure_vertical_and_not_with_a_vague_one():
+    points, told = folded(28.0, (60.0, 80.0)).seen(), []
+    for up_sd in np.radians([0.0, 5.7, 9.0]):
         body = BehaviourRecognizer()
-        told[up_sd] = [body.update(points, STATURE, index / 15.0, UP, up_sd) for index in range(20)][-1].posture
-    assert list(told.values()) == [PostureClass.CROUCHING, PostureClass.CROUCHING, PostureClass.OTHER]
+        told.append([body.update(points, STATURE, index / 15.0, UP, up_sd).posture for index in range(20)][-1])
+    assert told[0] == PostureClass.CROUCHING and PostureClass.CROUCHING not in told[1:]
+
+
+@pytest.mark.parametrize("trunk, thigh, knee", [(42.0, 85.0, 100.0), (35.0, 82.0, 104.0)])
+def test_who_leans_far_forward_on_a_chair_does_not_crouch(trunk, thigh, knee):
+    assert last(folded(trunk, (thigh, knee)).seen()).posture in (PostureClass.SITTING, PostureClass.OTHER)
+
+
+@pytest.mark.parametrize("trunk, thigh, knee", [(20.0, 70.0, 84.0), (18.0, 68.0, 84.0)])
+def test_a_half_squat_behind_the_feet_does_not_sit(trunk, thigh, knee):
+    assert last(folded(trunk, (thigh, knee)).seen()).posture in (PostureClass.CROUCHING, PostureClass.OTHER)
 
 
 @pytest.mark.parametrize("seen_for, outlasts", [(0.4, 0.3), (3.0, 0.9)])

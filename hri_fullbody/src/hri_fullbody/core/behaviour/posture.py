@@ -50,6 +50,18 @@ _OVER_FEET = 0.085
 # Height of the hips above the ankles (statures): .1 and more of who crouches with the hips on the heels; of who sits
 # cross-legged on the ground, as near above the feet, about 0.
 _SITS_ON_GROUND = 0.06
+_GROUND_THIGH = 110.0       # degrees; with the knees higher than that above the hips, and over the feet, it is a squat
+# Legs that no chair folds so far: hips to ankles (statures), mean and straighter knee (degrees). Of people drawn, or
+# before a Kinect, on chairs .27 and more, 112 and less; who squats .25 and less, 119 to 158; on the heels more.
+_FOLDED_REACH, _FOLDED_KNEES, _FOLDED_KNEE = 0.265, (117.0, 158.0), 100.0
+# Their trunk beside the feet (statures): of who squats less than the first, of who sits on a kerb mostly more than the
+# other; and as _SEATED_LEAN, with its standard deviation.
+_SQUAT_FEET, _KERB_FEET = 0.12, 0.14
+_KERB_LEAN, _SQUAT_LEAN, _FOLDED_LEAN_SD = -44.0, -3.0, 8.0
+# Legs that are less folded: thighs (degrees) of who crouches, mostly more of who leans forward on a chair. With such
+# thighs, below a trunk that leans forward by 15 degrees and is as far beside the feet, it may be either.
+_CHAIR_THIGH = 78.0
+_HALF_SQUAT_THIGH, _HALF_SQUAT_FEET, _LEANS = 73.0, 0.125, -0.26
 _SHORT_LEG = 0.74
 _LEG = 0.481  # thigh and shank
 _HOLD_S = 0.3
@@ -91,6 +103,9 @@ class PostureClass(IntEnum):
     SITTING = 2
     CROUCHING = 3
     LAYING = 4
+
+
+_LOW = (PostureClass.SITTING, PostureClass.CROUCHING)
 
 
 class Leg(NamedTuple):
@@ -296,7 +311,8 @@ def likely_posture(figure: Figure, up: Vector, up_sd: float) -> Optional[Posture
     vague = up_sd > _BALANCE and not lies and _has_bent_legs(figure, up)
     if agreed == PostureClass.STANDING and named[agreed] < _STANDS and not vague:
         return PostureClass.OTHER
-    if up_sd <= _BALANCE and agreed is not None:
+    folded = _is_folded(figure)
+    if up_sd <= _BALANCE and agreed is not None and not (folded and agreed in _LOW):
         return agreed
     if not named and not vague:
         return PostureClass.OTHER if votes.get(PostureClass.OTHER, 0.0) > 0.5 else None
@@ -309,6 +325,8 @@ def likely_posture(figure: Figure, up: Vector, up_sd: float) -> Optional[Posture
     best = _agreed(named)
     if best == PostureClass.STANDING and up_sd > _BALANCE and not _knee(figure) < _VAGUE_KNEE:
         return None
+    if folded and best in _LOW and not _are_alike(figure, up):
+        return PostureClass.OTHER
     return None if best == PostureClass.SITTING and sitting == 0.0 and votes.get(PostureClass.CROUCHING) else best
 
 
@@ -348,14 +366,18 @@ def _crouching_share(figure: Figure, up: Vector, up_sd: float) -> float:
     from_feet = minus(trunk, feet)
     if not math.isfinite(from_feet[0]):
         return 0.0
-    if dot(minus(figure.hips, feet), up) < _SITS_ON_GROUND * figure.stature:
+    thigh = _middle(_leg(limb, figure.stature, up).thigh for limb in figure.limbs)
+    if _on_ground(dot(minus(figure.hips, feet), up) / figure.stature, thigh, _beside_feet(figure, up)):
         return 0.0
+    folded = _is_folded(figure)
     ahead = _level(figure.axes[0], up)
     level = dot(ahead, from_feet) / max(length(ahead), 1e-6)
     lean = math.degrees(math.atan2(level, dot(from_feet, up)))
-    seated, crouched = lean - _SEATED_LEAN, lean - _CROUCHED_LEAN
-    odds = (seated * seated - crouched * crouched) / (2.0 * (_LEAN_SD ** 2 + math.degrees(up_sd) ** 2))
-    prior = math.log(_CROUCHING_PRIOR) if up_sd > _BALANCE else 0.0
+    low, high, spread = ((_KERB_LEAN, _SQUAT_LEAN, _FOLDED_LEAN_SD) if folded
+                         else (_SEATED_LEAN, _CROUCHED_LEAN, _LEAN_SD))
+    seated, crouched = lean - low, lean - high
+    odds = (seated * seated - crouched * crouched) / (2.0 * (spread ** 2 + math.degrees(up_sd) ** 2))
+    prior = math.log(_CROUCHING_PRIOR) if up_sd > _BALANCE and not folded else 0.0
     return 1.0 / (1.0 + math.exp(-max(-50.0, min(50.0, odds + prior))))
 
 
@@ -412,28 +434,60 @@ def _upright(figure: Figure, tilt: float, legs: List[Leg], up: Vector) -> Postur
         return PostureClass.OTHER if stepping else PostureClass.STANDING
     if max(leg.height for leg in whole) > _SHORT_LEG * _LEG or min(leg.height for leg in whole) < -0.1:
         return PostureClass.OTHER
+    return _low_posture(figure, legs, low, up)
+
+
+def _low_posture(figure: Figure, legs: List[Leg], low: bool, up: Vector) -> PostureClass:
+    """The posture of an upright trunk on bent legs, one of them known at least. low: whether the hips are."""
+    whole = [leg for leg in legs if leg.height == leg.height]
     thighs = [leg.thigh for leg in whole]
-    on_ground = _middle(leg.height for leg in whole) < _SITS_ON_GROUND
-    if len(whole) == 2 and not on_ground and _over_feet(figure, up):
-        deep = (low and _middle(leg.knee for leg in whole) > _CROUCH_KNEE
-                and _middle(leg.shank for leg in whole) < _CROUCH_SHANK
-                and _CROUCH_THIGHS[0] < _middle(thighs) < _CROUCH_THIGHS[1]
-                and max(thighs) - min(thighs) < _SAME_THIGHS)
-        return PostureClass.CROUCHING if deep else PostureClass.OTHER
+    thigh, alike, folded = _middle(thighs), max(thighs) - min(thighs) < _SAME_THIGHS, _is_folded(figure)
+    beside = _beside_feet(figure, up) if len(whole) == 2 else math.nan
+    if not _on_ground(_middle(leg.height for leg in whole), thigh, beside):
+        if beside < (_SQUAT_FEET if folded else _OVER_FEET):
+            deep = (low and alike and _middle(leg.knee for leg in whole) > _CROUCH_KNEE
+                    and _middle(leg.shank for leg in whole) < _CROUCH_SHANK
+                    and _CROUCH_THIGHS[0] < thigh < (_CROUCH_THIGHS[1] if folded else _CHAIR_THIGH))
+            return PostureClass.CROUCHING if deep else PostureClass.OTHER
+        half_squat = beside < _HALF_SQUAT_FEET and thigh < _HALF_SQUAT_THIGH and dot(figure.axes[0], up) < _LEANS
+        if half_squat or (folded and not (alike and beside > _KERB_FEET)):
+            return PostureClass.OTHER
     # A thigh whose foot is hidden counts, too: a foot on a step.
     seated = all(leg.thigh > _SEAT_THIGH_LOW for leg in legs) and all(leg.thigh < _SEAT_THIGH_HIGH and (
         leg.shank < _SEAT_SHANK or leg.height < _ON_GROUND) for leg in whole)
     return PostureClass.SITTING if seated else PostureClass.OTHER
 
 
-def _over_feet(figure: Figure, up: Vector) -> bool:
-    """Whether the trunk's middle is so near above the ankles that the feet can carry it."""
+def _on_ground(height: float, thigh: float, beside: float) -> bool:
+    """Whether hips so high above the ankles (statures) are on the ground, by the thighs (degrees); see _beside_feet."""
+    return height < _SITS_ON_GROUND and not (thigh > _GROUND_THIGH and beside < _OVER_FEET)
+
+
+def _is_folded(figure: Figure) -> bool:
+    """Whether both legs are folded further than on a chair, and less than on the heels.
+
+    One alone says nothing: seen from the front the pose network folds a leg of who sits as far.
+    """
+    knees = [limb.knee for limb in figure.limbs]
+    return (min(knees) > _FOLDED_KNEE and _FOLDED_KNEES[0] < _middle(knees) < _FOLDED_KNEES[1]
+            and all(length(minus(figure.rows[hip], figure.rows[ankle])) < _FOLDED_REACH * figure.stature
+                    for hip, _, ankle in _LEGS))
+
+
+def _are_alike(figure: Figure, up: Vector) -> bool:
+    """Whether both thighs slope so alike that both feet can bear the weight."""
+    left, right = (_leg(limb, figure.stature, up).thigh for limb in figure.limbs)
+    return not abs(left - right) > _SAME_THIGHS
+
+
+def _beside_feet(figure: Figure, up: Vector) -> float:
+    """How far (statures) the trunk's middle is from above the ankles, which can carry it where it is near."""
     rows, hips = figure.rows, figure.hips
     ankles = _between(rows[LEFT_ANKLE], rows[RIGHT_ANKLE])
     offset = minus(_between(hips, _between(rows[LEFT_SHOULDER], rows[RIGHT_SHOULDER])), ankles)
     if not math.isfinite(offset[0]):
         offset = minus(hips, ankles)
-    return length(_level(offset, up)) < _OVER_FEET * figure.stature
+    return length(_level(offset, up)) / figure.stature
 
 
 def _limb(hip: Vector, knee: Vector, ankle: Vector) -> _Limb:

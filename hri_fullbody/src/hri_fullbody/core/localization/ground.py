@@ -28,7 +28,8 @@ _LEARN_S = 1.0
 _STRAIGHT = math.cos(math.radians(28.0))        # between trunk, thigh and shank of somebody who stands
 _BENT = math.cos(math.radians(40.0))            # between thigh and shank of somebody who sits
 _SHANK_WEIGHT = 0.35    # trunks differ by some 11 degrees from the vertical, shanks of who sits by some 15
-_UPRIGHT = math.cos(math.radians(60.0))         # from the image's own up
+# From the image's own up; a body, farther from it than from that of a steep camera, lies with the feet to it.
+_UPRIGHT, _UPRIGHT_BODY = math.cos(math.radians(60.0)), math.cos(math.radians(50.0))
 _HUBER = 1.5
 _ROUNDS = 4
 _ANKLE_HEIGHT_M = 0.07
@@ -79,12 +80,12 @@ class GroundPlane:
         weight = 1.0 if not person.axes else 1.0 - math.exp(-max(stamp - person.stamp, 0.0) / _LEARN_S)
         person.stamp = stamp
         line, foot = _standing(points, confidence)
-        if line is not None and -line[1] <= _UPRIGHT:
+        if line is not None and -line[1] <= _UPRIGHT_BODY:
             line = foot = None      # stretched out on the ground
         seen = {"standing": line, "trunk": _seated(points, confidence) if line is None else None,
                 "face": None if face is None else face.rotation[:, 2]}
         for kind, axis in seen.items():
-            if axis is not None and -axis[1] > _UPRIGHT:
+            if axis is not None and -axis[1] > (_UPRIGHT if kind == "face" else _UPRIGHT_BODY):
                 old = person.axes.get(kind, (axis, stamp))[0]
                 person.axes[kind] = old + weight * (axis - old), stamp
         if foot is not None:
