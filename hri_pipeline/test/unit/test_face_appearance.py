@@ -272,6 +272,17 @@ def test_somebody_who_walks_through_the_picture_is_no_cut():
         assert not cuts.update(image)
 
 
+@pytest.mark.parametrize("after, changed", [(view(1), False), (view(1, (60, 0)), True), (view(2), True)])
+def test_whether_most_of_the_picture_has_changed(after, changed):
+    cuts = PictureCuts()
+    cuts.update(view(1))
+    assert not cuts.changed, "nothing before"
+    cuts.update(after)
+    assert cuts.changed is changed
+    cuts.update(after)
+    assert not cuts.changed
+
+
 @pytest.mark.parametrize("rate", [2.0, 3.0])
 def test_two_who_cross_before_a_wall_are_no_cut(rate):
     """They fill the middle of the picture and move against each other, and the wall has no pattern."""
