@@ -307,3 +307,19 @@ def test_who_is_not_there_any_more_takes_nobody_s_place():
     image = scene((3, 200), (4, 600))
     tracks = faces.update([measurement(image, 200), measurement(image, 600)], 0.3, cut=True)
     assert len(tracks) == 2 and not {track.id for track in tracks} & set(before.values())
+
+
+@pytest.mark.parametrize("last", [760, 790, 820])
+def test_who_leaves_the_image_after_somebody_else_is_not_taken_for_that_one(last):
+    """What the border cuts off looks like nobody: a camera turned, and who left last had the id of the one before."""
+    faces, owners = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceJudge(Network(), 150, 0.8)), {}
+    for index, x in enumerate([440, 440, 440, 490, 540, 590, 640, 690, 740, last]):
+        image = np.full((400, 1200, 3), 90, np.uint8)
+        for seed, place in ((1, x), (2, x + 160)):
+            image[140:260, place - 60:place + 60] = person(seed)
+        image = np.ascontiguousarray(image[:, :800])
+        for track in faces.update([measurement(image, place) for place in (x, x + 160) if place < 840], index * STEP,
+                                  view=(800, 400)):
+            second = abs(track.measurement.box[[0, 2]].mean() - x) > 80
+            owners.setdefault(track.id, set()).add(second)
+    assert list(owners.values()) == [{False}, {True}]
