@@ -75,7 +75,7 @@ class MotionBlur:
         self._since: Optional[float] = None
 
     def is_blurred(self, crop: np.ndarray, stamp: float) -> bool:
-        """Take a crop (S, S, 3) uint8 BGR of the image at `stamp` (s); tell whether it is blurred against the others."""
+        """Take a crop (S, S, 3) uint8 BGR of the image at `stamp` (s); tell if it is blurred against the others."""
         value = evenness(crop)
         self._since = stamp if self._since is None or stamp < self._since else self._since
         if value < EVEN * self._best and stamp - self._since < BLUR_PATIENCE_S:
