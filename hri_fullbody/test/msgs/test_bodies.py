@@ -33,7 +33,7 @@ from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.image_rotation import turned_problem
 from hri_pipeline.core.observations import BodyObservation
-from hri_pipeline.ros.conversions import pose_from_transform, transform_to_msg
+from hri_pipeline.ros.conversions import landmarks_to_msg, pose_from_transform, transform_to_msg
 from hri_pipeline.ros.image_input import Frame
 from hri_pipeline.ros.mounting import up_and_height
 
@@ -223,3 +223,17 @@ def test_faces_of_another_process_are_forgotten_with_the_bodies_and_none_are_exp
     assert BodyProcessor._face_boxes(processor, FRAME, {"faces": []}) == [], "of the same process"
     processor._faces = None
     assert BodyProcessor._face_boxes(processor, FRAME, {}) == [], "which has failed in this image"
+
+
+@pytest.mark.parametrize("stamp, nearest", [(10.0, 10.0), (10.12, 10.1), (10.6, 10.2)])
+def test_of_the_images_of_a_face_that_nearest_to_the_body_s_is_taken_and_told(face_input, stamp, nearest):
+    """While the camera turns, the same face is elsewhere in the next image."""
+    face_input._keep(["f0"])
+    for number in range(3):
+        points = np.column_stack([np.linspace(100.0, 200.0, 70) + 100.0 * number, np.linspace(300.0, 400.0, 70),
+                                  np.ones(70)])
+        face_input._store("f0", "landmarks", landmarks_to_msg(
+            points, Header(stamp=rospy.Time.from_sec(10.0 + 0.1 * number), frame_id="camera"), 1000, 1000))
+    face, = face_input.boxes(stamp, 1000, 1000, "camera")
+    assert face.stamp == pytest.approx(nearest)
+    assert face.box[0] == pytest.approx(100.0 + 1000.0 * (nearest - 10.0), abs=0.1)

@@ -97,7 +97,7 @@ class FaceInputTest(unittest.TestCase):
         for stamp in (10.0625, 10.125):
             publisher.publish(landmarks_to_msg(
                 landmarks(300.0), Header(stamp=rospy.Time.from_sec(stamp), frame_id=CAMERA), 1280, 720))
-            wait_for(lambda stamp=stamp: self.feed._landmarks.get("fghij", [0.0])[0] == stamp, 10, "it has come")
+            wait_for(lambda stamp=stamp: self.feed._landmarks.get("fghij", [[0.0]])[-1][0] == stamp, 10, "it has come")
             found = self.feed.boxes(10.25, 640, 480, CAMERA)
             self.assertEqual([face.id for face in found], ["fghij"] if stamp == 10.125 else [])
         self.feed.reset()       # time jumps back

@@ -5,6 +5,7 @@ import time
 from dataclasses import replace
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from synthetic_people import Scene, face_of, standing_at
@@ -690,3 +691,45 @@ def test_a_face_where_a_body_was_refused_begins_one_in_the_same_picture():
     for index in range(10):
         bodies = stage.update(room, CAMERA, 2.0 + 0.1 * index, [face_of(standing_at(400, 400), "f")])
     assert len(bodies) == 1
+
+
+class Panned(Scene):
+    """People who stand in a room, 0.3 rad apart, before a camera that pans."""
+
+    ANGLES = (-0.3, 0.0, 0.3)
+    WALL = np.random.default_rng(2).integers(0, 255, (45, 240, 3)).astype(np.uint8).repeat(16, 0).repeat(16, 1)
+
+    def look(self, pan):
+        """Turn the camera to `pan` (rad, to the right) and return its image."""
+        focal, (x, y) = CAMERA.matrix[0, 0], CAMERA.matrix[:2, 2]
+        self.people = [(x + focal * math.tan(angle - pan), 400.0) for angle in self.ANGLES]
+        columns, rows = np.meshgrid(np.arange(1280, dtype=np.float32), np.arange(720, dtype=np.float32))
+        angles = np.arctan((columns - x) / focal)
+        height = (rows - y) * np.cos(angles) / focal
+        turned = angles + pan
+        return cv2.remap(self.WALL, (1920.0 + focal * turned).astype(np.float32),
+                         (y + focal * height / np.cos(turned)).astype(np.float32), cv2.INTER_LINEAR)
+
+    def faces(self, stamp):
+        return [replace(face_of(standing_at(x, y), "f{}".format(number)), stamp=stamp)
+                for number, (x, y) in enumerate(self.people) if 0.0 < x < 1280.0]
+
+
+@pytest.mark.parametrize("with_faces", [True, False])
+def test_while_the_camera_pans_nobody_s_body_becomes_the_neighbour_s(with_faces):
+    """In a pan of 90 degrees a second the neighbour is in the next image where somebody was in this one, and the faces
+    are those of the image before."""
+    stage, scene, _ = make([])
+    stage._pose = stage._tracker._pose = people = Panned([])
+    owners, faces, pan = {}, [], 0.0
+    steps = [0.0] * 20 + [0.06, 0.15, 0.2, -0.1, -0.2, -0.11] * 2 + [0.0] * 4
+    for number, step in enumerate(steps):
+        pan += step
+        image = people.look(pan)
+        scene.people = [place for place in people.people if 0.0 < place[0] < 1280.0]
+        for body in stage.update(image, CAMERA, 0.1 * number, faces):
+            human = int(np.argmin([abs(x - body.keypoints[0, 0]) for x, _ in people.people]))
+            owners.setdefault(body.id, set()).add(human)
+        faces = people.faces(0.1 * number) if with_faces else []
+    assert all(len(humans) == 1 for humans in owners.values()), owners
+    assert {human for humans in owners.values() for human in humans} == {0, 1, 2} and len(owners) <= 4, owners

@@ -274,6 +274,17 @@ def test_somebody_who_walks_through_the_picture_is_no_cut():
         assert not cuts.update(image)
 
 
+@pytest.mark.parametrize("after, changed", [(view(1), False), (view(1, (60, 0)), True), (view(2), True)])
+def test_whether_most_of_the_picture_has_changed(after, changed):
+    cuts = PictureCuts()
+    cuts.update(view(1))
+    assert not cuts.changed, "nothing before"
+    cuts.update(after)
+    assert cuts.changed is changed
+    cuts.update(after)
+    assert not cuts.changed
+
+
 @pytest.mark.parametrize("rate", [2.0, 3.0])
 def test_two_who_cross_before_a_wall_are_no_cut(rate):
     """They fill the middle of the picture and move against each other, and the wall has no pattern."""
@@ -336,3 +347,17 @@ def test_the_crop_for_a_template_is_the_same_wherever_in_the_image_a_face_is(cam
 
 def test_points_in_one_place_have_no_other_view():
     assert CameraModel.from_fov(640, 480, 1.0).facing_map(np.full((5, 2), 100.0)) == pytest.approx(np.eye(3))
+@pytest.mark.parametrize("last", [760, 790, 820])
+def test_who_leaves_the_image_after_somebody_else_is_not_taken_for_that_one(last):
+    """What the border cuts off looks like nobody: a camera turned, and who left last had the id of the one before."""
+    faces, owners = FaceTracker(0.0, 1.0, 10, IdGenerator(seed=1), judge=AppearanceMatcher(Network(), 150, 0.8)), {}
+    for index, x in enumerate([440, 440, 440, 490, 540, 590, 640, 690, 740, last]):
+        image = np.full((400, 1200, 3), 90, np.uint8)
+        for seed, place in ((1, x), (2, x + 160)):
+            image[140:260, place - 60:place + 60] = person(seed)
+        image = np.ascontiguousarray(image[:, :800])
+        for track in faces.update([measurement(image, place) for place in (x, x + 160) if place < 840], index * STEP,
+                                  view=(800, 400)):
+            second = abs(track.measurement.box[[0, 2]].mean() - x) > 80
+            owners.setdefault(track.id, set()).add(second)
+    assert list(owners.values()) == [{False}, {True}]

@@ -4,12 +4,14 @@ import threading
 import time
 from unittest.mock import Mock
 
+import cv2
 import numpy as np
 import pytest
 
 from benchmarks.recognition import SIZE, template
 from benchmarks.store import write_locked
 from hri_pipeline.core.faces.analysis import FaceAnalysis
+from hri_pipeline.core.faces.crops import BLUR_PATIENCE_S, MotionBlur
 from hri_pipeline.core.faces.pipeline import FacePipeline
 from hri_pipeline.core.ids import IdGenerator, is_valid_id
 from hri_pipeline.core.image_rotation import ImageRotation
@@ -802,3 +804,43 @@ def test_the_middle_of_the_crops_is_nearer_than_each_of_them():
         evidence.add(FaceTemplate(template(1, 0.3, number), 0.8, 0.5 * number))
     assert np.linalg.norm(evidence.mean() - template(1)) < 0.2
     assert evidence.duration == pytest.approx(2.5) and evidence.good(0.7) == 6 and evidence.good(0.9) == 0
+
+
+def face_picture(seed=3, direction=None):
+    """A crop (112, 112, 3) with details of all sizes; direction: (x, y) along which it is blurred over 13 px."""
+    random = np.random.default_rng(seed)
+    layers = [cv2.resize(random.uniform(0, 85, (112 // side, 112 // side)).astype(np.float32), (112, 112),
+                         interpolation=cv2.INTER_CUBIC) for side in (4, 8, 16)]
+    picture = cv2.cvtColor(np.clip(np.sum(layers, axis=0), 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR)
+    if direction is None:
+        return picture
+    kernel = np.zeros((13, 13), np.float32)
+    cv2.line(kernel, tuple(6 - 6 * one for one in direction), tuple(6 + 6 * one for one in direction), 1.0)
+    return cv2.filter2D(picture, -1, kernel / kernel.sum())
+
+
+@pytest.mark.parametrize("direction", [(1, 0), (0, 1), (1, 1), (1, -1)])
+def test_a_crop_is_blurred_by_motion_in_any_direction_against_sharp_ones_of_its_face(direction):
+    blur = MotionBlur()
+    assert not blur.is_blurred(face_picture(direction=direction), 0.0), "the first one: nothing to compare with"
+    assert not blur.is_blurred(face_picture(), 1.0)
+    assert blur.is_blurred(face_picture(direction=direction), 2.0)
+    assert not blur.is_blurred(cv2.GaussianBlur(face_picture(), (0, 0), 1.5), 2.1), "out of focus, or far away"
+    assert blur.is_blurred(face_picture(direction=direction), 3.0)
+    assert not blur.is_blurred(face_picture(direction=direction), 3.1 + BLUR_PATIENCE_S), "it looks so"
+
+
+def test_a_crop_that_is_blurred_by_motion_makes_no_template_and_the_next_one_does():
+    """In a pan of 90 degrees a second two such templates took a right name back."""
+    recognition = FaceRecognition.__new__(FaceRecognition)
+    gallery = MemoryGallery("synthetic", SIZE, CALIBRATION)
+    recognition.recogniser, recognition._due, recognition._embedder = Recogniser(gallery), [], Mock()
+    recognition._embedder.crop = lambda bgr, mesh, camera: bgr
+    recognition._embedder.embed = lambda crops: np.array([template(1) for _ in crops])
+    taken = []
+    for number, crop in enumerate([face_picture()] * 3 + [face_picture(direction=(1, 0))] * 2 + [face_picture()]):
+        stamp = 100.0 + 0.4 * number
+        assert recognition.due({"f1": 0.9}, stamp)
+        recognition.look(crop, [Mock(id="f1", mesh=np.zeros((478, 3)))], stamp)
+        taken.append(list(recognition.made))
+    assert taken == [["f1"]] * 3 + [[]] * 2 + [["f1"]]

@@ -34,6 +34,7 @@ from hri_fullbody.core.model.anthropometry import MONOCULAR
 from hri_fullbody.core.model.human import Layout
 from hri_fullbody.core.modeller import BodyInput, BodyModeller, ModelledBody, turned_model
 from hri_fullbody.core.parameters import BodiesSettings
+from hri_fullbody.core.tracking.camera_motion import CameraMotion
 from hri_fullbody.core.tracking.reidentification import BodyReidentifier, Reidentification, TrackAppearance
 from hri_fullbody.core.tracking.track import BodyTrack
 from hri_fullbody.core.tracking.tracker import SLOW_S, BodyTracker
@@ -115,6 +116,7 @@ class BodyPipeline:
         self._localizers: Dict[str, BodyLocalizer] = {}
         self._reidentifier = BodyReidentifier(settings.body_memory)
         self._camera_pose: Optional[Pose] = None
+        self._camera_motion = CameraMotion()
         try:
             self._modeller = BodyModeller.from_parameters(settings)
         except (ValueError, OSError) as error:
@@ -177,6 +179,7 @@ class BodyPipeline:
         faces = faces or ()
         height, width = bgr.shape[:2]
         camera = camera.resized(width, height)
+        faces = self._compensate(bgr, camera, stamp, faces)
         with self._begin_search(bgr, stamp) as search:
             self._follow_known(bgr, camera, stamp, faces, slow)
             # The next image is far away, or somebody would be told of whom the detector was not asked yet.
@@ -192,6 +195,16 @@ class BodyPipeline:
                 if not first:
                     self._search_new(bgr, stamp, faces, slow, search)
         return bodies
+
+    def _compensate(self, bgr: np.ndarray, camera: CameraModel, stamp: float,
+                    faces: Sequence[FaceBox]) -> Sequence[FaceBox]:
+        """Move the known bodies with an image whose camera turns; return the faces as they are in it."""
+        motion = self._camera_motion
+        with self.times("camera motion"):
+            motion.update(bgr, camera, stamp)
+        if motion.moves:
+            self._tracker.carry(lambda points: motion.moved(points, motion.step()))
+        return [motion.face_now(face) for face in faces]
 
     def _observe_all(self, camera: CameraModel, stamp: float, faces: Sequence[FaceBox],
                      context: SceneContext) -> List[BodyObservation]:
@@ -465,6 +478,7 @@ class BodyPipeline:
     def turn(self, rotation: ImageRotation) -> None:
         """Take note that the images are turned by `rotation` from now on, against those before; the bodies stay."""
         self._tracker.turn(rotation)
+        self._camera_motion.reset()
         for localizer in self._localizers.values():
             localizer.turn(rotation)
         self._ground.reset()
@@ -481,6 +495,7 @@ class BodyPipeline:
     def reset(self) -> None:
         """Forget all bodies, for example because time went back."""
         self._tracker.reset()
+        self._camera_motion.reset()
         self._reidentifier.reset()
         self._localizers.clear()
         self._ground.reset()

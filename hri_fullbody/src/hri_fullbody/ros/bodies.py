@@ -330,12 +330,13 @@ def drawn(body: BodyObservation, model: Optional[ModelledBody]) -> BodyObservati
 MAX_AGE_S = 0.5
 # The pose decides about the distance of a body, and heads nod: it must be nearly of the image's time.
 _POSE_AGE_S = 0.2
-_POSES = 8
+_KEPT = 8
+_Landmarks = Tuple[float, str, np.ndarray]
 _PREFIX = b"face_"
 
 
 class FaceInput:
-    """Keeps the newest landmarks and the latest poses of each face in /humans/faces/tracked.
+    """Keeps the latest landmarks and poses of each face in /humans/faces/tracked.
 
     Callbacks only store; `boxes` reads. Of /tf only messages that mention a face are unpacked: a robot sends hundreds
     of others a second.
@@ -344,7 +345,7 @@ class FaceInput:
     def __init__(self, list_timeout: float) -> None:
         """list_timeout: see IdSubscribers."""
         self._lock = threading.Lock()
-        self._landmarks: Dict[str, Tuple[float, str, np.ndarray]] = {}
+        self._landmarks: Dict[str, Deque[_Landmarks]] = {}
         self._poses: Dict[str, Deque[RawTransform]] = {}
         self._ids: List[str] = []
         self._since: Optional[float] = -math.inf
@@ -356,18 +357,20 @@ class FaceInput:
     def boxes(self, stamp: float, width: int, height: int, frame_id: str = "") -> List[FaceBox]:
         """Return the faces within half a second of `stamp` (s), in px of an image of width x height.
 
-        Those that another camera than that of `frame_id` sees are left out. They have a pose when one in the frame
-        `frame_id` is known within 0.2 s of `stamp`.
+        Of each those of the image nearest to `stamp` are taken. Those that another camera than that of `frame_id` sees
+        are left out. They have a pose when one in the frame `frame_id` is known within 0.2 s of `stamp`.
         """
         with self._lock:
             self._since = stamp if self._since is None else self._since
-            known = {identity: value for identity, value in self._landmarks.items() if value[0] >= self._since}
+            known = {identity: near for identity in self._landmarks
+                     for near in self._landmarks_near(identity, stamp, self._since)}
             poses = {identity: self._pose_near(identity, stamp, frame_id) for identity in known}
         camera = frame_id.lstrip("/")
-        return face_boxes(
+        boxes = face_boxes(
             (identity, landmarks[:, :2] * np.array([width, height]), poses[identity])
             for identity, (seen, frame, landmarks) in known.items()
             if abs(seen - stamp) <= MAX_AGE_S and (not camera or frame in ("", camera)))
+        return [replace(face, stamp=known[face.id][0]) for face in boxes]
 
     @property
     def is_published(self) -> bool:
@@ -392,7 +395,8 @@ class FaceInput:
     def _store(self, identity: str, name: str, message: LandmarkArray) -> None:
         landmarks = landmarks_from_msg(message)
         with self._lock:
-            self._landmarks[identity] = (message.header.stamp.to_sec(), message.header.frame_id.lstrip("/"), landmarks)
+            self._landmarks.setdefault(identity, deque(maxlen=_KEPT)).append(
+                (message.header.stamp.to_sec(), message.header.frame_id.lstrip("/"), landmarks))
 
     def _keep(self, ids: List[str]) -> None:
         with self._lock:
@@ -426,7 +430,12 @@ class FaceInput:
             return
         with self._lock:
             if identity in self._ids:
-                self._poses.setdefault(identity, deque(maxlen=_POSES)).append(transform)
+                self._poses.setdefault(identity, deque(maxlen=_KEPT)).append(transform)
+
+    def _landmarks_near(self, identity: str, stamp: float, since: float) -> List[_Landmarks]:
+        """Landmarks of a face of the image nearest to `stamp`, of those from `since` (s) on; none or one."""
+        fitting = [one for one in self._landmarks[identity] if one[0] >= since]
+        return [min(fitting, key=lambda one: abs(one[0] - stamp))] if fitting else []
 
     def _pose_near(self, identity: str, stamp: float, frame_id: str) -> Optional[Pose]:
         """Pose of a face in `frame_id` nearest to `stamp`, None when there is none within 0.2 s."""

@@ -392,17 +392,21 @@ class PictureCuts:
     def __init__(self) -> None:
         self._last: Optional[np.ndarray] = None
         self._was_empty = False
+        self.changed = False
+        """Whether most of the last image shows something else than the one before did there."""
 
     def update(self, bgr: np.ndarray) -> bool:
         """Return whether `bgr` (H, W, 3) uint8 shows something else than the image before."""
         small = self._small(bgr)
         empty = _deviation(small) < _EMPTY
         last, self._last, was_empty, self._was_empty = self._last, small, self._was_empty, empty
+        self.changed = last is not None and bool(
+            np.count_nonzero(cv2.absdiff(small, last) < _STAYED_BY) < _STAYED * small.size)
         if last is None:
             return False
         if empty or was_empty:
             return empty != was_empty
-        if np.count_nonzero(cv2.absdiff(small, last) < _STAYED_BY) >= _STAYED * small.size:
+        if not self.changed:
             return False
         margin = int(_SIDE * _MOST_MOTION)
         inner = small[margin:-margin, margin:-margin]

@@ -49,12 +49,14 @@ class Window:
 class FaceBox:
     """A face that somebody else tracks. box: (4,) x0, y0, x1, y1 px, the bounding box of its 70 landmarks.
 
-    pose: face frame (origin at the sellion) in the optical frame, m; None when it is not known.
+    pose: face frame (origin at the sellion) in the optical frame, m; None when it is not known. stamp: of the image (s)
+    in which it was seen; None: of the one that it is given with.
     """
 
     id: str
     box: np.ndarray
     pose: Optional[Pose] = None
+    stamp: Optional[float] = None
 
     @cached_property
     def centre(self) -> np.ndarray:
@@ -81,7 +83,8 @@ class FaceBox:
         """Return the face in the turned image and optical frame."""
         if not rotation.quarters:
             return self
-        return FaceBox(self.id, rotation.box(self.box), None if self.pose is None else rotation.pose(self.pose))
+        return FaceBox(self.id, rotation.box(self.box), None if self.pose is None else rotation.pose(self.pose),
+                       self.stamp)
 
     def distance(self, point: np.ndarray) -> float:
         """How far a point (2,) px lies from the middle, larger of x and y, in face sizes: about 0.5 on the rim."""

@@ -89,7 +89,7 @@ def _return_distance(track: BodyTrack, detection: PoseDetection, stamp: float) -
     and from its size, in standard deviations."""
     centre = detection.estimate.centre
     offset = min(math.hypot(*(centre - place)) for place in (
-        track.estimate.centre, track.estimate.centre + track.moved(stamp))) / track.motion.size
+        track.place, track.estimate.centre + track.moved(stamp))) / track.motion.size
     gap = max(0.0, stamp - track.stamp)
     larger = math.log(detection.estimate.extent / track.motion.size)
     return math.hypot(offset / (_RETURN_SD + _RETURN_SPEED_SD * gap),

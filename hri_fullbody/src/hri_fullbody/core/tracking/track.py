@@ -108,6 +108,10 @@ class BodyMotion:
         self._image.update(centre, noise * _IMAGE_NOISE * size, stamp, _IMAGE_ACCELERATION * size)
         self._locate(root, stamp)
 
+    def carry(self, way: np.ndarray) -> None:
+        """Move by (2,) px with all that the image shows: the camera has turned."""
+        self._image.value = self._image.value + way
+
     def turn(self, rotation: ImageRotation) -> None:
         """Turn with the images; the axes across the view are alike uncertain."""
         self._image.value = rotation.pixels(self._image.value[None])[0]
@@ -220,6 +224,7 @@ class BodyTrack:
         self._face_stamp = stamp
         self._face_centre: Optional[np.ndarray] = None
         self._face_when_seen: Optional[np.ndarray] = None
+        self._carried = np.zeros(2)
         self._anchor_side = FACE_WINDOW_SIZES[0] if anchor is None else anchor
         self._anchored_until = -np.inf if anchor is None else stamp + _ANCHOR_HOLD
         if face is not None:
@@ -271,7 +276,7 @@ class BodyTrack:
             return window_from_face(face, self._anchor_side)
         window = self.estimate.next_window()
         # A hidden body is looked for where its motion takes it, and where it vanished, by turns.
-        x, y = np.asarray(window.centre) + (self.moved(stamp) if self.misses % 2 == 0 else 0.0)
+        x, y = np.asarray(window.centre) + (self.moved(stamp) if self.misses % 2 == 0 else self._carried)
         return Window((float(x), float(y)), window.size, window.angle)
 
     def next_anchor(self, attempt: int) -> float:
@@ -295,10 +300,23 @@ class BodyTrack:
         """Tell whether a sight at `stamp` (s) would be the first one after a gap."""
         return not self.visible and not self.kept and stamp - self.stamp > _SHORT_GAP_S
 
+    @property
+    def place(self) -> np.ndarray:
+        """Where the middle of its trunk (2,) px is in the last image if it has stayed where it was last seen."""
+        return self.estimate.centre + self._carried
+
+    def carry(self, way: np.ndarray) -> None:
+        """Move by (2,) px with all that the image shows: the camera has turned since the image before."""
+        self._carried = self._carried + way
+        self._expected = None
+        self.motion.carry(way)
+        if self._face_centre is not None:
+            self._face_centre = self._face_centre + way
+
     def moved(self, stamp: float) -> np.ndarray:
-        """Way (2,) px in the image since the body was last seen, as its motion tells; 0 at rest."""
+        """Way (2,) px in the image since the body was last seen, as its motion and the camera's tell."""
         if self.motion.speed() < _STILL:
-            return np.zeros(2)
+            return self._carried.copy()
         return self.motion.predicted_centre(stamp) - self.detection.estimate.centre
 
     def moved_with_face(self, stamp: float) -> np.ndarray:
@@ -331,7 +349,7 @@ class BodyTrack:
         step = max(0.0, stamp - self.stamp)
         self.returning = self.has_gap(stamp)
         self._seen_since = stamp if self.returning else self._seen_since
-        self.detection, self.stamp, self._expected = detection, stamp, None
+        self.detection, self.stamp, self._expected, self._carried = detection, stamp, None, np.zeros(2)
         self._face_when_seen = self._face_centre if self._face_stamp == stamp else None
         self.described_at = self.described_at if detection.appearance is None else stamp
         if self.cut:
@@ -364,11 +382,11 @@ class BodyTrack:
         has not left at a side."""
         reach = _EDGE * self.motion.size
         x = float(self.estimate.centre[0] + self.moved(stamp)[0])
-        box = self.estimate.box
+        left, right = (self.estimate.box[[0, 2]] + self._carried[0]).tolist()
         # A stamp is a multiple of a nanosecond: allow that much, or 1.4 - 0.4 is not 1.
         long_seen = self.life.last_seen - self.born_at >= _SURE_S - 1e-9
         known = long_seen and bool(self.box_confirmed or self.face_id is not None)
-        self.hidden = bool(known and not self.cut and box[0] > reach and box[2] < width - reach
+        self.hidden = bool(known and not self.cut and left > reach and right < width - reach
                            and reach < x < width - reach)
 
     def turn(self, rotation: ImageRotation) -> None:
@@ -378,6 +396,7 @@ class BodyTrack:
             self.detection, estimate=self.estimate.turned(rotation),
             points=None if points is None else rotation.vectors(points))
         self.motion.turn(rotation)
+        self._carried = rotation.matrix[:2, :2] @ self._carried
         self._expected = None
         self._face_centre, self._face_when_seen = (
             None if centre is None else rotation.pixels(centre[None])[0]

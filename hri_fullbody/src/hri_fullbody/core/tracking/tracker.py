@@ -135,6 +135,14 @@ class BodyTracker:
         for track in self.tracks:
             track.turn(rotation)
 
+    def carry(self, moved: Callable[[np.ndarray], np.ndarray]) -> None:
+        """Move all bodies with the image, before `follow`: the camera has turned since the image before.
+
+        moved: where points (N, 2) px of that are in this one.
+        """
+        for track in self.tracks:
+            track.carry(moved(track.place[None])[0] - track.place)
+
     def reset(self) -> None:
         """Forget all bodies."""
         self.tracks = []

@@ -69,6 +69,8 @@ PART_SIZE, PART_INSIDE = 0.6, 0.7
 inside."""
 SCORE_MARGIN = 0.1
 """Detection scores that differ by less count as equal."""
+CUT_SHARE = 0.15
+"""Part of a face outside the image from which its look says nothing: what is missing is as that of anybody."""
 PART_COST = 0.6
 """Cost of continuing a track that held on to a part of a face with the whole of it."""
 
@@ -235,7 +237,7 @@ class FaceTracker:
         self._stalled = self._stamp is not None and stamp - self._stamp > self._death_time
         self._note_interval(stamp)
         measurements = without_duplicates(measurements)
-        rest, strangers = self._assign(measurements, stamp, skipped, cut)
+        rest, strangers = self._assign(measurements, stamp, skipped, cut, view)
         self.replaced = bool(strangers)
         self._tracks = [track for track in self._tracks if track.visible or self.is_confirmed(track)]
         self._begin(rest, stamp, view, strangers)
@@ -331,7 +333,7 @@ class FaceTracker:
         self._stamp = stamp
 
     def _assign(self, measurements: List[FaceMeasurement], stamp: float, skipped: Collection[str],
-                cut: bool) -> Tuple[List[FaceMeasurement], Set[int]]:
+                cut: bool, view: Optional[Tuple[int, int]]) -> Tuple[List[FaceMeasurement], Set[int]]:
         """Continue the tracks; returns the measurements that belong to none, and the `id` of those of them which are
         somebody else's face at the place of a track."""
         pairs: List[Tuple[int, int]] = []
@@ -340,7 +342,9 @@ class FaceTracker:
             cost = association_costs(self._tracks, measurements, stamp)
             if cut:
                 cost = self._cost_by_appearance(measurements, cost)
-            pairs, strangers = self._same_faces(cost, measurements, stamp, cut)
+            leaving = [view is not None and outside(one.box, view) > CUT_SHARE for one in measurements]
+            cost[np.ix_([not track.visible for track in self._tracks], leaving)] = np.inf
+            pairs, strangers = self._same_faces(cost, measurements, stamp, cut, leaving)
         continued = dict(pairs)
         for row, track in enumerate(self._tracks):
             if row in continued:
@@ -363,15 +367,15 @@ class FaceTracker:
                     cost[row, column] = cost[row, column] if distance is None else distance
         return cost
 
-    def _same_faces(self, cost: np.ndarray, measurements: Sequence[FaceMeasurement], stamp: float,
-                    cut: bool) -> Tuple[List[Tuple[int, int]], Set[int]]:
+    def _same_faces(self, cost: np.ndarray, measurements: Sequence[FaceMeasurement], stamp: float, cut: bool,
+                    leaving: Sequence[bool]) -> Tuple[List[Tuple[int, int]], Set[int]]:
         """Assign at the least cost, without pairs that are not the same face; returns the pairs, and the columns that
-        were refused."""
+        were refused. leaving: of which measurements the place alone decides."""
         judged: Set[Tuple[int, int]] = set()
         strangers: Set[int] = set()
         while True:
             pairs = assign(cost, GATE_LOST + COLOUR_WEIGHT)
-            others = [pair for pair in pairs if pair not in judged
+            others = [pair for pair in pairs if pair not in judged and (cut or self._stalled or not leaving[pair[1]])
                       and not self._is_same(self._tracks[pair[0]], measurements[pair[1]], stamp, cut)]
             if not others:
                 return pairs, strangers
@@ -477,6 +481,13 @@ def association_costs(tracks: Sequence[FaceTrack], measurements: Sequence[FaceMe
     cost[np.array([[track.visible and one.score >= track.score - SCORE_MARGIN and is_part(box, one.box)
                     for one in measurements] for track, box in zip(tracks, boxes)])] = PART_COST
     return cost + colours
+
+
+def outside(box: np.ndarray, view: Tuple[int, int]) -> float:
+    """Part (0 to 1) of a box (4,) px that is outside an image of view (width, height) px."""
+    (x0, y0, x1, y1), (width, height) = box.tolist(), view
+    seen = max(0.0, min(x1, width) - max(x0, 0.0)) * max(0.0, min(y1, height) - max(y0, 0.0))
+    return 1.0 - seen / max(1.0, (x1 - x0) * (y1 - y0))
 
 
 def is_part(box: np.ndarray, other: np.ndarray) -> bool:

@@ -15,6 +15,7 @@ from typing import AbstractSet, Deque, Dict, List, Mapping, Optional, Sequence, 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from hri_pipeline.core.faces.crops import MotionBlur
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.recognition.likelihood import MatchResult, PersonCandidate
 
@@ -261,6 +262,7 @@ class FaceIdentity:
     published : likelihood by person, as last published.
     denied : ids of persons that it was told not to be, though nothing was published of them.
     motion : how its shape changes.
+    blur : whether a crop is blurred by motion.
     is_picture : it is a picture of the person beside it, so it is nobody.
     later_view : template (D,) that is learnt of the person once the face has left, None without one.
     """
@@ -280,6 +282,7 @@ class FaceIdentity:
     published: Dict[str, float] = field(default_factory=dict)
     denied: Set[str] = field(default_factory=set)
     motion: FaceMotion = field(default_factory=FaceMotion)
+    blur: MotionBlur = field(default_factory=MotionBlur)
     is_picture: bool = False
     later_view: Optional[np.ndarray] = None
 

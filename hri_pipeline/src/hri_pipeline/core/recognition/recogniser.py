@@ -126,6 +126,13 @@ class Recogniser:
                 if face_id in self._faces:
                     self._faces[face_id].motion.add(mesh, stamp)
 
+    def is_blurred(self, face_id: str, crop: np.ndarray, stamp: float) -> bool:
+        """Tell whether a crop (S, S, 3) uint8 BGR of a face is blurred by motion, so that a template of it would speak
+        against the right name; the face stays due."""
+        with self._lock:
+            face = self._faces.get(face_id)
+            return face is not None and face.blur.is_blurred(crop, stamp)
+
     def turn(self, rotation: ImageRotation) -> None:
         """Take note that the images are turned by `rotation` from now on, against those before."""
         with self._lock:
@@ -497,14 +504,14 @@ class FaceRecognition:
 
         camera: of the image; None: not known.
         """
-        chosen = [face for face in faces if face.id in self._due]
+        crops = {face.id: self._embedder.crop(bgr, face.mesh, camera) for face in faces if face.id in self._due}
         self._due = []
+        chosen = [face_id for face_id, crop in crops.items() if not self.recogniser.is_blurred(face_id, crop, stamp)]
         if not chosen:
             return self.recogniser.changes()
-        templates = self._embedder.embed([self._embedder.crop(bgr, face.mesh, camera) for face in chosen])
-        self.made = {face.id: template for face, template in zip(chosen, templates)}
-        return self.recogniser.update([face.id for face in chosen], templates,
-                                      [self._qualities[face.id] for face in chosen], stamp)
+        templates = self._embedder.embed([crops[face_id] for face_id in chosen])
+        self.made = dict(zip(chosen, templates))
+        return self.recogniser.update(chosen, templates, [self._qualities[face_id] for face_id in chosen], stamp)
 
     def changes(self, stamp: float) -> List[PersonMatch]:
         """Return what has changed without a new template at `stamp` (s): a person was forgotten, merged or enrolled, or
