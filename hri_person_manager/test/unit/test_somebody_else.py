@@ -235,3 +235,27 @@ def test_a_name_from_before_a_restart_stays_when_the_recogniser_says_it_again():
     picture.say(HER, BOB, 0.6)
     picture.show(2.0, ["f1"], [])
     assert picture.tracked == {"ann"}
+
+
+def test_a_match_that_was_wrong_for_a_moment_swaps_no_two_anonymous_persons():
+    numbers = itertools.count(1)
+    manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({}), lambda: "a%04d" % next(numbers))
+    bodies, face, voice = [MatchNode(Kind.BODY, "b1"), MatchNode(Kind.BODY, "b2")], HER, MatchNode(Kind.VOICE, "v1")
+
+    def wait(start, seconds):
+        for number in range(int(round(seconds / STEP_S))):
+            manager.tick(start + STEP_S * (number + 1))
+    manager.on_tracked(Kind.BODY, ["b1", "b2"], 0.0)
+    wait(0.0, 30.0)
+    before = [manager.person_of(body) for body in bodies]
+    manager.on_tracked(Kind.FACE, [face.id], 30.0)
+    manager.on_tracked(Kind.VOICE, [voice.id], 30.0)
+    wrong, right = ((face, bodies[number], likelihood) for number, likelihood in ((0, 0.95), (1, 0.9)))
+    for match in (wrong, (voice, face, 0.8), right):
+        manager.on_match(CandidateMatch(*match), 30.1)
+    wait(30.1, 1.0)
+    assert manager.person_of(face) == before[0]
+    manager.on_match(CandidateMatch(*wrong[:2], 0.0), 31.2)
+    wait(31.2, 5.0)
+    assert [manager.person_of(body) for body in bodies] == before
+    assert manager.person_of(face) == manager.person_of(voice) == before[1]

@@ -136,7 +136,7 @@ class PersonTable:
                 nameless.append(group)
             else:
                 owners[group] = self.permanent(named.id)
-        merged = self._place_anonymous(owners, nameless)
+        merged = self._place_anonymous(owners, nameless, now)
         self._restore_aliases(owners, nameless)
         self._make_new(owners, nameless, now)
         for person, target in merged:
@@ -172,8 +172,8 @@ class PersonTable:
         self._count += 1
         return PersonEntry(person_id, self._count, True, self._new_location())
 
-    def _place_anonymous(self, owners: Dict[Group, PersonEntry],
-                         nameless: List[Group]) -> List[Tuple[PersonEntry, PersonEntry]]:
+    def _place_anonymous(self, owners: Dict[Group, PersonEntry], nameless: List[Group],
+                         now: float) -> List[Tuple[PersonEntry, PersonEntry]]:
         """Let each anonymous person, oldest first, keep one group that has a feature of it."""
         group_of = {node: group for groups in (owners, nameless) for group in groups for node in group}
         merged = []
@@ -182,7 +182,7 @@ class PersonTable:
                 continue
             own = sorted({group_of[node] for node in person.features if node in group_of and not (
                 node in person.doubted and self._is_of_another(node, person, group_of[node]))},
-                key=lambda group: _preference(person, group))
+                key=lambda group: _preference(person, group, now))
             free = [group for group in own if group not in owners]
             if free:
                 owners[free[0]] = person
@@ -261,10 +261,11 @@ class PersonTable:
                 del self.aliases[alias_id]
 
 
-def _preference(person: PersonEntry, group: Group) -> Tuple:
-    """Sort key of the groups a person may keep: most of its features, then the one it held longest."""
+def _preference(person: PersonEntry, group: Group, now: float) -> Tuple:
+    """Sort key of the groups a person may keep at `now` (s): the features that it has held for the longest time
+    together, then most of them. What a wrong match has brought for a moment is not who somebody is."""
     held = [since for node, since in person.features.items() if node in group]
-    return -len(held), min(held), min(group)
+    return -sum(now - since for since in held), -len(held), min(held), min(group)
 
 
 class KnownIds:
