@@ -125,7 +125,8 @@ class GazeEstimator:
             are needed. None: the lids are judged by their opening alone.
         """
         if not len(meshes):
-            return [], EyeMeasures(*np.zeros((2, 0, 2)), np.zeros((0, 2, 3)), *np.zeros((2, 0, 2)))
+            nothing = np.zeros((0, 2))
+            return [], EyeMeasures(nothing, nothing, np.zeros((0, 2, 3)), nothing, nothing)
         stack = np.stack([np.asarray(mesh, dtype=np.float64)[:, :2] for mesh in meshes])
         rotations = np.stack([pose.rotation for pose in poses])
         places = np.stack([pose.translation for pose in poses])
