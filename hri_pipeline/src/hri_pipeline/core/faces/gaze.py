@@ -125,8 +125,8 @@ class GazeEstimator:
             are needed. None: the lids are judged by their opening alone.
         """
         if not len(meshes):
-            none = np.zeros((0, 2))
-            return [], EyeMeasures(none, none, np.zeros((0, 2, 3)), none, none)
+            nothing = np.zeros((0, 2))
+            return [], EyeMeasures(nothing, nothing, np.zeros((0, 2, 3)), nothing, nothing)
         stack = np.stack([np.asarray(mesh, dtype=np.float64)[:, :2] for mesh in meshes])
         rotations = np.stack([pose.rotation for pose in poses])
         places = np.stack([pose.translation for pose in poses])
