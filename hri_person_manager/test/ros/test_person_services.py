@@ -201,6 +201,16 @@ class TestPersonServices(unittest.TestCase):
         self.wait_for(lambda: "jon" in self.tracked.value.ids, "jon")
         self.assertFalse({"ina", "inatwo"} & set(self.known().ids))
 
+    def test_with_an_alias_goes_the_human_whose_it_is(self):
+        self.someone(self.face, "uma")
+        self.matches.publish(IdsMatch(id1="umatwo", id1_type=IdsMatch.PERSON, id2="uma", id2_type=IdsMatch.PERSON,
+                                      confidence=0.95))
+        alias = {}
+        self.wait_for(lambda: alias.update(zip(self.known().ids, self.known().aliases)) or any(
+            alias.get(name) for name in ("uma", "umatwo")), "one is the alias of the other")
+        self.assertTrue(self.call("forget", Forget, "umatwo" if alias["umatwo"] else "uma").success)
+        self.assertFalse({"uma", "umatwo"} & set(self.known().ids))
+
     def test_a_forgotten_person_is_nowhere(self):
         self.someone(self.face, "eve")
         self.call("set_name", SetName, "eve", "Eve Secret")

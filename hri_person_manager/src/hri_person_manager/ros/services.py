@@ -294,13 +294,16 @@ class PersonServices:
         return ForgetResponse(True, "{} is forgotten".format(request.id))
 
     def _one_human(self, person_id: str) -> List[str]:
-        """The id and its aliases, those of the store and those that recognisers have found; not the anonymous ones."""
+        """The id and the others of the same human, its alias and those whose alias it or that one is, in the store and
+        as recognisers have found; not the anonymous ones."""
         if not person_id:       # which is the alias of whoever has none
             raise RegisterError("there is no known person ''")
-        aliases = {record.id for record in self._register.records if record.alias == person_id}
-        aliases |= {state.id for state in self._manager.snapshot(rospy.get_time()).persons
-                    if state.alias == person_id and not state.anonymous}
-        return [person_id] + sorted(aliases - {person_id})
+        aliases = {(record.id, record.alias) for record in self._register.records if record.alias}
+        aliases |= {(state.id, state.alias) for state in self._manager.snapshot(rospy.get_time()).persons
+                    if state.alias and not state.anonymous}
+        human = {person_id} | {alias for other, alias in aliases if other == person_id}
+        human |= {other for other, alias in aliases if alias in human}
+        return [person_id] + sorted(human - {person_id})
 
     def _forget_all(self, request: TriggerRequest) -> TriggerResponse:
         refused = [answer for answer in self._galleries.call(GalleryRequest.FORGET_ALL) if not answer.response.success]
