@@ -549,6 +549,19 @@ def test_one_wrong_stamp_of_the_future_ends_nothing(before, after):
     assert len(room.run(6.0, standing(2.5), standing(3.5))) == 2
 
 
+def test_a_wrong_stamp_of_the_future_ends_nothing_where_only_something_else_is_seen_afterwards():
+    """Somebody whose body was placed by the wrong image shows the camera only the face from then on."""
+    room = Room(OVERLAPPING)
+    room.run(1.0, standing(3.0))
+    room.manager.on_tracked(Kind.BODY, ["b1"], room.now)
+    room.manager.on_place(PlaceSource.HEAD, "b1", Place(
+        "map", Pose(np.eye(3), np.array([3.0, 0.0, 1.6])), room.now + 1000.0, origin=room._origin("left")), room.now,
+        "left")
+    room.manager.on_tracked(Kind.BODY, [], room.now)
+    assert len(room.run(6.0, standing(3.0))) == 1
+    assert len(room.run(6.0, standing(2.5), standing(3.5))) == 2
+
+
 def test_what_is_kept_is_bounded():
     room = Room(OVERLAPPING, half_life=0.1)
     for _ in range(12):

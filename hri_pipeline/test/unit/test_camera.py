@@ -138,6 +138,19 @@ def test_what_is_seen_aside_looks_as_it_does_to_a_camera_that_faces_it(model, as
     assert np.abs(seen.mean(axis=0)).max() < 1.0
 
 
+@pytest.mark.parametrize("model, focal, distortion, place", [
+    ("plumb_bob", 380.0, [-0.35, 0.14, 0.0, 0.0, -0.025], (10.0, 10.0)),
+    ("equidistant", 190.0, [0.01, -0.005, 0.002, -0.0005], (20.0, 40.0)),
+    ("rational_polynomial", 608.0, [0.19, 0.10, -0.13, -0.30, 0.04, 0.21, 0.15, 0.70], (635.0, 367.0))])
+def test_what_lies_beyond_the_edge_of_the_lens_is_seen_as_it_is(model, focal, distortion, place):
+    """In the corners of an image a model of a lens may give anything: a face was shown as a line, or as nothing."""
+    lens = CameraModel.from_calibration(640, 480, [focal, 0, 320, 0, focal, 240, 0, 0, 1], distortion, model, 1.0)
+    points = np.random.RandomState(1).uniform(-0.5, 0.5, (50, 2)) * (48.0, 60.0) + place
+    whole = np.column_stack([points, np.ones(50)]) @ lens.facing_map(points).T
+    assert lens.facing(points) == pytest.approx(points - points.mean(axis=0))
+    assert np.ptp(whole[:, :2] / whole[:, 2:], axis=0) == pytest.approx(np.ptp(points, axis=0), abs=1e-3)
+
+
 def test_no_points_and_points_behind():
     assert camera().normalise(np.zeros((0, 2))).shape == (0, 2)
     assert camera().project(np.zeros((0, 3))).shape == (0, 2)

@@ -311,6 +311,18 @@ def test_who_is_not_there_any_more_takes_nobody_s_place():
     assert len(tracks) == 2 and not {track.id for track in tracks} & set(before.values())
 
 
+@pytest.mark.parametrize("missed", [1, 3])
+@pytest.mark.parametrize("may_start", [True, False])
+def test_who_stands_half_out_of_the_image_keeps_the_id_when_an_image_misses_the_face(faces, missed, may_start):
+    image, ids = np.ascontiguousarray(scene((1, 735))[:, :750]), set()
+    for index in range(14):
+        found = [] if 6 <= index < 6 + missed else [measurement(image, 735, may_start or index < 6)]
+        tracks = faces.update(found, index * STEP, view=(750, 400))
+        assert len(tracks) == len(found)
+        ids |= {track.id for track in tracks}
+    assert len(ids) == 1
+
+
 def looked_at(camera, turn):
     """A picture that a pinhole camera has taken ahead, as `camera` sees it that is turned, and a mesh on it, in
     both."""

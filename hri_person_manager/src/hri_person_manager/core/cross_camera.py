@@ -91,7 +91,7 @@ class CrossCamera:
         self._groups = ViewGroups()
         self._told: Set[FrozenSet[str]] = set()
         self._newest = -math.inf
-        self._newest_of: Dict[Tuple[str, int], float] = {}      # by sensor and source
+        self._newest_of: Dict[str, float] = {}      # by sensor
         self._before: Dict[FrozenSet[str], None] = {}
         """Links from before a jump of time, until both persons are placed anew, or for FRESH_S."""
         self._jumped = math.inf
@@ -125,9 +125,9 @@ class CrossCamera:
         if track is None:
             return
         track.add(source, position, covariance, origin, stamp)
-        newest = self._newest_of.get((sensor, source), stamp)
+        newest = self._newest_of.get(sensor, stamp)
         # What is older by more than any lag tells that the newest stamp was wrong, or that its clock was set.
-        self._newest_of[sensor, source] = stamp if stamp < newest - LONGEST_LAG_S else max(newest, stamp)
+        self._newest_of[sensor] = stamp if stamp < newest - LONGEST_LAG_S else max(newest, stamp)
         if stamp > self._newest or stamp < newest - LONGEST_LAG_S:
             self._newest = max(self._newest_of.values())
 

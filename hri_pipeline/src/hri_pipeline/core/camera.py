@@ -28,7 +28,7 @@ _ALIASES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
 _HINT = "calibrate the camera, or publish an all-zero K to use the field of view parameter"
 _WIDEST = math.tan(math.radians(88.0))
 _GRID = np.array([(x, y) for x in (0.0, 0.5, 1.0) for y in (0.0, 0.5, 1.0)])
-_FARTHEST = 1e3     # largest x/z and y/z of such points
+_SEEN_AGAIN = 1.0   # px between a point and where its ray is seen, where the model of a lens holds
 _LEAST_AHEAD = 0.1      # cosine of the angle from the middle of some points to one that is still told
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
 
@@ -253,10 +253,13 @@ class CameraModel:
         Returns
         -------
         numpy.ndarray, shape (N, 2)
-            px from the middle, at the focal length of this camera.
+            px from the middle, at the focal length of this camera; where one of them is beyond the edge of the model
+            of the lens, as they are.
         """
-        # Beyond its edge the model of a lens gives anything.
-        rays = np.minimum(np.maximum(self.normalise(pixels), -_FARTHEST), _FARTHEST)
+        pixels = np.asarray(pixels, dtype=np.float64)
+        rays = self.normalise(pixels)
+        if not self._holds(pixels, rays):
+            return np.asarray(pixels - pixels.mean(axis=0))
         directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
         directions /= np.sqrt((directions * directions).sum(axis=1, keepdims=True))
         x, y, z = directions.mean(axis=0).tolist()
@@ -289,6 +292,13 @@ class CameraModel:
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return CameraModel(int(width), int(height), scale @ self.matrix, self.distortion,
                            self.distortion_model, self.calibration)
+
+    def _holds(self, pixels: np.ndarray, rays: np.ndarray) -> bool:
+        """Return whether all rays (N, 2) are seen at their pixels (N, 2): beyond its edge a model gives anything."""
+        if not self.distortion.size and self.distortion_model != EQUIDISTANT:
+            return True
+        seen = self.project(np.concatenate([rays, np.ones((len(rays), 1))], axis=1))
+        return bool((np.abs(seen - pixels) < _SEEN_AGAIN).all())
 
     def _sheared(self, pixels: np.ndarray, way: float) -> np.ndarray:
         """Return pixels (N, 2) moved by the skew of K, which OpenCV leaves out; way: 1.0 to the image, -1.0 back."""

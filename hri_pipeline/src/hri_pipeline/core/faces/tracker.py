@@ -62,6 +62,9 @@ GATE_SEEN, GATE_LOST = 0.7, 1.5
 """Largest legal cost for a track seen in the last frame, and for one that was not."""
 COLOUR_WEIGHT = 0.5
 """Cost of an appearance distance of 1, in face sizes of distance."""
+_GATE_AT_MOST = GATE_LOST + COLOUR_WEIGHT
+STOOD = 0.3
+"""Cost up to which a face that the border cuts off is where a lost one was."""
 DOUBT_TIME, TURNED_DOUBT_TIME = 0.4, 0.8
 """Time (s) for which a face may look like neither the same nor another one; the same in profile."""
 PART_SIZE, PART_INSIDE = 0.6, 0.7
@@ -342,8 +345,13 @@ class FaceTracker:
             cost = association_costs(self._tracks, measurements, stamp)
             if cut:
                 cost = self._cost_by_appearance(measurements, cost)
-            leaving = [view is not None and outside(one.box, view) > CUT_SHARE for one in measurements]
-            cost[np.ix_([not track.visible for track in self._tracks], leaving)] = np.inf
+            leaving = np.array([view is not None and outside(one.box, view) > CUT_SHARE for one in measurements])
+            seen = np.array([track.visible for track in self._tracks])
+            # Who is there has such a face before who is lost, whom it continues only where that one just stood.
+            stood = np.array([stamp - track.life.last_seen <= COAST_TIME <= track.life.last_seen
+                              - track.life.first_seen for track in self._tracks])
+            claimed = (cost[seen] < _GATE_AT_MOST).any(axis=0)
+            cost[~seen[:, None] & leaving & (~stood[:, None] | claimed | (cost > STOOD))] = np.inf
             pairs, strangers = self._same_faces(cost, measurements, stamp, cut, leaving)
         continued = dict(pairs)
         for row, track in enumerate(self._tracks):
@@ -368,14 +376,15 @@ class FaceTracker:
         return cost
 
     def _same_faces(self, cost: np.ndarray, measurements: Sequence[FaceMeasurement], stamp: float, cut: bool,
-                    leaving: Sequence[bool]) -> Tuple[List[Tuple[int, int]], Set[int]]:
+                    leaving: np.ndarray) -> Tuple[List[Tuple[int, int]], Set[int]]:
         """Assign at the least cost, without pairs that are not the same face; returns the pairs, and the columns that
-        were refused. leaving: of which measurements the place alone decides."""
+        were refused. leaving: of which measurements the place alone decides, of tracks that were seen last time."""
         judged: Set[Tuple[int, int]] = set()
         strangers: Set[int] = set()
         while True:
-            pairs = assign(cost, GATE_LOST + COLOUR_WEIGHT)
-            others = [pair for pair in pairs if pair not in judged and (cut or self._stalled or not leaving[pair[1]])
+            pairs = assign(cost, _GATE_AT_MOST)
+            others = [pair for pair in pairs if pair not in judged and (
+                          cut or self._stalled or not leaving[pair[1]] or not self._tracks[pair[0]].visible)
                       and not self._is_same(self._tracks[pair[0]], measurements[pair[1]], stamp, cut)]
             if not others:
                 return pairs, strangers
