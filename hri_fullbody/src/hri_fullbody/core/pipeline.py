@@ -201,7 +201,7 @@ class BodyPipeline:
         """Move the known bodies with an image whose camera turns; return the faces as they are in it."""
         motion = self._camera_motion
         with self.times("camera motion"):
-            motion.update(bgr, camera, stamp)
+            motion.update(bgr, camera, stamp, self._tracker.boxes)
         if motion.moves:
             self._tracker.carry(lambda points: motion.moved(points, motion.step()))
         return [motion.face_now(face) for face in faces]
