@@ -67,6 +67,40 @@ def test_the_camera_stands_where_somebody_walks_through_its_image():
         assert not motion.moves and not motion.step().any(), x
 
 
+def crossed(width, x, step, wall=ROOM[300:660, 600:1240]):
+    """Two images of a wall before which somebody near, of a width (px), goes from x by a step (px)."""
+    images = [wall.copy() for _ in range(2)]
+    for number, image in enumerate(images):
+        left, right = max(0, x + step * number), min(640, x + step * number + width)
+        start = left - x - step * number
+        image[30:, left:right] = room(1)[:330, start:start + right - left]
+    return images
+
+
+@pytest.mark.parametrize("width, step", [(320, 10), (320, 25), (320, 50), (400, 10), (400, 25)])
+def test_the_camera_stands_where_somebody_near_takes_most_of_its_image(width, step):
+    for x in range(-width // 2, 640 - width // 2, 80):
+        motion = watched(crossed(width, x, step))
+        assert not motion.moves and not motion.step().any(), x
+
+
+def test_the_camera_stands_where_a_known_person_is_most_of_what_is_seen():
+    images = crossed(300, 100, 40, np.full((360, 640, 3), 120, np.uint8))
+    motion = CameraMotion()
+    for number, image in enumerate(images):
+        motion.update(image, CAMERA, STEP_S * number, lambda: [np.array([100.0, 60.0, 400.0, 360.0])])
+    assert not motion.moves
+
+
+def test_the_turn_is_seen_of_a_camera_that_follows_somebody():
+    motion = CameraMotion()
+    for number, pan in enumerate((0.0, 0.0, 0.05)):
+        image = seen(pan).copy()
+        image[40:, 220:420] = room(1)[:320, :200]
+        motion.update(image, CAMERA, STEP_S * number, lambda: [np.array([220.0, 70.0, 420.0, 360.0])])
+    assert motion.step() == pytest.approx([0.05, 0.0], abs=0.005)
+
+
 @pytest.mark.parametrize("images, interval", [
     ([ROOM[300:660, 600:1240], room(1)[300:660, 600:1240]], STEP_S),
     ([np.full((360, 640, 3), 90, np.uint8), np.full((360, 640, 3), 130, np.uint8)], STEP_S),

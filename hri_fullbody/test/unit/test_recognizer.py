@@ -19,7 +19,8 @@ from hri_fullbody.core.behaviour.attitude import (
     crossed_score,
 )
 from hri_fullbody.core.behaviour.gesture import GestureClass, turns
-from hri_fullbody.core.behaviour.posture import PostureClass, PostureEstimator, without_guessed_limbs
+from hri_fullbody.core.behaviour.guessed_limbs import without_guessed_limbs
+from hri_fullbody.core.behaviour.posture import PostureClass, PostureEstimator
 from hri_fullbody.core.behaviour.recognizer import BehaviourRecognizer, BodyBehaviour
 
 RATES = (5.0, 15.0, 60.0)

@@ -434,6 +434,23 @@ def test_a_master_that_stays_is_seldom_asked_who_it_is(asked_master, monkeypatch
         assert 40 // 4 <= asked_master.asked <= len(looks) // 4 + 2
 
 
+def test_a_master_to_which_its_name_leads_from_now_on_is_found_while_the_other_one_still_runs(monkeypatch):
+    one = AskedMaster()
+    other, found = AskedMaster(("127.0.0.2", one.server_address[1]), 43), [one]
+    monkeypatch.setattr(master.rosgraph, "get_master_uri", lambda: "http://robot.invalid:%d/" % one.server_address[1])
+    resolve = socket.getaddrinfo
+    monkeypatch.setattr(socket, "getaddrinfo", lambda host, *values, **names: resolve(
+        found[0].server_address[0] if host == "robot.invalid" else host, *values, **names))
+    try:
+        with watching(None):
+            wait_for(lambda: one.asked > 2, 20, "questions")
+            found[0] = other
+            wait_for(lambda: other.asked, 20, "the other master")
+    finally:
+        one.end()
+        other.end()
+
+
 def test_a_watch_registers_at_a_new_master_at_the_first_look_after_it(asked_master, monkeypatch):
     looks, other, told = [], [], []
     is_open = master.MasterConnection.is_open

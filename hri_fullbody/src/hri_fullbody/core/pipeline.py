@@ -16,8 +16,9 @@ import numpy as np
 
 from hri_fullbody.core.behaviour.arms import GUESSED_DEPTH
 from hri_fullbody.core.behaviour.gesture import GestureClass
+from hri_fullbody.core.behaviour.guessed_limbs import without_feet_outside, without_guessed_limbs
 from hri_fullbody.core.behaviour.pointing import Pointing, PointingEstimator, aim
-from hri_fullbody.core.behaviour.posture import PostureClass, without_feet_outside, without_guessed_limbs
+from hri_fullbody.core.behaviour.posture import PostureClass
 from hri_fullbody.core.behaviour.recognizer import MAX_GAP_S, BehaviourRecognizer, BodyBehaviour
 from hri_fullbody.core.detection.pose_estimator import (
     BODY_LANDMARKS,
@@ -201,7 +202,7 @@ class BodyPipeline:
         """Move the known bodies with an image whose camera turns; return the faces as they are in it."""
         motion = self._camera_motion
         with self.times("camera motion"):
-            motion.update(bgr, camera, stamp)
+            motion.update(bgr, camera, stamp, self._tracker.boxes)
         if motion.moves:
             self._tracker.carry(lambda points: motion.moved(points, motion.step()))
         return [motion.face_now(face) for face in faces]

@@ -315,6 +315,8 @@ class MasterWatch:
             is_due = count % _ASK_EACH == 0
             if not is_due and not self._away and not not_registered.is_set() and self._connection.is_open():
                 continue
+            if is_due:      # the name of its machine may be another one's by now, while this one still runs
+                self._connection.close()
             # Before the question who the master is: what one that has just begun does not know must not be forgotten.
             snapshot = self._read() if is_due else None
             identity = self._ask()

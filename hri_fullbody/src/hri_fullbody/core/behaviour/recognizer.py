@@ -11,7 +11,8 @@ import numpy as np
 from hri_fullbody.core.behaviour.arms import arm_features, trunk_axes
 from hri_fullbody.core.behaviour.attitude import AttitudeEstimator
 from hri_fullbody.core.behaviour.gesture import WaveDetector, gesture_of
-from hri_fullbody.core.behaviour.posture import GUESSED, GuessedLegs, KneeSigns, PostureEstimator
+from hri_fullbody.core.behaviour.guessed_limbs import GUESSED, GuessedLegs, KneeSigns
+from hri_fullbody.core.behaviour.posture import PostureEstimator
 from hri_fullbody.core.keypoints import (
     LEFT_ANKLE,
     LEFT_ELBOW,

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import replace
-from typing import Deque, NamedTuple, Optional, Tuple
+from typing import Callable, Deque, NamedTuple, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -29,9 +29,13 @@ _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.05)
 _OTHER = 25.0           # mean difference of grey values about a corner from which it is another one
 _LEAST, _AGREEING = 8, 0.5      # corners, and the part of those which are still in the image that must move alike:
 _ALIKE = 0.01           # rad by which they may differ
+_STAY = 0.15            # part of the corners beside the people from which, where they stay, the camera stands
+_RIM = 0.1              # of a body's box about it, in its heights
 _STANDS = 0.002         # rad from one image to the next up to which the camera stands
 _HISTORY_S, _AHEAD_S = 1.0, 0.2
 _LONGEST_STEP_S = 0.5   # between two images that show the same scene
+
+Boxes = Sequence[np.ndarray]
 
 
 class _Turn(NamedTuple):
@@ -57,8 +61,11 @@ class CameraMotion:
         self.moves = False
         """Whether the camera has turned between the last two images."""
 
-    def update(self, bgr: np.ndarray, camera: CameraModel, stamp: float) -> None:
-        """Take the image (H, W, 3) of `camera` at `stamp` (s); nobody may write to it until the next call."""
+    def update(self, bgr: np.ndarray, camera: CameraModel, stamp: float, people: Callable[[], Boxes] = tuple) -> None:
+        """Take the image (H, W, 3) of `camera` at `stamp` (s); nobody may write to it until the next call.
+
+        people: tells the boxes (4,) px of those in the image before, whose motion is their own.
+        """
         cut = self._changes.update(bgr)
         before, self._last, self._camera = self._last, bgr, camera
         picture, self._picture = self._picture, None
@@ -69,7 +76,7 @@ class CameraMotion:
         seen = None
         if self._changes.changed or self.moves:
             self._picture = _picture(bgr)
-            seen = _turned(_picture(before) if picture is None else picture, self._picture, camera)
+            seen = _turned(_picture(before) if picture is None else picture, self._picture, camera, people())
         self.moves = seen is not None and math.hypot(*seen.tolist()) > _STANDS
         last = self._turns[-1].angles
         self._turns.append(_Turn(stamp, last + seen if self.moves and seen is not None else last))
@@ -126,13 +133,14 @@ def _seen_after(pose: Pose, turn: np.ndarray) -> Pose:
     return Pose(about_x @ about_y, np.zeros(3)).compose(pose)
 
 
-def _turned(before: np.ndarray, now: np.ndarray, camera: CameraModel) -> Optional[np.ndarray]:
+def _turned(before: np.ndarray, now: np.ndarray, camera: CameraModel, people: Boxes) -> Optional[np.ndarray]:
     """Return how far the camera has turned (2,) rad between two pictures (h, w), None where that is not seen.
 
     The corners are looked for where phase correlation says (Kuglin and Hines 1975), which tells of large motions, too,
-    but not whether all has moved.
+    but not whether all has moved. people: boxes (4,) px of the image of `before`.
     """
-    corners = cv2.goodFeaturesToTrack(before, _CORNERS, _QUALITY, _APART)
+    scale = np.array([camera.width / before.shape[1], camera.height / before.shape[0]])
+    corners = cv2.goodFeaturesToTrack(before, _CORNERS, _QUALITY, _APART, mask=_beside(people, before.shape, scale))
     if corners is None or len(corners) < _LEAST:
         return None
     guess = (corners + _shift(before, now)).astype(np.float32)
@@ -141,9 +149,16 @@ def _turned(before: np.ndarray, now: np.ndarray, camera: CameraModel) -> Optiona
     good = (np.asarray(status).ravel() > 0) & (np.asarray(error).ravel() < _OTHER)
     if np.count_nonzero(good) < _LEAST:
         return None
-    scale = np.array([camera.width / before.shape[1], camera.height / before.shape[0]])
     start, end = (_angles(np.asarray(points).reshape(-1, 2)[good] * scale, camera) for points in (corners, found))
-    turns = start - end
+    return _common(start, start - end, camera)
+
+
+def _common(start: np.ndarray, turns: np.ndarray, camera: CameraModel) -> Optional[np.ndarray]:
+    """Return the turn (2,) rad in which most corners agree, None where they do not, or too many stay where they are:
+    then it is somebody, or something large, that has moved.
+
+    start: (N, 2) rad where the corners were; turns: (N, 2) rad, what each tells.
+    """
     alike = np.linalg.norm(turns[:, None] - turns, axis=2) < _ALIKE
     agreeing = alike[int(np.argmax(alike.sum(axis=1)))]
     turn = turns[agreeing].mean(axis=0)
@@ -151,7 +166,22 @@ def _turned(before: np.ndarray, now: np.ndarray, camera: CameraModel) -> Optiona
     inside = ((there >= 0.0) & (there < (camera.width, camera.height))).all(axis=1)
     if np.count_nonzero(agreeing) < max(_LEAST, _AGREEING * np.count_nonzero(inside)):
         return None
-    return turn
+    stay = np.linalg.norm(turns, axis=1) < min(_STANDS, 0.5 * math.hypot(*turn.tolist()))
+    return None if np.count_nonzero(stay) > _STAY * len(stay) else turn
+
+
+def _beside(people: Boxes, size: Sequence[int], scale: np.ndarray) -> Optional[np.ndarray]:
+    """Mask (h, w) uint8 of a picture of (h, w) px that leaves out people's boxes (4,) px of an image `scale` (2,) times
+    as large; None where there is nobody."""
+    if not len(people):
+        return None
+    mask = np.full(tuple(size), 255, np.uint8)
+    for box in people:
+        rim = _RIM * float(box[3] - box[1])
+        left, top, right, bottom = np.clip(np.concatenate([(box[:2] - rim) / scale, (box[2:] + rim) / scale]),
+                                           0.0, max(size)).astype(int).tolist()
+        mask[top:bottom, left:right] = 0
+    return mask
 
 
 def _shift(before: np.ndarray, now: np.ndarray) -> np.ndarray:

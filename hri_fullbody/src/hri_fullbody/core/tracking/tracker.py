@@ -143,6 +143,10 @@ class BodyTracker:
         for track in self.tracks:
             track.carry(moved(track.place[None])[0] - track.place)
 
+    def boxes(self) -> List[np.ndarray]:
+        """Return the boxes (4,) px of those who are seen, where they were in the last image."""
+        return [track.expected(self._followed_at).box for track in self.tracks if track.visible]
+
     def reset(self) -> None:
         """Forget all bodies."""
         self.tracks = []
