@@ -261,6 +261,17 @@ def test_a_guessed_knee_that_jumps_about_is_no_sign_of_sitting(knee, posture):
     assert max(set(told[10:]), key=told[10:].count) == posture
 
 
+def test_guesses_of_a_knee_that_are_alike_by_chance_are_no_sign_of_sitting():
+    """A standing man whose legs others hide: a run of like guesses between others told him to sit, for seconds."""
+    body, confidence, told = BehaviourRecognizer(), np.full(18, 0.95), []
+    confidence[kp.LEFT_KNEE] = 0.8
+    for index in range(60):
+        points = people.seated().without(kp.RIGHT_KNEE, kp.RIGHT_ANKLE).seen()
+        points[[kp.LEFT_KNEE, kp.LEFT_ANKLE], 0] += {0: 0.12, 1: -0.12}.get(index % 14, 0.0) * STATURE
+        told.append(body.update(points, STATURE, 0.1 * index, UP, 0.0, confidence).posture)
+    assert set(told) == {PostureClass.OTHER}
+
+
 @pytest.mark.parametrize("trunk, score, posture", [
     (0.43, 1.0, PostureClass.SITTING), (0.50, 1.0, PostureClass.OTHER), (math.nan, 1.0, PostureClass.SITTING),
     (0.43, 0.8, PostureClass.OTHER), (math.nan, math.nan, PostureClass.SITTING)])

@@ -64,7 +64,8 @@ _HOLD_S = 0.3
 _UNKNOWN_S = 1.0
 # Who sits keeps the knees where they are before the hips. Standard deviation (statures) over the last _STILL_S of one
 # that may be guessed: on photographs mostly under .05 of who sits; of a hidden one, guessed anew each time, .08 to .11.
-_STILL_S, _STILL_SD = 0.6, 0.05
+# After a jump it is guessed for _WARY_S more: by chance two or three guesses are alike.
+_STILL_S, _STILL_SD, _WARY_S = 0.6, 0.05, 1.0
 # Standard deviation of the vertical below which it is exact; else the directions that are tried, in standard
 # deviations, with their weights, the share of a posture among all that are told, and its least weight.
 _EXACT = math.radians(2.0)
@@ -149,7 +150,7 @@ class PostureEstimator:
         self._next: Optional[PostureClass] = None
         self._held = self._unknown = 0.0
         self._shown = 0.0       # s for which the present posture was seen
-        self._now = 0.0
+        self._now, self._jumped = 0.0, -math.inf
         self._thighs: Deque[Tuple[float, Sequence[Optional[Vector]]]] = deque()
 
     def update(self, points: np.ndarray, axes: np.ndarray, stature: float, up: np.ndarray,
@@ -194,7 +195,7 @@ class PostureEstimator:
         return self.posture
 
     def _jumps(self, thighs: Sequence[Optional[Vector]], elapsed: float) -> bool:
-        """Whether the left or the right thigh, statures, None not to be judged, changed much in the last _STILL_S."""
+        """Whether the left or the right thigh, statures, None not to be judged, changed much in _STILL_S lately."""
         self._now += elapsed
         self._thighs.append((self._now, thighs))
         while self._thighs[0][0] < self._now - _STILL_S:
@@ -202,8 +203,8 @@ class PostureEstimator:
         for side in (0, 1):
             seen = [both[side] for _, both in self._thighs if both[side] is not None]
             if len(seen) > 2 and sum(map(_variance, zip(*seen))) > _STILL_SD ** 2:
-                return True
-        return False
+                self._jumped = self._now
+        return self._now - self._jumped <= _WARY_S
 
 
 def likely_posture(figure: Figure, up: Vector, up_sd: float) -> Optional[PostureClass]:
