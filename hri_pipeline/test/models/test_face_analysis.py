@@ -112,7 +112,7 @@ def test_what_is_found_of_faces_does_not_hang_on_when_they_are_placed():
     """The detector is refused the early places in one of two pipelines: panned, with people who come in."""
     early, late = (FacePipeline(FACES.resolve(dict(UNHURRIED, cpu_share=0.0))) for _ in range(2))
     update = late._tracking.update
-    late._tracking.update = lambda bgr, stamp, followed: update(bgr, stamp)
+    late._tracking.update = lambda bgr, stamp, followed, camera: update(bgr, stamp, None, camera)
     motion = PictureMotion(photograph("sample5"), *SIZE, pan=0.2, period=6.0)
     for index in range(60):
         image, stamp = motion.view(index / 10.0), 1000.0 + index / 10.0
