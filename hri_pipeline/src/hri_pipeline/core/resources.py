@@ -1,8 +1,8 @@
-"""What the system gives this process of cores and file descriptors.
+"""What the system gives this process of cores, threads and file descriptors.
 
 The cores that it may use, and how much of their time is idle: affinity (taskset, `docker --cpuset-cpus`), and the
-quotas of its control groups (cgroups: `docker --cpus`, CPUQuota of systemd), see cgroups(7). Descriptors: as many as
-the system allows, and a reserve.
+quotas of its control groups (cgroups: `docker --cpus`, CPUQuota of systemd), see cgroups(7). Threads: how many its
+control groups still allow. Descriptors: as many as the system allows, and a reserve.
 """
 
 from __future__ import annotations
