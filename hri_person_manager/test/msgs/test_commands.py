@@ -33,7 +33,7 @@ from hri_person_manager.ros.cli import known_table, run_people
 from hri_person_manager.ros.services import Galleries
 from hri_person_manager.srv import ListKnownResponse
 from hri_pipeline.core.geometry import Pose
-from hri_pipeline.ros.master import call_service
+from hri_pipeline.ros.services import call_service
 from hri_pipeline.srv import GalleryResponse
 from hri_pipeline.testing import wait_for
 

@@ -11,7 +11,6 @@ import time
 from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
-import rospy
 from rosgraph import xmlrpc
 
 from hri_pipeline.ros import master
@@ -19,18 +18,14 @@ from hri_pipeline.ros.master import (
     ForeignNode,
     MasterAway,
     MasterWatch,
-    NoAnswer,
     OwnParameters,
     ParametersLost,
     PublisherAnswer,
-    call_service,
     check_not_lost,
     does_publish,
-    in_time,
     is_alive,
     node_at,
     patient_master,
-    wait_for_service,
 )
 from hri_pipeline.testing import wait_for
 
@@ -93,42 +88,6 @@ def test_what_nodes_say(node, nobody):
     assert does_publish(node, "/mine") is PublisherAnswer.YES
     assert does_publish(node, "/other") is PublisherAnswer.NO
     assert does_publish(nobody, "/mine") is PublisherAnswer.REFUSED
-
-
-@pytest.fixture
-def never():
-    """A call that never returns, until the test has ended."""
-    end = threading.Event()
-    yield lambda *values: end.wait(60.0)
-    end.set()
-
-
-def test_a_call_has_its_time_and_its_own_errors(never):
-    def slow():
-        raise TimeoutError("of its own")
-
-    assert in_time(lambda: 7, 20.0) == 7
-    with pytest.raises(ZeroDivisionError):
-        in_time(lambda: 1 // 0, 20.0)
-    with pytest.raises(TimeoutError, match="of its own"):
-        in_time(slow, 20.0)
-    with pytest.raises(TimeoutError, match=r"no answer within 0\.05 s"):
-        in_time(never, 0.05)
-
-
-def test_a_service_that_never_answers_is_named_with_what_to_do(never, monkeypatch):
-    monkeypatch.setattr(rospy, "ServiceProxy", lambda name, kind: never)
-    with pytest.raises(NoAnswer, match=r"^/manager/forget has not answered within 0\.05 s.*start it again"):
-        call_service("/manager/forget", object, ["ann"], 0.05)
-    monkeypatch.setattr(rospy, "ServiceProxy", lambda name, kind: lambda *values: values)
-    assert call_service("/manager/merge", object, ["ann", "bob"], 20.0) == ("ann", "bob")
-
-
-def test_a_service_or_master_that_takes_no_call_is_named(never, monkeypatch):
-    monkeypatch.setattr(master, "ANSWER_S", 0.05)
-    monkeypatch.setattr(rospy, "wait_for_service", never)
-    with pytest.raises(rospy.ROSException, match="^/manager/forget takes no call.*hangs"):
-        wait_for_service("/manager/forget", 0.0)
 
 
 def test_the_api_of_a_master_that_hangs_is_not_waited_for(silent, monkeypatch):

@@ -14,7 +14,7 @@ import rospy
 
 from hri_pipeline.nodes import start_bag
 from hri_pipeline.nodes.start_bag import PausedPlayer, fault_of_file
-from hri_pipeline.ros.master import NoAnswer
+from hri_pipeline.ros.services import NoAnswer
 
 
 def test_a_recording_that_was_cut_off_is_told_before_anything_starts(tmp_path):

@@ -42,10 +42,11 @@ from hri_pipeline.core.frames import RawTransform, read
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.privacy import StoreError, TemplateCipher, make_key_file, notice
 from hri_pipeline.core.recognition.store import PersonStore
-from hri_pipeline.ros.master import MasterWatch, NoAnswer
+from hri_pipeline.ros.master import MasterWatch
 from hri_pipeline.ros.node import wait_for_master
 from hri_pipeline.ros.privacy import collect
 from hri_pipeline.ros.rospy_compat import release
+from hri_pipeline.ros.services import NoAnswer
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import SKELETONS, Frames, TfSubscriber
 

@@ -42,7 +42,8 @@ from hri_person_manager.srv import (
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.privacy import StoreError
 from hri_pipeline.ros.conversions import to_time
-from hri_pipeline.ros.master import call_service, patient_master, wait_for_service
+from hri_pipeline.ros.master import patient_master
+from hri_pipeline.ros.services import call_service, wait_for_service
 from hri_pipeline.srv import Gallery, GalleryRequest, GalleryResponse
 
 if TYPE_CHECKING:     # scipy takes most of a second, which no command has to wait for

@@ -20,17 +20,10 @@ from tf2_msgs.msg import TFMessage
 from hri_pipeline.core.images import other_transport
 from hri_pipeline.core.simulation.sensors import camera_pose
 from hri_pipeline.ros.conversions import transform_to_msg
-from hri_pipeline.ros.master import (
-    ANSWER_S,
-    NoAnswer,
-    call_service,
-    in_time,
-    node_at,
-    patient_master,
-    wait_for_service,
-)
+from hri_pipeline.ros.master import ANSWER_S, node_at, patient_master
 from hri_pipeline.ros.node import end_simulated_time, wait_for_master
 from hri_pipeline.ros.rospy_compat import release
+from hri_pipeline.ros.services import NoAnswer, call_service, in_time, wait_for_service
 from hri_pipeline.score.bag import is_closed, is_recording, not_closed
 
 LOOK_S = 0.1
