@@ -6,10 +6,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from benchmarks import labels as eyes
 from benchmarks.labels import images, nearest_face, read_labels
-from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.camera import EQUIDISTANT, PLUMB_BOB, Calibration, CameraModel
 from hri_pipeline.core.faces.action_units import MIRROR, ActionUnitEstimator, FaceMeasures
 from hri_pipeline.core.faces.age_gender import AgeGenderFusion, load_age_gender
 from hri_pipeline.core.faces.detector import FaceDetector
@@ -53,6 +54,40 @@ class Finder:
 @pytest.fixture(scope="module")
 def finder():
     return Finder()
+
+
+@pytest.mark.parametrize("focal, distortion, model", [
+    (700.0, [], PLUMB_BOB), (800.0, [-0.28, 0.07, 0.001, -0.001], PLUMB_BOB),
+    (700.0, [-0.02, 0.003, 0.0, 0.0], EQUIDISTANT)],
+    ids=["wide", "lens", "fisheye"])
+@pytest.mark.parametrize("aside", [(0.0, 28.0), (-20.0, -25.0)])
+def test_a_mesh_lies_where_the_face_is_also_aside_of_the_optical_axis(finder, focal, distortion, model, aside):
+    """A picture as the turned camera sees it, which a flat image stretches, and a fisheye squeezes."""
+    image = cv2.imread(str(models_directory() / "demo" / "sample1.jpg"))
+    size = image.shape[1::-1]
+    ahead = CameraModel.from_fov(*size, HFOV, Calibration.CALIBRATED)
+    lens = CameraModel(1600, 1200, np.array([[focal, 0, 800], [0, focal, 600], [0, 0, 1]]), np.array(distortion), model,
+                       Calibration.CALIBRATED)
+    turn = Rotation.from_euler("xy", aside, degrees=True).as_matrix()
+    columns, rows = np.meshgrid(np.arange(1600) + 0.5, np.arange(1200) + 0.5)
+    rays = lens.normalise(np.column_stack([columns.ravel(), rows.ravel()]))
+    places = np.nan_to_num(ahead.project(np.column_stack([rays, np.ones(len(rays))]) @ turn) - 0.5, nan=-1e4)
+    seen = cv2.remap(image, places.astype(np.float32).reshape(1200, 1600, 2), None, cv2.INTER_LINEAR)
+    errors: dict = {}
+    for _, mesh in finder(image):
+        for _ in range(2):
+            mesh = finder.mesh.run(image, [roi_from_mesh(mesh, camera=ahead)])[0].points
+        rays = ahead.normalise(mesh[:, :2])
+        wanted = mesh.copy()
+        wanted[:, :2] = lens.project(np.column_stack([rays, np.ones(len(rays))]) @ turn.T)
+        for name, camera in (("as it is", None), ("facing", lens)):
+            points = wanted
+            for _ in range(2):
+                points = finder.mesh.run(seen, [roi_from_mesh(points, camera=camera)])[0].points
+            away = np.linalg.norm((points - wanted)[:, :2], axis=1).mean()
+            errors.setdefault(name, []).append(away / np.linalg.norm(wanted[33, :2] - wanted[263, :2]))
+    before, now = np.mean(errors["as it is"]), np.mean(errors["facing"])
+    assert len(errors["facing"]) >= 2 and now < 0.007 and now < 0.75 * before
 
 
 @pytest.fixture(scope="module")

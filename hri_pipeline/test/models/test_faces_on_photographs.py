@@ -507,7 +507,7 @@ def test_an_error_of_the_mesh_costs_no_search_of_the_detector(count):
         finder.update(image, 0.0333 * index)
     assert finder.all_ids
 
-    def fail(bgr, rois):
+    def fail(bgr, rois, camera=None):
         raise ModelError("out of memory")
 
     stamps, lost = iter(np.arange(0.1, 20.0, 0.0333)), 0

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hri_pipeline.core.camera import Calibration, CameraError, CameraModel
+from hri_pipeline.core.image_rotation import ImageRotation
 
 K = [500.0, 0, 321.5, 0, 510.0, 238.5, 0, 0, 1]
 MODELS = {
@@ -242,3 +243,32 @@ def test_no_size(width, height):
 def test_bad_field_of_view(fov):
     with pytest.raises(CameraError, match="field of view"):
         CameraModel.from_fov(640, 480, fov)
+
+
+@pytest.mark.parametrize("model", [*MODELS, "pinhole", "turned"])
+@pytest.mark.parametrize("aside", [(0.0, 25.0), (-12.0, -20.0)])
+def test_the_view_of_a_face_aside_is_that_of_a_camera_that_looks_at_it(model, aside):
+    lens = camera(distortion=[]) if model in ("pinhole", "turned") else camera(model)
+    lens = ImageRotation(1, 640, 480).camera(lens) if model == "turned" else lens
+    things = np.random.RandomState(1).uniform(-0.1, 0.1, (50, 3)) + (0.0, 0.0, 1.0)
+    turn = Rotation.from_euler("xy", aside[::-1] if model == "turned" else aside, degrees=True).as_matrix()
+    pixels = lens.project(things @ turn.T)
+    view = lens.facing_view(pixels)
+    seen, ahead = view.see(pixels), view.focal * things[:, :2] / things[:, 2:]
+    assert np.linalg.norm(seen[:, None] - seen, axis=2) == pytest.approx(
+        np.linalg.norm(ahead[:, None] - ahead, axis=2), abs=0.1)
+    assert view.back(seen) == pytest.approx(pixels, abs=1e-3)
+    assert np.ptp(seen, axis=0).prod() == pytest.approx(np.ptp(pixels, axis=0).prod(), rel=0.1), "as large"
+
+
+def test_what_is_ahead_or_not_known_has_no_view_of_its_own():
+    points = np.random.RandomState(1).uniform(-20.0, 20.0, (50, 2))
+    pinhole, aside = camera(distortion=[]), points + (600.0, 100.0)
+    assert pinhole.facing_view(aside) is not None
+    assert pinhole.facing_view(points + (321.5, 238.5)) is None, "ahead"
+    assert CameraModel.from_fov(640, 480, 1.2).facing_view(aside) is None, "a guess"
+    for nothing in (np.full((50, 2), np.nan), np.full((50, 2), 600.0), np.full((50, 2), np.inf)):
+        assert pinhole.facing_view(nothing) is None
+    beyond = CameraModel.from_calibration(640, 480, [380.0, 0, 320, 0, 380.0, 240, 0, 0, 1],
+                                          [-0.35, 0.14, 0.0, 0.0, -0.025], "plumb_bob", 1.0)
+    assert beyond.facing_view(points + (10.0, 10.0)) is None

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from hri_pipeline.core.camera import Calibration, CameraModel
 from hri_pipeline.core.faces.appearance import AppearanceMatcher, FaceLook, Verdict, asymmetry, correlation
+from hri_pipeline.core.faces.crops import aligned_crop
 from hri_pipeline.core.faces.mesh import MESH_POINTS
 from hri_pipeline.core.faces.track import FaceMeasurement
 from hri_pipeline.core.faces.tracker import FaceTracker
@@ -355,6 +356,27 @@ def test_the_crop_for_a_template_is_the_same_wherever_in_the_image_a_face_is(cam
     assert (face_chip(seen, places, 112, camera=guessed) == stretched).all(), "a guess changes nothing"
     apart, before = (np.abs(chip.astype(float) - wanted).mean() for chip in (found, stretched))
     assert apart < 2.5 and before > 2.0 * apart
+
+
+@pytest.mark.parametrize("camera", [
+    CameraModel(1280, 720, np.array([[460.0, 0, 640], [0, 460.0, 360], [0, 0, 1]]), np.zeros(0), "plumb_bob",
+                Calibration.CALIBRATED),
+    CameraModel(1280, 720, np.array([[560.0, 0, 640], [0, 560.0, 360], [0, 0, 1]]), np.array([-0.28, 0.07, 0.0, 0.0]),
+                "plumb_bob", Calibration.CALIBRATED),
+    CameraModel(1280, 720, np.array([[500.0, 0, 640], [0, 500.0, 360], [0, 0, 1]]), np.zeros(4), "equidistant",
+                Calibration.CALIBRATED)], ids=["wide", "lens", "fisheye"])
+@pytest.mark.parametrize("aside", [(0, 36), (20, -25)])
+@pytest.mark.parametrize("size", [40, 112])
+def test_the_upright_crop_is_the_same_wherever_in_the_image_a_face_is(camera, aside, size):
+    turn = Rotation.from_euler("xy", aside, degrees=True).as_matrix()
+    texture, points, seen, places, ahead = looked_at(camera, turn)
+    wanted = aligned_crop(texture, points, size, 1.15)
+    assert (aligned_crop(texture, points, size, 1.15, ahead) == wanted).all(), "nothing is changed ahead"
+    found, stretched = (aligned_crop(seen, places, size, 1.15, one) for one in (camera, None))
+    guessed = CameraModel.from_fov(1280, 720, 1.9)
+    assert (aligned_crop(seen, places, size, 1.15, guessed) == stretched).all(), "a guess changes nothing"
+    apart, before = (np.abs(crop.astype(float) - wanted).mean() for crop in (found, stretched))
+    assert apart < 3.0 and before > 2.0 * apart
 
 
 def test_points_in_one_place_have_no_other_view():

@@ -1,5 +1,7 @@
 """Gaze and eyelids of a made-up head whose eyes look where we want."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -158,6 +160,21 @@ def test_irises_tell_the_same_size_of_a_head_wherever_in_the_image_it_is(camera,
     found = measured.measure(mesh[None], pose.rotation[None], pose.translation[None], camera)
     scale = scale_from_iris(found.irises[0], found.iris_angles[0], pose, measured, 1.0)
     assert scale * IRIS_BIAS == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("camera", [replace(WIDE, calibration=Calibration.CALIBRATED), FISHEYE],
+                         ids=["wide", "fisheye"])
+@pytest.mark.parametrize("aside", [(0.0, 25.0), (0.0, -45.0), (25.0, 30.0)])
+def test_lids_are_as_open_wherever_in_the_image_they_are(camera, aside):
+    turn = Rotation.from_euler("xy", aside, degrees=True).as_matrix()
+    pose, mesh = pose_of(), np.zeros((478, 3))
+    places = pose.compose(head().face_frame().inverse()).apply(head().vertices)
+    measured = []
+    for turned in (np.eye(3), turn):
+        mesh[:468, :2] = camera.project(places @ turned.T)
+        measured.append(EyeGeometry(head()).measure(
+            mesh[None], (turned @ pose.rotation)[None], (turned @ pose.translation)[None], camera).openness)
+    assert measured[1] == pytest.approx(measured[0], rel=0.01)
 
 
 def test_eyes_turn_only_so_far_in_their_head():

@@ -1,5 +1,7 @@
 """Head pose on projections of a known head; the face frame; the smoother; the size of the head from several sources."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -19,6 +21,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.onnx import ModelError
 
 PLAIN = CameraModel.from_fov(1280, 720, 1.0)
+WIDE = CameraModel.from_fov(1280, 720, 2.0)
 LENS = CameraModel(1280, 720, np.array([[900.0, 0, 630], [0, 910.0, 350], [0, 0, 1]]),
                    np.array([-0.28, 0.09, 0.001, -0.0005, -0.01]), "plumb_bob", Calibration.CALIBRATED)
 FISHEYE = CameraModel(1280, 720, np.array([[500.0, 0, 640], [0, 500.0, 360], [0, 0, 1]]),
@@ -64,6 +67,24 @@ def test_pose_of_a_known_head(camera, angles, place):
     found = HeadPoseEstimator(FACE).estimate(seen(truth, camera), camera)
     assert degrees_between(found, truth) < 0.5
     assert np.linalg.norm(found.translation - truth.translation) < 0.005 * np.linalg.norm(place)
+
+
+@pytest.mark.parametrize("camera", [replace(WIDE, calibration=Calibration.CALIBRATED), FISHEYE],
+                         ids=["wide", "fisheye"])
+@pytest.mark.parametrize("aside", [(0, 40), (25, -30)])
+def test_another_face_than_the_mean_one_has_the_same_pose_wherever_in_the_image_it_is(camera, aside):
+    turn = Rotation.from_euler("xy", aside, degrees=True).as_matrix()
+    ahead = looking(15, -5, 10, (0.0, 0.0, 0.6))
+    own = FACE.vertices + np.random.RandomState(1).normal(0.0, 0.004, FACE.vertices.shape)
+    places, mesh = ahead.compose(FACE.face_frame().inverse()).apply(own), np.zeros((478, 3))
+    mesh[:468, :2] = camera.project(places)
+    wanted = HeadPoseEstimator(FACE).estimate(mesh, camera)
+    wanted = Pose(turn @ wanted.rotation, turn @ wanted.translation)
+    mesh[:468, :2] = camera.project(places @ turn.T)
+    estimator = HeadPoseEstimator(FACE)
+    for found in estimator.estimate(mesh, camera), estimator.estimate_all([mesh], camera, [wanted])[0]:
+        assert degrees_between(found, wanted) < 0.1
+        assert found.translation == pytest.approx(wanted.translation, abs=0.001)
 
 
 def test_angles_of_a_face_that_looks_into_the_camera_are_zero():
@@ -269,7 +290,7 @@ def test_depth_image_is_read_robustly():
 class NoBlendshapes:
     """In place of the network."""
 
-    def run(self, meshes):
+    def run(self, meshes, camera=None):
         return np.zeros((len(meshes), 52))
 
 

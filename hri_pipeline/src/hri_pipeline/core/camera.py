@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Sequence, Tuple
+from functools import lru_cache
+from typing import Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
+
+from hri_pipeline.core.geometry import Numbers, square_affine
 
 PLUMB_BOB = "plumb_bob"
 RATIONAL = "rational_polynomial"
@@ -28,7 +31,13 @@ _ALIASES = {"": PLUMB_BOB, "fisheye": EQUIDISTANT}
 _HINT = "calibrate the camera, or publish an all-zero K to use the field of view parameter"
 _WIDEST = math.tan(math.radians(88.0))
 _GRID = np.array([(x, y) for x in (0.0, 0.5, 1.0) for y in (0.0, 0.5, 1.0)])
+_BOX = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+_FROM_CENTRES = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+_TO_CENTRES = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])
 _SEEN_AGAIN = 1.0   # px between a point and where its ray is seen, where the model of a lens holds
+_AHEAD = math.tan(math.radians(6.0))    # up to here an image is stretched by half a hundredth
+_NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(5) + 0.5) / 5.0)     # Chebyshev's, of a polynomial of the fourth degree
+_NODE_GRID = np.stack(np.meshgrid(_NODES, _NODES), axis=-1).reshape(-1, 2)
 _LEAST_AHEAD = 0.1      # cosine of the angle from the middle of some points to one that is still told
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
 
@@ -262,13 +271,7 @@ class CameraModel:
             return np.asarray(pixels - pixels.mean(axis=0))
         directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
         directions /= np.sqrt((directions * directions).sum(axis=1, keepdims=True))
-        x, y, z = directions.mean(axis=0).tolist()
-        length = math.sqrt(x * x + y * y + z * z)
-        x, y, z = x / length, y / length, z / length
-        # The smallest turn that takes the middle to the optical axis.
-        turn = np.array(((1.0 - x * x / (1.0 + z), -x * y / (1.0 + z), -x),
-                         (-x * y / (1.0 + z), 1.0 - y * y / (1.0 + z), -y), (x, y, z)))
-        ahead = directions @ turn.T
+        ahead = directions @ _turn_ahead(directions.mean(axis=0)).T
         focal = math.sqrt(self.matrix[0, 0] * self.matrix[1, 1])
         return np.asarray(focal * ahead[:, :2] / np.maximum(ahead[:, 2:], _LEAST_AHEAD))
 
@@ -284,6 +287,32 @@ class CameraModel:
             return np.eye(3)
         found, _ = cv2.findHomography(places, self.facing(places))
         return np.eye(3) if found is None else np.asarray(found)
+
+    def facing_view(self, pixels: np.ndarray) -> Optional[FacingView]:
+        """Return the view of a camera at the same place that looks at some points (N, 2) px, through no lens.
+
+        None where it is not known or makes no difference: of a camera that is not calibrated, of points that are not
+        finite or in one place, beyond the edge of the model of the lens, and near the optical axis.
+        """
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        if not self.is_calibrated or not all(map(math.isfinite, (*low.tolist(), *high.tolist()))):
+            return None
+        box = low + _BOX * (high - low)
+        rays = self.normalise(box)
+        x, y = rays.mean(axis=0).tolist()
+        if not (_AHEAD < math.hypot(x, y) < math.inf and (high - low).min() >= 1.0 and self._holds(box, rays)):
+            return None
+        directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
+        directions /= np.sqrt((directions * directions).sum(axis=1, keepdims=True))
+        turn = _turn_ahead(directions.mean(axis=0))
+        ahead = directions @ turn.T
+        seen = ahead[:, :2] / np.maximum(ahead[:, 2:], _LEAST_AHEAD)
+        # As large as in the image, in area: what is told in px there means the same.
+        focal = math.sqrt((high - low).prod() / max(_area(seen), 1e-12))
+        if self.distortion.size or self.distortion_model == EQUIDISTANT:
+            return FacingView(self, turn, focal, None)
+        return FacingView(self, turn, focal, cv2.getPerspectiveTransform(
+            (focal * seen).astype(np.float32), box.astype(np.float32)))
 
     def resized(self, width: int, height: int) -> "CameraModel":
         """Return the model of the same view in an image of another size, px; itself when it has that size."""
@@ -317,6 +346,89 @@ class CameraModel:
 
     def _fisheye(self) -> np.ndarray:
         return self.distortion if self.distortion.size else np.zeros(4)
+
+
+@dataclass(frozen=True)
+class FacingView:
+    """What a camera at the same place sees that looks at a part of an image, through no lens.
+
+    Aside of the optical axis a flat image is stretched away from its middle, by 15 % at 30 degrees more than across; a
+    fisheye squeezes it. Here nothing is.
+
+    Attributes
+    ----------
+    camera : CameraModel
+        Of the image.
+    turn : numpy.ndarray, shape (3, 3)
+        Takes directions of the optical frame to those of the view.
+    focal : float
+        Focal length, px: what is looked at is as large as in the image.
+    to_image : numpy.ndarray, shape (3, 3)
+        Homography from the view to the image; None for a lens with distortion.
+    """
+
+    camera: CameraModel
+    turn: np.ndarray
+    focal: float
+    to_image: Optional[np.ndarray]
+
+    def see(self, pixels: np.ndarray) -> np.ndarray:
+        """Map pixels (N, 2) of the image to the view: (N, 2) px from its middle."""
+        rays = self.camera.normalise(pixels)
+        ahead = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) @ self.turn.T
+        return np.asarray(self.focal * ahead[:, :2] / np.maximum(ahead[:, 2:], _LEAST_AHEAD))
+
+    def back(self, points: np.ndarray) -> np.ndarray:
+        """Map points (N, 2) px of the view to pixels of the image (N, 2)."""
+        points = np.asarray(points, dtype=np.float64)
+        if self.to_image is not None:
+            moved = points @ self.to_image[:, :2].T + self.to_image[:, 2]
+            return np.asarray(moved[:, :2] / moved[:, 2:])
+        rays = np.concatenate([points / self.focal, np.ones((len(points), 1))], axis=1)
+        return self.camera.project(rays @ self.turn)
+
+    def crop(self, image: np.ndarray, centre_xy: Numbers, size_px: float, angle_rad: float,
+             output_size: int) -> Tuple[np.ndarray, np.ndarray]:
+        """Cut a rotated square of the view out of the image; see `geometry.crop_rotated`.
+
+        Returns the patch and the affine (2, 3) from it to the view.
+        """
+        affine = square_affine(centre_xy, size_px, angle_rad, output_size)
+        if self.to_image is not None:
+            between = _TO_CENTRES @ self.to_image @ np.vstack([affine, (0.0, 0.0, 1.0)]) @ _FROM_CENTRES
+            return cv2.warpPerspective(image, between, (output_size, output_size),
+                                       flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+                                       borderMode=cv2.BORDER_REPLICATE), affine
+        nodes = self.back(output_size * _NODE_GRID @ affine[:, :2].T + affine[:, 2]) - 0.5
+        basis = _polynomials(output_size)
+        x, y = (basis @ one.reshape(len(_NODES), -1) @ basis.T for one in np.nan_to_num(nodes).astype(np.float32).T)
+        return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), affine
+
+
+@lru_cache(maxsize=8)
+def _polynomials(size: int) -> np.ndarray:
+    """Return the polynomials (size, 5) float32 at the pixels of a side (px) that are 1 at one of its nodes."""
+    places = (np.arange(size) + 0.5) / size
+    found = np.ones((size, len(_NODES)))
+    for column, node in enumerate(_NODES):
+        for other in np.delete(_NODES, column):
+            found[:, column] *= (places - other) / (node - other)
+    return found.astype(np.float32)
+
+
+def _turn_ahead(direction: np.ndarray) -> np.ndarray:
+    """Return the smallest turn (3, 3) that takes a direction (3,) to the optical axis."""
+    x, y, z = direction.tolist()
+    length = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / length, y / length, z / length
+    return np.array(((1.0 - x * x / (1.0 + z), -x * y / (1.0 + z), -x),
+                     (-x * y / (1.0 + z), 1.0 - y * y / (1.0 + z), -y), (x, y, z)))
+
+
+def _area(corners: np.ndarray) -> float:
+    """Return the area of a quadrangle (4, 2)."""
+    (a, b), (c, d) = (corners[2] - corners[0]).tolist(), (corners[3] - corners[1]).tolist()
+    return 0.5 * abs(a * d - b * c)
 
 
 def _check_matrix(matrix: np.ndarray) -> None:

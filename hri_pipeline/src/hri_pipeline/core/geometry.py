@@ -232,6 +232,22 @@ def crop_rotated(
     ValueError
         For a size that is not positive, or a number that is not finite.
     """
+    affine = square_affine(centre_xy, size_px, angle_rad, output_size)
+    # Continuous coordinates have (0, 0) at the corner of the first pixel, OpenCV at its centre.
+    between_centres = affine.copy()
+    (cosine, minus_sine), (sine, _) = affine[:, :2].tolist()
+    between_centres[:, 2] += (0.5 * (cosine + minus_sine) - 0.5, 0.5 * (sine + cosine) - 0.5)
+    patch = cv2.warpAffine(
+        image, between_centres, (output_size, output_size),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE)
+    return patch, affine
+
+
+def square_affine(centre_xy: Numbers, size_px: float, angle_rad: float, output_size: int) -> np.ndarray:
+    """Return the affine (2, 3) from pixels of a patch to the plane of the square of which it is a picture.
+
+    See `crop_rotated`, also for what it raises.
+    """
     # Plain numbers: this runs several times in each image, and arrays of two are slow.
     x, y = float(centre_xy[0]), float(centre_xy[1])
     if not all(map(math.isfinite, (x, y, size_px, angle_rad))) or size_px <= 0.0 or output_size < 1:
@@ -239,13 +255,6 @@ def crop_rotated(
             tuple(centre_xy), size_px, angle_rad, output_size))
     scale = float(size_px) / output_size
     cosine, sine = scale * math.cos(angle_rad), scale * math.sin(angle_rad)
-    # Continuous coordinates have (0, 0) at the corner of the first pixel, OpenCV at its centre.
     half = output_size / 2.0
     left, top = x - half * (cosine - sine), y - half * (sine + cosine)
-    affine = np.array(((cosine, -sine, left), (sine, cosine, top)))
-    between_centres = affine.copy()
-    between_centres[:, 2] += (0.5 * (cosine - sine) - 0.5, 0.5 * (sine + cosine) - 0.5)
-    patch = cv2.warpAffine(
-        image, between_centres, (output_size, output_size),
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE)
-    return patch, affine
+    return np.array(((cosine, -sine, left), (sine, cosine, top)))

@@ -350,12 +350,13 @@ class FacePictures:
         if not wanted:
             return
         width, height = self._current_size()
+        camera = frame.camera.resized(frame.bgr.shape[1], frame.bgr.shape[0])
         for name in wanted:
             if name == CROPPED:
                 picture = box_crop(frame.upright.bgr, frame.rotation.box(face.box), width, height, MARGIN)
             else:
                 side = max(width, height)
-                square = aligned_crop(frame.bgr, face.mesh, side, MARGIN)
+                square = aligned_crop(frame.bgr, face.mesh, side, MARGIN, camera)
                 top, left = (side - height) // 2, (side - width) // 2
                 picture = square[top:top + height, left:left + width]
             header = Header(stamp=frame.header.stamp, frame_id=frame.header.frame_id)

@@ -13,6 +13,7 @@ from typing import Callable, Dict, List, Optional, Protocol, Sequence, Tuple, Ty
 
 import numpy as np
 
+from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.crops import aligned_crop
 from hri_pipeline.core.onnx import ModelError, OnnxModel
 
@@ -32,8 +33,9 @@ class AgeGender:
 class AgeGenderModel(Protocol):
     """What a network of age and gender has to do."""
 
-    def crop(self, bgr: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Cut the network's view of a face, (S, S, 3) uint8 BGR; points: mesh (478, 3) px."""
+    def crop(self, bgr: np.ndarray, points: np.ndarray, camera: Optional[CameraModel] = None) -> np.ndarray:
+        """Cut the network's view of a face, (S, S, 3) uint8 BGR; points: mesh (478, 3) px; camera: see
+        `aligned_crop`."""
 
     def estimate(self, crops: Sequence[np.ndarray]) -> List[AgeGender]:
         """Return one answer per crop, in order."""
@@ -61,9 +63,9 @@ class _OnnxAgeGender(ABC):
                 raise ModelError("model file {} gives {} numbers in {} instead of {}; it is no {} network".format(
                     path, trial[name].size, name, size, type(self).__name__))
 
-    def crop(self, bgr: np.ndarray, points: np.ndarray) -> np.ndarray:
+    def crop(self, bgr: np.ndarray, points: np.ndarray, camera: Optional[CameraModel] = None) -> np.ndarray:
         """Cut the network's view. Raises ValueError for points that are not finite."""
-        return aligned_crop(bgr, points, self.SIZE, self.MARGIN)
+        return aligned_crop(bgr, points, self.SIZE, self.MARGIN, camera)
 
     def estimate(self, crops: Sequence[np.ndarray]) -> List[AgeGender]:
         """Return one answer per crop, in order; an age that is not finite is returned as NaN with an infinite

@@ -268,10 +268,10 @@ class FaceAnalysis:
                 return self.recognition.look(bgr, faces, stamp, self._camera)
         if name == "expression" and self._expression is not None:
             with self._times("expression"):
-                self._expression.infer(bgr, faces, stamp, demand.expression)
+                self._expression.infer(bgr, faces, stamp, demand.expression, self._camera)
         elif name == "age_gender" and self._age_gender is not None:
             with self._times("age_gender"):
-                self._age_gender.infer(bgr, faces, qualities, stamp, demand.soft_biometrics)
+                self._age_gender.infer(bgr, faces, qualities, stamp, demand.soft_biometrics, self._camera)
         return [] if self.recognition is None else self.recognition.changes(stamp)
 
     def _with_results(self, face: FaceObservation, units: Mapping[str, ActionUnits],
@@ -312,12 +312,13 @@ class ExpressionProcessor:
         """Return how many periods ago the most overdue face was last analysed; 0 for none, 1 is due."""
         return self._next(faces, stamp, wanted)[1]
 
-    def infer(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float, wanted: AbstractSet[str]) -> None:
-        """Run the network on the most overdue face."""
+    def infer(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float, wanted: AbstractSet[str],
+              camera: Optional[CameraModel] = None) -> None:
+        """Run the network on the most overdue face; camera: of the image's size."""
         face, _ = self._next(faces, stamp, wanted)
         if face is not None:
             self._last_runs[face.id] = stamp
-            self._fresh[face.id] = self._model.probabilities([self._model.crops(bgr, face.mesh)])[0]
+            self._fresh[face.id] = self._model.probabilities([self._model.crops(bgr, face.mesh, camera)])[0]
 
     def combine(self, faces: Sequence[FaceObservation], units: Mapping[str, ActionUnits], stamp: float,
                 wanted: AbstractSet[str]) -> None:
@@ -371,15 +372,16 @@ class AgeGenderProcessor:
         return self._next(faces, qualities, stamp, wanted)[1]
 
     def infer(self, bgr: np.ndarray, faces: Sequence[FaceObservation], qualities: Mapping[str, float], stamp: float,
-              wanted: AbstractSet[str]) -> None:
-        """Run the network on the most overdue face that is seen well."""
+              wanted: AbstractSet[str], camera: Optional[CameraModel] = None) -> None:
+        """Run the network on the most overdue face that is seen well; camera: of the image's size."""
         face, _ = self._next(faces, qualities, stamp, wanted)
         if face is None:
             return
         self._last_runs[face.id] = stamp
         self._counts[face.id] = self._counts.get(face.id, 0) + 1
         fusion = self._fusions.setdefault(face.id, AgeGenderFusion())
-        fusion.add(self._model.estimate([self._model.crop(bgr, face.mesh)])[0], qualities[face.id], stamp)
+        crop = self._model.crop(bgr, face.mesh, camera)
+        fusion.add(self._model.estimate([crop])[0], qualities[face.id], stamp)
         fused = fusion.estimate()
         self._known[face.id] = None if fused is None else SoftBiometrics(
             fused.age, fused.age_confidence, 1.0 - fused.p_female,

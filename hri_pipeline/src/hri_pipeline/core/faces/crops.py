@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
 
-from hri_pipeline.core.faces.mesh import LANDMARKS, LEFT_EYE_CORNER, RIGHT_EYE_CORNER, FaceRoi, level_roi
+from hri_pipeline.core.camera import CameraModel
+from hri_pipeline.core.faces.mesh import (
+    LANDMARKS,
+    LEFT_EYE_CORNER,
+    RIGHT_EYE_CORNER,
+    FaceRoi,
+    cut_square,
+    level_roi,
+)
 from hri_pipeline.core.geometry import Pose, crop_rotated
 
 MAX_SIZE = 1024
@@ -29,6 +38,8 @@ pan of 90 degrees a second: templates of crops below it are .27 to .39 from thos
 BLUR_PATIENCE_S = 1.0
 """Time (s) after which a face whose crops stay uneven looks so."""
 _DETAIL = 1.5
+_FINEST = 4
+"""Most times the size of a crop at which it is drawn before it is averaged, in a view that is not the image."""
 
 
 def upright_roi(points: np.ndarray, margin: float = 1.3) -> FaceRoi:
@@ -49,13 +60,18 @@ def upright_roi(points: np.ndarray, margin: float = 1.3) -> FaceRoi:
     return roi
 
 
-def aligned_crop(bgr: np.ndarray, points: np.ndarray, size: int, margin: float = 1.3) -> np.ndarray:
+def aligned_crop(bgr: np.ndarray, points: np.ndarray, size: int, margin: float = 1.3,
+                 camera: Optional[CameraModel] = None) -> np.ndarray:
     """Return (size, size, 3) uint8 BGR of a face, upright with level eyes; the image's border is repeated outside.
 
-    bgr: (H, W, 3) uint8. points, margin: see `upright_roi`. Raises ValueError as it does, and for a bad size.
+    bgr: (H, W, 3) uint8. points, margin: see `upright_roi`. camera: of the image; where it is calibrated, the face is
+    shown as a camera sees it that looks at it. Raises ValueError as `upright_roi` does, and for a bad size.
     """
-    roi = upright_roi(points, margin)
-    return cut(bgr, roi, size)
+    places = np.asarray(points, dtype=np.float64)[:, :2]
+    view = None if camera is None else camera.facing_view(places)
+    if view is None:
+        return cut(bgr, upright_roi(places, margin), size)
+    return cut(bgr, replace(upright_roi(view.see(places), margin), view=view), size)
 
 
 def cut(bgr: np.ndarray, roi: FaceRoi, size: int) -> np.ndarray:
@@ -64,7 +80,10 @@ def cut(bgr: np.ndarray, roi: FaceRoi, size: int) -> np.ndarray:
         raise ValueError("size of a crop is {} px, legal range 1 to {}".format(size, MAX_SIZE))
     shrink = int(roi.size / size)
     if shrink < 2:
-        return crop_rotated(bgr, roi.centre.tolist(), roi.size, roi.angle, size)[0]
+        return cut_square(bgr, roi, size)[0]
+    if roi.view is not None:
+        drawn = cut_square(bgr, roi, size * min(shrink, _FINEST))[0]
+        return cv2.resize(drawn, (size, size), interpolation=cv2.INTER_AREA)
     height, width = bgr.shape[:2]
     reach = roi.size * 0.7072 + 2.0 * shrink
     x0, y0 = (int(np.clip(value, 0, limit - 1)) for value, limit in zip(roi.centre - reach, (width, height)))

@@ -12,6 +12,7 @@ from typing import Callable, Dict, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
+from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.action_units import SLOTS, ActionUnits
 from hri_pipeline.core.faces.crops import aligned_crop
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel
@@ -117,10 +118,10 @@ class ExpressionModel:
                 path, trial.shape, len(CATEGORIES), FETCH_HINT))
 
     @staticmethod
-    def crops(bgr: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Cut the network's two views (2, 112, 112, 3) uint8 BGR of a face; points: mesh (478, 3) px. Raises
-        ValueError for points that are not finite."""
-        near, wide = (aligned_crop(bgr, points, INPUT_SIZE, margin) for margin in MARGINS)
+    def crops(bgr: np.ndarray, points: np.ndarray, camera: Optional[CameraModel] = None) -> np.ndarray:
+        """Cut the network's two views (2, 112, 112, 3) uint8 BGR of a face; points: mesh (478, 3) px; camera: see
+        `aligned_crop`. Raises ValueError for points that are not finite."""
+        near, wide = (aligned_crop(bgr, points, INPUT_SIZE, margin, camera) for margin in MARGINS)
         return np.stack([near, wide[:, ::-1]])
 
     def probabilities(self, views: Sequence[np.ndarray]) -> np.ndarray:

@@ -107,7 +107,7 @@ class FaceGeometry:
         """Measure gaze and head size of the faces that have a pose."""
         gazes, eyes = self._gazes.estimate_all(
             [found.mesh for _, found, _ in posed], [pose for _, _, pose in posed], camera,
-            [found.presence for _, found, _ in posed], lambda needed: self._shapes(posed, needed, stamp))
+            [found.presence for _, found, _ in posed], lambda needed: self._shapes(posed, needed, camera, stamp))
         for (face, found, pose), gaze, diameters, angles in zip(posed, gazes, eyes.irises, eyes.iris_angles):
             face.gaze = face.gaze_smoother(gaze, stamp)
             from_eyes = 0.0 if face.gaze_smoother.is_closed else gaze.from_eyes
@@ -117,11 +117,11 @@ class FaceGeometry:
                     face.scale.add(source, scale)
 
     def _shapes(self, posed: Sequence[Tuple[_Face, TrackedFace, Pose]], needed: np.ndarray,
-                stamp: float) -> np.ndarray:
+                camera: CameraModel, stamp: float) -> np.ndarray:
         """Blendshapes (F, 52): fresh ones where they are needed, else those of a moment ago."""
         due = [(face, found.mesh) for (face, found, _), need in zip(posed, needed.tolist())
                if need or face.blendshapes is None or not 0.0 <= stamp - face.shaped_at < _SHAPES_AGE]
-        for (face, _), face_shapes in zip(due, self._blendshapes.run([mesh for _, mesh in due])):
+        for (face, _), face_shapes in zip(due, self._blendshapes.run([mesh for _, mesh in due], camera)):
             face.blendshapes, face.shaped_at = face_shapes, stamp
         return np.stack([face.blendshapes for face, _, _ in posed if face.blendshapes is not None])
 

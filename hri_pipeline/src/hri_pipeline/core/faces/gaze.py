@@ -363,7 +363,9 @@ class EyeGeometry:
         to_camera = -translations / _length(translations)[:, None]
         facing = ((self._normals @ turned) @ to_camera[..., None])[..., 0]
         visibility = _limited((facing - _PROFILE_COSINE) / 0.4)
-        openness = _aspect_ratios(rays) * self._foreshortening(turned, translations, rotations[:, :, 2])
+        # As angles: aside of the optical axis rays lie the farther apart in the direction away from it.
+        lids = _directions_of(rays) if camera.is_calibrated else rays
+        openness = _aspect_ratios(lids) * self._foreshortening(turned, translations, rotations[:, :, 2])
         return EyeMeasures(openness, visibility, self._sight_lines(rays[:, _CENTRES], turned, translations),
                            iris_diameters(points[:, _RIMS]), iris_diameters(_directions_of(rays[:, _RIMS])))
 
@@ -394,7 +396,7 @@ class EyeGeometry:
 
 
 def _aspect_ratios(rays: np.ndarray) -> np.ndarray:
-    """(F, 2) height over width of the lids, of rays (F, U, 2) of the points _USED."""
+    """(F, 2) height over width of the lids, of rays (F, U, 2) or directions (F, U, 3) of the points _USED."""
     width = _length(rays[:, _OUTER] - rays[:, _INNER])
     heights = _length(rays[:, _UPPER] - rays[:, _LOWER]).reshape(len(rays), 2, 2).sum(axis=2) / 2.0
     return heights / np.maximum(width, 1e-9)

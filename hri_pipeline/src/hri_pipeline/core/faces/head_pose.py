@@ -113,14 +113,19 @@ class HeadPoseEstimator:
         result: List[Optional[Pose]] = [None] * len(stack)
         if not good.any():
             return result
-        known = [self._model(starts[index]) for index in np.flatnonzero(good)] if len(starts) == len(stack) else [None]
-        rotation, translation = self._solve(rays[good], known)
-        misfit = residuals(self._points, rays[good], rotation, translation)
+        rays = rays[good]
+        turns = turns_ahead(rays) if camera.is_calibrated else np.broadcast_to(_IDENTITY, (len(rays), 3, 3))
+        rays = turned_rays(rays, turns) if camera.is_calibrated else rays
+        known: List[Optional[Pose]] = [None]
+        if len(starts) == len(stack):
+            known = [self._model(starts[index], turn) for index, turn in zip(np.flatnonzero(good), turns)]
+        rotation, translation = self._solve(rays, known)
+        misfit = residuals(self._points, rays, rotation, translation)
         for row, index in enumerate(np.flatnonzero(good)):
             model = Pose(rotation[row], translation[row])
-            if not self._plausible(model, rays[index], misfit[row]):
-                continue
-            result[index] = model.compose(self._frame)
+            if self._plausible(model, rays[row], misfit[row]):
+                result[index] = Pose(turns[row].T @ model.rotation, turns[row].T @ model.translation).compose(
+                    self._frame)
         return result
 
     def visibility(self, pose: Optional[Pose]) -> np.ndarray:
@@ -131,9 +136,12 @@ class HeadPoseEstimator:
         facing = (to_camera @ pose.rotation) @ self._normals
         return np.minimum(np.maximum(0.5 + 2.0 * facing, 0.1), 1.0)
 
-    def _model(self, start: Optional[Pose]) -> Optional[Pose]:
-        """Pose of the model for that of the face frame."""
-        return None if start is None else start.compose(self._from_frame)
+    def _model(self, start: Optional[Pose], turn: np.ndarray) -> Optional[Pose]:
+        """Pose of the model, turned (3, 3), for that of the face frame."""
+        if start is None:
+            return None
+        model = start.compose(self._from_frame)
+        return Pose(turn @ model.rotation, turn @ model.translation)
 
     def _solve(self, rays: np.ndarray, starts: Sequence[Optional[Pose]]) -> Tuple[np.ndarray, np.ndarray]:
         known = [start for start in starts if start is not None]
@@ -252,6 +260,24 @@ def refine(points: np.ndarray, rays: np.ndarray, weights: np.ndarray, rotation: 
         rotation = _small_turns(angle) @ rotation
         translation = translation + step[:, 3:]
     return rotation, translation
+
+
+def turns_ahead(rays: np.ndarray) -> np.ndarray:
+    """Return the smallest turns (F, 3, 3) that take the middles of rays (F, N, 2) to the optical axis.
+
+    Aside of it the same error of an angle is a larger one of a ray, most of all in the direction away from the axis.
+    """
+    lengths = np.sqrt(1.0 + (rays * rays).sum(axis=2, keepdims=True))
+    middle = np.concatenate([(rays / lengths).sum(axis=1), (1.0 / lengths).sum(axis=1)], axis=1)
+    x, y, z = (middle / np.sqrt((middle * middle).sum(axis=1, keepdims=True))).T
+    rows = (1.0 - x * x / (1.0 + z), -x * y / (1.0 + z), -x, -x * y / (1.0 + z), 1.0 - y * y / (1.0 + z), -y, x, y, z)
+    return np.stack(rows, axis=1).reshape(-1, 3, 3)
+
+
+def turned_rays(rays: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """Return rays (F, N, 2) through turns (F, 3, 3)."""
+    ahead = rays @ turns[:, :, :2].transpose(0, 2, 1) + turns[:, None, :, 2]
+    return ahead[..., :2] / np.maximum(ahead[..., 2:], _LEAST_DEPTH)
 
 
 def residuals(points: np.ndarray, rays: np.ndarray, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:

@@ -25,13 +25,15 @@ eyelids better than a ratio of lengths does, as they were learnt from many peopl
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Callable, Dict, List, Optional, Sequence, Tuple, Union
 
 import cv2
 import numpy as np
 
+from hri_pipeline.core.camera import CameraModel, FacingView
 from hri_pipeline.core.faces.detector import LEFT_EYE_KEYPOINT, RIGHT_EYE_KEYPOINT, FaceDetection
 from hri_pipeline.core.geometry import Pose, crop_rotated
 from hri_pipeline.core.onnx import FETCH_HINT, ModelError, OnnxModel
@@ -208,11 +210,15 @@ def load_canonical_face(path: Path) -> CanonicalFace:
 
 @dataclass(frozen=True)
 class FaceRoi:
-    """A rotated square of the image: centre (2,) px, side size px, angle rad (x axis towards image y)."""
+    """A rotated square of the image: centre (2,) px, side size px, angle rad (x axis towards image y).
+
+    view: where it lies in the view of a camera that looks at it, and not in the image.
+    """
 
     centre: np.ndarray
     size: float
     angle: float
+    view: Optional[FacingView] = None
 
 
 @dataclass(frozen=True)
@@ -232,10 +238,21 @@ def roi_from_detection(detection: FaceDetection) -> FaceRoi:
     return FaceRoi(centre, MARGIN * size, float(np.arctan2(eyes[1], eyes[0])))
 
 
-def roi_from_mesh(points: np.ndarray, shift: Optional[np.ndarray] = None) -> FaceRoi:
-    """Crop for the next frame from the mesh (478, 3) px of this one, moved by shift (2,) px."""
-    roi = level_roi(points[:, :2], RIGHT_EYE_CORNER, LEFT_EYE_CORNER, MARGIN)
-    return roi if shift is None else FaceRoi(roi.centre + shift, roi.size, roi.angle)
+def roi_from_mesh(points: np.ndarray, shift: Optional[np.ndarray] = None,
+                  camera: Optional[CameraModel] = None) -> FaceRoi:
+    """Crop for the next frame from the mesh (478, 3) px of this one, moved by shift (2,) px.
+
+    camera: of the image. Where it is calibrated, the crop is that of a camera that looks at the face: aside of the
+    optical axis an image is stretched, and the network has learnt what faces look like ahead.
+    """
+    places = points[:, :2] if shift is None else points[:, :2] + shift
+    view = None if camera is None else camera.facing_view(places)
+    if view is None:
+        return level_roi(places, RIGHT_EYE_CORNER, LEFT_EYE_CORNER, MARGIN)
+    # What lies outermost in the image does so in the view: the other points need not go through the lens.
+    hull = cv2.convexHull(places.astype(np.float32))[:, 0]
+    outline = np.concatenate([places[[RIGHT_EYE_CORNER, LEFT_EYE_CORNER]], hull])
+    return replace(level_roi(view.see(outline), 0, 1, MARGIN), view=view)
 
 
 def level_roi(points: np.ndarray, right: int, left: int, margin: float) -> FaceRoi:
@@ -301,15 +318,23 @@ class FaceMesh:
         for i, (roi, affine) in enumerate(zip(rois, affines)):
             points = _assemble({name: values[i] for name, values in out.items()})
             points[:, :2] = points[:, :2] @ affine[:, :2].T + affine[:, 2]
+            if roi.view is not None:
+                points[:, :2] = roi.view.back(points[:, :2])
             points[:, 2] *= roi.size / INPUT_SIZE
             logit = min(50.0, max(-50.0, float(out["conv_faceflag"][i, 0])))
             results.append(FaceMeshResult(1.0 / (1.0 + np.exp(-logit)), points))
         return results
 
 
+def cut_square(bgr: np.ndarray, roi: FaceRoi, size: int) -> Tuple[np.ndarray, np.ndarray]:
+    """Return the picture (size, size, 3) of a rotated square, and the affine (2, 3) from it to where that lies."""
+    crop = partial(crop_rotated, bgr) if roi.view is None else partial(roi.view.crop, bgr)
+    return crop(roi.centre.tolist(), roi.size, roi.angle, size)
+
+
 def _crop(bgr: np.ndarray, roi: FaceRoi, out: np.ndarray) -> np.ndarray:
-    """Write a crop as RGB in [0, 1] to `out` (S, S, 3); returns the affine (2, 3) from it to the image."""
-    patch, affine = crop_rotated(bgr, roi.centre.tolist(), roi.size, roi.angle, INPUT_SIZE)
+    """Write a crop as RGB in [0, 1] to `out` (S, S, 3); returns the affine (2, 3) from it to where the square lies."""
+    patch, affine = cut_square(bgr, roi, INPUT_SIZE)
     np.multiply(cv2.cvtColor(patch, cv2.COLOR_BGR2RGB), np.float32(1.0 / 255.0), out=out)
     return affine
 
@@ -384,7 +409,7 @@ def agreement_score(again: Optional[FaceDetection], straight: FaceMeshResult, mi
 
 def turned_roi(roi: FaceRoi) -> FaceRoi:
     """The same square turned by TURN, to verify a face."""
-    return FaceRoi(roi.centre, roi.size, roi.angle + TURN)
+    return replace(roi, angle=roi.angle + TURN)
 
 
 def is_sound(result: FaceMeshResult) -> bool:
@@ -424,12 +449,16 @@ class Blendshapes:
             raise ModelError("model file {} gives {} instead of {} blendshapes; it is another model: {}".format(
                 path, trial.shape, COUNT, FETCH_HINT))
 
-    def run(self, meshes: Sequence[np.ndarray]) -> np.ndarray:
+    def run(self, meshes: Sequence[np.ndarray], camera: Optional[CameraModel] = None) -> np.ndarray:
         """Return the coefficients (F, 52), 0 to 1.
 
-        meshes: (478, 2 or more) px each. Raises ModelError when the network fails.
+        meshes: (478, 2 or more) px each. camera: of the image; see `roi_from_mesh`. Raises ModelError when the network
+        fails.
         """
         if not len(meshes):
             return np.zeros((0, COUNT))
-        points = np.stack([np.asarray(mesh)[POINTS, :2] for mesh in meshes]).astype(np.float32)
+        places = [np.asarray(mesh)[POINTS, :2] for mesh in meshes]
+        if camera is not None and camera.is_calibrated:
+            places = [camera.facing(points) for points in places]
+        points = np.stack(places).astype(np.float32)
         return self._model.run({_INPUT: points})[_OUTPUT].astype(np.float64)

@@ -10,6 +10,7 @@ from typing import Optional, Sequence, Tuple
 import cv2
 import numpy as np
 
+from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.appearance import FaceLook, FaceMemory
 from hri_pipeline.core.faces.mesh import FaceRoi, bounding_box, eye_share, roi_from_mesh
 from hri_pipeline.core.image_rotation import ImageRotation
@@ -129,7 +130,7 @@ class CropAnchor:
         if share < _PROFILE:
             level = self._detected.angle + self._turn
             angle = level + min(max(math.remainder(angle - level, math.tau), -_MOST_TURN), _MOST_TURN)
-        return FaceRoi(roi.centre, size, angle)
+        return replace(roi, size=size, angle=angle)
 
 
 class FaceTrack:
@@ -183,10 +184,11 @@ class FaceTrack:
         return (1.0 + min(1.0, speed / _FAST) + min(1.0, self._speech / _SPEECH) + 0.5 * min(1.0, self._size / largest)
                 + (0.5 if self.measurement.presence < SURE_FACE else 0.0))
 
-    def roi(self, stamp: float) -> FaceRoi:
-        """Crop for the mesh in the image of `stamp` (s): round the last mesh, and near the last detection."""
+    def roi(self, stamp: float, camera: Optional[CameraModel] = None) -> FaceRoi:
+        """Crop for the mesh in the image of `stamp` (s): round the last mesh, and near the last detection; camera: see
+        `roi_from_mesh`."""
         mesh = self.measurement.mesh
-        roi = roi_from_mesh(mesh, self.shift(stamp))
+        roi = roi_from_mesh(mesh, self.shift(stamp), camera)
         if self._anchor is None or stamp - self.detected_at > _FRESH:
             return roi
         return self._anchor.hold(roi, eye_share(mesh))

@@ -181,7 +181,7 @@ class FaceTrackingPipeline:
             Called before the detector searches the image, with the published faces that are where they were expected:
             they need not wait for it.
         camera
-            Camera model of the image's size, for the templates of faces; None: not known.
+            Camera model of the image's size, for what the networks see of faces; None: not known.
         """
         self._camera = camera
         with self._times("face_flow"):
@@ -276,7 +276,7 @@ class FaceTrackingPipeline:
             return {}
         try:
             with self._times("face_mesh"), self._mesh_scheduler.measure() as count:
-                rois = [track.roi(stamp) for track in tracks]
+                rois = [track.roi(stamp, self._camera) for track in tracks]
                 results = self._mesh.run(bgr, rois)
                 count(len(rois))
         except Exception:       # this image is lost, and what the detector finds in it
@@ -378,7 +378,7 @@ class FaceTrackingPipeline:
     def _verify(self, bgr: np.ndarray, tracks: Sequence[FaceTrack], stamp: float) -> None:
         """Verify tracks that the detector sees in this image, the best verified first."""
         chosen = sorted(tracks, key=lambda track: -track.verification)[:_VERIFIED_PER_IMAGE]
-        rois = [track.roi(stamp) for track in chosen]
+        rois = [track.roi(stamp, self._camera) for track in chosen]
         straight = self._mesh.run(bgr, rois)
         for track, score in zip(chosen, self._verified(bgr, rois, straight, [track.score for track in chosen])):
             track.add_verification(score)
@@ -400,7 +400,7 @@ class FaceTrackingPipeline:
         """Run the mesh network twice at detections: their box gives a coarse crop, the first mesh gives a good one."""
         height, width = bgr.shape[:2]
         asked = [roi_from_detection(detection) for detection in detections]
-        sound = [(detection, crop, roi_from_mesh(result.points)) for detection, crop, result
+        sound = [(detection, crop, roi_from_mesh(result.points, camera=self._camera)) for detection, crop, result
                  in zip(detections, asked, self._mesh.run(bgr, asked)) if is_sound(result)]
         rois = [roi for _, _, roi in sound]
         results = self._mesh.run(bgr, rois)
