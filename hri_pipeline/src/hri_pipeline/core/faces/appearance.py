@@ -103,8 +103,8 @@ class FaceLook:
         return self.template is not None or self.crop is not None
 
     def keep_part(self, size: int, alignment: str = "dlib") -> None:
-        """Keep of the image what the crop is made of: few are ever needed. Of a face that fills the image, the crop. size,
-        alignment: see keep_crop."""
+        """Keep of the image what the crop is made of: few are ever needed. Of a face that fills the image, the crop.
+        size, alignment: see keep_crop."""
         if self.template is None and self.crop is None and self._bgr is not None and self.eyes >= LEAST_EYES:
             low, high = self._mesh[:, :2].min(axis=0), self._mesh[:, :2].max(axis=0)
             reach, limits = float((high - low).max()), self._bgr.shape[1::-1]

@@ -46,8 +46,8 @@ FIRST_INTERVAL, NAMED_INTERVAL, LONGEST_INTERVAL = 0.25, 1.0, 5.0
 """Time (s) between two crops of a face at first or in doubt, and after many of one that has a name, or has none: a name
 that is wrong must be noticed soon."""
 CALM_RATE, CALM_INTERVAL = 5.0, 1.8
-"""Most templates a second of all faces together whose name is sure, and the longest time (s) between two of one of them:
-soon enough that the tracker, which checks each face once in 2 s, needs none of its own."""
+"""Most templates a second of all faces together whose name is sure, and the longest time (s) between two of one of
+them: soon enough that the tracker, which checks each face once in 2 s, needs none of its own."""
 PATIENCE = 4
 """Crops of a recognised face after which the next ones come less and less often; of another one: twice as many."""
 TOGETHER = 0.5
