@@ -228,6 +228,21 @@ def test_a_verdict_that_is_not_clear_is_no_change_of_face():
             Verdict.SAME if verdict is Verdict.SAME else Verdict.OTHER)
 
 
+@pytest.mark.parametrize("alignment", ["dlib", "arcface"])
+@pytest.mark.parametrize("x, y, size", [(400, 200, 60.0), (20, 30, 60.0), (790, 390, 90.0), (300, 200, 250.0)])
+@pytest.mark.parametrize("calibration", [Calibration.CALIBRATED, Calibration.MISSING])
+def test_a_part_of_the_image_gives_the_crop_of_the_whole(x, y, size, alignment, calibration):
+    image = cv2.GaussianBlur(np.random.RandomState(3).randint(0, 255, (400, 800, 3), np.uint8), (0, 0), 2.0)
+    camera = CameraModel.from_fov(800, 400, 1.2, calibration)
+    angle = Rotation.from_euler("z", 40.0, degrees=True).as_matrix()
+    points = (mesh(0, 0, size) @ angle.T) + (x, y, 0.0)
+    whole, part = FaceLook(image, points, camera), FaceLook(image, points, camera)
+    whole.keep_crop(150, alignment)
+    part.keep_part(150, alignment)
+    assert part.prepare(150, alignment)
+    assert np.abs(part.crop.astype(int) - whole.crop.astype(int)).max() <= 1
+
+
 def test_a_face_too_small_for_a_template_is_compared_by_its_picture():
     judge = AppearanceMatcher(Network(), 150, 0.8)
     small = [FaceLook(scene((seed, 200)), mesh(200, size=20.0)) for seed in (1, 1, 2)]

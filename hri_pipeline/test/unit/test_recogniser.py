@@ -844,3 +844,24 @@ def test_a_crop_that_is_blurred_by_motion_makes_no_template_and_the_next_one_doe
         recognition.look(crop, [Mock(id="f1", mesh=np.zeros((478, 3)))], stamp)
         taken.append(list(recognition.made))
     assert taken == [["f1"]] * 3 + [[]] * 2 + [["f1"]]
+
+
+@pytest.mark.parametrize("people, least, most", [(3, 2.5, 3.5), (10, 5.0, 6.5)])
+def test_sure_names_of_a_crowd_share_the_templates(people, least, most):
+    scene = Scene()
+    crowd = {"f{}".format(number): (number, 0.12) for number in range(people)}
+    scene.show(crowd, 40.0)
+    assert len(scene.gallery) == people
+    before = scene.looks
+    scene.show(crowd, 20.0)
+    assert least <= (scene.looks - before) / 20.0 <= most
+
+
+def test_a_wrong_name_in_a_crowd_is_taken_back_soon():
+    scene = Scene()
+    crowd = {"f{}".format(number): (number, 0.12) for number in range(10)}
+    scene.show(crowd, 60.0)
+    person = scene.person("f3")
+    crowd["f3"] = (50, 0.12)
+    scene.show(crowd, 3.0)
+    assert person not in scene.known("f3")

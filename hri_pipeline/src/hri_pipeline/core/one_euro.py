@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Optional
+from typing import Optional, TypeVar
 
 import numpy as np
+
+_Number = TypeVar("_Number", float, np.ndarray)
 
 
 class OneEuro:
@@ -70,17 +72,24 @@ class OneEuro:
         if step <= 0.0:
             return self._value.copy()
         assert self._speed is not None      # set together with _value
+        smooth = _smoothing(self._d_cutoff, step)
+        beta = self._beta if beta is None else beta
         known = np.isfinite(self._value) & np.isfinite(value)
+        if known.all():
+            difference = value - self._value
+            speed = self._speed + smooth * (difference / step - self._speed)
+            filtered = value - (1.0 - _smoothing(self._min_cutoff + beta * np.abs(speed), step)) * difference
+            self._value, self._speed, self._stamp = filtered, speed, float(stamp)
+            return filtered.copy()
         difference = np.where(known, value - np.where(known, self._value, 0.0), 0.0)
-        smooth = _smoothing(np.asarray(self._d_cutoff), step)
         speed = np.where(known, self._speed + smooth * (difference / step - self._speed), 0.0)
-        cutoff = self._min_cutoff + (self._beta if beta is None else beta) * np.abs(speed)
+        cutoff = self._min_cutoff + beta * np.abs(speed)
         filtered = np.where(known, value - (1.0 - _smoothing(cutoff, step)) * difference, value)
         self._value, self._speed, self._stamp = filtered, speed, float(stamp)
         return filtered.copy()
 
 
-def _smoothing(cutoff: np.ndarray, step: float) -> np.ndarray:
+def _smoothing(cutoff: _Number, step: float) -> _Number:
     """Weight of the new value, 0 to 1, of a first-order low-pass with `cutoff` (Hz) and `step` (s)."""
     ratio = 2.0 * math.pi * cutoff * step
     return ratio / (ratio + 1.0)

@@ -454,6 +454,7 @@ class FaceMeasures:
         rows = [_row(measure, side) for measure in MEASURES for side in (False, True)]
         self._used = np.array(sorted({point for row in rows for point, _, _ in row}))
         self._needed = np.union1d(self._used, self._rigid)
+        self._rigid_here, self._used_here = (np.searchsorted(self._needed, some) for some in (self._rigid, self._used))
         place = {point: index for index, point in enumerate(self._used)}
         self._weights = np.zeros((len(rows), len(self._used), 3))
         share = np.zeros((2, len(rows), len(self._used)))
@@ -478,40 +479,44 @@ class FaceMeasures:
             raise ValueError("expected a mesh of ({}, 3), got {}".format(MESH_POINTS, mesh.shape))
         if not np.isfinite(mesh).all():
             return None
-        inside, ahead = np.ones(len(self._used), bool), mesh
+        inside, ahead = np.ones(len(self._used), bool), mesh[self._needed]
         if camera is not None:
-            places = mesh[self._used, :2]
+            places = ahead[self._used_here, :2]
             inside = ((places >= 0.0) & (places < (camera.width, camera.height))).all(axis=1)
-            ahead = self._facing(mesh, camera) if camera.is_calibrated else mesh
-        rigid, points = ahead[self._rigid], ahead[self._used]
-        if np.ptp(rigid, axis=0).max() < 1.0:
+            ahead = self._facing(ahead, camera) if camera.is_calibrated else ahead
+        rigid, points = ahead[self._rigid_here], ahead[self._used_here]
+        if (rigid.max(axis=0) - rigid.min(axis=0)).max() < 1.0:
             return None
-        centre = rigid.mean(axis=0)
+        centre = rigid.sum(axis=0) / len(rigid)
         turn, scale, residual = _procrustes(rigid - centre, self._model)
         values = self._weights @ (scale * (points - centre) @ turn).ravel()
         # Towards the camera is -z of the image, seen in canonical axes.
-        seen = np.clip((self._normals @ -turn[2] - _GRAZING) / (_FACING - _GRAZING), 0.0, 1.0)
+        seen = _limited((self._normals @ -turn[2] - _GRAZING) / (_FACING - _GRAZING)) * inside
         # Both ends of a measure must be seen.
-        visible = np.minimum(self._share[0] @ (seen * inside), self._share[1] @ (seen * inside))
+        visible = np.minimum(self._share[0] @ seen, self._share[1] @ seen)
         return MeasuredFace(values.reshape(-1, 2), visible.reshape(-1, 2), turn, 1.0 / scale, residual)
 
-    def _facing(self, mesh: np.ndarray, camera: CameraModel) -> np.ndarray:
-        """The mesh (478, 3) px, as far as it is used, as a camera sees it that looks at the face."""
-        ahead, places = np.zeros_like(mesh), mesh[self._needed, :2]
-        ahead[self._needed, :2] = found = camera.facing(places)
-        before, after = (points - points.sum(axis=0) / len(points) for points in (places, found))
-        ahead[:, 2] = mesh[:, 2] * math.sqrt(np.vdot(after, after) / max(np.vdot(before, before), 1e-6))
-        return ahead
+    @staticmethod
+    def _facing(points: np.ndarray, camera: CameraModel) -> np.ndarray:
+        """Points (N, 3) px of a mesh as a camera sees them that looks at the face."""
+        places = points[:, :2]
+        found = camera.facing(places)
+        before, after = (some - some.sum(axis=0) / len(some) for some in (places, found))
+        depths = points[:, 2:] * math.sqrt(np.vdot(after, after) / max(np.vdot(before, before), 1e-6))
+        return np.concatenate([found, depths], axis=1)
 
 
 def _procrustes(points: np.ndarray, model: np.ndarray) -> Tuple[np.ndarray, float, float]:
     """Rotation R (3, 3), scale s and residual of the least-squares fit s points R = model, both centred (Schönemann
     1966, scale after Umeyama 1991)."""
     u, singular, vt = np.linalg.svd(points.T @ model)
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    turn = (u * sign) @ vt
-    scale = float((singular * sign).sum() / (points ** 2).sum())
-    residual = float(np.sqrt((((scale * points @ turn) - model) ** 2).sum(axis=1).mean()))
+    turn = u @ vt
+    (a, b, c), (d, e, f), (g, h, i) = turn.tolist()
+    if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0:      # a mirror is no rotation
+        singular, turn = singular * (1.0, 1.0, -1.0), (u * (1.0, 1.0, -1.0)) @ vt
+    scale = float(singular.sum() / np.vdot(points, points))
+    misfit = scale * points @ turn - model
+    residual = math.sqrt(np.vdot(misfit, misfit) / len(points))
     return turn, max(scale, 1e-9), residual
 
 

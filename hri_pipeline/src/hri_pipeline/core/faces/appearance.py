@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import deque
 from enum import Enum
-from typing import Callable, Deque, Optional, Sequence
+from typing import Callable, Deque, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -56,6 +56,8 @@ CHECK_PERIOD = 2.0
 """Time (s) after which a face is checked although nothing seems to have changed."""
 FRESH = 0.5
 """Age (s) of the last look up to which a small change since then speaks for the same face in another pose."""
+_LARGEST_PART = 300 * 300
+"""Pixels of the image, about a face, that are copied in less time than its crop is made."""
 STEP_PART = 0.6
 """Distance of the templates of two looks that follow each other, of one face that turns; as SAME_PART."""
 
@@ -72,13 +74,14 @@ class Verdict(Enum):
 
 
 class FaceLook:
-    """One look at a face. The image is kept until `release`, for the crop, which is made when it is needed: nobody may
-    write to it."""
+    """One look at a face. The image is kept until `release`, or the part of it about the face, for the crop, which is
+    made when it is needed: nobody may write to it."""
 
     def __init__(self, bgr: np.ndarray, mesh: np.ndarray, camera: Optional[CameraModel] = None) -> None:
         """bgr: (H, W, 3) uint8, that nobody writes to; mesh: (478, 3) px; camera: see `face_chip`."""
         self._bgr: Optional[np.ndarray] = bgr
         self._mesh, self._camera = mesh, camera
+        self._origin: Optional[Tuple[int, int]] = None      # of the part
         self.eyes = float(np.linalg.norm(mesh[EYES[0], :2] - mesh[EYES[1], :2]))
         self.asymmetry = asymmetry(mesh)
         self.chip = small_picture(bgr, mesh)
@@ -89,11 +92,34 @@ class FaceLook:
         """Make the crop (size, size, 3) for the recognition network, where the face is large enough; alignment: see
         `face_chip`."""
         if self.crop is None and self._bgr is not None and self.eyes >= LEAST_EYES:
-            self.crop = face_chip(self._bgr, self._mesh, size, alignment=alignment, camera=self._camera)
+            self.crop = face_chip(self._bgr, self._mesh, size, alignment=alignment, camera=self._camera,
+                                  origin=self._origin or (0, 0))
+
+    def prepare(self, size: int, alignment: str = "dlib") -> bool:
+        """Make the crop where there is no template yet; returns whether there is anything to compare. size, alignment:
+        see keep_crop."""
+        if self.template is None:
+            self.keep_crop(size, alignment)
+        return self.template is not None or self.crop is not None
+
+    def keep_part(self, size: int, alignment: str = "dlib") -> None:
+        """Keep of the image what the crop is made of: few are ever needed. Of a face that fills the image, the crop.
+        size, alignment: see keep_crop."""
+        if self.template is None and self.crop is None and self._bgr is not None and self.eyes >= LEAST_EYES:
+            low, high = self._mesh[:, :2].min(axis=0), self._mesh[:, :2].max(axis=0)
+            reach, limits = float((high - low).max()), self._bgr.shape[1::-1]
+            (x0, y0), (x1, y1) = ([min(max(int(value), 0), limit) for value, limit in zip(corner.tolist(), limits)]
+                                  for corner in (low - reach, high + reach + 1.0))
+            if 0 < (x1 - x0) * (y1 - y0) <= _LARGEST_PART:
+                self._bgr, self._origin = self._bgr[y0:y1, x0:x1].copy(), (x0, y0)
+            else:
+                self.keep_crop(size, alignment)
+        self.release()
 
     def release(self) -> None:
         """Let go of the image."""
-        self._bgr = None
+        if self._origin is None:
+            self._bgr = None
 
 
 def asymmetry(mesh: np.ndarray) -> float:
@@ -182,14 +208,15 @@ class AppearanceMatcher:
         return FaceMemory(look, stamp)
 
     def remember(self, memory: FaceMemory, look: FaceLook, stamp: float) -> None:
-        """Take a look of the same face. The image of the last look is kept: only views need a crop at once."""
+        """Take a look of the same face. The image of the last look is kept, of a view the part about the face."""
         if memory.add(look, stamp):
             self._keep(look)
 
     def _keep(self, look: FaceLook) -> None:
-        if self._embed is not None:
-            look.keep_crop(self._size, self._alignment)
-        look.release()
+        if self._embed is None:
+            look.release()
+        else:
+            look.keep_part(self._size, self._alignment)
 
     def verdict(self, memory: FaceMemory, look: FaceLook, stamp: float, doubtful: bool = False,
                 same_colours: bool = False) -> Verdict:
@@ -220,8 +247,7 @@ class AppearanceMatcher:
         if self._embed is None or not known or memory.last_stamp != stamp or memory.last.template is not None:
             return
         look = memory.last
-        look.keep_crop(self._size, self._alignment)
-        if look.crop is None:
+        if look.eyes < LEAST_EYES:
             return
         look.template = template
         if self._from_mean(look, known) <= SAME_PART * self._equal:
@@ -239,9 +265,8 @@ class AppearanceMatcher:
         """Return the distance between a look and the mean of the views, None without templates."""
         if self._embed is None:
             return None
-        look.keep_crop(self._size, self._alignment)
-        views = [view for view in memory.views if view.crop is not None]
-        if look.crop is None or not views:
+        views = [view for view in memory.views if view.prepare(self._size, self._alignment)]
+        if not look.prepare(self._size, self._alignment) or not views:
             return None
         self._fill([look] + views)
         return self._from_mean(look, [view.template for view in views if view.template is not None])
@@ -249,10 +274,7 @@ class AppearanceMatcher:
     def _is_near_known_views(self, memory: FaceMemory, look: FaceLook) -> bool:
         """Whether the views whose templates are there tell that it is the same face: one inference instead of six."""
         known = [view.template for view in memory.views if view.template is not None]
-        if self._embed is None or not known:
-            return False
-        look.keep_crop(self._size, self._alignment)
-        if look.crop is None:
+        if self._embed is None or not known or not look.prepare(self._size, self._alignment):
             return False
         self._fill([look])
         return self._from_mean(look, known) <= SAME_PART * self._equal
@@ -265,8 +287,7 @@ class AppearanceMatcher:
 
     def _between(self, one: FaceLook, other: FaceLook) -> float:
         """Return the distance between two looks, infinite without templates."""
-        one.keep_crop(self._size, self._alignment)
-        if one.crop is None or other.crop is None:
+        if not (one.prepare(self._size, self._alignment) and other.prepare(self._size, self._alignment)):
             return float("inf")
         self._fill([one, other])
         assert one.template is not None

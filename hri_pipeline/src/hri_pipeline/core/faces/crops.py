@@ -162,7 +162,7 @@ def turned_away(pose: Pose) -> float:
 
 
 def _ramp(value: float, low: float, high: float) -> float:
-    return float(np.clip((value - low) / (high - low), 0.0, 1.0))
+    return min(max((value - low) / (high - low), 0.0), 1.0)
 
 
 class MotionBlur:

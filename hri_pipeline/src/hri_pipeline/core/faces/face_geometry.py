@@ -21,7 +21,7 @@ from hri_pipeline.core.faces.head_pose import (
     scale_from_depth,
     scale_from_iris,
 )
-from hri_pipeline.core.faces.mesh import Blendshapes, CanonicalFace, landmarks_from_mesh
+from hri_pipeline.core.faces.mesh import Blendshapes, CanonicalFace, landmarks_from_meshes
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.observations import FaceObservation, GazeEstimate
@@ -83,7 +83,33 @@ class FaceGeometry:
             if found.id not in self._faces:
                 self._faces[found.id] = _Face()
         self._measure([found for found in tracked if found.measured], camera, stamp, depth)
-        return [self._observation(found, camera, stamp) for found in tracked]
+        landmarks = landmarks_from_meshes(
+            [found.mesh for found in tracked], [found.presence for found in tracked], camera.width, camera.height,
+            [self._visibility(self._faces[found.id]) for found in tracked])
+        return [self._observation(found, points, motion, stamp)
+                for found, points, motion in zip(tracked, landmarks, self._motions(tracked, camera))]
+
+    def _visibility(self, face: _Face) -> np.ndarray:
+        """How well each landmark (70,) is seen; computed once for each pose."""
+        if face.visibility is None:
+            face.visibility = self._heads.visibility(face.pose)
+        return face.visibility
+
+    def _motions(self, tracked: Sequence[TrackedFace], camera: CameraModel) -> List[Optional[np.ndarray]]:
+        """How far (2,), in x/z and y/z, the mesh of each face has been moved since its measurement; None where it was
+        measured, or has no pose."""
+        result: List[Optional[np.ndarray]] = [None] * len(tracked)
+        moved, places = [], []
+        for index, found in enumerate(tracked):
+            mesh = self._faces[found.id].mesh
+            if not found.measured and mesh is not None:
+                moved.append(index)
+                places += [mesh[0, :2], found.mesh[0, :2]]
+        if moved:
+            rays = camera.normalise(np.array(places))
+            for index, motion in zip(moved, rays[1::2] - rays[::2]):
+                result[index] = motion
+        return result
 
     def _measure(self, tracked: Sequence[TrackedFace], camera: CameraModel, stamp: float,
                  depth: Optional[np.ndarray]) -> None:
@@ -133,11 +159,10 @@ class FaceGeometry:
         return scale_from_depth(mesh, model.apply(self._canonical.vertices[_SKIN])[:, 2], _SKIN, depth,
                                 (camera.width, camera.height))
 
-    def _observation(self, found: TrackedFace, camera: CameraModel, stamp: float) -> FaceObservation:
+    def _observation(self, found: TrackedFace, landmarks: np.ndarray, motion: Optional[np.ndarray],
+                     stamp: float) -> FaceObservation:
         face = self._faces[found.id]
-        landmarks = landmarks_from_mesh(found.mesh, found.presence, camera.width, camera.height,
-                                        self._heads.visibility(face.pose))
-        pose, scale, scale_sd = self._placed(face, found, camera, stamp)
+        pose, scale, scale_sd = self._placed(face, motion, stamp)
         gaze = face.gaze
         if gaze is not None and not found.measured:
             gaze = replace(gaze, confidence=gaze.confidence * found.presence)
@@ -148,7 +173,7 @@ class FaceGeometry:
                                head_scale=scale, head_scale_sd=scale_sd, measured=found.measured)
 
     @staticmethod
-    def _placed(face: _Face, found: TrackedFace, camera: CameraModel, stamp: float
+    def _placed(face: _Face, motion: Optional[np.ndarray], stamp: float
                 ) -> Tuple[Optional[Pose], Optional[float], Optional[float]]:
         """Pose, head scale and its standard deviation; the pose is moved with the mesh of a face that was not
         measured."""
@@ -156,9 +181,8 @@ class FaceGeometry:
             return None, None, None
         scale, scale_sd = face.scale.estimate(stamp)
         translation = face.pose.translation.copy()
-        if not found.measured:
-            before, now = camera.normalise(np.stack([face.mesh[0, :2], found.mesh[0, :2]]))
-            translation[:2] += (now - before) * translation[2]
+        if motion is not None:
+            translation[:2] += motion * translation[2]
         return Pose(face.pose.rotation, scale * translation), scale, scale_sd
 
 
@@ -171,6 +195,7 @@ class _Face:
         self.scale = HeadScale()
         self.raw: Optional[Pose] = None
         self.pose: Optional[Pose] = None
+        self.visibility: Optional[np.ndarray] = None        # of the landmarks, by the pose
         self.gaze: Optional[GazeEstimate] = None
         self.mesh: Optional[np.ndarray] = None
         self.blendshapes: Optional[np.ndarray] = None
@@ -179,6 +204,7 @@ class _Face:
     def turn(self, rotation: ImageRotation) -> None:
         """Turn with the images; the filters begin with the next measurement."""
         self.smoother.reset()
+        self.visibility = None
         self.gaze_smoother.forget_direction()
         self.raw, self.pose = (None if pose is None else rotation.pose(pose) for pose in (self.raw, self.pose))
         self.mesh = None if self.mesh is None else rotation.pixels(self.mesh)
@@ -187,7 +213,7 @@ class _Face:
 
     def set_pose(self, pose: Optional[Pose], mesh: np.ndarray, stamp: float) -> None:
         """Set the pose measured in the image of `stamp` (s), None for no plausible one."""
-        self.raw, self.mesh = pose, mesh
+        self.raw, self.mesh, self.visibility = pose, mesh, None
         if pose is None:
             self.smoother.reset()
             self.pose = self.gaze = None

@@ -135,14 +135,22 @@ def landmarks_from_mesh(
     ValueError
         When the mesh has another shape.
     """
-    mesh = np.asarray(mesh, dtype=np.float64)
-    if mesh.ndim != 2 or mesh.shape[0] != MESH_POINTS or mesh.shape[1] < 2:
-        raise ValueError("expected a mesh of (%d, 3), got %r" % (MESH_POINTS, mesh.shape))
-    points = np.empty((LANDMARKS, 3))
-    points[:, :2] = mesh[LANDMARK_TO_MESH, :2]
-    x, y = points[:, 0], points[:, 1]
-    inside = (x >= 0.0) & (y >= 0.0) & (x < width) & (y < height)
-    points[:, 2] = min(1.0, max(0.0, presence)) * np.minimum(np.maximum(visibility, 0.0), 1.0) * inside
+    return landmarks_from_meshes([np.asarray(mesh)], [presence], width, height, [visibility])[0]
+
+
+def landmarks_from_meshes(meshes: Sequence[np.ndarray], presences: Sequence[float], width: int, height: int,
+                          visibilities: Sequence[np.ndarray]) -> np.ndarray:
+    """The 70 landmarks of several faces at once, (F, 70, 3); of each face see `landmarks_from_mesh`."""
+    points = np.empty((len(meshes), LANDMARKS, 3))
+    for place, mesh in zip(points, meshes):
+        if np.ndim(mesh) != 2 or len(mesh) != MESH_POINTS or mesh.shape[1] < 2:
+            raise ValueError("expected a mesh of (%d, 3), got %r" % (MESH_POINTS, np.shape(mesh)))
+        place[:, :2] = mesh[LANDMARK_TO_MESH, :2]
+    if len(meshes):
+        xy = points[..., :2]
+        inside = ((xy >= 0.0) & (xy < (width, height))).all(axis=2)
+        seen = np.minimum(np.maximum(np.stack(visibilities), 0.0), 1.0)
+        points[..., 2] = np.minimum(np.maximum(presences, 0.0), 1.0)[:, None] * seen * inside
     return points
 
 
@@ -355,8 +363,13 @@ def _assemble(out: Dict[str, np.ndarray]) -> np.ndarray:
 
 def is_face(result: FaceMeshResult, width: int, height: int, min_presence: float) -> bool:
     """Whether the mesh is sound, lies on a face, and enough of it lies in the image."""
-    if result.presence < min_presence or not is_sound(result):
+    if result.presence < min_presence or not np.isfinite(result.points).all():
         return False
+    x0, y0, x1, y1 = bounding_box(result.points).tolist()
+    if max(x1 - x0, y1 - y0) < MIN_SIZE:
+        return False
+    if x0 >= 0.0 and y0 >= 0.0 and x1 < width and y1 < height:
+        return True
     x, y = result.points[:, 0], result.points[:, 1]
     inside = (x >= 0.0) & (y >= 0.0) & (x < width) & (y < height)
     return bool(np.count_nonzero(inside) >= MIN_INSIDE * len(inside))

@@ -236,15 +236,15 @@ class FaceTrack:
         if not self.visible or self.doubtful_since is not None or self.memory.has_changed(measurement.look, stamp):
             return True
         centre, size = measurement.place
-        away = float(np.linalg.norm(centre - self._centre - self.shift(stamp))) / self._size
+        away = math.hypot(*(centre - self._centre - self.shift(stamp)).tolist()) / self._size
         return (away + SIZE_WEIGHT * abs(math.log(size / self._size)) > JUMP
-                or bool(appearance_distances([self.colours], [measurement.colours])[0, 0] >= 1.0))
+                or _appearance_distance(self.colours, measurement.colours) >= 1.0)
 
     def has_colours_of(self, measurement: FaceMeasurement) -> bool:
         """Whether the colours of a measurement are known, and are those of this face."""
         if self.colours is None or measurement.colours is None:
             return False
-        return bool(appearance_distances([self.colours], [measurement.colours])[0, 0] < _TURNED_COLOURS)
+        return _appearance_distance(self.colours, measurement.colours) < _TURNED_COLOURS
 
     def continue_with(self, measurement: FaceMeasurement, stamp: float) -> None:
         """Update the track with a measurement of this face."""
@@ -314,6 +314,14 @@ def appearance_distances(known: Sequence[Optional[np.ndarray]], seen: Sequence[O
     compared = np.outer([one is not None for one in known], [one is not None for one in seen])
     distance = (difference - _SAME_COLOURS) / (_OTHER_COLOURS - _SAME_COLOURS)
     return np.where(compared, np.minimum(np.maximum(distance, 0.0), 1.0), 0.0)
+
+
+def _appearance_distance(known: Optional[np.ndarray], seen: Optional[np.ndarray]) -> float:
+    """The appearance distance of one pair."""
+    if known is None or seen is None:
+        return 0.0
+    difference = float(np.abs(known - seen).sum()) / known.size
+    return min(max((difference - _SAME_COLOURS) / (_OTHER_COLOURS - _SAME_COLOURS), 0.0), 1.0)
 
 
 def face_colours(bgr: np.ndarray, box: np.ndarray) -> Optional[np.ndarray]:

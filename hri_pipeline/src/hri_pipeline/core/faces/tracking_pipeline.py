@@ -264,7 +264,7 @@ class FaceTrackingPipeline:
         motions = self._flow.update(bgr, boxes, ahead)
         for track, motion in zip(tracks, motions):
             track.move(motion, stamp)
-        known = [float(np.linalg.norm(motion)) for motion in motions if motion is not None]
+        known = [math.hypot(*motion.tolist()) for motion in motions if motion is not None]
         if known and min(known) > _PANS * bgr.shape[1] * (stamp - self._stamp) > 0.0:
             self._panned_at = stamp
         self._stamp = stamp

@@ -184,13 +184,15 @@ def load_face_embedder(configured: str = "", providers: Sequence[str] = ("cpu",)
 
 
 def face_chip(bgr: np.ndarray, mesh: np.ndarray, size: int, border: float = BORDER,
-              alignment: str = "dlib", camera: Optional[CameraModel] = None) -> np.ndarray:
+              alignment: str = "dlib", camera: Optional[CameraModel] = None,
+              origin: Tuple[int, int] = (0, 0)) -> np.ndarray:
     """Return (size, size, 3) uint8 BGR: the face brought to a mean face; parts outside the image are black.
 
     bgr: (H, W, 3) uint8; mesh: (468 or 478, 2 or more) px; border: in sides of the box of dlib's mean face; alignment:
     `dlib`, or `arcface`, which has no border. camera: of the image; where it is calibrated, the face is shown as a
     camera sees it that looks at it: aside of the optical axis an image is stretched, so that people look unlike
-    themselves. Raises ValueError for points that are not finite or in one place.
+    themselves. origin: x, y px in the image of the first pixel of `bgr`, where that is a part of it. Raises ValueError
+    for points that are not finite or in one place.
     """
     vertices = np.asarray(mesh, dtype=np.float64)[:, :2]
     facing = None
@@ -202,10 +204,14 @@ def face_chip(bgr: np.ndarray, mesh: np.ndarray, size: int, border: float = BORD
     else:
         points, goal = vertices[_CORNERS], (_MEAN_FACE + border) / (1.0 + 2.0 * border)
     affine = similarity(points, goal * size)
-    scale = float(np.hypot(affine[0, 0], affine[1, 0]))
+    scale = math.hypot(affine[0, 0], affine[1, 0])
     # Halving steps against aliasing: a crop is drawn at up to four times its size and averaged.
-    finer = int(np.clip(np.floor(1.0 / scale), 1, 4))
+    finer = min(max(int(1.0 / scale), 1), 4)
     side = (size * finer, size * finer)
+    if facing is not None:
+        facing = facing @ np.array([[1.0, 0.0, origin[0]], [0.0, 1.0, origin[1]], [0.0, 0.0, 1.0]])
+    else:
+        affine[:, 2] += affine[:, :2] @ origin
     if facing is None:
         chip = cv2.warpAffine(bgr, affine * finer, side, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     else:

@@ -25,6 +25,9 @@ SWAP_CROPS = 3
 """When this number of templates in a row contradicts the earlier ones, the tracker has moved to another face."""
 ACCEPT, RELEASE = 0.75, 0.5
 """Likelihood from which a face is taken for a person, and below which it no longer is."""
+LEARN_AT_ONCE = 0.9
+"""Likelihood from which the views of a face with a name are learnt at once. Those of a less sure one are learnt when it
+has left: compared with its own views, who is only like a person would be sure to be that person."""
 NAMING_CROPS = 2
 """Templates without which no face is taken for a person: one may be of a moment's chance likeness."""
 LEAST_PUBLISHED, MOST_UNSURE = 0.1, 0.45
@@ -42,6 +45,9 @@ later may be of the wrong one of them. So it decides between likelihoods of .75 
 FIRST_INTERVAL, NAMED_INTERVAL, LONGEST_INTERVAL = 0.25, 1.0, 5.0
 """Time (s) between two crops of a face at first or in doubt, and after many of one that has a name, or has none: a name
 that is wrong must be noticed soon."""
+CALM_RATE, CALM_INTERVAL = 5.0, 1.8
+"""Most templates a second of all faces together whose name is sure, and the longest time (s) between two of one of
+them: soon enough that the tracker, which checks each face once in 2 s, needs none of its own."""
 PATIENCE = 4
 """Crops of a recognised face after which the next ones come less and less often; of another one: twice as many."""
 TOGETHER = 0.5
@@ -265,6 +271,7 @@ class FaceIdentity:
     blur : whether a crop is blurred by motion.
     is_picture : it is a picture of the person beside it, so it is nobody.
     later_view : template (D,) that is learnt of the person once the face has left, None without one.
+    named_interval : time (s) between two crops after many of them while it has a name.
     """
 
     id: str
@@ -285,11 +292,18 @@ class FaceIdentity:
     blur: MotionBlur = field(default_factory=MotionBlur)
     is_picture: bool = False
     later_view: Optional[np.ndarray] = None
+    named_interval: float = NAMED_INTERVAL
 
     @property
     def is_certain(self) -> bool:
         """Whether it has a name that nothing speaks against."""
         return bool(self.person) and self.doubt.level == 0.0
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether that name is likely enough to learn of it at once."""
+        return self.is_certain and any(one.person_id == self.person and one.likelihood >= LEARN_AT_ONCE
+                                       for one in self.candidates)
 
     @property
     def candidates(self) -> Sequence[PersonCandidate]:
@@ -304,7 +318,7 @@ class FaceIdentity:
         """Return the time (s) to the next crop: short while there is something to decide, ever longer later."""
         if self.doubt.level > 0.0:
             return FIRST_INTERVAL
-        patience, longest = (PATIENCE, NAMED_INTERVAL) if self.person else (2 * PATIENCE, LONGEST_INTERVAL)
+        patience, longest = (PATIENCE, self.named_interval) if self.person else (2 * PATIENCE, LONGEST_INTERVAL)
         return float(min(FIRST_INTERVAL * 1.5 ** min(50, max(0, self.crops - patience)), longest))
 
     @property
@@ -388,6 +402,14 @@ class FaceIdentity:
         self.published.update((person_id, holds[person_id]) for person_id in changed)
         return ([PersonMatch(self.id, person_id, 0.0) for person_id in gone]
                 + [PersonMatch(self.id, person_id, holds[person_id]) for person_id in changed])
+
+
+def share_templates(faces: Sequence[FaceIdentity], newest: float) -> None:
+    """Let the faces seen at `newest` (s) whose name is sure share CALM_RATE; a few of them lose nothing."""
+    sure = {face.id for face in faces if face.is_there(newest) and face.is_sure}
+    shared = min(max(NAMED_INTERVAL, len(sure) / CALM_RATE), CALM_INTERVAL)
+    for face in faces:
+        face.named_interval = shared if face.id in sure else NAMED_INTERVAL
 
 
 def _assigned(faces: Sequence[FaceIdentity], taken: AbstractSet[str]) -> List[Optional[PersonCandidate]]:

@@ -25,6 +25,7 @@ from hri_pipeline.core.process import ONE_THREAD, Threads
 from hri_pipeline.core.recognition.embedding import FaceEmbedder, load_face_embedder
 from hri_pipeline.core.recognition.face_identity import (
     ACCEPT,
+    LEARN_AT_ONCE,
     NAMING_CROPS,
     FaceEvidence,
     FaceIdentity,
@@ -35,6 +36,7 @@ from hri_pipeline.core.recognition.face_identity import (
     assign_persons,
     note_beside,
     note_pictures,
+    share_templates,
 )
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import MatchResult
@@ -47,9 +49,6 @@ NEW_BELOW = 0.4
 """Likelihood, without caution, of being anybody known, below which a face is somebody new."""
 LEARN_CROPS, LEARN_QUALITY = 4, 0.5
 """How many crops of which quality show a face well enough to make a person of it."""
-LEARN_AT_ONCE = 0.9
-"""Likelihood from which the views of a face with a name are learnt at once. Those of a less sure one are learnt when it
-has left: compared with its own views, who is only like a person would be sure to be that person."""
 SAME = 0.95
 """Likelihood that is published of two known persons who are the same by their templates."""
 SHOWN_S = 60.0
@@ -115,6 +114,7 @@ class Recogniser:
                     self._faces[face_id] = FaceIdentity(
                         face_id, FaceEvidence(calibration.contradiction, calibration.spread), stamp)
                 self._faces[face_id].last_seen = stamp
+            share_templates(list(self._faces.values()), stamp)
             waiting = [face_id for face_id, quality in qualities.items()
                        if quality >= self._min_quality and self._faces[face_id].is_due(quality, stamp)]
             return sorted(waiting, key=lambda face_id: self._faces[face_id].due)[:limit]
