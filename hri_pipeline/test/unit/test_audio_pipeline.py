@@ -344,7 +344,7 @@ def test_level(samples, dbfs):
 @pytest.mark.parametrize("chunk", [0.01, 0.02, 0.1])
 @pytest.mark.parametrize("stall", [0.3, 1.2, 4.0])
 def test_a_burst_of_late_sound_keeps_the_voice_and_all_its_words_and_no_stamp_goes_back(stall, chunk):
-    """Voices were cut and began anew as others, with stamps of before, each time the clock of the sound was set back."""
+    """Voices ended and began anew as others, with earlier stamps, whenever the clock of the sound was set back."""
     samples = sound((1.0, False), (8.0, True), (1.0, False))
     pipeline = make(resume_time=6.0, voice_timeout=6.0)      # the pause that was not is no reason for another one
     stream, extractor, size = SoundStream(SoundFormat()), AudioFeatureExtractor(), int(chunk * RATE)
