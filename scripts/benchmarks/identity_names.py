@@ -185,7 +185,7 @@ def _film_templates(pipeline: FacePipeline, embedders: Mapping[str, FaceEmbedder
         if faces and index % int(PERIOD / STEP) == 0:
             face = max(faces, key=lambda one: float(one.box[2] - one.box[0]))
             for name, embedder in embedders.items():
-                found[name].append(embedder.embed([embedder.crop(image, face.mesh)])[0])
+                found[name].append(embedder.embed([embedder.crop(image, face.mesh, camera)])[0])
     return {name: np.array(some, np.float32).reshape(len(some), embedders[name].dimension)
             for name, some in found.items()}
 

@@ -32,6 +32,7 @@ from hri_person_manager.ros.cameras import (
 from hri_person_manager.ros.cli import known_table, run_people
 from hri_person_manager.ros.services import Galleries
 from hri_person_manager.srv import ListKnownResponse
+from hri_pipeline.core import error_log
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.services import call_service
 from hri_pipeline.srv import GalleryResponse
@@ -45,6 +46,48 @@ def test_a_name_that_no_service_takes_is_not_enrolled_by_photographs_either(name
     store = tmp_path / "private" / "people.sqlite"
     assert run_people(["enrol", "--name", name, str(tmp_path), "--store", str(store)]) in (1, 2)
     assert "photographs (" not in capsys.readouterr().err and not store.exists()
+
+
+@pytest.mark.parametrize("words", [["watch"], ["watch", "--once"], ["list"], ["reset"]])
+@pytest.mark.parametrize("where", ["init_node", "Subscriber"])
+def test_where_no_thread_can_be_started_the_limit_is_named(words, where, monkeypatch, capsys):
+    def no_thread(*given, **options):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(rospy, "init_node", lambda *given, **options: None)
+    monkeypatch.setattr(rospy, "signal_shutdown", lambda reason: None)
+    monkeypatch.setattr(cli, "wait_for_master", lambda name, seconds: True)
+    monkeypatch.setattr(cli, "find_manager", no_thread)
+    monkeypatch.setattr(rospy, where, no_thread)
+    monkeypatch.setattr(error_log, "fullest_group", lambda: (100, 100))
+    monkeypatch.setattr(cli.signal, "signal", lambda *given: None)
+    assert run_people(words) == 1
+    said = capsys.readouterr().err.strip().split("\n")
+    assert len(said) == 1 and said[0].startswith("people: the system gives no more threads: its container"), said
+
+
+@pytest.mark.parametrize("words", [["watch", "--once"], ["list"]])
+def test_a_command_that_cannot_be_connected_says_why_in_a_line(words, monkeypatch, capsys):
+    def interrupted(*given, **options):
+        raise rospy.ROSInitException("init_node interrupted before it could complete")
+
+    monkeypatch.setattr(cli, "wait_for_master", lambda name, seconds: True)
+    monkeypatch.setattr(rospy, "init_node", interrupted)
+    monkeypatch.setattr(rospy, "signal_shutdown", lambda reason: None)
+    monkeypatch.setattr(cli.signal, "signal", lambda *given: None)
+    assert run_people(words) == 1
+    assert capsys.readouterr().err == "people: init_node interrupted before it could complete\n"
+
+
+def test_any_other_error_of_a_command_is_none_of_threads(monkeypatch):
+    def broken(*given, **options):
+        raise RuntimeError("broken")
+
+    monkeypatch.setattr(cli, "wait_for_master", lambda name, seconds: True)
+    monkeypatch.setattr(rospy, "init_node", broken)
+    monkeypatch.setattr(rospy, "signal_shutdown", lambda reason: None)
+    with pytest.raises(RuntimeError, match="broken"):
+        run_people(["list"])
 
 
 def test_a_file_of_cameras_stays_whole_where_the_disk_is_full(tmp_path, monkeypatch):

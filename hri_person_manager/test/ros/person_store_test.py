@@ -13,6 +13,7 @@ from pathlib import Path
 import rospy
 import rostest
 from std_msgs.msg import String
+from std_srvs.srv import Empty
 
 from hri_msgs.msg import AgeAndGender, IdsList, IdsMatch
 from hri_person_manager.srv import ListKnown, SetName
@@ -79,6 +80,30 @@ class PersonStoreTest(unittest.TestCase):
         self.assertEqual([self.entry(listed, field) for field in ("names", "native_languages", "tracked")],
                          ["Caty", "fr", True])
         self.assertNotIn("Caty", self.end(node), "names do not get into the log")
+
+    def test_reset_forgets_who_is_who_and_nobody_of_the_store(self):
+        store = PersonStore(self.path)
+        for person in (StoredPerson("caty", name="Caty", last_seen=time.time()),
+                       StoredPerson("catytwin", alias="caty", last_seen=time.time())):
+            store.put_record(person)
+        store.close()
+        self.start("_store:={}".format(self.path), "_new_person_delay:=0.2")
+        faces = rospy.Publisher("/humans/faces/tracked", IdsList, latch=True, queue_size=1)
+        matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=10)
+        faces.publish(IdsList(ids=["f1"]))
+        wait_for(lambda: matches.get_num_connections() > 0, WAIT_S, "the manager listens")
+        matches.publish(IdsMatch(id1="f1", id1_type=IdsMatch.FACE, id2="catytwin", id2_type=IdsMatch.PERSON,
+                                 confidence=0.9))
+        wait_for(lambda: self.lists.get("tracked") == ["caty"], WAIT_S, "caty is tracked")
+        reset = rospy.ServiceProxy("/hri_person_manager/reset", Empty)
+        reset.wait_for_service(WAIT_S)
+        reset()
+        wait_for(lambda: [name[:9] for name in self.lists["tracked"]] == ["anonymous"], WAIT_S, "nobody says who it is")
+        wait_for(lambda: len(self.lists["known"]) == 3, WAIT_S, "the anonymous one and the two of the store")
+        self.assertTrue({"caty", "catytwin"} <= set(self.lists["known"]))
+        listed = rospy.ServiceProxy("/hri_person_manager/list_known", ListKnown)()
+        self.assertEqual((sorted(listed.ids), self.entry(listed, "names")), (sorted(self.lists["known"]), "Caty"))
+        self.assertEqual(listed.aliases[listed.ids.index("catytwin")], "caty")
 
     @staticmethod
     def entry(listed, field):

@@ -466,3 +466,14 @@ def test_records_of_a_read_only_store_are_known_and_stay_as_they_are():
     own = PersonRegister(Shelf([PersonRecord("ada", "Own")]), [PersonRecord("ada", "Other")])
     assert own.get("ada").name == "Own", "the own store goes first"
     own.set_name("ada", "New")
+
+
+def test_a_restart_forgets_whom_no_store_keeps():
+    stored, _ = register()
+    stored.restart()
+    assert [record.id for record in stored.records] == ["ann", "bob"]
+    memory = PersonRegister(borrowed=[PersonRecord("cleo")])
+    memory.seen(["ann"], 5.0)
+    memory.observe("ann", "f1", 40.0, 0.9, FEMALE, 0.9, 5.0)
+    memory.restart()
+    assert [record.id for record in memory.records] == ["cleo"] and memory.demographics("ann") is None

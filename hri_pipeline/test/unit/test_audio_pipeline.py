@@ -6,10 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from hri_pipeline.core.audio.features import AudioFeatureExtractor
 from hri_pipeline.core.audio.level import level_dbfs
 from hri_pipeline.core.audio.parameters import VoiceActivitySettings
 from hri_pipeline.core.audio.pipeline import VoicePipeline
-from hri_pipeline.core.audio.stream import SoundBlock
+from hri_pipeline.core.audio.stream import SoundBlock, SoundFormat, SoundStream
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.parameters import ParameterTable
 
@@ -338,3 +339,27 @@ def test_hundreds_of_turns_leave_nothing_behind():
     (np.full(5, 1e-9), -120.0)])
 def test_level(samples, dbfs):
     assert level_dbfs(samples.astype(np.float32)) == pytest.approx(dbfs, abs=1e-4)
+
+
+@pytest.mark.parametrize("chunk", [0.01, 0.02, 0.1])
+@pytest.mark.parametrize("stall", [0.3, 1.2, 4.0])
+def test_a_burst_of_late_sound_keeps_the_voice_and_all_its_words_and_no_stamp_goes_back(stall, chunk):
+    """Voices ended and began anew as others, with earlier stamps, whenever the clock of the sound was set back."""
+    samples = sound((1.0, False), (8.0, True), (1.0, False))
+    pipeline = make(resume_time=6.0, voice_timeout=6.0)      # the pause that was not is no reason for another one
+    stream, extractor, size = SoundStream(SoundFormat()), AudioFeatureExtractor(), int(chunk * RATE)
+    seen, frames = [], []
+    for first in range(0, len(samples) - size + 1, size):
+        end = START + (first + size) / RATE
+        arrival = START + 2.0 + stall if START + 2.0 < end < START + 2.0 + stall else end
+        for block in stream.add((samples[first:first + size] * 32767.0).astype("<i2").tobytes(), arrival):
+            seen += pipeline.update(block)
+    turn = [one for one in seen if one.turn]
+    assert len({one.id for one in turn}) == 1
+    for one in turn:
+        frames += extractor.process(one.samples, one.stamp)
+    stamps = [one.stamp for one in turn]
+    assert np.diff(stamps).min() >= 0.0 and np.diff([frame.stamp for frame in frames]).min() >= 0.0
+    heard = np.concatenate([one.samples for one in turn])
+    assert len(heard) / RATE > 8.0, "no word is lost"
+    assert stamps[-1] == pytest.approx(START + 9.2, abs=0.15)

@@ -251,6 +251,24 @@ def test_a_stall_taken_for_a_gap_is_put_right():
     assert blocks[-1].stamp == pytest.approx(BEGIN + 9.98, abs=0.01)
 
 
+@pytest.mark.parametrize("chunk", [0.01, 0.02, 0.1])
+@pytest.mark.parametrize("rate", [16000, 48000])
+@pytest.mark.parametrize("stall", [0.5, 1.2, 5.0])
+def test_stamps_never_go_back_and_are_right_soon_after_a_burst_of_late_sound(rate, chunk, stall):
+    """The first message of a burst looks as if the sound before it were missing; the others are that sound."""
+    delays = np.full(int(10.0 / chunk), 0.001)
+    late = int(round(stall / chunk))
+    delays[int(2.0 / chunk):int(2.0 / chunk) + late] = stall - chunk * np.arange(late)
+    stream = SoundStream(SoundFormat(1, rate))
+    blocks = deliver(stream, tone(10.0, rate), rate, chunk, delays)
+    stamps = np.array([block.stamp for block in blocks])
+    assert np.diff(stamps).min() > 0.0
+    assert blocks[-1].stamp + len(blocks[-1].samples) / RATE == pytest.approx(BEGIN + 10.0, abs=0.05)
+    settled = [block for block in blocks if block.stamp > BEGIN + 2.2 + stall]
+    assert np.abs(np.diff([block.stamp for block in settled]) - [
+        len(block.samples) / RATE for block in settled[:-1]]).max() < 0.02
+
+
 @pytest.mark.parametrize("real, said, words", [
     (44100, 16000, "set ~sample_rate .* to 44100"), (16000, 44100, "set ~sample_rate .* to 16000"),
     (48000, 44100, ""), (13000, 8000, "right, or is sound lost"),

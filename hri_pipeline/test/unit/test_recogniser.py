@@ -827,7 +827,29 @@ def test_a_crop_is_blurred_by_motion_in_any_direction_against_sharp_ones_of_its_
     assert blur.is_blurred(face_picture(direction=direction), 2.0)
     assert not blur.is_blurred(cv2.GaussianBlur(face_picture(), (0, 0), 1.5), 2.1), "out of focus, or far away"
     assert blur.is_blurred(face_picture(direction=direction), 3.0)
-    assert not blur.is_blurred(face_picture(direction=direction), 3.1 + BLUR_PATIENCE_S), "it looks so"
+
+
+def uneven_crops(*stamps):
+    """What is told of crops that are blurred along x, after a sharp one."""
+    blur = MotionBlur()
+    assert not blur.is_blurred(face_picture(), 0.0)
+    return [blur.is_blurred(face_picture(direction=(1, 0)), stamp) for stamp in stamps]
+
+
+def test_a_face_whose_crops_stay_uneven_looks_so():
+    told = uneven_crops(*np.arange(1.0, 2.05 + BLUR_PATIENCE_S, 0.1))
+    assert told.index(False) == pytest.approx(10.0 * BLUR_PATIENCE_S, abs=1)
+    assert False in uneven_crops(1.0, 4.0, 7.0), "and where each crop comes seconds after the last one"
+
+
+@pytest.mark.parametrize("pause", [1.1, 60.0])
+def test_the_first_crop_after_a_pause_is_blurred_too(pause):
+    """The camera pans away, and back: who was blurred as he left was taken for one who looks so when he came back."""
+    assert all(uneven_crops(1.0, 1.0 + pause, 1.1 + pause, 1.2 + pause))
+
+
+def test_time_that_goes_back_ends_no_blur():
+    assert all(uneven_crops(10.0, 3.0, 3.1))
 
 
 def test_a_crop_that_is_blurred_by_motion_makes_no_template_and_the_next_one_does():

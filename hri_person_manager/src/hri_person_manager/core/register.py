@@ -349,6 +349,11 @@ class PersonRegister:
         self._borrowed.clear()
         return count
 
+    def restart(self) -> None:
+        """Forget whom no store keeps; those of stores stay, as after a restart of the process."""
+        for person_id in [key for key in self._records if self._store is None and key not in self._borrowed]:
+            self._drop(person_id)
+
     def export(self, person_id: str = "") -> List[dict]:
         """Everything about one person, or about all, as data for JSON. RegisterError for an unknown id."""
         records = [self._known(person_id, "of who is anonymous nothing is kept")] if person_id else self.records

@@ -38,6 +38,7 @@ from hri_person_manager.core.features import MAX_FEATURES
 from hri_person_manager.core.register import RegisterError, is_storable, legal_name
 from hri_person_manager.ros.services import COMMANDS, LIST_ANSWER_S, carry_out, find_manager, service
 from hri_person_manager.srv import ListKnown, ListKnownResponse
+from hri_pipeline.core.error_log import thread_shortage
 from hri_pipeline.core.frames import RawTransform, read
 from hri_pipeline.core.onnx import ModelError
 from hri_pipeline.core.privacy import StoreError, TemplateCipher, make_key_file, notice
@@ -78,17 +79,31 @@ def run_people(arguments: Optional[Sequence[str]] = None) -> int:
         return _enrol_photographs(options)
     if not wait_for_master("people", 0.0):
         return 1
-    rospy.init_node("people", anonymous=True, disable_signals=True)
     try:
+        rospy.init_node("people", anonymous=True, disable_signals=True)
         options.node = options.node or find_manager()
         return _carry_out(options)
     except KeyboardInterrupt:
         return 130
+    except rospy.ROSInitException as error:
+        return _not_begun("people", error)
     except (rospy.ROSException, rospy.ServiceException) as error:
         print("people: {}".format(_why(options.node or "hri_person_manager", error)), file=sys.stderr)
         return 1
+    except (RuntimeError, OSError) as error:
+        return _not_begun("people", error)
     finally:
         rospy.signal_shutdown("people has ended")
+
+
+def _not_begun(name: str, error: Exception) -> int:
+    """Say why a command cannot be connected to ROS, such as the limit that lets no more threads start, and return its
+    exit code; any other error is raised again."""
+    reason = thread_shortage(error) or (str(error) if isinstance(error, rospy.ROSInitException) else "")
+    if not reason:
+        raise error
+    print("{}: {}".format(name, reason), file=sys.stderr)
+    return 1
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -248,6 +263,8 @@ def show_persons(arguments: Optional[Sequence[str]] = None, command: str = "show
         return _show_until(options, end, name)
     except KeyboardInterrupt:
         return NOBODY
+    except (rospy.ROSInitException, RuntimeError, OSError) as error:
+        return _not_begun(name, error)
     finally:
         rospy.signal_shutdown("{} has ended".format(name))
 

@@ -253,13 +253,17 @@ class PersonManagerNode:
         self._forget_gone()
         earlier = self._restart_state.read()
         self._manager.expect({name: nodes for name, nodes in earlier.items() if name.startswith(ANONYMOUS_PREFIX)})
+        self._know_records()
+        self._manager.recall({name: nodes for name, nodes in earlier.items() if not name.startswith(ANONYMOUS_PREFIX)},
+                             self._last_now)
+
+    def _know_records(self) -> None:
+        """Let the manager know whom the register has, and who of them are one human."""
         records = sorted(self._register.records, key=lambda record: record.first_seen)
         self._manager.know(record.id for record in records)
         for record in records:
             if record.alias and all(map(self._manager.is_permanent, (record.alias, record.id))):
                 self._manager.merge(record.alias, record.id, self._last_now)
-        self._manager.recall({name: nodes for name, nodes in earlier.items() if not name.startswith(ANONYMOUS_PREFIX)},
-                             self._last_now)
 
     def spin(self) -> None:
         """Let time pass until ROS shuts down."""
@@ -386,8 +390,10 @@ class PersonManagerNode:
     def _on_reset(self, request: EmptyRequest) -> EmptyResponse:
         with self._lock:
             self._manager.reset(rospy.get_time())
+            self._register.restart()
+            self._know_records()
             self._publish_state()
-        rospy.loginfo("reset: persons and matches are forgotten, tracked features are kept")
+        rospy.loginfo("reset: persons and matches are forgotten; tracked features, and who is in a store, are kept")
         return EmptyResponse()
 
     def _tick(self) -> None:

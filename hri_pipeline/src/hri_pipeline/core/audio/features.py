@@ -114,7 +114,7 @@ class AudioFeatureExtractor:
         # The pitch window of the first frame begins with silence.
         self._kept = np.zeros(self._margin)
         self._skip = 0
-        self._end = float("nan")
+        self._end, self._newest = math.nan, -math.inf
 
     def process(self, samples: np.ndarray, stamp: float) -> List[FeatureFrame]:
         """Add samples and return the frames that they complete.
@@ -124,7 +124,8 @@ class AudioFeatureExtractor:
         samples : np.ndarray
             (n,), -1 to 1.
         stamp : float
-            s, of the first sample. The frames start anew when the block does not continue the last one.
+            s, of the first sample. The frames start anew when the block does not continue the last one; where it
+            overlaps it their stamps do not go back.
 
         Raises
         ------
@@ -137,7 +138,9 @@ class AudioFeatureExtractor:
                 "features need finite samples of one channel, not an array of shape {}".format(samples.shape)
             )
         if abs(stamp - self._end) > GAP_S:
+            newest = self._newest
             self.reset()
+            self._newest = newest if stamp > newest - FRAME_S else -math.inf
         self._end = stamp + len(samples) / RATE
         skipped = min(self._skip, len(samples))
         self._skip -= skipped
@@ -161,7 +164,9 @@ class AudioFeatureExtractor:
         used = count * self._hop
         self._skip = max(0, used - len(self._kept))
         self._kept = self._kept[used:].copy()
-        return [FeatureFrame(first + number * self._hop / RATE, zcr[number], rms[number], pitch[number], hnr[number],
+        stamps = [max(first + number * self._hop / RATE, self._newest) for number in range(count)]
+        self._newest = stamps[-1]
+        return [FeatureFrame(stamps[number], zcr[number], rms[number], pitch[number], hnr[number],
                              mfcc[number]) for number in range(count)]
 
 

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Deque, Dict, List, Optional, Sequence, Tuple
@@ -194,6 +195,8 @@ _FIRST_S = 2.0
 _MOST_STEP_S = 0.005
 _RATE_STEP_S = 0.25
 _RATE_LEAST_S = 2.0
+_LEAST_STEP_S = 1e-4
+"""Time between the stamps of two blocks whose sound came too late to be placed behind what was heard before."""
 
 
 class SampleClock:
@@ -352,6 +355,9 @@ class SoundBlock:
 class SoundStream:
     """Decodes, selects channels, measures, resamples and stamps a stream of one format.
 
+    Stamps never go back. Where sound comes after all whose place was taken for a gap, it stands close together behind
+    what was heard last, until the clock has caught up.
+
     Parameters
     ----------
     form : SoundFormat
@@ -391,6 +397,7 @@ class SoundStream:
         self._unreported = 0.0
         self._begin = 0.0
         self._given = 0
+        self._least_stamp = -math.inf
         self._resampler = self._new_resampler()
         self.gaps = 0
         self.lost = 0.0
@@ -499,7 +506,8 @@ class SoundStream:
         """Cut samples (N, C) into stamped blocks; the first one carries the gap (s)."""
         blocks: List[SoundBlock] = []
         for start in range(0, len(samples), BLOCK):
-            stamp = self._begin + self._given / RATE + offset - self._latency
+            stamp = max(self._begin + self._given / RATE + offset - self._latency, self._least_stamp)
+            self._least_stamp = stamp + _LEAST_STEP_S
             blocks.append(SoundBlock(samples[start:start + BLOCK], stamp, 0.0 if blocks else gap))
             self._given += len(blocks[-1].samples)
         return blocks

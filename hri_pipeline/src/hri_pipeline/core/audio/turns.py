@@ -308,7 +308,7 @@ class VoiceSource:
         self.last_sound = -math.inf
         self.last_heard = -math.inf
         self.muted = False
-        self._heard_from = -math.inf
+        self._heard_from = self._taken = -math.inf
         self._rest = np.zeros(0, np.float32)
         self._look_back = int(round(settings.look_back * RATE))
         self._grace = settings.direction_grace
@@ -317,7 +317,8 @@ class VoiceSource:
     def add(self, samples: np.ndarray, stamp: float, heard: bool = True, before: int = 0) -> float:
         """Add samples.
 
-        An incomplete frame before missing sound is dropped. After a long gap the network is reset.
+        An incomplete frame before missing sound is dropped. After a long gap the network is reset. Sound whose stamp is
+        before the end of the last one goes on with it: it came late, and its frames stand close together.
 
         Parameters
         ----------
@@ -337,15 +338,14 @@ class VoiceSource:
         """
         expected = self._end() if not math.isnan(self.clock) else stamp
         missing = stamp - expected
-        if abs(missing) > _JUMP:
+        missed = 0.0
+        if missing > _JUMP:
+            missed = max(stamp - self.clock, 0.0)
             self._rest = self._rest[:0]
             self._kept.clear()
-            if abs(missing) > _FORGET:
-                self.state.reset()
-        else:
-            missing = 0.0
-        missed = max(stamp - self.clock, 0.0) if missing > 0.0 else 0.0
-        self.clock = stamp - len(self._rest) / RATE
+        if abs(missing) > _FORGET:
+            self.state.reset()
+        self.clock = max(stamp - len(self._rest) / RATE, self._taken)
         self._rest = np.concatenate((self._rest, samples))
         if before:
             self._heard_from = stamp + before / RATE
@@ -367,7 +367,7 @@ class VoiceSource:
     def take(self, probability: float) -> Tuple[np.ndarray, float]:
         """Remove the next frame, whose probability of speech is given; return its samples (512,) and stamp (s)."""
         frame, stamp = self._rest[:FRAME].copy(), self.clock
-        self._rest = self._rest[FRAME:]
+        self._rest, self._taken = self._rest[FRAME:], stamp
         self.clock = stamp + FRAME_TIME
         self.probability, self.energy, self.muted = probability, level_dbfs(frame), False
         if stamp > self.last_heard + self._grace or stamp + 0.5 * FRAME_TIME < self._heard_from:

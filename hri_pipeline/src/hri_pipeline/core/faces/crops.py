@@ -37,6 +37,8 @@ EVEN = 0.65
 pan of 90 degrees a second: templates of crops below it are .27 to .39 from those at rest, others .06 to .23."""
 BLUR_PATIENCE_S = 1.0
 """Time (s) after which a face whose crops stay uneven looks so."""
+_BLUR_STEP_S = 0.5 * BLUR_PATIENCE_S
+"""Most of that time that lies between two crops: in a longer pause nobody has seen whether they stay uneven."""
 _DETAIL = 1.5
 _FINEST = 4
 """Most times the size of a crop at which it is drawn before it is averaged, in a view that is not the image."""
@@ -170,16 +172,21 @@ class MotionBlur:
 
     def __init__(self) -> None:
         self._best = 0.0
-        self._since: Optional[float] = None
+        self._last: Optional[float] = None
+        self._uneven_for = 0.0
 
     def is_blurred(self, crop: np.ndarray, stamp: float) -> bool:
         """Take a crop (S, S, 3) uint8 BGR of the image at `stamp` (s); tell if it is blurred against the others."""
         value = evenness(crop)
-        self._since = stamp if self._since is None or stamp < self._since else self._since
-        if value < EVEN * self._best and stamp - self._since < BLUR_PATIENCE_S:
-            return True
-        self._best = value if value < EVEN * self._best else max(value, self._best)
-        self._since = None
+        is_uneven = value < EVEN * self._best
+        if is_uneven:
+            passed = stamp - self._last if self._last is not None and stamp >= self._last else 0.0
+            self._uneven_for += min(passed, _BLUR_STEP_S)
+            self._last = stamp
+            if self._uneven_for < BLUR_PATIENCE_S:
+                return True
+        self._best = value if is_uneven else max(value, self._best)
+        self._last, self._uneven_for = None, 0.0
         return False
 
 
