@@ -295,8 +295,9 @@ class Recogniser:
             self._compare()
             self._assign()
             is_known = self.gallery.remove(person_id)
+            taken = {face.person for face in self._faces.values() if face.person}
             for face in self._faces.values():
-                if person_id in face.published or person_id in face.holds(set()):
+                if person_id in face.published or person_id in face.holds(taken):
                     face.forget()
             return is_known
 
