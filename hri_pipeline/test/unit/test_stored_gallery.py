@@ -159,11 +159,13 @@ def test_who_is_merged_while_another_process_learns_a_view_stays_merged(store, o
     first.flush()
     second.flush()
     second.add_template("anna", face(1, 0.3))
+    second.keep_apart("anna", "bert")
     second.flush()
     first.merge("anna", "bert")
     first.flush()
     second.flush()
     assert first.ids() == second.ids() == ["bert"]
+    assert not first.are_apart("anna", "bert") and not second.are_apart("anna", "bert")
     second.add_person("anna", face(3)[None])
     second.flush()
     first.flush()

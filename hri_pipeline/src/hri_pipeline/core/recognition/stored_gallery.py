@@ -171,8 +171,9 @@ class StoredGallery(MemoryGallery):
 
     def _apply_apart(self, stored: Set[FrozenSet[str]]) -> None:
         with self._lock:
-            # Of somebody who is forgotten here nothing comes back.
-            known = {pair for pair in stored if not (self._forgets_all or pair & self._forgotten)}
+            # Of somebody who is forgotten or merged here nothing comes back.
+            gone = self._forgotten | (self._merged - self._row.keys())
+            known = {pair for pair in stored if not (self._forgets_all or pair & gone)}
             self._apart = (self._apart - (self._stored_apart - stored)) | known
             self._stored_apart = stored
 
