@@ -642,6 +642,45 @@ def test_forget_withdraws_and_is_not_learnt_again_while_in_view():
     assert scene.recogniser.enrol("f1") in scene.gallery, "but when asked to"
 
 
+def test_who_is_merged_and_forgotten_at_once_is_not_learnt_again_while_in_view():
+    """The face has the earlier id still when the person is forgotten."""
+    scene = Scene()
+    scene.show({"f1": (1, 0.1)}, 5.0)
+    scene.gallery.add_person("anna", template(7)[None])
+    scene.recogniser.merge(scene.person("f1"), "anna")
+    assert scene.recogniser.forget("anna")
+    scene.show({"f1": (1, 0.1)}, 10.0)
+    assert scene.gallery.ids() == [] and scene.known("f1") == {}
+
+
+def test_who_is_enrolled_and_forgotten_at_once_is_not_learnt_while_in_view():
+    scene = Scene()
+    scene.show({"f1": (1, 0.1)}, 1.0)
+    assert scene.recogniser.enrol("f1", "anna") == "anna" and scene.recogniser.forget("anna")
+    scene.show({"f1": (1, 0.1)}, 10.0)
+    assert scene.gallery.ids() == [] and scene.known("f1") == {}
+
+
+def test_who_is_forgotten_by_another_process_is_not_learnt_again_while_in_view(tmp_path):
+    """As by a second camera with the same store, or where this node did not answer the service in time."""
+    scenes = [Scene(open_gallery(str(tmp_path / "private" / "faces.sqlite"), "synthetic", SIZE, CALIBRATION))
+              for _ in range(2)]
+    person = ""
+    for scene in scenes:
+        scene.show({"f1": (1, 0.1), "f2": (2, 0.1)}, 8.0)
+        scene.gallery.flush()
+        assert person in ("", scenes[1].recogniser.person_of("f1"))
+        person = scene.recogniser.person_of("f1")
+        scenes[1].gallery.flush()
+    scenes[0].recogniser.forget(person)
+    for scene in scenes:
+        scene.gallery.flush()
+    for scene in scenes:
+        scene.show({"f1": (1, 0.1), "f2": (2, 0.1)}, 8.0)
+        assert scene.known("f1") == {} and len(scene.gallery) == 1 and scene.person("f2") in scene.gallery
+        scene.gallery.close()
+
+
 def test_to_forget_nobody_keeps_no_newcomer_from_being_learnt():
     scene = Scene()
     scene.show({"f1": (1, 0.2)}, 0.3)

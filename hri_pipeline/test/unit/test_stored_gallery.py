@@ -152,6 +152,26 @@ def test_merging_moves_the_templates_and_leaves_the_record(store, other):
     assert second.ids() == ["bert"]
 
 
+def test_who_is_merged_while_another_process_learns_a_view_stays_merged(store, other):
+    first, second = gallery(store), gallery(other)
+    first.add_person("anna", face(1)[None])
+    first.add_person("bert", face(2)[None])
+    first.flush()
+    second.flush()
+    second.add_template("anna", face(1, 0.3))
+    second.keep_apart("anna", "bert")
+    second.flush()
+    first.merge("anna", "bert")
+    first.flush()
+    second.flush()
+    assert first.ids() == second.ids() == ["bert"]
+    assert not first.are_apart("anna", "bert") and not second.are_apart("anna", "bert")
+    second.add_person("anna", face(3)[None])
+    second.flush()
+    first.flush()
+    assert sorted(first.ids()) == sorted(second.ids()) == ["anna", "bert"], "the id may be given anew"
+
+
 def test_nothing_is_written_when_nothing_has_changed(store, other):
     first = gallery(store)
     first.add_person("anna", face(1)[None])

@@ -26,6 +26,7 @@ from hri_pipeline.core.recognition.embedding import FaceEmbedder, load_face_embe
 from hri_pipeline.core.recognition.face_identity import (
     ACCEPT,
     LEARN_AT_ONCE,
+    LEAST_PUBLISHED,
     NAMING_CROPS,
     FaceEvidence,
     FaceIdentity,
@@ -290,9 +291,13 @@ class Recogniser:
         if not person_id:  # a face of nobody yet has this person
             return False
         with self._lock:
+            # Who has just been merged or enrolled is the person by now.
+            self._compare()
+            self._assign()
             is_known = self.gallery.remove(person_id)
+            taken = {face.person for face in self._faces.values() if face.person}
             for face in self._faces.values():
-                if person_id in face.published or face.person == person_id:
+                if person_id in face.published or person_id in face.holds(taken):
                     face.forget()
             return is_known
 
@@ -352,6 +357,9 @@ class Recogniser:
             for (face, _), result in zip(known, results):
                 face.result = result
                 self._same.update(result.same)
+                is_like_nobody = all(one.likelihood < LEAST_PUBLISHED for one in result.candidates)
+                if is_like_nobody and face.person and face.person not in self.gallery:
+                    face.forget()       # by another process: who was merged is like somebody
 
     def _assign(self) -> None:
         """Decide who each face is. What was learnt of a face that had to give its name to one beside it is dropped."""

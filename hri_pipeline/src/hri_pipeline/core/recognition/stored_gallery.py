@@ -76,6 +76,7 @@ class StoredGallery(MemoryGallery):
         self._version = -1
         self._written = self.revision
         self._forgotten: Set[str] = set()       # they are in the store still
+        self._merged: Set[str] = set()          # their templates are with another one, and in the store still
         self._forgets_all = False
         self._closed = False
         self.flush()
@@ -113,10 +114,17 @@ class StoredGallery(MemoryGallery):
             super().clear()
             self._forgets_all = True
 
+    def merge(self, source: str, target: str) -> None:
+        """See MemoryGallery. What another process learns of `source` before the next flush() is dropped."""
+        with self._lock:
+            super().merge(source, target)
+            self._merged.add(source)
+
     def _exchange(self) -> None:
         with self._lock:
             everybody, self._forgets_all = self._forgets_all, False
             forgotten, self._forgotten = self._forgotten, set()
+            merged = set(self._merged)
         try:
             with self._store.change():
                 self._remove_stored(forgotten, everybody)
@@ -129,6 +137,8 @@ class StoredGallery(MemoryGallery):
             raise
         # Not before: what was taken back, as on a full disk, is written by the next one.
         self._stored, self._stored_apart, self._written = present, apart, revision
+        with self._lock:
+            self._merged -= merged
 
     def _remove_stored(self, forgotten: Set[str], everybody: bool) -> None:
         if everybody:
@@ -161,13 +171,16 @@ class StoredGallery(MemoryGallery):
 
     def _apply_apart(self, stored: Set[FrozenSet[str]]) -> None:
         with self._lock:
-            # Of somebody who is forgotten here nothing comes back.
-            known = {pair for pair in stored if not (self._forgets_all or pair & self._forgotten)}
+            # Of somebody who is forgotten or merged here nothing comes back.
+            gone = self._forgotten | (self._merged - self._row.keys())
+            known = {pair for pair in stored if not (self._forgets_all or pair & gone)}
             self._apart = (self._apart - (self._stored_apart - stored)) | known
             self._stored_apart = stored
 
     def _take_person(self, person: KnownPerson) -> bool:
         """Let a person be here as in the store; False where there is no room, or a template is none."""
+        if person.id in self._merged and person.id not in self:
+            return True     # _write takes the templates out of the store
         before = self._stored.get(person.id)
         is_own = self._borrowed.pop(person.id, None) is None
         if person.id in self and is_own:
