@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hri_person_manager.core.triangulation import (
+    ACROSS,
     SensorTrack,
     Walk,
     aged,
@@ -26,6 +27,9 @@ def test_a_place_is_long_along_its_ray():
     assert np.sqrt(np.diag(covariance)) == pytest.approx([0.06, 0.36, 0.06])
     assert np.sqrt(np.diag(ray_covariance(np.array([0.0, 3.0, 1.5]), LEFT, along=0.03, exactness=0.08)))[:2] == (
         pytest.approx([0.1, np.hypot(np.hypot(0.09, 0.08), 0.0)], abs=1e-3))
+    ray = np.array([0.4, -2.0, 0.7])
+    expected = (0.1 ** 2 - ACROSS ** 2) * np.outer(ray, ray) + (ACROSS ** 2 * (ray @ ray) + 0.05 ** 2) * np.eye(3)
+    np.testing.assert_allclose(ray_covariance(RIGHT + ray, RIGHT, along=0.1, exactness=0.05), expected, atol=1e-15)
 
 
 def test_rays_that_cross_place_a_person_however_wrong_the_distances_are():

@@ -289,6 +289,7 @@ def test_transform_round_trip():
     message = over_the_wire(conversions.transform_to_msg(pose, HEADER.stamp, "camera_optical", "face_abcde"))
     assert (message.header.stamp, message.header.frame_id, message.child_frame_id) == (
         HEADER.stamp, "camera_optical", "face_abcde")
+    assert message == over_the_wire(TransformStamped(message.header, message.child_frame_id, message.transform))
     back = conversions.pose_from_transform(message)
     np.testing.assert_allclose(back.rotation, pose.rotation, atol=1e-12)
     np.testing.assert_allclose(back.translation, pose.translation)

@@ -94,3 +94,21 @@ def test_a_frame_from_before_the_clock_went_back_does_not_hide_those_after_it(mo
                                     "face_abcde")]).serialize(data)
         people._on_frames(data.getvalue(), scan(data.getvalue()), False)
     assert people.stamp == genpy.Time.from_sec(100.1)
+
+
+def test_several_faces_of_a_camera_whose_clock_is_ahead_do_not_hide_those_of_the_others(monkeypatch):
+    """From the second face of an image on the stamp counted as it is, and the other cameras' images were old."""
+    monkeypatch.setattr(people_input, "IdSubscribers", MagicMock())
+    monkeypatch.setattr(people_input, "TfSubscriber", MagicMock())
+    monkeypatch.setattr(people_input.rospy, "get_time", lambda: 100.2)
+    people = people_input.PeopleInput(INTERACTION_PARAMETERS.resolve({}), MagicMock())
+    people._tf.set_people(["ann", "bob", "cid"])
+    for person, face in (("ann", "aaaaa"), ("bob", "bbbbb"), ("cid", "ccccc")):
+        people._tf.set_feature(person, "face", face)
+    for stamp, camera, faces in ((100.1, "camera", ["aaaaa"]), (105.1, "other", ["bbbbb", "ccccc"]),
+                                 (105.05, "other", ["bbbbb"])):
+        data = io.BytesIO()
+        TFMessage([transform_to_msg(Pose(np.eye(3), np.ones(3)), genpy.Time.from_sec(stamp), camera, "face_" + face)
+                   for face in faces]).serialize(data)
+        people._on_frames(data.getvalue(), scan(data.getvalue()), False)
+    assert people.stamp == genpy.Time.from_sec(100.1)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.report import least_cost
 from hri_pipeline.core.frames import RawTransform, Timed, scan
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.matching import face_body
 from hri_pipeline.core.matching.changes import MatchChanges
 from hri_pipeline.core.matching.face_body import (
     FaceBodyMatcher,
@@ -87,6 +88,21 @@ def test_points_of_a_face_are_cheap():
     landmarks = np.random.default_rng(1).uniform(0.1, 1.0, (70, 3))
     plain = least_cost(lambda: plain_face_points(landmarks, ASPECT), 200)
     assert least_cost(lambda: face_points(landmarks, ASPECT), 200) < 0.5 * plain
+
+
+def test_landmarks_are_reckoned_with_only_near_the_image_of_a_body(monkeypatch):
+    """A face is measured in each image, a body in one of ten."""
+    reckoned = []
+    monkeypatch.setattr(face_body, "face_points", lambda *given: reckoned.append(given) or face_points(*given))
+    landmarks, skeleton = human(0.5)
+    matcher = make(["f"], ["b"])
+    for number in range(40):
+        matcher.add_face("f", 0.1 * number, landmarks, 1.0)
+        if number % 10 == 0:
+            matcher.add_body("b", 0.1 * number, skeleton)
+        matcher.matches()
+    assert 4 <= len(reckoned) <= 8
+    assert [(match.face, match.body) for match in matcher.matches()] == [("f", "b")]
 
 
 def likelihood(landmarks, skeleton):

@@ -86,12 +86,12 @@ def ray_covariance(position: np.ndarray, origin: np.ndarray, along: float = ALON
     exactness : float
         Standard deviation of the camera's own pose, m, in all directions.
     """
-    ray = position - origin
-    square = float(ray @ ray)
-    side = ACROSS * ACROSS * square + exactness * exactness
-    covariance: np.ndarray = ((along * along - ACROSS * ACROSS) * ray)[:, None] * ray
-    covariance.flat[::4] += side
-    return covariance
+    # In plain numbers: hundreds a second, and for so few numpy takes five times as long.
+    x, y, z = (position - origin).tolist()
+    side = ACROSS * ACROSS * (x * x + y * y + z * z) + exactness * exactness
+    stretch = along * along - ACROSS * ACROSS
+    i, j, k = stretch * x, stretch * y, stretch * z
+    return np.array(((i * x + side, i * y, i * z), (j * x, j * y + side, j * z), (k * x, k * y, k * z + side)))
 
 
 def shares(informations: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:

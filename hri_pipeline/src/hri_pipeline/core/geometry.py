@@ -46,7 +46,11 @@ class Pose:
 
     def compose(self, other: "Pose") -> "Pose":
         """Return self * other: first `other`, then `self`."""
-        return Pose(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
+        # Hundreds a second: what comes of two poses is one, and need not be looked at again.
+        pose = object.__new__(Pose)
+        pose.__dict__.update(rotation=self.rotation @ other.rotation,
+                             translation=self.rotation @ other.translation + self.translation)
+        return pose
 
     def inverse(self) -> "Pose":
         """Return the transform that maps parent coordinates to the child frame."""

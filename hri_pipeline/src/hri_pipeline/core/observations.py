@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from dataclasses import dataclass
-from typing import Any, Dict, Iterable, List, Optional, Sequence, Set, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence, Set, Tuple, Union
 
 import numpy as np
 
@@ -106,14 +106,18 @@ class BodyObservation:
 PREFER_COMPLETE = 1.0
 
 
+Feature = Union[np.ndarray, Callable[[], np.ndarray]]
+"""What is kept of an image: an array, or what gives it when it is asked for the first time."""
+
+
 class _Kept:
     """Features of one face or body by their stamps (s), in rising order."""
 
     def __init__(self) -> None:
         self.stamps: List[float] = []
-        self._features: List[np.ndarray] = []
+        self._features: List[Feature] = []
 
-    def add(self, stamp: float, feature: np.ndarray, keep: float) -> None:
+    def add(self, stamp: float, feature: Feature, keep: float) -> None:
         """Keep a feature, and those that are no more than `keep` s older than the newest."""
         place = bisect_left(self.stamps, stamp)
         if place < len(self.stamps) and self.stamps[place] == stamp:
@@ -129,17 +133,23 @@ class _Kept:
         place = bisect_left(self.stamps, stamp)
         near = min(range(max(0, place - 1), min(place + 1, len(self.stamps))),
                    key=lambda index: abs(self.stamps[index] - stamp))
-        return self._features[near] if abs(self.stamps[near] - stamp) <= tolerance else None
+        return self._get(near) if abs(self.stamps[near] - stamp) <= tolerance else None
 
     def between(self, stamp: float, gap: float) -> Optional[np.ndarray]:
         """Return the feature at `stamp`, interpolated where it lies between two that are at most `gap` s apart."""
         place = bisect_left(self.stamps, stamp)
         if place < len(self.stamps) and self.stamps[place] == stamp:
-            return self._features[place]
+            return self._get(place)
         if not 0 < place < len(self.stamps) or self.stamps[place] - self.stamps[place - 1] > gap:
             return None
         share = (stamp - self.stamps[place - 1]) / (self.stamps[place] - self.stamps[place - 1])
-        return (1.0 - share) * self._features[place - 1] + share * self._features[place]
+        return (1.0 - share) * self._get(place - 1) + share * self._get(place)
+
+    def _get(self, place: int) -> np.ndarray:
+        feature = self._features[place]
+        if callable(feature):
+            feature = self._features[place] = feature()
+        return feature
 
 
 class FeatureHistory:
@@ -156,8 +166,8 @@ class FeatureHistory:
         self._features: Dict[Tuple[str, str], _Kept] = {}
         self._chosen_from, self._lag = -np.inf, 0.0
 
-    def add(self, kind: str, name: str, stamp: float, feature: np.ndarray) -> None:
-        """Keep a feature of face or body `name` for the image of time `stamp`."""
+    def add(self, kind: str, name: str, stamp: float, feature: Feature) -> None:
+        """Keep a feature of face or body `name` for the image of time `stamp`; most are never asked for."""
         kept = self._features.get((kind, name))
         if kept is not None and stamp < kept.stamps[-1] - self._keep:
             kept = None        # time has jumped back

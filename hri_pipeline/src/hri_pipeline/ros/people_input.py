@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from typing import Counter, Dict, List, Mapping, NamedTuple, Optional, Set
+from typing import Counter, Dict, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 import genpy
 import numpy as np
@@ -18,7 +18,7 @@ from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.interactions.parameters import InteractionSettings
 from hri_pipeline.core.interactions.people import PeopleSnapshot, PeopleTf, Places, PoseAt, Seen, gather
-from hri_pipeline.core.timing import ClockSynchroniser, Order, SourceStamps, StaleStampFilter
+from hri_pipeline.core.timing import ClockSynchroniser, Order, SourceStamps, StaleStampFilter, Stamp
 from hri_pipeline.ros.conversions import has_gaze_of_closed_eyes
 from hri_pipeline.ros.subscriptions import IdSubscribers
 from hri_pipeline.ros.tf import Frames, RobotTf, TfSubscriber
@@ -54,6 +54,7 @@ class PeopleInput:
         self._newest, self._newest_person = genpy.Time(), genpy.Time()
         self._stamps, self._time, self._stale_stamps = SourceStamps(), ClockSynchroniser(), StaleStampFilter()
         self._measured_at = -math.inf
+        self._noted: Optional[Tuple[Tuple[bytes, bytes], Stamp]] = None     # of this message, by kind and camera
         self.changed = threading.Event()
         self.refused = self.jumps = 0
         features = {"face_id": String, "body_id": String, "voice_id": String}
@@ -170,7 +171,8 @@ class PeopleInput:
 
     def _on_frames(self, data: bytes, frames: Frames, fixed: bool) -> None:
         with self._lock:
-            kept = self._tf
+            kept, clock, now = self._tf, rospy.get_time(), time.monotonic()
+            self._noted = None
             for child, offset in frames:
                 child = child.lstrip(b"/")
                 if not kept.wants(child):
@@ -178,15 +180,13 @@ class PeopleInput:
                         self._take_other(child, data, offset, fixed)
                 elif fixed:
                     kept.put(read(data, offset), fixed)
-                elif not self._is_old(data, offset):
-                    # First its stamp: where time has jumped back, this frame is the first one.
-                    self._note(child, data, offset)
-                    kept.put_unread(child, data, offset)
-
-    def _is_old(self, data: bytes, offset: int) -> bool:
-        """Tell whether a frame is of the time before the clock went back."""
-        secs, nsecs = read_stamp(data, offset)
-        return self._stale_stamps.is_stale(secs + 1e-9 * nsecs, rospy.get_time(), time.monotonic())
+                else:
+                    secs, nsecs = read_stamp(data, offset)
+                    # What is of the time before the clock went back is left out.
+                    if not self._stale_stamps.is_stale(secs + 1e-9 * nsecs, clock, now):
+                        # First its stamp: where time has jumped back, this frame is the first one.
+                        self._note(child, data, offset, (secs, nsecs), now)
+                        kept.put_unread(child, data, offset)
 
     def _measures_come(self) -> bool:
         """Tell whether frames of faces or bodies come: those of persons start no cycle then."""
@@ -200,32 +200,43 @@ class PeopleInput:
         except ValueError:
             self.refused += 1
 
-    def _note(self, child: bytes, data: bytes, offset: int) -> None:
-        """Note the stamp of a frame, and start a cycle where it is a newer one.
+    def _note(self, child: bytes, data: bytes, offset: int, when: Stamp, now: float) -> None:
+        """Note the stamp of a frame that comes at `now` (s), and start a cycle where it is a newer one.
 
         All faces, and all bodies, of a camera come in the order of their images; other frames each in their own.
         """
-        secs, nsecs = read_stamp(data, offset)
         measured = child.startswith(_STAMPED_BY)
-        now = time.monotonic()
-        parent = read_parent(data, offset)
-        order = self._stamps.note((child[:5], parent) if measured else child, (secs, nsecs), now)
+        parent = read_parent(data, offset) if measured else b""
+        source = (child[:5], parent) if measured else child
+        # Hundreds a second: the other faces of an image tell nothing new, and stamps are compared as plain numbers.
+        if (source, when) == self._noted:
+            return
+        order = self._stamps.note(source, when, now)
         if order == Order.BACK:
             self.jumps += 1
             self._forget_moving()
-        stamp = genpy.Time(secs, nsecs)
-        if measured and order != Order.LATE:
-            shift = self._time.note(parent.lstrip(b"/").decode("utf-8", "replace"), stamp.to_sec(), now,
-                                    self._settings.frame_timeout)
-            stamp = stamp if not shift else genpy.Time.from_sec(max(stamp.to_sec() + shift, 0.0))
-        if stamp <= (self._newest if measured else self._newest_person):
+        if measured:
+            self._noted = source, when
+            when = self._in_common_time(parent, when, now)
+        newest = self._newest if measured else self._newest_person
+        if when <= (newest.secs, newest.nsecs):
             return
         if measured:
-            self._newest, self._measured_at = stamp, now
+            self._newest, self._measured_at = genpy.Time(*when), now
         else:
-            self._newest_person = stamp
+            self._newest_person = genpy.Time(*when)
         if measured or not self._measures_come():
             self.changed.set()
+
+    def _in_common_time(self, parent: bytes, when: Stamp, now: float) -> Stamp:
+        """Return a stamp of a sensor, whose clock may differ from that of the others."""
+        seconds = when[0] + 1e-9 * when[1]
+        shift = self._time.note(parent.lstrip(b"/").decode("utf-8", "replace"), seconds, now,
+                                self._settings.frame_timeout)
+        if not shift:
+            return when
+        shifted = genpy.Time.from_sec(max(seconds + shift, 0.0))
+        return shifted.secs, shifted.nsecs
 
     def _forget(self) -> None:
         self._stamps.clear()

@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict, deque
+from functools import lru_cache
 from typing import Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
 
 import audio_common_msgs.msg
@@ -45,6 +46,10 @@ class _Chunk(NamedTuple):
 
     data: bytes
     arrival: float
+
+
+_format_of = lru_cache(maxsize=_MOST_INFOS)(SoundFormat)
+"""The same one for each message, of which fifty a second come."""
 
 
 class SoundInput(SensorInput):
@@ -234,8 +239,8 @@ class SoundInput(SensorInput):
             # The AudioInfo of the node that sends the sound, or of another node if there is none.
             info = self._infos.get(self._senders.used) or next(reversed(list(self._infos.values())), None)
         if info is not None and options.use_audio_info:
-            return SoundFormat(info.channels, info.sample_rate, info.sample_format, info.coding_format)
-        return SoundFormat(options.channels, options.sample_rate, options.sample_format)
+            return _format_of(info.channels, info.sample_rate, info.sample_format, info.coding_format)
+        return _format_of(options.channels, options.sample_rate, options.sample_format)
 
     def _restart(self, form: Optional[SoundFormat]) -> None:
         """Start a new stream of this format; None: of the format of the next message."""

@@ -213,7 +213,8 @@ class TfPublisher:
         if now < self._now - JUMP_BACK_S:
             self.reset()
         self._now = now
-        fresh = [transform for transform in transforms if self._is_fresh(transform)]
+        arrived = time.monotonic()
+        fresh = [transform for transform in transforms if self._is_fresh(transform, arrived)]
         self.dropped += len(transforms) - len(fresh)
         if fresh and not self._closed:
             self._publisher.publish(TFMessage(transforms=fresh))
@@ -232,12 +233,13 @@ class TfPublisher:
             self._closed = True
             release(self._publisher)
 
-    def _is_fresh(self, transform: TransformStamped) -> bool:
+    def _is_fresh(self, transform: TransformStamped, now: float) -> bool:
         child, stamp = transform.child_frame_id, transform.header.stamp
         last, sent_at = self._last.get(child, (None, 0.0))
-        now = time.monotonic()
-        is_older = last is not None and stamp <= last
-        if not _is_finite(transform) or (is_older and (stamp == last or now - sent_at <= ALL_STALE_S)):
+        if last is not None and (stamp.secs, stamp.nsecs) <= (last.secs, last.nsecs) and (
+                stamp == last or now - sent_at <= ALL_STALE_S):
+            return False
+        if not _is_finite(transform):
             return False
         self._last[child] = stamp, now
         self._last.move_to_end(child)
@@ -249,5 +251,4 @@ class TfPublisher:
 
 def _is_finite(transform: TransformStamped) -> bool:
     position, turn = transform.transform.translation, transform.transform.rotation
-    return all(math.isfinite(value) for value in (
-        position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w))
+    return math.isfinite(position.x + position.y + position.z + turn.x + turn.y + turn.z + turn.w)

@@ -74,6 +74,8 @@ class VoiceTopics:
         Topics that cannot be opened are tried again with the next sound.
         """
         wanted = sorted(ids)
+        if wanted == sorted(self._publishers.ids):
+            return
         for identity in set(self._publishers.ids).difference(wanted):
             self._close(identity)
         try:

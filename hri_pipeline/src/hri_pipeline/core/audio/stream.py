@@ -134,8 +134,12 @@ def encode_s16(samples: np.ndarray) -> bytes:
 
     Larger samples are clipped; samples that are not finite become 0.
     """
-    scaled = np.clip(np.nan_to_num(samples, nan=0.0, posinf=0.0, neginf=0.0) * 32768.0, -32768.0, 32767.0)
-    return np.rint(scaled).astype("<i2").tobytes()
+    # Fifty short pieces a second: np.clip and nan_to_num take longer than all the rest.
+    if not np.isfinite(samples).all():
+        samples = np.nan_to_num(samples, nan=0.0, posinf=0.0, neginf=0.0)
+    scaled = samples * 32768.0
+    np.minimum(np.maximum(scaled, -32768.0, out=scaled), 32767.0, out=scaled)
+    return np.rint(scaled, out=scaled).astype("<i2").tobytes()
 
 
 def _samples(data: bytes, name: str) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from dataclasses import dataclass
+from functools import partial
 from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from hri_pipeline.core.frames import HumanTf, Timed, read
 from hri_pipeline.core.geometry import Vector, rotate
 from hri_pipeline.core.matching.parameters import FaceBodyMatcherSettings
-from hri_pipeline.core.observations import FeatureHistory
+from hri_pipeline.core.observations import Feature, FeatureHistory
 from hri_pipeline.core.timing import JUMP_BACK_S
 from hri_pipeline.core.tracks import assign
 
@@ -126,7 +127,8 @@ class FaceBodyMatcher:
         if 1.0 / MOST_ASPECT <= aspect <= MOST_ASPECT and face in self._tracked["faces"]:
             self._aspects[face] = aspect
         self._end_bare("faces", face)
-        self._add("faces", face, stamp, face_points(landmarks, self._aspects.get(face, 1.0)), frame)
+        # Of ten faces two hundred a second come; those near the image of a body are looked at.
+        self._add("faces", face, stamp, partial(face_points, landmarks, self._aspects.get(face, 1.0)), frame)
 
     def add_body(self, body: str, stamp: float, skeleton: np.ndarray, frame: str = "") -> None:
         """Take the skeleton (18, 3) of a body in the image of time `stamp` (s); frame: as in add_face."""
@@ -180,7 +182,7 @@ class FaceBodyMatcher:
         return [PairMatch(face, body, value) for (face, body), value in
                 sorted(self._matched.items(), key=lambda item: -item[1])]
 
-    def _add(self, kind: str, name: str, stamp: float, points: np.ndarray, frame: str) -> None:
+    def _add(self, kind: str, name: str, stamp: float, points: Feature, frame: str) -> None:
         if name not in self._tracked[kind]:
             return
         newest = self._newest.get((kind, frame), -math.inf)
