@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from synthetic_people import Phantoms, Walkers, face_of, standing_at
 
+from hri_fullbody.core.keypoints import BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER
 from hri_fullbody.core.tracking.tracker import BodyTracker
 from hri_pipeline.core.scheduler import InferenceScheduler
 
@@ -98,6 +99,34 @@ def test_a_hidden_person_is_not_published_and_comes_back_with_the_id():
     assert len(film.tracker.tracks) == 2
     film.run(0.6, lambda time: [(500.0, 400.0), (520.0 + 400.0 * time, 400.0)])
     assert film.ids() == before
+
+
+class Remains(Walkers):
+    """Like the network: in the window of somebody who has gone by a body is made of what is there, without shoulders
+    that are seen."""
+
+    remains = False
+
+    def estimate(self, image, window, hidden=(), shown=None, mirrored=False):
+        found = super().estimate(image, window, hidden, shown, mirrored)
+        if found.score > 0.5 or not self.remains:
+            return found
+        made = standing_at(window.centre[0] - 60.0, window.centre[1], score=0.97)
+        made.confidence[[BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDER]] = 0.2
+        return made
+
+
+def test_nobody_is_made_of_what_is_in_the_window_of_who_has_left_at_the_side():
+    film = Film(Remains([(500.0, 400.0), (1100.0, 400.0)], (RED, BLUE)))
+    film.run(1.2)
+    before = film.ids()
+    film.run(0.5, lambda time: [(500.0, 400.0), (1100.0 + 300.0 * time, 400.0)])
+    film.run(0.2, lambda time: [(500.0, 400.0), (3000.0, 400.0)])
+    film.scene.remains = True
+    for _ in range(6):
+        film.run(0.1)
+        told = [track.id for track in film.tracker.published(film.stamp - film.step)]
+        assert told == before[:1]
 
 
 @pytest.mark.parametrize("onwards", [-1.0, 1.0], ids=["goes on", "goes back"])

@@ -72,6 +72,8 @@ def association_cost(track: BodyTrack, detection: PoseDetection, stamp: float, f
         return math.inf
     depth = track.motion.depth_distance(detection.root, stamp)
     apart = difference(track.appearance, detection.appearance)
+    if face is None and not track.visible and track.left and apart is None and detection.source == track.id:
+        return math.inf     # the network makes a body of whatever is in the window of somebody who has gone by
     apart = apart if apart is not None else 0.0 if track.visible else _UNKNOWN_DISTANCE
     if face is None and not track.visible and apart > (
             _LARGEST_DISTANCE_AFTER_CUT if track.cut else _LARGEST_DISTANCE_AFTER):
