@@ -18,11 +18,10 @@ HERE, ELSEWHERE = (2.0, 0.5, 1.6), (2.0, -1.0, 1.6)
 STEP_S, LEFT_S, BACK_S = 0.1, 5.0, 8.0
 
 
-def persons(named_after, place=HERE, recognised=True, source=PlaceSource.FACE, denied_after=None):
+def persons(named_after, place=HERE, recognised=True, source=PlaceSource.FACE):
     """When (s after the return) there are which persons, besides Ann; her feature leaves and comes back as another.
 
-    named_after, denied_after: s after the return at which she is named, and at which it is said that it is not she;
-    None for never.
+    named_after: s after the return at which she is named, None for never.
     """
     manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({}))
     kind = Kind.FACE if source == PlaceSource.FACE else Kind.BODY
@@ -38,8 +37,6 @@ def persons(named_after, place=HERE, recognised=True, source=PlaceSource.FACE, d
                                                     origin=np.array([0.0, 0.0, 1.4])), now, "camera")
         if (recognised and step == 10) or (named_after is not None and abs(now - BACK_S - named_after) < 0.5 * STEP_S):
             manager.on_match(CandidateMatch(MatchNode(kind, name), ANN, 0.9), now)
-        if denied_after is not None and abs(now - BACK_S - denied_after) < 0.5 * STEP_S:
-            manager.on_match(CandidateMatch(MatchNode(kind, name), ANN, 0.0), now)
         manager.tick(now)
         if now >= BACK_S:
             told += [now - BACK_S for person in manager.snapshot(now).tracked if person != "ann"]
@@ -61,8 +58,3 @@ def test_somebody_at_another_place_does_not_wait():
 
 def test_a_face_where_somebody_was_whom_nobody_knows_does_not_wait():
     assert min(persons(None, recognised=False)) < 0.7
-
-
-@pytest.mark.parametrize("source", [PlaceSource.FACE, PlaceSource.BODY])
-def test_who_is_said_to_be_somebody_else_waits_no_longer(source):
-    assert 0.4 <= min(persons(None, source=source, denied_after=0.5)) < 0.8

@@ -109,14 +109,9 @@ def lost(x, anonymous, *features):
     (FACE, lost(0.2, False, MatchNode(Kind.VOICE, "v")), 0.0, True),       # heard only
     (FACE, PersonEntry("ann", 1, False, PersonLocation(0.5)), 0.0, False)])    # never placed
 def test_who_appears_where_somebody_was_lost_waits_for_a_name(node, person, age, wanted):
-    found = waiting_for_names({node: 10.0}, [person], places(f=0.0, b=0.0), DECAY, nobody_is_refuted, 10.0 + age)
+    found = waiting_for_names({node: 10.0}, [person], places(f=0.0, b=0.0), DECAY, 10.0 + age)
     assert found == ({node} if wanted else set())
 
 
 def test_where_somebody_was_long_ago_nobody_waits():
-    assert waiting_for_names({FACE: 100.0}, [lost(0.2, False)], places(100.0, f=0.0), DECAY, nobody_is_refuted,
-                             100.0) == set()
-
-
-def nobody_is_refuted(feature, person):
-    return False
+    assert waiting_for_names({FACE: 100.0}, [lost(0.2, False)], places(100.0, f=0.0), DECAY, 100.0) == set()

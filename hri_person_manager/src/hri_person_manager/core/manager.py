@@ -444,8 +444,7 @@ class PersonManager:
         """Let features wait that may well be of somebody who is a person already; those `due` no longer."""
         new = self._table.unassigned
         held = waiting_for_matches(new, self._association.groups, self._places, self._association.is_refuted, now)
-        held |= waiting_for_names(new, self._table.persons.values(), self._places, self._decay,
-                                  self._association.is_refuted, now)
+        held |= waiting_for_names(new, self._table.persons.values(), self._places, self._decay, now)
         held |= self._places.single(node for node, since in new.items() if now - since <= SINGLE_WAIT_S)
         self._table.hold(self._cameras.held | held, due)
 

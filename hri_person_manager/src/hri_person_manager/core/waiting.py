@@ -90,20 +90,18 @@ def waiting_for_places(new: Set[MatchNode], faces: List[MatchNode], bodies: List
 
 
 def waiting_for_names(new: Mapping[MatchNode, float], persons: Iterable[PersonEntry], places: FeaturePlaces,
-                      decay: Decay, is_refuted: Callable[[MatchNode, MatchNode], bool], now: float) -> Set[MatchNode]:
+                      decay: Decay, now: float) -> Set[MatchNode]:
     """Return the new features where somebody was lost: when a camera turns back, it is the same people, as a rule, and
     who knows them by face or clothes says so a moment later.
 
-    new, places, now : as in waiting_for_matches. decay: of places of people who are not seen. is_refuted: tells of a
-    feature and a person that it is somebody else's.
+    new, places, now : as in waiting_for_matches. decay: of places of people who are not seen.
     """
     latest = [node for node, since in new.items() if now - since <= RETURN_WAIT_S]
     waiting: Set[MatchNode] = set()
     for person in persons if latest else ():
         if any(node.kind != Kind.VOICE for node in person.features) or not person.location.confidence(now, decay) > 0.0:
             continue
-        place, who = person.location.place, MatchNode(Kind.PERSON, person.id)
+        place = person.location.place
         waiting.update(node for node, seen in places.of(latest) if place is not None and (
-            node.kind == Kind.BODY or not person.anonymous) and is_at(seen.place, place, MATCH_GATE)
-            and not is_refuted(node, who))
+            node.kind == Kind.BODY or not person.anonymous) and is_at(seen.place, place, MATCH_GATE))
     return waiting
