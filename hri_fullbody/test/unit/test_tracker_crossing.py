@@ -129,6 +129,32 @@ def test_nobody_is_made_of_what_is_in_the_window_of_who_has_left_at_the_side():
         assert told == before[:1]
 
 
+class HalfIn(Walkers):
+    """One shoulder lies outside the image, so that the clothes are never known; at times the network finds nobody."""
+
+    misses = False
+
+    def estimate(self, image, window, hidden=(), shown=None, mirrored=False):
+        if self.misses:
+            return standing_at(*window.centre, score=0.01)
+        found = super().estimate(image, window, hidden, shown, mirrored)
+        found.confidence[BLAZE_LEFT_SHOULDER] = 0.2
+        return found
+
+
+@pytest.mark.parametrize("missed_s", [0.05, 0.3])
+def test_who_stands_half_in_at_the_side_and_was_missed_comes_back_though_nobody_knows_the_clothes(missed_s):
+    film = Film(HalfIn([(1250.0, 400.0)], (RED,)))
+    film.run(1.2)
+    before = film.ids()
+    assert before != [None] and film.tracker.tracks[0].appearance is None
+    film.scene.misses = True
+    film.run(missed_s, boxes=False)
+    film.scene.misses = False
+    film.run(0.2, boxes=False)
+    assert film.ids() == before
+
+
 @pytest.mark.parametrize("onwards", [-1.0, 1.0], ids=["goes on", "goes back"])
 @pytest.mark.parametrize("colours", [(RED, BLUE), (RED, RED)], ids=["unlike", "alike"])
 def test_who_stands_before_a_seated_person_for_two_seconds_keeps_both_ids(colours, onwards):

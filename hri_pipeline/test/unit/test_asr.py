@@ -231,6 +231,20 @@ def test_an_utterance_knows_when_its_sound_was_and_how_much_waits():
     assert utterance.waiting == pytest.approx(1.0) and len([data for data in iter(utterance.take, None)]) == 5
 
 
+@pytest.mark.parametrize("step, end, spoken", [
+    (0.032, 100.064, 2 * 512), (0.032, 100.08, 2 * 512 + 256), (0.032, 107.0, 5 * 512), (0.032, 99.0, 0),
+    (1e-4, 100.0004, 4 * 512), (1e-4, 200.0, 5 * 512)])
+def test_behind_its_end_nothing_was_said(step, end, spoken):
+    """Late sound stands close together: most of it seemed to be behind the end of the turn, and its words were lost."""
+    utterance = QueuedUtterance(1, "abcde", 100.0, limit=10.0)
+    block = np.zeros(512, dtype="<i2").tobytes()
+    for number in range(5):
+        utterance.add(block, 100.0 + step * number)
+    utterance.spoken = utterance.accepted
+    utterance.end_at(end)
+    assert utterance.spoken == spoken
+
+
 def test_silence_around_the_words_is_left_out():
     random = np.random.default_rng(0)
     speech, margin = 16000, 8 * 320

@@ -363,3 +363,25 @@ def test_a_burst_of_late_sound_keeps_the_voice_and_all_its_words_and_no_stamp_go
     heard = np.concatenate([one.samples for one in turn])
     assert len(heard) / RATE > 8.0, "no word is lost"
     assert stamps[-1] == pytest.approx(START + 9.2, abs=0.15)
+
+
+def test_of_late_sound_what_comes_from_elsewhere_is_not_this_voice():
+    """By its stamps, which stand close together, nothing was long enough without sound from its direction."""
+    loud = np.full(FRAME, 0.3, np.float32)
+    array = Script(lambda call, samples: [(1, loud, 0, 0.0)], active=lambda call, key: call < 20)
+    pipeline, found = make(array, direction_grace=0.1), []
+    for call in range(40):
+        stamp = START + min(call, 8) * FRAME / RATE + 1e-4 * max(call - 8, 0)
+        found += pipeline.update(SoundBlock(np.zeros((FRAME, 2), np.float32), stamp))
+    assert 20 <= sum(seen.speaking for seen in found) <= 24
+
+
+def test_look_back_into_late_sound_does_not_go_back():
+    """Two turns in a burst: the second one began before the end of the first one, by stamps."""
+    samples = sound((0.512, True), (0.512, False), (0.512, True))
+    pipeline, found = make(hangover_time=0.2), []
+    for number, first in enumerate(range(0, len(samples), FRAME)):
+        found += pipeline.update(SoundBlock(samples[first:first + FRAME, None], START + 1e-4 * number))
+    turn = [seen for seen in found if seen.turn]
+    assert sum(seen.onset for seen in turn) == 2 and np.diff([seen.stamp for seen in turn]).min() >= 0.0
+    assert len(turn[-16].samples) == 1600 + FRAME

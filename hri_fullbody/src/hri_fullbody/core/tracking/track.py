@@ -191,9 +191,9 @@ class BodyTrack:
     """One body over time. All stamps are seconds of the images' clock.
 
     visible: its last inference found it. inferred_at: stamp of that. misses: inferences in a row that did not find it.
-    left: it was missed at a side of the image. hidden: it was missed, and has not left. cut: the picture has changed
-    since it was seen. returning: it was seen once after a gap. kept: it was missed once, in images that come so slowly
-    that this says little.
+    left: it moved when it was missed at a side of the image. hidden: it was missed, and not at a side. cut: the picture
+    has changed since it was seen. returning: it was seen once after a gap. kept: it was missed once, in images that
+    come so slowly that this says little.
     box_confirmed: None until the person detector was asked for the body, then whether it has ever seen a person there.
     rival: id of the body that was hidden where this one began: once that is seen there again, they are one human.
     wait: time (s) between two turns lately. appearance: see `appearance.describe`, learnt while unoccluded.
@@ -379,16 +379,17 @@ class BodyTrack:
         return self.hidden and not self.visible and not self.dead(stamp)
 
     def judge_hidden(self, stamp: float, width: float) -> None:
-        """Note whether a body that was missed has left at a side of an image of `width` px; if it has not, and was well
-        known, it is hidden by something."""
+        """Note whether a body that was missed has left at a side of an image of `width` px, where who stands half in is
+        missed, too, but does not move; elsewhere, if it was well known, it is hidden by something."""
         reach = _EDGE * self.motion.size
         x = float(self.estimate.centre[0] + self.moved(stamp)[0])
         left, right = (self.estimate.box[[0, 2]] + self._carried[0]).tolist()
         # A stamp is a multiple of a nanosecond: allow that much, or 1.4 - 0.4 is not 1.
         long_seen = self.life.last_seen - self.born_at >= _SURE_S - 1e-9
         known = long_seen and bool(self.box_confirmed or self.face_id is not None)
-        self.left = not (left > reach and right < width - reach and reach < x < width - reach)
-        self.hidden = known and not self.cut and not self.left
+        is_aside = not (left > reach and right < width - reach and reach < x < width - reach)
+        self.left = is_aside and self.motion.speed() >= _STILL
+        self.hidden = known and not self.cut and not is_aside
 
     def turn(self, rotation: ImageRotation) -> None:
         """Turn with the images: the body is where it was in what they show."""

@@ -59,7 +59,7 @@ class QueuedUtterance:
         self._limit = int(limit * RATE)
         self._sound: List[bytes] = []
         self._next = 0
-        self._ends: Deque[Tuple[int, float]] = deque()
+        self._pieces: Deque[Tuple[int, int, float]] = deque()   # first sample, the one behind the last, stamp (s)
         self._stamp = stamp
 
     @property
@@ -72,7 +72,7 @@ class QueuedUtterance:
         count = len(data) // 2
         if self.accepted - self.heard + count > self._limit:
             return count
-        self._ends.append((self.accepted + count, stamp + count / RATE))
+        self._pieces.append((self.accepted, self.accepted + count, stamp))
         self._sound.append(data)
         self.accepted += count
         return 0
@@ -91,10 +91,11 @@ class QueuedUtterance:
         return data
 
     def end_at(self, stamp: float) -> None:
-        """Note that nothing was said behind `stamp` (s)."""
-        behind = [end - int((until - stamp) * RATE) for end, until in self._ends if until > stamp]
-        if behind:
-            self.spoken = max(0, min(self.spoken, behind[0]))
+        """Note that nothing was said behind `stamp` (s): in the last piece that began by then, as sound that came late
+        stands close together."""
+        if self._pieces:
+            begin, end, start = next((piece for piece in reversed(self._pieces) if piece[2] <= stamp), self._pieces[0])
+            self.spoken = max(0, min(self.spoken, int(round(min(end, begin + (stamp - start) * RATE)))))
 
     def rewind(self) -> None:
         """Begin from the first sample, with another process."""
@@ -110,11 +111,11 @@ class QueuedUtterance:
 
     def stamp_of(self, samples: int) -> float:
         """Return the stamp, s, of the end of the first `samples` samples; what lies before is forgotten."""
-        while len(self._ends) > 1 and self._ends[0][0] < samples:
-            self._ends.popleft()
-        if self._ends:
-            end, stamp = self._ends[0]
-            self._stamp = stamp - max(0, end - samples) / RATE
+        while len(self._pieces) > 1 and self._pieces[0][1] < samples:
+            self._pieces.popleft()
+        if self._pieces:
+            begin, end, start = self._pieces[0]
+            self._stamp = start + (min(end, samples) - begin) / RATE
         return self._stamp
 
 

@@ -217,7 +217,7 @@ class VoicePipeline:
     def _observe(self, source: VoiceSource, step: TurnStep, frame: np.ndarray, stamp: float) -> List[VoiceObservation]:
         """Assign a frame to the voice of its source; return the observations of all voices of this source."""
         if not step.turn:
-            source.keep(frame)
+            source.keep(frame, stamp)
             return self._silent_voices(source, stamp)
         end = stamp + FRAME_TIME
         found: List[VoiceObservation] = []

@@ -288,8 +288,6 @@ class VoiceSource:
         s, up to which frames were taken or silence was noted.
     last_sound : float
         s, end of its last sound.
-    last_heard : float
-        s, end of the last sound that came from its direction.
     muted : bool
         The last frame is somebody else's sound, hence a pause of this source.
     """
@@ -306,13 +304,16 @@ class VoiceSource:
         self.energy = SILENT_DBFS
         self.clock = math.nan
         self.last_sound = -math.inf
-        self.last_heard = -math.inf
         self.muted = False
-        self._heard_from = self._taken = -math.inf
+        self._taken = -math.inf
+        # How far (s) the stamps of late sound are behind a clock of which each sample takes its time; by that clock,
+        # from when on and until when it was heard from its direction.
+        self._behind = 0.0
+        self._heard_from = self._heard_until = -math.inf
         self._rest = np.zeros(0, np.float32)
         self._look_back = int(round(settings.look_back * RATE))
         self._grace = settings.direction_grace
-        self._kept: Deque[np.ndarray] = deque(maxlen=-(-self._look_back // FRAME))
+        self._kept: Deque[Tuple[np.ndarray, float]] = deque(maxlen=-(-self._look_back // FRAME))
 
     def add(self, samples: np.ndarray, stamp: float, heard: bool = True, before: int = 0) -> float:
         """Add samples.
@@ -345,13 +346,15 @@ class VoiceSource:
             self._kept.clear()
         if abs(missing) > _FORGET:
             self.state.reset()
-        self.clock = max(stamp - len(self._rest) / RATE, self._taken)
-        self._rest = np.concatenate((self._rest, samples))
+        clock = max(stamp - len(self._rest) / RATE, self._taken)
+        self._behind += self.clock - clock if missing < 0.0 else 0.0
+        self.clock = clock
         if before:
-            self._heard_from = stamp + before / RATE
+            self._heard_from = self._end() + self._behind + before / RATE
+        self._rest = np.concatenate((self._rest, samples))
         self.last_sound = self._end()
         if heard:
-            self.last_heard = self.last_sound
+            self._heard_until = self.last_sound + self._behind
         return missed
 
     @property
@@ -370,23 +373,25 @@ class VoiceSource:
         self._rest, self._taken = self._rest[FRAME:], stamp
         self.clock = stamp + FRAME_TIME
         self.probability, self.energy, self.muted = probability, level_dbfs(frame), False
-        if stamp > self.last_heard + self._grace or stamp + 0.5 * FRAME_TIME < self._heard_from:
+        heard = stamp + self._behind
+        if heard > self._heard_until + self._grace or heard + 0.5 * FRAME_TIME < self._heard_from:
             # Speech from another direction, which the beamformer did not suppress completely: no hangover, no sound.
             self.turns.activity.mute(probability, self.energy)
             self.probability, self.energy, self.muted = 0.0, SILENT_DBFS, True
             frame[:] = 0.0
         return frame, stamp
 
-    def keep(self, frame: np.ndarray) -> None:
-        """Store a frame without a turn for the look-back."""
-        self._kept.append(frame)
+    def keep(self, frame: np.ndarray, stamp: float) -> None:
+        """Store a frame without a turn, of time `stamp` (s), for the look-back."""
+        self._kept.append((frame, stamp))
 
     def with_look_back(self, frame: np.ndarray, stamp: float) -> Tuple[np.ndarray, float]:
         """Return the frame preceded by at most `look_back` of stored sound, and the stamp (s) of the first sample."""
-        before = np.concatenate(list(self._kept) + [frame[:0]])
-        before = before[max(len(before) - self._look_back, 0):]
+        before = np.concatenate([kept for kept, _ in self._kept] + [frame[:0]])
+        left_out = max(len(before) - self._look_back, 0)
+        first = min(self._kept[0][1] + left_out / RATE, stamp) if self._kept else stamp
         self._kept.clear()
-        return np.concatenate((before, frame)), stamp - len(before) / RATE
+        return np.concatenate((before[left_out:], frame)), first
 
     def skip_to(self, stamp: float) -> float:
         """Note that there is no sound until `stamp` (s); return the s since the last sound."""
