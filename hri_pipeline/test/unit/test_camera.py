@@ -272,3 +272,31 @@ def test_what_is_ahead_or_not_known_has_no_view_of_its_own():
     beyond = CameraModel.from_calibration(640, 480, [380.0, 0, 320, 0, 380.0, 240, 0, 0, 1],
                                           [-0.35, 0.14, 0.0, 0.0, -0.025], "plumb_bob", 1.0)
     assert beyond.facing_view(points + (10.0, 10.0)) is None
+
+
+@pytest.mark.parametrize("model, focal, distortion", [
+    ("equidistant", 400.0, [0.0] * 4), ("equidistant", 400.0, [0.02, -0.01, 0.003, 0.0]), ("plumb_bob", 233.0, []),
+    ("plumb_bob", 760.0, [-0.35, 0.14, 0.0, 0.0, -0.025])], ids=["fisheye", "bent fisheye", "wide", "lens"])
+@pytest.mark.parametrize("half", [0.05, 0.12, 0.25])
+def test_a_view_near_the_edge_shows_what_the_image_does(model, focal, distortion, half):
+    """Beyond a right angle nothing is seen, and beyond its edge a model gives anything: it spoilt the whole crop."""
+    lens = CameraModel.from_calibration(1280, 960, [focal, 0, 640, 0, focal, 480, 0, 0, 1], distortion, model, 1.0)
+    rows, columns = np.mgrid[:960, :1280].astype(np.float32)
+    image = np.dstack([columns, rows, np.zeros_like(rows)])
+    patch = np.mgrid[:96, :96][::-1].reshape(2, -1).T + 0.5
+    things = np.column_stack([half * np.random.RandomState(1).uniform(-1.0, 1.0, (200, 2)) * (0.8, 1.0), np.ones(200)])
+    views = 0
+    for angle, around in [(angle, around) for angle in range(20, 90, 2) for around in (0, 35, 90)]:
+        pixels = lens.project(things @ Rotation.from_euler("zy", (around, angle), degrees=True).as_matrix().T)
+        view = lens.facing_view(pixels) if np.isfinite(pixels).all() else None
+        if view is None:
+            continue
+        views += 1
+        seen = view.see(pixels)
+        centre, side = (seen.max(axis=0) + seen.min(axis=0)) / 2.0, 1.5 * np.ptp(seen, axis=0).max()
+        crop, affine = view.crop(image, centre, side, 0.0, 96)
+        places = view.back(patch @ affine[:, :2].T + affine[:, 2]) - 0.5
+        assert np.isfinite(places).all() and np.abs(places).max() < 1e4, angle
+        inside = ((places >= 0.0) & (places <= (1279, 959))).all(axis=1)
+        assert np.abs(crop[..., :2].reshape(-1, 2) - places)[inside].max(initial=0.0) < 0.01 * side, angle
+    assert views > 10

@@ -1,6 +1,8 @@
 """Whether a track is still of the same face: small pictures, templates, cuts of the picture; with faces that do not
 exist."""
 
+import sys
+
 import cv2
 import numpy as np
 import pytest
@@ -392,6 +394,18 @@ def test_the_upright_crop_is_the_same_wherever_in_the_image_a_face_is(camera, as
     assert (aligned_crop(seen, places, size, 1.15, guessed) == stretched).all(), "a guess changes nothing"
     apart, before = (np.abs(crop.astype(float) - wanted).mean() for crop in (found, stretched))
     assert apart < 3.0 and before > 2.0 * apart
+
+
+@pytest.mark.parametrize("size", [80.0, 400.0])
+def test_a_view_keeps_no_part_of_the_image_once_its_crop_is_made(size):
+    """Six views of each of ten faces would be 16 MB."""
+    image = np.random.RandomState(1).randint(0, 255, (720, 1280, 3)).astype(np.uint8)
+    before, look = sys.getrefcount(image), FaceLook(image, mesh(600, size=size))
+    look.keep_part(150)
+    assert sys.getrefcount(image) == before, "nor all of it"
+    assert look.prepare(150)
+    kept = [value for value in vars(look).values() if isinstance(value, np.ndarray) and value.ndim == 3]
+    assert [value.shape for value in kept] == [(150, 150, 3)] and kept[0].base is None
 
 
 def test_points_in_one_place_have_no_other_view():

@@ -35,6 +35,8 @@ _BOX = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
 _FROM_CENTRES = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
 _TO_CENTRES = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])
 _SEEN_AGAIN = 1.0   # px between a point and where its ray is seen, where the model of a lens holds
+_REACH = 0.9        # of the size of a face: how far from its middle crops of it show the image
+_RAY_AGAIN = 0.01   # the same for a ray and that of the pixel where it is seen, x/z
 _AHEAD = math.tan(math.radians(6.0))    # up to here an image is stretched by half a hundredth
 _NODES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(5) + 0.5) / 5.0)     # Chebyshev's, of a polynomial of the fourth degree
 _NODE_GRID = np.stack(np.meshgrid(_NODES, _NODES), axis=-1).reshape(-1, 2)
@@ -292,7 +294,7 @@ class CameraModel:
         """Return the view of a camera at the same place that looks at some points (N, 2) px, through no lens.
 
         None where it is not known or makes no difference: of a camera that is not calibrated, of points that are not
-        finite or in one place, beyond the edge of the model of the lens, and near the optical axis.
+        finite or in one place, near the edge of the model of the lens or a right angle, and near the optical axis.
         """
         low, high = pixels.min(axis=0), pixels.max(axis=0)
         if not self.is_calibrated or not all(map(math.isfinite, (*low.tolist(), *high.tolist()))):
@@ -307,6 +309,8 @@ class CameraModel:
         turn = _turn_ahead(directions.mean(axis=0))
         ahead = directions @ turn.T
         seen = ahead[:, :2] / np.maximum(ahead[:, 2:], _LEAST_AHEAD)
+        if not self._shows(turn, float((seen.max(axis=0) - seen.min(axis=0)).max())):
+            return None
         # As large as in the image, in area: what is told in px there means the same.
         focal = math.sqrt((high - low).prod() / max(_area(seen), 1e-12))
         if self.distortion.size or self.distortion_model == EQUIDISTANT:
@@ -328,6 +332,18 @@ class CameraModel:
             return True
         seen = self.project(np.concatenate([rays, np.ones((len(rays), 1))], axis=1))
         return bool((np.abs(seen - pixels) < _SEEN_AGAIN).all())
+
+    def _shows(self, turn: np.ndarray, size: float) -> bool:
+        """Return whether a crop about points of this size (x/z) in a view lies ahead of the camera, where the model of
+        the lens holds: one that does not would be wrong as a whole."""
+        away = -_REACH * size * turn[:2, 2] / max(math.hypot(*turn[:2, 2].tolist()), 1e-9)
+        farthest = np.array([[away[0], away[1], 1.0]]) @ turn
+        if farthest[0, 2] < _LEAST_AHEAD * math.sqrt(1.0 + float(away @ away)):
+            return False
+        if not self.distortion.size and self.distortion_model != EQUIDISTANT:
+            return True
+        again = self.normalise(self.project(farthest))
+        return bool((np.abs(again - farthest[:, :2] / farthest[:, 2:]) < _RAY_AGAIN).all())
 
     def _sheared(self, pixels: np.ndarray, way: float) -> np.ndarray:
         """Return pixels (N, 2) moved by the skew of K, which OpenCV leaves out; way: 1.0 to the image, -1.0 back."""

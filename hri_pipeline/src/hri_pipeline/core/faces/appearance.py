@@ -74,8 +74,8 @@ class Verdict(Enum):
 
 
 class FaceLook:
-    """One look at a face. The image is kept until `release`, or the part of it about the face, for the crop, which is
-    made when it is needed: nobody may write to it."""
+    """One look at a face. The image is kept until `release`, or the part of it about the face until there is a crop,
+    which is made when it is needed: nobody may write to it."""
 
     def __init__(self, bgr: np.ndarray, mesh: np.ndarray, camera: Optional[CameraModel] = None) -> None:
         """bgr: (H, W, 3) uint8, that nobody writes to; mesh: (478, 3) px; camera: see `face_chip`."""
@@ -94,6 +94,8 @@ class FaceLook:
         if self.crop is None and self._bgr is not None and self.eyes >= LEAST_EYES:
             self.crop = face_chip(self._bgr, self._mesh, size, alignment=alignment, camera=self._camera,
                                   origin=self._origin or (0, 0))
+            if self._origin is not None:        # nothing else is made of a part
+                self._bgr = None
 
     def prepare(self, size: int, alignment: str = "dlib") -> bool:
         """Make the crop where there is no template yet; returns whether there is anything to compare. size, alignment:

@@ -101,10 +101,10 @@ class FaceGeometry:
         result: List[Optional[np.ndarray]] = [None] * len(tracked)
         moved, places = [], []
         for index, found in enumerate(tracked):
-            mesh = self._faces[found.id].mesh
-            if not found.measured and mesh is not None:
+            face = self._faces[found.id]
+            if not found.measured and face.pose is not None and face.mesh is not None:
                 moved.append(index)
-                places += [mesh[0, :2], found.mesh[0, :2]]
+                places += [face.mesh[0, :2], found.mesh[0, :2]]
         if moved:
             rays = camera.normalise(np.array(places))
             for index, motion in zip(moved, rays[1::2] - rays[::2]):
