@@ -88,13 +88,7 @@ class PersonStoreTest(unittest.TestCase):
             store.put_record(person)
         store.close()
         self.start("_store:={}".format(self.path), "_new_person_delay:=0.2")
-        faces = rospy.Publisher("/humans/faces/tracked", IdsList, latch=True, queue_size=1)
-        matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=10)
-        faces.publish(IdsList(ids=["f1"]))
-        wait_for(lambda: matches.get_num_connections() > 0, WAIT_S, "the manager listens")
-        matches.publish(IdsMatch(id1="f1", id1_type=IdsMatch.FACE, id2="catytwin", id2_type=IdsMatch.PERSON,
-                                 confidence=0.9))
-        wait_for(lambda: self.lists.get("tracked") == ["caty"], WAIT_S, "caty is tracked")
+        self.show_alias()
         reset = rospy.ServiceProxy("/hri_person_manager/reset", Empty)
         reset.wait_for_service(WAIT_S)
         reset()
@@ -105,19 +99,24 @@ class PersonStoreTest(unittest.TestCase):
         self.assertEqual((sorted(listed.ids), self.entry(listed, "names")), (sorted(self.lists["known"]), "Caty"))
         self.assertEqual(listed.aliases[listed.ids.index("catytwin")], "caty")
 
+    def show_alias(self):
+        """Let the face of the alias come; return who publishes matches."""
+        self.faces = rospy.Publisher("/humans/faces/tracked", IdsList, latch=True, queue_size=1)
+        matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=10)
+        self.faces.publish(IdsList(ids=["f1"]))
+        wait_for(lambda: matches.get_num_connections() > 0, WAIT_S, "the manager listens")
+        matches.publish(IdsMatch(id1="f1", id1_type=IdsMatch.FACE, id2="catytwin", id2_type=IdsMatch.PERSON,
+                                 confidence=0.9))
+        wait_for(lambda: self.lists.get("tracked") == ["caty"], WAIT_S, "caty is tracked")
+        return matches
+
     @staticmethod
     def entry(listed, field):
         return getattr(listed, field)[listed.ids.index("caty")]
 
     def check_seen_again(self):
         """The face of the alias comes: it is the person that the alias was merged into, with all that is known."""
-        faces = rospy.Publisher("/humans/faces/tracked", IdsList, latch=True, queue_size=1)
-        matches = rospy.Publisher("/humans/candidate_matches", IdsMatch, queue_size=10)
-        faces.publish(IdsList(ids=["f1"]))
-        wait_for(lambda: matches.get_num_connections() > 0, WAIT_S, "the manager listens")
-        matches.publish(IdsMatch(id1="f1", id1_type=IdsMatch.FACE, id2="catytwin", id2_type=IdsMatch.PERSON,
-                                 confidence=0.9))
-        wait_for(lambda: self.lists.get("tracked") == ["caty"], WAIT_S, "caty is tracked")
+        matches = self.show_alias()
         said = {name: rospy.wait_for_message("/humans/persons/caty/" + name, kind, WAIT_S)
                 for name, kind in (("name", String), ("native_language", String), ("demographics", AgeAndGender))}
         self.assertEqual((said["name"].data, said["native_language"].data), ("Caty", "fr"))

@@ -11,7 +11,7 @@ from typing import Optional, Sequence, Tuple
 import cv2
 import numpy as np
 
-from hri_pipeline.core.geometry import Numbers, square_affine
+from hri_pipeline.core.geometry import Numbers, square_affine, turn_ahead
 
 PLUMB_BOB = "plumb_bob"
 RATIONAL = "rational_polynomial"
@@ -271,11 +271,8 @@ class CameraModel:
         rays = self.normalise(pixels)
         if not self._holds(pixels, rays):
             return np.asarray(pixels - pixels.mean(axis=0))
-        directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
-        directions /= np.sqrt((directions * directions).sum(axis=1, keepdims=True))
-        ahead = directions @ _turn_ahead(directions.mean(axis=0)).T
         focal = math.sqrt(self.matrix[0, 0] * self.matrix[1, 1])
-        return np.asarray(focal * ahead[:, :2] / np.maximum(ahead[:, 2:], _LEAST_AHEAD))
+        return np.asarray(focal * _seen_ahead(rays)[0])
 
     def facing_map(self, pixels: np.ndarray) -> np.ndarray:
         """Return the homography (3, 3) that takes pixels near some points (N, 2) px to what facing() says of them.
@@ -304,11 +301,7 @@ class CameraModel:
         x, y = rays.mean(axis=0).tolist()
         if not (_AHEAD < math.hypot(x, y) < math.inf and (high - low).min() >= 1.0 and self._holds(box, rays)):
             return None
-        directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
-        directions /= np.sqrt((directions * directions).sum(axis=1, keepdims=True))
-        turn = _turn_ahead(directions.mean(axis=0))
-        ahead = directions @ turn.T
-        seen = ahead[:, :2] / np.maximum(ahead[:, 2:], _LEAST_AHEAD)
+        seen, turn = _seen_ahead(rays)
         if not self._shows(turn, float((seen.max(axis=0) - seen.min(axis=0)).max())):
             return None
         # As large as in the image, in area: what is told in px there means the same.
@@ -432,13 +425,15 @@ def _polynomials(size: int) -> np.ndarray:
     return found.astype(np.float32)
 
 
-def _turn_ahead(direction: np.ndarray) -> np.ndarray:
-    """Return the smallest turn (3, 3) that takes a direction (3,) to the optical axis."""
-    x, y, z = direction.tolist()
+def _seen_ahead(rays: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+    """Return rays (N, 2) as a camera sees them that looks at their middle, and the turn (3, 3) to its frame."""
+    directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
+    directions /= np.sqrt((directions * directions).sum(axis=1, keepdims=True))
+    x, y, z = directions.mean(axis=0).tolist()
     length = math.sqrt(x * x + y * y + z * z)
-    x, y, z = x / length, y / length, z / length
-    return np.array(((1.0 - x * x / (1.0 + z), -x * y / (1.0 + z), -x),
-                     (-x * y / (1.0 + z), 1.0 - y * y / (1.0 + z), -y), (x, y, z)))
+    turn = turn_ahead(x / length, y / length, z / length)
+    ahead = directions @ turn.T
+    return ahead[:, :2] / np.maximum(ahead[:, 2:], _LEAST_AHEAD), turn
 
 
 def _area(corners: np.ndarray) -> float:

@@ -247,6 +247,15 @@ def crop_rotated(
     return patch, affine
 
 
+def turn_ahead(x: Union[float, np.ndarray], y: Union[float, np.ndarray], z: Union[float, np.ndarray]) -> np.ndarray:
+    """Return the smallest turn (3, 3) that takes a unit direction to the z axis; of many, (F,) each, turns (3, 3, F).
+
+    A direction straight back has none.
+    """
+    return np.array(((1.0 - x * x / (1.0 + z), -x * y / (1.0 + z), -x),
+                     (-x * y / (1.0 + z), 1.0 - y * y / (1.0 + z), -y), (x, y, z)))
+
+
 def square_affine(centre_xy: Numbers, size_px: float, angle_rad: float, output_size: int) -> np.ndarray:
     """Return the affine (2, 3) from pixels of a patch to the plane of the square of which it is a picture.
 

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from hri_pipeline.core.camera import CameraModel
 from hri_pipeline.core.faces.gaze import IRIS_DIAMETER, EyeGeometry
 from hri_pipeline.core.faces.mesh import CanonicalFace
-from hri_pipeline.core.geometry import Pose
+from hri_pipeline.core.geometry import Pose, turn_ahead
 from hri_pipeline.core.one_euro import OneEuro
 
 MIN_DEPTH, MAX_DEPTH = 0.05, 20.0
@@ -270,8 +270,7 @@ def turns_ahead(rays: np.ndarray) -> np.ndarray:
     lengths = np.sqrt(1.0 + (rays * rays).sum(axis=2, keepdims=True))
     middle = np.concatenate([(rays / lengths).sum(axis=1), (1.0 / lengths).sum(axis=1)], axis=1)
     x, y, z = (middle / np.sqrt((middle * middle).sum(axis=1, keepdims=True))).T
-    rows = (1.0 - x * x / (1.0 + z), -x * y / (1.0 + z), -x, -x * y / (1.0 + z), 1.0 - y * y / (1.0 + z), -y, x, y, z)
-    return np.stack(rows, axis=1).reshape(-1, 3, 3)
+    return np.ascontiguousarray(np.moveaxis(turn_ahead(x, y, z), 2, 0))
 
 
 def turned_rays(rays: np.ndarray, turns: np.ndarray) -> np.ndarray:
