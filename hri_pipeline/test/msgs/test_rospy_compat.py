@@ -1,5 +1,5 @@
-"""rospy's publish() goes on at once, and still sends everything; images are received without copies; messages of any
-type."""
+"""publish() sends at once what a connection takes, and the rest later; images are received without copies; messages of
+any type."""
 
 import copy
 import socket
@@ -18,9 +18,9 @@ from std_msgs.msg import Header, String
 
 from hri_pipeline.ros import rospy_compat
 from hri_pipeline.ros.rospy_compat import (
+    PromptConnection,
     ReceivedImage,
     StatisticsSwitch,
-    publish_without_yielding,
     receive_without_copies,
 )
 
@@ -53,9 +53,9 @@ def sleeps(monkeypatch):
     return taken
 
 
-def write(messages):
+def write(messages, kind):
     wire = Wire()
-    connection = tcpros_pubsub.QueuedConnection(wire, 100)
+    connection = kind(wire, 100)
     try:
         for message in messages:
             connection.write_data(message)
@@ -71,22 +71,78 @@ MESSAGES = [b"%d" % number for number in range(20)] + [b"last"]
 
 
 def test_rospy_sleeps_for_each_message(sleeps):
-    assert write(MESSAGES) == MESSAGES
+    assert write(MESSAGES, tcpros_pubsub.QueuedConnection) == MESSAGES
     assert sleeps == [0] * len(MESSAGES)
 
 
 def test_it_does_not_any_more_and_all_is_sent_in_order(sleeps):
-    publish_without_yielding()
-    publish_without_yielding()
-    assert write(MESSAGES) == MESSAGES
+    assert write(MESSAGES, PromptConnection) == MESSAGES
     assert sleeps == []
 
 
-def test_a_real_sleep_is_one_and_the_rest_of_time_is_there(sleeps):
-    publish_without_yielding()
-    tcpros_pubsub.time.sleep(0.5)
-    assert sleeps == [0.5]
-    assert tcpros_pubsub.time.time is time.time
+@pytest.fixture
+def prompt():
+    """A call that returns a connection with a queue of some size, and the socket of its subscriber."""
+    opened = []
+
+    def make(queue_size):
+        ours, theirs = socket.socketpair()
+        for end in (ours, theirs):
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2 ** 15)
+        transport = tcpros_base.TCPROSTransport(tcpros_pubsub.TCPROSPub("/topic", String), "/topic")
+        transport.set_socket(ours, "subscriber")
+        connection = PromptConnection(transport, queue_size)
+        opened.append((connection, theirs))
+        return connection, theirs
+
+    yield make
+    for connection, theirs in opened:
+        theirs.close()
+        connection.close()
+        connection._thread.join(10.0)
+        assert not connection._thread.is_alive()
+
+
+def test_a_message_is_on_its_way_when_publish_returns(prompt):
+    connection, theirs = prompt(1)
+    connection._cond_data_available.notify = lambda: pytest.fail("the thread is woken for it")
+    for message in MESSAGES:
+        connection.write_data(message)
+    assert theirs.recv(1000, socket.MSG_DONTWAIT) == b"".join(MESSAGES)
+    assert (connection.stat_num_msg, connection.stat_bytes) == (len(MESSAGES), len(b"".join(MESSAGES)))
+    del connection._cond_data_available.notify
+
+
+def test_who_does_not_read_stops_nobody_and_gets_whole_messages_the_begun_one_and_the_last(prompt):
+    connection, theirs = prompt(2)
+    large = [bytes([number]) * 2 ** 20 for number in range(40)]
+    for message in large:
+        connection.write_data(message)
+    theirs.settimeout(10.0)
+    received = bytearray()
+    while not received.endswith(large[-1]):
+        received += theirs.recv(2 ** 20)
+    found = [received[start] for start in range(0, len(received), 2 ** 20)]
+    assert b"".join(large[number] for number in found) == received
+    assert found[0] == 0 and found[-2:] == [38, 39] and len(found) < 10 and found == sorted(set(found))
+    connection.write_data(b"small")
+    assert theirs.recv(100) == b"small"
+
+
+def test_who_has_gone_is_told_with_a_later_message(prompt):
+    connection, theirs = prompt(2)
+    theirs.close()
+    connection.write_data(b"lost")
+    connection._thread.join(10.0)
+    assert connection.done
+    with pytest.raises(TransportTerminated):
+        connection.write_data(b"more")
+
+
+def test_all_connections_of_this_process_are_such(monkeypatch):
+    monkeypatch.setattr(rospy.topics, "QueuedConnection", tcpros_pubsub.QueuedConnection)
+    rospy_compat.send_at_once()
+    assert rospy.topics.QueuedConnection is PromptConnection
 
 
 def wire_of(message):

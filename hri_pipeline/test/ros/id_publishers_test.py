@@ -17,7 +17,7 @@ from std_msgs.msg import String
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.ros import rospy_compat
 from hri_pipeline.ros.publishers import IdPublishers, TopicSpec, TrackedList
-from hri_pipeline.ros.rospy_compat import publish_without_yielding, reconnect_to_returning_publishers
+from hri_pipeline.ros.rospy_compat import reconnect_to_returning_publishers, send_at_once
 from hri_pipeline.testing import held_by, pid_of, wait_for, without_descriptors
 
 IDS, WARMING = 800, 200
@@ -78,7 +78,7 @@ class IdPublishersTest(unittest.TestCase):
         again.unregister()
 
     def test_changes_of_a_state_in_quick_succession_all_arrive(self):
-        publish_without_yielding()      # as all nodes do
+        send_at_once()      # as all nodes do
         heard = []
         subscriber = rospy.Subscriber("/humans/faces/abcde/name", String, lambda message: heard.append(message.data))
         self.addCleanup(subscriber.unregister)
