@@ -21,8 +21,12 @@ from hri_pipeline.core.resources import Cores, CoreTime
 
 _SAMPLE_S = 0.25
 """Time (s) between two measurements of the idle time: 25 clock ticks of a core."""
-_GROWTH = 0.3
-"""Part of the idle time that a node takes more at each measurement: two nodes that grow share what there is."""
+_GAIN = 0.3
+"""Part of the idle time that a node takes more at each measurement, or of what is lacking that it gives up: two nodes
+share what there is. The same both ways, as others use a little more and less all the time: a node that gave up all at
+once, and took it slowly, had less than its share on average."""
+_SCARCE = 0.5
+"""Part of the time that is to stay idle from which on all that is lacking is given up at once."""
 _COST_MEMORY = 0.9
 """Weight of the old estimate of the cost of one inference when a new one is measured."""
 _NEARLY_DUE = 0.55
@@ -56,7 +60,7 @@ class IdleShare:
     """How many cores' time a node may spend beyond its least budget, so that `share` of the machine is used in all, and
     of each quota that the node is under.
 
-    Grows slowly while there is idle time, and gives up what is too much at the next measurement.
+    Follows the idle time slowly, but gives up what is too much at the next measurement where others need it.
     """
 
     def __init__(self, share: float, idle: Optional[Callable[[], Sequence[CoreTime]]] = None,
@@ -88,18 +92,21 @@ class IdleShare:
         elif now - self._last[0] >= _SAMPLE_S:
             fresh = self._read(now)
             if fresh is not None:
-                spare = self._spare(self._last[1], fresh[1], now - self._last[0])
-                self.cores = max(0.0, self.cores + (_GROWTH if spare > 0.0 else 1.0) * spare)
+                self.cores = max(0.0, self.cores + self._change(self._last[1], fresh[1], now - self._last[0]))
             self._last = fresh
         self.cores = min(self.cores, usable)
         return self.cores
 
-    def _spare(self, before: Sequence[CoreTime], after: Sequence[CoreTime], seconds: float) -> float:
-        """How many cores more could be used: the least of what the machine and the quotas leave; 0 when these have
-        changed."""
+    def _change(self, before: Sequence[CoreTime], after: Sequence[CoreTime], seconds: float) -> float:
+        """How many cores more are used from now on: the least of what the machine and the quotas leave; 0 when these
+        have changed."""
         if [one.cores for one in before] != [one.cores for one in after]:
             return 0.0
-        return min((new.idle - old.idle) / seconds - (1.0 - self._share) * new.cores for old, new in zip(before, after))
+        changes = []
+        for old, new in zip(before, after):
+            idle, kept = (new.idle - old.idle) / seconds, (1.0 - self._share) * new.cores
+            changes.append((_GAIN if idle > _SCARCE * kept else 1.0) * (idle - kept))
+        return min(changes)
 
     def _read(self, now: float) -> Optional[Tuple[float, Sequence[CoreTime]]]:
         """Time of the measurement (s) and what is idle; None, and nothing beyond the least budget, where it is
