@@ -129,6 +129,15 @@ def test_who_does_not_read_stops_nobody_and_gets_whole_messages_the_begun_one_an
     assert theirs.recv(100) == b"small"
 
 
+def test_a_socket_on_which_python_would_wait_is_left_to_the_thread(prompt):
+    connection, theirs = prompt(1)
+    connection._connection.socket.settimeout(60.0)
+    connection._send = lambda data, send=connection._send: pytest.fail("sent") if send(data) else 0
+    connection.write_data(b"message")
+    theirs.settimeout(10.0)
+    assert theirs.recv(100) == b"message"
+
+
 def test_who_has_gone_is_told_with_a_later_message(prompt):
     connection, theirs = prompt(2)
     theirs.close()
