@@ -14,9 +14,9 @@ from hri_person_manager.core.match_graph import MatchGuard
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
 from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_person_manager.core.register import PersonRecord, PersonRegister, RegisterError
+from hri_person_manager.ros import inputs, persistence
 from hri_person_manager.ros import node as module
-from hri_person_manager.ros import persistence
-from hri_person_manager.ros.inputs import double_persons
+from hri_person_manager.ros.inputs import OtherManagers, double_persons
 from hri_person_manager.ros.navigation import PeopleTopic
 from hri_person_manager.ros.node import PersonManagerNode
 from hri_person_manager.ros.persistence import RestartState
@@ -199,6 +199,18 @@ def test_a_recording_that_holds_people_is_told_apart_from_another_robot():
         assert "bag.launch" not in double_persons(others)
         assert "persons:=false" in double_persons(others)
         assert all(name in double_persons(others) for name in others)
+
+
+def test_of_programs_that_sent_persons_once_nothing_is_kept(monkeypatch):
+    """As `rostopic pub` in a loop, whose name is another one each time."""
+    clock = MagicMock(**{"monotonic.return_value": 0.0})
+    monkeypatch.setattr(inputs, "rospy", MagicMock())
+    monkeypatch.setattr(inputs, "time", clock)
+    others = OtherManagers()
+    for number in range(20):
+        clock.monotonic.return_value += 10.0
+        others._on_list(MagicMock(_connection_header={"callerid": "/rostopic_%d" % number}))
+    assert len(others._heard) == 1 and "/rostopic_19 " in others.problem()
 
 
 def test_a_place_from_before_the_clock_went_back_places_nobody(monkeypatch):

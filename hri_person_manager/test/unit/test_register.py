@@ -468,6 +468,23 @@ def test_records_of_a_read_only_store_are_known_and_stay_as_they_are():
     own.set_name("ada", "New")
 
 
+def test_without_a_store_nothing_is_kept_of_those_whom_nobody_knows_any_more():
+    memory = PersonRegister(borrowed=[PersonRecord("cleo")])
+    for number in range(20):
+        memory.seen(["p%d" % number], 5.0)
+        memory.observe("p%d" % number, "f%d" % number, 40.0, 0.9, FEMALE, 0.9, 5.0)
+    memory.set_name("p1", "Ada")
+    memory.set_native_language("p2", "fr")
+    memory.set_enrolled("p3", True, 6.0)
+    memory.set_alias("p4", "p5")
+    memory.keep_known({"p6"})
+    assert [record.id for record in memory.records] == ["cleo", "p1", "p2", "p3", "p4", "p5", "p6"]
+    assert memory.demographics("p6") is not None and memory.demographics("p7") is None
+    stored, _ = register()
+    stored.keep_known(())
+    assert [record.id for record in stored.records] == ["ann", "bob"], "a store has limits of its own"
+
+
 def test_a_restart_forgets_whom_no_store_keeps():
     stored, _ = register()
     stored.restart()

@@ -62,6 +62,22 @@ def persons(monkeypatch):
     tracked.close()
 
 
+def test_whose_pose_is_asked_for_while_they_leave_are_not_followed_for_ever():
+    client = humans.Humans(patience=0.0)
+    client.frames._subscriber = SimpleNamespace(close=lambda: None)     # without a master
+    ask = client.frames.pose
+    for number in range(20):
+        person = humans.Person("person%d" % number, client)
+
+        def pose(*given, person=person):
+            person.close()              # in the thread that takes the list
+            return ask(*given)
+        client.frames.pose = pose
+        person.pose()
+    assert client.frames._tf.followed == {"person": []}
+    client.close()
+
+
 def test_nobody_leaves_before_they_have_come(persons):
     told, has_left = [], threading.Event()
 

@@ -2,6 +2,8 @@
 any type."""
 
 import copy
+import logging
+import logging.config
 import socket
 import struct
 import threading
@@ -23,6 +25,39 @@ from hri_pipeline.ros.rospy_compat import (
     StatisticsSwitch,
     receive_without_copies,
 )
+
+LOGGING = """[loggers]
+keys=root{0}
+[handlers]
+keys=file
+[formatters]
+keys=plain
+[logger_root]
+level=INFO
+handlers=file
+[handler_file]
+class=FileHandler
+formatter=plain
+args=({1!r},)
+[formatter_plain]
+format=%(message)s
+"""
+
+
+@pytest.mark.parametrize("names, lines, level", [
+    ("", "", logging.WARNING),
+    (", rospy", "[logger_rospy]\nlevel=DEBUG\nhandlers=file\nqualname=rospy\n", logging.DEBUG)])
+def test_the_log_file_tells_warnings_of_connections_only_unless_its_configuration_names_rospy(
+        tmp_path, monkeypatch, names, lines, level):
+    logger = logging.getLogger("rospy.internal")
+    for changed in (logger, logging.getLogger("rospy"), logging.root):
+        monkeypatch.setattr(changed, "level", changed.level)
+        monkeypatch.setattr(changed, "handlers", list(changed.handlers))
+    rospy_compat.log_no_connections()
+    (tmp_path / "logging.conf").write_text(LOGGING.format(names, str(tmp_path / "log")) + lines, encoding="utf-8")
+    # As rospy.init_node does (rosgraph.roslogging).
+    logging.config.fileConfig(str(tmp_path / "logging.conf"), disable_existing_loggers=False)
+    assert logger.getEffectiveLevel() == level and not logger.disabled
 
 
 class Wire:

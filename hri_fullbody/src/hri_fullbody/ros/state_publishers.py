@@ -107,9 +107,9 @@ class StatePublishers:
         # All below belongs to the thread.
         self._publishers: Dict[str, _Publisher] = {}
         self._ending: List[_Ending] = []
-        self._undeleted: Dict[str, float] = {}
+        self._undeleted: Dict[str, None] = {}
         self._swept = self._closing = False
-        self._next_watch = self._next_sweep = self._next_start = 0.0
+        self._next_watch = self._next_sweep = self._next_start = self._next_delete = 0.0
         self._wake = threading.Event()
         self._thread = threading.Thread(target=self._run, name="state publishers", daemon=True)
         self._thread.start()
@@ -194,7 +194,7 @@ class StatePublishers:
     def _step(self, wanted: Dict[str, _Wanted], closing: bool, now: float) -> None:
         for body_id in [body_id for body_id in self._publishers if body_id not in wanted]:
             self._end(self._publishers.pop(body_id), now)
-            self._undeleted[body_id] = now
+            self._undeleted[body_id] = None
         for body_id, (urdf, revision) in wanted.items():
             publisher = self._publishers.get(body_id)
             if publisher is None or publisher.revision != revision:
@@ -312,14 +312,19 @@ class StatePublishers:
     def _delete(self, now: float) -> None:
         """Delete the parameters of bodies that have gone, once their processes have ended."""
         ending = {ending.id for ending in self._ending}
-        for body_id, due in list(self._undeleted.items()):
-            if body_id in self._publishers:
+        for body_id in self._undeleted.keys() & self._publishers.keys():
+            del self._undeleted[body_id]
+        if now < self._next_delete:
+            return
+        for body_id in [body_id for body_id in self._undeleted if body_id not in ending]:
+            with self._noted("parameters of body {} are left".format(body_id)):
+                self._server.delete(body_id)
                 del self._undeleted[body_id]
-            elif body_id not in ending and now >= due:
-                self._undeleted[body_id] = now + _RETRY_S
-                with self._noted("parameters of body {} are left".format(body_id)):
-                    self._server.delete(body_id)
-                    del self._undeleted[body_id]
+                continue
+            # While the master is away bodies leave all the time: one of them asks for all, each in its turn.
+            self._undeleted[body_id] = self._undeleted.pop(body_id)
+            self._next_delete = now + _RETRY_S
+            return
 
     def _watch(self, now: float) -> None:
         """Set a URDF again that somebody has deleted; start those anew that a new master does not know."""
@@ -357,17 +362,17 @@ class StatePublishers:
         try:
             yield
         except MASTER_ERRORS as error:
-            self._note("{}: {}".format(what, error))
+            self._note("{}: {}".format(what, error), _LOG_PERIOD_S)
 
     def _count(self, name: str, number: int = 1) -> None:
         with self._lock:
             self._counts[name] += number
 
-    def _note(self, text: str) -> None:
-        """Log a problem and remember it for the status."""
+    def _note(self, text: str, period: float = 0.0) -> None:
+        """Log a problem, once in `period` s at most, and remember it for the status."""
         with self._lock:
             self._problem, self._problem_at = text, time.monotonic()
-        rospy.logwarn("%s", text)
+        rospy.logwarn_throttle(period, "%s", text) if period else rospy.logwarn("%s", text)
 
 
 class DescriptionServer:

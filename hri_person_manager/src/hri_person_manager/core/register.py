@@ -13,7 +13,7 @@ import unicodedata
 from collections import OrderedDict
 from dataclasses import asdict, dataclass, field, replace
 from statistics import NormalDist
-from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Protocol, Sequence, Set, Tuple
+from typing import Any, Callable, Container, Dict, Iterable, List, Mapping, Optional, Protocol, Sequence, Set, Tuple
 
 from hri_pipeline.core.ids import is_valid_id
 from hri_pipeline.core.privacy import StoreError
@@ -314,6 +314,17 @@ class PersonRegister:
         """Forget the demographics of anonymous persons that have gone."""
         kept = set(person_ids) | set(self._records)
         self._demographics = {key: value for key, value in self._demographics.items() if key in kept}
+
+    def keep_known(self, person_ids: Container[str]) -> None:
+        """Without a store: drop who is none of these and of whom nobody has said anything, as whom a recogniser named
+        that has begun anew since. A store keeps everybody, within its limits."""
+        if self._store is not None:
+            return
+        joined = {record.alias for record in self._records.values() if record.alias}
+        for record in [record for record in self._records.values() if not (
+                record.id in person_ids or record.id in self._borrowed or record.id in joined or record.name
+                or record.native_language or record.enrolled or record.alias)]:
+            self._drop(record.id)
 
     def forget(self, person_id: str) -> bool:
         """Remove everything about a person; False for an unknown id. Those merged into it are removed, too: they are

@@ -60,7 +60,8 @@ class OtherManagers:
     def _on_list(self, message: IdsList) -> None:
         name = sender_of(message)
         if name != self._name:
-            self._heard[name] = time.monotonic()
+            now = time.monotonic()
+            self._heard = {**{other: at for other, at in self._heard.items() if now - at < _OTHERS_S}, name: now}
 
 
 class TfInput:

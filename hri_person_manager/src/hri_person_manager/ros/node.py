@@ -451,6 +451,7 @@ class PersonManagerNode:
         self._report.update(snapshot, self._jumps, (self._writer.problem, self._clock_problem()),
                             self._topics.waiting())
         self._report.clock(still, len(snapshot.tracked))
+        self._register.keep_known(set(snapshot.known))
         self._register.keep_demographics(state.id for state in snapshot.persons)
         self._privacy.set(data_use(self._settings, self._register.records))
 

@@ -88,6 +88,8 @@ class Human:
     def _pose(self, kind: str, frame: str) -> Optional[Pose]:
         # Who has left is nowhere; to ask for their frames again would keep them for good.
         found = self._humans.frames.pose(kind, self.id, frame.lstrip("/")) if self._present else None
+        if not self._present:       # since this moment, too
+            self._humans.frames.forget(self.id)
         return None if found is None else found[0]
 
     def _get(self, name: str, default: Any = None) -> Any:

@@ -351,12 +351,11 @@ class VoiceProcessor:
 
     def _update_topics(self, ids: Tuple[str, ...]) -> None:
         """Remove the topics of voices that are not tracked any more, after their last sentence."""
-        gone = set(self._present) - set(ids)
-        for identity in gone & self._unfinished:
+        # Also of a voice that begins and ends within one block, and so was never present.
+        for identity in self._unfinished.difference(ids, self._awaited):
             self._awaited[identity] = time.monotonic() + _LAST_WORDS_S
         self._present = tuple(ids)
-        for identity in gone:
-            self._frame_times.pop(identity, None)
+        self._frame_times = {identity: stamp for identity, stamp in self._frame_times.items() if identity in ids}
         self._topics.retain(set(ids) | set(self._awaited))
 
     def _recognise(self, observation: VoiceObservation) -> None:

@@ -74,10 +74,10 @@ class VoiceTopics:
         Topics that cannot be opened are tried again with the next sound.
         """
         wanted = sorted(ids)
+        for identity in {*self._publishers.ids, *self._backlogs}.difference(wanted):
+            self._close(identity)
         if wanted == sorted(self._publishers.ids):
             return
-        for identity in set(self._publishers.ids).difference(wanted):
-            self._close(identity)
         try:
             self._publishers.keep(wanted)
         except (OSError, rospy.ROSException) as error:
@@ -102,8 +102,7 @@ class VoiceTopics:
 
     def close_ids(self) -> None:
         """Remove the topics of all voices."""
-        for identity in self._publishers.ids:
-            self._close(identity)
+        self.retain(())
 
     def reconfigure(self, settings: VoicesSettings) -> None:
         """Take up the values of the live parameters; the features of all voices start again, with the new rate."""

@@ -33,6 +33,13 @@ MIGRATIONS: Tuple[Tuple[str, ...], ...] = (
     ("ALTER TABLE persons ADD COLUMN sealed BLOB",),
 )
 """The statements that lead from each version of the schema to the next."""
+_COUNT = "INSERT OR IGNORE INTO facts VALUES ('people', '0')"
+_COUNTED = tuple(
+    "CREATE TRIGGER IF NOT EXISTS {0}_{1} AFTER {1} ON {0}{2}"
+    " BEGIN UPDATE facts SET value = value + 1 WHERE name = 'people'; END".format(table, event, (
+        " WHEN OLD.id IS NOT NEW.id OR OLD.enrolled IS NOT NEW.enrolled" if (table, event) == ("persons", "UPDATE")
+        else "")) for table in ("persons", "templates", "apart") for event in ("INSERT", "DELETE", "UPDATE"))
+"""What counts all changes of people but those of their records, whoever makes them; files of all schemas have it."""
 _BUSY_S = 5.0      # longest wait for another process that writes
 _PAUSE_S = 0.02
 _JOURNALS = ("-wal", "-shm", "-journal")
@@ -112,9 +119,15 @@ class PersonDatabase:
                 raise
 
     def version(self) -> int:
-        """Return a number that changes when another process has changed the file."""
+        """Return a number that changes with who is known, templates, consents and pairs, whichever process changes
+        them; not with what else records say, as that somebody was seen, which is written all the time."""
         with self.reading() as database:
-            return int(database.execute("PRAGMA data_version").fetchone()[0])
+            found = database.execute("SELECT CAST(value AS INTEGER) FROM facts WHERE name = 'people'").fetchone()
+            if found is None:       # the count was damaged: what has changed meanwhile is not known
+                with self.writing():
+                    database.execute(_COUNT)
+                return -1
+            return int(found[0])
 
     def erase(self) -> None:
         """Rewrite the file without what was deleted, and empty its journal. Damaged files go too: who is in them cannot
@@ -250,6 +263,8 @@ class PersonDatabase:
             for statements in MIGRATIONS[version:]:
                 for statement in statements:
                     database.execute(statement)
+            for statement in (_COUNT, *_COUNTED):
+                database.execute(statement)
             database.execute("PRAGMA user_version = {}".format(len(MIGRATIONS)))
             database.execute("PRAGMA application_id = {}".format(APPLICATION_ID))
 

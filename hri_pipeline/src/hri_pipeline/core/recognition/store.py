@@ -238,7 +238,7 @@ class PersonStore:
             return database.execute("INSERT OR IGNORE INTO facts VALUES (?, 'done')", (name,)).rowcount > 0
 
     def version(self) -> int:
-        """Return a number that changes when another process has changed the file."""
+        """See PersonDatabase."""
         return self._database.version()
 
     def damaged_files(self) -> List[Path]:

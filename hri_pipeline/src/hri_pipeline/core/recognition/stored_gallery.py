@@ -130,13 +130,15 @@ class StoredGallery(MemoryGallery):
                 self._remove_stored(forgotten, everybody)
                 self._read()
                 present, apart, revision = self._write()
+                version = self._store.version()
         except BaseException:
+            self._version = -1      # what was read may be what was taken back
             with self._lock:
                 self._forgets_all |= everybody
                 self._forgotten |= forgotten
             raise
         # Not before: what was taken back, as on a full disk, is written by the next one.
-        self._stored, self._stored_apart, self._written = present, apart, revision
+        self._stored, self._stored_apart, self._written, self._version = present, apart, revision, version
         with self._lock:
             self._merged -= merged
 
@@ -151,7 +153,7 @@ class StoredGallery(MemoryGallery):
     def _read(self) -> None:
         """Apply what other processes have changed."""
         version = self._store.version()
-        if version != self._version:
+        if version != self._version or version < 0:
             stored = self._store.load_templates(self.model, self.dimension)
             self._apply({person.id: person for person in stored})
             self._apply_apart(self._store.load_apart())
