@@ -90,8 +90,8 @@ class FaceApiAgeGender(_OnnxAgeGender):
     """age_gender.onnx of face-api (MIT): RGB 112 px, `age` in years, `gender` male and female.
 
     On 46 faces of the demonstration and evaluation pictures: 45 genders right; 4.1 years of mean error on the 24 whose
-    age is roughly known. Larger crops are worse (margin 1.3: 5.1 years). Of one man on 11 photographs the ages spread by
-    3.1 years; with _COMMON_SD the age is within 10 years a little more often than is said.
+    age is roughly known. Larger crops are worse (margin 1.3: 5.1 years). Of one man on 11 photographs the ages spread
+    by 3.1 years; with _COMMON_SD the age is within 10 years a little more often than is said.
     """
 
     INPUTS = ("image",)
