@@ -268,3 +268,17 @@ def test_nobody_knows_how_exact_a_place_is_for_long():
     optical = Place("camera_optical_frame", place.pose, 0.0, covariance=np.diag([1.0, 2.0, 3.0]))
     assert np.diag(optical.horizontal_covariance).tolist() == [1.0, 3.0]
     assert Place("map", place.pose, 0.0).horizontal_covariance is None
+
+
+@pytest.mark.parametrize("frame, is_level", [("map", True), ("base_footprint", True), ("camera_optical_frame", False)])
+def test_who_is_out_of_sight_walks_away_but_not_up(frame, is_level):
+    location = PersonLocation(0.5)
+    seen = Place(frame, Pose(np.eye(3), np.array([2.0, 0.0, 1.6])), 0.0, covariance=np.diag([0.04, 0.01, 0.01]))
+    location.offer(PlaceSource.FACE, seen, 0.0)
+    spreads = np.array([np.sqrt(np.diag(location.expected(away).covariance)) for away in (0.6, 3.0, 20.0)])
+    assert (np.diff(spreads[:, :2], axis=0) > 0.5).all(), "to the sides as before"
+    if is_level:
+        # A head that is still there is as high as before, or as that of who has sat down.
+        assert 0.2 < spreads[-1, 2] < 0.3 and (np.diff(spreads[:, 2]) >= 0.0).all()
+    else:
+        assert spreads[-1, 2] > 2.0, "the camera may be tilted"

@@ -33,6 +33,7 @@ VOICE_RAD = 0.14           # error of the direction of a voice (standard deviati
 FARTHEST_VOICE_M = 1e6     # told farther away, its variances to the sides would be lost beside that along the ray
 VOICE_M, VOICE_SPREAD_M = 2.0, 1.0     # mean distance of who talks, and its standard deviation: 0.5 to 4 m
 AWAY_MPS, AWAY_S = 0.5, 1.0     # speed of who is out of sight, per axis, and for how long it goes one way
+HEIGHT_CHANGED_M = 0.25    # of who is out of sight: one in three sits down or gets up, by 0.45 m
 CHANGE_MPS = 0.2           # deviation of how a velocity changes out of sight
 CHANGED = 1.5              # log-likelihood that a change of pace before the loss costs
 HEIGHT_M = 0.03            # deviation of the height of a head that walks
@@ -135,6 +136,13 @@ def aged(covariance: np.ndarray, elapsed: Union[float, np.ndarray]) -> np.ndarra
     times = np.maximum(elapsed, 0.0) / AWAY_S
     spread = 2.0 * (AWAY_MPS * AWAY_S) ** 2 * (times - 1.0 + np.exp(-times))
     return covariance + np.asarray(spread)[..., None, None] * _EYE
+
+
+def aged_upright(covariance: np.ndarray, elapsed: float) -> np.ndarray:
+    """Return the same of one place (3, 3) in a frame whose z points up: people walk away to the sides only."""
+    grown = aged(covariance, elapsed)
+    grown[2, 2] = min(grown[2, 2], covariance[2, 2] + HEIGHT_CHANGED_M ** 2)
+    return grown
 
 
 def ellipse(covariance: np.ndarray) -> Tuple[float, float, float]:
