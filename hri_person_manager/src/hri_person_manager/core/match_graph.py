@@ -164,11 +164,6 @@ class Grouping:
     groups: Tuple[FrozenSet[MatchNode], ...]
     approximate: FrozenSet[MatchNode]
 
-    @property
-    def exact(self) -> bool:
-        """Tell whether these groups are the best."""
-        return not self.approximate
-
 
 class MatchGraph:
     """Likelihood edges between nodes, with a bound on their number (the oldest edge goes first)."""
