@@ -364,8 +364,6 @@ def test_what_does_not_fit_together_is_refused():
         solver.solve(points, body, [np.zeros(3)])
     with pytest.raises(ValueError, match="legal: gauss_newton, closed_form, ikpy"):
         JointSolver(method="pinocchio")
-    with pytest.raises(ValueError, match="steps"):
-        JointSolver(steps=0)
 
 
 def test_nobody_is_nobody():

@@ -158,7 +158,7 @@ def test_data_can_be_written_as_json():
 
 
 def test_the_rate_counts_images_not_features():
-    meter = RateMeter(2.0)
+    meter = RateMeter()
     for image in range(60):
         for _ in range(5):
             meter.add(image / 15.0, 100.0 + image / 15.0)
@@ -166,13 +166,8 @@ def test_the_rate_counts_images_not_features():
     assert meter.rate(110.0) == 0.0
 
 
-def test_illegal_window():
-    with pytest.raises(ValueError):
-        RateMeter(0.0)
-
-
 def test_nobody_is_there_and_no_images_are_two_things():
-    words = CameraStatus(patience=5.0)
+    words = CameraStatus()
     assert words.text(0.0) == "nobody yet"          # nobody tells of a camera
     words.update("hri_faces", False, "no publisher on /image", 1.0)
     words.update("hri_bodies", False, "no publisher on /image", 1.0)

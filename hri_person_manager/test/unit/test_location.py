@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hri_person_manager.core.location import Decay, PersonLocation, Place, PlaceSource
+from hri_person_manager.core.location import LONGEST_STEP, CoastingMotion, Decay, PersonLocation, Place, PlaceSource
 from hri_pipeline.core.geometry import Pose
 
 
@@ -128,8 +128,9 @@ def test_a_body_too_far_from_the_face_is_taken_as_it_is():
     assert abs(way[-1, 1] - 0.5 * way[-1, 0]) < 1e-9
 
 
-def late_bodies(speed=0.0, face_rate=30.0, lag=3.0, face_error=0.6, until=10.0, then=16.0):
-    """Times, x (m) and covariances of a person whose body comes `lag` s late, and whose face ends after `until` s."""
+def late_bodies(speed=0.0, face_rate=30.0, lag=3.0, face_error=0.6, until=10.0, then=16.0, root=False):
+    """Times, x (m) and covariances of a person whose body comes `lag` s late, and whose face ends after `until` s;
+    root: the root of the body comes, too."""
     location, way, period = PersonLocation(0.5), [], round(30.0 / face_rate)
     for number in range(int(then * 30.0)):
         now = number / 30.0
@@ -138,6 +139,8 @@ def late_bodies(speed=0.0, face_rate=30.0, lag=3.0, face_error=0.6, until=10.0, 
         if now >= lag and number % 30 == 0:
             seen = replace(place(speed * (now - lag), now - lag), covariance=0.01 * np.eye(3))
             location.offer(PlaceSource.HEAD, seen, now, "b", lag=lag)
+            if root:
+                location.offer(PlaceSource.BODY, seen, now, "b", lag=lag)
         way.append((now, location.place.pose.translation[0],
                     0.0 if location.place.covariance is None else location.place.covariance[0, 0]))
     return np.array(way)
@@ -148,6 +151,11 @@ def test_a_late_body_goes_on_from_where_its_face_was_at_that_time(face_rate):
     now, x, variance = late_bodies(face_rate=face_rate).T
     assert np.abs(np.diff(x)).max() < 0.2 and x[-1] < 0.5
     assert variance[now > 12.0].min() > 0.3          # one of the two is wrong by 0.6 m
+
+
+def test_the_root_of_a_late_body_does_not_take_the_step_from_its_head():
+    _, x, _ = late_bodies(root=True).T
+    assert np.abs(np.diff(x)).max() < 0.2
 
 
 def test_a_body_from_before_the_last_image_of_the_face_moves_nobody():
@@ -163,6 +171,64 @@ def test_an_image_of_a_face_that_comes_late_does_not_end_the_comparison_with_its
     location.offer(PlaceSource.HEAD, place(1.0, 0.1), 0.6, "b")
     assert location.offer(PlaceSource.HEAD, place(1.0, 1.7), 1.7, "b")
     assert location.place.pose.translation[0] > 1.2
+
+
+def test_after_a_bag_has_begun_anew_a_body_goes_on_from_where_its_face_was():
+    location = PersonLocation(0.5)
+    location.offer(PlaceSource.FACE, place(1.6, 1000.0), 10.0, "f")
+    for stamp in (0.0, 0.2, 0.4):
+        location.offer(PlaceSource.FACE, place(1.6, stamp), 11.0 + stamp, "f")
+        location.offer(PlaceSource.HEAD, place(1.0, stamp), 11.0 + stamp, "b")
+    assert location.offer(PlaceSource.HEAD, place(1.0, 1.7), 12.7, "b")
+    assert location.place.pose.translation[0] > 1.2
+
+
+def test_where_a_face_was_between_two_images_far_apart_is_not_known():
+    location = PersonLocation(0.5)
+    for stamp in (0.0, 2.0):
+        location.offer(PlaceSource.FACE, place(1.0 + stamp, stamp), stamp, "f")
+    location.offer(PlaceSource.HEAD, place(2.5, 1.0), 2.1, "b")
+    assert location.offer(PlaceSource.HEAD, place(3.5, 4.0), 4.0, "b")
+    assert location.place.pose.translation[0] == 3.5
+
+
+def face_and_body(last_body=1.0):
+    """Somebody whose face was 0.6 m from the head of the body for a second, but in the last image."""
+    location = PersonLocation(0.5)
+    for stamp in np.linspace(0.0, 1.0, 21).tolist():
+        location.offer(PlaceSource.FACE, place(1.6, stamp), stamp, "f")
+        location.offer(PlaceSource.HEAD, place(1.0 if stamp < 1.0 else last_body, stamp), stamp, "b")
+    return location
+
+
+def test_one_image_says_little_of_how_far_the_face_is_from_the_body():
+    location = face_and_body(last_body=1.3)
+    assert location.offer(PlaceSource.HEAD, place(1.0, 1.6), 1.6, "b")
+    assert location.place.pose.translation[0] == pytest.approx(1.0 + 0.7 * 0.51)
+
+
+def test_the_root_of_a_body_waits_for_its_head_as_for_any_better_source():
+    location = face_and_body()
+    for stamp in np.arange(1.05, 3.0, 0.05).tolist():
+        location.offer(PlaceSource.HEAD, place(1.0, stamp), stamp, "b")
+    assert not location.offer(PlaceSource.BODY, place(1.0, 3.4), 3.4, "b")
+    assert location.offer(PlaceSource.BODY, place(1.0, 3.6), 3.6, "b")
+
+
+def test_another_face_waits_for_the_first_one_as_for_any_better_source():
+    location = face_and_body()
+    assert not location.offer(PlaceSource.FACE, place(1.0, 1.4), 1.4, "g")
+    assert location.offer(PlaceSource.FACE, place(1.0, 1.6), 1.6, "g")
+
+
+@pytest.mark.parametrize("stamp", [0.5, 0.91 + LONGEST_STEP])
+def test_two_places_far_apart_in_time_tell_no_velocity(stamp):
+    motion = CoastingMotion(1.0)
+    for number in range(10):
+        motion.see(place(0.1 * number, 0.1 * number))
+    assert motion.velocity[0] > 0.5
+    motion.see(place(stamp, stamp))
+    assert motion.velocity.tolist() == [0.0, 0.0, 0.0]
 
 
 def test_a_body_in_another_frame_is_taken_as_it_is():

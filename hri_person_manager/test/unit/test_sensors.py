@@ -1,4 +1,5 @@
-"""A localisation that corrects itself: all that a camera sees jumps in map, and nobody walks."""
+"""How late sources are, and a localisation that corrects itself: all that a camera sees jumps in map, and nobody
+walks."""
 
 import math
 from dataclasses import replace
@@ -11,8 +12,10 @@ from hri_person_manager.core.location import CoastingMotion, Place
 from hri_person_manager.core.manager import PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
 from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
+from hri_person_manager.core.sensors import LONGEST_LAG_S, LONGEST_PERIOD_S, MEMORY_S, SensorTimes
 from hri_pipeline.core.geometry import Pose
 
+CLOCK_S = 1000.0     # by which the camera's clock is behind
 RATES = pytest.mark.parametrize("rate", [8.0, 15.0, 30.0])
 
 
@@ -47,7 +50,8 @@ def standing(stamp):
 
 
 @RATES
-@pytest.mark.parametrize("jump", [(0.2, 0.0, 0.0), (-0.3, 0.4, 0.0), (0.2, 0.1, math.radians(5.0))])
+@pytest.mark.parametrize("jump", [(0.2, 0.0, 0.0), (-0.3, 0.4, 0.0), (0.2, 0.1, math.radians(5.0)),
+                                  (0.0, 0.0, math.radians(25.0))])
 def test_nobody_walks_by_a_jump_of_the_localisation(rate, jump):
     told = speeds(rate, localised(jump), standing)
     assert told[:, 1].max() < 0.1
@@ -93,3 +97,50 @@ def test_the_camera_stands_with_the_place_of_a_person():
                   camera=camera)
     assert manager.on_place(PlaceSource.FACE, "f1", place, 0.1, "camera") == "ann"
     assert manager.place("ann").camera is camera
+
+
+def note(times, stamps, delay, source="face"):
+    """The lags (s) of places of these stamps (s), which arrive `delay` s later by the clock of the robot."""
+    return [times.note("camera", source, stamp, stamp + CLOCK_S + delay) for stamp in stamps]
+
+
+def test_a_source_is_as_late_as_it_comes_after_the_least_delayed_one_whatever_the_clocks_say():
+    times = SensorTimes()
+    assert note(times, np.arange(0.0, 2.0, 0.1), 0.2) == pytest.approx([0.0] * 20)
+    assert note(times, [1.0], 1.5, "body") == pytest.approx([1.3])
+
+
+def test_the_least_delay_is_forgotten_after_half_a_minute_to_a_minute():
+    times = SensorTimes()
+    note(times, [0.0], 0.0)
+    lags = note(times, np.arange(1.0, 70.0), 2.0)
+    assert lags[:int(MEMORY_S / 2.0)] == pytest.approx([2.0] * int(MEMORY_S / 2.0))
+    assert lags[int(MEMORY_S):] == pytest.approx([0.0] * (len(lags) - int(MEMORY_S)))
+
+
+def test_a_least_delay_from_before_a_pause_of_a_minute_counts_no_more():
+    times = SensorTimes()
+    note(times, [0.0], 0.0)
+    assert note(times, [MEMORY_S + 1.0], 2.0) == pytest.approx([0.0])
+
+
+def test_where_a_bag_begins_anew_nothing_is_late():
+    times = SensorTimes()
+    note(times, np.arange(0.0, 5.0, 0.1), 0.2)
+    assert note(times, [0.0, 0.1], 5.2) == pytest.approx([0.0, 0.0])
+
+
+def test_more_than_the_longest_lag_is_a_clock_that_was_set():
+    times = SensorTimes()
+    note(times, [0.0], 0.2)
+    late, very_late = 0.2 + LONGEST_LAG_S - 0.1, 0.2 + LONGEST_LAG_S + 0.1
+    assert note(times, [1.0], late) == pytest.approx([LONGEST_LAG_S - 0.1])
+    assert note(times, [2.0, 3.0], very_late) == pytest.approx([0.0, 0.0])
+
+
+def test_what_comes_after_a_long_pause_tells_no_period():
+    times = SensorTimes()
+    note(times, [0.0, LONGEST_PERIOD_S + 1.0], 0.2)
+    assert times.period("camera") is None
+    note(times, [LONGEST_PERIOD_S + 1.5], 0.2)
+    assert times.period("camera") == pytest.approx(0.5)

@@ -12,14 +12,21 @@ from hri_person_manager.core.triangulation import (
     aged,
     crossing_distances,
     ellipse,
-    fuse,
     ray_covariance,
+    shares,
     squared_distances,
     voice_covariance,
     walk_evidence,
+    weighted,
 )
 
 LEFT, RIGHT = np.array([0.0, 0.0, 1.5]), np.array([4.0, 0.0, 1.5])
+
+
+def fuse(positions, covariances):
+    """Mean (3,) and covariance (3, 3) of independent places (N, 3) of one point, covariances (N, 3, 3)."""
+    weights, covariance = shares(np.linalg.inv(covariances))
+    return weighted(weights, positions[:, :, None])[:, 0], covariance
 
 
 def test_a_place_is_long_along_its_ray():

@@ -7,13 +7,11 @@ from hri_pipeline.core.faces.detector import FaceDetection
 from hri_pipeline.core.faces.mesh import (
     LANDMARK_TO_MESH,
     LANDMARKS,
-    LEFT_PUPIL,
     MESH_POINTS,
-    RIGHT_PUPIL,
     FaceMeshResult,
     agreement_score,
     bounding_box,
-    landmarks_from_mesh,
+    landmarks_from_meshes,
 )
 
 
@@ -29,7 +27,7 @@ def test_table_has_70_different_vertices():
 
 def test_corrected_entries_and_pupils():
     assert [LANDMARK_TO_MESH[index] for index in (0, 16, 17, 26)] == [127, 356, 70, 300]
-    assert (LANDMARK_TO_MESH[RIGHT_PUPIL], LANDMARK_TO_MESH[LEFT_PUPIL]) == (468, 473)
+    assert (LANDMARK_TO_MESH[68], LANDMARK_TO_MESH[69]) == (468, 473)
 
 
 def test_table_cannot_be_changed():
@@ -38,7 +36,7 @@ def test_table_cannot_be_changed():
 
 
 def test_points_outside_the_image_have_no_confidence():
-    landmarks = landmarks_from_mesh(mesh_with_indices(), 0.8, 400, 10000, np.ones(LANDMARKS))
+    landmarks, = landmarks_from_meshes([mesh_with_indices()], [0.8], 400, 10000, [np.ones(LANDMARKS)])
     outside = LANDMARK_TO_MESH >= 400
     assert (landmarks[outside, 2] == 0.0).all()
     assert landmarks[~outside, 2] == pytest.approx(0.8)
@@ -47,7 +45,7 @@ def test_points_outside_the_image_have_no_confidence():
 
 def test_confidence_falls_with_visibility_and_stays_in_range():
     visibility = np.linspace(-1.0, 2.0, LANDMARKS)
-    confidence = landmarks_from_mesh(mesh_with_indices(), 1.5, 10000, 10000, visibility)[:, 2]
+    confidence = landmarks_from_meshes([mesh_with_indices()], [1.5], 10000, 10000, [visibility])[0, :, 2]
     assert confidence.min() == 0.0 and confidence.max() == 1.0
     assert (np.diff(confidence) >= 0.0).all()
 
@@ -55,7 +53,7 @@ def test_confidence_falls_with_visibility_and_stays_in_range():
 @pytest.mark.parametrize("shape", [(468, 3), (478,), (478, 1)])
 def test_another_mesh_is_refused(shape):
     with pytest.raises(ValueError, match="mesh"):
-        landmarks_from_mesh(np.zeros(shape), 1.0, 640, 480, np.ones(LANDMARKS))
+        landmarks_from_meshes([np.zeros(shape)], [1.0], 640, 480, [np.ones(LANDMARKS)])
 
 
 def test_bounding_box():

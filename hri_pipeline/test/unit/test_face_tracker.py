@@ -11,7 +11,14 @@ from hri_pipeline.core.faces import flow as flow_module
 from hri_pipeline.core.faces.flow import FaceFlow
 from hri_pipeline.core.faces.mesh import MESH_POINTS, FaceRoi
 from hri_pipeline.core.faces.track import CropAnchor, FaceMeasurement, face_colours
-from hri_pipeline.core.faces.tracker import FaceTracker, explains, same_face, without_duplicates
+from hri_pipeline.core.faces.tracker import (
+    COAST_TIME,
+    SCORE_MARGIN,
+    FaceTracker,
+    explains,
+    same_face,
+    without_duplicates,
+)
 from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.image_rotation import ImageRotation
 
@@ -37,6 +44,23 @@ def run(faces, *frames):
     """Feed frames of measurements, STEP apart; returns [{id: centre x} of the faces seen] per frame."""
     return [{track.id: track.measurement.box[[0, 2]].mean() for track in faces.update(frame, index * STEP)}
             for index, frame in enumerate(frames)]
+
+
+def test_a_face_is_looked_for_at_its_place_for_a_moment_after_it_was_lost():
+    faces = tracker()
+    faces.update([face(100.0)], 0.0)
+    faces.update([], STEP)
+    assert [track.id for track in faces.expected(COAST_TIME - 0.01)] == faces.ids
+    assert faces.expected(COAST_TIME + 0.01) == []
+
+
+@pytest.mark.parametrize("above, conflicts", [(-0.01, False), (0.01, True)])
+def test_a_smaller_face_inside_lowers_the_score_of_a_track_unless_it_is_much_less_sure(above, conflicts):
+    faces = tracker()
+    faces.update([dataclasses.replace(face(100.0, size=300.0), score=0.8)], 0.0)
+    track, = faces.tracks
+    assert faces.add_detections([face(100.0, size=100.0).box], STEP, scores=[0.8 - SCORE_MARGIN + above]) == []
+    assert (track.score < 0.8) == conflicts
 
 
 def test_a_still_face_keeps_its_id_for_ever():

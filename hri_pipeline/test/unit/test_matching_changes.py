@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from hri_pipeline.core.matching.changes import MatchChanges
 
 
@@ -15,8 +13,6 @@ def test_changes_repeats_and_withdrawals():
     assert changes.update({"a": 0.85}, 1.6) == [("a", 0.85)]
     assert changes.update({"b": 0.9}, 1.7) == [("a", 0.0), ("b", 0.9)]
     assert changes.withdraw_all() == [("b", 0.0)]
-    with pytest.raises(ValueError):
-        MatchChanges(-0.1)
 
 
 def test_nothing_is_withdrawn_of_what_has_left():

@@ -429,6 +429,14 @@ def test_images_of_different_cameras_are_not_compared():
     assert [(match.face, match.body) for match in matcher.matches()] == [("face", "here")]
 
 
+def test_two_images_of_one_time_are_not_compared_either():
+    matcher = make(["left", "right"], ["body"])
+    matcher.add_face("left", 1.0, human(0.5)[0], ASPECT, "left")
+    matcher.add_face("right", 1.0, human(0.2)[0], ASPECT, "right")
+    matcher.add_body("body", 1.0, human(0.5)[1], "right")
+    assert matcher.matches() == []
+
+
 @pytest.mark.parametrize("late", [0.3, 0.8, 1.6, 4.6])
 def test_bodies_that_come_late_are_compared_with_the_faces_of_their_image(late):
     """On a busy machine the bodies of an image come seconds after its faces; people walk past each other meanwhile."""
@@ -491,6 +499,15 @@ def test_a_face_that_was_away_for_long_was_not_between_its_images():
         matcher.add_face("f1", stamp, human(0.5)[0], ASPECT)
     matcher.add_body("b1", 1.5, human(0.5)[1])
     assert matcher.matches() == []
+
+
+def test_the_image_of_a_body_in_which_a_face_is_counts_and_not_a_later_one_without():
+    matcher = make(["f1"], ["b1"])
+    for stamp in (1.0, 2.0):
+        matcher.add_face("f1", stamp, human(0.5)[0], ASPECT)
+    for stamp in (1.0, 1.5):
+        matcher.add_body("b1", stamp, human(0.5)[1])
+    assert [(match.face, match.body) for match in matcher.matches()] == [("f1", "b1")]
 
 
 @pytest.mark.parametrize("late", [1.0, 4.0])

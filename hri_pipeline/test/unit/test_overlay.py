@@ -205,5 +205,3 @@ def test_who_left_is_forgotten_and_so_is_the_past():
     assert history.stamps("bodies") == {2.5}
     history.add("bodies", "b", 0.5, body())
     assert history.stamps("bodies") == {0.5}
-    with pytest.raises(ValueError):
-        FeatureHistory(keep=0.0)

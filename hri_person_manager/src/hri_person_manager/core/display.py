@@ -11,6 +11,7 @@ from hri_person_manager.core.features import Kind, MatchNode
 from hri_person_manager.core.persons import Snapshot
 
 RATE_WINDOW_S = 2.0
+REPORT_WAIT_S = 5.0
 _SHAPES = {Kind.PERSON: "box", Kind.FACE: "ellipse", Kind.BODY: "hexagon", Kind.VOICE: "cds"}
 Edge = Tuple[MatchNode, MatchNode, float]
 
@@ -35,13 +36,9 @@ class PersonRow:
 
 
 class RateMeter:
-    """Images per second out of their stamps; many features of one image count once."""
+    """Images per second of the last seconds out of their stamps; many features of one image count once."""
 
-    def __init__(self, window: float = RATE_WINDOW_S) -> None:
-        """Look at the last `window` seconds; ValueError unless that is above zero."""
-        if not window > 0.0:
-            raise ValueError("window is %s s, must be above 0" % window)
-        self._window = window
+    def __init__(self) -> None:
         self._events: Deque[Tuple[float, float]] = deque(maxlen=1000)
 
     def add(self, stamp: float, now: float) -> None:
@@ -51,7 +48,7 @@ class RateMeter:
 
     def rate(self, now: float) -> float:
         """Return the rate in images per second at time `now` (s)."""
-        while self._events and not 0.0 <= now - self._events[0][1] <= self._window:
+        while self._events and not 0.0 <= now - self._events[0][1] <= RATE_WINDOW_S:
             self._events.popleft()
         if len(self._events) < 2:
             return 0.0
@@ -92,11 +89,10 @@ def _counts(rows: Sequence[PersonRow]) -> str:
 class CameraStatus:
     """Why nobody is there, by what nodes report of their cameras: nobody yet, or no images.
 
-    A node that has not reported for `patience` s has ended.
+    A node that has not reported for REPORT_WAIT_S has ended.
     """
 
-    def __init__(self, patience: float = 5.0) -> None:
-        self._patience = patience
+    def __init__(self) -> None:
         self._status: Dict[str, Tuple[bool, str, float]] = {}
 
     def update(self, node: str, arrive: bool, text: str, now: float) -> None:
@@ -115,7 +111,7 @@ class CameraStatus:
         return bool(self._recent(now))
 
     def _recent(self, now: float) -> List[Tuple[bool, str, float]]:
-        return [row for row in self._status.values() if now - row[2] < self._patience]
+        return [row for row in self._status.values() if now - row[2] < REPORT_WAIT_S]
 
 
 def format_columns(rows: Sequence[Sequence[str]]) -> str:

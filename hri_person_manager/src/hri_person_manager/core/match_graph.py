@@ -164,19 +164,12 @@ class Grouping:
     groups: Tuple[FrozenSet[MatchNode], ...]
     approximate: FrozenSet[MatchNode]
 
-    @property
-    def exact(self) -> bool:
-        """Tell whether these groups are the best."""
-        return not self.approximate
-
 
 class MatchGraph:
     """Likelihood edges between nodes, with a bound on their number (the oldest edge goes first)."""
 
     def __init__(self, max_edges: int = 5000) -> None:
-        """Keep at most `max_edges` edges; ValueError if that is less than one."""
-        if max_edges < 1:
-            raise ValueError("max_edges is %d, must be at least 1" % max_edges)
+        """Keep at most `max_edges` edges."""
         self._max_edges = max_edges
         self._oldest: "OrderedDict[FrozenSet[MatchNode], None]" = OrderedDict()
         self._neighbours: Dict[MatchNode, Dict[MatchNode, float]] = {}

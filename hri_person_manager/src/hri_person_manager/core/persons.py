@@ -50,10 +50,6 @@ class PersonEntry:
     lost_at: Optional[float] = None
     doubted: Set[MatchNode] = field(default_factory=set)
 
-    def feature(self, kind: Kind) -> str:
-        """Return the id of this person's feature of one kind, empty if there is none."""
-        return next((node.id for node in self.features if node.kind == kind), "")
-
 
 @dataclass
 class Alias:

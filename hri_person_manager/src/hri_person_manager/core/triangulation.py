@@ -153,13 +153,6 @@ def ellipse(covariance: np.ndarray) -> Tuple[float, float, float]:
     return major, minor, math.atan2(float(vectors[1, 1]), float(vectors[0, 1]))
 
 
-def fuse(positions: np.ndarray, covariances: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-    """Return mean (3,) and covariance (3, 3) of independent places (N, 3) of one point with their covariances
-    (N, 3, 3)."""
-    weights, covariance = shares(np.linalg.inv(covariances))
-    return weighted(weights, positions[:, :, None])[:, 0], covariance
-
-
 def squared_distances(positions: np.ndarray, covariances: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     """Return the squared Mahalanobis distances (M,) of pairs (M, 2), as rows, of places (N, 3), covariances
     (N, 3, 3)."""

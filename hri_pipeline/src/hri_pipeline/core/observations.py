@@ -160,8 +160,6 @@ class FeatureHistory:
     """
 
     def __init__(self, keep: float = 2.0) -> None:
-        if not keep > 0.0:
-            raise ValueError("keep is {} s, it must be above 0".format(keep))
         self._keep = keep
         self._features: Dict[Tuple[str, str], _Kept] = {}
         self._chosen_from, self._lag = -np.inf, 0.0

@@ -36,8 +36,6 @@ class StageTimes:
     """
 
     def __init__(self, window: int = 100, clock: Callable[[], float] = time.perf_counter) -> None:
-        if window < 1:
-            raise ValueError("window is {}, legal range 1 and more".format(window))
         self._window = window
         self._clock = clock
         self._lock = threading.Lock()

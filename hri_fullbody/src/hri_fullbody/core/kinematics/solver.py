@@ -54,6 +54,7 @@ if TYPE_CHECKING:  # with ikpy comes sympy, which takes the processor half a sec
     from hri_fullbody.core.kinematics.ikpy_backend import LimbChains
 
 METHODS = ("gauss_newton", "closed_form", "ikpy")
+GAUSS_NEWTON_STEPS = 2
 FARTHEST = 100.0
 """A key point farther (m) than this on any axis is taken for a mistake, and for not seen."""
 _OUT_OF_LIMITS = 0.3  # rad beyond a limit from which a limb is solved again; less is noise, and is cut
@@ -104,20 +105,16 @@ class JointSolution:
 class JointSolver:
     """Solves bodies of one layout. Holds nothing about them but what their dimensions lead to."""
 
-    def __init__(self, layout: Layout = PAPER, method: str = "gauss_newton", steps: int = 2,
-                 ikpy_limbs: int = 1) -> None:
-        """method: one of `METHODS`. steps: Gauss-Newton steps. ikpy_limbs: most limbs per call that ikpy solves again
-        (some milliseconds each) unless it is the method; the others are cut at their limits.
+    def __init__(self, layout: Layout = PAPER, method: str = "gauss_newton", ikpy_limbs: int = 1) -> None:
+        """method: one of `METHODS`. ikpy_limbs: most limbs per call that ikpy solves again (some milliseconds each)
+        unless it is the method; the others are cut at their limits.
 
         Raises ValueError with the legal values.
         """
         if method not in METHODS:
             raise ValueError("ik_solver is {!r}; legal: {}".format(method, ", ".join(METHODS)))
-        if steps < 1 or ikpy_limbs < 0:
-            raise ValueError("steps is {}, ikpy_limbs {}; legal: 1 and more, 0 and more".format(steps, ikpy_limbs))
         self.layout = layout
         self._method = method
-        self._steps = steps
         self._ikpy_limbs = ikpy_limbs
         self._chains: "WeakKeyDictionary[Dimensions, LimbChains]" = WeakKeyDictionary()
         self._stacked: Tuple[Tuple[Dimensions, ...], BodyDimensions] = ((), stack_dimensions(()))
@@ -153,7 +150,7 @@ class JointSolver:
         if self._method == "gauss_newton":
             if noise is not None:
                 weighted = replace(weighted, axis_weights=_axis_weights(np.asarray(noise, dtype=np.float64)))
-            rotation, position, slots = refine(rotation, position, slots, weighted, dims, self.layout, self._steps)
+            rotation, position, slots = refine(rotation, position, slots, weighted, dims, self.layout)
         if heads is not None:
             self._turn_heads(seen, rotation, slots)
         frames = compute_frames(rotation, position, slots, dims, self.layout)
@@ -393,9 +390,8 @@ def _solve(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def refine(rotation: np.ndarray, position: np.ndarray, slots: np.ndarray, weighted: WeightedTargets,
-           dims: BodyDimensions,
-           layout: Layout, steps: int = 2) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Move N bodies towards their targets; joints stay within the limits.
+           dims: BodyDimensions, layout: Layout) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Move N bodies towards their targets in GAUSS_NEWTON_STEPS; joints stay within the limits.
 
     rotation (N, 3, 3), position (N, 3) m, slots (N, 21) rad: where to start. Returns the same.
     """
@@ -407,7 +403,7 @@ def refine(rotation: np.ndarray, position: np.ndarray, slots: np.ndarray, weight
     damping = np.empty((len(slots),) + structure.damping.shape)
     damping[:] = structure.damping
     damping[:, _TWIST_ROWS, _TWIST_ROWS] += _TWIST_DAMPING * (1.0 - lever)
-    for _ in range(steps):
+    for _ in range(GAUSS_NEWTON_STEPS):
         frames = compute_frames(rotation, position, slots, dims, layout)
         step = _step(frames, position, weighted, damping, structure)
         position = position + step[:, :3]

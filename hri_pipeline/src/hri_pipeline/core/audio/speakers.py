@@ -221,15 +221,12 @@ class VoiceIdentity:
     embedder : SpeakerEmbedder
     gallery : MemoryGallery
         Of MODEL, DIMENSION and CALIBRATION; close() closes it.
-    new_id : callable, optional
-        Gives the ids of people who are enrolled by their voice alone.
     """
 
-    def __init__(self, embedder: SpeakerEmbedder, gallery: MemoryGallery,
-                 new_id: Optional[Callable[[], str]] = None) -> None:
+    def __init__(self, embedder: SpeakerEmbedder, gallery: MemoryGallery) -> None:
         self._embedder = embedder
         self._gallery = gallery
-        self._new_id = new_id or IdGenerator().new
+        self._new_id = IdGenerator().new
         self._lock = threading.RLock()
         self._voices: Dict[str, _Voice] = {}
         self._changes: List[VoicePerson] = []

@@ -29,6 +29,7 @@ AGAIN = 2.0
 """Half the side of the square in which a face is looked for again, in its sizes: so large the network sees it best."""
 AGAIN_NEAR, AGAIN_LEAST, AGAIN_MOST = 0.4, 0.5, 1.6
 """Distance of the face that is found again, and its least and largest width, in sizes of the first one."""
+TILE_OVERLAP = 0.25
 
 Region = Tuple[int, int, int, int]
 Found = Tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -93,14 +94,12 @@ def weighted_nms(
     return merged
 
 
-def tile_regions(width: int, height: int, tiles: int, overlap: float = 0.25) -> List[Region]:
-    """`tiles` x `tiles` regions that cover the image and overlap by that fraction; [] for tiles < 2."""
+def tile_regions(width: int, height: int, tiles: int) -> List[Region]:
+    """`tiles` x `tiles` regions that cover the image and overlap by TILE_OVERLAP; [] for tiles < 2."""
     if tiles < 2:
         return []
-    if not 0.0 <= overlap < 1.0:
-        raise ValueError("overlap of tiles must be in [0, 1), got %r" % (overlap,))
-    tile_width = int(np.ceil(width / (tiles - (tiles - 1) * overlap)))
-    tile_height = int(np.ceil(height / (tiles - (tiles - 1) * overlap)))
+    tile_width = int(np.ceil(width / (tiles - (tiles - 1) * TILE_OVERLAP)))
+    tile_height = int(np.ceil(height / (tiles - (tiles - 1) * TILE_OVERLAP)))
     regions = []
     for row in range(tiles):
         for column in range(tiles):

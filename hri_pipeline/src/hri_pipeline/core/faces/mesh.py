@@ -41,7 +41,6 @@ from hri_pipeline.core.process import Threads
 
 MESH_POINTS = 478
 LANDMARKS = 70
-RIGHT_PUPIL, LEFT_PUPIL = 68, 69
 JAW = (127, 234, 93, 58, 172, 136, 149, 148, 152, 377, 378, 365, 397, 288, 323, 454, 356)
 RIGHT_BROW = (70, 63, 105, 66, 107)
 LEFT_BROW = (336, 296, 334, 293, 300)
@@ -114,33 +113,26 @@ SPREAD_LIMIT, SPREAD_SLOPE, SPREAD_LEAST, SPREAD_SPAN = 0.05, 0.15, 0.03, 0.03
 its least value, and the difference from it at which the verification score is -1 or 1."""
 
 
-def landmarks_from_mesh(
-    mesh: np.ndarray, presence: float, width: int, height: int, visibility: np.ndarray
-) -> np.ndarray:
-    """The 70 landmarks (70, 3): x px, y px, confidence 0 to 1.
+def landmarks_from_meshes(meshes: Sequence[np.ndarray], presences: Sequence[float], width: int, height: int,
+                          visibilities: Sequence[np.ndarray]) -> np.ndarray:
+    """The 70 landmarks of several faces at once, (F, 70, 3): x px, y px, confidence 0 to 1.
 
     Parameters
     ----------
-    mesh
-        (478, 2 or more) px.
-    presence
-        Probability 0 to 1 that the mesh lies on a face.
+    meshes
+        (478, 2 or more) px each.
+    presences
+        Probability 0 to 1 that a mesh lies on a face.
     width, height
         Size of the image, px. A point outside it is a guess of the network: its confidence is 0.
-    visibility
-        (70,) 0 to 1, how much each point is turned towards the camera (see `HeadPoseEstimator.visibility`).
+    visibilities
+        (70,) 0 to 1 each, how much the points are turned towards the camera (see `HeadPoseEstimator.visibility`).
 
     Raises
     ------
     ValueError
-        When the mesh has another shape.
+        When a mesh has another shape.
     """
-    return landmarks_from_meshes([np.asarray(mesh)], [presence], width, height, [visibility])[0]
-
-
-def landmarks_from_meshes(meshes: Sequence[np.ndarray], presences: Sequence[float], width: int, height: int,
-                          visibilities: Sequence[np.ndarray]) -> np.ndarray:
-    """The 70 landmarks of several faces at once, (F, 70, 3); of each face see `landmarks_from_mesh`."""
     points = np.empty((len(meshes), LANDMARKS, 3))
     for place, mesh in zip(points, meshes):
         if np.ndim(mesh) != 2 or len(mesh) != MESH_POINTS or mesh.shape[1] < 2:

@@ -18,7 +18,6 @@ from hri_pipeline.core.faces.face_geometry import FaceGeometry, TrackedFace
 from hri_pipeline.core.faces.mesh import Blendshapes, load_canonical_face
 from hri_pipeline.core.faces.parameters import FacePipelineSettings
 from hri_pipeline.core.faces.tracking_pipeline import FaceTrackingPipeline
-from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.images import ASPECT_TOLERANCE
 from hri_pipeline.core.observations import FaceObservation
@@ -39,8 +38,6 @@ class FacePipeline:
     ----------
     settings
         The values of FACE_PIPELINE_PARAMETERS and `providers`.
-    ids
-        Generator of the faces' ids; a new one by default.
     notify
         Called with one line of text for each execution provider that is skipped.
     threads
@@ -54,8 +51,8 @@ class FacePipeline:
         When a model file is missing or wrong.
     """
 
-    def __init__(self, settings: FacePipelineSettings, ids: Optional[IdGenerator] = None,
-                 notify: Optional[Callable[[str], None]] = None, threads: Optional[Threads] = None,
+    def __init__(self, settings: FacePipelineSettings, notify: Optional[Callable[[str], None]] = None,
+                 threads: Optional[Threads] = None,
                  person_detector: Optional[Callable[[], PersonDetector]] = None) -> None:
         self.times = StageTimes()
         canonical = load_canonical_face(model_path(settings.canonical_face, "canonical_face.npz"))
@@ -64,7 +61,7 @@ class FacePipeline:
         self._geometry = FaceGeometry(canonical, blendshapes)
         self._threads = threads or Threads.of_node(settings.threads, settings.cpu_share)
         self._analysis = FaceAnalysis(settings, canonical, self.times, notify, self._threads)
-        self._tracking = FaceTrackingPipeline(settings, self.times, ids, notify, judge=self._judge(),
+        self._tracking = FaceTrackingPipeline(settings, self.times, notify, judge=self._judge(),
                                               threads=self._threads, person_detector=person_detector)
         self._last_stamp = -np.inf
         self._published = self._predicted = 0

@@ -32,7 +32,6 @@ from hri_pipeline.core.faces.person_verifier import PersonVerifier, load_person_
 from hri_pipeline.core.faces.scheduler import DetectionScheduler
 from hri_pipeline.core.faces.track import LEAST_VERIFICATION, VERIFIED, FaceMeasurement, FaceTrack, face_colours
 from hri_pipeline.core.faces.tracker import FaceTracker, explains, is_same_or_part
-from hri_pipeline.core.ids import IdGenerator
 from hri_pipeline.core.ignored_regions import IgnoredRegions
 from hri_pipeline.core.image_rotation import FaceOrientation, ImageRotation
 from hri_pipeline.core.images import PictureCuts
@@ -78,8 +77,6 @@ class FaceTrackingPipeline:
         The values of FACE_PIPELINE_PARAMETERS and `providers`.
     times
         Where the time of each step is noted.
-    ids
-        Generator of the faces' ids; a new one by default.
     notify
         Called with one line of text for each execution provider that is skipped.
     clock
@@ -97,7 +94,7 @@ class FaceTrackingPipeline:
         When a model file is missing or wrong.
     """
 
-    def __init__(self, settings: FacePipelineSettings, times: StageTimes, ids: Optional[IdGenerator] = None,
+    def __init__(self, settings: FacePipelineSettings, times: StageTimes,
                  notify: Optional[Callable[[str], None]] = None,
                  clock: Optional[Callable[[], float]] = None, judge: Optional[AppearanceMatcher] = None,
                  threads: Threads = ONE_THREAD,
@@ -116,7 +113,7 @@ class FaceTrackingPipeline:
                                           settings.face_person_lead, notify)
         if person_detector is None:
             self._verifier.prepare()
-        self._tracker = FaceTracker(ids=ids, judge=judge, doubts=self._verifier.doubts, **_limits(settings))
+        self._tracker = FaceTracker(judge=judge, doubts=self._verifier.doubts, **_limits(settings))
         self._cuts = PictureCuts()
         self._orientation = FaceOrientation()
         self._anew_at = self._panned_at = -np.inf

@@ -19,16 +19,9 @@ class MatchChanges(Generic[Key]):
     ----------
     step: float
         Change of a likelihood (0 to 1) from which on it is published before the second is over.
-
-    Raises
-    ------
-    ValueError
-        For a step below 0.
     """
 
     def __init__(self, step: float) -> None:
-        if not step >= 0.0:
-            raise ValueError("step is {}, must not be negative".format(step))
         self._step = step
         self._published: Dict[Key, Tuple[float, float]] = {}
 
