@@ -495,7 +495,8 @@ def crop(size, degrees):
     (crop(100.0, 40.0), FRONTAL, crop(100.0, 40.0)),    # a head that tilts
     (crop(100.0, 40.0), PROFILE, crop(100.0, 8.0)),
     (crop(100.0, -179.0), PROFILE, crop(100.0, -8.0)),
-], ids=["held", "smaller", "shrunk", "profile_shrunk", "far_smaller", "nearer", "tilted", "profile_turned", "profile_turned_over"])
+], ids=["held", "smaller", "shrunk", "profile_shrunk", "far_smaller", "nearer", "tilted", "profile_turned",
+        "profile_turned_over"])
 def test_a_crop_is_held_by_the_detection(asked, share, held):
     anchor = CropAnchor(crop(200.0, 20.0), crop(100.0, 0.0))
     roi = anchor.hold(asked, share)
