@@ -101,21 +101,12 @@ class Truth:
         return (best, float(mean[best])) if mean[best] < _NEAR else (None, math.nan)
 
     def angle(self, person: int, direction: np.ndarray, stamp: float, moving: bool) -> float:
-        """Angle (degrees) between a face's direction (3,) in the optical frame and the true one.
-
-        A face that only moves in the image keeps its angle to the line of sight.
-        """
+        """Angle (degrees) between a face's direction (3,) in the optical frame and the true one."""
         directions = self._reference["directions"][person]
         phase = self._people.phase(stamp, moving)
         still = directions[0] if phase < 0 else _between(directions[1:], phase / PHASES)
-        middle = self._reference["landmarks"][person, :, :2].mean(axis=0)
-        there = self._people.places(middle[None], stamp, False)[0]
-        turn = _rotation(self._ray(middle), self._ray(there))
-        return math.degrees(math.acos(float(np.clip(turn @ still @ direction, -1.0, 1.0))))
-
-    def _ray(self, pixel: np.ndarray) -> np.ndarray:
-        ray = np.append((pixel - self._centre) / self._focal, 1.0)
-        return ray / np.linalg.norm(ray)
+        true = self._people.turn(stamp) @ still
+        return math.degrees(math.acos(float(np.clip(true @ direction, -1.0, 1.0))))
 
 
 def errors(truth: Truth, data: Sequence[Tuple[str, bytes]], faces: Mapping[str, Mapping[float, Pose]], moving: bool,
@@ -156,13 +147,6 @@ def _between(directions: np.ndarray, part: float) -> np.ndarray:
     first = int(place) % len(directions)
     mixed = directions[first] + (place - int(place)) * (directions[(first + 1) % len(directions)] - directions[first])
     return mixed / np.linalg.norm(mixed)
-
-
-def _rotation(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The smallest rotation (3, 3) that takes a unit vector to another (Rodrigues)."""
-    axis = np.cross(source, target)
-    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    return np.eye(3) + cross + cross @ cross / (1.0 + float(source @ target))
 
 
 class Probe:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
+from typing import List
 
+import numpy as np
 import pytest
 
 from benchmarks import pipeline
@@ -103,31 +106,67 @@ def test_errors_of_what_is_published_have_their_keys() -> None:
     assert "landmark_error" in pipeline.as_table([pipeline.figures(3, seen)], MACHINE, {})
 
 
+MARKS = [[450.0, 200.0], [700.0, 420.0], [1100.0, 600.0], [60.0, 90.0]]
+
+
+def _spot(mark: List[float]) -> np.ndarray:
+    """A picture (720, 1280, 3) with a bright spot of some pixels on grey, as grey as the wall."""
+    rows, columns = np.mgrid[:720, :1280] + 0.5
+    spot = 40.0 + 200.0 * np.exp(-((columns - mark[0]) ** 2 + (rows - mark[1]) ** 2) / 18.0)
+    return np.repeat(spot[..., None], 3, axis=2).astype(np.uint8)
+
+
+def _seen(image: np.ndarray) -> np.ndarray:
+    """Where (2,) px the spot is."""
+    weights = np.maximum(image[..., 0].astype(float) - 45.0, 0.0)
+    return np.array([(weights * axis).sum() for axis in (np.mgrid[:720, :1280] + 0.5)[::-1]]) / weights.sum()
+
+
+@pytest.mark.parametrize("mark", MARKS)
+def test_what_the_camera_sees_moves_as_it_turns(mark: List[float]) -> None:
+    """In each image a spot of the photograph lies where it is said to be, which is where the turn takes its ray."""
+    from benchmarks.moving_people import HFOV, PAN, PAN_S, MovingPeople
+    people, focal = MovingPeople(_spot(mark)), 640.0 / math.tan(HFOV / 2.0)
+    first = _seen(people.at(0.0, False))
+    assert np.linalg.norm(first - (0.94 * (np.array(mark) - (640.0, 360.0)) + (640.0, 360.0))) < 1.0
+    ray = np.append((first - (640.0, 360.0)) / focal, 1.0)
+    for stamp in (0.1, 1.37, PAN_S / 4.0, 5.021, 6.9):
+        said = people.places(first[None], stamp, False)[0]
+        assert np.linalg.norm(_seen(people.at(stamp, False)) - said) < 0.1, "at {} s".format(stamp)
+        there = people.turn(stamp) @ ray
+        assert focal * there[:2] / there[2] + (640.0, 360.0) == pytest.approx(said)
+    angle = PAN * math.sin(2.0 * math.pi * 1.37 / PAN_S)
+    assert people.turn(1.37) @ (0.0, 0.0, 1.0) == pytest.approx((math.sin(angle), 0.0, math.cos(angle)))
+
+
 def test_where_people_are_is_known_in_every_image() -> None:
     """A mark on the forehead, one on the hand and one on the wall are found where they are said to be."""
-    import numpy as np
-
     from benchmarks.moving_people import CYCLE_S, MovingPeople
     face = np.stack([np.linspace(400.0, 500.0, 70), np.linspace(150.0, 270.0, 70)], axis=1)
     body = np.full((18, 3), 1.0)
     body[3:5, :2] = [[700.0, 300.0], [700.0, 420.0]]
-    marks = np.array([[450.0, 200.0], [700.0, 420.0], [1100.0, 600.0]])
-    scene = np.zeros((720, 1280, 3), np.uint8)
-    still = MovingPeople(scene)
-    rows, columns = np.mgrid[:still._still.shape[0], :still._still.shape[1]]
-    people = MovingPeople(scene, [face], [body])
     moved = np.zeros(3)
-    for number, mark in enumerate(marks):
-        place = mark + people._origin
-        blob = 255.0 * np.exp(-((columns - place[0]) ** 2 + (rows - place[1]) ** 2) / 18.0)
-        people._still, people._pictures = np.repeat(blob[..., None], 3, axis=2).astype(np.uint8), {}
+    for number, mark in enumerate(MARKS[:3]):
+        people = MovingPeople(_spot(mark), [face], [body])
+        first = _seen(people.at(0.0, False))
         for stamp in (CYCLE_S * 0.26, CYCLE_S * 0.76, 3.1):
-            image = people.at(stamp, True)[..., 0].astype(float)
-            seen = np.array([(image * axis).sum() for axis in np.mgrid[:720, :1280][::-1]]) / image.sum()
-            said = people.places(mark[None], stamp, True)[0]
-            assert np.linalg.norm(seen - said) < 1.0, "mark {} at {} s".format(number, stamp)
-            moved[number] = max(moved[number], np.linalg.norm(said - people.places(mark[None], stamp, False)[0]))
+            said = people.places(first[None], stamp, True)[0]
+            assert np.linalg.norm(_seen(people.at(stamp, True)) - said) < 1.0, "mark {} at {} s".format(number, stamp)
+            moved[number] = max(moved[number], np.linalg.norm(said - people.places(first[None], stamp, False)[0]))
     assert moved[0] > 5.0 and moved[1] > 30.0 and moved[2] == 0.0
+
+
+def test_a_face_that_is_at_rest_in_the_room_turns_against_the_camera() -> None:
+    from benchmarks.moving_people import PAN_S, MovingPeople
+    pytest.importorskip("rospy")    # there is none in the Python 3.8 layer
+    from benchmarks.pipeline_probe import Truth
+    still = np.array([0.3, 0.1, -1.0]) / np.linalg.norm([0.3, 0.1, -1.0])
+    truth = Truth(np.zeros((720, 1280, 3), np.uint8), {
+        "landmarks": np.random.default_rng(1).uniform(300.0, 400.0, (1, 70, 3)),
+        "skeletons": np.random.default_rng(2).uniform(300.0, 600.0, (1, 18, 3)),
+        "directions": np.tile(still, (1, 13, 1))}, 1108.5)
+    assert truth.angle(0, MovingPeople.turn(PAN_S / 4.0) @ still, PAN_S / 4.0, False) == pytest.approx(0.0, abs=1e-4)
+    assert truth.angle(0, still, PAN_S / 4.0, False) == pytest.approx(1.5, abs=0.15)
 
 
 ON_A_CARD = dict(SEEN, networks={"hri_faces": "cpu: x; cuda: face_landmarks_attention", "hri_bodies": "cuda: pose"},
