@@ -13,6 +13,7 @@ BACKGROUND = 40
 
 # Of each part: photograph; left, top, right, bottom of the cut as fractions of it; left, top, width, height
 # of its place in the scene, px. A part keeps its proportions and stands in the middle of its place.
+# The ten are nine people: one of sample1 is one of sample3, too (demo_03 in identities.txt); so nine are recognised.
 Part = Tuple[str, Tuple[float, float, float, float], Tuple[int, int, int, int]]
 SCENES: Dict[int, Tuple[Part, ...]] = {
     1: (("sample3.jpg", (0.0, 0.0, 0.47, 1.0), (0, 0, WIDTH, HEIGHT)),),

@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hri_pipeline.core.faces.crops import MAX_SIZE, aligned_crop, box_crop, crop_quality, cut, turned_away, upright_roi
+from hri_pipeline.core.faces.crops import (
+    MAX_SIZE,
+    aligned_crop,
+    box_crop,
+    crop_quality,
+    cut,
+    judge_crop,
+    turned_away,
+    upright_roi,
+)
 from hri_pipeline.core.faces.mesh import FaceRoi
 from hri_pipeline.core.geometry import Pose
 
@@ -114,6 +123,17 @@ def test_quality_falls_with_every_fault():
     assert crop_quality(points, facing(80), crop) == 0.0
     assert crop_quality(np.full((478, 3), np.nan), facing(0), crop) == 0.0
     assert crop_quality(points, facing(0), np.zeros((64, 64, 3), np.uint8)) == 0.0
+
+
+@pytest.mark.parametrize("flaw, size, angle, blur, contrast, presence", [
+    ("small (18 px between the eyes)", 30, 0, 0, 1.0, 1.0), ("turned away (55 degrees)", 150, 55, 0, 1.0, 1.0),
+    ("blurred", 150, 0, 9, 1.0, 1.0), ("dark or flat", 150, 0, 0, 0.02, 1.0), ("hardly a face", 150, 0, 0, 1.0, 0.3)])
+def test_a_crop_says_what_spoils_it_most(flaw, size, angle, blur, contrast, presence):
+    crop = cv2.GaussianBlur(texture(), (0, 0), blur) if blur else texture()
+    crop = (120.0 * (contrast < 1.0) + contrast * crop).astype(np.uint8)
+    judged = judge_crop(points_at((300, 200), size), facing(angle), crop, presence)
+    assert judged.flaw == flaw
+    assert judged.quality == crop_quality(points_at((300, 200), size), facing(angle), crop, presence)
 
 
 def test_turned_away():

@@ -1,12 +1,13 @@
 """Scheduling of the detector, and of the networks of the analysis."""
 
 from collections import Counter
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from hri_pipeline.core.faces.detector import tile_regions, wide_region
-from hri_pipeline.core.faces.scheduler import STILL_FACTOR, DetectionScheduler, TimeBudget, next_turn
+from hri_pipeline.core.faces.scheduler import STILL_FACTOR, CropQualities, DetectionScheduler, TimeBudget, next_turn
 
 WHOLE = (0, 0, 640, 480)
 PARTS = tile_regions(640, 480, 2) + [wide_region(640, 480)]
@@ -168,3 +169,14 @@ def test_none_is_shut_out_by_one_that_is_always_due():
 def test_the_last_one_goes_on_when_no_other_is_due():
     assert next_turn({"expression": 0.9, "age_gender": 0.0, "recognition": 4.0}, "recognition") == "recognition"
     assert next_turn({"expression": 0.9, "age_gender": 0.0, "recognition": 0.0}, "recognition") == "expression"
+
+
+def test_crops_that_are_poor_say_what_spoils_them():
+    qualities, mesh = CropQualities(), np.zeros((478, 3))
+    mesh[:, :2] = (107.0, 105.0)
+    mesh[[33, 263, 152], :2] = (100.0, 100.0), (114.0, 100.0), (107.0, 114.0)
+    face = Mock(id="f1", mesh=mesh, pose=None, score=1.0)
+    image = np.random.default_rng(1).integers(0, 256, (240, 320, 3), dtype=np.uint8)
+    quality = qualities.update(image, [face], 1.0)["f1"]
+    assert qualities.flaws(quality + 0.01) == {"f1": "small (14 px between the eyes)"}
+    assert qualities.flaws(quality) == {}

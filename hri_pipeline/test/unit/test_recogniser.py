@@ -18,7 +18,7 @@ from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.recognition.face_identity import FaceEvidence, FaceTemplate, SamePersons
 from hri_pipeline.core.recognition.gallery import GalleryError, MemoryGallery
 from hri_pipeline.core.recognition.likelihood import TemplateCalibration
-from hri_pipeline.core.recognition.recogniser import SAME, FaceRecognition, Recogniser
+from hri_pipeline.core.recognition.recogniser import NOT_SEEN_WELL, SAME, FaceRecognition, Recogniser
 from hri_pipeline.core.recognition.store import KnownPerson
 from hri_pipeline.core.recognition.stored_gallery import open_gallery
 
@@ -926,3 +926,100 @@ def test_a_wrong_name_in_a_crowd_is_taken_back_soon():
     crowd["f3"] = (50, 0.12)
     scene.show(crowd, 3.0)
     assert person not in scene.known("f3")
+
+
+@pytest.mark.parametrize("poor, good, others", [(0.4, 0.8, 0), (0.4, 0.55, 0), (0.4, 0.8, 4)])
+def test_who_looks_at_the_camera_at_last_is_known_within_seconds(poor, good, others):
+    """Turned away for half a minute; crops came ever less often, and the first better ones did not change that."""
+    scene = Scene()
+    crowd = {"f{}".format(number): (number, 0.12) for number in range(others + 1)}
+    scene.show(crowd, 30.0, quality={**dict.fromkeys(crowd, 0.8), "f0": poor})
+    assert scene.recogniser.person_of("f0") == ""
+    scene.show(crowd, 2.0, quality={**dict.fromkeys(crowd, 0.8), "f0": good})
+    assert scene.person("f0")
+
+
+def test_a_good_look_of_a_stranger_who_is_not_learnt_costs_few_templates():
+    scene = Scene(policy="enrolled")
+    scene.show({"f1": (1, 0.1)}, 30.0, quality=0.4)
+    before = scene.looks
+    scene.show({"f1": (1, 0.1)}, 30.0)
+    assert scene.looks - before <= 12
+
+
+@pytest.mark.parametrize("known, most", [(True, 2.6), (False, 6.0)])
+def test_who_comes_into_a_crowd_on_a_slow_machine_does_not_wait_as_long_as_those_who_are_known(known, most):
+    """A template every 0.4 s: fewer than ten known faces are to get."""
+    scene = Scene()
+    crowd = {"f{}".format(number): (number, 0.12) for number in range(10)}
+    scene.show(crowd, 60.0)
+    del crowd["f9"]
+    began = scene.stamp + 20.0
+    while scene.recogniser.person_of("new") == "" and scene.stamp < began + 30.0:
+        scene.stamp += 0.3
+        scene.show(crowd, STEP)
+        if scene.stamp >= began:
+            crowd["new"] = (9 if known else 77, 0.12)
+    assert scene.stamp - began <= most
+
+
+def test_a_face_that_is_blurred_by_motion_keeps_no_other_from_a_template():
+    """Somebody who runs about was first in the row in each image for a second, and got none."""
+    recognition = FaceRecognition.__new__(FaceRecognition)
+    recognition.recogniser = Recogniser(MemoryGallery("synthetic", SIZE, CALIBRATION))
+    recognition._due, recognition._embedder = [], Mock()
+    pictures = {"still": face_picture(), "runs": face_picture()}
+    recognition._embedder.crop = lambda bgr, mesh, camera: pictures["runs" if mesh[0, 0] else "still"]
+    recognition._embedder.embed = lambda crops: np.array([template(1) for _ in crops])
+    faces, made = [Mock(id="still", mesh=np.zeros((478, 3))), Mock(id="runs", mesh=np.ones((478, 3)))], []
+    for number in range(24):
+        if recognition.due({"runs": 0.9, "still": 0.9}, 100.0 + 0.1 * number):
+            recognition.look(face_picture(), faces, 100.0 + 0.1 * number)
+        if number == 3:
+            pictures["runs"] = face_picture(direction=(1, 0))
+        made.append("still" in recognition.made)
+    assert sum(made[4:14]) >= 3, "in the second in which the other one is blurred"
+
+
+def why(scene, face):
+    return scene.recogniser.unknown()[face]
+
+
+def test_a_face_that_is_nobodys_says_why():
+    scene = Scene()
+    scene.show({"f1": (1, 0.1), "poor": (2, 0.1)}, 0.5, quality={"f1": 0.8, "poor": 0.4})
+    assert why(scene, "f1") == why(scene, "poor") == NOT_SEEN_WELL
+    scene.show({"f1": (1, 0.1), "poor": (2, 0.1)}, 10.0, quality={"f1": 0.8, "poor": 0.4})
+    person = scene.person("f1")
+    assert scene.recogniser.unknown() == {"poor": NOT_SEEN_WELL}
+    scene.show({"f1": (1, 0.1), "twice": (1, 0.2)}, 10.0)
+    assert why(scene, "twice") == "like {}, who is in view".format(person)
+    scene.show({"kin": (template(1, 0.34, view=99), 0.08)}, 20.0)
+    assert why(scene, "kin") == "like {}, but not surely that person".format(person)
+    scene.show({"f3": (1, 0.1)}, 2.0)
+    scene.recogniser.forget(person)
+    scene.recogniser.changes()
+    assert why(scene, "f3") == "forgotten while in view"
+
+
+def test_the_diagnostics_say_who_is_not_recognised_and_why():
+    recognition = FaceRecognition.__new__(FaceRecognition)
+    recognition.recogniser = Recogniser(MemoryGallery("synthetic", SIZE, CALIBRATION))
+    assert recognition.status({})["recognition_unknown_why"] == ""
+    recognition.recogniser.seen({"f1": 0.3, "f2": 0.3}, 100.0)
+    values = recognition.status({"f1": "blurred", "gone": "blurred"})
+    assert values["recognition_unknown_faces"] == 2
+    assert values["recognition_unknown_why"] == "f1: not seen well yet, blurred; f2: not seen well yet"
+
+
+def test_a_face_that_is_not_learnt_says_why():
+    scene = Scene(gallery=MemoryGallery("synthetic", SIZE, CALIBRATION, max_persons=1))
+    scene.show({"f1": (1, 0.1), "f2": (2, 0.1)}, 10.0)
+    assert "the gallery is full" in why(scene, "f2" if scene.recogniser.person_of("f1") else "f1")
+    enrolled = with_anna(policy="enrolled")
+    enrolled.show({"f1": (2, 0.1)}, 10.0)
+    assert why(enrolled, "f1") == "like nobody who is enrolled"
+    poster = Scene()
+    poster.show({"poster": (1, 0.1)}, 10.0, motion={"poster": PICTURE})
+    poster.show({"poster": (1, 0.1), "f1": (1, 0.2)}, 20.0, motion={"poster": PICTURE, "f1": LIVING})
+    assert why(poster, "poster") == "a picture of somebody who is beside it"

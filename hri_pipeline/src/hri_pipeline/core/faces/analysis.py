@@ -46,7 +46,7 @@ from hri_pipeline.core.image_rotation import ImageRotation
 from hri_pipeline.core.observations import FaceObservation, SoftBiometrics
 from hri_pipeline.core.onnx import model_path
 from hri_pipeline.core.process import ONE_THREAD, Threads
-from hri_pipeline.core.recognition.face_identity import PersonMatch
+from hri_pipeline.core.recognition.face_identity import LEARN_QUALITY, PersonMatch
 from hri_pipeline.core.recognition.recogniser import FaceRecognition
 from hri_pipeline.core.timing import StageTimes
 
@@ -187,7 +187,7 @@ class FaceAnalysis:
                                      "networks_wait_percent": 100.0 * self._waits / max(1, self._images)}
         self._images = self._waits = 0
         if self.recognition is not None:
-            values.update(self.recognition.status())
+            values.update(self.recognition.status(self._qualities.flaws(LEARN_QUALITY)))
         return values
 
     def close(self) -> None:

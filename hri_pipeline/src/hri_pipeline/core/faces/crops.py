@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Optional, Sequence, Tuple
+from typing import NamedTuple, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -117,9 +117,22 @@ def box_crop(bgr: np.ndarray, box: Sequence[float], width: int, height: int, mar
                           borderMode=cv2.BORDER_CONSTANT)
 
 
+class CropJudgement(NamedTuple):
+    """Picture quality of a crop, 0 (useless) to 1, and what spoils it most, in words."""
+
+    quality: float
+    flaw: str
+
+
 def crop_quality(points: np.ndarray, pose: Optional[Pose], crop: np.ndarray, presence: float = 1.0,
                  image_size: Optional[Tuple[int, int]] = None) -> float:
-    """Return the picture quality of an upright crop of a face, 0 (useless) to 1.
+    """Return the picture quality of an upright crop of a face, 0 (useless) to 1; parameters: see `judge_crop`."""
+    return judge_crop(points, pose, crop, presence, image_size).quality
+
+
+def judge_crop(points: np.ndarray, pose: Optional[Pose], crop: np.ndarray, presence: float = 1.0,
+               image_size: Optional[Tuple[int, int]] = None) -> CropJudgement:
+    """Judge an upright crop of a face.
 
     The geometric mean of size, frontality, sharpness and contrast, times presence and the fraction of the face in the
     image: one bad property spoils a crop.
@@ -139,12 +152,13 @@ def crop_quality(points: np.ndarray, pose: Optional[Pose], crop: np.ndarray, pre
     """
     xy = np.asarray(points, dtype=np.float64)[:, :2]
     if not np.isfinite(xy).all():
-        return 0.0
+        return CropJudgement(0.0, "no points")
     right, left = _LANDMARK_EYES if len(xy) == LANDMARKS else (RIGHT_EYE_CORNER, LEFT_EYE_CORNER)
     eyes = float(np.linalg.norm(xy[left] - xy[right]))
-    facing = 0.5 if pose is None else _ramp(_PROFILE - turned_away(pose), 0.0, _PROFILE - _FRONTAL)
+    turned = None if pose is None else turned_away(pose)
+    facing = 0.5 if turned is None else _ramp(_PROFILE - turned, 0.0, _PROFILE - _FRONTAL)
     # A turned head has its eye corners closer together, without being smaller.
-    size = eyes if pose is None else eyes / max(0.4, float(np.cos(turned_away(pose))))
+    size = eyes if turned is None else eyes / max(0.4, float(np.cos(turned)))
     grey = cv2.cvtColor(cv2.resize(crop, (_JUDGED_SIZE, _JUDGED_SIZE), interpolation=cv2.INTER_AREA),
                         cv2.COLOR_BGR2GRAY).astype(np.float32)
     contrast = float(grey.std())
@@ -154,7 +168,13 @@ def crop_quality(points: np.ndarray, pose: Optional[Pose], crop: np.ndarray, pre
     inside = 1.0
     if image_size is not None:
         inside = float(((xy >= 0.0) & (xy < image_size)).all(axis=1).mean())
-    return float(np.prod(parts) ** (1.0 / len(parts)) * np.clip(presence, 0.0, 1.0) * inside ** 2)
+    sure = float(np.clip(presence, 0.0, 1.0))
+    quality = float(np.prod(parts) ** (1.0 / len(parts)) * sure * inside ** 2)
+    flaws = ("small ({:.0f} px between the eyes)".format(size), "pose not known" if turned is None else
+             "turned away ({:.0f} degrees)".format(np.degrees(turned)), "blurred", "dark or flat", "hardly a face",
+             "cut off by the border")
+    worst = int(np.argmin([part ** (1.0 / len(parts)) for part in parts] + [sure, inside ** 2]))
+    return CropJudgement(quality, flaws[worst])
 
 
 def turned_away(pose: Pose) -> float:

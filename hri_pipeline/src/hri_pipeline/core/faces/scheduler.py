@@ -15,7 +15,7 @@ from typing import Callable, Collection, Dict, List, Mapping, Optional, Sequence
 
 import numpy as np
 
-from hri_pipeline.core.faces.crops import aligned_crop, crop_quality
+from hri_pipeline.core.faces.crops import CropJudgement, aligned_crop, judge_crop
 from hri_pipeline.core.faces.detector import Region, tile_regions, wide_region
 from hri_pipeline.core.observations import FaceObservation
 
@@ -201,8 +201,12 @@ class CropQualities:
     cost time."""
 
     def __init__(self) -> None:
-        self._values: Dict[str, float] = {}
+        self._values: Dict[str, CropJudgement] = {}
         self._stamps: Dict[str, float] = {}
+
+    def flaws(self, quality: float) -> Dict[str, str]:
+        """Return what spoils the crops most of the faces that are below a quality (0 to 1), by their ids."""
+        return {face_id: judged.flaw for face_id, judged in self._values.items() if judged.quality < quality}
 
     def update(self, bgr: np.ndarray, faces: Sequence[FaceObservation], stamp: float) -> Mapping[str, float]:
         """Return the qualities (0 to 1) of the faces among `faces` that have one, the stale ones measured anew."""
@@ -211,9 +215,9 @@ class CropQualities:
         size = (bgr.shape[1], bgr.shape[0])
         for face in stale[:_QUALITIES_PER_IMAGE]:
             crop = aligned_crop(bgr, face.mesh, _QUALITY_SIZE)
-            self._values[face.id] = crop_quality(face.mesh, face.pose, crop, face.score, size)
+            self._values[face.id] = judge_crop(face.mesh, face.pose, crop, face.score, size)
             self._stamps[face.id] = stamp
-        return {face.id: self._values[face.id] for face in faces if face.id in self._values}
+        return {face.id: self._values[face.id].quality for face in faces if face.id in self._values}
 
     def keep(self, ids: Collection[str]) -> None:
         """Forget all faces but these."""

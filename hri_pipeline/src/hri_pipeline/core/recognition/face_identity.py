@@ -48,6 +48,9 @@ that is wrong must be noticed soon."""
 CALM_RATE, CALM_INTERVAL = 5.0, 1.8
 """Most templates a second of all faces together whose name is sure, and the longest time (s) between two of one of
 them: soon enough that the tracker, which checks each face once in 2 s, needs none of its own."""
+TURN_S = 0.5
+"""Time (s) added to the intervals where faces wait for their turn: who is new comes some three times as often as who is
+known, and wrong names are noticed as soon as where all come equally often."""
 PATIENCE = 4
 """Crops of a recognised face after which the next ones come less and less often; of another one: twice as many."""
 TOGETHER = 0.5
@@ -56,6 +59,8 @@ BESIDE = 1.0
 """Time (s) for which two faces are seen together before they are two people: a track may outlast its face."""
 BETTER = 0.15
 """A crop whose quality exceeds the best one so far by this much gets a template early."""
+LEARN_CROPS, LEARN_QUALITY = 4, 0.5
+"""How many crops of which quality show a face well enough to make a person of it."""
 SHAPE_WINDOW_S, SHAPE_PERIOD_S = 6.0, 0.2
 """Time (s) over which shapes are compared, and the least between two of them."""
 LEAST_SHAPES = 20
@@ -257,9 +262,10 @@ class FaceIdentity:
     ----------
     evidence : its templates.
     last_seen, cropped : times (s) of the last image with the face, and of the last crop.
+    passed_over : time (s) of the last crop that was too blurred for a template.
     crops : number of crops so far.
     person : id of the person it is taken for, empty when that is not known.
-    barred : its person was forgotten, so it is not learnt again.
+    barred : why it is not learnt, as its person was forgotten; empty when it may be.
     doubt : of the person it is taken for.
     refuted : ids of persons it was taken for and is no longer: no candidates until it is taken for them again.
     apart : by id of a person that it is not, as that person was seen beside it: the face that was that person then.
@@ -278,9 +284,10 @@ class FaceIdentity:
     evidence: FaceEvidence
     last_seen: float
     cropped: float = -math.inf
+    passed_over: float = -math.inf
     crops: int = 0
     person: str = ""
-    barred: bool = False
+    barred: str = ""
     doubt: NameDoubt = field(default_factory=NameDoubt)
     refuted: Set[str] = field(default_factory=set)
     apart: Dict[str, str] = field(default_factory=dict)
@@ -314,22 +321,24 @@ class FaceIdentity:
         """Return whether the face was seen just before `now` (s)."""
         return now - self.last_seen <= TOGETHER
 
-    def interval(self) -> float:
-        """Return the time (s) to the next crop: short while there is something to decide, ever longer later."""
-        if self.doubt.level > 0.0:
+    def interval(self, quality: float) -> float:
+        """Return the time (s) to the next crop, of this quality: short while there is something to decide, and for one
+        that shows better who it is than those before; ever longer later."""
+        lacks_good = not self.person and self.evidence.good(LEARN_QUALITY) < LEARN_CROPS
+        is_better = quality > self.evidence.best_quality + BETTER or (lacks_good and quality >= LEARN_QUALITY)
+        if self.doubt.level > 0.0 or is_better:
             return FIRST_INTERVAL
         patience, longest = (PATIENCE, self.named_interval) if self.person else (2 * PATIENCE, LONGEST_INTERVAL)
         return float(min(FIRST_INTERVAL * 1.5 ** min(50, max(0, self.crops - patience)), longest))
 
-    @property
-    def due(self) -> float:
-        """Time (s) of the next crop."""
-        return self.cropped + self.interval()
-
     def is_due(self, quality: float, stamp: float) -> bool:
         """Return whether a crop of this quality is worth a template at `stamp` (s)."""
-        early = quality > self.evidence.best_quality + BETTER
-        return stamp >= (self.cropped + FIRST_INTERVAL if early else self.due)
+        return stamp >= self.cropped + self.interval(quality)
+
+    def lateness(self, quality: float, stamp: float) -> float:
+        """Return how long it has waited at `stamp` (s), in its own intervals: who is new comes before those who are
+        known, and who is blurred lets the others have their turn."""
+        return (stamp - max(self.cropped, self.passed_over)) / (TURN_S + self.interval(quality))
 
     def note_crop(self, stamp: float, again: bool) -> None:
         """Note a crop at `stamp` (s). again: it shows somebody else, so the next crops come soon."""
@@ -354,7 +363,7 @@ class FaceIdentity:
                 self.denied.clear()
         swapped = self.evidence.swaps != swaps
         if swapped:
-            self.barred = False
+            self.barred = ""
             self.denied.clear()
             self.apart.clear()
             self.beside.clear()
@@ -366,7 +375,7 @@ class FaceIdentity:
         self.evidence.clear()
         self.doubt.clear()
         self.later_view = None
-        self.barred = True
+        self.barred = "forgotten while in view"
 
     def holds(self, taken: AbstractSet[str]) -> Dict[str, float]:
         """Return likelihood by person: the person it is taken for, else the candidates that are not in `taken`."""

@@ -26,6 +26,8 @@ from hri_pipeline.core.recognition.embedding import FaceEmbedder, load_face_embe
 from hri_pipeline.core.recognition.face_identity import (
     ACCEPT,
     LEARN_AT_ONCE,
+    LEARN_CROPS,
+    LEARN_QUALITY,
     LEAST_PUBLISHED,
     NAMING_CROPS,
     FaceEvidence,
@@ -48,8 +50,8 @@ POLICIES = ("learn", "enrolled")
 """learn: an unknown person who is seen well gets an id; enrolled: only people who were enrolled are recognised."""
 NEW_BELOW = 0.4
 """Likelihood, without caution, of being anybody known, below which a face is somebody new."""
-LEARN_CROPS, LEARN_QUALITY = 4, 0.5
-"""How many crops of which quality show a face well enough to make a person of it."""
+NOT_SEEN_WELL = "not seen well yet"
+"""Why a face is nobody's, where its crops are the reason."""
 SAME = 0.95
 """Likelihood that is published of two known persons who are the same by their templates."""
 SHOWN_S = 60.0
@@ -118,7 +120,8 @@ class Recogniser:
             share_templates(list(self._faces.values()), stamp)
             waiting = [face_id for face_id, quality in qualities.items()
                        if quality >= self._min_quality and self._faces[face_id].is_due(quality, stamp)]
-            return sorted(waiting, key=lambda face_id: self._faces[face_id].due)[:limit]
+            return sorted(waiting, key=lambda face_id: -self._faces[face_id].lateness(
+                qualities[face_id], stamp))[:limit]
 
     def watch(self, meshes: Mapping[str, np.ndarray], stamp: float) -> None:
         """Take the meshes (N, 2 or 3), px, of faces in the image at `stamp` (s): living ones move."""
@@ -129,10 +132,13 @@ class Recogniser:
 
     def is_blurred(self, face_id: str, crop: np.ndarray, stamp: float) -> bool:
         """Tell whether a crop (S, S, 3) uint8 BGR of a face is blurred by motion, so that a template of it would speak
-        against the right name; the face stays due."""
+        against the right name; the face stays due, after the others."""
         with self._lock:
             face = self._faces.get(face_id)
-            return face is not None and face.blur.is_blurred(crop, stamp)
+            if face is None or not face.blur.is_blurred(crop, stamp):
+                return False
+            face.passed_over = stamp
+            return True
 
     def turn(self, rotation: ImageRotation) -> None:
         """Take note that the images are turned by `rotation` from now on, against those before."""
@@ -258,7 +264,7 @@ class Recogniser:
                 self.gallery.drop_views(other, template, self.gallery.calibration.one_human)
             for other in alike + [other for other in face.apart if other in self.gallery]:
                 self.gallery.keep_apart(person_id, other)
-            face.barred = False
+            face.barred = ""
             if person_id != face.person:
                 face.later_view = None
             return person_id
@@ -326,6 +332,13 @@ class Recogniser:
             return {"known_persons": len(self.gallery), "recognised_faces": sum(
                 bool(face.person) for face in self._faces.values()), "learnt_persons": self._learnt,
                 "refused_templates": self._refused}
+
+    def unknown(self) -> Dict[str, str]:
+        """Return why faces in view are nobody's, in words, by their ids."""
+        with self._lock:
+            return {face.id: self._hindrance(face) or ("about to be learnt" if self._learns else
+                                                       "like nobody who is enrolled")
+                    for face in self._faces.values() if not face.person and face.is_there(self._newest)}
 
     def _take(self, face_id: str, template: np.ndarray, quality: float, stamp: float) -> None:
         face = self._faces.get(face_id)
@@ -419,22 +432,35 @@ class Recogniser:
 
     def _is_new(self, face: FaceIdentity) -> bool:
         """Whether a face was seen well, for long enough, and is like nobody, those in view included."""
+        return not self._hindrance(face)
+
+    def _hindrance(self, face: FaceIdentity) -> str:
+        """Why a face is not somebody new, empty when it is."""
         evidence, calibration = face.evidence, self.gallery.calibration
-        if face.barred or evidence.good(LEARN_QUALITY) < LEARN_CROPS or evidence.duration < self.learn_delay:
-            return False
-        if face.is_picture or evidence.spread() > calibration.midpoint:
-            return False
+        if face.barred:
+            return face.barred
+        if evidence.good(LEARN_QUALITY) < LEARN_CROPS:
+            return NOT_SEEN_WELL
+        if evidence.duration < self.learn_delay:
+            return "seen for {:.1f} of {:g} s".format(evidence.duration, self.learn_delay)
+        if face.is_picture:
+            return "a picture of somebody who is beside it"
+        if evidence.spread() > calibration.midpoint:
+            return "its views differ as those of two people do"
         # A picture of somebody in view, or a mirror, is like him although it cannot be him.
         others = {other.person for other in self._faces.values()
                   if other is not face and other.person and other.is_there(self._newest)}
         alike = calibration.midpoint - 2.0 * calibration.scale
-        if any(one.distance < alike for one in face.candidates if one.person_id in others):
-            return False
-        free = [one.distance for one in face.candidates
-                if one.person_id not in others and one.person_id not in face.apart]
+        for one in face.candidates:
+            if one.person_id in others and one.distance < alike:
+                return "like {}, who is in view".format(one.person_id)
+        free = [one for one in face.candidates if one.person_id not in others and one.person_id not in face.apart]
+        distances = np.array([one.distance for one in free])
         # Somebody alike who is known already: it may be him after all, or kin. Neither is learnt unasked.
-        return not free or min(free) >= calibration.contradiction and bool(
-            calibration.known(np.array(free), len(self.gallery)) < NEW_BELOW)
+        if free and not (distances.min() >= calibration.contradiction and
+                         calibration.known(distances, len(self.gallery)) < NEW_BELOW):
+            return "like {}, but not surely that person".format(free[int(distances.argmin())].person_id)
+        return ""
 
     def _make_person(self, face: FaceIdentity, mean: np.ndarray) -> None:
         person_id = self._new_id()
@@ -443,8 +469,8 @@ class Recogniser:
             for other in face.apart:
                 if other in self.gallery:
                     self.gallery.keep_apart(person_id, other)
-        except GalleryError:
-            face.barred = True
+        except GalleryError as error:
+            face.barred = str(error)
             return
         self._learnt += 1
         self._compare()
@@ -545,9 +571,15 @@ class FaceRecognition:
         """Write what has changed to the gallery file; may be called from another thread."""
         self._gallery.flush()
 
-    def status(self) -> Dict[str, object]:
-        """Return values for diagnostics."""
-        return {"recognition_" + name: value for name, value in self.recogniser.status().items()}
+    def status(self, flaws: Mapping[str, str]) -> Dict[str, object]:
+        """Return values for diagnostics; flaws: what spoils the crops of faces, by their ids."""
+        unknown = self.recogniser.unknown()
+        values: Dict[str, object] = {"recognition_" + name: value for name, value in self.recogniser.status().items()}
+        values["recognition_unknown_faces"] = len(unknown)
+        values["recognition_unknown_why"] = "; ".join("{}: {}{}".format(
+            face_id, why, ", {}".format(flaws[face_id]) if why == NOT_SEEN_WELL and face_id in flaws else "")
+            for face_id, why in unknown.items())
+        return values
 
     def close(self) -> None:
         """Write and close the gallery: all faces have left. Idempotent."""
