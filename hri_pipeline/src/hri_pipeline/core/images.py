@@ -378,8 +378,9 @@ _MOST_MOTION = 0.25
 """Part of the picture by which it may move from one image to the next."""
 _CUT = 0.5
 """Correlation of two pictures, moved against each other at best, below which they show something else."""
-_EMPTY = 4.0
-"""Standard deviation (grey values) below which a picture shows nothing."""
+_EMPTY, _FADED = 4.0, 0.25
+"""Standard deviation (grey values) of a smoothed picture below which it may show nothing, and part of that of the
+picture before below which it does: a wall with somebody far away before it is as smooth, but not all at once."""
 _STAYED, _STAYED_BY = 0.62, 6.0
 """Part of the picture that stays as it was, within so many grey values, from which there was no cut: people who cross
 before a wall leave .67 and more of it, even at 2 Hz; cuts between photographs and between films .20, one pair .57."""
@@ -387,26 +388,32 @@ before a wall leave .67 and more of it, even at 2 Hz; cuts between photographs a
 
 class PictureCuts:
     """Tells when most of the picture changes from one image to the next, and not by a motion of the camera, by light,
-    or by people who walk before the same background."""
+    or by people who walk before the same background.
+
+    An image that suddenly shows nothing (no light, a covered lens, a broken image) is no cut: what comes after it is
+    compared with what was there before.
+    """
 
     def __init__(self) -> None:
         self._last: Optional[np.ndarray] = None
-        self._was_empty = False
+        self._contrast = 0.0
         self.changed = False
         """Whether most of the last image shows something else than the one before did there."""
+        self.blank = False
+        """Whether the last image shows nothing, and those before it did."""
 
     def update(self, bgr: np.ndarray) -> bool:
-        """Return whether `bgr` (H, W, 3) uint8 shows something else than the image before."""
+        """Return whether `bgr` (H, W, 3) uint8 shows something else than the last image that showed something."""
         small = self._small(bgr)
-        empty = _deviation(small) < _EMPTY
-        last, self._last, was_empty, self._was_empty = self._last, small, self._was_empty, empty
+        contrast = _deviation(cv2.blur(small, (3, 3)))
+        self.blank = self._last is not None and contrast < min(_EMPTY, _FADED * self._contrast)
+        if self.blank:
+            self.changed = False
+            return False
+        last, self._last, before, self._contrast = self._last, small, self._contrast, contrast
         self.changed = last is not None and bool(
             np.count_nonzero(cv2.absdiff(small, last) < _STAYED_BY) < _STAYED * small.size)
-        if last is None:
-            return False
-        if empty or was_empty:
-            return empty != was_empty
-        if not self.changed:
+        if last is None or not self.changed or max(before, contrast) < _EMPTY:
             return False
         margin = int(_SIDE * _MOST_MOTION)
         inner = small[margin:-margin, margin:-margin]
@@ -420,7 +427,7 @@ class PictureCuts:
 
     def reset(self) -> None:
         """Forget the last image."""
-        self._last = None
+        self._last, self.blank = None, False
 
     @staticmethod
     def _small(bgr: np.ndarray) -> np.ndarray:

@@ -177,7 +177,8 @@ class BodyTracker:
             for track in self.tracks:
                 track.cut_off(stamp)
             self._stale_faces, self._stale_until = self._shown_faces, stamp + _STALE_S
-        self._shown_faces = {face.id for face in faces}
+        if not self._cuts.blank:
+            self._shown_faces = {face.id for face in faces}
         faces = self._fresh(faces, stamp)
         own = {track.id: self._own_face(track, faces, stamp) for track in self.tracks}
         chosen = self._choose(stamp, min(for_new, len(self._candidates)))
@@ -204,7 +205,7 @@ class BodyTracker:
         self._followed_at = stamp
         for track in self.tracks:
             if not track.visible:
-                track.judge_hidden(stamp, width)
+                track.judge_hidden(stamp, width, self._cuts.blank)
                 if track.inferred_at == stamp:
                     track.kept = slow and track.hidden and track.misses == 1 and track.id not in doubles
 
