@@ -300,6 +300,14 @@ def test_what_comes_after_a_picture_of_nothing_is_compared_with_what_was_before_
     assert not cuts.update(after)
 
 
+def test_pictures_of_nothing_are_a_scene_of_their_own_after_three_seconds():
+    cuts = PictureCuts()
+    cuts.update(view(1), 1.0)
+    told = [(cuts.update(NOTHING["green"], stamp), cuts.blank) for stamp in (2.0, 4.0, 4.1, 4.2)]
+    assert told == [(False, True), (False, True), (True, False), (False, False)]
+    assert cuts.update(view(1), 4.3)
+
+
 def test_a_wall_with_somebody_far_away_before_it_is_not_nothing():
     cuts = PictureCuts()
     for x in range(400, 500, 10):

@@ -173,7 +173,7 @@ class BodyTracker:
         """
         self._locate = locate or (lambda estimate: None)
         self.windows = 0
-        if self._cuts.update(image):
+        if self._cuts.update(image, stamp):
             for track in self.tracks:
                 track.cut_off(stamp)
             self._stale_faces, self._stale_until = self._shown_faces, stamp + _STALE_S

@@ -188,14 +188,14 @@ class FaceTrackingPipeline:
         """
         self._camera = camera
         with self._times("face_flow"):
-            was_blank, cut = self._cuts.blank, self._cuts.update(bgr)
+            was_blank, cut = self._cuts.blank, self._cuts.update(bgr, stamp)
             if self._cuts.blank and stamp - self._shown_at <= self._longest_dark:
                 self.detected = False
                 return []
+            if was_blank and not self._cuts.blank:
+                self._search_anew(stamp)
             self._shown_at = self._shown_at if self._cuts.blank else stamp
             self._predict(bgr, stamp)
-        if was_blank and not self._cuts.blank:
-            self._search_anew(stamp)
         expected = self._tracker.expected(stamp)
         self._mesh_scheduler.share_among(self._mesh.threads)
         chosen = set(self._mesh_scheduler.choose(self._requests(expected, stamp), stamp))
