@@ -125,6 +125,18 @@ def test_who_was_there_when_the_light_went_off_is_waited_for(x):
     assert tracker.tracks == []
 
 
+def test_in_the_dark_no_body_is_seen_and_none_drifts_to_a_neighbour():
+    scene = Scene([(600, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(600, 400)], image=NOISE)
+    before = tracker.tracks[0].place.copy()
+    for x in range(610, 700, 10):       # what the network makes of noise
+        scene.people = [(x, 400)]
+        stamp = run(tracker, stamp, 1, boxes=[box_of(x, 400)])
+        assert tracker.published(stamp) == [] and tracker.windows == 0
+    assert np.allclose(tracker.tracks[0].place, before) and len(tracker.tracks) == 1
+
+
 def test_after_a_dark_that_ends_with_another_picture_nobody_is_waited_for():
     scene = Scene([(600, 400)])
     tracker = make(scene)

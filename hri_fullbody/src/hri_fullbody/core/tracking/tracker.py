@@ -177,8 +177,13 @@ class BodyTracker:
             for track in self.tracks:
                 track.cut_off(stamp)
             self._stale_faces, self._stale_until = self._shown_faces, stamp + _STALE_S
-        if not self._cuts.blank:
-            self._shown_faces = {face.id for face in faces}
+        if self._cuts.blank:    # the network makes bodies of noise, which drift to a neighbour
+            for track in self.tracks:
+                track.missed(stamp)
+            self._judge_hidden(stamp, image.shape[1], ())
+            self.tracks = [track for track in self.tracks if not track.dead(stamp)]
+            return
+        self._shown_faces = {face.id for face in faces}
         faces = self._fresh(faces, stamp)
         own = {track.id: self._own_face(track, faces, stamp) for track in self.tracks}
         chosen = self._choose(stamp, min(for_new, len(self._candidates)))
@@ -232,6 +237,8 @@ class BodyTracker:
     def propose(self, boxes: Sequence[np.ndarray], faces: Sequence[FaceBox], stamp: float,
                 faint: Optional[Sequence[np.ndarray]] = None) -> None:
         """Note where the person detector sees people: boxes (4,) px. faint: these and less sure ones."""
+        if self._cuts.blank:
+            return
         faces = self._fresh(faces, stamp)
         confirm_by_boxes(self.tracks, boxes if faint is None else faint, stamp,
                          {face.id: face.pose for face in faces if face.pose is not None})
@@ -254,7 +261,7 @@ class BodyTracker:
 
     def try_new(self, image: np.ndarray, stamp: float, faces: Sequence[FaceBox], max_windows: int) -> None:
         """Run at most `max_windows` inferences for bodies that are not tracked yet."""
-        if len(self.tracks) >= self._max_bodies and all(track.visible for track in self.tracks):
+        if self._cuts.blank or len(self.tracks) >= self._max_bodies and all(track.visible for track in self.tracks):
             return
         faces = self._fresh(faces, stamp)
         alone = [face for face in faces if self._owner(face) is None]
