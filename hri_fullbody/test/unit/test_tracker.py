@@ -115,7 +115,7 @@ def test_who_was_there_when_the_light_went_off_is_waited_for(x):
     tracker = make(scene)
     stamp = run(tracker, 0.0, 30, boxes=[box_of(x, 400)], image=NOISE)
     scene.people = []
-    stamp = run(tracker, stamp, 8)
+    stamp = run(tracker, stamp, 5)
     assert tracker.published(stamp) == [] and [track.id for track in tracker.tracks] == ["b0"]
     scene.people = [(x, 400)]
     run(tracker, stamp, 4, boxes=[box_of(x, 400)], image=NOISE)

@@ -67,7 +67,7 @@ _FAST = 1.0             # body sizes per second from which a body counts as fast
 _NEWBORN_WEIGHT, _HIDDEN_WEIGHT = 3.0, 0.4
 _UNCERTAIN = 0.9        # score below which a body is uncertain
 _STALE_S = 0.5          # after a cut of the picture, faces of before it may still be told for so long
-_LONGEST_BLANK = 0.5    # s of images of nothing, after which place tells too little of who is who in a crowd
+_LONGEST_BLANK = 0.3    # s of images of nothing, after which place tells too little of who is who in a crowd
 SLOW_S = 0.25
 """Images that come more slowly (s) need not take the same time each, and who is there is found in few of them."""
 _OVERDUE = 1.5      # times as long as others lately waited for their inference
