@@ -10,7 +10,7 @@ from hri_fullbody.core.keypoints import BLAZE_LEFT_SHOULDER, BLAZE_RIGHT_SHOULDE
 from hri_fullbody.core.tracking.tracker import BodyTracker
 from hri_pipeline.core.scheduler import InferenceScheduler
 
-RED, BLUE, GREEN = (40, 40, 220), (220, 60, 40), (50, 200, 60)
+RED, ORANGE, BLUE, GREEN = (40, 40, 220), (40, 120, 220), (220, 60, 40), (50, 200, 60)
 
 
 def locate(estimate):
@@ -337,3 +337,29 @@ def test_faces_decide_in_a_tight_pair():
     faces = [face_of(standing_at(300.0, 400.0), "f0"), face_of(standing_at(380.0, 400.0), "f1")]
     film.run(2.0, faces=lambda: faces)
     assert sorted(track.face_id for track in film.tracker.tracks) == ["f0", "f1"]
+
+
+@pytest.mark.parametrize("hidden_colour, hidden_s, worn, x, faced, told", [
+    (ORANGE, 0.5, ORANGE, 365.0, False, False),
+    (ORANGE, 0.5, RED, 365.0, False, True),
+    (ORANGE, 3.2, ORANGE, 365.0, False, True),
+    (RED, 0.5, ORANGE, 365.0, False, True),
+    (ORANGE, 0.5, ORANGE, 340.0, False, True),
+    (ORANGE, 0.5, ORANGE, 365.0, True, True),
+], ids=["clothes of the hidden", "own clothes", "hidden for long", "both alike", "hidden elsewhere", "own face"])
+def test_who_is_seen_in_the_clothes_of_a_hidden_neighbour_is_silent(hidden_colour, hidden_s, worn, x, faced, told):
+    front = (430.0, 400.0)
+    film = Film(Walkers([(x, 400.0), front], (hidden_colour, RED)), death_time=2.0)
+    faces = (lambda: [face_of(standing_at(*front), "f1")]) if faced else tuple
+    film.run(1.2, faces=faces)
+    first = film.ids()
+    film.scene.people = [(400.0, 400.0), front]
+    film.run(hidden_s, faces=faces)
+    assert film.ids() == first[1:]
+    film.scene.colours = [hidden_colour, worn]      # the network made its body of who is behind
+    film.run(film.step, faces=faces)
+    assert film.ids() == [first[1] if told else None]
+    assert [track.id for track in film.tracker.tracks if track.visible] == first[1:]
+    film.scene.colours = [hidden_colour, RED]
+    film.run(film.step, faces=faces)
+    assert film.ids() == first[1:]

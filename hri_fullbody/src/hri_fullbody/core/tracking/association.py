@@ -43,6 +43,9 @@ _UNKNOWN_DISTANCE = 0.3
 _CLEARER_BY, _BETTER_BY = 0.15, 0.03    # two standard deviations, and what already speaks for another
 _BESIDE, _THERE = 0.2, 0.12  # body sizes
 _HIDDEN_COST = 1.5          # of two that fit alike, the one that was visible a moment ago is meant
+# Who may lie on a hidden neighbour: that one is unseen for so long (s) at most, such a part of one of the two boxes lay
+# in the other, and the clothes fit that one better by this.
+_MISTAKEN_S, _MET, _WEARS_BY = 3.0, 0.1, 0.02
 _FOREIGN_COST = 0.5         # found in the window of another body
 UNCONFIRMED_TIME = 2.0
 """Time (s) for which a body without a person's box of its own is believed, or tried again."""
@@ -143,6 +146,36 @@ def _shows_another(track: BodyTrack, detection: PoseDetection, tracks: Sequence[
         elif better > (-_CLEARER_BY if same_body(there, detection.estimate) else _BETTER_BY):
             return True
     return False
+
+
+def judge_mistaken(tracks: Sequence[BodyTrack], stamp: float, faces: Sequence[FaceBox]) -> None:
+    """Note of the bodies seen at `stamp` (s) which wear the clothes of a hidden neighbour, and may lie on that one.
+
+    Most switches of ids on a film of a crowd are such bodies. One with its own face in the image is itself.
+    """
+    hidden = [track for track in tracks if track.confirmed and not track.visible and not track.cut
+              and stamp - track.stamp <= _MISTAKEN_S + 1e-9]
+    if not hidden:
+        return
+    shown = {face.id for face in faces}
+    for track in tracks:
+        if not track.visible:
+            continue
+        box = track.expected(stamp).box
+        for other in hidden:
+            its = other.expected(stamp).box
+            if track.id not in other.met and max(inside(box, its), inside(its, box)) > _MET:
+                other.met.add(track.id)
+        if track.stamp == stamp:
+            track.mistaken = track.face_id not in shown and any(
+                track.id in other.met and _wears_clothes_of(other, track) for other in hidden)
+
+
+def _wears_clothes_of(other: BodyTrack, track: BodyTrack) -> bool:
+    """Tell whether a body as it was last seen is dressed rather as another one than as itself."""
+    own = difference(track.appearance, track.detection.appearance)
+    its = difference(other.appearance, track.detection.appearance)
+    return own is not None and its is not None and its + _WEARS_BY < own
 
 
 def nearest_face(detection: PoseDetection, faces: Sequence[FaceBox]) -> Optional[FaceBox]:

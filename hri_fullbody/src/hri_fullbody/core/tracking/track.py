@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import List, Optional, Tuple, Union
+from typing import List, Optional, Set, Tuple, Union
 
 import numpy as np
 
@@ -194,6 +194,8 @@ class BodyTrack:
     left: it moved when it was missed at a side of the image. hidden: it was missed, and not at a side. cut: the picture
     has changed since it was seen. returning: it was seen once after a gap. kept: it was missed once, in images that
     come so slowly that this says little.
+    mistaken: it was last seen in the clothes of a hidden neighbour, on whom it may lie. met: ids of the bodies that
+    overlapped with this one since it is hidden.
     box_confirmed: None until the person detector was asked for the body, then whether it has ever seen a person there.
     rival: id of the body that was hidden where this one began: once that is seen there again, they are one human.
     wait: time (s) between two turns lately. appearance: see `appearance.describe`, learnt while unoccluded.
@@ -210,7 +212,8 @@ class BodyTrack:
         self.visible = True
         self.hidden = self.left = False
         self.cut = False
-        self.returning = self.kept = False
+        self.returning = self.kept = self.mistaken = False
+        self.met: Set[str] = set()
         self.inferred_at = stamp
         self.misses = 0
         self.rival: Optional[str] = None
@@ -356,7 +359,8 @@ class BodyTrack:
         if self.cut:
             self.box_confirmed, self.born_at = None, stamp
         self.visible, self.hidden, self.cut, self.inferred_at, self.misses = True, False, False, stamp, 0
-        self.kept = False
+        self.kept = self.mistaken = False
+        self.met.clear()
         self.motion.update(detection.estimate.centre, detection.estimate.extent, detection.root, stamp,
                            1.0 if unhidden else _OCCLUDED_NOISE)
         if unhidden:

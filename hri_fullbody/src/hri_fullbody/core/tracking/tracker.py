@@ -32,6 +32,7 @@ from hri_fullbody.core.tracking.association import (
     cost_matrix,
     drop_unconfirmed,
     end_rivalries,
+    judge_mistaken,
     nearest_face,
     waiting_in,
 )
@@ -159,9 +160,10 @@ class BodyTracker:
 
     def published(self, stamp: float) -> List[BodyTrack]:
         """Confirmed bodies that their last inference found (after a gap, the last two), not longer ago than the death
-        time or their turn takes; of slow images also those that it missed, and the one before did not."""
-        return [track for track in self.tracks if track.confirmed and (track.kept or track.visible and not
-                                                                       track.returning)
+        time or their turn takes; of slow images also those that it missed, and the one before did not. Those that may
+        lie on a hidden neighbour are silent."""
+        return [track for track in self.tracks if track.confirmed and not track.mistaken
+                and (track.kept or track.visible and not track.returning)
                 and stamp - (track.inferred_at if track.kept else track.stamp) <= max(
                     self._death_time, _OVERDUE * track.wait)]
 
@@ -200,6 +202,7 @@ class BodyTracker:
                                   faces)
         self._link_faces(faces, stamp)
         self._judge_hidden(stamp, image.shape[1], doubles)
+        judge_mistaken(self.tracks, stamp, faces)
         self.tracks = [track for track in self.tracks if not track.dead(stamp)]
 
     def _judge_hidden(self, stamp: float, width: float, doubles: Container[str]) -> None:
