@@ -111,6 +111,13 @@ def test_nothing_is_said_of_a_motion_that_is_not_seen(images, interval):
     assert not motion.moves and not motion.step().any() and not motion.since(0.0).any()
 
 
+def test_an_image_that_shows_nothing_tells_no_motion_and_the_next_one_neither():
+    motion = CameraMotion()
+    for number, image in enumerate((seen(0.0), seen(0.05), np.zeros((360, 640, 3), np.uint8), seen(0.1))):
+        motion.update(image, CAMERA, STEP_S * number)
+        assert motion.moves is (number == 1)
+
+
 def test_a_face_of_the_image_before_is_where_it_is_in_this_one():
     place, pan = np.array([0.3, -0.2, 2.0]), 0.1
     later = about(pan, 0.0) @ place

@@ -109,6 +109,44 @@ def test_after_a_cut_a_face_that_is_told_late_holds_no_body_and_begins_none():
     assert tracker.published(stamp + 6 * STEP) == []
 
 
+@pytest.mark.parametrize("x", [600, 60], ids=["in the middle", "at the side"])
+def test_who_was_there_when_the_light_went_off_is_waited_for(x):
+    scene = Scene([(x, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(x, 400)], image=NOISE)
+    scene.people = []
+    stamp = run(tracker, stamp, 5)
+    assert tracker.published(stamp) == [] and [track.id for track in tracker.tracks] == ["b0"]
+    scene.people = [(x, 400)]
+    run(tracker, stamp, 4, boxes=[box_of(x, 400)], image=NOISE)
+    assert [(track.id, track.visible) for track in tracker.tracks] == [("b0", True)]
+    scene.people = []
+    run(tracker, run(tracker, stamp + 4 * STEP, 3), 33)
+    assert tracker.tracks == []
+
+
+def test_in_the_dark_no_body_is_seen_and_none_drifts_to_a_neighbour():
+    scene = Scene([(600, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(600, 400)], image=NOISE)
+    before = tracker.tracks[0].place.copy()
+    for x in range(610, 700, 10):       # what the network makes of noise
+        scene.people = [(x, 400)]
+        stamp = run(tracker, stamp, 1, boxes=[box_of(x, 400)])
+        assert tracker.published(stamp) == [] and tracker.windows == 0
+    assert np.allclose(tracker.tracks[0].place, before) and len(tracker.tracks) == 1
+
+
+def test_after_a_dark_that_ends_with_another_picture_nobody_is_waited_for():
+    scene = Scene([(600, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(600, 400)], image=NOISE)
+    scene.people = []
+    stamp = run(tracker, stamp, 8)
+    run(tracker, stamp, 1, image=NOISE[::-1, ::-1])
+    assert not any(track.hidden for track in tracker.tracks)
+
+
 def test_who_comes_back_after_a_cut_must_be_confirmed_anew():
     scene = Scene([(600, 400)])
     tracker = make(scene)

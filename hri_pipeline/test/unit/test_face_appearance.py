@@ -276,12 +276,44 @@ def view(seed, shift=(0, 0), light=1.0, offset=0.0):
 
 @pytest.mark.parametrize("after, is_cut", [
     (view(1), False), (view(1, (100, 0)), False), (view(1, (-60, 40)), False), (view(1, light=0.3), False),
-    (view(1, light=0.6, offset=60.0), False), (view(2), True), (np.zeros((480, 640, 3), np.uint8), True)])
+    (view(1, light=0.6, offset=60.0), False), (view(2), True)])
 def test_cuts_of_the_picture(after, is_cut):
     cuts = PictureCuts()
     assert not cuts.update(view(1)), "nothing before"
     assert cuts.update(after) is is_cut
     assert not cuts.update(after)
+
+
+NOTHING = {"no light": view(1, light=0.01), "white": np.full((480, 640, 3), 255, np.uint8),
+           "green": np.full((480, 640, 3), (0, 135, 0), np.uint8),
+           "noise in the dark": np.random.default_rng(1).normal(12.0, 6.0, (480, 640, 3)).clip(0, 255).astype(np.uint8)}
+
+
+@pytest.mark.parametrize("nothing", sorted(NOTHING))
+@pytest.mark.parametrize("after, is_cut", [(view(1, (10, 5)), False), (view(1, light=0.5), False), (view(2), True)])
+def test_what_comes_after_a_picture_of_nothing_is_compared_with_what_was_before_it(nothing, after, is_cut):
+    cuts = PictureCuts()
+    cuts.update(view(1))
+    for _ in range(3):
+        assert not cuts.update(NOTHING[nothing]) and cuts.blank
+    assert cuts.update(after) is is_cut and not cuts.blank
+    assert not cuts.update(after)
+
+
+def test_pictures_of_nothing_are_a_scene_of_their_own_after_three_seconds():
+    cuts = PictureCuts()
+    cuts.update(view(1), 1.0)
+    told = [(cuts.update(NOTHING["green"], stamp), cuts.blank) for stamp in (2.0, 4.0, 4.1, 4.2)]
+    assert told == [(False, True), (False, True), (True, False), (False, False)]
+    assert cuts.update(view(1), 4.3)
+
+
+def test_a_wall_with_somebody_far_away_before_it_is_not_nothing():
+    cuts = PictureCuts()
+    for x in range(400, 500, 10):
+        wall = np.full((480, 640, 3), 150, np.uint8)
+        wall[300:320, x:x + 12] = 60
+        assert not cuts.update(wall) and not cuts.blank
 
 
 def test_somebody_who_walks_through_the_picture_is_no_cut():

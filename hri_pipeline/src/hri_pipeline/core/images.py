@@ -378,8 +378,14 @@ _MOST_MOTION = 0.25
 """Part of the picture by which it may move from one image to the next."""
 _CUT = 0.5
 """Correlation of two pictures, moved against each other at best, below which they show something else."""
-_EMPTY = 4.0
-"""Standard deviation (grey values) below which a picture shows nothing."""
+_CUT_IN_BLANK = 0.8
+"""The same for a picture after one of nothing: one scene has .79 and more when the light comes back, overexposed too;
+photographs of two scenes up to .62, of two people alike in place and size .76."""
+_EMPTY, _FADED = 4.0, 0.25
+"""Standard deviation (grey values) below which a smoothed picture shows nothing, and part of that of the picture before
+below which it does so all at once: a wall with somebody far away before it is as smooth."""
+_LONGEST_BLANK = 3.0
+"""Time (s) after which pictures of nothing are a scene of their own."""
 _STAYED, _STAYED_BY = 0.62, 6.0
 """Part of the picture that stays as it was, within so many grey values, from which there was no cut: people who cross
 before a wall leave .67 and more of it, even at 2 Hz; cuts between photographs and between films .20, one pair .57."""
@@ -387,32 +393,49 @@ before a wall leave .67 and more of it, even at 2 Hz; cuts between photographs a
 
 class PictureCuts:
     """Tells when most of the picture changes from one image to the next, and not by a motion of the camera, by light,
-    or by people who walk before the same background."""
+    or by people who walk before the same background.
+
+    An image that suddenly shows nothing (no light, a covered lens, a broken image) is no cut: what comes after it is
+    compared with what was there before.
+    """
 
     def __init__(self) -> None:
         self._last: Optional[np.ndarray] = None
-        self._was_empty = False
+        self._contrast = self._shown_at = 0.0       # of the last image that showed something
         self.changed = False
         """Whether most of the last image shows something else than the one before did there."""
+        self.blank = False
+        """Whether the last image shows nothing, and those up to three seconds before it did."""
 
-    def update(self, bgr: np.ndarray) -> bool:
-        """Return whether `bgr` (H, W, 3) uint8 shows something else than the image before."""
+    def update(self, bgr: np.ndarray, stamp: float = 0.0) -> bool:
+        """Return whether `bgr` (H, W, 3) uint8 of `stamp` (s) shows something else than the last image that showed
+        something."""
         small = self._small(bgr)
-        empty = _deviation(small) < _EMPTY
-        last, self._last, was_empty, self._was_empty = self._last, small, self._was_empty, empty
+        contrast = _deviation(cv2.blur(small, (3, 3)))
+        least = _CUT_IN_BLANK if self.blank else _CUT
+        self.blank = (self._last is not None and 0.0 <= stamp - self._shown_at <= _LONGEST_BLANK
+                      and contrast < min(_EMPTY, _FADED * self._contrast))
+        if self.blank:
+            self.changed = False
+            return False
+        is_cut = self._is_cut(small, contrast, least)
+        self._last, self._contrast, self._shown_at = small, contrast, stamp
+        return is_cut
+
+    def _is_cut(self, small: np.ndarray, contrast: float, least: float) -> bool:
+        """Whether a small picture correlates with the last one by less than `least`; notes whether most has changed."""
+        last = self._last
         self.changed = last is not None and bool(
             np.count_nonzero(cv2.absdiff(small, last) < _STAYED_BY) < _STAYED * small.size)
-        if last is None:
+        if last is None or not self.changed or max(self._contrast, contrast) < _EMPTY:
             return False
-        if empty or was_empty:
-            return empty != was_empty
-        if not self.changed:
-            return False
+        if min(self._contrast, contrast) < _FADED * _EMPTY:
+            return True
         margin = int(_SIDE * _MOST_MOTION)
         inner = small[margin:-margin, margin:-margin]
         if _deviation(inner) < _EMPTY:
-            return float(np.corrcoef(small.ravel(), last.ravel())[0, 1]) < _CUT
-        return float(cv2.matchTemplate(last, inner, cv2.TM_CCOEFF_NORMED).max()) < _CUT
+            return float(np.corrcoef(small.ravel(), last.ravel())[0, 1]) < least
+        return float(cv2.matchTemplate(last, inner, cv2.TM_CCOEFF_NORMED).max()) < least
 
     def turn(self, rotation: ImageRotation) -> None:
         """Turn the last image."""
@@ -420,7 +443,7 @@ class PictureCuts:
 
     def reset(self) -> None:
         """Forget the last image."""
-        self._last = None
+        self._last, self.blank = None, False
 
     @staticmethod
     def _small(bgr: np.ndarray) -> np.ndarray:

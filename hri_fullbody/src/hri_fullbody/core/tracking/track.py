@@ -378,16 +378,16 @@ class BodyTrack:
         """Tell whether the body is not seen, and expected where it was hidden."""
         return self.hidden and not self.visible and not self.dead(stamp)
 
-    def judge_hidden(self, stamp: float, width: float) -> None:
+    def judge_hidden(self, stamp: float, width: float, blank: bool = False) -> None:
         """Note whether a body that was missed has left at a side of an image of `width` px, where who stands half in is
-        missed, too, but does not move; elsewhere, if it was well known, it is hidden by something."""
+        missed, too, but does not move; elsewhere, and where the image is blank, if it was well known, it is hidden."""
         reach = _EDGE * self.motion.size
         x = float(self.estimate.centre[0] + self.moved(stamp)[0])
         left, right = (self.estimate.box[[0, 2]] + self._carried[0]).tolist()
         # A stamp is a multiple of a nanosecond: allow that much, or 1.4 - 0.4 is not 1.
         long_seen = self.life.last_seen - self.born_at >= _SURE_S - 1e-9
         known = long_seen and bool(self.box_confirmed or self.face_id is not None)
-        is_aside = not (left > reach and right < width - reach and reach < x < width - reach)
+        is_aside = not blank and not (left > reach and right < width - reach and reach < x < width - reach)
         self.left = is_aside and self.motion.speed() >= _STILL
         self.hidden = known and not self.cut and not is_aside
 

@@ -67,6 +67,7 @@ _FAST = 1.0             # body sizes per second from which a body counts as fast
 _NEWBORN_WEIGHT, _HIDDEN_WEIGHT = 3.0, 0.4
 _UNCERTAIN = 0.9        # score below which a body is uncertain
 _STALE_S = 0.5          # after a cut of the picture, faces of before it may still be told for so long
+_LONGEST_BLANK = 0.3    # s of images of nothing, after which place tells too little of who is who in a crowd
 SLOW_S = 0.25
 """Images that come more slowly (s) need not take the same time each, and who is there is found in few of them."""
 _OVERDUE = 1.5      # times as long as others lately waited for their inference
@@ -173,10 +174,16 @@ class BodyTracker:
         """
         self._locate = locate or (lambda estimate: None)
         self.windows = 0
-        if self._cuts.update(image):
+        if self._cuts.update(image, stamp):
             for track in self.tracks:
                 track.cut_off(stamp)
             self._stale_faces, self._stale_until = self._shown_faces, stamp + _STALE_S
+        if self._cuts.blank:    # the network makes bodies of noise, which drift to a neighbour
+            for track in self.tracks:
+                (track.cut_off if stamp - track.stamp > _LONGEST_BLANK else track.missed)(stamp)
+            self._judge_hidden(stamp, image.shape[1], ())
+            self.tracks = [track for track in self.tracks if not track.dead(stamp)]
+            return
         self._shown_faces = {face.id for face in faces}
         faces = self._fresh(faces, stamp)
         own = {track.id: self._own_face(track, faces, stamp) for track in self.tracks}
@@ -204,7 +211,7 @@ class BodyTracker:
         self._followed_at = stamp
         for track in self.tracks:
             if not track.visible:
-                track.judge_hidden(stamp, width)
+                track.judge_hidden(stamp, width, self._cuts.blank)
                 if track.inferred_at == stamp:
                     track.kept = slow and track.hidden and track.misses == 1 and track.id not in doubles
 
@@ -231,6 +238,8 @@ class BodyTracker:
     def propose(self, boxes: Sequence[np.ndarray], faces: Sequence[FaceBox], stamp: float,
                 faint: Optional[Sequence[np.ndarray]] = None) -> None:
         """Note where the person detector sees people: boxes (4,) px. faint: these and less sure ones."""
+        if self._cuts.blank:
+            return
         faces = self._fresh(faces, stamp)
         confirm_by_boxes(self.tracks, boxes if faint is None else faint, stamp,
                          {face.id: face.pose for face in faces if face.pose is not None})
@@ -253,7 +262,7 @@ class BodyTracker:
 
     def try_new(self, image: np.ndarray, stamp: float, faces: Sequence[FaceBox], max_windows: int) -> None:
         """Run at most `max_windows` inferences for bodies that are not tracked yet."""
-        if len(self.tracks) >= self._max_bodies and all(track.visible for track in self.tracks):
+        if self._cuts.blank or len(self.tracks) >= self._max_bodies and all(track.visible for track in self.tracks):
             return
         faces = self._fresh(faces, stamp)
         alone = [face for face in faces if self._owner(face) is None]

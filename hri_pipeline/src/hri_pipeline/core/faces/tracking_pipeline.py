@@ -62,6 +62,8 @@ _PREDICTION_TIME = 0.3
 _PANS, _PANNED_S = 0.2, 0.8
 """Speed (image widths per second) at which all faces move when the camera turns, and time (s) for which the whole image
 is searched more often then: people come in on one side."""
+DARK_PATIENCE = 3.0
+"""Death times for which images that show nothing (no light, a covered lens) are as if they had not come."""
 ANEW_PERIOD = 0.25
 """Least time (s) between two searches of all the picture for somebody who took another one's place."""
 
@@ -116,7 +118,7 @@ class FaceTrackingPipeline:
         self._tracker = FaceTracker(judge=judge, doubts=self._verifier.doubts, **_limits(settings))
         self._cuts = PictureCuts()
         self._orientation = FaceOrientation()
-        self._anew_at = self._panned_at = -np.inf
+        self._anew_at = self._panned_at = self._shown_at = -np.inf
         self._ignored = IgnoredRegions(settings.ignored_regions)
         self._times = times
         self._flow = FaceFlow()
@@ -141,6 +143,7 @@ class FaceTrackingPipeline:
     def _set_thresholds(self, settings: FacePipelineSettings) -> None:
         self._min_score, self._min_presence = settings.min_detection_score, settings.min_face_presence
         self._detection_age = _DETECTION_AGE * settings.face_support_time
+        self._longest_dark = DARK_PATIENCE * settings.face_death_time
         self._detector.set_min_score(RECALL_RATIO * self._min_score)
 
     @property
@@ -182,7 +185,13 @@ class FaceTrackingPipeline:
         """
         self._camera = camera
         with self._times("face_flow"):
-            cut = self._cuts.update(bgr)
+            was_blank, cut = self._cuts.blank, self._cuts.update(bgr, stamp)
+            if self._cuts.blank and stamp - self._shown_at <= self._longest_dark:
+                self.detected = False
+                return []
+            if was_blank and not self._cuts.blank:
+                self._search_anew(stamp)
+            self._shown_at = self._shown_at if self._cuts.blank else stamp
             self._predict(bgr, stamp)
         expected = self._tracker.expected(stamp)
         self._mesh_scheduler.share_among(self._mesh.threads)
@@ -230,7 +239,7 @@ class FaceTrackingPipeline:
         self._flow.reset()
         self._cuts.reset()
         self._orientation.reset()
-        self._anew_at = self._panned_at = -np.inf
+        self._anew_at = self._panned_at = self._shown_at = -np.inf
 
     def _ask_about_doubted(self, bgr: np.ndarray, stamp: float, present: Set[str]) -> None:
         """Find out what is around new faces that are not sure, of those that are in this image by their ids."""
