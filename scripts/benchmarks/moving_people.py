@@ -13,13 +13,17 @@ import math
 import sys
 from collections import defaultdict
 from pathlib import Path
-from typing import Dict, List, Sequence, Tuple
+from typing import TYPE_CHECKING, Dict, List, Sequence, Tuple
 
 import cv2
 import numpy as np
 
 from hri_pipeline.core.observations import FaceObservation
 from hri_pipeline.core.sources.image_sources import BAR_GREY, paste_centred, scaled
+
+if TYPE_CHECKING:       # the node that publishes needs no networks
+    from hri_pipeline.core.camera import CameraModel
+    from hri_pipeline.core.faces.pipeline import FacePipeline
 
 HFOV = math.radians(60.0)
 PAN, PAN_S = math.radians(1.5), 9.0
@@ -254,18 +258,26 @@ def make_reference(scene: np.ndarray, people: int) -> Dict[str, np.ndarray]:
             people, len(faces), len(standing)))
     seen = {name: np.stack([np.nanmean(looks[name, one.id], axis=0) for one in found])
             for name, found in (("landmarks", faces), ("directions", faces), ("skeletons", standing))}
-    directions = np.full((people, PHASES // 4 + 1, 3), np.nan)
-    directions[:, 0] = seen["directions"] / np.linalg.norm(seen["directions"], axis=1, keepdims=True)
+    still_directions = seen["directions"] / np.linalg.norm(seen["directions"], axis=1, keepdims=True)
     moving = MovingPeople(scene, seen["landmarks"], seen["skeletons"])
-    owner = {face.id: number for number, face in enumerate(faces)}
+    turned = _directions_in_turns(tracker, camera, moving, [face.id for face in faces])
+    return {"landmarks": seen["landmarks"], "skeletons": seen["skeletons"],
+            "directions": np.concatenate([still_directions[:, None], turned], axis=1)}
+
+
+def _directions_in_turns(tracker: FacePipeline, camera: CameraModel, moving: MovingPeople,
+                         ids: Sequence[str]) -> np.ndarray:
+    """Where faces look, (F, PHASES / 4, 3) in the optical frame, in every fourth phase of their turns; not a number
+    where one is not seen. tracker: has seen the pan."""
+    directions = np.full((len(ids), PHASES // 4, 3), np.nan)
     for index in range(-4, 4 * PHASES):     # slowly: a turn of 1.6 s in 19
         phase = max(index, 0) // 4
         if phase % 4 == 0 or index % 4 == 0:
             faces = tracker.update(moving.picture(phase), camera, PAN_S + 0.5 + 0.1 * index)
         for face in faces:
-            if index >= 0 and face.id in owner and phase % 4 == 0:
-                directions[owner[face.id], 1 + phase // 4] = _direction(face)
-    return {"landmarks": seen["landmarks"], "skeletons": seen["skeletons"], "directions": directions}
+            if index >= 0 and face.id in ids and phase % 4 == 0:
+                directions[ids.index(face.id), phase // 4] = _direction(face)
+    return directions
 
 
 def _at_first(people: MovingPeople, points: np.ndarray, stamp: float) -> np.ndarray:

@@ -79,7 +79,6 @@ class Truth:
         """reference: see make_reference; focal: px."""
         self._people = MovingPeople(scene, reference["landmarks"], reference["skeletons"])
         self._reference, self._focal = reference, focal
-        self._centre = np.array(scene.shape[1::-1]) / 2.0
         landmarks, skeletons = reference["landmarks"][:, :, :2], reference["skeletons"][:, :, :2]
         self.sizes = {"faces": np.sqrt(np.prod(np.ptp(landmarks, axis=1), axis=1)),
                       "bodies": np.linalg.norm(skeletons[:, TRUNK[:2]].mean(axis=1)

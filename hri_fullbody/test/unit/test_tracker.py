@@ -137,6 +137,18 @@ def test_in_the_dark_no_body_is_seen_and_none_drifts_to_a_neighbour():
     assert np.allclose(tracker.tracks[0].place, before) and len(tracker.tracks) == 1
 
 
+def test_who_was_not_seen_for_a_while_is_waited_for_behind_a_black_image_as_before():
+    scene = Scene([(600, 400)])
+    tracker = make(scene)
+    stamp = run(tracker, 0.0, 30, boxes=[box_of(600, 400)], image=NOISE)
+    scene.people = []
+    stamp = run(tracker, stamp, 8, image=NOISE)
+    stamp = run(tracker, run(tracker, stamp, 1), 8, image=NOISE)
+    assert [(track.id, track.hidden) for track in tracker.tracks] == [("b0", True)]
+    run(tracker, run(tracker, stamp, 8), 5, image=NOISE)     # what is where is not known after so long a dark
+    assert tracker.tracks == []
+
+
 def test_after_a_dark_that_ends_with_another_picture_nobody_is_waited_for():
     scene = Scene([(600, 400)])
     tracker = make(scene)

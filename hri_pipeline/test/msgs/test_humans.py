@@ -78,6 +78,18 @@ def test_whose_pose_is_asked_for_while_they_leave_are_not_followed_for_ever():
     client.close()
 
 
+def test_whose_pose_is_asked_for_after_they_left_does_not_disturb_the_same_person_who_is_back():
+    client = humans.Humans(patience=0.0)
+    client.frames._subscriber = SimpleNamespace(close=lambda: None)     # without a master
+    before = humans.Person("anna", client)
+    before.close()
+    back = humans.Person("anna", client)
+    back.pose()
+    assert before.pose() is None
+    assert client.frames._tf.followed == {"person": ["anna"]}
+    client.close()
+
+
 def test_nobody_leaves_before_they_have_come(persons):
     told, has_left = [], threading.Event()
 

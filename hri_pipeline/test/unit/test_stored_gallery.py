@@ -1,5 +1,6 @@
 """The gallery in the store of people: two recognisers and a person manager on one file."""
 
+import sqlite3
 import threading
 
 import numpy as np
@@ -225,8 +226,8 @@ def test_what_others_change_of_people_is_read_also_where_a_change_of_ours_was_ta
                                   if one < two and first.are_apart(one, two)}
 
 
-def test_a_store_that_counts_no_changes_yet_begins_to(store, other):
-    """As one of an earlier version, or whose count was damaged."""
+def test_a_store_that_marks_no_changes_yet_begins_to(store, other):
+    """As one of an earlier version, or whose mark was damaged."""
     first = gallery(store)
     with other.change():
         other._database._connection.execute("DELETE FROM facts WHERE name = 'people'")
@@ -234,6 +235,57 @@ def test_a_store_that_counts_no_changes_yet_begins_to(store, other):
     other.put_templates(KnownPerson("carl", face(3)[None], False), "net", 1.0)
     first.flush()
     assert first.ids() == ["carl"]
+
+
+def backup(source, target):
+    """Copy a store onto another file, which may be in use, as `.backup` and `.restore` of the program sqlite3 do."""
+    connections = [sqlite3.connect(str(path)) for path in (source, target)]
+    connections[0].backup(connections[1])
+    for connection in connections:
+        connection.close()
+
+
+def test_another_file_that_is_restored_over_the_store_is_read_also_after_as_many_changes(store, other, tmp_path):
+    first, copy = gallery(store), tmp_path / "copy.sqlite"
+    backup(store.path, copy)
+    other.put_templates(KnownPerson("anna", face(1)[None], False), "net", 1.0)
+    first.flush()
+    backup(copy, store.path)
+    other.put_templates(KnownPerson("bert", face(2)[None], False), "net", 1.0)
+    first.flush()
+    assert first.ids() == ["bert"]
+
+
+def test_a_file_of_an_earlier_version_that_is_restored_over_the_store_tells_changes(store, other, tmp_path):
+    old = tmp_path / "old.sqlite"
+    backup(store.path, old)
+    connection = sqlite3.connect(str(old))
+    for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
+        connection.execute("DROP TRIGGER {}".format(name))
+    connection.execute("DELETE FROM facts WHERE name = 'people'")
+    connection.commit()
+    connection.close()
+    first = gallery(store)
+    backup(old, store.path)
+    first.flush()
+    first.flush()
+    other.put_templates(KnownPerson("anna", face(1)[None], False), "net", 1.0)
+    first.flush()
+    other.remove_record("anna")
+    first.flush()
+    assert not first.ids()
+
+
+@pytest.mark.parametrize("mark", ["9223372036854775807", "9.3e18", "none", "-1", ""])
+def test_changes_are_told_whatever_the_mark_of_the_last_one_was(store, other, mark):
+    first = gallery(store)
+    with other.change():
+        other._database._connection.execute("UPDATE facts SET value = ? WHERE name = 'people'", (mark,))
+    for number, name in enumerate(("anna", "bert"), 1):
+        first.flush()
+        other.put_templates(KnownPerson(name, face(number)[None], False), "net", number)
+    first.flush()
+    assert first.ids() == ["anna", "bert"]
 
 
 def test_what_was_changed_here_is_not_lost_when_others_change_something(store, other):

@@ -87,8 +87,10 @@ class Human:
 
     def _pose(self, kind: str, frame: str) -> Optional[Pose]:
         # Who has left is nowhere; to ask for their frames again would keep them for good.
-        found = self._humans.frames.pose(kind, self.id, frame.lstrip("/")) if self._present else None
-        if not self._present:       # since this moment, too
+        if not self._present:
+            return None
+        found = self._humans.frames.pose(kind, self.id, frame.lstrip("/"))
+        if not self._present:       # since this moment
             self._humans.frames.forget(self.id)
         return None if found is None else found[0]
 

@@ -401,7 +401,9 @@ class PictureCuts:
 
     def __init__(self) -> None:
         self._last: Optional[np.ndarray] = None
-        self._contrast = self._shown_at = 0.0       # of the last image that showed something
+        self._contrast = 0.0        # of the last image that showed something
+        self.shown_at = 0.0
+        """Stamp (s) of that image."""
         self.changed = False
         """Whether most of the last image shows something else than the one before did there."""
         self.blank = False
@@ -413,13 +415,13 @@ class PictureCuts:
         small = self._small(bgr)
         contrast = _deviation(cv2.blur(small, (3, 3)))
         least = _CUT_IN_BLANK if self.blank else _CUT
-        self.blank = (self._last is not None and 0.0 <= stamp - self._shown_at <= _LONGEST_BLANK
+        self.blank = (self._last is not None and 0.0 <= stamp - self.shown_at <= _LONGEST_BLANK
                       and contrast < min(_EMPTY, _FADED * self._contrast))
         if self.blank:
             self.changed = False
             return False
         is_cut = self._is_cut(small, contrast, least)
-        self._last, self._contrast, self._shown_at = small, contrast, stamp
+        self._last, self._contrast, self.shown_at = small, contrast, stamp
         return is_cut
 
     def _is_cut(self, small: np.ndarray, contrast: float, least: float) -> bool:

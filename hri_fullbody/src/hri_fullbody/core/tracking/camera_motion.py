@@ -66,8 +66,7 @@ class CameraMotion:
 
         people: tells the boxes (4,) px of those in the image before, whose motion is their own.
         """
-        cut = self._changes.update(bgr, stamp)
-        cut = cut or self._changes.blank
+        cut = self._changes.update(bgr, stamp) or self._changes.blank
         before, self._last, self._camera = self._last, None if self._changes.blank else bgr, camera
         picture, self._picture = self._picture, None
         step = stamp - self._turns[-1].stamp if self._turns else math.inf

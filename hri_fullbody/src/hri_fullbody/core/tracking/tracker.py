@@ -181,8 +181,9 @@ class BodyTracker:
                 track.cut_off(stamp)
             self._stale_faces, self._stale_until = self._shown_faces, stamp + _STALE_S
         if self._cuts.blank:    # the network makes bodies of noise, which drift to a neighbour
+            too_long = stamp - self._cuts.shown_at > _LONGEST_BLANK
             for track in self.tracks:
-                (track.cut_off if stamp - track.stamp > _LONGEST_BLANK else track.missed)(stamp)
+                (track.cut_off if too_long else track.missed)(stamp)
             self._judge_hidden(stamp, image.shape[1], ())
             self.tracks = [track for track in self.tracks if not track.dead(stamp)]
             return

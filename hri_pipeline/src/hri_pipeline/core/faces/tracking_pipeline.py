@@ -118,7 +118,7 @@ class FaceTrackingPipeline:
         self._tracker = FaceTracker(judge=judge, doubts=self._verifier.doubts, **_limits(settings))
         self._cuts = PictureCuts()
         self._orientation = FaceOrientation()
-        self._anew_at = self._panned_at = self._shown_at = -np.inf
+        self._anew_at = self._panned_at = -np.inf
         self._ignored = IgnoredRegions(settings.ignored_regions)
         self._times = times
         self._flow = FaceFlow()
@@ -186,12 +186,11 @@ class FaceTrackingPipeline:
         self._camera = camera
         with self._times("face_flow"):
             was_blank, cut = self._cuts.blank, self._cuts.update(bgr, stamp)
-            if self._cuts.blank and stamp - self._shown_at <= self._longest_dark:
+            if self._cuts.blank and stamp - self._cuts.shown_at <= self._longest_dark:
                 self.detected = False
                 return []
             if was_blank and not self._cuts.blank:
                 self._search_anew(stamp)
-            self._shown_at = self._shown_at if self._cuts.blank else stamp
             self._predict(bgr, stamp)
         expected = self._tracker.expected(stamp)
         self._mesh_scheduler.share_among(self._mesh.threads)
@@ -239,7 +238,7 @@ class FaceTrackingPipeline:
         self._flow.reset()
         self._cuts.reset()
         self._orientation.reset()
-        self._anew_at = self._panned_at = self._shown_at = -np.inf
+        self._anew_at = self._panned_at = -np.inf
 
     def _ask_about_doubted(self, bgr: np.ndarray, stamp: float, present: Set[str]) -> None:
         """Find out what is around new faces that are not sure, of those that are in this image by their ids."""

@@ -33,13 +33,14 @@ MIGRATIONS: Tuple[Tuple[str, ...], ...] = (
     ("ALTER TABLE persons ADD COLUMN sealed BLOB",),
 )
 """The statements that lead from each version of the schema to the next."""
-_COUNT = "INSERT OR IGNORE INTO facts VALUES ('people', '0')"
-_COUNTED = tuple(
+_MARK = "abs(random() / 2)"
+_MARKED = ("INSERT OR IGNORE INTO facts VALUES ('people', {})".format(_MARK), *(
     "CREATE TRIGGER IF NOT EXISTS {0}_{1} AFTER {1} ON {0}{2}"
-    " BEGIN UPDATE facts SET value = value + 1 WHERE name = 'people'; END".format(table, event, (
+    " BEGIN UPDATE facts SET value = {3} WHERE name = 'people'; END".format(table, event, (
         " WHEN OLD.id IS NOT NEW.id OR OLD.enrolled IS NOT NEW.enrolled" if (table, event) == ("persons", "UPDATE")
-        else "")) for table in ("persons", "templates", "apart") for event in ("INSERT", "DELETE", "UPDATE"))
-"""What counts all changes of people but those of their records, whoever makes them; files of all schemas have it."""
+        else ""), _MARK) for table in ("persons", "templates", "apart") for event in ("INSERT", "DELETE", "UPDATE")))
+"""What marks all changes of people but those of their records, whoever makes them; files of all schemas have it. By
+chance, not by a count: that of another file, as of a backup that is restored, may be the same."""
 _BUSY_S = 5.0      # longest wait for another process that writes
 _PAUSE_S = 0.02
 _JOURNALS = ("-wal", "-shm", "-journal")
@@ -123,9 +124,8 @@ class PersonDatabase:
         them; not with what else records say, as that somebody was seen, which is written all the time."""
         with self.reading() as database:
             found = database.execute("SELECT CAST(value AS INTEGER) FROM facts WHERE name = 'people'").fetchone()
-            if found is None:       # the count was damaged: what has changed meanwhile is not known
-                with self.writing():
-                    database.execute(_COUNT)
+            if found is None:       # damaged, or an older file was restored: what has changed is not known
+                self._mark_changes()
                 return -1
             return int(found[0])
 
@@ -263,10 +263,14 @@ class PersonDatabase:
             for statements in MIGRATIONS[version:]:
                 for statement in statements:
                     database.execute(statement)
-            for statement in (_COUNT, *_COUNTED):
-                database.execute(statement)
+            self._mark_changes()
             database.execute("PRAGMA user_version = {}".format(len(MIGRATIONS)))
             database.execute("PRAGMA application_id = {}".format(APPLICATION_ID))
+
+    def _mark_changes(self) -> None:
+        with self.writing() as database:
+            for statement in _MARKED:
+                database.execute(statement)
 
 
 def _share(path: Path) -> int:
