@@ -16,6 +16,7 @@ from hri_pipeline.core.setup_check import (
     as_text,
     check,
     is_well,
+    own_cameras,
     stand_ins,
 )
 
@@ -51,6 +52,19 @@ def test_nodes_of_other_names_are_known_by_their_topics():
     assert [stand_ins(name, published, subscribed) for name in wanted] == [
         ["/front/eyes"], ["/front/eyes", "/side/hri_bodies"], ["/pairs"], ["/us"], []]
     assert [stand_ins(name, {}, subscribed) for name in wanted] == [[]] * 5
+
+
+def test_who_is_its_own_camera_needs_no_images_and_no_matcher():
+    lists = ("/humans/faces/tracked", "/humans/bodies/tracked", "/humans/candidate_matches")
+    published = {topic: ["/simulator", "/eyes"] for topic in lists}
+    published["/camera/color/camera_info"] = ["/simulator", "/driver"]
+    assert own_cameras(published) == {"/simulator"} and own_cameras({}) == set()
+    assert stand_ins("hri_face_body_matcher", published, {}) == ["/simulator"]
+    alone = replace(image(publishers=(), types=(), messages=0), nodes={"simulator": "running"}, picture=None)
+    assert not is_well(check(alone, SETTINGS))
+    assert is_well(check(replace(alone, own_cameras=("simulator", )), SETTINGS))
+    assert not is_well(check(replace(alone, own_cameras=("simulator", ),
+                                     nodes={"simulator": "running", "eyes": "running"}), SETTINGS))
 
 
 def test_who_stands_for_a_node_is_told():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
 from hri_pipeline.core.images import ASPECT_TOLERANCE, ENCODINGS, other_transport
 from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
@@ -65,11 +65,13 @@ class Facts:
     text)} of /diagnostics. tracked: {kind: ids in the last list, -1 without a list}. tf_reaches: whether transforms
     lead from camera_frame to reference_frame. publishing: nodes, whatever their names, that publish below /humans.
     managers: those that publish the list of persons. time, wall_time: now, of ROS and of the machine, s. stand_ins:
-    {usual name: nodes of other names that do its work}. clocks: nodes that send /clock.
+    {usual name: nodes of other names that do its work}. own_cameras: nodes that see people without images. clocks:
+    nodes that send /clock.
     """
 
     nodes: Dict[str, str] = field(default_factory=dict)
     stand_ins: Dict[str, Tuple[str, ...]] = field(default_factory=dict)
+    own_cameras: Tuple[str, ...] = ()
     publishing: Tuple[str, ...] = ()
     managers: Tuple[str, ...] = ()
     image: Optional[Stream] = None
@@ -199,9 +201,23 @@ def stand_ins(name: str, published: Mapping[str, Sequence[str]], subscribed: Map
     """
     if name != _MATCHER:
         return sorted(published.get(_LISTS.get(name, ""), ()))
-    inputs = [set(subscribed.get(_LISTS[kind], ())) for kind in ("hri_faces", "hri_bodies")]
-    return sorted(set(published.get(MATCHES, ())).intersection(*inputs).difference(
-        *(published.get(topic, ()) for topic in _LISTS.values())))
+    inputs = [set(subscribed.get(_LISTS[kind], ())) for kind in _MATCHED]
+    matchers = set(published.get(MATCHES, ())).intersection(*inputs).difference(
+        *(published.get(topic, ()) for topic in _LISTS.values()))
+    makers = own_cameras(published).intersection(published.get(MATCHES, ()))
+    return sorted(matchers | makers)
+
+
+def own_cameras(published: Mapping[str, Sequence[str]]) -> Set[str]:
+    """Return the nodes that tell of faces and bodies and are their own camera, as a simulator: they take no images, and
+    know which face is whose.
+
+    published: names of nodes by topic.
+    """
+    lists = [set(published.get(_LISTS[kind], ())) for kind in _MATCHED]
+    cameras = {name for topic, names in published.items() if topic.rpartition("/")[2] == "camera_info"
+               for name in names}
+    return cameras.intersection(*lists)
 
 
 def _nothing_runs(facts: Facts) -> bool:
@@ -279,7 +295,8 @@ def _models(facts: Facts, settings: CheckSettings) -> List[Finding]:
 
 def _image(facts: Facts, settings: CheckSettings) -> List[Finding]:
     stream = facts.image
-    is_blind = bool(facts.nodes) and all(name.rpartition("/")[2] in _BLIND for name in facts.nodes)
+    is_blind = bool(facts.nodes) and all(name.rpartition("/")[2] in _BLIND or name in facts.own_cameras
+                                         for name in facts.nodes)
     is_needed = not _nothing_runs(facts) and not is_blind
     if stream is None or not (is_needed or stream.publishers):
         return []

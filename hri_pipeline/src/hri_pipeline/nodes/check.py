@@ -35,6 +35,7 @@ from hri_pipeline.core.setup_check import (
     as_text,
     check,
     is_well,
+    own_cameras,
     stand_ins,
 )
 from hri_pipeline.models.catalogue import select
@@ -171,6 +172,7 @@ class GraphProbe:
             return Facts(
                 nodes={_shown(name): self._node(name) for name in self._wanted_nodes()},
                 stand_ins={_shown(name): tuple(map(_shown, others)) for name, others in self._stand_ins.items()},
+                own_cameras=tuple(map(_shown, own_cameras(dict(self._master.getSystemState()[0])))),
                 publishing=tuple(sorted({name for names in publishing.values() for name in names})),
                 managers=tuple(sorted(publishing.get("/humans/persons/tracked", ()))),
                 image=self._image_stream(image), info=self._stream(info, "sensor_msgs/CameraInfo"),
