@@ -928,6 +928,22 @@ def test_a_wrong_name_in_a_crowd_is_taken_back_soon():
     assert person not in scene.known("f3")
 
 
+@pytest.mark.parametrize("known, strangers, most", [(5, 5, 6.0), (1, 10, 10.5)])
+def test_strangers_who_come_in_do_not_keep_a_wrong_name(known, strangers, most):
+    """A template every 0.4 s: who is new is looked at more often, but no more often than a face in doubt."""
+    scene = Scene()
+    crowd = {"f{}".format(number): (number, 0.12) for number in range(known)}
+    scene.show(crowd, 40.0)
+    person = scene.person("f0")
+    crowd["f0"] = (50, 0.12)
+    crowd.update({"new{}".format(number): (100 + number, 0.12) for number in range(strangers)})
+    began = scene.stamp
+    while person in scene.known("f0") and scene.stamp < began + 30.0:
+        scene.stamp += 0.3
+        scene.show(crowd, STEP)
+    assert scene.stamp - began <= most
+
+
 @pytest.mark.parametrize("poor, good, others", [(0.4, 0.8, 0), (0.4, 0.55, 0), (0.4, 0.8, 4)])
 def test_who_looks_at_the_camera_at_last_is_known_within_seconds(poor, good, others):
     """Turned away for half a minute; crops came ever less often, and the first better ones did not change that."""
