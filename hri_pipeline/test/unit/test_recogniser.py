@@ -1018,6 +1018,16 @@ def test_a_face_that_is_nobodys_says_why():
     assert why(scene, "f3") == "forgotten while in view"
 
 
+def test_why_a_face_is_nobodys_tells_no_forgotten_person_though_no_image_comes_any_more():
+    scene = Scene()
+    scene.show({"f1": (1, 0.1)}, 10.0)
+    person = scene.person("f1")
+    scene.show({"kin": (template(1, 0.34, view=99), 0.08)}, 20.0)
+    assert person in why(scene, "kin")
+    scene.gallery.remove(person)     # as when another process has forgotten it
+    assert person not in why(scene, "kin")
+
+
 def test_the_diagnostics_say_who_is_not_recognised_and_why():
     recognition = FaceRecognition.__new__(FaceRecognition)
     recognition.recogniser = Recogniser(MemoryGallery("synthetic", SIZE, CALIBRATION))

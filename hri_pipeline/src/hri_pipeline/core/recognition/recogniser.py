@@ -336,6 +336,7 @@ class Recogniser:
     def unknown(self) -> Dict[str, str]:
         """Return why faces in view are nobody's, in words, by their ids."""
         with self._lock:
+            self._compare()     # who was forgotten is not told, even when no image comes any more
             return {face.id: self._hindrance(face) or ("about to be learnt" if self._learns else
                                                        "like nobody who is enrolled")
                     for face in self._faces.values() if not face.person and face.is_there(self._newest)}
