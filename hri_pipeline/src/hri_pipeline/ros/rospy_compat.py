@@ -402,7 +402,7 @@ class PromptConnection(tcpros_pubsub.QueuedConnection):
             self._send_waiting()
 
     def _send_waiting(self) -> None:
-        """Send what waits, or will, in the thread of the connection."""
+        """Wait for messages, and send them: one round of the thread, after which nothing of them is kept."""
         with self._lock:
             self._is_sending = False
             self._cond_data_available.wait_for(lambda: self._queue or self._begun or self._connection.done)

@@ -265,7 +265,7 @@ class FaceIdentity:
     passed_over : time (s) of the last crop that was too blurred for a template.
     crops : number of crops so far.
     person : id of the person it is taken for, empty when that is not known.
-    barred : why it is not learnt, as its person was forgotten; empty when it may be.
+    barred : why it is not learnt: its person was forgotten, or the gallery is full; empty when it may be.
     doubt : of the person it is taken for.
     refuted : ids of persons it was taken for and is no longer: no candidates until it is taken for them again.
     apart : by id of a person that it is not, as that person was seen beside it: the face that was that person then.
