@@ -1041,7 +1041,11 @@ def test_the_diagnostics_say_who_is_not_recognised_and_why():
 def test_a_face_that_is_not_learnt_says_why():
     scene = Scene(gallery=MemoryGallery("synthetic", SIZE, CALIBRATION, max_persons=1))
     scene.show({"f1": (1, 0.1), "f2": (2, 0.1)}, 10.0)
-    assert "the gallery is full" in why(scene, "f2" if scene.recogniser.person_of("f1") else "f1")
+    known, other = ("f1", "f2") if scene.recogniser.person_of("f1") else ("f2", "f1")
+    assert "the gallery is full" in why(scene, other)
+    scene.recogniser.forget(scene.person(known))
+    scene.show({other: (int(other[1:]), 0.1)}, 2.0)
+    assert scene.person(other), "it does as the words said"
     enrolled = with_anna(policy="enrolled")
     enrolled.show({"f1": (2, 0.1)}, 10.0)
     assert why(enrolled, "f1") == "like nobody who is enrolled"

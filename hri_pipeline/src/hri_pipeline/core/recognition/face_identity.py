@@ -265,7 +265,7 @@ class FaceIdentity:
     passed_over : time (s) of the last crop that was too blurred for a template.
     crops : number of crops so far.
     person : id of the person it is taken for, empty when that is not known.
-    barred : why it is not learnt: its person was forgotten, or the gallery is full; empty when it may be.
+    barred : its person was forgotten, so it is not learnt again.
     doubt : of the person it is taken for.
     refuted : ids of persons it was taken for and is no longer: no candidates until it is taken for them again.
     apart : by id of a person that it is not, as that person was seen beside it: the face that was that person then.
@@ -287,7 +287,7 @@ class FaceIdentity:
     passed_over: float = -math.inf
     crops: int = 0
     person: str = ""
-    barred: str = ""
+    barred: bool = False
     doubt: NameDoubt = field(default_factory=NameDoubt)
     refuted: Set[str] = field(default_factory=set)
     apart: Dict[str, str] = field(default_factory=dict)
@@ -364,7 +364,7 @@ class FaceIdentity:
                 self.denied.clear()
         swapped = self.evidence.swaps != swaps
         if swapped:
-            self.barred = ""
+            self.barred = False
             self.denied.clear()
             self.apart.clear()
             self.beside.clear()
@@ -376,7 +376,7 @@ class FaceIdentity:
         self.evidence.clear()
         self.doubt.clear()
         self.later_view = None
-        self.barred = "forgotten while in view"
+        self.barred = True
 
     def holds(self, taken: AbstractSet[str]) -> Dict[str, float]:
         """Return likelihood by person: the person it is taken for, else the candidates that are not in `taken`."""
