@@ -928,7 +928,23 @@ def test_a_wrong_name_in_a_crowd_is_taken_back_soon():
     assert person not in scene.known("f3")
 
 
-@pytest.mark.parametrize("known, strangers, most", [(5, 5, 6.0), (1, 10, 10.5)])
+def test_lasting_doubts_do_not_keep_who_is_new_waiting():
+    """Ten known faces that are seen badly from some time on, and a template every 0.4 s."""
+    scene = Scene()
+    crowd = {"f{}".format(number): (30000 + number, 0.12) for number in range(10)}
+    scene.show(crowd, 48.0)
+    crowd = {face: (who, 0.32) for face, (who, _) in crowd.items()}
+    del crowd["f9"]
+    began = scene.stamp + 20.0
+    while scene.recogniser.person_of("new") == "" and scene.stamp < began + 50.0:
+        scene.stamp += 0.3
+        scene.show(crowd, STEP)
+        if scene.stamp >= began:
+            crowd["new"] = (30077, 0.12)
+    assert scene.stamp - began <= 16.0
+
+
+@pytest.mark.parametrize("known, strangers, most", [(5, 5, 6.5), (1, 10, 10.5)])
 def test_strangers_who_come_in_do_not_keep_a_wrong_name(known, strangers, most):
     """A template every 0.4 s: who is new is looked at more often, but no more often than a face in doubt."""
     scene = Scene()

@@ -49,8 +49,11 @@ CALM_RATE, CALM_INTERVAL = 5.0, 1.8
 """Most templates a second of all faces together whose name is sure, and the longest time (s) between two of one of
 them: soon enough that the tracker, which checks each face once in 2 s, needs none of its own."""
 TURN_S = 0.5
-"""Time (s) added to the intervals where faces without a doubtful name wait for their turn: who is new comes some three
-times as often as who is known, and wrong names are noticed as soon as where all come equally often."""
+"""Time (s) added to the intervals where faces wait for their turn, so that who is new comes some three times as often
+as who is known."""
+DOUBT_LOOKS = 2
+"""For how many looks a doubt has its turn first: so many take a wrong name back. Doubts of faces that are seen badly go
+on, and would keep everybody else waiting."""
 PATIENCE = 4
 """Crops of a recognised face after which the next ones come less and less often; of another one: twice as many."""
 TOGETHER = 0.5
@@ -337,8 +340,8 @@ class FaceIdentity:
 
     def lateness(self, quality: float, stamp: float) -> float:
         """Return how long it has waited at `stamp` (s), in its own intervals: who is new comes before those who are
-        known, a name in doubt before both, and who is blurred lets the others have their turn."""
-        turn = 0.0 if self.doubt.level > 0.0 else TURN_S
+        known, a name that has come into doubt before both, and who is blurred lets the others have their turn."""
+        turn = 0.0 if 0 < len(self.doubt.views) <= DOUBT_LOOKS else TURN_S
         return (stamp - max(self.cropped, self.passed_over)) / (turn + self.interval(quality))
 
     def note_crop(self, stamp: float, again: bool) -> None:
