@@ -6,6 +6,7 @@ import logging
 import logging.config
 import socket
 import struct
+import sys
 import threading
 import time
 from io import BytesIO
@@ -138,6 +139,16 @@ def prompt():
         assert not connection._thread.is_alive()
 
 
+def wait_until_sent(connection):
+    """Wait until the thread of a connection has found out that all is sent."""
+    for _ in range(1000):
+        with connection._lock:
+            if not (connection._is_sending or connection._queue):
+                return
+        threading.Event().wait(0.01)
+    raise AssertionError("the thread goes on sending")
+
+
 def test_a_message_is_on_its_way_when_publish_returns(prompt):
     connection, theirs = prompt(1)
     connection._cond_data_available.notify = lambda: pytest.fail("the thread is woken for it")
@@ -162,6 +173,24 @@ def test_who_does_not_read_stops_nobody_and_gets_whole_messages_the_begun_one_an
     assert found[0] == 0 and found[-2:] == [38, 39] and len(found) < 10 and found == sorted(set(found))
     connection.write_data(b"small")
     assert theirs.recv(100) == b"small"
+    wait_until_sent(connection)
+    assert connection.stat_bytes == len(received) + len(b"small")
+    assert connection.stat_num_msg == len(found) + 1
+
+
+def test_nothing_is_kept_of_what_was_sent(prompt):
+    connection, theirs = prompt(0)
+    large = [bytes([number]) * 2 ** 20 for number in range(6)]
+    before = [sys.getrefcount(message) for message in large]
+    for message in large:
+        connection.write_data(message)
+    del message
+    theirs.settimeout(10.0)
+    left = 6 * 2 ** 20
+    while left:
+        left -= len(theirs.recv(left))
+    wait_until_sent(connection)
+    assert [sys.getrefcount(message) for message in large] == before
 
 
 def test_a_socket_on_which_python_would_wait_is_left_to_the_thread(prompt):

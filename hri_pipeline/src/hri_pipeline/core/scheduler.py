@@ -26,7 +26,7 @@ _GAIN = 0.3
 share what there is. The same both ways, as others use a little more and less all the time: a node that gave up all at
 once, and took it slowly, had less than its share on average."""
 _SCARCE = 0.5
-"""Part of the time that is to stay idle from which on all that is lacking is given up at once."""
+"""Part of the time that is to stay idle. When less than that is idle, all that is lacking is given up at once."""
 _COST_MEMORY = 0.9
 """Weight of the old estimate of the cost of one inference when a new one is measured."""
 _NEARLY_DUE = 0.55

@@ -393,25 +393,27 @@ class PromptConnection(tcpros_pubsub.QueuedConnection):
             sent: int = sender.send(data, socket.MSG_DONTWAIT)
         except OSError:
             return 0
-        if sent == len(data):
-            self._connection.stat_bytes += sent
-            self._connection.stat_num_msg += 1
+        self._connection.stat_bytes += sent
+        self._connection.stat_num_msg += sent == len(data)
         return sent
 
     def _run(self) -> None:
-        """Send what waits, in the thread of the connection."""
         while not self._connection.done:
-            with self._lock:
-                self._is_sending = False
-                self._cond_data_available.wait_for(lambda: self._queue or self._begun or self._connection.done)
-                waiting = [self._begun] * bool(self._begun) + self._queue
-                self._queue, self._begun, self._is_sending = [], b"", True
-            for data in waiting:
-                try:
-                    self._connection.write_data(data)
-                except Exception as error:      # publish() is told with the next message
-                    with self._lock:
-                        self._error = error
+            self._send_waiting()
+
+    def _send_waiting(self) -> None:
+        """Wait for messages, and send them: one round of the thread, after which nothing of them is kept."""
+        with self._lock:
+            self._is_sending = False
+            self._cond_data_available.wait_for(lambda: self._queue or self._begun or self._connection.done)
+            waiting = [self._begun] * bool(self._begun) + self._queue
+            self._queue, self._begun, self._is_sending = [], b"", True
+        for data in waiting:
+            try:
+                self._connection.write_data(data)
+            except Exception as error:      # publish() is told with the next message
+                with self._lock:
+                    self._error = error
 
 
 class NewSubscriberListener(rospy.SubscribeListener):

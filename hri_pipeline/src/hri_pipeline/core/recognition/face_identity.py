@@ -49,8 +49,11 @@ CALM_RATE, CALM_INTERVAL = 5.0, 1.8
 """Most templates a second of all faces together whose name is sure, and the longest time (s) between two of one of
 them: soon enough that the tracker, which checks each face once in 2 s, needs none of its own."""
 TURN_S = 0.5
-"""Time (s) added to the intervals where faces wait for their turn: who is new comes some three times as often as who is
-known, and wrong names are noticed as soon as where all come equally often."""
+"""Time (s) added to the intervals where faces wait for their turn, so that who is new comes some three times as often
+as who is known."""
+DOUBT_LOOKS = 2
+"""For how many looks a doubt has its turn first: so many take a wrong name back. Doubts of faces that are seen badly go
+on, and would keep everybody else waiting."""
 PATIENCE = 4
 """Crops of a recognised face after which the next ones come less and less often; of another one: twice as many."""
 TOGETHER = 0.5
@@ -265,7 +268,7 @@ class FaceIdentity:
     passed_over : time (s) of the last crop that was too blurred for a template.
     crops : number of crops so far.
     person : id of the person it is taken for, empty when that is not known.
-    barred : why it is not learnt, as its person was forgotten; empty when it may be.
+    barred : its person was forgotten, so it is not learnt again.
     doubt : of the person it is taken for.
     refuted : ids of persons it was taken for and is no longer: no candidates until it is taken for them again.
     apart : by id of a person that it is not, as that person was seen beside it: the face that was that person then.
@@ -287,7 +290,7 @@ class FaceIdentity:
     passed_over: float = -math.inf
     crops: int = 0
     person: str = ""
-    barred: str = ""
+    barred: bool = False
     doubt: NameDoubt = field(default_factory=NameDoubt)
     refuted: Set[str] = field(default_factory=set)
     apart: Dict[str, str] = field(default_factory=dict)
@@ -337,8 +340,9 @@ class FaceIdentity:
 
     def lateness(self, quality: float, stamp: float) -> float:
         """Return how long it has waited at `stamp` (s), in its own intervals: who is new comes before those who are
-        known, and who is blurred lets the others have their turn."""
-        return (stamp - max(self.cropped, self.passed_over)) / (TURN_S + self.interval(quality))
+        known, a name that has come into doubt before both, and who is blurred lets the others have their turn."""
+        turn = 0.0 if 0 < len(self.doubt.views) <= DOUBT_LOOKS else TURN_S
+        return (stamp - max(self.cropped, self.passed_over)) / (turn + self.interval(quality))
 
     def note_crop(self, stamp: float, again: bool) -> None:
         """Note a crop at `stamp` (s). again: it shows somebody else, so the next crops come soon."""
@@ -363,7 +367,7 @@ class FaceIdentity:
                 self.denied.clear()
         swapped = self.evidence.swaps != swaps
         if swapped:
-            self.barred = ""
+            self.barred = False
             self.denied.clear()
             self.apart.clear()
             self.beside.clear()
@@ -375,7 +379,7 @@ class FaceIdentity:
         self.evidence.clear()
         self.doubt.clear()
         self.later_view = None
-        self.barred = "forgotten while in view"
+        self.barred = True
 
     def holds(self, taken: AbstractSet[str]) -> Dict[str, float]:
         """Return likelihood by person: the person it is taken for, else the candidates that are not in `taken`."""

@@ -74,6 +74,13 @@ class MemoryGallery:
     def __contains__(self, person_id: object) -> bool:
         return person_id in self._row
 
+    @property
+    def refusal(self) -> str:
+        """Why nobody can be added, empty when somebody can."""
+        if len(self._ids) < self._max_persons:
+            return ""
+        return "the gallery is full ({} persons); forget somebody".format(self._max_persons)
+
     def add_person(self, person_id: str, templates: np.ndarray, enrolled: bool = False) -> None:
         """Add somebody new with templates (K, D), K at least 1."""
         templates = self._checked(templates)
@@ -82,8 +89,8 @@ class MemoryGallery:
         with self._lock:
             if person_id in self._row:
                 raise GalleryError("person {} is there already".format(person_id))
-            if len(self._ids) >= self._max_persons:
-                raise GalleryError("the gallery is full ({} persons); forget somebody".format(self._max_persons))
+            if self.refusal:
+                raise GalleryError(self.refusal)
             row = self._row[person_id] = len(self._ids)
             self._make_room(row + 1)
             self._ids.append(person_id)

@@ -264,7 +264,7 @@ class Recogniser:
                 self.gallery.drop_views(other, template, self.gallery.calibration.one_human)
             for other in alike + [other for other in face.apart if other in self.gallery]:
                 self.gallery.keep_apart(person_id, other)
-            face.barred = ""
+            face.barred = False
             if person_id != face.person:
                 face.later_view = None
             return person_id
@@ -336,6 +336,7 @@ class Recogniser:
     def unknown(self) -> Dict[str, str]:
         """Return why faces in view are nobody's, in words, by their ids."""
         with self._lock:
+            self._compare()     # who was forgotten is not told, even when no image comes any more
             return {face.id: self._hindrance(face) or ("about to be learnt" if self._learns else
                                                        "like nobody who is enrolled")
                     for face in self._faces.values() if not face.person and face.is_there(self._newest)}
@@ -438,7 +439,7 @@ class Recogniser:
         """Why a face is not somebody new, empty when it is."""
         evidence, calibration = face.evidence, self.gallery.calibration
         if face.barred:
-            return face.barred
+            return "forgotten while in view"
         if evidence.good(LEARN_QUALITY) < LEARN_CROPS:
             return NOT_SEEN_WELL
         if evidence.duration < self.learn_delay:
@@ -460,7 +461,7 @@ class Recogniser:
         if free and not (distances.min() >= calibration.contradiction and
                          calibration.known(distances, len(self.gallery)) < NEW_BELOW):
             return "like {}, but not surely that person".format(free[int(distances.argmin())].person_id)
-        return ""
+        return self.gallery.refusal if self._learns else ""
 
     def _make_person(self, face: FaceIdentity, mean: np.ndarray) -> None:
         person_id = self._new_id()
@@ -469,8 +470,7 @@ class Recogniser:
             for other in face.apart:
                 if other in self.gallery:
                     self.gallery.keep_apart(person_id, other)
-        except GalleryError as error:
-            face.barred = str(error)
+        except GalleryError:    # full, or one of them was forgotten, by another thread in this moment
             return
         self._learnt += 1
         self._compare()
