@@ -38,9 +38,8 @@ _FRESH = 3.0
 """Time (s) for which a detection holds the crop of a face."""
 _TRUST = 0.4
 """Weight of a detection beside those before it."""
-_STEADY, _STEADY_AHEAD, _LARGER = 0.97, 0.85, 1.35
-"""Least size of a crop over the one that the last detection asks for, of a head that is turned far away and of others,
-whose crops do not run away, and would change with every detection; and the most that it adds."""
+_STEADY, _LARGER = 0.97, 1.35
+"""Least size of a crop over the one that the last detection asks for, and the most that it adds."""
 _PROFILE, _MOST_TURN = 0.46, math.radians(8.0)
 """Share of the eyes (see `mesh.eye_share`) below which a head is turned far away, and the most by which its crop is
 then turned against the detection."""
@@ -126,7 +125,7 @@ class CropAnchor:
 
     def hold(self, roi: FaceRoi, share: float) -> FaceRoi:
         """The crop `roi` of a face, held where it leaves the last detection; share: see `mesh.eye_share`."""
-        least = (_STEADY if share < _PROFILE else _STEADY_AHEAD) * self._fill * self._detected.size
+        least = _STEADY * self._fill * self._detected.size
         size, angle = min(max(roi.size, least), _LARGER * roi.size), roi.angle
         if share < _PROFILE:
             level = self._detected.angle + self._turn
