@@ -928,6 +928,17 @@ def test_a_wrong_name_in_a_crowd_is_taken_back_soon():
     assert person not in scene.known("f3")
 
 
+def time_until_known(scene, crowd, new):
+    """Return how long (s) the face `new` waits for its person; it comes after 20 s, with a template every 0.4 s."""
+    began = scene.stamp + 20.0
+    while scene.recogniser.person_of("new") == "" and scene.stamp < began + 50.0:
+        scene.stamp += 0.3
+        scene.show(crowd, STEP)
+        if scene.stamp >= began:
+            crowd["new"] = new
+    return scene.stamp - began
+
+
 def test_lasting_doubts_do_not_keep_who_is_new_waiting():
     """Ten known faces that are seen badly from some time on, and a template every 0.4 s."""
     scene = Scene()
@@ -935,13 +946,7 @@ def test_lasting_doubts_do_not_keep_who_is_new_waiting():
     scene.show(crowd, 48.0)
     crowd = {face: (who, 0.32) for face, (who, _) in crowd.items()}
     del crowd["f9"]
-    began = scene.stamp + 20.0
-    while scene.recogniser.person_of("new") == "" and scene.stamp < began + 50.0:
-        scene.stamp += 0.3
-        scene.show(crowd, STEP)
-        if scene.stamp >= began:
-            crowd["new"] = (30077, 0.12)
-    assert scene.stamp - began <= 16.0
+    assert time_until_known(scene, crowd, (30077, 0.12)) <= 16.0
 
 
 @pytest.mark.parametrize("known, strangers, most", [(5, 5, 6.5), (1, 10, 10.5)])
@@ -986,13 +991,7 @@ def test_who_comes_into_a_crowd_on_a_slow_machine_does_not_wait_as_long_as_those
     crowd = {"f{}".format(number): (number, 0.12) for number in range(10)}
     scene.show(crowd, 60.0)
     del crowd["f9"]
-    began = scene.stamp + 20.0
-    while scene.recogniser.person_of("new") == "" and scene.stamp < began + 30.0:
-        scene.stamp += 0.3
-        scene.show(crowd, STEP)
-        if scene.stamp >= began:
-            crowd["new"] = (9 if known else 77, 0.12)
-    assert scene.stamp - began <= most
+    assert time_until_known(scene, crowd, (9 if known else 77, 0.12)) <= most
 
 
 def test_a_face_that_is_blurred_by_motion_keeps_no_other_from_a_template():
