@@ -29,7 +29,8 @@ from hri_msgs.msg import Gesture as GestureMessage
 from hri_pipeline.core.frames import HumanTf, composed, read
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.ros.conversions import image_to_bgr, landmarks_from_msg, skeleton_from_msg
-from hri_pipeline.ros.rospy_compat import AnyMessage, message_of, release
+from hri_pipeline.ros.rospy_compat import release
+from hri_pipeline.ros.tcpros import AnyMessage, message_of
 from hri_pipeline.ros.tf import Frames, RobotTfListener, TfSubscriber
 
 Convert = Callable[[Any], Any]

@@ -24,8 +24,9 @@ from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, im
 from hri_pipeline.ros.depth_input import DepthInput
 from hri_pipeline.ros.diagnostics import ERROR, OK, WARN, Status
 from hri_pipeline.ros.master import IMAGE_TYPES, is_published
-from hri_pipeline.ros.rospy_compat import ReceivedImage, receive_without_copies, release, sender_of
+from hri_pipeline.ros.rospy_compat import release, sender_of
 from hri_pipeline.ros.sensor_input import LOG_PERIOD_S, SensorInput
+from hri_pipeline.ros.tcpros import ReceivedImage, receive_without_copies
 
 # Larger than an image: with rospy's 64 kB, images pile up in the socket while the worker is busy.
 BUFFER_BYTES = 2 ** 24
