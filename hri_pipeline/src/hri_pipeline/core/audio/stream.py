@@ -28,7 +28,7 @@ MAX_CHANNELS = 32
 RATES = (4000, 384000)
 """Lowest and highest sample rate (Hz) that is accepted."""
 
-_OTHER_NAMES = {"S24_3LE": "S24LE", "FLOAT_LE": "F32LE", "FLOAT32LE": "F32LE", "S8": "", "": "S16LE"}
+_OTHER_NAMES = {"S24_3LE": "S24LE", "FLOAT_LE": "F32LE", "FLOAT32LE": "F32LE", "": "S16LE"}
 _CONTAINERS = {b"RIFF": "the head of a WAV file", b"OggS": "Ogg", b"fLaC": "FLAC", b"ID3": "mp3",
                b"\x1aE\xdf\xa3": "Matroska"}
 # MPEG audio, ISO/IEC 11172-3 table: kbit/s of layer III, MPEG 1 and MPEG 2; sample rates of MPEG 1, 2, 2.5.
