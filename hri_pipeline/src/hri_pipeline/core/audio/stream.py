@@ -204,7 +204,7 @@ _LEAST_STEP_S = 1e-4
 
 
 class SampleClock:
-    """Converts stream time to the time at which sound was heard.
+    """Converts stream time to the time at which sound was heard, on the clock of the arrivals: stream time + offset.
 
     Stream time is the number of samples so far divided by the rate, plus what was skipped (s). A message never arrives
     early: its delay varies and is never negative. The offset between arrival time and stream time is therefore the
@@ -277,10 +277,6 @@ class SampleClock:
             return 0.0
         self._follow(offset, arrival, passed)
         return 0.0
-
-    def time(self, stream: float) -> float:
-        """Return when the sound at stream time `stream` (s) was heard (s, same clock as the arrivals)."""
-        return stream + self.offset
 
     def speed(self) -> float:
         """Return the seconds of sound per second: 1 when the announced rate is true, 0 while it is unknown."""
