@@ -259,6 +259,17 @@ def test_a_source_comes_with_sound_from_before():
     assert all(seen.speaking for seen in found)
 
 
+@pytest.mark.parametrize("hangover, turns", [(0.2, 1), (0.05, 2)])
+def test_a_source_that_is_missing_for_a_moment_goes_on_at_its_time_after_a_pause(hangover, turns):
+    """Its sound comes in pieces of half a frame, of which those of 80 ms are missing, from within a frame on."""
+    half = np.full(FRAME // 2, 0.3, np.float32)
+    array = Script(lambda call, samples: [] if 21 <= call < 26 else [(1, half, 0, 0.0)])
+    found = feed(make(array, hangover_time=hangover), np.zeros((FRAME * 20, 2), np.float32), length=FRAME // 2)
+    stamps = [START + call * FRAME / RATE for call in [*range(10), *range(13, 20)]]
+    assert [seen.stamp for seen in found if seen.samples.size] == pytest.approx(stamps)
+    assert (len({seen.id for seen in found}), sum(seen.onset for seen in found)) == (1, turns)
+
+
 def test_what_comes_from_elsewhere_is_not_this_voice():
     """The filter of source 1 lets source 2 through after the 20th call; nothing comes from its direction any more."""
     loud = np.full(FRAME, 0.3, np.float32)
