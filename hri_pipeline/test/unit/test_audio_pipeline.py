@@ -177,6 +177,14 @@ def test_time_that_goes_back_starts_afresh():
     assert found[1].onset and found[1].stamp < START
 
 
+def test_time_that_goes_back_is_told_to_the_array():
+    array = Script(lambda call, samples: [])
+    pipeline = make(array)
+    for start in (START, START - 500.0):
+        feed(pipeline, np.zeros((FRAME, 4), np.float32), start)
+    assert array.resets == 1
+
+
 def test_sound_that_was_held_up_is_the_same_voice():
     """Idle time is noted, and then the sound comes after all, with its old stamps."""
     pipeline = make(hangover_time=0.4)
@@ -324,6 +332,13 @@ def test_a_speaker_whom_the_separator_loses_and_finds_is_one_voice():
     assert len(pipeline.tracked) == 1
     turns = [(seen.onset, seen.end) for seen in found if seen.onset or seen.end]
     assert turns == [(True, False), (False, True), (True, False)]
+
+
+def test_two_who_speak_at_once_close_to_each_other_end_no_turns():
+    loud = np.full(FRAME, 0.3, np.float32)
+    array = Script(lambda call, samples: [(1, loud, 0, 0.0)] + [(2, loud, 0, 15.0)] * (call >= 10))
+    found = feed(make(array), np.zeros((FRAME * 30, 2), np.float32))
+    assert len({seen.id for seen in found}) == 2 and not any(seen.end for seen in found)
 
 
 def test_a_gap_ends_the_turns_of_an_array_and_the_voices_go_on():

@@ -58,10 +58,14 @@ def pause(seconds):
     return np.zeros(int(seconds * RATE), np.float32)
 
 
-def turns_of(*pieces, **changes):
-    """{id: its observations in turns} of the pieces, with 0.5 s before and 1 s behind."""
+def pipeline_of(**changes):
     settings = TABLE.resolve(dict({"hangover_time": 0.6, "speaking_hangover": 0.0}, **changes))
-    pipeline = VoicePipeline(settings, LoudIsSpeech(), ids=IdGenerator(seed=3), speakers=PitchIsSpeaker())
+    return VoicePipeline(settings, LoudIsSpeech(), ids=IdGenerator(seed=3), speakers=PitchIsSpeaker())
+
+
+def turns_of(*pieces, pipeline=None, **changes):
+    """{id: its observations in turns} of the pieces, with 0.5 s before and 1 s behind."""
+    pipeline = pipeline or pipeline_of(**changes)
     samples = np.concatenate([pause(0.5), *pieces, pause(1.0)])
     found = {}
     for first in range(0, len(samples) - FRAME + 1, FRAME):
@@ -90,6 +94,13 @@ def test_another_speaker_gets_a_voice_with_all_its_sound(gap):
 def test_speakers_who_answer_each_other_are_three_turns():
     found = turns_of(tone(LOW, 2.5), pause(0.1), tone(HIGH, 2.5), pause(0.1), tone(LOW, 2.5))
     assert len(found) == 3
+
+
+def test_voices_of_speakers_who_went_on_for_each_other_are_tracked_for_their_time_only():
+    pipeline = pipeline_of(voice_timeout=3.0)
+    assert len(turns_of(tone(LOW, 2.5), tone(HIGH, 2.5), pipeline=pipeline)) == 2
+    pipeline.idle(START + 12.0)
+    assert pipeline.tracked == ()
 
 
 @pytest.mark.parametrize("pieces", [(tone(LOW, 8.0),), (tone(LOW, 2.0), pause(0.4), tone(LOW, 3.0))],

@@ -333,6 +333,11 @@ def test_levels():
     assert values["clipped_percent"] == 0.0 and stream.problem() == ""
 
 
+def test_a_stream_that_has_just_begun_tells_no_level_and_no_rate():
+    stream = SoundStream(SoundFormat())
+    assert stream.problem() == "" and {"level_dbfs", "measured_rate_hz"}.isdisjoint(stream.values())
+
+
 @pytest.mark.parametrize("sound, words", [
     (np.zeros((3 * RATE, 1)), "dead silence"), (tone(3.0, amplitude=3.0), "clipped: .* gain"),
     (0.4 * np.clip(tone(3.0, amplitude=3.0), -1.0, 1.0), "channel 0 of 1 is clipped at 40 %.* gain"),

@@ -400,6 +400,26 @@ def test_voices_that_leave_while_they_speak_leave_nothing_behind():
 
 # -- the small ones
 
+def test_there_is_something_to_compare_while_a_voice_speaks_and_just_after():
+    matcher = make(voices=["va", "vb"])
+    matcher.matches(100.0)
+    assert not matcher.is_busy
+    matcher.on_speaking("va", True, 101.0)
+    assert matcher.is_busy
+    matcher.on_speaking("va", False, 105.0)
+    assert matcher.is_busy
+    matcher.matches(107.0)
+    assert not matcher.is_busy
+
+
+def test_a_face_whose_mouth_is_never_seen_costs_no_other_face():
+    matcher = make(["fa", "fb"], ["v1"])
+    matcher.on_speaking("v1", True, 0.1)
+    for number in range(30):
+        matcher.add_mouth("fb", 0.1 * number, 0.5, 0.0)
+    assert run(matcher, 0.1, 3.0, {"fa": moving})[-1][1] == {"v1": (FACE, "fa")}
+
+
 def test_who_has_left():
     matcher = make()
     matcher.set_tracked("voices", ["va"])

@@ -74,6 +74,21 @@ def test_sound_that_is_played_without_a_pause_is_told(robot):
     assert robot.long_speech(231.0) == ""
 
 
+def test_what_it_has_said_for_hours_is_not_kept(robot):
+    for stamp in np.arange(0.0, 3600.0, 4.0):
+        robot.tell(True, stamp)
+        robot.tell(False, stamp + 1.0)
+    assert len(robot._spans) < 20 and robot.speaks(3590.0, 3600.0)
+
+
+def test_a_longer_tail_counts_at_once(robot):
+    robot.tell(True, 100.0)
+    robot.tell(False, 101.0)
+    assert not robot.speaks(102.0, 102.1)
+    robot.reconfigure(VOICES.resolve({"robot_tail": 2.0}))
+    assert robot.speaks(102.0, 102.1)
+
+
 def test_time_that_goes_back_begins_anew(robot):
     robot.tell(True, 100.0)
     robot.tell(False, 50.0)
@@ -93,7 +108,7 @@ class Separator:
     """Gives the sources that a test asks for: {key: (azimuth in degrees, level)}."""
 
     def __init__(self):
-        self.sources, self.resets = {}, 0
+        self.sources, self.resets, self.settings = {}, 0, None
 
     def process(self, samples):
         return [SourceSignal(key, np.full(len(samples), level, np.float32), -32, direction(degrees), 0.1, True)
@@ -101,6 +116,9 @@ class Separator:
 
     def reset(self):
         self.resets += 1
+
+    def reconfigure(self, settings):
+        self.settings = settings
 
 
 def direction(degrees):
@@ -158,6 +176,15 @@ def test_who_is_louder_and_elsewhere_is_heard(scene, degrees, level, heard):
         assert scene.play(0.5, s1=(0.0, 0.1), s2=(degrees, 0.05)) == {2: pytest.approx(0.5, abs=STEP_S)}
 
 
+@pytest.mark.parametrize("changes", [{"barge_in_angle": 3.0}, {"barge_in_margin": 20.0}])
+def test_changed_settings_decide_who_is_heard_at_once(scene, changes):
+    scene.robot.tell(True, 100.0)
+    scene.play(2.0, s1=(0.0, 0.1))
+    changed = VOICES.resolve(changes)
+    scene.filter.reconfigure(changed)
+    assert scene.play(1.0, s1=(0.0, 0.1), s2=(120.0, 0.2)) == {} and scene.array.settings is changed
+
+
 def test_a_short_bang_is_nobody(scene):
     scene.robot.tell(True, 100.0)
     scene.play(2.0, s1=(0.0, 0.1))
@@ -207,3 +234,10 @@ def test_without_an_array_the_sound_of_the_robot_is_a_pause(robot):
     robot.tell(False, 101.1)
     hear_humans(pipeline, robot, None, SoundBlock(np.zeros((RATE // 10, 1), np.float32), 102.0))
     assert pipeline.calls == ["sound", 100.1, 101.1, "sound"]
+
+
+def test_with_an_array_the_sound_of_the_robot_goes_through_the_filter_at_its_time(scene):
+    pipeline = Pipeline()
+    scene.robot.tell(True, 100.0)
+    hear_humans(pipeline, scene.robot, scene.filter, SoundBlock(np.zeros((RATE // 10, 4), np.float32), 103.0))
+    assert pipeline.calls == ["sound"] and scene.filter.stamp == 103.0

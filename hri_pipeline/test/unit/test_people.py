@@ -226,6 +226,10 @@ def test_old_frames_and_sensors_without_a_place_give_nobody(frames):
     assert seen(frames) == []
     put(frames, "elsewhere", "face_fa", facing_camera(1.0))
     assert seen(frames) == []
+    frames.set_people(["ann", "bob"])
+    frames.set_feature("bob", "face", "fb")
+    put(frames, "camera", "face_fb", facing_camera(1.0))
+    assert [person.id for person in seen(frames)] == ["bob"], "the others are where they are"
 
 
 def test_numbers_that_are_none_are_refused(frames):
