@@ -192,6 +192,13 @@ def test_what_was_told_is_withdrawn_when_the_voice_becomes_another():
     assert say(identity, "first", 1.5, 20.0) == [VoicePerson("first", "anna", 0.0)]
 
 
+def test_who_was_told_stays_while_somebody_alike_is_not_nearer():
+    identity = known(("anna", 0.0), ("berta", 0.4))
+    assert say(identity, "first", -0.1) == [VoicePerson("first", "anna", LIKELIHOOD)]
+    assert say(identity, "first", 0.18, 20.0) == []
+    assert say(identity, "first", 0.25, 20.0) == [VoicePerson("first", "anna", 0.0)]
+
+
 def test_a_voice_that_is_not_heard_or_has_said_little_is_not_enrolled():
     identity = make()
     with pytest.raises(GalleryError, match="not tracked"):
