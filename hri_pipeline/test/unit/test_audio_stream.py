@@ -339,10 +339,12 @@ def test_a_stream_that_has_just_begun_tells_no_level_and_no_rate():
 
 
 @pytest.mark.parametrize("sound, words", [
-    (np.zeros((3 * RATE, 1)), "dead silence"), (tone(3.0, amplitude=3.0), "clipped: .* gain"),
+    (np.zeros((3 * RATE, 1)), "dead silence"), (np.full((3 * RATE, 2), 0.3), "dead silence"),
+    (tone(3.0, channels=2, amplitude=3.0), "clipped: .* at the limit; turn the microphone's gain down"),
     (0.4 * np.clip(tone(3.0, amplitude=3.0), -1.0, 1.0), "channel 0 of 1 is clipped at 40 %.* gain"),
     (tone(3.0, frequency=1000.0), "^$"), (tone(3.0, frequency=50.0), "^$"),
     (tone(3.0) * [1.0, 0.0], "channel 1 of 2 is dead"), (tone(3.0) + 0.2, "offset of 20 %"),
+    (tone(3.0) - 0.5, "offset of 50 %"),
     (tone(1.0) * 0.0, ""),
 ])
 def test_bad_sound_is_named(sound, words):
