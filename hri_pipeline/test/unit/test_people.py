@@ -180,9 +180,9 @@ def test_a_face_at_the_place_of_the_camera_hides_nobody(frames):
 @pytest.mark.parametrize("slope, is_told", [(0.0, True), (60.0, True), (80.0, False), (-90.0, False)])
 def test_the_trunk_of_who_lies_or_bends_down_points_nowhere(frames, slope, is_told):
     frames.set_feature("ann", "body", "ba")
-    angle = math.radians(slope)
-    level = np.array([[math.cos(angle), 0.0, -math.sin(angle)], [0.0, 1.0, 0.0], [math.sin(angle), 0.0, math.cos(angle)]])
-    put(frames, "camera", "body_ba", Pose(OPTICAL.rotation.T @ level, np.array([0.0, 0.0, 2.0])))
+    cosine, sine = math.cos(math.radians(slope)), math.sin(math.radians(slope))
+    raised = np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
+    put(frames, "camera", "body_ba", Pose(OPTICAL.rotation.T @ raised, np.array([0.0, 0.0, 2.0])))
     (ann,) = seen(frames)
     assert (ann.body_direction is not None) is is_told
 
