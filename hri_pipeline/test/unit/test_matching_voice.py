@@ -107,10 +107,23 @@ def test_the_gap_is_the_same_for_faces_near_and_far_and_turned_to_the_side():
     assert values == pytest.approx([values[0]] * 4)
 
 
-def test_landmarks_that_are_not_seen_or_no_face_have_no_weight():
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 16.0 / 9.0])
+def test_the_gap_is_the_same_for_a_head_that_lies_on_its_side_in_images_of_any_shape(aspect):
+    upright, lying = face(0.11), face(0.11)
+    lying[:, :2] = lying[:, 1::-1]
+    for points in (upright, lying):
+        points[:, 0] /= aspect
+        assert opening_of_landmarks(points, aspect)[0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("point", [37, 44, 33, 62, 66], ids=["right eye", "left eye", "nose", "upper lip", "lower lip"])
+def test_landmarks_that_are_not_seen_have_no_weight(point):
     hidden = face(0.1)
-    hidden[62, 2] = 0.0
+    hidden[point, 2] = 0.0
     assert opening_of_landmarks(hidden, 1.0)[1] == 0.0
+
+
+def test_landmarks_that_are_no_face_have_no_weight():
     assert opening_of_landmarks(np.full((70, 3), 0.5), 1.0)[1] == 0.0
 
 
@@ -124,6 +137,21 @@ def test_motion_is_the_deviation_in_the_window_and_unknown_where_samples_are_mis
     assert math.isnan(motion[1]) and weight[1] == 0.0
     assert motion[2] == pytest.approx(0.0, abs=1e-6) and weight[2] == pytest.approx(0.8)
     assert math.isnan(motion[3])
+
+
+def test_motion_at_a_time_does_not_depend_on_what_else_is_asked_for():
+    track = MouthTrack()
+    for stamp in np.arange(0.0, 4.0, 1.0 / RATE):
+        track.add(stamp, moving(stamp) * stamp, 0.8)
+    times = np.array([1.0, 1.9, 2.0, 3.0])
+    assert track.motion(times)[0] == pytest.approx([track.motion(times[[place]])[0][0] for place in range(len(times))])
+
+
+def test_images_of_a_moment_tell_no_motion():
+    track = MouthTrack()
+    for stamp in (1.0, 1.03, 1.06):
+        track.add(stamp, stamp, 0.8)
+    assert math.isnan(track.motion(np.array([1.03]))[0][0])
 
 
 def test_a_mouth_keeps_its_samples_bounded_and_in_order():
@@ -153,7 +181,7 @@ def test_speaking_times_take_the_delays_off_and_bridge_pauses():
     times.say(True, 5.1)
     assert times.at(np.array([0.9, 1.1, 2.1, 2.9, 3.1, 4.9, 9.0])).tolist() == [False, True, True, True, False, False,
                                                                                 True]
-    assert times.at(np.array([0.7]), 0.4).tolist() == [True]
+    assert times.at(np.array([0.5, 0.7, 3.3, 3.5]), 0.4).tolist() == [False, True, True, False]
     assert times.first == pytest.approx(1.0) and times.last == math.inf
 
 
@@ -371,6 +399,26 @@ def test_voices_that_leave_while_they_speak_leave_nothing_behind():
 
 
 # -- the small ones
+
+def test_there_is_something_to_compare_while_a_voice_speaks_and_just_after():
+    matcher = make(voices=["va", "vb"])
+    matcher.matches(100.0)
+    assert not matcher.is_busy
+    matcher.on_speaking("va", True, 101.0)
+    assert matcher.is_busy
+    matcher.on_speaking("va", False, 105.0)
+    assert matcher.is_busy
+    matcher.matches(107.0)
+    assert not matcher.is_busy
+
+
+def test_a_face_whose_mouth_is_never_seen_costs_no_other_face():
+    matcher = make(["fa", "fb"], ["v1"])
+    matcher.on_speaking("v1", True, 0.1)
+    for number in range(30):
+        matcher.add_mouth("fb", 0.1 * number, 0.5, 0.0)
+    assert run(matcher, 0.1, 3.0, {"fa": moving})[-1][1] == {"v1": (FACE, "fa")}
+
 
 def test_who_has_left():
     matcher = make()

@@ -176,7 +176,7 @@ class VoiceMatcher:
             voice.match = None
         taken: Set[VoiceCandidate] = set()
         for value, name, candidate in sorted(proposals, reverse=True):
-            if candidate not in taken and self._voices[name].match is None:
+            if candidate not in taken:      # one of a voice at most: two are not likelier than not
                 taken.add(candidate)
                 self._voices[name].match, self._voices[name].likelihood = candidate, value
 
