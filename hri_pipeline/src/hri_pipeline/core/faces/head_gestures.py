@@ -41,8 +41,8 @@ IMAGE_S = 0.12
 """Time (s) by which that of a swing may be wrong: the turning points lie in one image or the next."""
 SPEECH_SWING, SPEECH_SPREAD = math.radians(6.1), math.radians(0.83)
 """Mean swing (rad) of which half of the seeming nods are speech, since the jaw pitches the head, and the spread of its
-logistic distribution: simulated heads, a quarter of which talk (`benchmark interactions --only nods`, heads 0 to 19, 500
-to 579)."""
+logistic distribution: simulated heads, a quarter of which talk (`benchmark interactions --only nods`, heads 0 to 19
+and 500 to 579)."""
 OTHER_AXIS = 0.4
 """Largest swing of the other axis over that of the gesture."""
 LAST_S = 0.35
