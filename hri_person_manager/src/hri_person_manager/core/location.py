@@ -39,7 +39,7 @@ import numpy as np
 
 from hri_person_manager.core.features import MatchNode, PlaceSource
 from hri_person_manager.core.sensors import LONGEST_PERIOD_S, CameraMotion, SensorTimes
-from hri_person_manager.core.triangulation import aged, aged_upright
+from hri_person_manager.core.triangulation import aged, aged_in_frame
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
 from hri_pipeline.core.timing import JUMP_BACK_S
@@ -486,9 +486,7 @@ class PersonLocation:
         place = self._motion.coast(self.place, away)
         if place.covariance is None or not self.is_silent(now):
             return place
-        # A camera may be tilted by any angle, so that none of its axes is the vertical.
-        grow = aged if is_optical(place.frame) else aged_upright
-        return replace(place, covariance=grow(place.covariance, away))
+        return replace(place, covariance=aged_in_frame(place.covariance, place.frame, away))
 
     def retain(self, features: Container[Hashable], now: float) -> None:
         """Let go of all sources but those of these features; at `now` (s) the others have left."""

@@ -354,8 +354,9 @@ class PersonMarkers:
         if not self._publisher.get_num_connections():
             return
         markers: List[Marker] = []
-        shown = [(number, state, state.place) for number, state in enumerate(snapshot.persons)
-                 if state.place is not None and state.confidence > 0.0]
+        placed = [(number, state, state.place_now) for number, state in enumerate(snapshot.persons)
+                  if state.confidence > 0.0]
+        shown = [(number, state, place) for number, state, place in placed if place is not None]
         # y of an optical frame points down. All places are mostly in one frame.
         ups = [np.array([0.0, -1.0, 0.0] if is_optical(place.frame) else [0.0, 0.0, 1.0]) for _, _, place in shown]
         lifts = label_lifts([place.pose.translation for _, _, place in shown], ups[0] if ups else (0.0, 0.0, 1.0),

@@ -14,6 +14,7 @@ import secrets
 import socket
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Awaitable, Callable, Dict, List, Optional, Set, Tuple
 
@@ -29,6 +30,7 @@ from tornado.web import Application, HTTPError, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from hri_person_manager.core.display import CameraStatus
+from hri_person_manager.core.triangulation import aged_in_frame
 from hri_person_manager.core.web import (
     ACTION_HEADER,
     CONTENT_POLICY,
@@ -64,6 +66,7 @@ STATE_PERIOD_S = 0.2
 PICTURE_SILENCE_S = 3.0     # without a picture for so long the page says so
 PRIVACY_S = 2.0             # in which all nodes have sent what they have latched
 ANSWER_S = 20.0             # most time for an action
+LONGEST_AGE_S = 1.0         # of a place: those of who is not seen come ten times a second
 MAX_ACTIONS = 8             # at a time
 _PING_S = 10.0
 _MAX_REQUEST = 65536        # bytes
@@ -163,13 +166,17 @@ class PeopleView:
         voice, body = person.voice, person.body
         posture = body.posture if body is not None else None
         level, confidence, location = person.engagement, person.location_confidence, person.location
-        there = confidence > 0.0 and location is not None
+        place = None
+        if confidence > 0.0 and location is not None:
+            # Of a paused bag no place comes, but nobody walks either.
+            age = min(person.location_age, LONGEST_AGE_S)
+            place = replace(location, covariance=aged_in_frame(location.covariance, location.frame, age))
         return PersonOnPage(
             person.id, person.name, person.anonymous, time.monotonic() - self._came.get(person.id, time.monotonic()),
             "" if level == Engagement.UNKNOWN else level.name.lower(),
             voice.is_speaking if voice is not None else None,
             "" if posture in (None, Posture.OTHER) else posture.name.lower(), person.looks_at, confidence,
-            location.frame if there else "", location.pose if there else None, location.covariance if there else None,
+            *(place.frame, place.pose, place.covariance) if place is not None else ("", None, None),
             person.face is not None, body is not None)
 
     def _place_of_robot(self, frame: str) -> Optional[Tuple[str, Pose, bool]]:
