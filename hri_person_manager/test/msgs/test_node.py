@@ -248,7 +248,7 @@ def test_the_ellipse_on_the_page_grows_while_no_place_comes(age, across):
     person = MagicMock(id="ann", location=location, location_age=age, location_confidence=1.0,
                        engagement=Engagement.UNKNOWN)
     view = web.PeopleView.__new__(web.PeopleView)
-    view._came = {}
+    view._came, view._pictures = {}, MagicMock(frame="camera")
     shown = view._person(person)
     assert across[0] < np.sqrt(shown.covariance[1, 1]) < across[1] and shown.pose is location.pose
     person.location_confidence = 0.0

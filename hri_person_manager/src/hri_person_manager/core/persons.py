@@ -9,7 +9,7 @@ the alias is restored as the person that it was.
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import (
     Callable,
     Container,
@@ -26,9 +26,8 @@ from typing import (
 )
 
 from hri_person_manager.core.features import FEATURES, Kind, MatchNode
-from hri_person_manager.core.location import Decay, PersonLocation, Place
+from hri_person_manager.core.location import Decay, PersonLocation, Place, aged_place
 from hri_person_manager.core.merges import Merges
-from hri_person_manager.core.triangulation import aged_in_frame
 
 ANONYMOUS_PREFIX = "anonymous_person_"
 MAX_KNOWN_IDS = 10000
@@ -345,10 +344,7 @@ class PersonState(NamedTuple):
     @property
     def place_now(self) -> Optional[Place]:
         """The place with the covariance of now: people walk on from one image to the next."""
-        place = self.place
-        if place is None or place.covariance is None:
-            return place
-        return replace(place, covariance=aged_in_frame(place.covariance, place.frame, self.place_age))
+        return None if self.place is None else aged_place(self.place, self.place_age)
 
 
 class Snapshot(NamedTuple):

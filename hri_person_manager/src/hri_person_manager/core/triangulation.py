@@ -17,8 +17,6 @@ from typing import Dict, List, Mapping, NamedTuple, Optional, Tuple, Union
 
 import numpy as np
 
-from hri_pipeline.core.frames import is_optical
-
 ALONG = 0.12               # standard deviation along the ray, share of the distance,
 ACROSS = 0.02              # and across
 OF_PERSON = 0.44           # share of the variance along the ray that is the person's size, wrong for all cameras
@@ -145,12 +143,6 @@ def aged_upright(covariance: np.ndarray, elapsed: float) -> np.ndarray:
     grown = aged(covariance, elapsed)
     grown[2, 2] = min(grown[2, 2], covariance[2, 2] + HEIGHT_CHANGED_M ** 2)
     return grown
-
-
-def aged_in_frame(covariance: np.ndarray, frame: str, elapsed: float) -> np.ndarray:
-    """Return the covariance (3, 3) m^2 in a named frame of a place that came `elapsed` s ago."""
-    # A camera may be tilted by any angle, so that none of its axes is the vertical.
-    return aged(covariance, elapsed) if is_optical(frame) else aged_upright(covariance, elapsed)
 
 
 def ellipse(covariance: np.ndarray) -> Tuple[float, float, float]:

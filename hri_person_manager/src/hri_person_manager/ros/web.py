@@ -30,7 +30,7 @@ from tornado.web import Application, HTTPError, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from hri_person_manager.core.display import CameraStatus
-from hri_person_manager.core.triangulation import aged_in_frame
+from hri_person_manager.core.triangulation import aged, aged_upright
 from hri_person_manager.core.web import (
     ACTION_HEADER,
     CONTENT_POLICY,
@@ -145,7 +145,7 @@ class PeopleView:
         people = [self._person(person) for person in self._humans.persons.values() if not person.alias]
         frame = next((person.frame for person in people if person.frame), "")
         return page_state(people, [group.members for group in self._humans.groups], self._place_of_robot(frame),
-                          self._camera())
+                          self._camera(), self._pictures.frame)
 
     def rest(self) -> None:
         """Nobody looks: let go of what costs something. Idempotent."""
@@ -168,9 +168,9 @@ class PeopleView:
         level, confidence, location = person.engagement, person.location_confidence, person.location
         place = None
         if confidence > 0.0 and location is not None:
+            grow = aged if is_optical(location.frame) or location.frame == self._pictures.frame else aged_upright
             # Of a paused bag no place comes, but nobody walks either.
-            age = min(person.location_age, LONGEST_AGE_S)
-            place = replace(location, covariance=aged_in_frame(location.covariance, location.frame, age))
+            place = replace(location, covariance=grow(location.covariance, min(person.location_age, LONGEST_AGE_S)))
         return PersonOnPage(
             person.id, person.name, person.anonymous, time.monotonic() - self._came.get(person.id, time.monotonic()),
             "" if level == Engagement.UNKNOWN else level.name.lower(),
@@ -185,7 +185,7 @@ class PeopleView:
         if not robot or not frame or self._robot is None:
             return None
         pose = self._robot.between(frame, robot, rospy.Time())
-        return None if pose is None else (frame, pose, is_optical(robot))
+        return None if pose is None else (frame, pose, is_optical(robot) or robot == self._pictures.frame)
 
     def _camera(self) -> str:
         """Return why there is no picture, empty while there is one."""

@@ -113,8 +113,8 @@ class CheckSettings(Settings):
     min_brightness: float = parameter(
         25.0, "Mean of the pixels (0 to 255) below which a picture is too dark.", minimum=0.0, maximum=255.0)
     min_contrast: float = parameter(
-        BLANK_DEVIATION, "Standard deviation of the pixels (0 to 255) below which a picture shows nothing: a covered lens, or a "
-        "test picture of one colour.", minimum=0.0, maximum=128.0)
+        BLANK_DEVIATION, "Standard deviation of the pixels (0 to 255) below which a picture shows nothing: a covered "
+        "lens, or a test picture of one colour.", minimum=0.0, maximum=128.0)
 
 
 CHECK_PARAMETERS = ParameterTable("check", CheckSettings)
