@@ -74,7 +74,7 @@ def format_table(rows: Sequence[PersonRow], face_rate: float, body_rate: float, 
     for row in sorted(rows, key=lambda row: (row.is_voice, not row.is_in_view)):
         position = "%6.2f %6.2f %6.2f" % row.position if row.position is not None else "-"
         age = "%7.0f" % row.age_ms if row.age_ms is not None else "      -"
-        confidence = "%.2f" % row.confidence if None not in (row.position, row.confidence) else "-"
+        confidence = "-" if row.position is None or row.confidence is None else "%.2f" % row.confidence
         lines.append("%-22s  %-6s %-6s %-6s %10s  %-22s %-20s %s" % (
             row.id, row.face or "-", row.body or "-", row.voice or "-", confidence, position,
             row.frame or "-", age))
