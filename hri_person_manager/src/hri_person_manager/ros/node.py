@@ -425,7 +425,7 @@ class PersonManagerNode:
     def _go_back(self, now: float) -> None:
         """Begin anew at `now` (s), before which time was already: a bag that loops, or a simulation."""
         rospy.logwarn_throttle(_LOG_PERIOD_S, "%s: places start anew, persons stay", clock_went_back(
-            self._last_now - now))
+            self._last_now - now, not rospy.rostime.is_wallclock()))
         self._jumps += 1
         self._sensed = genpy.Time()
         self._stamps.clear()

@@ -310,9 +310,9 @@ class ImageInput(SensorInput):
         if self._jumps_back(header):
             self.counts["time_jumps"] += 1
             self._lags = lags
-            rospy.logwarn_throttle(LOG_PERIOD_S, "%s: stamps have gone back by %.1f s (a bag that loops?); tracks "
-                                   "start anew. Where this goes on, let one program only stamp these images",
-                                   self.topic, -step)
+            rospy.logwarn_throttle(LOG_PERIOD_S, "%s: stamps have gone back by %.1f s (a bag that loops, or a clock "
+                                   "that was set?); tracks start anew. Where this goes on, let one program only stamp "
+                                   "these images", self.topic, -step)
             self._last_stamp = None
             if self._depth is not None:
                 self._depth.reset()
