@@ -101,6 +101,34 @@ def test_a_figure_too_small_for_its_face_is_none():
         assert (candidate.judge(estimate(0.9, extent=extent), face, 0.5).found is not None) == found
 
 
+def test_a_face_without_a_body_rests_twice_as_long_each_time_until_a_body_is_found():
+    face, queue, stamp = FaceBox("f", np.array([130.0, 100.0, 170.0, 140.0])), CandidateQueue(), 0.0
+
+    def is_tried(at):
+        queue.offer_faces([face], at)
+        return queue.take() is not None
+
+    for pause in (0.5, 1.0, 2.0, 4.0, 8.0, 8.0):
+        queue.give_up("f", stamp)
+        assert not is_tried(stamp + pause - 0.01) and is_tried(stamp + pause)
+        stamp += pause
+    queue.give_up("f", stamp)
+    queue.found("f")
+    assert is_tried(stamp), "its body is lost at once: nothing is held against it"
+    queue.give_up("f", stamp)
+    assert not is_tried(stamp + 0.49) and is_tried(stamp + 0.5)
+
+
+def test_of_faces_that_were_tried_in_vain_and_are_gone_nothing_is_kept():
+    queue = CandidateQueue()
+    for number in range(1000):
+        queue.give_up("f%d" % number, 0.0)
+        if number % 2:
+            queue.found("f%d" % number)
+        queue.offer_faces([], 0.0)
+    assert max(len(known) for known in vars(queue).values() if hasattr(known, "__len__")) <= 101
+
+
 def test_a_box_without_a_body_has_one_window_for_a_while():
     queue = offered([])
     queue.give_up(None, 0.0, tried(queue, lambda sides: 0.1)[2].box)
