@@ -428,6 +428,30 @@ def test_the_older_id_stays_and_the_other_becomes_an_alias_and_returns():
     assert all(not state.alias for state in manager.snapshot(3.0).persons)
 
 
+def test_the_older_id_of_two_persons_that_are_one_stays_as_long_as_either_is_tracked_and_then_the_other_is_back():
+    manager = make(new_person_delay=0.0, faces=["f1", "f2"])
+    match(manager, "p:" + A1, "p:" + A2, 0.9, 0.1)
+    manager.on_tracked(Kind.FACE, ["f2"], 1.0)
+    manager.tick(600.0)
+    assert people(manager, 600.0) == {A1: ("f2", "", "", 0.0)}
+    manager.on_place(PlaceSource.FACE, "f2", place(1.0, 600.1), 600.1)
+    manager.on_tracked(Kind.BODY, ["b3"], 600.2)
+    assert people(manager, 600.2)[A1] == ("f2", "", "", 1.0)
+    match(manager, "p:" + A1, "p:" + A2, 0.0, 600.3)
+    assert people(manager, 600.3)[A2] == ("f2", "", "", 1.0)
+    manager.tick(700.0)
+    assert A1 not in people(manager, 700.0)
+
+
+def test_who_is_joined_with_somebody_seen_is_where_that_one_is_at_once():
+    manager = make(new_person_delay=0.0, faces=["f1", "f2"])
+    match(manager, "f:f1", "p:ann", 0.9, 0.0)
+    manager.on_place(PlaceSource.FACE, "f2", place(1.5, 1.0), 1.0)
+    match(manager, "p:ann", "p:" + A2, 0.9, 1.1)
+    assert people(manager, 1.1) == {"ann": ("f1", "", "", 1.0)}
+    assert manager.place("ann").pose.translation[0] == 1.5
+
+
 @pytest.mark.parametrize("ids", itertools.permutations(("alfa", "mike", "zulu")))
 def test_of_anonymous_persons_that_are_one_the_oldest_stands_for_all_whatever_their_ids(ids):
     manager = PersonManager(PERSON_MANAGER_PARAMETERS.resolve({"new_person_delay": 0.0}), new_id=iter(ids).__next__)
@@ -462,6 +486,15 @@ def test_an_anonymous_person_turns_into_the_recognised_one_and_brings_its_place(
     assert states[A1].alias == "ann" and not states[A1].tracked
     manager.on_tracked(Kind.FACE, [], 2.0)
     assert [state.id for state in manager.snapshot(2.0).persons] == ["ann"]
+
+
+def test_the_recognised_one_is_where_the_anonymous_one_was_though_what_told_that_place_has_left():
+    manager = make(new_person_delay=0.0, faces=["f1"], bodies=["b1"])
+    match(manager, "f:f1", "b:b1", 0.9, 0.1)
+    manager.on_place(PlaceSource.FACE, "f1", place(1.5, 1.0), 1.0)
+    manager.on_tracked(Kind.FACE, [], 1.1)
+    match(manager, "b:b1", "p:ann", 0.9, 1.2)
+    assert manager.place("ann").pose.translation[0] == 1.5
 
 
 def test_a_withdrawn_recognition_gives_the_face_back():
@@ -629,12 +662,18 @@ def test_of_more_permanent_persons_than_are_kept_unseen_those_go_who_were_lost_f
     manager = make(faces=["f" + name for name in names])
     for name in names:
         match(manager, "f:f" + name, "p:" + name, 0.9, 0.0)
-    for now, gone in enumerate((names[7], names[3], names[5]), 1):
+    manager.tick(500.0)
+    assert set(people(manager, 500.0)) == set(names), "who is seen stays, however many these are"
+    for now, gone in enumerate((names[7], names[3], names[5]), 501):
         names.remove(gone)
         manager.on_tracked(Kind.FACE, ["f" + name for name in names], float(now))
-    manager.on_tracked(Kind.FACE, [], 4.0)
-    manager.tick(500.0)
-    assert set(people(manager, 500.0)) == {"n05", *names}
+    for name in names:
+        manager.on_place(PlaceSource.FACE, "f" + name, place(1.0, 503.5), 503.5)
+    manager.on_tracked(Kind.FACE, [], 504.0)
+    manager.tick(504.1)
+    assert len(people(manager, 504.1)) == len(names) + 3, "those who have a place yet are not counted"
+    manager.tick(1000.0)
+    assert set(people(manager, 1000.0)) == {"n05", *names}
 
 
 # -- forgetting
@@ -715,13 +754,14 @@ def test_an_id_from_before_a_restart_is_given_once_though_its_features_are_two_p
 
 def test_permanent_persons_are_themselves_at_once_after_a_restart():
     first = make(new_person_delay=0.0)
-    first.on_tracked(Kind.FACE, ["f1"], 0.0)
+    first.on_tracked(Kind.FACE, ["f1", "f9"], 0.0)
     first.on_tracked(Kind.BODY, ["b1", "b2"], 0.0)
     first.on_match(CandidateMatch(MatchNode(Kind.FACE, "f1"), MatchNode(Kind.PERSON, "ann"), 0.8), 0.0)
     first.on_match(CandidateMatch(MatchNode(Kind.FACE, "f1"), MatchNode(Kind.BODY, "b1"), 0.8), 0.0)
     first.on_match(CandidateMatch(MatchNode(Kind.BODY, "b2"), MatchNode(Kind.PERSON, "bob"), 0.8), 0.0)
     memory = first.identified()
     assert memory == {"ann": [MatchNode(Kind.FACE, "f1")], "bob": [MatchNode(Kind.BODY, "b2")]}
+    assert first.anonymous() == {A2: [MatchNode(Kind.FACE, "f9")]}
     second = make(new_person_delay=0.0)
     second.recall(memory, 10.0)
     second.on_tracked(Kind.FACE, ["f1", "f3"], 10.0)
