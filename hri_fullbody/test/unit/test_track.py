@@ -80,14 +80,40 @@ def test_appearance_tells_colours_apart_and_forgives_light():
     assert difference(red, dim) < 0.3
     assert difference(red, blue) > 0.6
     assert difference(describe(picture((20, 20, 20)), body), describe(picture((230, 230, 230)), body)) > 0.5
-    assert difference(red, None) is None
+    assert difference(red, None) is None and difference(None, red) is None
 
 
-def test_an_unseen_trunk_has_no_appearance():
+@pytest.mark.parametrize("shoulder", [11, 12])
+def test_an_unseen_trunk_has_no_appearance(shoulder):
     body = standing_at(300, 400)
-    body.confidence[11] = 0.1
+    body.confidence[shoulder] = 0.1
     assert describe(picture((30, 30, 220)), body) is None
     assert describe(picture((30, 30, 220)), standing_at(-800, 400)) is None
+
+
+@pytest.mark.parametrize("x, y, other_side", [
+    (0, 400, np.s_[:, 1100:]), (1280, 400, np.s_[:, :180]), (300, 80, np.s_[500:]), (300, 720, np.s_[:150])],
+    ids=["left", "right", "top", "bottom"])
+def test_of_a_body_that_a_border_cuts_what_is_in_the_image_counts_and_nothing_from_the_other_side(x, y, other_side):
+    image = np.full((720, 1280, 3), 128, np.uint8)
+    plain = describe(image, standing_at(x, y))
+    image[other_side] = 30, 30, 220
+    assert np.array_equal(describe(image, standing_at(x, y)), plain)
+
+
+@pytest.mark.parametrize("height, parts", [
+    (312, None), (320, [1, 0, 0, 0, 0]), (355, [1, 0, 1, 0, 0]), (360, [1, 1, 1, 0, 0]), (720, [1, 1, 1, 1, 1])])
+def test_a_part_of_which_hardly_anything_is_in_the_image_is_not_seen(height, parts):
+    """The chest begins at 309 px, the belly at 352 px."""
+    seen = describe(picture((30, 30, 220))[:height], standing_at(300, 400))
+    assert (None if seen is None else seen.sum(axis=1).round(9).tolist()) == parts
+
+
+@pytest.mark.parametrize("known, shown", [(True, False), (False, True)])
+def test_a_part_that_one_of_two_images_shows_is_that_of_this_image(known, shown):
+    whole = describe(picture((30, 30, 220)), standing_at(300, 400))
+    old, new = (np.where(np.arange(5)[:, None] < 4, whole, whole * there) for there in (known, shown))
+    assert blend(old, new, 0.1) == pytest.approx(whole)
 
 
 def test_appearance_is_learnt_slowly():
