@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hri_person_manager.core.features import Kind, MatchNode
+from hri_person_manager.core.features import MAX_FEATURES, Kind, MatchNode
 from hri_person_manager.core.location import Place, PlaceSource
 from hri_person_manager.core.manager import MAX_UNSEEN_PERSONS, PersonManager
 from hri_person_manager.core.match_graph import CandidateMatch
@@ -517,6 +517,43 @@ def test_a_match_may_come_before_the_tracked_list():
     assert not match(manager, "f:f1", "p:ann", 0.9, 0.0)
     manager.on_tracked(Kind.FACE, ["f1"], 0.1)
     assert people(manager, 0.1)["ann"][0] == "f1"
+
+
+@pytest.mark.parametrize("named_until, gone_at", [(0, 10), (8, 18)])
+def test_a_body_that_no_list_contains_is_there_for_ten_seconds_after_its_last_match(named_until, gone_at):
+    manager, there = make(new_person_delay=0.0, faces=["f1"]), []
+    for now in range(30):
+        if now <= named_until:
+            match(manager, "f:f1", "b:b1", 0.9, now + 0.01)
+        manager.on_tracked(Kind.FACE, ["f1"], now + 0.02)       # lists of others tell nothing of it
+        manager.tick(now + 0.03)
+        there.append([state.body for state in manager.snapshot(now + 0.03).persons if state.face == "f1"] == ["b1"])
+    assert there == [now < gone_at for now in range(30)]
+
+
+def test_a_body_that_a_match_named_before_its_list_came_is_there_as_long_as_the_list_says():
+    manager = make(new_person_delay=0.0, faces=["f1"])
+    match(manager, "f:f1", "b:b1", 0.9, 0.0)
+    manager.on_tracked(Kind.BODY, ["b1"], 1.0)
+    manager.tick(100.0)
+    assert people(manager, 100.0) == {A1: ("f1", "b1", "", 0.0)}
+    manager.on_tracked(Kind.BODY, [], 101.0)
+    assert people(manager, 101.0) == {A1: ("f1", "", "", 0.0)}
+
+
+def test_bodies_that_only_matches_name_are_as_many_as_a_list_may_hold():
+    manager = make()
+    for number in range(2 * MAX_FEATURES):
+        match(manager, "b:b%d" % number, "p:p%d" % number, 0.9, 1.0)
+    assert len(manager.snapshot(1.0).tracked) == MAX_FEATURES
+
+
+def test_ids_that_are_none_and_those_beyond_the_longest_list_are_counted_and_left_out():
+    manager = make(new_person_delay=0.0)
+    manager.on_tracked(Kind.FACE, ["f1", "no id", ""], 0.0)
+    assert manager.refused_ids == 2 and len(manager.snapshot(0.0).tracked) == 1
+    manager.on_tracked(Kind.FACE, ["f%d" % number for number in range(MAX_FEATURES + 5)], 0.0)
+    assert manager.refused_ids == 7 and len(manager.snapshot(0.0).tracked) == MAX_FEATURES
 
 
 def test_a_match_below_the_threshold_is_kept_and_may_rise():
