@@ -149,7 +149,7 @@ class PersonTable:
 
     def waiting_until(self) -> Optional[float]:
         """Return the time (s) at which the next unassigned feature becomes a person, None if none waits."""
-        if not self._unassigned or not self._anonymous_persons:
+        if not self._anonymous_persons:
             return None
         return min((since + self._delay_of((node,)) for node, since in self._unassigned.items()
                     if node not in self._held), default=None)
@@ -251,9 +251,7 @@ class PersonTable:
 
     def _drop_dead_aliases(self) -> None:
         for alias_id, alias in list(self.aliases.items()):
-            alive = any(node in self._of_feature or node in self._unassigned
-                        for node in alias.person.features)
-            if not alive or alias.target not in self.persons:
+            if not any(node in self._of_feature for node in alias.person.features):
                 del self.aliases[alias_id]
 
 
