@@ -129,3 +129,17 @@ def test_people_are_compared_on_the_floor_though_the_reference_frame_is_a_camera
     ahead = poses["camera_optical_frame"].apply(np.array([0.0, -0.4, 3.0]))
     assert ahead == pytest.approx([3.0, 0.0, 0.4]), "z is up"
     assert frame.robot_source == "base" and frame.robot.heading == pytest.approx([1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("reference", ["map", "wall_optical_frame"])
+def test_of_a_camera_that_turns_people_are_where_they_were_seen_whatever_the_reference_frame(reference):
+    settings = INTERACTION_PARAMETERS.resolve({"reference_frame": reference})
+    from_reference = Pose.identity() if reference != "map" else people_input.LEVEL
+    tf = MagicMock(lookup=lambda frame, stamp: from_reference.compose(Pose(np.eye(3), [0.0, 0.0, stamp.to_sec()])))
+    frame = people_input.InteractionFrame(settings, tf)
+    frame.begin(module.genpy.Time(10))
+    poses = frame.places(Counter(["head_optical_frame"]))
+    assert poses["head_optical_frame"].translation == pytest.approx([10.0, 0.0, 0.0])
+    pose = frame.pose_at("head_optical_frame", 9.0)
+    assert pose is not None and pose.translation == pytest.approx([9.0, 0.0, 0.0])
+    assert frame.pose_at(reference, 9.0) is None, "it is where `places` says"

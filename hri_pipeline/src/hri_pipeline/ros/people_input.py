@@ -315,16 +315,19 @@ class InteractionFrame:
 
     def pose_at(self, sensor: str, stamp: float) -> Optional[Pose]:
         """Return the pose of a sensor in the frame of this cycle at a stamp (s); None where that is not known."""
-        if self.is_level or stamp <= 0.0 or sensor == self._reference:
+        if self.name != self._reference or stamp <= 0.0 or sensor == self._reference:
             return None
-        return self._frames.lookup(sensor, genpy.Time.from_sec(stamp))
+        return self._found(sensor, genpy.Time.from_sec(stamp))
 
     def _lookup(self, frame: str) -> Optional[Pose]:
         """Look a frame up, once in a cycle: the robot often looks from where its camera is."""
         if frame not in self._poses:
-            pose = self._frames.lookup(frame, self._stamp)
-            self._poses[frame] = LEVEL.compose(pose) if self._is_optical and pose is not None else pose
+            self._poses[frame] = self._found(frame, self._stamp)
         return self._poses[frame]
+
+    def _found(self, frame: str, stamp: genpy.Time) -> Optional[Pose]:
+        pose = self._frames.lookup(frame, stamp)
+        return LEVEL.compose(pose) if self._is_optical and pose is not None else pose
 
     def _choose(self, sensors: Counter[str]) -> None:
         """Choose the camera that stands for the robot; it stays while it sees anybody."""
