@@ -8,6 +8,7 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -18,7 +19,9 @@ import rospkg
 import rospy
 import rosservice
 from rospy.exceptions import TransportTerminated
+from tf2_msgs.msg import TFMessage
 
+from hri_msgs.msg import IdsList
 from hri_person_manager.core.camera_poses import CameraPoses
 from hri_person_manager.ros import cameras, cli, services
 from hri_person_manager.ros.cameras import (
@@ -33,7 +36,9 @@ from hri_person_manager.ros.cli import known_table, run_people
 from hri_person_manager.ros.services import Galleries
 from hri_person_manager.srv import ListKnownResponse
 from hri_pipeline.core import error_log
+from hri_pipeline.core.frames import scan
 from hri_pipeline.core.geometry import Pose
+from hri_pipeline.ros.conversions import transform_to_msg
 from hri_pipeline.ros.services import call_service
 from hri_pipeline.srv import GalleryResponse
 from hri_pipeline.testing import wait_for
@@ -296,3 +301,27 @@ def test_a_table_that_the_disk_does_not_take_is_named(monkeypatch, capsys):
     assert cli._show_until(options, 0.0, "people") == 1
     assert capsys.readouterr().err == (
         "people: the table cannot be written to /full/table.json: No space left on device\n")
+
+
+@pytest.mark.parametrize("simulated, after, left", [
+    (False, 100.0, []),
+    (True, 100.05, ["eve"]),        # /clock stands still: a paused bag
+    (True, 102.0, []),
+    (True, 90.0, []),               # the bag has begun anew
+])
+def test_who_is_out_of_view_stays_in_the_table_while_the_clock_stands_still(monkeypatch, simulated, after, left):
+    for name in ("IdSubscribers", "TfSubscriber"):
+        monkeypatch.setattr(cli, name, MagicMock())
+    monkeypatch.setattr(cli.rospy, "Subscriber", MagicMock())
+    monkeypatch.setattr(rospy.rostime, "is_wallclock", lambda: not simulated)
+    times = {"wall": 5.0, "ros": 100.0}
+    monkeypatch.setattr(cli, "time", SimpleNamespace(monotonic=lambda: times["wall"]))
+    monkeypatch.setattr(cli.rospy, "get_time", lambda: times["ros"])
+    watch = cli.PersonsWatch()
+    watch._on_known(IdsList(ids=["eve"]))
+    data = io.BytesIO()
+    TFMessage([transform_to_msg(Pose.identity(), rospy.Time(100), "map", "person_eve")]).serialize(data)
+    watch._on_frames(data.getvalue(), scan(data.getvalue()), False)
+    assert [row.id for row in watch.rows()] == ["eve"]
+    times.update(wall=65.0, ros=after)
+    assert [row.id for row in watch.rows()] == left

@@ -7,6 +7,7 @@ import argparse
 import io
 import json
 import logging
+import math
 import os
 import signal
 import sys
@@ -407,9 +408,11 @@ class PersonsWatch:
     def rows(self) -> List[PersonRow]:
         """Return one row per person who is tracked or has a frame, by id."""
         oldest = time.monotonic() - FRAME_S
+        # While /clock stands still, as of a paused bag, no transforms come, and those that were there still hold.
+        still = math.inf if rospy.rostime.is_wallclock() else rospy.get_time()
         with self._lock:
-            self._frames = {person_id: frame for person_id, frame in self._frames.items()
-                            if person_id in self._ids or frame[2] >= oldest}
+            self._frames = {person_id: frame for person_id, frame in self._frames.items() if person_id in self._ids
+                            or frame[2] >= oldest or abs(frame[0].stamp - still) < FRAME_S}
             return [self._row(person_id) for person_id in sorted({*self._ids, *self._frames})]
 
     def rates(self) -> Tuple[float, float]:
