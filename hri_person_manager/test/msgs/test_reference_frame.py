@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from hri_person_manager.core.features import FeaturePose, PlaceSource
-from hri_person_manager.ros import inputs
+from hri_person_manager.core.location import Place
+from hri_person_manager.core.parameters import PERSON_MANAGER_PARAMETERS
+from hri_person_manager.ros import inputs, topics
 from hri_person_manager.ros.inputs import ReferenceFrame
 from hri_pipeline.core.geometry import Pose
 
@@ -101,3 +103,20 @@ def test_without_a_way_to_the_reference_frame_that_of_a_camera_is_optical_whatev
     reference = ReferenceFrame("map", Sensors())
     assert see(reference, UPRIGHT, images=1).horizontal == (0.0, 2.0)
     assert not see(reference, UPRIGHT, PlaceSource.VOICE, "microphone").is_optical
+
+
+@pytest.mark.parametrize("of_camera, turn, up", [
+    (True, HERE, 1),        # nowhere on the way to the camera is the turn to its optical frame
+    (True, LEVEL, 2),
+    (False, HERE, 2),
+])
+def test_how_near_people_are_is_taken_on_the_floor_though_the_robot_has_the_axes_of_its_camera(
+        monkeypatch, of_camera, turn, up):
+    monkeypatch.setattr(topics, "TrackedList", MagicMock())
+    settings = PERSON_MANAGER_PARAMETERS.resolve({"reference_frame": "map", "robot_frame": "base_link"})
+    spaces = topics.PersonSpaces(settings, MagicMock(between=lambda target, frame, stamp: (
+        turn if (target, frame) == ("base_link", "map") else HERE)))
+    there = Pose(np.eye(3), np.array([3.0, 4.0, 5.0]))
+    moved = turn.compose(there).translation if turn is not HERE else there.translation
+    expected = np.hypot(*np.delete(moved, up))
+    assert spaces._distance("ann", Place("map", there, 1.0, of_camera=of_camera)) == pytest.approx(expected)

@@ -24,7 +24,7 @@ from hri_person_manager.core.parameters import PersonManagerSettings
 from hri_person_manager.core.persons import PersonState, Snapshot
 from hri_person_manager.core.register import DemographicsEstimate, PersonRegister
 from hri_person_manager.core.triangulation import ellipse
-from hri_person_manager.ros.inputs import TfInput
+from hri_person_manager.ros.inputs import ALONG, TfInput
 from hri_person_manager.ros.navigation import position_to_msg
 from hri_pipeline.core.frames import is_optical
 from hri_pipeline.core.geometry import Pose
@@ -320,7 +320,12 @@ class PersonSpaces:
         frame, robot = place.frame, self._robot_frame
         if frame == self._reference and not place.is_optical:
             return frame
-        return robot if robot and not is_optical(robot) and self._pose(robot, frame) is not None else frame
+        turn = self._pose(robot, frame) if robot and not is_optical(robot) else None
+        if turn is None:
+            return frame
+        # Where the turn to the camera's optical frame was forgotten, the robot has the axes of the camera, too.
+        is_alike = min(turn.rotation[1, 1], turn.rotation[2, 2]) > ALONG
+        return frame if is_alike and place.of_camera and frame == self._reference else robot
 
     def _pose(self, target: str, frame: str) -> Optional[Pose]:
         """Pose of a frame in another one now; None when nothing leads there."""
