@@ -5,6 +5,7 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from hri_person_manager.core.features import FeaturePose, PlaceSource
 from hri_person_manager.core.location import Place
@@ -86,6 +87,18 @@ def test_a_reference_frame_that_is_a_cameras_is_told_and_distances_are_right_all
     assert [record.getMessage() for record in caplog.records] == [reference.problem], "once"
     reference = ReferenceFrame("camera_optical_frame", Sensors("camera_optical_frame"))
     assert see(reference, UPRIGHT, sensor="camera_optical_frame").is_optical and not reference.problem, "it says so"
+
+
+def test_the_remedy_where_the_turn_to_the_optical_frame_was_forgotten_is_the_turn():
+    """To set the reference frame to map would be none: it is."""
+    reference = ReferenceFrame("map", Sensors("usb_cam"))
+    see(reference, UPRIGHT)
+    assert "the transform to usb_cam" in reference.problem
+    yaw, pitch, roll = (float(word) for word in reference.problem.split("X Y Z ")[1].split(";")[0].split())
+    assert Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix() == pytest.approx(LEVEL.rotation, abs=1e-4)
+    reference = ReferenceFrame("usb_cam", Sensors("usb_cam"))
+    see(reference, UPRIGHT)
+    assert "X Y Z" not in reference.problem and ": set /humans/reference_frame to a level frame" in reference.problem
 
 
 def test_a_level_reference_frame_is_none_of_a_camera():

@@ -30,9 +30,11 @@ ALONG = 0.7         # cosine of an angle up to which a direction is along an axi
 LEAST_VOTES, MOST_VOTES = 5, 20     # faces and bodies that tell that the reference frame is a camera's
 CAMERA_IS_REFERENCE = (
     "the reference frame {} has the axes of a camera: people's heads point along its -y, and z is where the camera "
-    "looks. Distances on the floor are taken so here, but other programs take z for up. Set /humans/reference_frame to "
-    "a level frame, for example map, odom or base_link; or publish the turn to the camera's optical frame with the "
-    "transform")
+    "looks. Distances on the floor are taken so here, but other programs take z for up: {}set /humans/reference_frame "
+    "to a level frame, for example map, odom or base_link")
+_TURN = (
+    "publish the turn to the camera's optical frame with the transform to {}, as a static_transform_publisher does "
+    "with X Y Z -1.5708 0 -1.5708; or ")
 _PERSONS = "/humans/persons/tracked"
 _PLAYER = re.compile(r"/play_[0-9]{9,}")     # the name that rosbag gives itself
 
@@ -177,7 +179,7 @@ class ReferenceFrame:
         self._tf_input = tf_input
         self._missing: Dict[str, Tuple[float, float]] = {}      # sensor: since when, and when it was missed last
         self._warned: Set[str] = set()
-        self._camera_votes, self._is_camera, self._camera_told = 0, False, False
+        self._camera_votes, self._is_camera, self._camera_told, self._camera = 0, False, False, ""
         self._last: Tuple[str, genpy.Time, Optional[Pose]] = ("", genpy.Time(), None)
 
     @property
@@ -208,16 +210,19 @@ class ReferenceFrame:
             return Place(pose.sensor, pose.pose, stamp.to_sec(), stamp, of_camera=pose.source != PlaceSource.VOICE)
         found = sensor.compose(pose.pose)
         if pose.source != PlaceSource.VOICE:
-            self._see_axes(sensor, found)
+            self._see_axes(pose.sensor, sensor, found)
         return Place(self._frame, found, stamp.to_sec(), stamp, sensor.translation, camera=sensor,
                      of_camera=self._is_camera)
 
     @property
     def problem(self) -> str:
         """What is wrong with the reference frame itself, and what to do; empty where nothing is."""
-        return CAMERA_IS_REFERENCE.format(self._frame) if self._is_camera else ""
+        if not self._is_camera:
+            return ""
+        return CAMERA_IS_REFERENCE.format(self._frame, "" if self._camera == self._frame else _TURN.format(
+            self._camera))
 
-    def _see_axes(self, sensor: Pose, human: Pose) -> None:
+    def _see_axes(self, name: str, sensor: Pose, human: Pose) -> None:
         """Notice a reference frame that has the axes of a camera although its name does not say so: heads point along
         -y, and z points to where the camera looks."""
         up = human.rotation[:, 2]
@@ -226,7 +231,7 @@ class ReferenceFrame:
         if up[2] > ALONG:
             self._camera_votes = max(-MOST_VOTES, self._camera_votes - 1)
         elif -up[1] > ALONG and min(sensor.rotation[1, 1], sensor.rotation[2, 2]) > ALONG:
-            self._camera_votes = min(MOST_VOTES, self._camera_votes + 1)
+            self._camera_votes, self._camera = min(MOST_VOTES, self._camera_votes + 1), name
         self._is_camera = self._camera_votes >= (1 if self._is_camera else LEAST_VOTES)
         if self._is_camera and not self._camera_told:
             self._camera_told = True
