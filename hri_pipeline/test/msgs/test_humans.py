@@ -3,10 +3,11 @@
 import logging
 import threading
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import pytest
 
-from hri_pipeline.client import humans
+from hri_pipeline.client import humans, topics
 from hri_pipeline.core.frames import RawTransform
 from hri_pipeline.ros.rospy_compat import WallTimeThrottle
 
@@ -140,3 +141,12 @@ def test_who_listens_in_a_callback_is_told_of_those_who_are_there(persons):
     persons.listen(came, None)
     persons._on_tracked(["ann"])
     assert end.wait(10.0) and told == ["ann"]
+
+
+def test_the_age_of_a_place_is_known_to_who_asks_for_nothing_else(monkeypatch):
+    """Topics are subscribed to with the first question; it stayed infinite."""
+    subscriber = MagicMock()
+    monkeypatch.setattr(topics.rospy, "Subscriber", subscriber)
+    person = humans.Person("ann", SimpleNamespace(patience=0.0))
+    assert person.location_age == float("inf")
+    assert [call.args[0] for call in subscriber.call_args_list] == ["/humans/persons/ann/position"]

@@ -287,6 +287,7 @@ class Person(Human):
     @property
     def location_age(self) -> float:
         """Seconds (of the wall clock) since `location` came; infinite while none has come."""
+        self._get("position")       # subscribes, for who asks for the age alone
         return self._topics["position"].age
 
     @property
