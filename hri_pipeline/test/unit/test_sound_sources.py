@@ -138,6 +138,13 @@ def test_it_loops(tmp_path):
     np.testing.assert_array_equal(sound[:1600], sound[3200:4800])
 
 
+def test_sound_of_a_far_lower_rate_comes_with_a_later_part_of_the_file(tmp_path):
+    """The first part read fills the filter of the resampler only."""
+    source = open_sound_source(settings(write(tmp_path / "a.wav", 0.5, 384000), sample_rate=4000, loop=False, pause=0.0),
+                               refuse)
+    assert len(everything(source, 500)) == 2000
+
+
 @pytest.mark.parametrize("make, changes, words", [
     (lambda path: "", {}, "~source is empty"),
     (lambda path: path / "no.wav", {}, "no.wav does not exist; give a sound file"),
