@@ -87,7 +87,7 @@ def test_a_directory_in_reading_order_and_in_one_format(tmp_path):
 
 
 def test_reading_order_of_any_names(tmp_path):
-    names = ["take 2.wav", "take 10.wav", "take 10\u00b2.wav"]
+    names = ["take 2.wav", "take 10.wav", "take 10\u00b22.wav"]
     for name in names:
         (tmp_path / name).touch()
     assert [path.name for path in sounds_in(tmp_path)] == names
