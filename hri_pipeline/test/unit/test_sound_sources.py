@@ -140,8 +140,8 @@ def test_it_loops(tmp_path):
 
 def test_sound_of_a_far_lower_rate_comes_with_a_later_part_of_the_file(tmp_path):
     """The first part read fills the filter of the resampler only."""
-    source = open_sound_source(settings(write(tmp_path / "a.wav", 0.5, 384000), sample_rate=4000, loop=False, pause=0.0),
-                               refuse)
+    path = write(tmp_path / "a.wav", 0.5, 384000)
+    source = open_sound_source(settings(path, sample_rate=4000, loop=False, pause=0.0), refuse)
     assert len(everything(source, 500)) == 2000
 
 

@@ -394,8 +394,8 @@ before a wall leave .67 and more of it, even at 2 Hz; cuts between photographs a
 DARK_MEAN, FAINT_DEVIATION = 25.0, 6.0
 """Mean and standard deviation of the pixels (0 to 255) below which a picture is too dark, or shows too little."""
 _BLANK_DEVIATION = 2.0
-"""The same deviation where there is nothing to be seen: a covered lens, no light. The faces of dark photographs are found
-from 2.4 on, fewer than in the light below 6."""
+"""The same deviation where there is nothing to be seen: a covered lens, no light. In photographs made dark faces are
+found from 2.7 on, fewer than in the light below 6."""
 
 
 def picture_fault(bgr: np.ndarray) -> str:
