@@ -63,6 +63,23 @@ def test_the_first_limb_beyond_its_limits_does_not_wait_for_half_a_thousand_modu
                                                                             PYTHONPATH=os.pathsep.join(sys.path)))
 
 
+USED_AT_ONCE = """
+import sys
+from hri_fullbody.core.kinematics import ikpy_backend
+with ikpy_backend._without_loading("colorsys"):
+    import colorsys
+    assert colorsys.rgb_to_hls(1, 1, 1) == (0, 1, 0), "as another version of ikpy, or who looks through all modules"
+loaded = sys.modules["colorsys"]
+import colorsys
+assert colorsys is loaded and not isinstance(colorsys, ikpy_backend._WhenNeeded), "and is loaded once"
+"""
+
+
+def test_what_is_not_to_be_loaded_is_when_it_is_used_at_once():
+    subprocess.run([sys.executable, "-c", USED_AT_ONCE], check=True, env=dict(os.environ,
+                                                                              PYTHONPATH=os.pathsep.join(sys.path)))
+
+
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_the_closed_form_inverts_the_model(layout):
     count = 2000

@@ -112,6 +112,16 @@ def test_a_level_reference_frame_is_none_of_a_camera():
     assert not see(reference, LEVEL.compose(UPRIGHT), sensor="map").is_optical and not reference.problem
 
 
+@pytest.mark.parametrize("elevation", [50.0, 60.0, 65.0])
+def test_a_small_robot_that_looks_up_to_who_bends_over_it_keeps_its_level_reference_frame(elevation):
+    """Along y of the map, it has nearly the axes of the map, and heads before it point along -y."""
+    sine, cosine = np.sin(np.radians(elevation)), np.cos(np.radians(elevation))
+    up = Pose(np.array([[1.0, 0.0, 0.0], [0.0, sine, cosine], [0.0, -cosine, sine]]), np.array([3.0, 1.0, 0.2]))
+    assert up.rotation[2, 2] == pytest.approx(sine)
+    reference = ReferenceFrame("map", MagicMock(lookup=lambda sensor, stamp: up))
+    assert not see(reference, UPRIGHT, sensor="camera_optical").is_optical and not reference.problem
+
+
 def test_without_a_way_to_the_reference_frame_that_of_a_camera_is_optical_whatever_its_name():
     reference = ReferenceFrame("map", Sensors())
     assert see(reference, UPRIGHT, images=1).horizontal == (0.0, 2.0)

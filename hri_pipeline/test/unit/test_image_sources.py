@@ -76,7 +76,7 @@ def test_video_is_brought_to_the_size_asked_for(tmp_path):
 
 
 def test_pictures_follow_each_other_in_reading_order(tmp_path):
-    for name, colour in (("p10.png", BLUE), ("p2.png", GREEN), ("P1.png", RED)):
+    for name, colour in (("p10\u00b22.png", BLUE), ("p2.png", GREEN), ("P1.png", RED)):
         write_picture(tmp_path / name, colour)
     (tmp_path / "notes.txt").write_text("not a picture")
     source, notes = open_and_note(settings(tmp_path, seconds_per_picture=2.0, loop=False, fit="crop"))

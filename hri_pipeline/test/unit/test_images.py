@@ -14,6 +14,7 @@ from hri_pipeline.core.images import (
     bgr_from_raw,
     depth_from_raw,
     is_rectified,
+    picture_fault,
     sample_depth,
 )
 
@@ -311,3 +312,15 @@ def test_rectified_images_are_known_by_their_topics():
         assert is_rectified(topic)
     for topic in ("/camera/image_raw", "/image_rect/image_raw", "/rect/image", "/camera/image_raw/compressed", ""):
         assert not is_rectified(topic)
+
+
+@pytest.mark.parametrize("mean, deviation, told", [
+    (0, 0, "nothing"), (255, 0, "nothing"), (128, 0, "nothing"), (3, 1.5, "nothing"),
+    (10, 4, "too dark"),        # faces of photographs are found in it: it does show something
+    (24, 7, ""), (120, 4, ""),  # a smooth wall
+    (120, 40, "")])
+def test_a_picture_of_nothing_and_a_dark_one_are_told_apart(mean, deviation, told):
+    bgr = np.full((96, 128, 3), mean, np.uint8)
+    bgr[::16], bgr[8::16] = round(mean + deviation), max(0, round(mean - deviation))
+    fault = picture_fault(bgr)
+    assert told in fault and bool(fault) == bool(told)

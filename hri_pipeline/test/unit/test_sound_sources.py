@@ -87,7 +87,7 @@ def test_a_directory_in_reading_order_and_in_one_format(tmp_path):
 
 
 def test_reading_order_of_any_names(tmp_path):
-    names = ["take 2.wav", "take 10.wav", "take 10\u00b2.wav"]
+    names = ["take 2.wav", "take 10.wav", "take 10\u00b22.wav"]
     for name in names:
         (tmp_path / name).touch()
     assert [path.name for path in sounds_in(tmp_path)] == names
@@ -136,6 +136,13 @@ def test_it_loops(tmp_path):
     source = open_sound_source(settings(write(tmp_path / "a.wav", 0.1), pause=0.1), refuse)
     sound = np.concatenate([source.read(160) for _ in range(40)])[:, 0]
     np.testing.assert_array_equal(sound[:1600], sound[3200:4800])
+
+
+def test_sound_of_a_far_lower_rate_comes_with_a_later_part_of_the_file(tmp_path):
+    """The first part read fills the filter of the resampler only."""
+    path = write(tmp_path / "a.wav", 0.5, 384000)
+    source = open_sound_source(settings(path, sample_rate=4000, loop=False, pause=0.0), refuse)
+    assert len(everything(source, 500)) == 2000
 
 
 @pytest.mark.parametrize("make, changes, words", [

@@ -26,7 +26,8 @@ LAG_S = 0.25        # for which places wait for the transforms of a camera that 
 GRACE_S = 2.0       # wall time in which the transforms may still be on their way when everything starts
 _REMEMBERED_SENSORS = 50
 _MISSED_S = 10.0    # wall time after which a sensor that nothing comes of is no longer told
-ALONG = 0.7         # cosine of an angle up to which a direction is along an axis
+ALONG = 0.7         # cosine of an angle up to which a head points along an axis
+AS_SENSOR = 0.94    # the same between axes of a sensor and of the reference frame: fewer robots look up so steeply
 LEAST_VOTES, MOST_VOTES = 5, 20     # faces and bodies that tell that the reference frame is a camera's
 CAMERA_IS_REFERENCE = (
     "the reference frame {} has the axes of a camera: people's heads point along its -y, and z is where the camera "
@@ -230,7 +231,7 @@ class ReferenceFrame:
             return
         if up[2] > ALONG:
             self._camera_votes = max(-MOST_VOTES, self._camera_votes - 1)
-        elif -up[1] > ALONG and min(sensor.rotation[1, 1], sensor.rotation[2, 2]) > ALONG:
+        elif -up[1] > ALONG and min(sensor.rotation[1, 1], sensor.rotation[2, 2]) > AS_SENSOR:
             self._camera_votes, self._camera = min(MOST_VOTES, self._camera_votes + 1), name
         self._is_camera = self._camera_votes >= (1 if self._is_camera else LEAST_VOTES)
         if self._is_camera and not self._camera_told:

@@ -391,13 +391,24 @@ _STAYED, _STAYED_BY = 0.62, 6.0
 before a wall leave .67 and more of it, even at 2 Hz; cuts between photographs and between films .20, one pair .57."""
 
 
-BLANK_DEVIATION = 6.0
-"""Standard deviation of the pixels (0 to 255) below which a picture shows nothing: a covered lens, no light."""
+DARK_MEAN, FAINT_DEVIATION = 25.0, 6.0
+"""Mean and standard deviation of the pixels (0 to 255) below which a picture is too dark, or shows too little."""
+_BLANK_DEVIATION = 2.0
+"""The same deviation where there is nothing to be seen: a covered lens, no light. In photographs made dark faces are
+found from 2.7 on, fewer than in the light below 6."""
 
 
-def shows_nothing(bgr: np.ndarray) -> bool:
-    """Tell whether all pixels of a picture (H, W, 3) uint8 are alike: black, white, or of one colour."""
-    return _deviation(np.ascontiguousarray(bgr[::8, ::8].mean(axis=2, dtype=np.float32))) < BLANK_DEVIATION
+def picture_fault(bgr: np.ndarray) -> str:
+    """Return why hardly anybody can be found in a picture (H, W, 3) uint8: there is nothing in it (black, white, one
+    colour), or it is too dark; empty where it is neither."""
+    grey = np.ascontiguousarray(bgr[::8, ::8].mean(axis=2, dtype=np.float32))
+    deviation = _deviation(grey)
+    if deviation < _BLANK_DEVIATION:
+        return "the picture shows nothing (all pixels are alike)"
+    mean = float(grey.mean())
+    if mean < DARK_MEAN and deviation < FAINT_DEVIATION:
+        return "the picture is too dark (mean {:.0f} of 255)".format(mean)
+    return ""
 
 
 class PictureCuts:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Callable, Dict, List, Mapping, Optional, Sequence, Set, Tuple
 
-from hri_pipeline.core.images import ASPECT_TOLERANCE, BLANK_DEVIATION, ENCODINGS, other_transport
+from hri_pipeline.core.images import ASPECT_TOLERANCE, DARK_MEAN, ENCODINGS, FAINT_DEVIATION, other_transport
 from hri_pipeline.core.parameters import ParameterTable, Settings, parameter
 from hri_pipeline.core.timing import clock_fault
 
@@ -111,9 +111,9 @@ class CheckSettings(Settings):
         "", "Address of the master that was there before the check; check.launch asks for it, so that roslaunch ends "
         "where there is none instead of starting one. Nothing is done with it here.")
     min_brightness: float = parameter(
-        25.0, "Mean of the pixels (0 to 255) below which a picture is too dark.", minimum=0.0, maximum=255.0)
+        DARK_MEAN, "Mean of the pixels (0 to 255) below which a picture is too dark.", minimum=0.0, maximum=255.0)
     min_contrast: float = parameter(
-        BLANK_DEVIATION, "Standard deviation of the pixels (0 to 255) below which a picture shows nothing: a covered "
+        FAINT_DEVIATION, "Standard deviation of the pixels (0 to 255) below which a picture shows nothing: a covered "
         "lens, or a test picture of one colour.", minimum=0.0, maximum=128.0)
 
 

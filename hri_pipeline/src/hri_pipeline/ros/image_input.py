@@ -24,7 +24,7 @@ from hri_pipeline.core.images import (
     ImageError,
     is_rectified,
     other_transport,
-    shows_nothing,
+    picture_fault,
 )
 from hri_pipeline.core.timing import clock_fault
 from hri_pipeline.ros.conversions import camera_from_info, compressed_to_bgr, image_to_bgr
@@ -52,7 +52,7 @@ SENDER_S = 1.0
 _SETTLED_S = 2.0
 # Longer than JUMP_S: images that only came late, and a stamp that went back a little, pass.
 _STANDSTILL_S = 2.0
-# How often it is looked whether images show anything, and how often they have shown nothing before it is told.
+# How often it is looked whether images show anything, and how often they have shown too little before it is told.
 _BLANK_PERIOD_S = 1.0
 _MOST_BLANK = 2
 _CAMERA_LOG_PERIOD_S = 30.0
@@ -159,7 +159,7 @@ class ImageInput(SensorInput):
         self.counts: Dict[str, int] = {"received": 0, "taken": 0, "unreadable": 0, "late": 0, "time_jumps": 0,
                                        "forward_jumps": 0, "size_changes": 0}
         self._asked = self._compared = float("-inf")
-        self._blank = 0     # comparisons on end in which the image showed nothing
+        self._blank: Tuple[int, str] = (0, "")      # looks on end at which an image showed too little, and why
         self._camera = CameraInfoInput(fallback_hfov, fov_parameter, is_rectified(self.topic))
         receive_without_copies()
         self._subscribers = [rospy.Subscriber(name, kind, self._store, queue_size=1, buff_size=buffer_bytes)]
@@ -268,7 +268,8 @@ class ImageInput(SensorInput):
         self._compare_size((bgr.shape[1], bgr.shape[0]))
         if self._came[0] >= self._compared + _BLANK_PERIOD_S:
             self._compared = self._came[0]
-            self._blank = self._blank + 1 if shows_nothing(bgr) else 0
+            fault = picture_fault(bgr)
+            self._blank = (self._blank[0] + 1 if fault else 0, fault)
         camera = self._camera.model(bgr.shape[1], bgr.shape[0], sender_of(message), header.frame_id)
         self._last_stamp = stamp = header.stamp.to_sec()
         self._taken_at = self._came
@@ -279,10 +280,11 @@ class ImageInput(SensorInput):
         return Frame(bgr, camera, stamp, header, depth, partial(self._has_gone_back, stamp, self._came[1]))
 
     def _blank_problem(self) -> str:
-        if self._blank < _MOST_BLANK:
+        looks, fault = self._blank
+        if looks < _MOST_BLANK:
             return ""
-        return ("{}: the picture shows nothing (all pixels are alike): take the cap or what covers the lens away, "
-                "switch the light on; see it with: rqt_image_view {}".format(self.topic, self.topic))
+        return ("{}: {}: take the cap or what covers the lens away, switch the light on, let the camera expose longer; "
+                "see it with: rqt_image_view {}".format(self.topic, fault, self.topic))
 
     def _has_gone_back(self, stamp: float, came: float) -> bool:
         """Tell whether the time has gone back since an image of `stamp` (s) came at `came` (s, ROS time)."""

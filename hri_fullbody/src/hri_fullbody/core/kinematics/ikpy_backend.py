@@ -28,6 +28,8 @@ class _WhenNeeded(ModuleType):
     """Stands for a module, and loads it when something of it is asked for."""
 
     def __getattr__(self, name: str) -> object:
+        if sys.modules.get(self.__name__) is self:
+            del sys.modules[self.__name__]
         return getattr(importlib.import_module(self.__name__), name)
 
 
@@ -35,11 +37,11 @@ class _WhenNeeded(ModuleType):
 def _without_loading(name: str) -> Iterator[None]:
     """Let what is imported within the block have `name` only when it uses it."""
     stand_in = _WhenNeeded(name)
-    is_ours = sys.modules.setdefault(name, stand_in) is stand_in
+    sys.modules.setdefault(name, stand_in)
     try:
         yield
     finally:
-        if is_ours:
+        if sys.modules.get(name) is stand_in:
             del sys.modules[name]
 
 

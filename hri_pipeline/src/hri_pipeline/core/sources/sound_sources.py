@@ -144,6 +144,8 @@ class _OpenFile:
         self._pause = int(settings.pause * self.rate)
         self._is_read = False
         self._waiting = self._more()
+        while not (len(self._waiting) or self._is_read):    # of a far lower rate a part may be too short
+            self._waiting = self._more()
         if not len(self._waiting):
             self._file.close()
             raise SoundSourceError("{} holds no sound; give another".format(path))
