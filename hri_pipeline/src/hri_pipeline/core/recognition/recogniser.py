@@ -52,6 +52,8 @@ NEW_BELOW = 0.4
 """Likelihood, without caution, of being anybody known, below which a face is somebody new."""
 NOT_SEEN_WELL = "not seen well yet"
 """Why a face is nobody's, where its crops are the reason."""
+COVERED = "nose and mouth are covered"
+"""The same, of somebody with a mask or scarf."""
 SAME = 0.95
 """Likelihood that is published of two known persons who are the same by their templates."""
 SHOWN_S = 60.0
@@ -140,13 +142,28 @@ class Recogniser:
             face.passed_over = stamp
             return True
 
+    def agrees(self, face_id: str, template: np.ndarray) -> bool:
+        """Tell whether a face has a sure name, and a template (D,) of it alone speaks for that name."""
+        with self._lock:
+            face = self._faces.get(face_id)
+            log_odds = self._log_odds(face.person, template) if face is not None and face.is_sure else None
+            return log_odds is not None and log_odds > 0.0
+
+    def note_covered(self, face_ids: Iterable[str], stamp: float) -> None:
+        """Take note of faces whose crops at `stamp` (s) do not show nose and mouth: as alike as people are there, such a
+        crop makes no template."""
+        with self._lock:
+            for face_id in face_ids:
+                if face_id in self._faces:
+                    self._faces[face_id].note_covered(stamp)
+
     def turn(self, rotation: ImageRotation) -> None:
         """Take note that the images are turned by `rotation` from now on, against those before."""
         with self._lock:
             for face in self._faces.values():
                 face.motion.turn(rotation)
 
-    def update(self, face_ids: Sequence[str], templates: np.ndarray, qualities: Sequence[float],
+    def update(self, face_ids: Sequence[str], templates: Sequence[np.ndarray], qualities: Sequence[float],
                stamp: float) -> List[PersonMatch]:
         """Add templates (N, D) of faces in the image at `stamp` (s), and return what `changes` returns.
 
@@ -349,14 +366,17 @@ class Recogniser:
             self._refused += 1
             return
         before = face.person
-        distance = self.gallery.nearest(before, template) if before else None
-        log_odds = None if distance is None else float(self.gallery.calibration.log_odds(
-            np.array(distance), len(self.gallery)))
-        face.take(FaceTemplate(template, quality, stamp), log_odds)
+        face.take(FaceTemplate(template, quality, stamp), self._log_odds(before, template) if before else None)
         if before and not face.person:
             # Who was beside a face with a wrong name may be that person.
             for other in self._faces.values():
                 other.apart = {person_id: beside for person_id, beside in other.apart.items() if beside != face_id}
+
+    def _log_odds(self, person_id: str, template: np.ndarray) -> Optional[float]:
+        """Return the logarithm of the odds that one template (D,) is of a person, None for somebody unknown."""
+        distance = self.gallery.nearest(person_id, template)
+        return None if distance is None else float(self.gallery.calibration.log_odds(
+            np.array(distance), len(self.gallery)))
 
     def _compare(self) -> None:
         """Compare the faces that have changed; all of them when the gallery has."""
@@ -441,7 +461,7 @@ class Recogniser:
         if face.barred:
             return "forgotten while in view"
         if evidence.good(LEARN_QUALITY) < LEARN_CROPS:
-            return NOT_SEEN_WELL
+            return COVERED if face.is_covered else NOT_SEEN_WELL
         if evidence.duration < self.learn_delay:
             return "seen for {:.1f} of {:g} s".format(evidence.duration, self.learn_delay)
         if face.is_picture:
@@ -545,7 +565,19 @@ class FaceRecognition:
             return self.recogniser.changes()
         templates = self._embedder.embed([crops[face_id] for face_id in chosen])
         self.made = dict(zip(chosen, templates))
-        return self.recogniser.update(chosen, templates, [self._qualities[face_id] for face_id in chosen], stamp)
+        covered = self._covered(crops)
+        self.recogniser.note_covered(covered, stamp)
+        shown = [face_id for face_id in chosen if face_id not in covered]
+        return self.recogniser.update(shown, [self.made[face_id] for face_id in shown],
+                                      [self._qualities[face_id] for face_id in shown], stamp)
+
+    def _covered(self, crops: Mapping[str, np.ndarray]) -> List[str]:
+        """Return which faces of `made` do not show nose and mouth; to ask costs a template, so that those which are who
+        they are taken for are not asked."""
+        asked = [face_id for face_id, template in self.made.items() if not self.recogniser.agrees(face_id, template)]
+        covered = self._embedder.covered([crops[face_id] for face_id in asked],
+                                         np.array([self.made[face_id] for face_id in asked]))
+        return [face_id for face_id, is_covered in zip(asked, covered) if is_covered]
 
     def changes(self, stamp: float) -> List[PersonMatch]:
         """Return what has changed without a new template at `stamp` (s): a person was forgotten, merged or enrolled, or
