@@ -918,9 +918,9 @@ class MaskedPeople:
     """Shows faces of one person after the other, with masks or without, and counts what the network is asked for."""
 
     def __init__(self):
-        self.recognition, self.stamp = recognition_of(lambda crops: np.array([self._template(crop) for crop in crops])), 100.0
+        self.recognition = recognition_of(lambda crops: np.array([self._template(crop) for crop in crops]))
         self.recognition._embedder.covered = self._covered
-        self.asked = []
+        self.stamp, self.asked = 100.0, []
 
     @staticmethod
     def _template(crop):

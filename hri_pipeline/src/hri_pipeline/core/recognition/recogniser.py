@@ -150,8 +150,7 @@ class Recogniser:
             return log_odds is not None and log_odds > 0.0
 
     def note_covered(self, face_ids: Iterable[str], stamp: float) -> None:
-        """Take note of faces whose crops at `stamp` (s) do not show nose and mouth: as alike as people are there, such a
-        crop makes no template."""
+        """Take note of faces whose crops at `stamp` (s) do not show nose and mouth: they make no template."""
         with self._lock:
             for face_id in face_ids:
                 if face_id in self._faces:
