@@ -163,7 +163,7 @@ class FaceEmbedder:
         if not self._kind.lower_face or not len(crops):
             return np.zeros(len(crops), bool)
         turned = self.embed([_upside_down(crop, self._kind.lower_face) for crop in crops])
-        return np.linalg.norm(turned - templates, axis=1) < self.calibration.one_human
+        return np.linalg.norm(turned - templates, axis=1) < self.calibration.spread
 
     def _vectors(self, crops: Sequence[np.ndarray]) -> List[np.ndarray]:
         """What the network says of each crop: (dimension,)."""
